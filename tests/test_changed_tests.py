@@ -26,6 +26,7 @@ def edges() -> dict[str, set[str]]:
     return importers()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("changed", "test"), NEAREST.items())
 def test_a_test_of_what_changed_is_among_the_nearest(
     changed: str, test: str, edges: dict[str, set[str]]
@@ -36,7 +37,7 @@ def test_a_test_of_what_changed_is_among_the_nearest(
     assert list(found.values()) == sorted(found.values())
 
 
-def test_a_file_that_nothing_reads_has_no_tests(edges: dict[str, set[str]]) -> None:
+def test_a_file_that_nothing_reads_has_no_tests() -> None:
     assert near_tests(["absent" + ".txt"], {}) == {}
 
 

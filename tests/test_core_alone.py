@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from places import ROOT
@@ -101,38 +102,53 @@ def python(core, *arguments):
     return done.stdout
 
 
-def gauge(core, *arguments):
-    code = f"import sys; sys.argv = ['gauge', *{list(arguments)!r}]; from gauge_command import main; main()"
-    return python(core, "-c", code)
+COMMANDS = """
+import sys
+from contextlib import suppress
+from importlib import import_module
+from shlex import split
+
+for package in {packages!r}:
+    with suppress(ImportError):
+        import_module(package)
+        raise SystemExit(f"{{package}} is not hidden")
+
+import gauge_envs
+from gauge_envs.cli.app import app
+
+print(gauge_envs.__file__)
+for command in sys.argv[1:]:
+    app(split(command), standalone_mode=False)
+"""
 
 
-def test_the_copy_is_used_and_guests_are_absent(core):
-    shown = python(core, "-c", "import gauge_envs; print(gauge_envs.__file__)")
-    assert Path(shown.strip()).is_relative_to(core)
-    for package in GUEST_PACKAGES:
-        python(
-            core,
-            "-c",
-            f"try:\n import {package}\nexcept ImportError:\n pass\nelse:\n raise SystemExit(1)",
-        )
+@pytest.fixture(scope="module")
+def printed(core):
+    """What one process of the core prints: the place of the package, the help, rows of a list, and a page."""
+    code = COMMANDS.format(packages=GUEST_PACKAGES)
+    commands = ("--help", "list --json", "show SlopeSlider-2-wood --json")
+    place, *lines = python(core, "-c", code, *commands).splitlines()
+    *rows, page = (json.loads(line) for line in lines if line.startswith("{"))
+    return SimpleNamespace(place=place, help="".join(lines), rows=rows, page=page)
 
 
-def test_the_core_lists_all_ids_on_its_engine(core):
-    rows = [json.loads(line) for line in gauge(core, "list", "--json").splitlines()]
+def test_the_copy_is_used_and_guests_are_absent(core, printed):
+    assert Path(printed.place).is_relative_to(core)
+
+
+def test_the_core_lists_all_ids_on_its_engine(printed):
+    rows = printed.rows
     assert [row["id"] for row in rows] == [variant.id for variant in variants()]
     assert {tuple(row["backends"]) for row in rows} == {("mujoco",)}
 
 
-def test_the_core_shows_an_experiment(core):
-    (shown,) = map(
-        json.loads, gauge(core, "show", "SlopeSlider-2-wood", "--json").splitlines()
-    )
-    assert [row["engine"] for row in shown["engines"]] == ["mujoco"]
+def test_the_core_shows_an_experiment(printed):
+    assert [row["engine"] for row in printed.page["engines"]] == ["mujoco"]
 
 
-def test_the_help_has_only_commands_of_the_core(core):
-    shown = gauge(core, "--help")
-    assert "score" in shown and "sanity" not in shown and "leaderboard" not in shown
+def test_the_help_has_only_commands_of_the_core(printed):
+    assert "score" in printed.help
+    assert "sanity" not in printed.help and "leaderboard" not in printed.help
 
 
 def scored(text):
@@ -141,11 +157,10 @@ def scored(text):
     return [{key: row[key] for key in ("id", "outcome", "score")} for row in rows]
 
 
-def test_the_core_runs_and_scores_as_the_whole_package(core, tmp_path):
-    command = ("run", "SlopeSlider-2-*", "BouncingBall-rubber", "--json", "--out")
-    assert scored(gauge(core, *command, str(tmp_path / "core"))) == scored(
-        gauge(ROOT, *command, str(tmp_path / "all"))
-    )
+def test_the_core_runs_and_scores_as_the_whole_package(core, gauge):
+    words = ("run", "SlopeSlider-2-wood", "BouncingBall-rubber", "--json")
+    code = "import sys; sys.argv[0] = 'gauge'; from gauge_command import main; main()"
+    assert scored(python(core, "-c", code, *words)) == scored(gauge(*words).stdout)
 
 
 @pytest.mark.parametrize(

@@ -313,7 +313,7 @@ def test_a_binary_layer_that_the_child_cannot_read_is_not_opened(
 )
 def test_a_model_that_takes_all_memory_is_refused(body, reason, tmp_path, monkeypatch):
     assert files.child_refusal.__kwdefaults__["cpu_s"] == files.CHILD_CPU_S
-    monkeypatch.setitem(files.child_refusal.__kwdefaults__, "cpu_s", 2)
+    monkeypatch.setitem(files.child_refusal.__kwdefaults__, "cpu_s", 1)
     file = tmp_path / "bomb.xml"
     file.write_text(f"<mujoco>{body}</mujoco>")
     with pytest.raises(AssetError, match=reason):
@@ -333,6 +333,9 @@ OPENING = {
     "np.load", "json.load", "pickle.load", "pickle.loads", "zipfile.ZipFile", "tarfile.open", "lzma.open", "gzip.open",
 }  # fmt: skip
 """Calls that read a file, by the name of the method, or with the name of the module."""
+
+OPENING_NAMES = OPENING - {"read_bytes", "read_text"}
+OPENING_LAST = {name.rpartition(".")[2] for name in OPENING}
 
 WITHOUT_LIMITS = {
     "cli/streams.py": "the null device",
@@ -377,9 +380,12 @@ def reading_calls(source):
     for one in ast.walk(ast.parse(source)):
         if not isinstance(one, ast.Call):
             continue
+        is_method = isinstance(one.func, ast.Attribute)
+        last = one.func.attr if is_method else getattr(one.func, "id", "")
+        if last not in OPENING_LAST:
+            continue
         name = ast.unparse(one.func)
-        is_method = isinstance(one.func, ast.Attribute) and one.func.attr in OPENING
-        if is_method or name in OPENING - {"read_bytes", "read_text"}:
+        if (is_method and last in OPENING) or name in OPENING_NAMES:
             found.add(name)
     return found
 

@@ -48,7 +48,10 @@ def node_count(simulation, scene):
         ("mujoco", "FoamStretching-soft", {}, (None, 0.02), (17 * 5 * 5, 19 * 7 * 7)),
         ("mujoco", "RopeWinding-rubber", {}, (0.01, 0.005), (35, 69)),
         ("mujoco", "StickStack-soft", {}, (None, 0.005), (16, 31)),
-        ("newton", "TextileBending-satin", {}, (0.025, 0.0125), (17**2, 33**2)),
+        pytest.param(
+            *("newton", "TextileBending-satin", {}, (0.025, 0.0125), (17**2, 33**2)),
+            marks=pytest.mark.slow,
+        ),
         pytest.param(
             *(
                 "newton",
@@ -115,7 +118,14 @@ def relative_error(engine, check, settings):
 @pytest.mark.parametrize(
     ("engine", "check", "coarse", "fine", "limit"),
     [
-        ("mujoco", "cloth-bending", {"cell_m": 0.025}, {"cell_m": 0.0125}, 0.015),
+        pytest.param(
+            "mujoco",
+            "cloth-bending",
+            {"cell_m": 0.025},
+            {"cell_m": 0.0125},
+            0.015,
+            marks=pytest.mark.slow,
+        ),
         ("mujoco", "cloth-stretch", {"cell_m": 0.025}, {"cell_m": 0.0125}, 0.004),
         pytest.param(
             "mujoco",

@@ -545,13 +545,18 @@ def check_fling(scene, rollout, miss_m):
         assert 0.0 < strains.max() < 0.03
 
 
-@on_both
 @pytest.mark.parametrize(
-    "name",
+    ("engine", "name"),
     [
-        pytest.param(name, marks=() if name == "satin" else pytest.mark.slow)
+        pytest.param(
+            engine,
+            name,
+            marks=() if (engine, name) == ("mujoco", "satin") else pytest.mark.slow,
+        )
+        for engine in ("mujoco", "newton")
         for name in FABRICS
     ],
+    indirect=["engine"],
 )
 def test_a_flung_cloth_stays_on_its_rod_and_in_one_piece(engine, name):
     """MuJoCo moves its edge with a driven body of 1000 kg; Newton places it, in single precision."""

@@ -96,7 +96,12 @@ ENGINES = (
     Engine(
         name="mujoco",
         module="mujoco",
-        long=(*LONG, "foam-*", "*-rests-on", "*-strike", "rod-length", "rope-mass"),
+        long=(
+            *LONG,
+            *("foam-*", "*-rests-on", "*-strike", "rod-length", "rod-mass"),
+            *("rope-mass", "rope-pulled-length", "rope-start", "rod-start"),
+            *("cloth-clamp", "air-friction"),
+        ),
     ),
     Engine(
         name="rapier",
@@ -120,12 +125,13 @@ ENGINES = (
             *("foam-rests-on", "foam-strike", "rope-rests-on", "rope-strike"),
         ),
         quick=(*CORE, "rope-period", "foam-*", "torsion", "rolling"),
+        long=("foam-start",),
     ),
     Engine(
         name="newton",
         module="newton",
         lacks=("air",),
-        quick=(*CORE, "cloth-stretch", "cloth-slide", "foam-pinned-face"),
+        quick=(*CORE, "cloth-slide", "foam-pinned-face"),
     ),
     Engine(
         name="drake",

@@ -42,8 +42,10 @@ def crossed_slides(boards, motion):
 
 
 @pytest.mark.parametrize("engine", ENGINES, indirect=True)
-@pytest.mark.parametrize("motion", [Motion.FIXED, Motion.KINEMATIC])
-@pytest.mark.parametrize("boards", [("low", "high"), ("high", "low")])
+@pytest.mark.parametrize(
+    ("motion", "boards"),
+    [(Motion.FIXED, ("low", "high")), (Motion.KINEMATIC, ("high", "low"))],
+)
 def test_pairs_have_their_friction(engine, motion, boards):
     pairs = list(zip(("one", "two"), boards, strict=True))
     scene = crossed_slides(dict(pairs), motion)

@@ -133,6 +133,7 @@ def test_two_engines_strain_with_the_law(name: str, engine: str) -> None:
     assert apart[-1] < 2.0 * math.sqrt(solver.sum())
 
 
+@pytest.mark.slow
 def test_a_planted_poisson_ratio_is_worse_than_the_uncertainty() -> None:
     band = band_of("FoamStretching-soft")
     planted = frames_of("FoamStretching-soft", "mujoco", {"foam.poisson_ratio": 0.45})

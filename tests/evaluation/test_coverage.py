@@ -36,6 +36,10 @@ FAILING = [
 """Worlds, numbers of trials, and the quantity of which intervals of a plain bootstrap fail there."""
 
 
+# Of 60 realities, a true 95 % gives at least 88 % in 99 of 100 runs.
+LEAST_HELD_PERCENT = 88.0
+
+
 def pooled(rows: list[Row], quantity: str) -> float:
     """Return the percentage of the intervals of a quantity that hold the truth."""
     chosen = [row for row in rows if row.quantity == quantity]
@@ -48,12 +52,11 @@ def pooled(rows: list[Row], quantity: str) -> float:
 
 @pytest.mark.parametrize(("name", "count", "worst"), FAILING)
 def test_intervals_hold_the_truth(name: str, count: int, worst: str) -> None:
-    rows = coverage(name, count, realities=60, seeds=(21, 22))
+    rows = coverage(name, count, realities=60, seeds=(21,))
     quantities = sorted({row.quantity for row in rows})
     assert worst in quantities
     for quantity in quantities:
-        # Of 120 realities, a true 95 % gives at least 89 % in 99 of 100 runs.
-        assert pooled(rows, quantity) >= 89.0, quantity
+        assert pooled(rows, quantity) >= LEAST_HELD_PERCENT, quantity
 
 
 @pytest.mark.slow
@@ -78,7 +81,8 @@ def test_a_plain_bootstrap_is_found_to_miss_the_truth(
         monkeypatch.setattr(module, "trial_weights", resampled)
     for module in (uncertainty, draws):
         monkeypatch.setattr(module, "widening", lambda series: 1.0)
-    assert pooled(coverage(name, count, realities=60, seeds=(21, 22)), worst) < 89.0
+    rows = coverage(name, count, realities=60, seeds=(21,))
+    assert pooled(rows, worst) < LEAST_HELD_PERCENT
 
 
 def test_the_table_is_whole_and_holds_as_the_note_says() -> None:
@@ -105,8 +109,8 @@ def test_the_table_is_that_of_the_script(name: str, count: int) -> None:
             )
 
 
+@pytest.mark.slow
 def test_ratios_to_20_trials_hold_where_one_trial_in_twenty_is_an_outlier() -> None:
     rows = level_coverage("slide, 5 % outliers", 20, realities=60, seeds=(23,))
     ratios = {row.level: row.holds for row in rows if row.quantity == "aligned ratio"}
-    # Of 60 realities, a true 95 % gives at least 88 % in 99 of 100 runs.
-    assert min(ratios.values()) >= 88.0, ratios
+    assert min(ratios.values()) >= LEAST_HELD_PERCENT, ratios

@@ -139,8 +139,8 @@ def test_each_true_distance_is_held_in_95_percent_whatever_the_directions_of_the
         assert shares[-1] == pytest.approx(0.95, abs=0.005)
 
 
-@pytest.mark.parametrize("shapes", [1, 2, 5, 60])
-@pytest.mark.parametrize("true_in_u", [0.0, 0.5, 1.0, 2.0, 5.0])
+@pytest.mark.parametrize("shapes", [1, 60])
+@pytest.mark.parametrize("true_in_u", [0.0, 1.0, 5.0])
 def test_the_interval_holds_the_true_distance_for_errors_in_few_and_many_directions(
     shapes: int, true_in_u: float
 ) -> None:
@@ -165,7 +165,10 @@ def test_the_interval_holds_the_true_distance_for_errors_in_few_and_many_directi
 
 
 @pytest.mark.parametrize("shared", [True, False])
-@pytest.mark.parametrize("correlation_frames", [0.1, 10.0, 1e4])
+@pytest.mark.parametrize(
+    "correlation_frames",
+    [10.0, *(pytest.param(one, marks=pytest.mark.slow) for one in (0.1, 1e4))],
+)
 @pytest.mark.parametrize("name", ["Turntable-3-wood", "TextileBending-leather"])
 def test_the_interval_holds_the_true_distance_for_errors_with_the_stated_shape(
     name: str, correlation_frames: float, shared: bool

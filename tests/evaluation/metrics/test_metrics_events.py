@@ -41,7 +41,7 @@ def swing(start_deg, frame_count, *, damping_per_s=0.0, length_m=LENGTH_M, start
 
 @pytest.fixture(scope="module")
 def undamped_rad():
-    return swing(-88.2, 3000)
+    return swing(-88.2, 920)
 
 
 def height_mm(angle_rad, length_m=LENGTH_M):
@@ -51,11 +51,7 @@ def height_mm(angle_rad, length_m=LENGTH_M):
 # Energy loss
 
 
-def test_energy_loss_of_an_exact_pendulum_is_zero(undamped_rad):
-    assert abs(energy_loss(height_mm(undamped_rad), rest_height_mm=0.0)) < 2e-6
-
-
-@pytest.mark.parametrize("first", [1, 5, 11, 18])
+@pytest.mark.parametrize("first", [0, 1, 5, 11, 18])
 def test_energy_loss_is_zero_from_any_phase_of_an_exact_pendulum(undamped_rad, first):
     assert (
         abs(

@@ -4,9 +4,8 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
 from hypothesis.extra.numpy import arrays
-from scipy.spatial.transform import Rotation
 
 from gauge_envs.errors import ShapeError
 from gauge_envs.evaluation.metrics.trajectory import (
@@ -24,13 +23,10 @@ VALUES = st.floats(-100, 100, allow_nan=False, width=32)
 
 
 @st.composite
-def trajectory_pairs(draw, *, same_length=True):
-    first_count, coordinate_count = draw(st.integers(1, 9)), draw(st.integers(1, 4))
-    second_count = first_count if same_length else draw(st.integers(1, 9))
-    return tuple(
-        draw(arrays(float, (n, coordinate_count), elements=VALUES))
-        for n in (first_count, second_count)
-    )
+def trajectory_pairs(draw):
+    coordinate_count = draw(st.integers(1, 4))
+    shapes = [(draw(st.integers(1, 9)), coordinate_count) for _ in range(2)]
+    return tuple(draw(arrays(float, shape, elements=VALUES)) for shape in shapes)
 
 
 def plain_dtw(first, second):
@@ -90,15 +86,6 @@ def test_rmse_of_a_real_trial_with_gaps_needs_permission():
         trajectory_rmse(trial, mean)
 
 
-@given(points=arrays(float, (5, 6), elements=VALUES), seed=st.integers(0, 2**32 - 1))
-def test_rmse_is_invariant_to_a_rigid_motion_of_both(points, seed):
-    rng = np.random.default_rng(seed)
-    rotation, shift = Rotation.random(rng=rng).as_matrix(), rng.normal(size=3)
-    simulated, real = points[:, :3], points[:, 3:]
-    moved = trajectory_rmse(simulated @ rotation.T + shift, real @ rotation.T + shift)
-    assert moved == pytest.approx(trajectory_rmse(simulated, real), rel=1e-9, abs=1e-9)
-
-
 @pytest.mark.parametrize("score", [trajectory_rmse, trajectory_dtw])
 @pytest.mark.parametrize(
     ("simulated", "real", "message"),
@@ -127,8 +114,7 @@ def test_wrong_trajectories_are_refused_by_name(score, simulated, real, message)
 # DTW
 
 
-@settings(max_examples=200)
-@given(pair=trajectory_pairs(same_length=False))
+@given(pair=trajectory_pairs())
 def test_dtw_cost_agrees_with_the_textbook_recursion(pair):
     cost, path = dtw_path(*pair)
     assert cost == pytest.approx(plain_dtw(*pair)[0], rel=1e-9, abs=1e-9)
@@ -182,28 +168,6 @@ def test_dtw_agrees_when_both_rest():
     assert dtw_path(first, second)[0] == pytest.approx(
         plain_dtw(first, second)[0], rel=1e-9
     )
-
-
-@given(pair=trajectory_pairs(same_length=False))
-def test_dtw_cost_is_symmetric(pair):
-    first, second = pair
-    assert dtw_path(first, second)[0] == pytest.approx(
-        dtw_path(second, first)[0], rel=1e-9, abs=1e-9
-    )
-
-
-@given(pair=trajectory_pairs())
-def test_dtw_cost_is_at_most_that_of_no_warping(pair):
-    first, second = pair
-    assert (
-        dtw_path(first, second)[0]
-        <= np.linalg.norm(first - second, axis=1).sum() * (1 + 1e-9) + 1e-9
-    )
-
-
-@given(pair=trajectory_pairs())
-def test_dtw_of_a_trajectory_with_itself_is_zero(pair):
-    assert trajectory_dtw(pair[0], pair[0]) == 0.0
 
 
 def test_dtw_ignores_a_pause_that_rmse_punishes():
