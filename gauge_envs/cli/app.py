@@ -36,7 +36,8 @@ OTHER_WORDS = {
     "eval": "run",
     "evaluate": "run",
     "test": "run",
-    "randomize": "transfer randomize",
+    "transfer randomize": "randomize",
+    "transfer envelope": "randomize, or gauge run --uncertainty for what constants do to a score",
     "versions": "backend versions",
     "schema": "show COMMAND --schema, or gauge list schemas",
 }
@@ -220,12 +221,12 @@ class _Group(typer.core.TyperGroup):
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         for count in (2, 1):
             name = self._full(" ".join(args[:count]))
+            if name in OTHER_WORDS:
+                raise ParameterError(
+                    f"unknown command {name!r}: write gauge {OTHER_WORDS[name]}"
+                )
             if name in command_lines():
                 return name, self.get_command(ctx, " ".join(args[:count])), args[count:]
-        if name in OTHER_WORDS:
-            raise ParameterError(
-                f"unknown command {name!r}: write gauge {OTHER_WORDS[name]}"
-            )
         raise UnknownNameError(
             "command", name, map(self._full, self.list_commands(ctx))
         )

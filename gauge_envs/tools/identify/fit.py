@@ -566,6 +566,14 @@ class _Problem:
         return _noise(np.split(table, ends[:-1]))
 
 
+def _factor(table: FloatArray) -> FloatArray:
+    """Return the triangular factor of a table; that of its Gram matrix is faster, but squares small numbers away."""
+    try:
+        return np.linalg.cholesky(table.T @ table)
+    except np.linalg.LinAlgError:
+        return np.linalg.qr(table, mode="r")
+
+
 def _noise(parts: Sequence[FloatArray]) -> tuple[float, float, float]:
     """Return the noise of residuals by residual maximum likelihood.
 
@@ -583,9 +591,8 @@ def _noise(parts: Sequence[FloatArray]) -> tuple[float, float, float]:
         table = np.concatenate(
             [lfilter([1.0, -decay], [1.0, -forgotten], part, axis=0) for part in parts]
         )
-        # The factor of the Gram matrix ends with the length of the residual that the other columns leave.
-        factor = np.linalg.cholesky(table.T @ table)
-        diagonal = np.diag(factor)
+        # The factor ends with the length of the residual that the other columns leave.
+        diagonal = np.abs(np.diag(_factor(table)))
         power = max(float(diagonal[-1] ** 2), 1e-300)
         freedom = len(table) - len(diagonal) + 1
         shock = power / freedom

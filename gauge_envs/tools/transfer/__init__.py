@@ -1,4 +1,4 @@
-"""Replay policies elsewhere; show what uncertain inputs do to a reward; and which ranges of constants data justify."""
+"""Replay policies elsewhere, and which ranges of constants data justify."""
 
 from typing import TYPE_CHECKING
 

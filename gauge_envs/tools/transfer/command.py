@@ -12,7 +12,6 @@ import typer
 from gauge_envs.cli import arguments
 from gauge_envs.cli.output import (
     Format,
-    Progress,
     message,
     plain_text,
     print_document,
@@ -303,7 +302,7 @@ def _assigned(texts: Sequence[str]) -> dict[str, str]:
     return {name: value for name, _, value in pairs}
 
 
-def transfer_randomize(
+def randomize(
     subject: Annotated[
         str,
         typer.Argument(
@@ -386,49 +385,3 @@ def transfer_randomize(
         found = for_stack(found, stack)
     writers = {".py": lambda file: save_file(file, text)}
     print_document(ranges_document(found), form, files=files, writers=writers)
-
-
-def transfer_envelope(
-    subject: Annotated[str, typer.Argument(metavar="ID", help="Experiment.")],
-    engine: arguments.Backend = "mujoco",
-    changes: arguments.Settings = None,
-    samples: Annotated[
-        int,
-        typer.Option(
-            min=1,
-            rich_help_panel=arguments.NUMERICS,
-            help="Number of points, a power of 2.",
-        ),
-    ] = 256,
-    batch: Annotated[
-        int,
-        typer.Option(
-            min=1,
-            rich_help_panel=arguments.NUMERICS,
-            help="Worlds that run at a time.",
-        ),
-    ] = 256,
-    seed: arguments.Seed = 0,
-    out: PictureOption = None,
-    form: arguments.Form = Format.TEXT,
-) -> None:
-    """Show what uncertain constants and starts do to a score."""
-    from gauge_envs.pages.figures import save_png
-    from gauge_envs.tools.transfer.envelope import envelope_report, experiment_envelope
-    from gauge_envs.tools.transfer.words import draw_envelope, envelope_document
-
-    files = _picture_files(out)
-    with Progress("samples", samples) as progress:
-        found = experiment_envelope(
-            subject,
-            samples=samples,
-            batch=batch,
-            seed=seed,
-            backend=engine,
-            settings=arguments.parsed_settings(changes),
-            notify=lambda done: progress.show("samples", done),
-        )
-    report = envelope_report(found)
-
-    writers = {".png": lambda file: save_png(draw_envelope(found, report), file)}
-    print_document(envelope_document(report), form, files=files, writers=writers)

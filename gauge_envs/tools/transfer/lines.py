@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from typing import Annotated, Literal, TypedDict
 
 from gauge_envs.cli.schemas import Form
-from gauge_envs.tools.transfer.envelope import EnvelopeReport
 from gauge_envs.tools.transfer.policy_replays import ReplayWorld
 from gauge_envs.tools.transfer.ranges import JustifiedRange, LeftOut
 from gauge_envs.tools.transfer.settings_replay import SettingsReport
@@ -56,17 +55,6 @@ class VerdictLine(TypedDict):
 
 TransferLine = WorldLine | VerdictLine
 """First each world, the training before the others, then the result."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class EnvelopeLine(EnvelopeReport):
-    """Distribution of a quantity over the measured uncertainty.
-
-    Attributes:
-        verdict: The result in words.
-    """
-
-    verdict: str
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,20 +1,16 @@
-"""What policies keep of the reward that their training promised, and envelopes of a score, in words and figures."""
+"""What policies keep of the reward that their training promised, and ranges, in words and figures."""
 
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Sequence
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from gauge_envs.pages.document import Document, Paragraph, Part
 from gauge_envs.pages.figures import OURS, REAL, new_figure, tidy_axis
 from gauge_envs.pages.table import Column, Place, Table
-from gauge_envs.pages.text import counted, value_text, with_unit
-from gauge_envs.tools.transfer.envelope import Envelope, EnvelopeReport, is_constant
+from gauge_envs.pages.text import counted
 from gauge_envs.tools.transfer.ranges import Justified
 from gauge_envs.tools.transfer.settings_replay import SettingsReport
 from gauge_envs.tools.transfer.stack_files import evidence
@@ -26,7 +22,6 @@ from gauge_envs.tools.transfer.transfer import (
 )
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
@@ -289,61 +284,10 @@ def ranges_document(found: Justified) -> Document:
     return Document(parts=tuple(parts), rows=rows)
 
 
-# --- envelopes ---
-
-
-def envelope_verdict(report: EnvelopeReport) -> str:
-    """Return the result in a few sentences."""
-    return (
-        f"{report.quantity} {with_unit(f'{report.calibrated:.4g}', report.unit)} at the calibrated values; over the "
-        f"measured uncertainty the median is {report.median:.4g}, and 95 % of {report.samples} samples are from "
-        f"{report.low:.4g} to {report.high:.4g}. The engine diverged at {report.diverged}."
-    )
-
-
-def envelope_document(report: EnvelopeReport) -> Document:
-    """Return one row for each parameter, the most important first, and the result; the JSON row is the report."""
-    verdict = envelope_verdict(report)
-
-    def calibrated(value: Any) -> str:
-        return "its start" if isinstance(value, tuple) else value_text(value)
-
-    table = Table(
-        columns=(
-            Column("parameter.name", "parameter"),
-            Column("parameter.value", "calibrated", calibrated, is_number=True),
-            Column(
-                "parameter.std", "sigma", lambda value: f"{value:.3g}", is_number=True
-            ),
-            Column("parameter.unit", "unit"),
-            Column(
-                "rank_correlation",
-                "rank correlation",
-                lambda value: f"{value:+.2f}",
-                is_number=True,
-            ),
-            Column(
-                "per_sigma",
-                f"{report.quantity} per sigma",
-                lambda value: f"{value:+.3g}",
-                is_number=True,
-            ),
-            Column("parameter.source", "source of sigma", place=Place.BELOW),
-        ),
-        rows=report.effects,
-    )
-    # An infinite bound, which means none, becomes null.
-    rows = [dataclasses.asdict(report) | {"verdict": verdict}]
-    return Document(parts=(table, Paragraph(""), Paragraph(verdict)), rows=rows)
-
-
 # --- figures ---------------------------------------------------------------------------------------------------------
 
 LONG_NAME = 48
 """Length at which the name of a world continues in a second line [characters]."""
-
-COLUMNS = 3
-"""Panels of an envelope in a row."""
 
 
 def draw_transfer(report: TransferReport) -> Figure:
@@ -390,41 +334,3 @@ def draw_transfer(report: TransferReport) -> Figure:
     figure.suptitle(f"{report.task}   {note}", x=0.01, ha="left", fontsize=9)
     tidy_axis(axis)
     return figure
-
-
-def draw_envelope(envelope: Envelope, report: EnvelopeReport) -> Figure:
-    """Return the picture: the distribution of the quantity, and the quantity over each parameter."""
-    rows = math.ceil((1 + len(report.effects)) / COLUMNS)
-    figure = new_figure(10.5, 3.1 * rows + 0.5)
-    unit = "" if report.unit == "1" else f" [{report.unit}]"
-    first = figure.add_subplot(rows, COLUMNS, 1)
-    _draw_distribution(first, envelope, report)
-    first.set_ylabel(f"{report.quantity}{unit}")
-    for place, effect in enumerate(report.effects):
-        axis = figure.add_subplot(rows, COLUMNS, place + 2, sharey=first)
-        column = envelope.sigmas[:, envelope.parameters.index(effect.parameter)]
-        axis.plot(column, envelope.values, ".", ms=2.5, alpha=0.5, color=OURS[0])
-        axis.axvline(0.0, color=REAL, lw=0.8)
-        sigma = with_unit(f"{effect.parameter.std:.2g}", effect.parameter.unit)
-        axis.set_xlabel(
-            f"{effect.parameter.name}\nfrom the calibrated value [sigma = {sigma}]",
-            fontsize=8,
-        )
-        axis.set_title(
-            f"rank correlation {effect.rank_correlation:+.2f}", loc="left", fontsize=8
-        )
-        tidy_axis(axis)
-    title = f"{report.id}  {report.backend}, {report.samples} samples"
-    figure.suptitle(title, x=0.01, ha="left", fontsize=9)
-    return figure
-
-
-def _draw_distribution(axis: Axes, envelope: Envelope, report: EnvelopeReport) -> None:
-    values = envelope.values[np.isfinite(envelope.values)]
-    if not is_constant(values):
-        axis.hist(values, bins=40, orientation="horizontal", color=OURS[0])
-    axis.axhline(report.calibrated, color=REAL, lw=1.2, label="calibrated")
-    axis.axhspan(report.low, report.high, color="0.9", zorder=0, label="95 %")
-    axis.set_xlabel("number of samples", fontsize=8)
-    axis.legend(fontsize=7, frameon=False)
-    tidy_axis(axis)

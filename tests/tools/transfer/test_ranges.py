@@ -393,16 +393,12 @@ def test_isaac_lab_gets_terms_that_its_functions_take(arm_ranges):
 
 
 def test_the_command_writes_a_file_and_says_what_is_left_out(gauge, arm):
-    done = gauge("transfer", "randomize", arm, "--for", "mujoco", "--json")
+    done = gauge("randomize", arm, "--for", "mujoco", "--json")
     lines = [json.loads(line) for line in done.stdout.splitlines()]
     assert [line["kind"] for line in lines] == ["range", *["left_out"] * 4]
-    check_lines("transfer randomize", done.stdout)
+    check_lines("randomize", done.stdout)
     compile(Path("randomized_mujoco.py").read_text(encoding="utf-8"), "file", "exec")
-    bare = gauge("transfer", "randomize", "FoamBending-soft", "--for", "gymnasium")
+    bare = gauge("randomize", "FoamBending-soft", "--for", "gymnasium")
     assert bare.exit_code == 2
     assert "no range is justified" in bare.output
-    assert "stiffness, damping and density" in gauge("transfer", "randomize", "FoamBending-soft").stdout  # fmt: skip
-
-
-def test_the_word_of_other_tools_answers_with_the_command(gauge):
-    assert "write gauge transfer randomize" in gauge("randomize", "go1.xml").output
+    assert "stiffness, damping and density" in gauge("randomize", "FoamBending-soft").stdout  # fmt: skip

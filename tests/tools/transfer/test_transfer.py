@@ -4,6 +4,7 @@ import math
 from dataclasses import replace
 from importlib.metadata import EntryPoint
 
+import approval
 import numpy as np
 import pytest
 from json_lines import check_lines
@@ -412,3 +413,18 @@ def test_command_reports_and_draws(tmp_path, gauge):
     assert "ball.mass_kg - 2 sigma" in result.stdout
     assert "Keeps 100 %" in result.stdout
     assert picture.stat().st_size > 10_000
+
+
+def test_wrong_requests_are_refused(gauge, approved):
+    commands = (
+        "transfer a.pt --id Pendulum-Limit-metal",
+        "transfer a.zip --id Turntable-1-wood",
+        "transfer numpy:mean --trust --id Pendulum-Limit-metal --to bullet3",
+        "transfer numpy:mean --trust --id Pendulum-Limit-metal --sigmas=one",
+        "transfer numpy:mean --trust --id Pendulum-Limit-metal --sigmas=inf",
+        "transfer numpy:mean --trust --id Pendulum-Limit-metal --sigmas=1e300",
+        "transfer numpy:mean --trust --id Pendulum-Limit-metal --sigmas=nan",
+        "transfer numpy:mean --trust --id Pendulum-Limit-metal --to mujoco --starts=1 --sigmas=1,1",
+        "transfer numpy:mean --trust --id Pendulum-Limit-metal --to mujoco --to mujoco: --starts=1",
+    )
+    approved("transfer/refused", approval.refused_commands(gauge, *commands))
