@@ -51,6 +51,7 @@ from gauge_envs.tools.identify.rig import (
 from gauge_envs.tools.identify.servo_laws import (
     DIRECTED,
     DIRECTED_STRIBECK,
+    IN_ONE,
     LOAD,
     LOAD_STRIBECK,
     QUADRATIC_LOAD,
@@ -165,11 +166,13 @@ class Law:
         name: Name of the law.
         fitted_rad: Root mean square error of the fits [rad], each from its fitted start.
         held_out_rad: That of predictions of the other logs, from their recorded starts [rad].
+        is_as_good: Whether the logs do not tell it from the law that predicts best.
     """
 
     name: str
     fitted_rad: float
     held_out_rad: float
+    is_as_good: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -569,9 +572,9 @@ class _Problem:
 def _factor(table: FloatArray) -> FloatArray:
     """Return the triangular factor of a table; that of its Gram matrix is faster, but squares small numbers away."""
     try:
-        return np.linalg.cholesky(table.T @ table)
+        return np.asarray(np.linalg.cholesky(table.T @ table))
     except np.linalg.LinAlgError:
-        return np.linalg.qr(table, mode="r")
+        return np.asarray(np.linalg.qr(table, mode="r"))
 
 
 def _noise(parts: Sequence[FloatArray]) -> tuple[float, float, float]:
@@ -829,6 +832,7 @@ def _fitted(
     else:
         before = first.problem
         rows = dict(zip(before.names, _rows_of(first), strict=False))
+        rows |= {name: rows[one] for name, one in IN_ONE.items() if one in rows}
         guess = [rows.get(name, np.ones(long.joints)) for name in names]
         if long.zero:
             guess.append(_rows_of(first)[-1])
@@ -863,7 +867,7 @@ def _compared(
 ) -> tuple[tuple[Law, ...], list[_Fit]]:
     """Fit each law to each log alone, and predict the others from their recorded starts.
 
-    Of one log, the halves stand for logs.
+    Of one log, the halves stand for logs. A law of servo benches starts from the best fit of a law that it contains.
 
     Returns:
         The laws, the chosen one first, and its fits. It has the fewest terms of those that fit as well as the law that
@@ -876,7 +880,20 @@ def _compared(
     compared: dict[str, tuple[Law, list[_Fit], FloatArray]] = {}
     for name, names in laws.items():
         progress(f"law {name}")
-        alone = [fitted([log], names, first=fit, steps=LAW_STEPS) for log in parts]
+        simpler = [
+            fits
+            for other, (_, fits, _) in compared.items()
+            if _contains(names, laws[other])
+        ]
+        alone = [
+            fitted(
+                [log],
+                names,
+                first=min((fits[row] for fits in simpler), key=_misfit, default=fit),
+                steps=LAW_STEPS,
+            )
+            for row, log in enumerate(parts)
+        ]
         left = [one.problem.residuals(one.unknowns) for one in alone]
         missed = np.array(
             [
@@ -893,23 +910,40 @@ def _compared(
         )
         compared[name] = law, alone, missed
 
-    def terms(law: str) -> tuple[int, float]:
-        return len(laws[law]), compared[law][0].held_out_rad
+    best = min(compared, key=lambda law: compared[law][0].held_out_rad)
 
-    chosen = best = min(compared, key=lambda law: compared[law][0].held_out_rad)
-    for name in sorted(compared, key=terms):
-        ratio = np.log(compared[name][2] / compared[best][2])
+    def is_as_good(name: str) -> bool:
+        law, _, missed = compared[name]
+        ratio = np.log(missed / compared[best][2])
         standard_error = ratio.std(ddof=1) / np.sqrt(ratio.size)
-        is_close = ratio.mean() <= max(standard_error, np.log(AS_GOOD))
-        fits_rad = compared[name][0].fitted_rad, compared[best][0].fitted_rad
-        if name == best or (is_close and fits_rad[0] <= AS_GOOD * fits_rad[1]):
-            chosen = name
-            break
+        predicts = ratio.mean() <= max(standard_error, np.log(AS_GOOD))
+        return bool(
+            predicts and law.fitted_rad <= AS_GOOD * compared[best][0].fitted_rad
+        )
+
+    for name, (law, alone, missed) in compared.items():
+        alike = name == best or is_as_good(name)
+        compared[name] = replace(law, is_as_good=alike), alone, missed
+    chosen = min(
+        (name for name, (law, *_) in compared.items() if law.is_as_good),
+        key=lambda name: (len(laws[name]), compared[name][0].held_out_rad),
+    )
     others = sorted(
         (law for name, (law, *_) in compared.items() if name != chosen),
         key=lambda law: law.held_out_rad,
     )
     return (compared[chosen][0], *others), compared[chosen][1]
+
+
+def _contains(names: Sequence[str], simpler: Sequence[str]) -> bool:
+    """Return whether a law of servo benches has all numbers of a simpler one, or those that are one there."""
+    known = {*names} | {IN_ONE[name] for name in names if name in IN_ONE}
+    return bool(known & {*SERVO_FRICTION}) and {*simpler} < known
+
+
+def _misfit(fit: _Fit) -> float:
+    """Return the sum of the squared errors [rad^2]."""
+    return float(fit.problem.squares(fit.unknowns).sum())
 
 
 def _with_load_error(

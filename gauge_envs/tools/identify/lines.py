@@ -43,11 +43,13 @@ class LawLine(TypedDict):
         name: Its name.
         fitted: Root mean square error of fits to each log alone [mrad].
         held_out: That of predictions of the other logs [mrad].
+        is_as_good: Whether the logs do not tell it from the law that predicts best.
     """
 
     name: str
     fitted: float
     held_out: float
+    is_as_good: bool
 
 
 class JointLine(TypedDict):

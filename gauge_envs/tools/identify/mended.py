@@ -1,6 +1,7 @@
 """Files with identified numbers: the model that was given, mended, and a log as `mujoco.sysid` reads it."""
 
 import json
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -34,10 +35,33 @@ def mended_mjcf(spec: mujoco.MjSpec, found: Identified) -> mujoco.MjSpec:
     return spec
 
 
-def mended_urdf(text: str, found: Identified) -> str:
-    """Return a URDF with friction and limits of effort; a comment has the numbers that URDF does not know."""
+def place_assets(spec: mujoco.MjSpec, folder: Path) -> None:
+    """Let a model that is written into another folder find its meshes, height fields and textures."""
+    kinds = {"meshdir": (*spec.meshes, *spec.hfields), "texturedir": spec.textures}
+    for name, assets in kinds.items():
+        if any(one.file for one in assets):
+            before = Path(spec.modelfiledir) / getattr(spec, name)
+            if not Path(getattr(spec, name)).is_absolute():
+                setattr(spec, name, os.path.relpath(before, folder))
+
+
+def mended_urdf(
+    text: str, found: Identified, before: Path = Path(), after: Path = Path()
+) -> str:
+    """Return a URDF with friction and limits of effort; a comment has the numbers that URDF does not know.
+
+    Args:
+        text: The URDF.
+        found: What was identified.
+        before: Folder from which its relative file names count.
+        after: Folder from which they count in what is returned.
+    """
     builder = ElementTree.TreeBuilder(insert_comments=True)
     root = ElementTree.fromstring(text, ElementTree.XMLParser(target=builder))
+    for mesh in root.iterfind(".//mesh"):
+        name = mesh.get("filename", "")
+        if "://" not in name and not Path(name).is_absolute():
+            mesh.set("filename", os.path.relpath(before / name, after))
     for name, numbers in zip(found.names, found.joints, strict=True):
         (joint,) = root.iterfind(f"joint[@name='{name}']")
         left = {key: f"{value:.5g}" for key, value in numbers.items() if value}
@@ -143,9 +167,12 @@ def write_files(
         sensed(mended, found.names)
         np.savez(files[".npz"], **sysid_trajectory(mended, log))
     if ".xml" in files:
+        place_assets(mended, files[".xml"].parent)
         files[".xml"].write_text(mended.to_xml(), encoding="utf-8")
     if ".urdf" in files:
         if Path(source).suffix.lower() != ".urdf":
             raise ParameterError(f"--out {files['.urdf']}: {source} is no URDF")
         text = read_bytes(Path(source)).decode("utf-8")
-        files[".urdf"].write_text(mended_urdf(text, found), encoding="utf-8")
+        folders = Path(source).parent, files[".urdf"].parent
+        text = mended_urdf(text, found, *folders)
+        files[".urdf"].write_text(text, encoding="utf-8")

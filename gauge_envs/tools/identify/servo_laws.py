@@ -12,8 +12,9 @@ Viscous friction is a number of its own in each. MuJoCo has no such term: what i
 before each step, from the torques of the step before.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from math import exp
+from typing import NamedTuple
 
 STRIBECK = ("stribeck_friction_n_m", "stribeck_rate_rad_per_s", "stribeck_exponent")
 LOAD, LOAD_STRIBECK = "load_friction", "load_stribeck_friction"
@@ -33,51 +34,123 @@ TERMS = {
     "M6": (*STRIBECK, *DIRECTED, *DIRECTED_STRIBECK, *QUADRATIC_LOAD),
 }
 """Numbers of each law beside dry and viscous friction."""
+IN_ONE = {
+    **dict.fromkeys(DIRECTED, LOAD),
+    **dict.fromkeys(DIRECTED_STRIBECK, LOAD_STRIBECK),
+}
+"""Numbers of M5 and M6 that are one number in M4, which is so a case of both."""
 SERVO_FRICTION = tuple(dict.fromkeys(name for law in TERMS.values() for name in law))
 
 Holding = Callable[[float, float, float], float]
 """Torque that friction can hold [N m], from the rate [rad/s] and the torques m and e [N m]."""
 
 
-def rule(numbers: Mapping[str, float], dry_n_m: float, digits: int = 5) -> str:
+class Share(NamedTuple):
+    """One addend of what friction can hold.
+
+    Attributes:
+        names: Names of its numbers.
+        text: The addend as Python of these numbers, in their order, and of `m` and `e`.
+        torque_n_m: The same as a function of the numbers, m and e.
+    """
+
+    names: tuple[str, ...]
+    text: str
+    torque_n_m: Callable[[Sequence[float], float, float], float]
+
+
+def _of_load(numbers: Sequence[float], m: float, e: float) -> float:
+    return numbers[0] * abs(m - e)
+
+
+def _of_both(numbers: Sequence[float], m: float, e: float) -> float:
+    return abs(numbers[0] * m - numbers[1] * e)
+
+
+def _of_squares(numbers: Sequence[float], m: float, e: float) -> float:
+    if m * e >= 0.0:
+        return 0.0
+    return numbers[1] * e**2 if abs(m) > abs(e) else numbers[0] * m**2
+
+
+STEADY = (
+    Share((LOAD,), "{0} * abs(m - e)", _of_load),
+    Share(DIRECTED, "abs({0} * m - {1} * e)", _of_both),
+)
+"""Addends at every rate."""
+SLOW = (
+    Share(STRIBECK[:1], "{0}", lambda numbers, m, e: numbers[0]),
+    Share((LOAD_STRIBECK,), "{0} * abs(m - e)", _of_load),
+    Share(DIRECTED_STRIBECK, "abs({0} * m - {1} * e)", _of_both),
+    Share(
+        QUADRATIC_LOAD,
+        "(m * e < 0) * ({1} * e**2 if abs(m) > abs(e) else {0} * m**2)",
+        _of_squares,
+    ),
+)
+"""Addends that a rate takes away, by the factor s."""
+FASTEST, STEEPEST = 99.0, 10.0
+"""Largest rate over r, and largest exponent: the published exponents end at 10, and 99^10 is a number."""
+
+Present = list[tuple[Share, list[float]]]
+
+
+def _present(shares: Sequence[Share], numbers: Mapping[str, float]) -> Present:
+    """Return the addends that a joint has, with their numbers."""
+    valued = [(one, [numbers.get(name, 0.0) for name in one.names]) for one in shares]
+    return [(one, values) for one, values in valued if any(values)]
+
+
+def _addends(numbers: Mapping[str, float]) -> tuple[Present, Present, float, float]:
+    """Return the addends at every rate and those that a rate takes away, r [rad/s] and the exponent."""
+    rate = numbers.get(STRIBECK[1], 0.0)
+    slow = _present(SLOW, numbers) if rate else []
+    return (
+        _present(STEADY, numbers),
+        slow,
+        rate,
+        min(numbers.get(STRIBECK[2], 1.0), STEEPEST),
+    )
+
+
+def rule(numbers: Mapping[str, float], dry_n_m: float) -> str:
     """Return the torque that friction can hold as Python of `rate`, `m`, `e` and `exp`; "" without such a law.
 
     Args:
         numbers: Numbers of a joint by name.
         dry_n_m: Its dry friction [N m].
-        digits: Digits of each number.
     """
-    value = {name: f"{numbers.get(name, 0.0):.{digits}g}" for name in SERVO_FRICTION}
-    if not any(map(numbers.get, SERVO_FRICTION)):
+    steady, slow, scale, exponent = _addends(numbers)
+    if not steady and not slow:
         return ""
 
-    def loaded(both: str, apart: tuple[str, str]) -> list[str]:
-        terms = []
-        if numbers.get(both):
-            terms.append(f"{value[both]} * abs(m - e)")
-        if any(map(numbers.get, apart)):
-            terms.append(f"abs({value[apart[0]]} * m - {value[apart[1]]} * e)")
-        return terms
+    def written(shares: Present) -> list[str]:
+        return [
+            one.text.format(*(f"{value:.5g}" for value in values))
+            for one, values in shares
+        ]
 
-    held = [f"{dry_n_m:.{digits}g}", *loaded(LOAD, DIRECTED)]
-    if numbers.get(STRIBECK[1]):
-        slow = [value[STRIBECK[0]], *loaded(LOAD_STRIBECK, DIRECTED_STRIBECK)]
-        if any(map(numbers.get, QUADRATIC_LOAD)):
-            motor, external = (value[name] for name in QUADRATIC_LOAD)
-            slow.append(
-                f"(m * e < 0) * ({external} * e**2 if abs(m) > abs(e) else {motor} * m**2)"
-            )
-        # The published exponents end at 10, and 99^10 is a number.
-        exponent = f"{min(numbers.get(STRIBECK[2], 1.0), 10.0):.{digits}g}"
-        fast = f"min(abs(rate / {value[STRIBECK[1]]}), 99) ** {exponent}"
-        held.append(f"exp(-({fast})) * ({' + '.join(slow)})")
-    return " + ".join(held)
+    addends = [f"{dry_n_m:.5g}", *written(steady)]
+    if slow:
+        fast = f"min(abs(rate / {scale:.5g}), {FASTEST:g}) ** {exponent:.5g}"
+        addends.append(f"exp(-({fast})) * ({' + '.join(written(slow))})")
+    return " + ".join(addends)
 
 
 def holding(numbers: Mapping[str, float], dry_n_m: float) -> Holding | None:
-    """Return the text of `rule` as a function, so that what is pasted is what was simulated; None without one."""
-    text = rule(numbers, dry_n_m, digits=17)
-    if not text:
+    """Return the torque that friction can hold as a function; None without a law beyond dry and viscous friction."""
+    steady, slow, scale, exponent = _addends(numbers)
+    if not steady and not slow:
         return None
-    found: Holding = eval(f"lambda rate, m, e: {text}", {"exp": exp})
-    return found
+
+    def held(rate: float, m: float, e: float) -> float:
+        total = dry_n_m
+        for one, values in steady:
+            total += one.torque_n_m(values, m, e)
+        if slow:
+            share = exp(-(min(abs(rate / scale), FASTEST) ** exponent))
+            for one, values in slow:
+                total += share * one.torque_n_m(values, m, e)
+        return total
+
+    return held

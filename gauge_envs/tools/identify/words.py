@@ -19,6 +19,9 @@ NEXT_NOTE = "next file: 95 % interval of what another would give; each of {files
 FIT_NOTE = "fit low and high are the 95 % interval of the least squares over all files, as if one law held for all."
 LAW_NOTE = "Each {part} was fitted alone. {other}: predictions of it by the rest, from its recorded start."
 
+ALIKE = "{alike} are not told apart by these logs, within a standard error: {first} is used, which has the fewest terms."
+TELLING = "Fast steps under two loads tell M4 to M6, and falls with the motor off; slow motions do not."
+
 
 def _number(key: str, title: str, absent: str = "") -> Column:
     return Column(
@@ -92,15 +95,26 @@ def _laws(found: Identified) -> Table:
                 "name": one.name,
                 "fitted": 1e3 * one.fitted_rad,
                 "held_out": 1e3 * one.held_out_rad,
+                "is_as_good": one.is_as_good,
             }
             for one in found.laws
         ],
         notes=(
             LAW_NOTE.format(part=part, other=other),
-            "The first is used: the fewest terms of those that predict as well as any, within a standard error.",
+            _choice(found),
             "",
         ),
     )
+
+
+def _choice(found: Identified) -> str:
+    """Return why the first law is used, and which laws the logs do not tell apart."""
+    alike = [one.name for one in found.laws if one.is_as_good]
+    if len(alike) == 1:
+        return f"{alike[0]} is used: it predicts best, by more than a standard error."
+    reason = ALIKE.format(alike="; ".join(alike), first=alike[0])
+    is_by_load = len({"M4", "M5", "M6"} & {*alike}) > 1
+    return f"{reason} {TELLING}" if is_by_load else reason
 
 
 def _errors(found: Identified) -> Table:

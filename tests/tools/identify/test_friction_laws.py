@@ -1,14 +1,25 @@
 """Laws of friction of swings against closed forms, and what several files say about the next one."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
 from gauge_envs.backends import backend
-from gauge_envs.tools.identify import Log, identify, one_joint
-from gauge_envs.tools.identify.fit import DYNAMICS, QUADRATIC, _machine
-from gauge_envs.tools.identify.servo_laws import QUADRATIC_LOAD, TERMS
+from gauge_envs.tools.identify import Identified, Log, identify, one_joint
+from gauge_envs.tools.identify.fit import (
+    DYNAMICS,
+    QUADRATIC,
+    Law,
+    _contains,
+    _fitted,
+    _machine,
+    _misfit,
+)
+from gauge_envs.tools.identify.servo_laws import QUADRATIC_LOAD, TERMS, holding, rule
 from gauge_envs.tools.identify.spread import pattern, sensor_noise_rad, spread_of
+from gauge_envs.tools.identify.words import identified_document
 
 DRY, VISCOUS, ARMATURE = DYNAMICS[:3]
 MASS_KG, LENGTH_M, INERTIA_KG_M2, G = 0.15, 0.15, 1e-4, 9.80665
@@ -100,6 +111,45 @@ def test_a_loaded_joint_breaks_away_at_the_torque_of_its_law(law):
     numbers = {DRY: C * WEIGHT_N_M} | numbers
     assert breakaway_n_m(numbers, True) == pytest.approx(up * WEIGHT_N_M, rel=0.01)
     assert breakaway_n_m(numbers, False) == pytest.approx(down * WEIGHT_N_M, rel=0.01)
+
+
+def test_the_printed_law_holds_what_is_simulated():
+    """The text of `rule`, with five digits, beside the function, at rates and loads of all signs."""
+    random = np.random.default_rng(0)
+    for law, names in list(TERMS.items())[1:]:
+        numbers = dict(zip(names, random.uniform(0.05, 0.9, len(names)), strict=True))
+        text, held = rule(numbers, 0.3), holding(numbers, 0.3)
+        assert held is not None
+        for rate, m, e in random.uniform(-1.0, 1.0, (20, 3)):
+            place = {"rate": rate, "m": m, "e": e, "exp": np.exp}
+            assert held(rate, m, e) == pytest.approx(eval(text, place), rel=1e-3), law
+
+
+def test_what_several_laws_predict_alike_is_said():
+    laws = [
+        Law(name=name, fitted_rad=1.0, held_out_rad=1.0, is_as_good=alike)
+        for name, alike in (("M4", True), ("M1", False), ("M5", True))
+    ]
+    found = Identified(engine="", settings=(), joints=(), error_rad={}, laws=tuple(laws))  # fmt: skip
+    said = identified_document(found).parts[0].notes
+    assert any(line.startswith("M4; M5 are not told apart by these logs") for line in said)  # fmt: skip
+    alone = replace(found, laws=tuple(laws[:2]))
+    said = identified_document(alone).parts[0].notes
+    assert any(line.startswith("M4 is used: it predicts best") for line in said)
+
+
+def test_a_law_starts_from_the_fit_of_one_that_it_contains():
+    """M4 is M5 with equal shares of motor and load, so that M5 starts with the error of M4, and ends below it."""
+    log = Log("", 0.01 * np.arange(100), np.linspace(0.3, -0.2, 100)[:, None])
+    scene = one_joint(MASS_KG, LENGTH_M, INERTIA_KG_M2)
+    names = [DRY, VISCOUS, *TERMS["M4"]]
+    machine = _machine(backend("mujoco"), scene, log, names, {})
+    common = {"part_s": None, "known": {}, "steps": 1}
+    first = _fitted(machine, [log], names, **common)
+    later = _fitted(machine, [log], [DRY, VISCOUS, *TERMS["M5"]], first=first, **common)  # fmt: skip
+    assert _contains(later.problem.names, first.problem.names)
+    assert not _contains(first.problem.names, later.problem.names)
+    assert _misfit(later) <= 1.001 * _misfit(first)
 
 
 def swing(name, seed, *, dry, drag, start_rad):

@@ -116,6 +116,28 @@ def test_a_mended_urdf_states_friction_and_effort_and_names_the_rest():
     assert "mine" in text and "armature_kg_m2 = 0.02" in text
 
 
+MESH = """<mujoco><compiler meshdir="meshes"/><asset><mesh name="m" file="m.obj"/></asset><worldbody><body>
+<joint name="a"/><geom type="mesh" mesh="m"/></body></worldbody></mujoco>"""
+OBJ = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+LINK = '<link name="arm"><visual><geometry><mesh filename="meshes/m.obj"/></geometry></visual></link>'
+
+
+def test_a_mended_file_in_another_folder_finds_its_meshes(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for folder in ("robot/meshes", "fitted"):
+        Path(folder).mkdir(parents=True)
+    Path("robot/meshes/m.obj").write_text(OBJ)
+    Path("robot/arm.xml").write_text(MESH)
+    Path("robot/arm.urdf").write_text(URDF.replace('<link name="arm"/>', LINK))
+    found = replace(FOUND, joints=[{"armature_kg_m2": 0.02}], names=("a",))
+    log = Log("run", TIMES_S, ANGLES, joints=("a",))
+    spec = mujoco.MjSpec.from_file("robot/arm.xml")
+    files = {".xml": Path("fitted/arm.xml"), ".urdf": Path("fitted/arm.urdf")}
+    write_files(files, spec, "robot/arm.urdf", found, log)
+    assert mujoco.MjSpec.from_file("fitted/arm.xml").compile().nmesh == 1
+    assert "../robot/meshes/m.obj" in Path("fitted/arm.urdf").read_text()
+
+
 # --- ROS 2 ---
 
 
