@@ -19,7 +19,7 @@ NEXT_NOTE = "next file: 95 % interval of what another would give; each of {files
 FIT_NOTE = "fit low and high are the 95 % interval of the least squares over all files, as if one law held for all."
 LAW_NOTE = "Each {part} was fitted alone. {other}: predictions of it by the rest, from its recorded start."
 
-ALIKE = "{alike} are not told apart by these logs, within a standard error: {first} is used, which has the fewest terms."
+ALIKE = "{alike} are not told apart by these logs, within a standard error: {first} is used, with the fewest terms."
 TELLING = "Fast steps under two loads tell M4 to M6, and falls with the motor off; slow motions do not."
 
 
