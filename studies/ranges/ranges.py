@@ -1,4 +1,4 @@
-"""Ranges of `gauge randomize` from even trials, judged by odd ones; and 1,000 draws beside the real scatter.
+"""Ranges of `gauge transfer randomize` from even trials, judged by odd ones; and 1,000 draws beside the real scatter.
 
 python -m studies.ranges.ranges
 """

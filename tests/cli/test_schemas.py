@@ -40,7 +40,7 @@ ELSEWHERE = {
     "recipe joint": "tools/video/test_video_phone_films.py",
     "transfer": "tools/transfer/test_transfer.py",
     "transfer settings": "tools/transfer/test_settings_replay.py",
-    "randomize": "tools/transfer/test_ranges.py",
+    "transfer randomize": "tools/transfer/test_ranges.py",
     "backend versions": "tools/versions/test_versions.py",
     "data import": "tools/dataset/test_dataset_damage.py",
     "video score": "tools/video/test_video_score.py",

@@ -302,7 +302,7 @@ def _assigned(texts: Sequence[str]) -> dict[str, str]:
     return {name: value for name, _, value in pairs}
 
 
-def randomize(
+def transfer_randomize(
     subject: Annotated[
         str,
         typer.Argument(

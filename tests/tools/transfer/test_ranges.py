@@ -393,12 +393,12 @@ def test_isaac_lab_gets_terms_that_its_functions_take(arm_ranges):
 
 
 def test_the_command_writes_a_file_and_says_what_is_left_out(gauge, arm):
-    done = gauge("randomize", arm, "--for", "mujoco", "--json")
+    done = gauge("transfer", "randomize", arm, "--for", "mujoco", "--json")
     lines = [json.loads(line) for line in done.stdout.splitlines()]
     assert [line["kind"] for line in lines] == ["range", *["left_out"] * 4]
-    check_lines("randomize", done.stdout)
+    check_lines("transfer randomize", done.stdout)
     compile(Path("randomized_mujoco.py").read_text(encoding="utf-8"), "file", "exec")
-    bare = gauge("randomize", "FoamBending-soft", "--for", "gymnasium")
+    bare = gauge("transfer", "randomize", "FoamBending-soft", "--for", "gymnasium")
     assert bare.exit_code == 2
     assert "no range is justified" in bare.output
-    assert "stiffness, damping and density" in gauge("randomize", "FoamBending-soft").stdout  # fmt: skip
+    assert "stiffness, damping and density" in gauge("transfer", "randomize", "FoamBending-soft").stdout  # fmt: skip
