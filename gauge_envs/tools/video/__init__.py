@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     )
     from gauge_envs.tools.video.scoring import (
         METRICS as METRICS,
-        Grade as Grade,
+        PAPER_METRICS as PAPER_METRICS,
         VideoScore as VideoScore,
         score as score,
         score_track as score_track,
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
         Event as Event,
         Track as Track,
         read_track as read_track,
+        save_track as save_track,
     )
 else:
     __getattr__, __all__ = door(__name__)

@@ -22,7 +22,7 @@ from gauge_envs.errors import ParameterError, VideoError
 
 if TYPE_CHECKING:
     from gauge_envs.pages.table import Table
-    from gauge_envs.tools.video import PlaneView, Track
+    from gauge_envs.tools.video import Track
 
 
 def list_video_tasks(patterns: Sequence[str]) -> list[Table]:
@@ -63,7 +63,7 @@ def video_score(
         list[Path],
         typer.Argument(
             metavar="VIDEO",
-            help="Videos, or tracks: .csv with frame, x, y, confidence.",
+            help="Videos, or tracks of any tracker: .csv with time, x, y.",
         ),
     ],
     task: Annotated[
@@ -96,7 +96,7 @@ def video_score(
         arguments.measured(
             "--fps",
             "Hz",
-            "Frames per second; a track states none.",
+            "Frames per second; needed for a track without times.",
             arguments.SCENE,
             is_positive=True,
             show_default="that of the video",
@@ -132,17 +132,23 @@ def video_score(
     ] = None,
     out: Annotated[
         Path | None,
-        arguments.folder("Folder for videos with the track drawn in."),
+        arguments.folder("Folder for tracks, and videos with them drawn in."),
     ] = None,
     form: arguments.Form = Format.TEXT,
 ) -> bool:
     """Follow the object in videos, fit the law of the task, and report its metrics.
 
     They have intervals. Films of one's own, with --camera, give friction, rolling resistance, restitution or damping
-    too; --out also gets the log of a swing, for gauge recipe joint. Exit code 1 when a video is graded invalid.
+    too; --out also gets the log of a swing, for gauge recipe joint. Exit code 1 when a track is not sound.
     """
     from gauge_envs.pages.document import save_file
-    from gauge_envs.tools.video import Grade, read_camera, score_track, video_task
+    from gauge_envs.tools.video import (
+        read_camera,
+        read_track,
+        save_track,
+        score_track,
+        video_task,
+    )
     from gauge_envs.tools.video.frames import FileFrames, Frames
     from gauge_envs.tools.video.phone_films import (
         MOTIONS,
@@ -150,6 +156,7 @@ def video_score(
         score_phone_film,
         swing_log,
     )
+    from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX
     from gauge_envs.tools.video.tracker import track_object
     from gauge_envs.tools.video.words import save_overlay, score_document
 
@@ -167,6 +174,8 @@ def video_score(
             "a video states its size; a film of one's own needs --camera and --object"
         )
     view = None if camera is None else read_camera(camera)
+    # Pixels of a track are those of its camera file unless a size is stated.
+    size_px = size_px or (REFERENCE_SIZE_PX if view is None else view.size_px)
     if task in MOTIONS and (view is None or any(are_tracks.values())):
         raise ParameterError(
             f"--id {task} is for films of one's own, with --camera and --object"
@@ -180,13 +189,19 @@ def video_score(
         else:
             chosen = video_task(task)
             track = (
-                _given_track(file, fps, size_px, view)
+                read_track(file, fps=fps, size_px=size_px)
                 if source is None
                 else track_object(source, chosen, first_frame=first_frame)
             )
             result = score_track(track, chosen, name=str(file), camera=view)
         if out is not None and source is not None:
             message(save_overlay(source, result, out / f"{file.stem}.overlay.mp4"))
+            track = (
+                source.in_plane(result.track)
+                if isinstance(source, FrontalFilm)
+                else result.track
+            )
+            message(save_track(track, out / f"{file.stem}.track.csv"))
             if isinstance(source, FrontalFilm) and task == "pendulum":
                 message(
                     save_file(out / f"{file.stem}.swing.csv", swing_log(source, result))
@@ -195,7 +210,7 @@ def video_score(
             score_document(result, None if task in MOTIONS else video_task(task)),
             form,
         )
-        has_failed = has_failed or result.grade is Grade.INVALID
+        has_failed = has_failed or not result.is_sound
     return has_failed
 
 
@@ -219,29 +234,12 @@ def _size(text: str) -> tuple[int, int]:
     return int(found[1]), int(found[2])
 
 
-def _given_track(
-    file: Path,
-    fps: float | None,
-    size_px: tuple[int, int] | None,
-    view: PlaneView | None,
-) -> Track:
-    """Return the track of a file; its pixels are those of its camera file unless a size is stated."""
-    from gauge_envs.tools.video import read_track
-    from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX
-
-    if fps is None:
-        raise ParameterError(
-            f"{file}: a track states no frame rate: give it, as --fps 30"
-        )
-    default_px = REFERENCE_SIZE_PX if view is None else view.size_px
-    return read_track(file, fps=fps, size_px=size_px or default_px)
-
-
 def video_report(
     folder: Annotated[
         Path,
         typer.Argument(
-            metavar="DIR", help="Videos MODEL/TASK.mp4 or MODEL/TASK/seed_1.mp4."
+            metavar="DIR",
+            help="Videos MODEL/TASK.mp4 or MODEL/TASK/seed_1.mp4; a .csv of the same name is its track.",
         ),
     ],
     out: Annotated[
@@ -278,10 +276,15 @@ def video_report(
             progress.show(f"{model}: {task}")
             clips = results.setdefault((model, task), {})
             clips[file] = None
+            given = file.with_suffix(".csv")
             try:
                 picture = None if first_frame is None else first_frame / f"{task}.png"
-                track = track_object(
-                    FileFrames(file), video_task(task), first_frame=picture
+                track = (
+                    _given_track(file, given)
+                    if given.exists()
+                    else track_object(
+                        FileFrames(file), video_task(task), first_frame=picture
+                    )
                 )
                 clips[file] = score_track(
                     track, video_task(task), name=str(file.relative_to(folder))
@@ -304,6 +307,17 @@ def video_report(
     save_file(out / "table.tex", table.latex())
     echo(page)
     return bool(broken)
+
+
+def _given_track(video: Path, file: Path) -> Track:
+    """Return a track that counts the pixels of the video beside it, or else those of the known first frame."""
+    from gauge_envs.tools.video import read_track
+    from gauge_envs.tools.video.frames import FileFrames
+
+    if video == file:
+        return read_track(file)
+    source = FileFrames(video)
+    return read_track(file, size_px=source.size_px)
 
 
 def video_board(

@@ -13,7 +13,12 @@ from numpy.typing import NDArray
 
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.video.frames import Picture, cv2
-from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX, SLOPE_DIRECTION
+from gauge_envs.tools.video.tasks import (
+    REFERENCE_SIZE_PX,
+    SLOPE_DIRECTION,
+    Motion,
+    VideoTask,
+)
 
 Region: TypeAlias = tuple[int, int, int, int]
 """Left, top, right and bottom of a part of a picture [px]."""
@@ -96,9 +101,6 @@ LEAST_RESPONSE = 0.4
 
 LEAST_CONTRAST = 40.0
 """Distance of the colours of background and object from which a pixel says which of both it shows."""
-
-LIT = 100.0
-"""Brightness of the background from which it shows the exposure of a frame."""
 
 LEAST_KNOWN_SHARE = 0.25
 """Smallest share of the outline before such a background."""
@@ -194,24 +196,13 @@ class ShapeFollower:
     Args:
         scene: Background of the video.
         first: The first frame.
-        centre_px: Centre of the object in the first frame [px], shape [2].
-        size_px: Edge or diameter of the object [px].
-        is_square: Whether it is a square that keeps its direction; a disk else, which stands for a turning square too.
-        is_directed: Whether only colours towards that of the object cover; any other colour too else.
+        task: The task; a cube on a slope keeps its direction.
     """
 
-    def __init__(
-        self,
-        scene: Background,
-        first: Picture,
-        *,
-        centre_px: FloatArray,
-        size_px: float,
-        is_square: bool = False,
-        is_directed: bool = True,
-    ) -> None:
-        self._scene, self._size_px, self._is_directed = scene, size_px, is_directed
-        if is_square:
+    def __init__(self, scene: Background, first: Picture, task: VideoTask) -> None:
+        self._scene, size_px = scene, task.size_px
+        self._size_px = size_px
+        if task.motion is Motion.SLIDE:
             along = np.array(SLOPE_DIRECTION)
             corners = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) @ np.array(
                 [along, [-along[1], along[0]]]
@@ -220,13 +211,12 @@ class ShapeFollower:
         else:
             angles = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
             circle = 0.5 * size_px * np.column_stack([np.cos(angles), np.sin(angles)])
-            # A square that turns has its corners between its disk and the ring around it.
-            inner, outer = circle, circle * (1.5 if is_directed else 1.8)
+            inner, outer = circle, circle * 1.5
         self._small, self._full = (
             _Outline(inner, outer, COARSE),
             _Outline(inner, outer, 1.0),
         )
-        self._colour = self._look(first, centre_px)
+        self._colour = self._look(first, np.array(task.rest_px or task.centre_px))
 
     def candidates(self, picture: Picture) -> list[Sight]:
         """Return the places of a frame that may show the object, the likeliest first, and follow the background."""
@@ -241,13 +231,6 @@ class ShapeFollower:
             fy=COARSE,
             interpolation=cv2.INTER_AREA,
         )
-        is_lit = bare.min(axis=2) > LIT
-        if not self._is_directed and is_lit.any():
-            # Any change of colour counts, so that of the exposure is taken out.
-            exposure = np.median(small[is_lit] / bare[is_lit], axis=0).astype(
-                np.float32
-            )
-            whole, small = whole / exposure, small / exposure
         covered, known = self._covered(small, bare)
         response, *_ = self._small.response(covered, known)
         reach = 2 * int(0.25 * self._size_px * COARSE) + 3
@@ -280,10 +263,7 @@ class ShapeFollower:
         span = bare - self._colour
         length = np.sqrt((span * span).sum(axis=2))
         change = bare - picture
-        if self._is_directed:
-            covered = (change * span).sum(axis=2) / np.maximum(length**2, 1.0)
-        else:
-            covered = np.sqrt((change * change).sum(axis=2)) / np.maximum(length, 1.0)
+        covered = (change * span).sum(axis=2) / np.maximum(length**2, 1.0)
         covered = np.clip((covered - NOISE_SHARE) / (1.0 - 2.0 * NOISE_SHARE), 0.0, 1.0)
         return covered.astype(np.float32), (length > LEAST_CONTRAST).astype(np.float32)
 
@@ -360,6 +340,117 @@ def _vertex(values: NDArray[np.floating]) -> FloatArray:
     if c >= 0.0 or np.linalg.det(curvature) <= 0.0:
         return np.zeros(2)
     return np.clip(np.linalg.solve(curvature, [-a, -b]), -1.5, 1.5)
+
+
+# --- a face that turns ------------------------------------------------------------------------------------------------
+
+FACE, WINDOW = 0.6, 0.4
+"""Half of the followed square, and how far around it the next one is looked for, in sizes of the object."""
+
+RENEWAL = 0.2
+"""Share of a frame that the template takes over: metal changes its brightness as it turns to the lamp."""
+
+LEAST_CORRELATION = 0.5
+"""Smallest correlation with the template that shows the object."""
+
+SEARCHED_RAD = (0.0, 0.15, -0.15, 0.3, -0.3, 0.5, -0.5, 0.8, -0.8)
+"""Angles about the axis at which an object that was lost is looked for [rad]."""
+
+SAME_GREY, GREY_RANGE = 20.0, 20.0
+"""Difference of the mean brightness that is still that of a lost object, and that at which likeness falls to 1/e."""
+
+
+class FaceFollower:
+    """Follows the face of a cube on a turntable by a template that turns with it and is renewed in each frame.
+
+    The place and angle of largest correlation are found from those that the last two frames predict (Evangelidis and
+    Psarakis, 2008, as in OpenCV). An object that is lost there is looked for around the axis.
+
+    Args:
+        first: The first frame.
+        task: The task.
+    """
+
+    def __init__(self, first: Picture, task: VideoTask) -> None:
+        assert task.pivot_px is not None
+        self._half, self._pivot = int(FACE * task.size_px), np.array(task.pivot_px)
+        self._wide = self._half + int(WINDOW * task.size_px)
+        # Angle [rad] and place [px].
+        self._pose = np.array([0.0, *task.centre_px])
+        self._step = np.zeros(3)
+        self._face = _turned(_grey(first), self._pose, self._half)
+
+    def candidates(self, picture: Picture) -> list[Sight]:
+        """Return the place in the next frame; none where it is lost."""
+        grey = _grey(picture)
+        pose, value = self._matched(grey, self._pose + self._step)
+        if value < LEAST_CORRELATION:
+            around = [_swung(self._pose, self._pivot, one) for one in SEARCHED_RAD]
+            found = [self._matched(grey, one, is_lost=True) for one in around]
+            pose, value = max(found, key=lambda one: one[1])
+        if value < LEAST_CORRELATION:
+            self._step = np.zeros(3)
+            return []
+        self._step, self._pose = pose - self._pose, pose
+        face = _turned(grey, pose, self._half)
+        self._face = (1.0 - RENEWAL) * self._face + RENEWAL * face
+        return [Sight(x_px=pose[1], y_px=pose[2], likeness=min(1.0, value))]
+
+    def _matched(
+        self, grey: NDArray[np.float32], pose: FloatArray, *, is_lost: bool = False
+    ) -> tuple[FloatArray, float]:
+        """Return the pose near another one at which the picture is most like the template, and how much it is."""
+        window = _turned(grey, pose, self._wide)
+        warp = np.eye(2, 3, dtype=np.float32)
+        warp[:, 2] = self._wide - self._half
+        template = self._face.astype(np.float32)
+        stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-3)
+        try:
+            value, warp = cv2.findTransformECC(
+                template, window, warp, cv2.MOTION_EUCLIDEAN, stop, None, 5
+            )
+        except cv2.error:
+            # It does not converge: the window shows something else.
+            return pose, 0.0
+        turn = math.atan2(warp[1, 0], warp[0, 0])
+        middle = warp @ [self._half, self._half, 1.0] - self._wide
+        found = pose + np.array([turn, *(_rotation(pose[0]) @ middle)])
+        if is_lost:
+            # Correlation does not know the brightness, and an edge of the plate is like one of the object.
+            shown = float(_turned(grey, found, self._half).mean())
+            away = abs(shown - float(template.mean()))
+            value *= math.exp(-max(0.0, away - SAME_GREY) / GREY_RANGE)
+        return found, value
+
+
+def _grey(picture: Picture) -> NDArray[np.float32]:
+    return np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), dtype=np.float32)
+
+
+def _rotation(angle_rad: float) -> FloatArray:
+    cosine, sine = math.cos(angle_rad), math.sin(angle_rad)
+    return np.array([[cosine, -sine], [sine, cosine]])
+
+
+def _swung(pose: FloatArray, pivot: FloatArray, angle_rad: float) -> FloatArray:
+    """Return a pose that has turned about an axis."""
+    place = pivot + _rotation(angle_rad) @ (pose[1:] - pivot)
+    return np.array([pose[0] + angle_rad, *place])
+
+
+def _turned(
+    grey: NDArray[np.float32], pose: FloatArray, half: int
+) -> NDArray[np.float32]:
+    """Return the square around a pose that has its angle, shape [2 half + 1, 2 half + 1]."""
+    matrix = np.column_stack([_rotation(pose[0]), pose[1:]])
+    matrix[:, 2] -= matrix[:, :2] @ [half, half]
+    side = 2 * half + 1
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    return np.asarray(
+        cv2.warpAffine(
+            grey, matrix, (side, side), flags=flags, borderMode=cv2.BORDER_REPLICATE
+        )
+    )
 
 
 # --- path -------------------------------------------------------------------------------------------------------------

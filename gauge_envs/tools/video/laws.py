@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import isotonic_regression, minimize, minimize_scalar
+from scipy.optimize import minimize, minimize_scalar
 
 from gauge_envs.errors import ParameterError
 from gauge_envs.scene.geometry import FloatArray
@@ -203,24 +203,6 @@ def momentum_transfer(release_height_m: float, apex_heights_m: ArrayLike) -> flo
             f"momentum transfer: the release height is {release_height_m} m; it must be positive"
         )
     return float(np.sqrt(heights / release_height_m).mean())
-
-
-def monotone_misfit(values: ArrayLike, *, is_rising: bool) -> float:
-    """Return the root-mean-square distance of values from the nearest monotone ones, in their mean size, 1.
-
-    No friction pulls a body on a turntable towards its axis, and no impact lets a pendulum swing higher than before, so
-    this is 0 at any friction, speed, length and restitution.
-
-    Args:
-        values: Radii or apex heights in order, shape [count].
-        is_rising: Whether they may only rise; else they may only fall.
-    """
-    samples = np.asarray(values, dtype=float) * (1.0 if is_rising else -1.0)
-    nearest = isotonic_regression(samples).x
-    return float(
-        np.sqrt(((samples - nearest) ** 2).mean())
-        / max(float(np.abs(samples).mean()), 1e-300)
-    )
 
 
 def fit_damped_oscillation(

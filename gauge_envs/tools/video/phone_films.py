@@ -29,7 +29,7 @@ from gauge_envs.tools.video.plane import (
     frontal_task,
     frontal_track,
 )
-from gauge_envs.tools.video.scoring import Grade, VideoScore, noise_px, score_track
+from gauge_envs.tools.video.scoring import VideoScore, noise_px, score_track
 from gauge_envs.tools.video.tasks import (
     REFERENCE_SIZE_PX,
     Motion,
@@ -235,6 +235,11 @@ class FrontalFilm(Frames):
             registration=None,
         )
 
+    def in_plane(self, track: Track) -> Track:
+        """Return a track of the frontal film in millimetres of the plane of motion."""
+        places_m = (track.points_px - self._origin_px) * (self.scale, -self.scale)
+        return replace(track, points_px=1e3 * places_m, is_metric=True)
+
     def task(self, motion: str, box_px: Sequence[float]) -> VideoTask:
         """Return the task of an object in a box of the first frame: left, top, width and height [px]."""
         if motion not in MOTIONS:
@@ -376,8 +381,8 @@ def score_phone_film(
         angle_deg: Slope of a slide or roll [degrees]; that of its motion in the plane if None.
 
     Returns:
-        The result; its track is on the grid of the frontal film. It is invalid if it has another gravity than the
-        Earth's, or a constant that no material has.
+        The result; its track is on the grid of the frontal film. It is not sound if it has another gravity than the
+        Earth's, or a constant that no material has: the rate or the calibration is wrong.
     """
     task = film.task(motion, box_px)
     inertia = film.camera.inertia_factor
@@ -398,11 +403,11 @@ def score_phone_film(
         name = "restitution" if task.motion is Motion.FALL else "damping_per_s"
         value, interval = _drawn(seen, task, film.camera, result)
     gravity = (
-        result.metrics["a_m_s2"]
+        result.metrics["acceleration_m_s2"]
         if task.motion is Motion.FALL
         else laws.GRAVITY_M_PER_S2
     )
-    if plane.pivot_px is not None and (period_s := result.metrics["pd_s"]):
+    if plane.pivot_px is not None and (period_s := result.metrics["pd"]):
         arms_px = np.subtract(
             frontal_track(film.camera, seen, plane).points_px[seen.is_found],
             plane.pivot_px,
@@ -425,7 +430,7 @@ def score_phone_film(
     return replace(
         result,
         track=track,
-        grade=Grade.INVALID if faults else result.grade,
+        is_sound=result.is_sound and not faults,
         reasons=(*reasons, *result.reasons),
         metrics={**result.metrics, name: value},
         uncertainty={**result.uncertainty, name: interval},
@@ -456,7 +461,10 @@ def resistance(
 ) -> Estimate:
     """Return the friction of a slide, or the rolling resistance of a body that rolls without slip, on its slope."""
     assert task.direction is not None
-    a, ends = result.metrics["a_m_s2"], result.uncertainty["a_m_s2"]
+    a, ends = (
+        result.metrics["acceleration_m_s2"],
+        result.uncertainty["acceleration_m_s2"],
+    )
     if a is None or ends is None:
         return None, None
     angle = (
@@ -487,7 +495,7 @@ def _drawn(
     first, last = np.searchsorted(seen.frames, result.interval_frames)
     rng, noise = np.random.default_rng(0), noise_px(seen, (first, last))
     rows = np.flatnonzero(seen.is_found[: last + 1])
-    period, damping = result.metrics["pd_s"], result.details.get("damping_per_s", 0.0)
+    period, damping = result.metrics["pd"], result.details.get("damping_per_s", 0.0)
 
     def judged(view: PlaneView, sample: Track) -> float:
         frontal = frontal_task(view, sample, task)

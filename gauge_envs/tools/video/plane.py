@@ -262,6 +262,25 @@ def frontal_track(view: PlaneView, track: Track, task: VideoTask) -> Track:
     return replace(track, points_px=places, size_ratio=sizes, clock_s=clock)
 
 
+def metric_view(track: Track, task: VideoTask) -> tuple[Track, PlaneView]:
+    """Return a track in millimetres on the reference grid, and the frontal view that sees it there; both are exact."""
+    scale = task.scale_m_per_px
+    corners_px = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * REFERENCE_SIZE_PX
+    corners_m = (corners_px - ORIGIN_PX) * scale * [1.0, -1.0]
+    places_m = 1e-3 * track.points_px
+    swings = task.motion in (Motion.PENDULUM, Motion.CRADLE)
+    view = PlaneView(
+        size_px=REFERENCE_SIZE_PX,
+        source=PointPairs(
+            px=corners_px.tolist(), m=corners_m.tolist(), sigma_px=0.0, sigma_m=0.0
+        ),
+        pivot_m=np.zeros(2) if swings else None,
+        length_m=float(np.nanmedian(np.linalg.norm(places_m, axis=1))),
+    )
+    places_px = places_m / scale * [1.0, -1.0] + ORIGIN_PX
+    return replace(track, points_px=places_px, is_metric=False), view
+
+
 def _frontal_px(place_m: FloatArray, scale_m_per_px: float) -> tuple[float, float]:
     x, y = place_m * [1.0, -1.0] / scale_m_per_px + ORIGIN_PX
     return float(x), float(y)

@@ -16,9 +16,8 @@ from scipy.spatial.transform import Rotation
 from gauge_envs.backends import Simulation
 from gauge_envs.backends.registry import backend as backend_named
 from gauge_envs.envs.driver_paths import DriverPaths
-from gauge_envs.errors import ParameterError, UnsupportedSceneError, VideoError
+from gauge_envs.errors import ParameterError, UnsupportedSceneError
 from gauge_envs.experiments.resolve import load_experiment
-from gauge_envs.files import os_errors, write_whole
 from gauge_envs.rendering.flat import FlatView
 from gauge_envs.rendering.renderer import SceneRenderer
 from gauge_envs.scene import Hinge, Motion as BodyMotion, RigidBody, Scene
@@ -32,7 +31,7 @@ from gauge_envs.tools.video.tasks import (
     VideoTask,
     video_task,
 )
-from gauge_envs.tools.video.track import Track
+from gauge_envs.tools.video.track import Track, save_track
 
 SAMPLE_RATE_HZ = round(1.0 / SAMPLE_INTERVAL_S)
 """Rate at which an engine is read [Hz]."""
@@ -71,14 +70,7 @@ class Film:
     def save(self, path: Path) -> Path:
         """Write the film as MP4 and its exact track beside it, as `NAME.track.csv`; return the path of the track."""
         write_mp4(path, (picture[:, :, ::-1] for picture in self.pictures), self.fps)
-        places = zip(self.track.frames, self.track.points_px, strict=True)
-        rows = [f"{frame},{x:.4f},{y:.4f}" for frame, (x, y) in places]
-        table = path.with_suffix(".track.csv")
-        with os_errors(
-            lambda cause: VideoError(f"{table}: cannot be written: {cause}")
-        ):
-            write_whole(table, ("\n".join(["frame,x,y", *rows]) + "\n").encode())
-        return table
+        return save_track(self.track, path.with_suffix(".track.csv"))
 
 
 def film(

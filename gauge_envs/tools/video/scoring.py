@@ -2,8 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from enum import StrEnum
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -15,7 +14,12 @@ from gauge_envs.files import json_ready
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.video import laws
 from gauge_envs.tools.video.frames import ArrayFrames, FileFrames, Frames
-from gauge_envs.tools.video.plane import PlaneView, frontal_task, frontal_track
+from gauge_envs.tools.video.plane import (
+    PlaneView,
+    frontal_task,
+    frontal_track,
+    metric_view,
+)
 from gauge_envs.tools.video.tasks import Motion, VideoTask, video_task
 from gauge_envs.tools.video.track import Track
 from gauge_envs.tools.video.tracker import track_object
@@ -23,156 +27,103 @@ from gauge_envs.tools.video.tracker import track_object
 Metrics: TypeAlias = dict[str, float]
 
 LEAST_RETAINED = 5
-"""Fewest retained frames of a valid clip."""
+"""Fewest retained frames from which metrics are taken."""
 
-MOST_MISSING, FATAL_MISSING = 0.15, 0.5
-"""Share of frames without the object in the retained interval: of a valid clip, and of one that can be judged."""
+MOST_MISSING = 0.15
+"""Largest share of retained frames of a sound track in which the object was not found, or has another size."""
 
-MOST_SIZE_CHANGE = 0.2
-"""Largest change of the apparent size of the object in a valid clip."""
+MOST_SIZE_CHANGE = 0.3
+"""Largest change of the apparent size of an object that is the same one."""
+
+FIRST_SIZES = 12
+"""Frames whose median is the size that an object has."""
 
 LEAST_CONFIDENCE = 0.5
-"""Smallest mean confidence of a valid clip, which is the likeness to the object in the first frame."""
+"""Smallest mean confidence of a sound track, which is the likeness to the object in the first frame."""
+
+JUMP = 1.0
+"""Change of the step from frame to frame, in sizes of the object, after which another object may be followed."""
 
 RELEASE_FRAMES = 6.0
 """Frames before and after the first retained one between which rest ends."""
 
-MOST_TRIMMED, SAME_FORM = 4, 1.5
-"""Most frames at the end that may be left out, and the ratio of residuals up to which they are kept."""
-
-MOST_FORM = {Motion.SLIDE: 0.03, Motion.FALL: 0.03, Motion.PENDULUM: 0.2}
-"""Largest residual of the law in travelled distances, or amplitudes, with which its constant says something."""
-
 LEAST_PERIODS = 0.5
-"""Fewest periods of a valid clip: both turns of a swing part its period from its damping and equilibrium."""
-
-JUMP = 0.15
-"""Change of the step from frame to frame that no law needs, in sizes of the object."""
-
-MOST_M_S2 = 2.0 * laws.GRAVITY_M_PER_S2
-"""Largest acceleration of a swing, slide or fall [m/s^2]; friction bounds that on a turntable."""
+"""Fewest periods by which both turns of a swing part its period from its damping and equilibrium."""
 
 
-class Grade(StrEnum):
-    """Whether the metrics of a clip can be trusted."""
-
-    VALID = "valid"
-    """The object was followed through the motion."""
-    DOUBTFUL = "doubtful"
-    """Something happened that may change the metrics; the reasons name it."""
-    INVALID = "invalid"
-    """There is no motion of the task to judge."""
-
-
-def grade_of(
-    track: Track,
-    task: VideoTask,
-    span: tuple[int, int] | None,
-    problem: str,
-    metrics: Metrics,
-) -> tuple[Grade, tuple[str, ...]]:
-    """Return the grade of a clip and its reasons, with frame numbers.
+def faults_of(
+    track: Track, task: VideoTask, span: tuple[int, int] | None
+) -> tuple[list[str], list[str]]:
+    """Return why a track is not sound, and what else is said of it; the law of the motion plays no part.
 
     Args:
         track: The track.
         task: The task.
         span: First and last retained row; None when the object does not move.
-        problem: Why the law could not be fitted; empty when it could.
-        metrics: Metrics of the clip, with the residual of the law.
     """
-    if span is None:
-        missing = _runs(track.frames[~track.is_found])
-        seen = f"; it was not found in frames {missing}" if missing else ""
-        causes = [
-            one.text
-            for one in track.events
-            if one.kind in ("picture", "registration", "file")
-        ]
-        return Grade.INVALID, (f"the object does not move{seen}", *causes)
-    rows = np.arange(span[0], span[1] + 1)
-    fatal, doubts = _missing_reasons(track, rows, task)
-    if problem:
-        fatal.insert(0, problem)
-    if len(rows) < LEAST_RETAINED:
-        fatal.append(
-            f"only {len(rows)} frames are retained; a fit needs {LEAST_RETAINED}"
-        )
+    first, last = span or (0, len(track.frames) - 1)
+    rows = np.arange(first, last + 1)
     found = rows[track.is_found[rows]]
-    sizes = track.size_ratio[found]
-    known = np.isfinite(sizes)
-    usual = float(np.median(sizes[known])) if known.any() else 1.0
-    odd = found[known & (np.abs(sizes / usual - 1.0) > MOST_SIZE_CHANGE)]
-    if len(odd) > MOST_MISSING * len(rows):
-        doubts.append(
-            f"the object changes its size by more than 20 % in frames {_runs(track.frames[odd])}"
+    faults = []
+    lost = rows[~track.is_found[rows]]
+    # The outgoing ball of a cradle is looked for only where it swings out.
+    if len(lost) > MOST_MISSING * len(rows) and task.motion is not Motion.CRADLE:
+        faults.append(
+            f"the object is lost in {len(lost) / len(rows):.0%} of the frames: {_runs(track.frames[lost])}"
         )
-    confidence = float(track.confidence[found].mean()) if len(found) else 0.0
+    early = track.size_ratio[np.isfinite(track.size_ratio)][:FIRST_SIZES]
+    usual = float(np.median(early)) if len(early) else 1.0
+    changes = np.nan_to_num(track.size_ratio[found] / usual - 1.0)
+    odd = np.abs(changes) > MOST_SIZE_CHANGE
+    if np.count_nonzero(odd) > MOST_MISSING * len(rows):
+        worst = changes[np.abs(changes).argmax()]
+        faults.append(
+            f"the object changes its size by up to {worst:+.0%} in frames {_runs(track.frames[found[odd]])}"
+        )
+    confidence = float(track.confidence[found].mean()) if len(found) else 1.0
     if confidence < LEAST_CONFIDENCE:
-        doubts.append(
-            f"the mean confidence of the track is {confidence:.2f}, below {LEAST_CONFIDENCE:g}"
-        )
-    form = metrics.get("form", 0.0)
-    if form > MOST_FORM.get(task.motion, math.inf):
-        doubts.append(
-            f"the motion does not follow the law at any constant: its residual is {form:.0%} of the motion"
-        )
-    shown_s, period_s = (
-        float(np.ptp(track.times_s[list(span)])),
-        metrics.get("pd_s", 0.0),
-    )
-    if shown_s < LEAST_PERIODS * period_s:
-        doubts.append(
-            f"less than half a period is shown, {shown_s:.2f} s of {period_s:.2f} s: it may be another one"
+        faults.append(
+            f"the object has another look: its mean confidence is {confidence:.2f}, below {LEAST_CONFIDENCE:g}"
         )
     jumps = _jumps(track, task, found)
     if len(jumps):
-        doubts.append(
-            f"the object jumps by more than the law allows in frames {_runs(track.frames[jumps])}"
+        faults.append(
+            f"the track jumps by more than the object's size in frames {_runs(track.frames[jumps])}"
         )
-    inside = [one for one in track.events if one.first_frame <= track.frames[span[1]]]
-    fatal += [one.text for one in inside if one.is_fatal]
-    doubts += [one.text for one in inside if not (one.is_fatal or one.is_note)]
-    notes = [one.text for one in inside if one.is_note]
-    grade = Grade.INVALID if fatal else Grade.DOUBTFUL if doubts else Grade.VALID
-    return grade, (*fatal, *doubts, *notes)
+    inside = [one for one in track.events if one.first_frame <= track.frames[last]]
+    faults += [one.text for one in inside if not one.is_note]
+    return faults, [one.text for one in inside if one.is_note]
 
 
-def _jumps(track: Track, task: VideoTask, rows: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return rows at which the step from frame to frame changes by more than the law and the tracker allow."""
-    times, points = track.times_s[rows], track.points_px[rows]
-    if len(rows) < 3:
-        return rows[:0]
-    steps = np.diff(times)
-    velocities = np.diff(points, axis=0) / steps[:, None]
-    # The law bounds the change of the velocity between the middles of two steps.
-    between = 0.5 * (steps[1:] + steps[:-1])
-    lawful = (
-        task.friction * laws.GRAVITY_M_PER_S2
-        if task.motion is Motion.TURN
-        else MOST_M_S2
-    )
-    limit = lawful / task.scale_m_per_px * between + JUMP * task.size_px / np.minimum(
-        steps[1:], steps[:-1]
-    )
-    return rows[1:-1][np.linalg.norm(np.diff(velocities, axis=0), axis=1) > limit]
-
-
-def _missing_reasons(
-    track: Track, rows: NDArray[np.intp], task: VideoTask
-) -> tuple[list[str], list[str]]:
-    # The outgoing ball of a cradle is looked for only where it swings out.
+def findings_of(
+    track: Track, task: VideoTask, span: tuple[int, int] | None, metrics: Metrics
+) -> list[str]:
+    """Return what a clip shows that its metrics do not say."""
+    if span is None:
+        return ["the object does not move"]
+    found = []
+    shown_s = float(np.ptp(track.times_s[list(span)]))
+    period_s = metrics.get("pd", 0.0)
+    if shown_s < LEAST_PERIODS * period_s:
+        found.append(
+            f"less than half a period is shown, {shown_s:.2f} s of {period_s:.2f} s: it may be another one"
+        )
     if task.motion is Motion.CRADLE:
         swings = [track.frames[one] for one in laws.swings_without_apex(track, task)]
-        return [], [
+        found += [
             f"the ball swings out in frames {_runs(one)}, and its apex is not seen"
             for one in swings
         ]
-    lost = rows[~track.is_found[rows]]
-    share = len(lost) / len(rows)
-    text = f"the object is lost in {share:.0%} of the retained frames: {_runs(track.frames[lost])}"
-    if share > FATAL_MISSING:
-        return [text], []
-    return [], [text] if share > MOST_MISSING else []
+    return found
+
+
+def _jumps(track: Track, task: VideoTask, rows: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Return rows at which the step from frame to frame changes by more than the size of the object."""
+    if len(rows) < 3 or task.motion is Motion.CRADLE:
+        return rows[:0]
+    steps = np.diff(track.points_px[rows], axis=0) / np.diff(rows)[:, None]
+    changes = np.linalg.norm(np.diff(steps, axis=0), axis=1)
+    return rows[1:-1][changes > JUMP * task.size_px]
 
 
 def _runs(frames: NDArray[np.int64]) -> str:
@@ -191,8 +142,13 @@ def _runs(frames: NDArray[np.int64]) -> str:
 
 # --- score ------------------------------------------------------------------------------------------------------------
 
-METRICS = ("a_m_s2", "qfi", "r2", "pd_s", "mte", "de_n", "form")
-"""Names of all metrics, in the order of a result."""
+PAPER_METRICS = ("a", "qfi", "r2", "pd", "mte", "de")
+"""Metrics of GAUGE's paper under its names: acceleration [m/s^2] and QFI from the first retained frame on, R^2 and
+period [s] of a damped oscillation, momentum transfer, and dynamic error [N]."""
+
+METRICS = (*PAPER_METRICS, "acceleration_m_s2", "form")
+"""Names of all metrics, in the order of a result. The last two are the package's, of straight motions: acceleration
+from a release that is fitted, and the residual of the law in parts of the motion."""
 
 SAMPLES = 200
 """Simulated tracks from which intervals are taken."""
@@ -216,25 +172,27 @@ SLOW_FRAMES = 6
 
 @dataclass(frozen=True, kw_only=True)
 class VideoScore:
-    """Result of one video.
+    """Result of one video: whether its track is sound, and the physics of the motion.
 
     Attributes:
         video: Name of the video or track.
         task: Id of the task.
-        grade: Whether the metrics can be trusted.
-        reasons: What lowers the grade, with frame numbers.
-        metrics: Values by name; None where a metric does not apply or there is no valid motion.
+        is_sound: Whether what was followed is the object, all the time; the law of its motion plays no part.
+        reasons: Why the track is not sound, with frame numbers.
+        findings: What else the clip shows.
+        metrics: Values by name; None where a metric does not apply or there is no motion.
         uncertainty: Interval of each metric that holds 95 % of simulated tracks.
         interval_frames: First and last retained frame; None when there is none.
         scale_m_per_px: Size of a pixel of the reference grid [m].
-        details: Further numbers, such as the acceleration with the paper's release frame.
+        details: Further numbers, such as the damping of a swing.
         track: The track.
     """
 
     video: str
     task: str
-    grade: Grade
+    is_sound: bool
     reasons: tuple[str, ...]
+    findings: tuple[str, ...]
     metrics: dict[str, float | None]
     uncertainty: dict[str, tuple[float, float] | None]
     interval_frames: tuple[int, int] | None
@@ -244,18 +202,12 @@ class VideoScore:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result without the track, JSON-ready."""
-        names = (
-            "video",
-            "task",
-            "grade",
-            "reasons",
-            "metrics",
-            "uncertainty",
-            "interval_frames",
-            "scale_m_per_px",
-        )
         values: dict[str, Any] = json_ready(
-            {name: getattr(self, name) for name in (*names, "details")}
+            {
+                one.name: getattr(self, one.name)
+                for one in fields(self)
+                if one.name != "track"
+            }
         )
         registration = self.track.registration
         return {
@@ -316,7 +268,10 @@ def score_track(
     Raises:
         VideoError: The camera file of a pendulum or a cradle lacks the pivot, or that of a cradle the length.
     """
-    view = camera if track.is_found.any() else None
+    is_empty = not track.is_found.any()
+    if track.is_metric and not is_empty:
+        track, camera = metric_view(track, task)
+    view = None if is_empty else camera
     seen = track
     if view is not None:
         if task.motion in (Motion.PENDULUM, Motion.CRADLE) and view.pivot_m is None:
@@ -330,24 +285,24 @@ def score_track(
             )
         task = frontal_task(view, seen, task)
         track = frontal_track(view, seen, task)
-    span = _ended(track, task, laws.retained(track, task))
+    span = laws.retained(track, task)
     if task.motion is Motion.CRADLE:
         found = np.flatnonzero(track.is_found)
         span = (int(found[0]), int(found[-1])) if len(found) else None
     metrics: Metrics = {}
     details: Metrics = {}
-    problem = ""
+    faults, findings = faults_of(track, task, span)
     if span is not None:
         try:
             metrics, details = _metrics(track, task, span, task.scale_m_per_px)
         except ParameterError as error:
-            problem = str(error)
-    grade, reasons = grade_of(track, task, span, problem, metrics)
+            findings.append(str(error))
+    findings += findings_of(track, task, span, metrics)
     swing = None
     if task.motion is Motion.PENDULUM and metrics and span is not None:
         rows, guess = (
             _found(track, span),
-            (details["damping_per_s"], 2.0 * math.pi / metrics["pd_s"]),
+            (details["damping_per_s"], 2.0 * math.pi / metrics["pd"]),
         )
         swing = laws.fit_damped_oscillation(
             track.times_s[rows], laws.swing_angles_rad(track, task)[rows], guess=guess
@@ -361,8 +316,9 @@ def score_track(
     return VideoScore(
         video=name,
         task=task.id,
-        grade=grade,
-        reasons=reasons,
+        is_sound=not faults,
+        reasons=tuple(faults),
+        findings=tuple(findings),
         metrics={one: metrics.get(one) for one in METRICS},
         uncertainty={one: intervals.get(one) for one in METRICS},
         interval_frames=None
@@ -371,31 +327,6 @@ def score_track(
         scale_m_per_px=task.scale_m_per_px,
         details=details,
         track=seen,
-    )
-
-
-def _ended(
-    track: Track, task: VideoTask, span: tuple[int, int] | None
-) -> tuple[int, int] | None:
-    """Return an interval without its last frames if these do not follow the law of the others."""
-    if span is None or task.motion not in (Motion.SLIDE, Motion.FALL):
-        return span
-    found = np.arange(span[0], span[1] + 1)[track.is_found[span[0] : span[1] + 1]]
-    ends = [
-        int(row)
-        for row in found[::-1][: MOST_TRIMMED + 1]
-        if np.count_nonzero(found <= row) >= LEAST_RETAINED
-    ]
-    if not ends:
-        return span
-    forms = [
-        _metrics(track, task, (span[0], end), task.scale_m_per_px)[0]["form"]
-        for end in ends
-    ]
-    return span[0], next(
-        end
-        for end, form in zip(ends, forms, strict=True)
-        if form <= SAME_FORM * min(forms)
     )
 
 
@@ -427,13 +358,14 @@ def _metrics(
         fit = laws.fit_constant_acceleration(
             track.times_s[used], along_m[used], **release
         )
-        fixed = laws.fit_constant_acceleration(times_s, along_m[rows])
-        return {"a_m_s2": fit.a_m_per_s2, "qfi": fit.qfi, "form": fit.form}, {
-            "a_at_first_frame_m_s2": fixed.a_m_per_s2,
-            "qfi_at_first_frame": fixed.qfi,
-            "linear_r2": fit.r2,
-            "release_s": fit.release_s,
+        paper = laws.fit_constant_acceleration(times_s, along_m[rows])
+        values = {
+            "a": paper.a_m_per_s2,
+            "qfi": paper.qfi,
+            "acceleration_m_s2": fit.a_m_per_s2,
+            "form": fit.form,
         }
+        return values, {"linear_r2": paper.r2, "release_s": fit.release_s}
     if task.motion is Motion.TURN:
         error = laws.dynamic_error(
             times_s,
@@ -442,13 +374,7 @@ def _metrics(
             friction=task.friction,
         )
         sizes = error.accelerations_m_per_s2
-        form = {}
-        if task.pivot_px is not None:
-            radii = np.linalg.norm(
-                track.points_px[rows] - np.array(task.pivot_px), axis=1
-            )
-            form["form"] = laws.monotone_misfit(radii, is_rising=True)
-        return {"de_n": error.de_n, **form}, {
+        return {"de": error.de_n}, {
             "median_a_m_s2": float(np.median(sizes)),
             "p95_a_m_s2": float(np.percentile(sizes, 95)),
             "exceeding_share": float((error.exceedance_n > 0.0).mean()),
@@ -456,12 +382,7 @@ def _metrics(
     angles = laws.swing_angles_rad(track, task)[rows]
     if task.motion is Motion.PENDULUM:
         swing = laws.fit_damped_oscillation(times_s, angles, guess=guess)
-        misfit = (
-            math.sqrt(max(0.0, 1.0 - swing.r2))
-            * float(angles.std())
-            / max(swing.amplitude_rad, 1e-9)
-        )
-        return {"r2": swing.r2, "pd_s": swing.period_s, "form": misfit}, {
+        return {"r2": swing.r2, "pd": swing.period_s}, {
             "damping_per_s": swing.damping_per_s,
             "equilibrium_deg": math.degrees(swing.equilibrium_rad),
             "amplitude_deg": math.degrees(swing.amplitude_rad),
@@ -473,7 +394,7 @@ def _metrics(
         [laws.peak(times_s[i - 1 : i + 2], rises_m[i - 1 : i + 2]) for i in events]
     )
     mte = laws.momentum_transfer(task.release_height_m, np.maximum(heights, 0.0))
-    return {"mte": mte, "form": laws.monotone_misfit(heights, is_rising=False)}, {
+    return {"mte": mte}, {
         "event_count": float(len(events)),
         "first_event": float(np.sqrt(max(heights[0], 0.0) / task.release_height_m)),
     }
@@ -576,19 +497,19 @@ def _intervals(
         for name, values in found.items()
         if len(values) >= count // 2
     }
-    if "pd_s" in intervals:
+    if "pd" in intervals:
         # Over less than a period, any noise lengthens it, and that of the track has already: the error has either sign.
         away = float(
             np.percentile(
-                np.abs(np.array(found["pd_s"]) - nominal["pd_s"]), 100.0 * COVERAGE
+                np.abs(np.array(found["pd"]) - nominal["pd"]), 100.0 * COVERAGE
             )
         )
-        intervals["pd_s"] = (max(0.0, nominal["pd_s"] - away), nominal["pd_s"] + away)
-    if view is not None and "de_n" in intervals:
+        intervals["pd"] = (max(0.0, nominal["pd"] - away), nominal["pd"] + away)
+    if view is not None and "de" in intervals:
         # A track has noise already, which excess counts as force. Simulated noise shows how much; it is reflected.
-        high = intervals["de_n"][1]
-        intervals["de_n"] = (
-            max(0.0, min(nominal["de_n"], 2.0 * nominal["de_n"] - high)),
+        high = intervals["de"][1]
+        intervals["de"] = (
+            max(0.0, min(nominal["de"], 2.0 * nominal["de"] - high)),
             high,
         )
     return intervals

@@ -29,17 +29,6 @@ SLOPE_DIRECTION = (-math.cos(math.radians(31.6)), math.sin(math.radians(31.6)))
 """Direction down the board in the first frames of the slope slider: its long edges lie at 31.4 to 31.8 degrees."""
 
 
-PUBLISHED_NAMES = {
-    "a": "a_m_s2",
-    "qfi": "qfi",
-    "r2": "r2",
-    "pd": "pd_s",
-    "mte": "mte",
-    "de": "de_n",
-}
-"""Names of the metrics in this package by those of the published table."""
-
-
 TRIALS_FILE = "slope_slider_30deg_summary.toml"
 """File of `scoring/facts` with the accelerations of the real slides, which `scripts/build_bands.py` computes."""
 
@@ -89,7 +78,6 @@ class VideoTask:
         pivot_sigma_px: Standard uncertainty of each coordinate of the pivot [px].
         rest_px: Position of the tracked ball when it hangs [px], shape [2]; None where there is none.
         release_height_m: Height from which the incoming ball of a cradle is released [m].
-        doubt: Why this package's tracker cannot be believed in this scene; empty where it can.
         law: Values of the law by the name of the metric, the column "real baseline" of the published table; empty for
             a film of one's own.
     """
@@ -104,7 +92,6 @@ class VideoTask:
     pivot_px: tuple[float, float] | None = None
     pivot_sigma_px: float = 1.0
     rest_px: tuple[float, float] | None = None
-    doubt: str = ""
     release_height_m: float = 0.0
     law: dict[str, float]
 
@@ -147,15 +134,15 @@ def _measured(task: str) -> dict[str, Measured]:
         trials = facts[material]
         found = trials["acceleration_m_s2"]
         source = f"{trials['trial_count']} real trials (scoring/facts/{TRIALS_FILE})"
-        return {"a_m_s2": Measured(mean=found["mean"], std=found["std"], source=source)}
+        return {"a": Measured(mean=found["mean"], std=found["std"], source=source)}
     return {
-        PUBLISHED_NAMES[metric]: Measured(
+        metric: Measured(
             mean=baseline.mean,
             std=baseline.std,
             source="real trials as published (GAUGE, Table 5)",
         )
         for metric, baseline in published_baselines(task).items()
-        if metric in PUBLISHED_NAMES and baseline.std is not None
+        if metric in _law(task) and baseline.std is not None
     }
 
 
@@ -169,7 +156,7 @@ def _published_rows() -> tuple[dict[str, str], ...]:
 
 def _law(task: str) -> dict[str, float]:
     return {
-        PUBLISHED_NAMES[row["metric"]]: float(row["real_baseline"])
+        row["metric"]: float(row["real_baseline"])
         for row in _published_rows()
         if row["variant"] == task
     }
@@ -218,7 +205,7 @@ def published_results() -> dict[str, dict[tuple[str, str], float | None]]:
     """
     found: dict[str, dict[tuple[str, str], float | None]] = {}
     for row in _published_rows():
-        key = (row["variant"], PUBLISHED_NAMES[row["metric"]])
+        key = (row["variant"], row["metric"])
         for model, text in row.items():
             if model not in ("variant", "metric", "unit", "real_baseline"):
                 found.setdefault(model, {})[key] = float(text) if text else None

@@ -1,9 +1,9 @@
-"""Hold the track of an object in a video, and read one that another tracker has made."""
+"""The track of an object in a video: what every tracker writes, and all that the physics is judged by."""
 
 import csv
 import io
 import math
-from collections.abc import Iterator
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.errors import VideoError
-from gauge_envs.files import MEGABYTE, read_regular
+from gauge_envs.files import MEGABYTE, os_errors, read_regular, write_whole
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.video.frames import Registration
 from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX
@@ -22,8 +22,8 @@ MOST_TRACK_BYTES = 16 * MEGABYTE
 LAST_FRAME = 10**9
 """Largest number of a frame."""
 
-COLUMNS = ("frame", "x", "y")
-"""Columns that a track file must have; `confidence` is optional."""
+GIVEN = "the track is as given: no picture was looked at"
+"""What is said of a track from a file."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,19 +31,17 @@ class Event:
     """Something in a video that makes its track doubtful.
 
     Attributes:
-        kind: `duplicated`, `camera`, `scene`, `registration`, `picture`, `look`, `cadence` or `file`.
+        kind: `given`, `duplicated`, `camera`, `scene`, `registration`, `picture`, `cadence` or `file`.
         first_frame: First frame of it.
         last_frame: Last frame of it.
         text: Description with numbers.
-        is_fatal: Whether the clip cannot be judged with this event inside of the retained interval.
-        is_note: Whether it is stated without lowering the grade.
+        is_note: Whether it is stated of a track that may be sound.
     """
 
     kind: str
     first_frame: int
     last_frame: int
     text: str
-    is_fatal: bool = False
     is_note: bool = False
 
 
@@ -60,6 +58,8 @@ class Track:
         events: What happened in the video.
         clock_s: Times of the frames [s], shape [frame_count]; None where they follow from the rate.
         registration: How the video lies on the grid; None for a track from a file.
+        is_metric: Whether the places are in millimetres, to the right and up in the plane of the motion.
+        moves: Motion of the camera since the first frame that was subtracted, shape [2, 3] each; None where it stood.
     """
 
     frames: NDArray[np.int64]
@@ -70,11 +70,22 @@ class Track:
     events: tuple[Event, ...] = ()
     clock_s: FloatArray | None = None
     registration: Registration | None = None
+    is_metric: bool = False
+    moves: tuple[FloatArray | None, ...] = ()
 
     @property
     def is_found(self) -> NDArray[np.bool_]:
         """Whether the object was found, shape [frame_count]."""
         return np.asarray(np.isfinite(self.points_px).all(axis=1))
+
+    def shown_px(self, row: int) -> FloatArray:
+        """Return all places as the camera of a row sees them [px], shape [frame_count, 2]."""
+        move = self.moves[row] if self.moves else None
+        return (
+            self.points_px
+            if move is None
+            else self.points_px @ move[:, :2].T + move[:, 2]
+        )
 
     @property
     def times_s(self) -> FloatArray:
@@ -83,80 +94,144 @@ class Track:
 
 
 def read_track(
-    path: Path | str, *, fps: float, size_px: tuple[int, int] = REFERENCE_SIZE_PX
+    path: Path | str,
+    *,
+    fps: float | None = None,
+    size_px: tuple[int, int] = REFERENCE_SIZE_PX,
 ) -> Track:
-    """Return a track from a CSV file with the columns frame, x, y and optionally confidence.
+    """Return a track from a CSV file, of any tracker.
+
+    Columns: `time` [s] or `frame`; `x` and `y` in pixels of the video, from its top left corner, or `x_grid` and
+    `y_grid` in those of the known first frame, or `x_mm` and `y_mm` to the right and up in the plane of the motion,
+    from the pivot of a swing; optionally `size` in any unit, whose ratio to the first row counts, and `confidence`
+    from 0 to 1. Other columns are ignored. Rows without a position have empty cells, or are left out.
 
     Args:
-        path: The file. Rows without a position have empty cells, or are left out.
-        fps: Frames per second of the video.
-        size_px: Width and height of the pictures in which the positions are measured [px].
+        path: The file.
+        fps: Frames per second of the video; needed where there is no column `time`.
+        size_px: Width and height of the video [px].
 
     Raises:
-        VideoError: The file cannot be read, lacks a column, or has a cell that is no finite number.
+        VideoError: The file cannot be read, lacks a column or the rate, or has a cell that is no finite number.
     """
     path = Path(path)
-    if not (math.isfinite(fps) and fps > 0.0):
+    if fps is not None and not (math.isfinite(fps) and fps > 0.0):
         raise VideoError(
             f"fps is {fps}: state the frame rate of the video, as --fps 30"
         )
+    rows = _rows(path)
+    names = set(rows[0])
+    unit = next((u for u in ("_mm", "_grid") if {f"x{u}", f"y{u}"} <= names), "")
+    x_name, y_name = f"x{unit}", f"y{unit}"
+    missing = sorted({x_name, y_name} - names)
+    if missing or not names & {"time", "frame"}:
+        raise VideoError(
+            f"{path}: there is no column {', '.join(missing) or 'time'}; the first line must name time or frame, then "
+            "x and y, x_grid and y_grid, or x_mm and y_mm"
+        )
+    values = {
+        name: np.array([_number(path, n, name, row) for n, row in enumerate(rows, 2)])
+        for name in ("time", "frame", x_name, y_name, "size", "confidence")
+        if name in names
+    }
+    frames = _frame_numbers(path, values.get("frame", np.arange(len(rows))))
+    clock_s = None
+    if "time" in names and fps is None:
+        clock_s = values["time"]
+        if len(rows) < 2 or not (np.diff(clock_s) > 0.0).all():
+            raise VideoError(f"{path}: time must increase from row to row [s]")
+        fps = 1.0 / float(np.median(np.diff(clock_s) / np.diff(frames)))
+        clock_s = clock_s - clock_s[0]
+    if fps is None:
+        raise VideoError(
+            f"{path}: it has no column time: give the frame rate, as --fps 30"
+        )
+    places = np.column_stack([values[x_name], values[y_name]])
+    if not unit:
+        places = places * np.array(REFERENCE_SIZE_PX) / np.array(size_px, dtype=float)
+    is_found = np.isfinite(places).all(axis=1)
+    places[~is_found] = np.nan
+    confidence = values.get("confidence", np.ones(len(rows)))
+    sizes = values.get("size", np.full(len(rows), np.nan))
+    known = sizes[np.isfinite(sizes) & is_found]
+    return Track(
+        frames=frames,
+        fps=fps,
+        points_px=places,
+        confidence=np.where(
+            is_found, np.clip(np.nan_to_num(confidence, nan=1.0), 0, 1), 0.0
+        ),
+        size_ratio=sizes / known[0] if len(known) else sizes,
+        events=(
+            Event(
+                kind="given",
+                first_frame=0,
+                last_frame=LAST_FRAME,
+                text=GIVEN,
+                is_note=True,
+            ),
+        ),
+        clock_s=clock_s,
+        is_metric=unit == "_mm",
+    )
+
+
+def save_track(track: Track, path: Path) -> Path:
+    """Write a track as the CSV that `read_track` reads, on the grid or in millimetres, and return its path."""
+    unit = "mm" if track.is_metric else "grid"
+    lines = [f"frame,time,x_{unit},y_{unit},size,confidence"]
+    for frame, time_s, place, size, sure in zip(
+        track.frames,
+        track.times_s,
+        track.points_px,
+        track.size_ratio,
+        track.confidence,
+        strict=True,
+    ):
+        cells = [
+            "" if np.isnan(value) else f"{value:.4f}" for value in (*place, size, sure)
+        ]
+        lines.append(f"{frame},{time_s:.6f},{','.join(cells)}")
+    with os_errors(lambda cause: VideoError(f"{path}: cannot be written: {cause}")):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_whole(path, ("\n".join(lines) + "\n").encode())
+    return path
+
+
+def _rows(path: Path) -> list[dict[str, str]]:
+    """Return the rows of a CSV file."""
     try:
         text = read_regular(path, MOST_TRACK_BYTES).decode("utf-8-sig")
+        rows = list(csv.DictReader(io.StringIO(text, newline="")))
     except (OSError, UnicodeDecodeError) as error:
         raise VideoError(
             f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}"
         ) from None
-    found: dict[int, tuple[float, float, float]] = {}
-    for number, row in enumerate(_rows(path, text), start=2):
-        frame = _number(path, number, "frame", row["frame"])
-        if frame is None or frame != int(frame) or not 0 <= frame <= LAST_FRAME:
-            raise VideoError(
-                f"{path}: line {number}: frame is {row['frame']!r}; it must be a whole number from 0 to {LAST_FRAME}"
-            )
-        if int(frame) in found:
-            raise VideoError(
-                f"{path}: line {number}: frame {int(frame)} stands there twice"
-            )
-        x, y = (_number(path, number, name, row[name]) for name in ("x", "y"))
-        sure = _number(path, number, "confidence", row.get("confidence") or "1")
-        place = (
-            (math.nan, math.nan, 0.0)
-            if x is None or y is None
-            else (x, y, 1.0 if sure is None else sure)
-        )
-        found[int(frame)] = place
-    if not found:
-        raise VideoError(f"{path}: there is no row below the names of the columns")
-    frames = np.array(sorted(found), dtype=np.int64)
-    values = np.array([found[int(frame)] for frame in frames])
-    to_grid = np.array(REFERENCE_SIZE_PX) / np.array(size_px, dtype=float)
-    return Track(
-        frames=frames,
-        fps=fps,
-        points_px=values[:, :2] * to_grid,
-        confidence=np.clip(values[:, 2], 0.0, 1.0),
-        size_ratio=np.full(len(frames), np.nan),
-    )
-
-
-def _rows(path: Path, text: str) -> Iterator[dict[str, str]]:
-    """Yield the rows of a track."""
-    try:
-        rows = csv.DictReader(io.StringIO(text, newline=""))
-        missing = [name for name in COLUMNS if name not in (rows.fieldnames or ())]
-        if missing:
-            raise VideoError(
-                f"{path}: there is no column {', '.join(missing)}; the first line must name frame, x, y"
-            )
-        yield from rows
     except csv.Error as error:
         raise VideoError(f"{path}: it is no CSV: {error}") from error
+    if not rows:
+        raise VideoError(f"{path}: there is no row below the names of the columns")
+    return rows
 
 
-def _number(path: Path, line: int, name: str, text: str | None) -> float | None:
-    """Return the number of a cell; None for an empty one."""
-    if text is None or not text.strip():
-        return None
+def _frame_numbers(path: Path, values: FloatArray) -> NDArray[np.int64]:
+    """Return numbers of frames, which increase."""
+    for line, value in enumerate(values, 2):
+        if value != np.floor(value) or not 0 <= value <= LAST_FRAME:
+            raise VideoError(
+                f"{path}: line {line}: frame is {value:g}; it must be a whole number from 0 to {LAST_FRAME}"
+            )
+    frames = values.astype(np.int64)
+    if not (np.diff(frames) > 0).all():
+        raise VideoError(f"{path}: frame must increase from row to row")
+    return frames
+
+
+def _number(path: Path, line: int, name: str, row: Mapping[str, str | None]) -> float:
+    """Return the number of a cell; NaN for an empty one."""
+    text = (row[name] or "").strip()
+    if not text:
+        return math.nan
     try:
         value = float(text)
     except ValueError:

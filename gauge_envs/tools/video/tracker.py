@@ -13,6 +13,7 @@ from gauge_envs.tools.video.follow import (
     FIRST_FRAMES,
     FIRST_STEP,
     Background,
+    FaceFollower,
     Region,
     ShapeFollower,
     Sight,
@@ -40,9 +41,6 @@ from gauge_envs.tools.video.track import Event, Track
 
 PLATE_RADIUS_PX = 226.0
 """Radius of the turntable in the first frames [px], with its rim."""
-
-MOST_DEPTH = 0.1
-"""Largest share by which the height of a cube moves it away from the axis of the camera."""
 
 MOST_SAMPLED = 80
 """Most frames from which the background is built; they are spread over the video."""
@@ -107,28 +105,17 @@ def track_object(
             sampled.append(
                 watch.steadied(picture, number)[top:bottom, left:right].copy()
             )
-    follower = ShapeFollower(
-        _background(first, sampled, part, task),
-        first,
-        centre_px=centre,
-        size_px=task.size_px,
-        is_square=task.motion is Motion.SLIDE,
-        is_directed=task.motion is not Motion.TURN,
+    follower = (
+        FaceFollower(first, task)
+        if task.motion is Motion.TURN
+        else ShapeFollower(_background(first, sampled, part, task), first, task)
     )
     candidates = []
     for number, picture in enumerate(pictures()):
         steady = watch.steadied(picture, number)
         watch.compare(steady, number)
         candidates.append(follower.candidates(steady))
-    allowed = [[one for one in ones if _is_allowed(one, task)] for ones in candidates]
-    # A ball on wires that was released at the height of their ends passes its lowest point with twice gravity.
-    most_m_s2 = (
-        2.0 if task.motion in (Motion.CRADLE, Motion.PENDULUM) else 1.0
-    ) * GRAVITY_M_PER_S2
-    lawful_px = most_m_s2 / cadence.fps**2 / task.scale_m_per_px
-    path = best_path(
-        allowed, centre, task.size_px, lawful_px, is_struck=task.motion is Motion.CRADLE
-    )
+    path = _path(candidates, task, cadence.fps)
     early = [
         math.dist(one.place, centre)
         for ones in candidates[:FIRST_FRAMES]
@@ -139,11 +126,11 @@ def track_object(
         and min(early, default=math.inf) > FIRST_STEP * task.size_px
     ):
         foreign = FOREIGN
-    doubts = (registration.problem, foreign, task.doubt)
+    doubts = (registration.problem, foreign)
     return Track(
         frames=np.flatnonzero(cadence.is_new),
         fps=cadence.fps,
-        points_px=_on_face(np.array([s.place for s in path]), task),
+        points_px=np.array([s.place for s in path]),
         confidence=np.array([s.likeness for s in path]),
         size_ratio=np.array([s.size_ratio for s in path]),
         events=(
@@ -153,6 +140,23 @@ def track_object(
         ),
         clock_s=cadence.times_s,
         registration=registration,
+        moves=watch.moves(),
+    )
+
+
+def _path(candidates: list[list[Sight]], task: VideoTask, fps: float) -> list[Sight]:
+    """Return the places of the object; an empty one where it is lost."""
+    if task.motion is Motion.TURN:
+        return [next(iter(ones), Sight()) for ones in candidates]
+    # A ball on wires that was released at the height of their ends passes its lowest point with twice gravity.
+    is_swing = task.motion in (Motion.CRADLE, Motion.PENDULUM)
+    most_m_s2 = (2.0 if is_swing else 1.0) * GRAVITY_M_PER_S2
+    return best_path(
+        [[one for one in ones if _is_allowed(one, task)] for ones in candidates],
+        np.array(task.rest_px or task.centre_px),
+        task.size_px,
+        most_m_s2 / fps**2 / task.scale_m_per_px,
+        is_struck=task.motion is Motion.CRADLE,
     )
 
 
@@ -172,27 +176,24 @@ def _registered(
 
 
 def _of_the_file(
-    frames: Frames, cadence: Cadence, registration: str, foreign: str, look: str
+    frames: Frames, cadence: Cadence, registration: str, foreign: str
 ) -> Iterator[Event]:
     """Yield what is doubtful in the whole of a video: how it lies on the grid, what it shows, and its frames."""
     cut = f"the file states {frames.stated_count} frames, and {len(cadence.is_new)} can be decoded"
     for kind, text in (
         ("registration", registration),
         ("picture", foreign),
-        ("look", look),
         ("file", cut if _is_cut(frames, cadence) else ""),
         ("cadence", cadence.text),
     ):
         if text:
             last = int(np.flatnonzero(cadence.is_new)[-1])
-            is_fatal, is_note = kind == "picture", kind == "cadence"
             yield Event(
                 kind=kind,
                 first_frame=0,
                 last_frame=last,
                 text=text,
-                is_fatal=is_fatal,
-                is_note=is_note,
+                is_note=kind == "cadence",
             )
 
 
@@ -207,38 +208,12 @@ def _background(
     if task.motion is Motion.CRADLE:
         # The ball is looked for away from where it hangs, so that nothing is invented behind it there.
         return Background(first)
-    if task.motion is not Motion.TURN:
-        return background(first, sampled, part)
-    # The plate turns below the cube, so its usual colour stands for it.
-    assert task.pivot_px is not None
-    rows, columns = np.mgrid[0 : first.shape[0], 0 : first.shape[1]]
-    away = np.hypot(columns - task.pivot_px[0], rows - task.pivot_px[1])
-    plate, inner = away < PLATE_RADIUS_PX, away < 0.95 * PLATE_RADIUS_PX
-    left, top, right, bottom = part
-    inner[top:bottom, left:right] = False
-    scene = first.copy()
-    scene[plate] = np.median(first[inner], axis=0)
-    return Background(scene)
-
-
-def _on_face(places: FloatArray, task: VideoTask) -> FloatArray:
-    """Return places of the upper face of a cube on a turntable, from those of the whole that is seen of it.
-
-    The camera looks down the axis. What lies lower is seen nearer to it, by the same factor all around.
-    """
-    found = places[np.isfinite(places).all(axis=1)]
-    if task.motion is not Motion.TURN or not len(found):
-        return places
-    pivot = np.array(task.pivot_px)
-    ratio = math.dist(task.centre_px, pivot) / max(
-        float(np.linalg.norm(found[0] - pivot)), 1.0
-    )
-    return pivot + (places - pivot) * (ratio if abs(ratio - 1.0) < MOST_DEPTH else 1.0)
+    return background(first, sampled, part)
 
 
 def _is_allowed(sight: Sight, task: VideoTask) -> bool:
     """Return whether the object can be at a place: a swinging one only at a known distance from its pivot."""
-    if task.pivot_px is None or task.motion is Motion.TURN:
+    if task.pivot_px is None:
         return True
     x, y = sight.place - task.pivot_px
     length = math.dist(task.rest_px or task.centre_px, task.pivot_px)
@@ -379,6 +354,13 @@ class SceneWatch:
     def look(self, picture: Picture) -> None:
         """Find the motion of the camera in the next frame."""
         self._moves.append(self._camera(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)))
+
+    def moves(self) -> tuple[FloatArray | None, ...]:
+        """Return the motion of the camera in each frame; None where it stands or is unknown."""
+        return tuple(
+            None if one is None or _shift_px(one) <= STILL_PX else one
+            for one in self._moves
+        )
 
     def steadied(self, picture: Picture, frame: int) -> Picture:
         """Return a frame as a camera that does not move would show it."""

@@ -5,7 +5,7 @@ import re
 from base64 import b64encode
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from scipy.special import stdtrit
@@ -14,17 +14,26 @@ from gauge_envs.errors import VideoError
 from gauge_envs.pages.document import Document, Heading, Paragraph, Part, page
 from gauge_envs.pages.html import Html, element, join, listed
 from gauge_envs.pages.table import Column, Table
-from gauge_envs.tools.video import Grade, VideoScore, VideoTask, video_task, video_tasks
+from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.tools.video import (
+    METRICS,
+    PAPER_METRICS,
+    VideoScore,
+    VideoTask,
+    video_task,
+    video_tasks,
+)
 from gauge_envs.tools.video.frames import FileFrames, Frames, Picture, cv2, write_mp4
 from gauge_envs.tools.video.tasks import Measured, published_results
 
 TITLES = {
-    "a_m_s2": "acceleration [m/s^2]",
+    "a": "a [m/s^2]",
     "qfi": "QFI",
     "r2": "R^2",
-    "pd_s": "period [s]",
-    "mte": "momentum transfer",
-    "de_n": "dynamic error [N]",
+    "pd": "PD [s]",
+    "mte": "MTE",
+    "de": "DE [N]",
+    "acceleration_m_s2": "acceleration [m/s^2]",
     "form": "form",
     "friction": "friction",
     "rolling_resistance": "rolling resistance",
@@ -109,13 +118,18 @@ def score_document(result: VideoScore, task: VideoTask | None) -> Document:
     return Document(
         parts=(
             Paragraph(
-                f"{result.video}: {result.grade.value} for {result.task}; {span_text(result)}; {scale}"
+                f"{result.video}: {track_text(result)} for {result.task}; {span_text(result)}; {scale}"
             ),
-            *(Paragraph(f"  {reason}") for reason in result.reasons),
+            *(Paragraph(f"  {text}") for text in (*result.reasons, *result.findings)),
             *([table] if known else []),
         ),
         rows=[result.to_dict()],
     )
+
+
+def track_text(result: VideoScore) -> str:
+    """Return whether a track is sound."""
+    return "the track is sound" if result.is_sound else "the track is not sound"
 
 
 def span_text(result: VideoScore) -> str:
@@ -149,7 +163,7 @@ def interval_text(interval: tuple[float, float] | None) -> str:
 
 # --- page ------------------------------------------------------------------------------------------------------------
 
-SUFFIXES = (".mp4", ".webm", ".mkv", ".mov", ".avi")
+SUFFIXES = (".mp4", ".webm", ".mkv", ".mov", ".avi", ".csv")
 
 PICTURES = 6
 """Frames of a video that the page shows."""
@@ -157,10 +171,10 @@ PICTURES = 6
 PICTURE_WIDTH_PX = 416
 
 VALUES_NOTE = (
-    "Mean over the valid clips (seeds) of a model. Interval of 95 %: of the mean by Student's t; of one clip, of "
-    "simulated tracks. Spread: standard deviation over seeds. Usable: valid clips of all. Published: GAUGE, arXiv "
-    '2608.05948, Table 3; "negative" is with the negative prompt. Law: of the ideal motion with the calibrated '
-    "constants, Table 3 again. Real trials: mean of motion-capture trials, for metrics that have any."
+    "Mean over the clips (seeds) of a model whose track is sound, and their share. Interval of 95 %: of the mean by "
+    "Student's t; of one clip, of simulated tracks. Spread: standard deviation over seeds. Metrics in capitals and a: "
+    "as the paper defines them. Published: GAUGE, arXiv 2608.05948, Table 3, without its intervals of frames. "
+    "Law: of the ideal motion with the calibrated constants, Table 3 again. Real trials: mean of motion-capture trials."
 )
 
 Results: TypeAlias = Mapping[tuple[str, str], Mapping[Path, VideoScore | None]]
@@ -168,7 +182,10 @@ Results: TypeAlias = Mapping[tuple[str, str], Mapping[Path, VideoScore | None]]
 
 
 def find_videos(folder: Path) -> tuple[list[tuple[str, str, Path]], list[Path]]:
-    """Return model, task and file of the videos `MODEL/TASK.mp4` and `MODEL/TASK/seed_1.mp4`, and all other files."""
+    """Return model, task and file of the videos `MODEL/TASK.mp4` and `MODEL/TASK/seed_1.mp4`, and all other files.
+
+    A track has the suffix `.csv`; that of a video lies beside it and is left out.
+    """
     tasks = {task.id: order for order, task in enumerate(video_tasks())}
     files = [
         file
@@ -191,68 +208,66 @@ def find_videos(folder: Path) -> tuple[list[tuple[str, str, Path]], list[Path]]:
             f"{folder}: it holds no video of a task; expected MODEL/TASK.mp4 with a TASK of {', '.join(tasks)}"
         )
     used = {file for *_, file in found}
+    shown = {file.with_suffix("") for file in used if file.suffix != ".csv"}
+    found = [
+        one
+        for one in found
+        if one[2].suffix != ".csv" or one[2].with_suffix("") not in shown
+    ]
     return sorted(found, key=lambda one: (tasks[one[1]], one[0])), [
         file for file in files if file not in used
     ]
 
 
 def results_table(results: Results) -> Table:
-    """Return a row for each model, task and metric: the mean over valid clips, and what it is worth."""
-    rows = []
+    """Return a row for each model, task and metric: the mean over sound clips, and what it is worth."""
+    published = published_results()
+    rows: list[dict[str, Any]] = []
     for (model, task), clips in results.items():
-        valid = [
-            one
-            for one in clips.values()
-            if one is not None and one.grade is Grade.VALID
-        ]
-        for name in (*video_task(task).law, "form"):
-            values = np.array([one.metrics[name] for one in valid], dtype=float)
+        sound = [one for one in clips.values() if one is not None and one.is_sound]
+        known = published.get(model.replace("-", "_"), {})
+        law = video_task(task).law
+        shown = [*law, *(name for name in METRICS if name not in PAPER_METRICS)]
+        for name in shown:
+            values = np.array([one.metrics[name] for one in sound], dtype=float)
             values = values[np.isfinite(values)]
-            mean, spread, ends = None, None, None
-            if len(values):
-                mean, ends = float(values.mean()), valid[0].uncertainty[name]
-            if mean is not None and len(values) > 1:
-                spread = float(values.std(ddof=1))
-                half = (
-                    float(stdtrit(len(values) - 1, 0.975))
-                    * spread
-                    / math.sqrt(len(values))
-                )
-                ends = (mean - half, mean + half)
-            row = {
-                "model": model,
-                "task": task,
-                "metric": TITLES[name],
-                "mean": mean,
-                "spread": spread,
-            }
-            row["law"] = video_task(task).law.get(name)
+            if not len(values) and name not in law:
+                continue
+            mean, low, high, spread = _mean(values, name, sound)
             trials = video_task(task).real.get(name)
-            row["real"] = None if trials is None else trials.mean
-            row["low"], row["high"] = ends or (None, None)
             rows.append(
-                row
-                | {
-                    "usable": len(valid) / len(clips),
-                    "valid": len(valid),
+                {
+                    "model": model,
+                    "task": task,
+                    "metric": TITLES[name],
+                    "sound": len(sound) / len(clips),
+                    "mean": mean,
+                    "low": low,
+                    "high": high,
+                    "spread": spread,
+                    "law": law.get(name),
+                    "real": None if trials is None else trials.mean,
+                    "published": known.get((task, name)),
                     "clips": len(clips),
                 }
             )
+    shown_models = {model.replace("-", "_") for model, _ in results}
     keys = [
         (task, name)
         for task in dict.fromkeys(task for _, task in results)
         for name in video_task(task).law
     ]
-    for model, known in published_results().items():
-        rows += [
-            {
-                "model": f"{model}, published",
-                "task": t,
-                "metric": TITLES[n],
-                "mean": known.get((t, n)),
-            }
-            for t, n in keys
-        ]
+    for model in published:
+        if model not in shown_models:
+            rows += [
+                {
+                    "model": model,
+                    "task": task,
+                    "metric": TITLES[name],
+                    "published": published[model].get((task, name)),
+                }
+                for task, name in keys
+            ]
     titles = {
         "mean": "mean",
         "low": "95 % from",
@@ -260,20 +275,35 @@ def results_table(results: Results) -> Table:
         "spread": "spread",
         "law": "law",
         "real": "real trials",
+        "published": "published",
+        "clips": "clips",
     }
-    columns = [
-        Column(key, title, short_text, is_number=True) for key, title in titles.items()
-    ]
-    columns.insert(0, Column("usable", "usable", "{:.0%}".format, is_number=True))
-    columns += [
-        Column(key, key, short_text, is_number=True) for key in ("valid", "clips")
-    ]
-    names = (
+    columns = (
         Column("model", "model"),
         Column("task", "task"),
         Column("metric", "metric"),
+        Column("sound", "sound", "{:.0%}".format, is_number=True),
+        *(
+            Column(key, title, short_text, is_number=True)
+            for key, title in titles.items()
+        ),
     )
-    return Table(columns=(*names, *columns), rows=rows, notes=(VALUES_NOTE,))
+    return Table(columns=columns, rows=rows, notes=(VALUES_NOTE,))
+
+
+def _mean(
+    values: FloatArray, name: str, sound: list[VideoScore]
+) -> tuple[float | None, float | None, float | None, float | None]:
+    """Return the mean of a metric over clips, both ends of its interval, and its spread; None where unknown."""
+    if not len(values):
+        return None, None, None, None
+    mean = float(values.mean())
+    if len(values) == 1:
+        low, high = sound[0].uncertainty[name] or (None, None)
+        return mean, low, high, None
+    spread = float(values.std(ddof=1))
+    half = float(stdtrit(len(values) - 1, 0.975)) * spread / math.sqrt(len(values))
+    return mean, mean - half, mean + half, spread
 
 
 def video_page(results: Results) -> str:
@@ -290,13 +320,18 @@ def video_page(results: Results) -> str:
 
 
 def _clip(model: str, result: VideoScore, file: Path) -> Html:
-    text = f": {result.grade.value}; {span_text(result)}"
+    text = f": {track_text(result)}; {span_text(result)}"
     if result.track.registration is not None:
         text += f"; registered by {result.track.registration.method}"
-    pictures = element("div", *_pictures(result, file), class_="strip")
+    shown = () if file.suffix == ".csv" else _pictures(result, file)
+    pictures = element("div", *shown, class_="strip")
     name = model if file.stem == result.task else f"{model}, {file.stem}"
     return join(
-        [element("p", element("b", name), text), listed(result.reasons), pictures]
+        [
+            element("p", element("b", name), text),
+            listed((*result.reasons, *result.findings)),
+            pictures,
+        ]
     )
 
 
@@ -349,9 +384,8 @@ def _drawn(picture: Picture, result: VideoScore, number: int) -> Picture:
     track, span = result.track, result.interval_frames
     # A frame that repeats a picture shows the place of the one before.
     row = max(0, int(np.searchsorted(track.frames, number, side="right")) - 1)
-    for frame, place in zip(
-        track.frames[: row + 1], track.points_px[: row + 1], strict=True
-    ):
+    places = track.shown_px(row)
+    for frame, place in zip(track.frames[: row + 1], places, strict=False):
         if np.isfinite(place).all():
             counts = span is not None and span[0] <= frame <= span[1]
             cv2.circle(
@@ -361,8 +395,8 @@ def _drawn(picture: Picture, result: VideoScore, number: int) -> Picture:
                 COUNTED if counts else DROPPED,
                 -1,
             )
-    if np.isfinite(track.points_px[row]).all():
-        x, y = track.points_px[row]
+    if np.isfinite(places[row]).all():
+        x, y = places[row]
         cv2.drawMarker(drawn, (round(x), round(y)), MARKED, cv2.MARKER_CROSS, 22, 2)
     values = [
         f"{name} {value:.3g}"
@@ -372,7 +406,7 @@ def _drawn(picture: Picture, result: VideoScore, number: int) -> Picture:
     is_counted = span is not None and span[0] <= number <= span[1]
     state = "counted" if is_counted else "dropped"
     seen = f"frame {number}, {state}, confidence {track.confidence[row]:.2f}"
-    lines = [seen, f"{result.grade.value}: {', '.join(values)}"]
+    lines = [seen, f"{track_text(result)}: {', '.join(values)}"]
     for line, text in enumerate(lines):
         place = (10, drawn.shape[0] - 30 + 20 * line)
         cv2.putText(

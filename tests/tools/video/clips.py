@@ -42,7 +42,7 @@ def clip(name, rng, *, fps=30.0, noise=3.0, quality=80, calibration_sigma=0.0):
     task = video_task(name)
     place, truth, duration_s = _motion(task, rng)
     share = 1.0 + rng.normal(0.0, calibration_sigma)
-    powers = {"a_m_s2": 1.0, "mte": 0.5}
+    powers = {"acceleration_m_s2": 1.0, "mte": 0.5}
     truth = {
         metric: value * share ** powers.get(metric, 0.0)
         for metric, value in truth.items()
@@ -116,7 +116,7 @@ def _motion(task, rng):
             return start + direction * way / scale, 31.6 if is_slide else 0.0
 
         rest = 0.3 if is_slide else 0.2
-        return straight, {"a_m_s2": a}, release + lasts + rest
+        return straight, {"acceleration_m_s2": a}, release + lasts + rest
     pivot = np.array(task.pivot_px)
     if task.motion is Motion.TURN:
         rate = float(rng.uniform(1.0, 2.5))
@@ -127,12 +127,12 @@ def _motion(task, rng):
             turn = np.array([[c, -s], [s, c]])
             return pivot + turn @ (start - pivot), -float(np.degrees(angle))
 
-        return turning, {"de_n": 0.0}, release + 1.5
+        return turning, {"de": 0.0}, release + 1.5
     if task.motion is Motion.PENDULUM:
         period, damping = float(rng.uniform(0.8, 2.2)), float(rng.uniform(0.0, 0.2))
         amplitude = float(np.arctan2(*(start - pivot)))
         length = float(np.linalg.norm(start - pivot))
-        truth, duration_s = {"pd_s": period, "r2": 1.0}, 4.0
+        truth, duration_s = {"pd": period, "r2": 1.0}, 4.0
 
         def angle_at(time_s):
             return swung_rad(time_s, amplitude, damping, period)

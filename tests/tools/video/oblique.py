@@ -141,7 +141,7 @@ def _motion(name, rng):
             way = slid_m(times_s, release, a, lasts) - 0.5 * reach
             return way[:, None] * direction
 
-        return straight, {"a_m_s2": a}, release + lasts + 0.2, {}
+        return straight, {"acceleration_m_s2": a}, release + lasts + 0.2, {}
     if motion is Motion.TURN:
         rate = float(rng.uniform(1.0, 2.5))
 
@@ -149,13 +149,13 @@ def _motion(name, rng):
             angle = turned_rad(times_s, release, rate)
             return -0.074 * np.column_stack([np.cos(angle), np.sin(angle)])
 
-        return turning, {"de_n": 0.0}, release + 1.5, {}
+        return turning, {"de": 0.0}, release + 1.5, {}
     if motion is Motion.PENDULUM:
         pivot, length = np.array([0.0, 0.18]), 0.27
         period, damping, swing = (
             float(rng.uniform(*ends)) for ends in ((0.9, 1.5), (0.0, 0.1), (0.3, 0.9))
         )
-        truth, duration_s = {"pd_s": period}, 3.0
+        truth, duration_s = {"pd": period}, 3.0
         view = {"pivot_m": pivot, "pivot_sigma_m": 0.001}
 
         def angles_at(times_s):

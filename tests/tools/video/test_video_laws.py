@@ -11,7 +11,6 @@ from gauge_envs.tools.video.laws import (
     fit_constant_acceleration,
     fit_damped_oscillation,
     momentum_transfer,
-    monotone_misfit,
     peak,
 )
 
@@ -152,15 +151,6 @@ def test_form_is_the_same_for_any_scale():
     assert [fit.form for fit in fits] == pytest.approx([fits[0].form] * 3)
     # The best a + b t^2 of t on 0..1 leaves 1/sqrt(5) - ... of its spread: sqrt(1/12 - 15/256) of the distance.
     assert fits[0].form == pytest.approx((1 / 12 - 5 / 64) ** 0.5, abs=4e-3)
-
-
-def test_monotone_misfit_pools_what_falls():
-    assert monotone_misfit([1.0, 2.0, 2.0, 5.0], is_rising=True) == 0.0
-    # The pair 3, 1 is pooled to 2: two residuals of 1 of four values with the mean 2.
-    assert monotone_misfit([1.0, 3.0, 1.0, 3.0], is_rising=True) == pytest.approx(
-        0.5**0.5 / 2.0
-    )
-    assert monotone_misfit([3.0, 1.0], is_rising=False) == 0.0
 
 
 def test_an_apex_is_a_swing_that_is_seen_on_both_sides():

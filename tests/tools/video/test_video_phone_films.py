@@ -134,18 +134,18 @@ def test_three_films_hold_the_truth(motion, tmp_path, gauge):
         ("roll", [], "rolling_resistance is below 0: .* check the camera file"),
     ],
 )
-def test_slow_motion_and_a_board_in_millimetres_are_invalid(
+def test_slow_motion_and_a_board_in_millimetres_are_not_sound(
     motion, wrong, reason, tmp_path, gauge
 ):
     one = shot(motion, 335, tmp_path, fps=30.0)
     sound = filmed(gauge, one, motion)
-    assert "invalid" not in sound.output
+    assert "the track is sound" in sound.output
     assert TITLES[one.name] in sound.output
     if not wrong:
         text = one.camera.read_text()
         one.camera.write_text(text.replace("square_m = 0.035", "square_m = 35"))
     outcome = filmed(gauge, one, motion, *wrong)
-    assert f"invalid for {motion}" in outcome.output
+    assert f"the track is not sound for {motion}" in outcome.output
     assert re.search(reason, " ".join(outcome.output.split())), outcome.output
 
 
@@ -242,10 +242,10 @@ def test_a_ball_that_rolls_is_no_slide():
 def test_a_rolling_shutter_is_corrected_when_it_is_stated():
     track, camera = slope_film(3.0, math.radians(30.0), readout_s=0.025)
     task = video_task("SlopeSlider-2-wood")
-    found = score_track(track, task, camera=camera).metrics["a_m_s2"]
+    found = score_track(track, task, camera=camera).metrics["acceleration_m_s2"]
     blind = score_track(
         track, task, camera=PlaneView(size_px=camera.size_px, source=camera.source)
-    ).metrics["a_m_s2"]
+    ).metrics["acceleration_m_s2"]
     assert found == pytest.approx(3.0, rel=2e-3)
     assert blind is not None and blind > 1.03 * 3.0
 

@@ -27,11 +27,13 @@ TRACKS = [
     (f"frame,x,y\n{HUGE},1,2\n", "must be a finite number"),
     ("frame,x,y\n1,2," + "3" * 200_000, "it is no CSV: "),
     ("frame,x,y\n\x001,2,3", "it is no CSV: |finite number"),
-    ("\x00", "there is no column|it is no CSV"),
+    ("\x00", "there is no row|it is no CSV"),
     ("frame,x\n0,1\n", "no column y"),
     ("frame,x,y\n0,1,abc\n", "line 2: y is 'abc'"),
-    ("frame,x,y\n0.5,1,1\n", "line 2: frame is '0.5'"),
-    ("frame,x,y\n3,1,1\n3,1,1\n", "frame 3 stands there twice"),
+    ("frame,x,y\n0.5,1,1\n", "line 2: frame is 0.5"),
+    ("frame,x,y\n3,1,1\n3,1,1\n", "frame must increase"),
+    ("time,x,y\n0.1,1,1\n0,1,1\n", "time must increase"),
+    ("x_mm,y_mm\n1,1\n", "no column time"),
     ("frame,x,y\n", "no row"),
     ("frame,x,y\n0,inf,1\n", "line 2: x is 'inf'"),
 ]
@@ -59,7 +61,8 @@ CAMERAS = [
 
 
 def tracked(file):
-    return read_track(file, fps=30.0)
+    text = file.read_text(encoding="utf-8") if file.exists() else ""
+    return read_track(file, fps=None if text.startswith("time") else 30.0)
 
 
 @pytest.mark.parametrize(
