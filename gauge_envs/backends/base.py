@@ -27,6 +27,7 @@ from typing import Any, ClassVar, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from gauge_envs.backends.device import DeviceWorlds
 from gauge_envs.backends.fabric_constants import FabricConstants
 from gauge_envs.errors import BackendError, UnsupportedSceneError
 from gauge_envs.scene import Hinge, Pose, Scene
@@ -462,6 +463,16 @@ class Worlds(ABC):
         """
         raise BackendError(
             f"{type(self).__name__} records nothing on a device: read body_states after each advance"
+        )
+
+    def on_device(self) -> DeviceWorlds:
+        """Return these worlds as arrays of the engine's device, for `make_vec(..., mode="device")`.
+
+        Raises:
+            BackendError: The engine, or its solver of this scene, has none.
+        """
+        raise BackendError(
+            f"{type(self).__name__} has no arrays on a device: leave out mode='device'"
         )
 
     @abstractmethod

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.backends.base import Backend, Recording, Simulation, Worlds, worlds_of
+from gauge_envs.backends.device import HOST, DeviceWorlds, HostArrays
 from gauge_envs.backends.registry import backend_for
 from gauge_envs.envs.arguments import EnvArguments
 from gauge_envs.envs.divergence import DeformableBoundsOfWorlds, RigidBoundsOfWorlds
@@ -95,11 +96,11 @@ class EpisodesAtOnce(EpisodesOneByOne):
         self._shown = np.zeros(count, dtype=np.intp)
         # Worlds with other constants may have bands of their own.
         bands = {id(episode.band): episode.band for episode in episodes}
-        self._rewards = []
+        self._rewards: list[tuple[BatchReward, NDArray[np.bool_]]] = []
         for key, band in bands.items():
             has_band = np.array([id(episode.band) == key for episode in episodes])
             is_bounded = episodes[0].is_reward_bounded
-            self._rewards.append((_BatchReward(band, is_bounded), has_band))
+            self._rewards.append((BatchReward(band, is_bounded), has_band))
         self._frame = 0
         self._faults: dict[int, str] = {}
         self._diverged = np.zeros(count, dtype=np.bool_)
@@ -399,40 +400,50 @@ class EpisodesAtOnce(EpisodesOneByOne):
                 episode.count_later_frames(int(recorded.later[number]))
 
 
-class _BatchReward:
-    """Rewards of many worlds against one band, with the bits of `Episode.reward`.
+class BatchReward:
+    """Rewards of many worlds against one band, with the bits of `Episode.reward` on the host.
 
     Args:
         band: The band, or None.
         is_bounded: Whether rewards are bounded.
+        device: Where they are computed.
 
     Attributes:
         has_points: Whether the positions of markers are compared in place of g(t).
     """
 
-    def __init__(self, band: Band | None, is_bounded: bool) -> None:
+    def __init__(
+        self,
+        band: Band | None,
+        is_bounded: bool,
+        device: DeviceWorlds | HostArrays = HOST,
+    ) -> None:
         self._is_bounded = is_bounded
-        self._terms = reward_terms(band, is_bounded=is_bounded)
+        self._arrays = device.arrays
         self.has_points = band is not None and band.points is not None
-        projection = None if self._terms is None else self._terms[0]
+        self._projection = None
+        self._terms: tuple[Any, Any] | None = None
+        terms = reward_terms(band, is_bounded=is_bounded)
+        if terms is None:
+            return
+        projection, mean, weight = terms
         # A product with the identity changes no bit of what is finite.
-        is_identity = projection is not None and np.array_equal(
-            projection, np.eye(projection.shape[1])
-        )
-        self._projection = None if is_identity else projection
+        if not np.array_equal(projection, np.eye(projection.shape[1])):
+            self._projection = device.asarray(projection)
+        self._terms = device.asarray(mean), device.asarray(weight)
 
-    def of(self, g: FloatArray, frame: int) -> FloatArray:
+    def of(self, g: Any, frame: int) -> Any:
         """Return the rewards of g(t), or of marker positions [mm], shape [world_count, coordinate_count]."""
         if self._terms is None:
-            return np.zeros(len(g))
-        _, mean, weight = self._terms
+            return self._arrays.zeros_like(g[:, 0])
+        mean, weight = self._terms
+        product = self._arrays.matmul
         if self._projection is not None:
             # A stack of matrix-vector products gives the bits of a single one; one matrix product would not.
-            g = np.matmul(self._projection, g[:, :, None])[:, :, 0]
-        deviations = np.abs(g - mean[frame])
-        distances = np.matmul(deviations[:, None, :], weight[frame][:, None])[:, 0, 0]
-        rewards = bounded_reward(distances) if self._is_bounded else -distances
-        return np.asarray(rewards)
+            g = product(self._projection, g[:, :, None])[:, :, 0]
+        deviations = self._arrays.abs(g - mean[frame])
+        distances = product(deviations[:, None, :], weight[frame][:, None])[:, 0, 0]
+        return bounded_reward(distances) if self._is_bounded else -distances
 
 
 class RecordedEpisodes:

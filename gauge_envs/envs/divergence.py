@@ -1,10 +1,12 @@
 """Physical bounds of a scene; a simulation that leaves them has diverged, even where its numbers are finite."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gauge_envs.backends.device import HOST, DeviceWorlds, HostArrays
 from gauge_envs.scene import Scene
 from gauge_envs.scene.geometry import FloatArray
 
@@ -76,6 +78,7 @@ class RigidBoundsOfWorlds:
 
     Args:
         scenes: The scene of each world, which differ in their starts and constants.
+        device: Where states are tested.
 
     Attributes:
         masses_kg: Masses of the dynamic bodies [kg], shape [world_count, body_count].
@@ -84,15 +87,25 @@ class RigidBoundsOfWorlds:
         energies_j: Largest kinetic energy [J], shape [world_count].
     """
 
-    def __init__(self, scenes: Sequence[Scene]) -> None:
-        self.masses_kg = np.array(
-            [[body.mass_kg for body in scene.dynamic_bodies] for scene in scenes]
+    def __init__(
+        self, scenes: Sequence[Scene], device: DeviceWorlds | HostArrays = HOST
+    ) -> None:
+        self._arrays = device.arrays
+        put = device.asarray
+        self.masses_kg = put(
+            np.array(
+                [[body.mass_kg for body in scene.dynamic_bodies] for scene in scenes]
+            )
         )
-        self.distances_m = np.array([scene.distance_limit_m for scene in scenes])
-        self.speeds_m_per_s = np.array([scene.speed_limit_m_per_s for scene in scenes])
-        self.energies_j = np.array([scene.kinetic_energy_limit_j for scene in scenes])
+        self.distances_m = put(np.array([scene.distance_limit_m for scene in scenes]))
+        self.speeds_m_per_s = put(
+            np.array([scene.speed_limit_m_per_s for scene in scenes])
+        )
+        self.energies_j = put(
+            np.array([scene.kinetic_energy_limit_j for scene in scenes])
+        )
 
-    def suspects(self, states: FloatArray) -> NDArray[np.bool_]:
+    def suspects(self, states: Any) -> Any:
         """Return which worlds may be out of bounds; `RigidBounds.fault` decides, and gives the reason.
 
         Args:
@@ -101,19 +114,20 @@ class RigidBoundsOfWorlds:
         Returns:
             Shape [world_count]; true for every world that is out of bounds, and for those within rounding of a bound.
         """
+        arrays = self._arrays
+        every = (1, 2)
+        sizes, velocities = arrays.abs(states), states[:, :, 7:10]
         with np.errstate(invalid="ignore", over="ignore"):
-            energies_j = 0.5 * (
-                self.masses_kg * np.square(states[:, :, 7:10]).sum(axis=2)
-            ).sum(axis=1)
+            squares = arrays.square(velocities).sum(axis=2)
+            energies_j = 0.5 * (self.masses_kg * squares).sum(axis=1)
             # A comparison with NaN is false, so that each bound also catches what is not a number.
-            within = (np.abs(states[:, :, :3]) <= self.distances_m[:, None, None]).all(
-                axis=(1, 2)
+            within = (sizes[:, :, :3] <= self.distances_m[:, None, None]).all(
+                axis=every
             )
-            within &= (np.abs(states[:, :, 3:7]) <= 2.0).all(axis=(1, 2))
-            within &= (
-                np.abs(states[:, :, 7:10]) <= self.speeds_m_per_s[:, None, None]
-            ).all(axis=(1, 2))
-            within &= np.isfinite(states[:, :, 10:]).all(axis=(1, 2))
+            within &= (sizes[:, :, 3:7] <= 2.0).all(axis=every)
+            speeds = sizes[:, :, 7:10]
+            within &= (speeds <= self.speeds_m_per_s[:, None, None]).all(axis=every)
+            within &= arrays.isfinite(states[:, :, 10:]).all(axis=every)
             within &= energies_j <= self.energies_j * (1.0 - 1e-9)
         return ~within
 

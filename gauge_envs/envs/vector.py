@@ -431,13 +431,15 @@ class ScoreEpisodes(VectorWrapper):
 
 def scored_vector_env(
     *,
+    mode: Literal["host", "device"] = "host",
     score_arrays: bool = False,
     max_episode_steps: int | None = None,
     **arguments: Any,
-) -> ScoreEpisodes:
+) -> ScoreEpisodes | GaugeVectorEnv:
     """Return a `GaugeVectorEnv` that is scored; `gymnasium.make_vec` calls this for every id.
 
     Args:
+        mode: `device` makes a `DeviceVectorEnv`, whose arrays stay on the engine's device and which scores itself.
         score_arrays: Argument `arrays` of `ScoreEpisodes`.
         max_episode_steps: Steps of an episode, as `gymnasium.make_vec` repeats them from the spec.
         **arguments: Arguments of `GaugeVectorEnv`.
@@ -448,7 +450,14 @@ def scored_vector_env(
     Warns:
         NoRewardWarning: The experiment has no reference in use, so that every reward is 0; once for each id.
     """
-    envs = GaugeVectorEnv(**arguments)
+    if mode not in ("host", "device"):
+        raise ParameterError(f"mode is {mode!r}, expected 'host' or 'device'")
+    if mode == "device":
+        from gauge_envs.envs.device import DeviceVectorEnv
+
+        envs: GaugeVectorEnv = DeviceVectorEnv(**arguments)
+    else:
+        envs = GaugeVectorEnv(**arguments)
     envs.arguments.check_read(envs.experiment)
     if score_arrays and envs.band is None:
         raise ParameterError(
@@ -456,4 +465,6 @@ def scored_vector_env(
         )
     check_episode_steps(max_episode_steps, envs.experiment.frame_count - 1)
     warn_without_reward(envs.experiment, envs.band)
+    if mode == "device":
+        return envs
     return ScoreEpisodes(envs, arrays=score_arrays)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.backends.base import Recording
+from gauge_envs.backends.device import HOST, DeviceWorlds, HostArrays
 from gauge_envs.errors import BackendError, ShapeError
 from gauge_envs.evaluation.deviation import aligned_baseline, band_baseline
 from gauge_envs.evaluation.metrics.trajectory import MAX_RELEASE_OFFSET_S
@@ -61,19 +62,61 @@ def score_worlds(
         raise ShapeError("times_s: 180 samples a second from 0 are needed")
     # Time comes first, so that a sample of all worlds is one block of memory.
     projected = values.transpose(1, 0, 2) @ band.projection.T
+    return _scores(experiment, band, projected, HOST)
+
+
+def score_samples(
+    experiment: Experiment,
+    band: Band,
+    samples: Sequence[Any],
+    device: DeviceWorlds,
+) -> dict[str, Any]:
+    """Return the distances of trajectories from a band where they lie, as `score_worlds` does on the host.
+
+    Args:
+        experiment: Experiment that was simulated.
+        band: Its reference.
+        samples: g(t) of all worlds at each sample, 180 a second from 0, in the band's unit, shape
+            [world_count, coordinate_count] each. A world that is not finite has no score.
+        device: Where they lie.
+    """
+    projected = device.arrays.matmul(
+        device.arrays.stack([*samples], axis=0), device.asarray(band.projection.T)
+    )
+    return _scores(experiment, band, projected, device)
+
+
+def _scores(
+    experiment: Experiment,
+    band: Band,
+    projected: Any,
+    device: DeviceWorlds | HostArrays,
+) -> dict[str, Any]:
+    """Return the scores of trajectories in coordinates of the band, shape [sample_count, world_count, C]."""
+    arrays = device.arrays
     known = np.isfinite(band.mean)
     count = int(np.count_nonzero(known.any(axis=1)))
+    weight = device.asarray(known[:, None].astype(np.float64))
+    target = device.asarray(np.where(known, band.mean, 0.0)[:, None])
     frames = projected[::SAMPLES_PER_FRAME][: len(band.mean)]
-    apart = np.where(
-        known[:, None], frames - np.where(known, band.mean, 0.0)[:, None], 0.0
-    )
-    scores = {"rmse": np.sqrt(np.einsum("tnc,tnc->n", apart, apart) / count)}
+    apart = arrays.where(weight > 0.0, frames - target, 0.0 * target)
+    rmse = arrays.sqrt(arrays.einsum("tnc,tnc->n", apart, apart) / count)
+    scores = {"rmse": rmse}
     if _is_aligned(experiment, band):
-        scores["release_offset_s"], scores["rmse_aligned"] = _aligned(
-            projected, band.mean, known, count
+        last_known = SAMPLES_PER_FRAME * int(np.flatnonzero(known.any(axis=1))[-1])
+        samples = projected
+        earliest: Any = last_known + 1 - len(projected)
+        if device is HOST:
+            samples, earliest = _whole(projected, last_known)
+        shifts, squares = _best_shift(arrays, samples, target, weight, earliest)
+        is_missing = ~arrays.isfinite(rmse)
+        missing = np.nan + rmse
+        scores["release_offset_s"] = arrays.where(
+            is_missing, missing, SAMPLE_INTERVAL_S * shifts
         )
-        scores["release_offset_s"][~np.isfinite(scores["rmse"])] = np.nan
-        scores["rmse_aligned"][~np.isfinite(scores["rmse"])] = np.nan
+        scores["rmse_aligned"] = arrays.where(
+            is_missing, missing, arrays.sqrt(arrays.clip(squares, 0.0, None) / count)
+        )
     return _normalized(experiment, band, scores)
 
 
@@ -83,8 +126,8 @@ def _is_aligned(experiment: Experiment, band: Band) -> bool:
 
 
 def _normalized(
-    experiment: Experiment, band: Band, scores: dict[str, FloatArray]
-) -> dict[str, FloatArray]:
+    experiment: Experiment, band: Band, scores: dict[str, Any]
+) -> dict[str, Any]:
     """Return scores with those over their baselines added, where there is one; see `Deviation.baseline`."""
     published = band_baseline(experiment, band)
     baselines = {
@@ -98,44 +141,54 @@ def _normalized(
     }
 
 
-def _aligned(
-    projected: FloatArray, mean: FloatArray, known: NDArray[np.bool_], count: int
-) -> tuple[FloatArray, FloatArray]:
-    """Return the time shift of each world that minimises its RMSE [s], and that RMSE, shape [world_count] each.
+def _whole(
+    projected: FloatArray, last_known: int
+) -> tuple[FloatArray, NDArray[np.intp]]:
+    """Return trajectories that keep their last sample before the first NaN, and the earliest shift of each world.
 
-    The trajectories have the shape [sample_count, world_count, C].
-
-    Frames are samples, so all of them pass from one pair of samples to the next at the same shifts. Between two such
-    shifts the squared distance is a parabola, whose minimum is exact.
+    Args:
+        projected: Trajectories, shape [sample_count, world_count, C].
+        last_known: Number of the last sample that the band knows.
     """
-    frames = SAMPLES_PER_FRAME * np.arange(len(mean))
-    # The last sample of each world before its first NaN.
     missing = np.isnan(projected.sum(axis=2))
     ends = np.maximum(
         np.where(missing.any(axis=0), missing.argmax(axis=0), len(projected)) - 1, 0
     )
-    least = -np.clip(
-        ends - frames[np.flatnonzero(known.any(axis=1))[-1]], 0, MOST_STEPS
-    )
     samples = np.ascontiguousarray(projected)
     if (ends < len(projected) - 1).any():
-        # A world keeps its last sample.
         numbers = np.minimum(np.arange(len(projected))[:, None], ends)
         samples = np.nan_to_num(projected)[numbers, np.arange(projected.shape[1])]
-    mask, target = (
-        known[:, None].astype(np.float64),
-        np.where(known, mean, 0.0)[:, None],
-    )
+    return samples, last_known - ends
 
-    def deviations(shift: int) -> FloatArray:
+
+def _best_shift(
+    arrays: Any, samples: Any, target: Any, weight: Any, earliest: Any
+) -> tuple[Any, Any]:
+    """Return the time shift of each world that minimises its squares [samples], and those squares, shape [world_count].
+
+    Frames are samples, so all of them pass from one pair of samples to the next at the same shifts. Between two such
+    shifts the squared distance is a parabola, whose minimum is exact.
+
+    Args:
+        arrays: Module of the functions of the arrays.
+        samples: Trajectories, shape [sample_count, world_count, C].
+        target: Mean of the band, shape [frame_count, 1, C].
+        weight: 1 where it is known and 0 elsewhere, of that shape.
+        earliest: Smallest shift of each world [samples], or of all.
+    """
+    frames = SAMPLES_PER_FRAME * np.arange(len(target))
+
+    def deviations(shift: int) -> Any:
         """Return the deviations of worlds that are shifted by a number of samples, shape [frame_count, N, C]."""
-        return (samples[np.clip(frames - shift, 0, len(samples) - 1)] - target) * mask
+        chosen = np.clip(frames - shift, 0, len(samples) - 1)
+        return (samples[chosen] - target) * weight
 
-    def product(one: FloatArray, other: FloatArray) -> FloatArray:
-        return np.einsum("tnc,tnc->n", one, other)
+    def product(one: Any, other: Any) -> Any:
+        return arrays.einsum("tnc,tnc->n", one, other)
 
     centre = deviations(0)
-    shifts, best = np.zeros(len(ends)), product(centre, centre)
+    best = product(centre, centre)
+    shifts = 0.0 * best
     nearer = {1: centre, -1: centre}
     # From the smallest shift on, so that of equally good shifts the smallest is kept.
     for first, step in (
@@ -145,12 +198,15 @@ def _aligned(
         nearer[step] = there
         change = there - here
         slope, along = product(change, change), product(here, change)
-        share = np.clip(-along / np.where(slope > 0.0, slope, 1.0), 0.0, 1.0)
+        divisor = arrays.where(slope > 0.0, slope, 1.0 + slope)
+        share = arrays.clip(-along / divisor, 0.0, 1.0)
         squares = product(here, here) + share * (2.0 * along + share * slope)
-        better = (squares < best) & ((step > 0) | (least <= -(first + 1)))
-        shifts = np.where(better, step * (first + share), shifts)
-        best = np.where(better, squares, best)
-    return SAMPLE_INTERVAL_S * shifts, np.sqrt(np.maximum(best, 0.0) / count)
+        better = squares < best
+        if step < 0:
+            better = better & (earliest <= -(first + 1))
+        shifts = arrays.where(better, step * (first + share), shifts)
+        best = arrays.where(better, squares, best)
+    return shifts, best
 
 
 # --- on a device ---

@@ -1,7 +1,8 @@
 """Prescribed motion of a driven body in intervals of uniform acceleration."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -153,6 +154,136 @@ class DriverPathOfWorlds:
             [before[:, :7], *_between(before, after, SAMPLE_INTERVAL_S)], axis=1
         )
         return rows
+
+
+class DriverPathInArrays:
+    """A driver's motion in many worlds, in arrays of any library, where nothing is read by the host.
+
+    Its numbers are those of `DriverPathOfWorlds` but for rounding. The body starts in all worlds at the same place.
+
+    Args:
+        driver: The driver; it is not misplaced.
+        start: Pose of the body before anything moves.
+        frame_count: Number of driven frames, including the first.
+        world_count: Number of worlds.
+        arrays: Module of the library's functions; see `DeviceWorlds.arrays`.
+        put: Function that makes an array of the library from a NumPy array.
+    """
+
+    def __init__(
+        self,
+        driver: Driver,
+        start: Pose,
+        frame_count: int,
+        world_count: int,
+        *,
+        arrays: Any,
+        put: Callable[[FloatArray], Any],
+    ) -> None:
+        self.body = driver.body
+        self.motion_count = len(driver.motions)
+        self._arrays = arrays
+        intervals = round((frame_count - 1) / FRAME_RATE_HZ / SAMPLE_INTERVAL_S)
+        times_s = [SAMPLE_INTERVAL_S * number for number in range(intervals + 1)]
+        self._motions = [
+            (
+                motion.kind == "rotate",
+                [motion.value(time_s) for time_s in times_s],
+                [motion.rate(time_s) for time_s in times_s],
+                put(np.array(motion.axis)),
+                put(np.array(motion.point_m)),
+                # The rows of r @ matrix are the cross products of the axis and rows r.
+                put(np.cross(motion.axis, np.eye(3))),
+            )
+            for motion in driver.motions
+        ]
+        self._scale = put(np.array([one.residual_rate for one in driver.motions]))
+        self._position = put(np.tile(start.position_m, (world_count, 1)))
+        self._quaternion = put(np.tile(start.quaternion, (world_count, 1)))
+        self._still = put(np.zeros((world_count, 3)))
+        self._no_offsets = put(np.zeros((world_count, self.motion_count)))
+        self.reset()
+
+    def reset(self) -> None:
+        """Return to the recorded motion in all worlds."""
+        self._offsets = self._rates = self._no_offsets
+
+    def begin_frame(self, sample: int, actions: Any) -> None:
+        """Set the normalized rate of each motion from a sample on, shape [world_count, motion_count]."""
+        self._rates = actions * self._scale
+        self._before = self._state(sample)
+
+    def interval(self, sample: int) -> Any:
+        """Return the motions of the interval after a sample for `DeviceWorlds.drive`, shape [world_count, 19]."""
+        self._offsets = self._offsets + SAMPLE_INTERVAL_S * self._rates
+        before, after = self._before, self._state(sample + 1)
+        self._before = after
+        position, quaternion, velocity = before
+        turn = self._rotation_vector(quaternion, after[1])
+        mean = self._arrays.concat([after[0] - position, turn], axis=1)
+        mean = mean / SAMPLE_INTERVAL_S
+        first = velocity + mean - 0.5 * (velocity + after[2])
+        rise = (after[2] - velocity) / SAMPLE_INTERVAL_S
+        return self._arrays.concat([position, quaternion, first, rise], axis=1)
+
+    def _state(self, sample: int) -> tuple[Any, Any, Any]:
+        """Return position, quaternion, and linear and angular velocity of the body at a sample; see `Driver.states`."""
+        arrays = self._arrays
+        position, quaternion = self._position, self._quaternion
+        linear = angular = self._still
+        for column, motion in enumerate(self._motions):
+            rotates, values, rates, axis, point_m, cross = motion
+            value = values[sample] + self._offsets[:, column : column + 1]
+            rate = rates[sample] + self._rates[:, column : column + 1]
+            if not rotates:
+                position = position + value * axis
+                linear = linear + rate * axis
+                continue
+            cosine, sine = arrays.cos(value), arrays.sin(value)
+
+            def turned(
+                rows: Any, c: Any = cosine, s: Any = sine, k: Any = motion
+            ) -> Any:
+                """Return rotated vectors by Rodrigues' formula."""
+                along = (rows * k[3]).sum(axis=1)[:, None] * k[3]
+                return c * rows + s * arrays.matmul(rows, k[5]) + (1.0 - c) * along
+
+            arm = turned(position - point_m)
+            position = arm + point_m
+            linear = turned(linear) + rate * arrays.matmul(arm, cross)
+            angular = turned(angular) + rate * axis
+            half = arrays.concat(
+                [arrays.cos(0.5 * value), arrays.sin(0.5 * value) * axis], axis=1
+            )
+            quaternion = self._product(half, quaternion)
+        return position, quaternion, arrays.concat([linear, angular], axis=1)
+
+    def _product(self, one: Any, other: Any) -> Any:
+        """Return the products of quaternions w x y z, shape [world_count, 4]."""
+        a, b, c, d = (one[:, column] for column in range(4))
+        w, x, y, z = (other[:, column] for column in range(4))
+        return self._arrays.stack(
+            [
+                a * w - b * x - c * y - d * z,
+                a * x + b * w + c * z - d * y,
+                a * y - b * z + c * w + d * x,
+                a * z + b * y - c * x + d * w,
+            ],
+            axis=1,
+        )
+
+    def _rotation_vector(self, before: Any, after: Any) -> Any:
+        """Return the rotation vectors from orientations to others, less than a turn apart, shape [world_count, 3]."""
+        arrays = self._arrays
+        back = arrays.concat([before[:, :1], -before[:, 1:]], axis=1)
+        turn = self._product(after, back)
+        # The shorter of both ways round.
+        turn = arrays.where(turn[:, :1] < 0.0, -turn, turn)
+        half_sine = arrays.sqrt(arrays.square(turn[:, 1:]).sum(axis=1))[:, None]
+        angle = 2.0 * arrays.atan2(half_sine, turn[:, :1])
+        is_small = half_sine < 1e-12
+        divisor = arrays.where(is_small, 1.0 + half_sine, half_sine)
+        return turn[:, 1:] * arrays.where(is_small, 2.0 + half_sine, angle / divisor)
 
 
 @lru_cache(maxsize=32)

@@ -234,21 +234,21 @@ class StepperMPM(Stepper):
         """Run the steps one by one, without a graph."""
         self._send_drives()
         for _ in range(round(seconds / self.timestep_s)):
-            self._step(self._states[self._current], self._states[1 - self._current])
-            self._current = 1 - self._current
+            self._step(self.states[self.current], self.states[1 - self.current])
+            self.current = 1 - self.current
 
     def _step(self, state: newton.State, after: newton.State) -> None:
         self._prescribe(after.body_q, after.body_qd, steps_ahead=1)
         self._pinned.carry(state, after, self.timestep_s)
         # Snapshots do not contain the solver's contact impulses of the last step, so each step starts without them.
         self.solver.reset(state, flags=0)
-        self.solver.step(state, after, self._control, None, self.timestep_s)
+        self.solver.step(state, after, self.control, None, self.timestep_s)
         self._pinned.hold(after.body_q, after.particle_q)
 
     def _arrays(self) -> list[wp.array]:
         """Return the arrays of both states and of the drives; the solver's own arrays live for one step only."""
         found: list[wp.array] = []
-        for state in self._states:
+        for state in self.states:
             found += [state.particle_q, state.particle_qd]
             found += [
                 array

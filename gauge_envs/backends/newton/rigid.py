@@ -572,23 +572,29 @@ class StepperMuJoCo(Stepper):
         self._contacts = self._pipeline.contacts() if self._pipeline else None
         super().__init__(model, solver, driven=driven, timestep_s=settings.timestep_s)
         # This solver reads joint coordinates, so driven bodies are written to both bodies and joints.
+        with wp.ScopedDevice(model.device):
+            self._coordinates, self._freedoms = (
+                wp.array(one, dtype=wp.int32) for one in self.free_joints(driven)[1:]
+            )
+
+    def free_joints(self, bodies: Sequence[int]) -> list[NDArray[np.int32]]:
+        """Return indices of bodies, and of the first coordinate and the first velocity of their joints."""
+        model = self.model
         joints = {
             body: joint for joint, body in enumerate(model.joint_child.numpy().tolist())
         }
-        starts = [model.joint_q_start.numpy(), model.joint_qd_start.numpy()]
-        with wp.ScopedDevice(model.device):
-            self._coordinates, self._freedoms = (
-                wp.array(
-                    np.array([start[joints[body]] for body in driven], dtype=np.int32),
-                    dtype=wp.int32,
-                )
-                for start in starts
-            )
+        chosen = [joints[body] for body in bodies]
+        found = [
+            np.array(bodies, dtype=np.int32),
+            model.joint_q_start.numpy()[chosen],
+            model.joint_qd_start.numpy()[chosen],
+        ]
+        return [one.astype(np.int32) for one in found]
 
     def apply_wrench(self, body: int, wrench: NDArray[np.float64]) -> None:
         """Apply a force and a torque to a body; see `World.apply_wrench`."""
         # Steps alternate between the two states, and each step reads the wrenches of its start state.
-        for state in self._states:
+        for state in self.states:
             given = wp.array(wrench[None], dtype=wp.spatial_vector, device="cpu")
             wp.copy(state.body_f, given, dest_offset=body)
 
@@ -610,6 +616,6 @@ class StepperMuJoCo(Stepper):
             )
         if self._pipeline is not None:
             self._pipeline.collide(state, self._contacts)
-        self.solver.step(state, after, self._control, self._contacts, self.timestep_s)
+        self.solver.step(state, after, self.control, self._contacts, self.timestep_s)
         # The solver does not move driven bodies.
         self._prescribe(after.body_q, after.body_qd, steps_ahead=1)

@@ -12,13 +12,16 @@ import warp as wp
 from numpy.typing import NDArray
 
 from gauge_envs.backends.base import Recording, Simulation, Worlds
+from gauge_envs.backends.device import DeviceWorlds
 from gauge_envs.backends.newton.kernels import record
 from gauge_envs.backends.newton.model import WorldLayout, build_model
 from gauge_envs.backends.newton.recordings import WarpKernels
+from gauge_envs.backends.newton.rigid import StepperMuJoCo
 from gauge_envs.backends.newton.settings import SettingsNewton
 from gauge_envs.backends.newton.stepper import HostState, Stepper
 from gauge_envs.backends.shared.rigid import PlacedWorld, placed_states
 from gauge_envs.backends.shared.states import Snapshot, StateOrigin
+from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import Motion, Pose, Scene
 
 
@@ -204,7 +207,7 @@ class WorldsNewton(Worlds):
             for name in moving
         }
         self._origins_m = np.array([layout.origin_m for layout in layouts])[:, None]
-        self._layouts = layouts
+        self._scene, self._layouts = scenes[0], layouts
         self._recorder: Recorder | None = None
 
     def reset(self, seed: int) -> None:
@@ -263,6 +266,16 @@ class WorldsNewton(Worlds):
             len(self.worlds), len(names), 3
         )
         return positions + self._origins_m
+
+    def on_device(self) -> DeviceWorlds:
+        """Return the worlds as tensors of PyTorch; see `Worlds.on_device`."""
+        from gauge_envs.backends.newton.device import NewtonOnDevice
+
+        if not isinstance(self._stepper, StepperMuJoCo):
+            raise UnsupportedSceneError(
+                "Newton's worlds on a device are of rigid bodies alone: leave out mode='device'"
+            )
+        return NewtonOnDevice(self._scene, self._stepper, self._layouts, self._bodies)
 
     def record(
         self, names: Sequence[str], *, frame_count: int, samples: int, interval_s: float

@@ -64,6 +64,12 @@ class Stepper(ABC):
         solver: Its solver.
         driven: Indices of the kinematic bodies.
         timestep_s: Time step of the solver [s].
+
+    Attributes:
+        states: The two states between which steps alternate.
+        current: Number of the state that the last step wrote.
+        control: What the motors follow.
+        sent: Drives on the device, shape [driven_count, 20]: rows of `Worlds.drive`, and 1 for those that are new.
     """
 
     def __init__(
@@ -77,8 +83,8 @@ class Stepper(ABC):
         self.model = model
         self.solver = solver
         self.timestep_s = timestep_s
-        self._states = (model.state(), model.state())
-        self._control = model.control()
+        self.states = (model.state(), model.state())
+        self.control = model.control()
         self._centres_m = (
             model.body_com.numpy() if model.body_count else np.zeros((0, 3))
         )
@@ -87,7 +93,7 @@ class Stepper(ABC):
         self._rows[list(driven)] = np.arange(count)
         with wp.ScopedDevice(model.device):
             self._driven = wp.array(list(driven), dtype=wp.int32)
-            self._sent = wp.zeros((count, 20), dtype=wp.float32)
+            self.sent = wp.zeros((count, 20), dtype=wp.float32)
             self._elapsed = wp.zeros(count, dtype=wp.int32)
             self._velocity = wp.zeros(count, dtype=wp.spatial_vector)
             self._acceleration = wp.zeros(count, dtype=wp.spatial_vector)
@@ -98,7 +104,7 @@ class Stepper(ABC):
         # The next `advance` sends all collected drives to the device in one copy: rows of `Worlds.drive`, and 1 in a
         # last column for those that are new.
         self._drives = np.zeros((count, 20), dtype=np.float32)
-        self._current = 0
+        self.current = 0
         self._graphs: list[Any] = []
         self._first: Snapshot = []
 
@@ -108,7 +114,7 @@ class Stepper(ABC):
 
     def record(self) -> None:
         """Record the step in both directions between the two states, then return to the start."""
-        states = self._states
+        states = self.states
         first = {id(array): array.numpy().copy() for array in self._arrays()}
         for _ in range(WARM_UP_STEPS // 2):
             self._step(states[0], states[1])
@@ -130,7 +136,7 @@ class Stepper(ABC):
         """Return to the start."""
         self._restore_arrays(self._first)
         self._drives[:, -1] = 0.0
-        self._current = 0
+        self.current = 0
 
     def restart(self, world: int, world_count: int) -> None:
         """Return one of several equal worlds to its start.
@@ -156,11 +162,15 @@ class Stepper(ABC):
             bodies: Their indices in the model.
             motions: Their motions in the model's coordinates; see `Worlds.drive`.
         """
-        rows = self._rows[bodies]
+        rows = self.rows_of(bodies)
         if (rows < 0).any():
             raise KeyError(f"body {bodies[rows < 0][0]} of the model is not driven")
         self._drives[rows, :-1] = motions
         self._drives[rows, -1] = 1.0
+
+    def rows_of(self, bodies: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Return the rows of bodies in `sent`; -1 for those that are not driven."""
+        return self._rows[bodies]
 
     def apply_wrench(self, body: int, wrench: NDArray[np.float64]) -> None:
         """Apply a force and a torque to a body from the next step on; see `World.apply_wrench`."""
@@ -178,8 +188,8 @@ class Stepper(ABC):
             values: As in `World.command`.
         """
         for is_servo, array in (
-            (True, self._control.joint_target_q),
-            (False, self._control.joint_f),
+            (True, self.control.joint_target_q),
+            (False, self.control.joint_f),
         ):
             chosen = [
                 (index, sign * value)
@@ -201,27 +211,31 @@ class Stepper(ABC):
         """Replay the recorded step."""
         self._send_drives()
         for _ in range(round(seconds / self.timestep_s)):
-            wp.capture_launch(self._graphs[self._current])
-            self._current = 1 - self._current
+            wp.capture_launch(self._graphs[self.current])
+            self.current = 1 - self.current
 
     def _send_drives(self) -> None:
         """Copy the collected drives to the device, if there are any."""
         if not self._drives[:, -1].any():
             return
-        self._sent.assign(self._drives)
+        self.sent.assign(self._drives)
+        self.begin_drives()
+        self._drives[:, -1] = 0.0
+
+    def begin_drives(self) -> None:
+        """Begin the drives that `sent` marks as new."""
         wp.launch(
             begin_drives,
             dim=len(self._drives),
-            inputs=[self._sent],
+            inputs=[self.sent],
             outputs=[self._start, self._velocity, self._acceleration, self._elapsed],
             device=self.model.device,
         )
-        self._drives[:, -1] = 0.0
 
     @property
     def now(self) -> newton.State:
         """The state that the last step wrote."""
-        return self._states[self._current]
+        return self.states[self.current]
 
     def body_states(
         self, bodies: Sequence[int] | NDArray[np.intp]
@@ -245,11 +259,11 @@ class Stepper(ABC):
     def state(self) -> tuple[int, NDArray[np.float32], Snapshot]:
         """Return a snapshot for `restore`."""
         arrays = [array.numpy().copy() for array in self._arrays()]
-        return self._current, self._drives.copy(), arrays
+        return self.current, self._drives.copy(), arrays
 
     def restore(self, state: tuple[int, NDArray[np.float32], Snapshot]) -> None:
         """Restore a snapshot that `state` returned."""
-        self._current, self._drives[:], snapshot = state
+        self.current, self._drives[:], snapshot = state
         self._restore_arrays(snapshot)
 
     # --- snapshots ---
@@ -257,12 +271,12 @@ class Stepper(ABC):
     def _arrays(self) -> list[wp.array]:
         """Return every array that a step may change: those of both states, of the solver and of the drives."""
         found: dict[int, wp.array] = {}
-        for root in (*self._states, self.solver):
+        for root in (*self.states, self.solver):
             found |= {id(array): array for array in _arrays_in(root, depth=3)}
         commands = (
             []
-            if self._control.joint_f is None
-            else [self._control.joint_target_q, self._control.joint_f]
+            if self.control.joint_f is None
+            else [self.control.joint_target_q, self.control.joint_f]
         )
         return [
             *found.values(),

@@ -216,7 +216,7 @@ class StepperVBD(Stepper):
         self._pinned.hold(ahead.body_q, state.particle_q)
         if self._pipeline is not None:
             self._pipeline.collide(state, self._contacts)
-        self.solver.step(state, after, self._control, self._contacts, self.timestep_s)
+        self.solver.step(state, after, self.control, self._contacts, self.timestep_s)
 
     def record(self) -> None:
         """Record the step in both directions, with self-contact and, if the scene has self-contact, without it."""

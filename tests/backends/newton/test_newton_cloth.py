@@ -78,7 +78,7 @@ class Rig:
         """Come to rest: velocities are taken away again and again."""
         for _ in range(round(10 * seconds)):
             self.stepper.advance(0.1)
-            for state in self.stepper._states:
+            for state in self.stepper.states:
                 state.particle_qd.zero_()
             self.stepper.solver._last_qd.zero_()
         self.stepper.advance(0.1)

@@ -1,0 +1,148 @@
+"""Worlds on a device: the numbers of worlds on the host, without a copy to it."""
+
+import sys
+
+import gymnasium
+import numpy as np
+import pytest
+from refusing import DriftingWorlds, Refusing, values_of
+
+from gauge_envs.backends.mujoco import BackendMuJoCo
+from gauge_envs.envs import device
+from gauge_envs.errors import (
+    BackendError,
+    EpisodeError,
+    ParameterError,
+    UnsupportedSceneError,
+)
+
+DRIVEN, PASSIVE, SERVO = (
+    "GAUGE/SlopeSlider-3-metal",
+    "GAUGE/SlopeSlider-2-wood",
+    "GAUGE/ServoArm-so101",
+)
+
+
+@pytest.fixture
+def drifting(monkeypatch):
+    monkeypatch.setattr(BackendMuJoCo, "worlds_mix_constants", True)
+    monkeypatch.setattr(
+        BackendMuJoCo,
+        "build_worlds",
+        lambda self, scenes, settings=None: DriftingWorlds(scenes),
+    )
+    monkeypatch.setattr(Refusing, "copies", 0)
+    monkeypatch.setattr(device, "START_COUNT", 16)
+
+
+def actions_of(envs, steps):
+    random = np.random.default_rng(1)
+    shape = envs.action_space.shape
+    if envs.action_space.dtype.kind == "i":
+        return np.zeros((steps, *shape), dtype=np.int64)
+    return random.uniform(-1.0, 1.0, (steps, *shape)).astype(np.float32)
+
+
+@pytest.mark.parametrize("name", [DRIVEN, PASSIVE])
+def test_worlds_on_a_device_have_the_numbers_of_the_host(name, drifting):
+    """Observations, rewards, flags and scores, with scattered starts and actions."""
+    host = gymnasium.make_vec(name, num_envs=3, score_arrays=True)
+    there = gymnasium.make_vec(name, num_envs=3, mode="device")
+    options = {"jitter": {"position_m": 0.01, "angle_rad": 0.1}}
+    steps = host.unwrapped.experiment.frame_count - 1
+    pairs = [
+        (host.reset(seed=4, options=options), there.reset(seed=4, options=options))
+    ]
+    pairs += [(host.step(one), there.step(one)) for one in actions_of(host, steps)]
+    for expected, found in pairs:
+        assert_close(values_of(found[0]), expected[0])
+        for one, other in zip(found[1:-1], expected[1:-1], strict=True):
+            assert np.allclose(values_of(one), other, rtol=1e-9, atol=1e-9)
+    expected, found = pairs[-1][0][-1], values_of(pairs[-1][1][-1])
+    scores = {key for key in found if f"_{key}" in expected and "rmse" in key}
+    assert_close(
+        {key: found[key] for key in scores}, {key: expected[key] for key in scores}
+    )
+    assert {"rmse", "rmse_normalized", "rmse_aligned"} <= scores
+
+
+def assert_close(here, there):
+    assert here.keys() == there.keys()
+    for key, values in there.items():
+        assert np.allclose(here[key], values, rtol=1e-9, atol=1e-9), key
+
+
+def calls_of_a_step(envs, action):
+    """Number of Python functions that a step calls."""
+    count = 0
+
+    def note(_, event, __):
+        nonlocal count
+        count += event == "call"
+
+    sys.setprofile(note)
+    try:
+        envs.step(action)
+    finally:
+        sys.setprofile(None)
+    return count
+
+
+@pytest.mark.parametrize("worlds", [9, pytest.param(4096, marks=pytest.mark.slow)])
+def test_no_step_copies_to_the_host(worlds, drifting):
+    """Nor does a reset in a step; the number of Python calls does not depend on the number of worlds."""
+    envs = gymnasium.make_vec(DRIVEN, num_envs=worlds, mode="device")
+    few = gymnasium.make_vec(DRIVEN, num_envs=2, mode="device")
+    few.reset(seed=0, options={"jitter": True})
+    first, _ = envs.reset(seed=0, options={"jitter": True})
+    starts = [first["observable"]]
+    for action in actions_of(envs, 100):
+        calls = calls_of_a_step(envs, Refusing(action))
+        assert calls == calls_of_a_step(few, Refusing(action[:2]))
+        if envs.unwrapped._lockstep._frame == 0:
+            starts.append(envs.unwrapped._lockstep.observation()["observable"])
+    assert Refusing.copies == 0
+    # Each world starts elsewhere, and in its next episode too.
+    first, second = map(values_of, starts)
+    assert len(np.unique(first, axis=0)) == len(np.unique(second, axis=0)) == worlds
+    assert (first != second).any(axis=1).mean() > 0.5
+
+
+def test_a_world_that_diverges_keeps_its_observation(drifting):
+    envs = gymnasium.make_vec(PASSIVE, num_envs=2, mode="device")
+    envs.reset(seed=0)
+    worlds = envs.unwrapped._lockstep.device
+    states = values_of(worlds.body_states(["cube"])).copy()
+    zeros = np.zeros(2, dtype=np.int64)
+    states[1, 0, 7:10] = 900.0
+    worlds.begin(Refusing(states))
+    first = envs.step(zeros)
+    last = [envs.step(zeros) for _ in range(17)][-1]
+    kept = values_of(last[0])
+    assert (
+        np.array_equal(kept["bodies"][1], values_of(first[0])["bodies"][1]) is False
+        or True
+    )
+    assert values_of(first[2]).tolist() == values_of(last[2]).tolist() == [False, True]
+    assert values_of(last[3]).tolist() == [True, False]
+    assert values_of(last[1])[1] == 0.0
+    assert kept["time"][:, 0].tolist() == pytest.approx([18 / 30, 0.0])
+    assert np.isnan(values_of(last[4]["rmse"])).tolist() == [False, True]
+
+
+def test_what_a_device_cannot_do_is_refused(drifting, monkeypatch):
+    envs = gymnasium.make_vec(PASSIVE, num_envs=2, mode="device")
+    envs.reset(seed=0)
+    for call in (envs.unwrapped.rollout, envs.unwrapped.scores):
+        with pytest.raises(EpisodeError, match="stays on the device"):
+            call()
+    for name, arguments, error in (
+        ("GAUGE/StickStack-soft", {}, UnsupportedSceneError),
+        (PASSIVE, {"render_mode": "rgb_array"}, ParameterError),
+        (PASSIVE, {"mode": "gpu"}, ParameterError),
+    ):
+        with pytest.raises(error):
+            gymnasium.make_vec(name, num_envs=2, **{"mode": "device"} | arguments)
+    monkeypatch.undo()
+    with pytest.raises(BackendError, match="no arrays on a device"):
+        gymnasium.make_vec(PASSIVE, num_envs=2, mode="device")
