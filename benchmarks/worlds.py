@@ -1,23 +1,21 @@
 """Environment steps a second of the slope slider by the number of worlds, on engines side by side in one run.
 
     python benchmarks/worlds.py --worlds 1 16 256 1024 --engines newton mujoco
-    python benchmarks/worlds.py --rollout --engines newton --worlds 256 4096
     python benchmarks/worlds.py --engine-stub --worlds 256 4096 16384
-    python benchmarks/worlds.py --device cuda:0 --rollout --engines newton --worlds 1024 4096 16384
+    python benchmarks/worlds.py --device cuda:0 --on-device --engines newton --worlds 1024 4096 16384
 
-An episode is stepped to its end and scored in one pass over all worlds (`score_arrays=True`). With `--rollout` it is
-recorded, judged and scored on the engine's device (`GaugeVectorEnv.rollout`). Times are for one environment step, which
-is one frame of one world:
+An episode is stepped to its end and scored in one pass over all worlds (`score_arrays=True`, or `mode="device"` with
+`--on-device`). Times are for one environment step, which is one frame of one world:
 
-- `engine`: in the engine, up to the last frame; in a rollout up to the end of the record;
-- `host`: reading, judging, rewards, observations and infos; in a rollout the judgement;
-- `run on`: in the engine after the last frame, for the release alignment; in a rollout it is part of `engine`;
-- `scoring`: the scores of all worlds;
-- `copies`: copies between host and GPU in a frame of all worlds, or in a whole rollout, counted by Warp; `-` on a CPU.
+- `engine`: in the engine, up to the last frame; on a device, in starting its work;
+- `host`: reading, judging, rewards, observations and infos; on a device all but the engine;
+- `run on`: in the engine after the last frame, for the release alignment; on a device it is part of `host`;
+- `scoring`: the scores of all worlds; on a device they are part of `host`;
+- `copies`: copies between host and GPU in a frame of all worlds, counted by Warp; `-` on a CPU.
 
-`--engine-stub` replaces the engine by stored states that cost nothing, stepped and rolled out, so that the rest is
-left. `--cpu-time` counts processor time, for a CPU that other programs share; it is no measure of a GPU.
-The ratio is that of the steps a second to those of the first row with as many worlds.
+`--engine-stub` replaces the engine by stored states that cost nothing, on the host and on a device that NumPy
+pretends, so that the rest is left. `--cpu-time` counts processor time, for a CPU that other programs share; it is no
+measure of a GPU. The ratio is that of the steps a second to those of the first row with as many worlds.
 """
 
 from __future__ import annotations
@@ -35,9 +33,9 @@ import gymnasium
 import numpy as np
 
 import gauge_envs  # noqa: F401  registers the ids
-from gauge_envs.backends import ArrayWorlds, Recording, Simulation, Worlds
+from gauge_envs.backends import ArrayWorlds, DeviceWorlds, Simulation, Worlds
+from gauge_envs.backends.device import HostArrays
 from gauge_envs.backends.mujoco import BackendMuJoCo
-from gauge_envs.envs.at_once import RecordedEpisodes
 from gauge_envs.scene import Scene
 
 NAME = "SlopeSlider-2-wood"
@@ -67,28 +65,25 @@ def measured(
     repeats: int,
     name: str = NAME,
     *,
-    rollout: bool = False,
-) -> Row | None:
-    """Return the times of an engine; None for a rollout of worlds that it cannot record."""
+    on_device: bool = False,
+) -> Row:
+    """Return the times of an engine."""
     start = clock()
     envs = gymnasium.make_vec(
         f"GAUGE/{name}",
         num_envs=worlds,
         backend=engine,
         settings=settings,
-        score_arrays=True,
+        **({"mode": "device"} if on_device else {"score_arrays": True}),
     )
     make_s = clock() - start
     frames = envs.unwrapped.experiment.frame_count - 1
-    scene = envs.unwrapped.experiment.scene
-    if rollout and (scene.drivers or scene.deformables):
-        return None
-    measure = _rolled_out if rollout else _stepped
+    measure = _stepped_on_device if on_device else _stepped
     # The first episode loads kernels.
-    parts = [measure(envs) for _ in range(repeats + rollout)][int(rollout) :]
+    parts = [measure(envs) for _ in range(repeats + on_device)][int(on_device) :]
     copies = None
     if str(settings.get("device")).startswith("cuda"):
-        copies = _copies(envs, frames, rollout=rollout)
+        copies = _copies(envs, frames)
     envs.close()
     medians = (
         1e6 * statistics.median(part) / (frames * worlds)
@@ -108,21 +103,16 @@ def measured(
     )
 
 
-def _copies(envs: Any, frames: int, *, rollout: bool) -> float:
-    """Return the copies between host and GPU in a frame, or in a rollout."""
+def _copies(envs: Any, frames: int) -> float:
+    """Return the copies between host and GPU in a frame."""
     import warp as wp
 
-    inner = envs.unwrapped
-    inner.reset(seed=0)
+    envs.reset(seed=0)
     actions = np.zeros(envs.action_space.shape, dtype=envs.action_space.dtype)
     wp.timing_begin(cuda_filter=wp.TIMING_MEMCPY)
-    if rollout:
-        inner.rollout()
-    else:
-        for _ in range(frames):
-            inner.step(actions)
-    count = sum("DtoD" not in one.name for one in wp.timing_end())
-    return count if rollout else count / frames
+    for _ in range(frames):
+        envs.unwrapped.step(actions)
+    return sum("DtoD" not in one.name for one in wp.timing_end()) / frames
 
 
 def _stepped(envs: Any) -> tuple[float, float, float, float]:
@@ -145,58 +135,28 @@ def _stepped(envs: Any) -> tuple[float, float, float, float]:
     return engine_s, stepping_s - engine_s, run_on_s, clock() - start - run_on_s
 
 
-def _rolled_out(envs: Any) -> tuple[float, float, float, float]:
-    """Return the seconds of a rollout in the engine, on the host and scoring; the engine runs on within the record."""
+def _stepped_on_device(envs: Any) -> tuple[float, float, float, float]:
+    """Return the seconds of an episode in starting the engine's work, and in all else, up to its scores."""
     envs.reset(seed=0)
     inner = envs.unwrapped
-    spent = {"record": 0.0, "scores": 0.0}
-
-    def timed(call: Any, part: str) -> Any:
-        def run(*arguments: Any, **keywords: Any) -> Any:
-            start = clock()
-            result = call(*arguments, **keywords)
-            if part == "record":
-                _wait(result)
-            spent[part] += clock() - start
-            return result
-
-        return run
-
-    record, scores = inner.worlds.record, RecordedEpisodes.scores
-    inner.worlds.record = timed(record, "record")
-    RecordedEpisodes.scores = timed(scores, "scores")  # type: ignore[method-assign]
+    device = inner.worlds_on_device
+    spent, depth = [0.0], [0]
+    device.advance = _counted(type(device).advance.__get__(device), spent, depth)
+    actions = np.zeros(envs.action_space.shape, dtype=envs.action_space.dtype)
     start = clock()
-    try:
-        result = inner.rollout()
-    finally:
-        inner.worlds.record = record
-        RecordedEpisodes.scores = scores  # type: ignore[method-assign]
-    if result.device is None:
-        raise SystemExit(
-            f"{inner.backend_name} records nothing on a device: leave out --rollout"
-        )
-    rest_s = clock() - start - sum(spent.values())
-    return spent["record"], rest_s, 0.0, spent["scores"]
-
-
-def _wait(recording: Recording) -> None:
-    """Wait for the engine; its work on a GPU would otherwise count where the result is read."""
-    import warp as wp
-
-    from gauge_envs.backends.newton.recordings import device_array
-
-    positions = device_array(recording.positions_m)
-    wp.synchronize_device(positions.device)
+    infos: dict[str, Any] = {}
+    while "rmse" not in infos:
+        *_, infos = inner.step(actions)
+    # The only copy waits for the device.
+    device.copied(infos["rmse"])
+    return spent[0], clock() - start - spent[0], 0.0, 0.0
 
 
 class StillWorlds(ArrayWorlds):
     """Worlds whose states and nodes were stored before; reading them costs nothing."""
 
-    can_record = True
-
     def __init__(self, simulation: Simulation, scene: Scene, count: int) -> None:
         super().__init__(simulation.settings, count)
-        # One start, and slides of different accelerations, so that scores and shifts differ.
         self._states = {
             names: np.repeat(simulation.body_states(names)[None], count, axis=0)
             for names in (
@@ -210,8 +170,6 @@ class StillWorlds(ArrayWorlds):
             body.name: np.repeat(simulation.nodes(body.name)[None], count, axis=0)
             for body in scene.deformables
         }
-        self._rates = np.linspace(0.5, 1.5, count)
-        self._recording: Recording | None = None
 
     def reset(self, seed: int) -> None:
         """Do nothing."""
@@ -234,23 +192,31 @@ class StillWorlds(ArrayWorlds):
         """Return the stored nodes."""
         return self._nodes[name]
 
-    def record(
-        self, names: Sequence[str], *, frame_count: int, samples: int, interval_s: float
-    ) -> Recording:
-        """Return the stored record of slides."""
-        if self._recording is None:
-            times_s = interval_s * np.arange((frame_count - 1) * samples + 1)
-            states = np.repeat(self.body_states(names)[None], len(times_s), axis=0)
-            states[..., 0] += (times_s[:, None] ** 2 * self._rates)[:, :, None]
-            self._recording = Recording(
-                device="cpu",
-                positions_m=states[..., :3].copy(),
-                states=states[::samples].copy(),
-            )
-        return self._recording
+    def on_device(self) -> DeviceWorlds:
+        """Return the worlds on a pretended device."""
+        return StillDevice(self)
 
     def close(self) -> None:
         """Do nothing."""
+
+
+class StillDevice(HostArrays, DeviceWorlds):
+    """The same worlds in NumPy, as a device."""
+
+    def __init__(self, worlds: StillWorlds) -> None:
+        self.body_states = worlds.body_states  # type: ignore[method-assign]
+
+    def begin(self, states: Any | None) -> None:
+        """Do nothing."""
+
+    def drive(self, body: str, motions: Any) -> None:
+        """Do nothing."""
+
+    def advance(self, seconds: float) -> None:
+        """Do nothing."""
+
+    def body_states(self, names: Sequence[str]) -> Any:
+        """Return the stored states."""
 
 
 def stub_engine() -> None:
@@ -315,9 +281,9 @@ def main() -> None:
         help="NAME=VALUE, for all engines",
     )
     parser.add_argument(
-        "--rollout",
+        "--on-device",
         action="store_true",
-        help="record, judge and score on the engine's device",
+        help="keep all arrays on the engine's device",
     )
     parser.add_argument(
         "--engine-stub", action="store_true", help="replace the engine by stored states"
@@ -336,7 +302,7 @@ def main() -> None:
         key: json.loads(value)
         for key, value in (text.split("=") for text in options.changes)
     }
-    ways = [(engine, options.rollout) for engine in options.engines]
+    ways = [(engine, options.on_device) for engine in options.engines]
     if options.engine_stub:
         stub_engine()
         ways = [("mujoco", False), ("mujoco", True)]
@@ -362,26 +328,28 @@ def main() -> None:
         )
     for name, worlds in product(options.names, options.worlds):
         first = 0.0
-        for engine, rollout in ways:
+        for engine, on_device in ways:
             settings = {
                 **changes,
                 **({"device": options.device} if engine == "newton" else {}),
             }
             row = measured(
-                engine, worlds, settings, options.repeats, name, rollout=rollout
+                engine, worlds, settings, options.repeats, name, on_device=on_device
             )
-            if row is None:
-                continue
             first = first or row.steps_per_s
             if options.json:
                 print(
                     json.dumps(
-                        {**asdict(row), "rollout": rollout, "stub": options.engine_stub}
+                        {
+                            **asdict(row),
+                            "on_device": on_device,
+                            "stub": options.engine_stub,
+                        }
                     ),
                     flush=True,
                 )
                 continue
-            label = f"{'stub' if options.engine_stub else engine} {'rollout' if rollout else 'step'}"
+            label = f"{'stub' if options.engine_stub else engine} {'device' if on_device else 'host'}"
             times = (row.engine_us, row.host_us, row.run_on_us, row.scoring_us)
             texts = [
                 name,

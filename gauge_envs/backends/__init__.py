@@ -7,12 +7,12 @@ from gauge_envs.backends.base import (
     Feature,
     FileBackend,
     ModelFile,
-    Recording,
     Simulation,
     Support,
     World,
     Worlds,
 )
+from gauge_envs.backends.device import DeviceWorlds
 from gauge_envs.backends.registry import (
     backend,
     backend_for,
@@ -29,10 +29,10 @@ __all__ = [
     "ArraySimulation",
     "ArrayWorlds",
     "Backend",
+    "DeviceWorlds",
     "Feature",
     "FileBackend",
     "ModelFile",
-    "Recording",
     "ReplayedSimulation",
     "Simulation",
     "Support",

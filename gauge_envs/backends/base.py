@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,102 +60,6 @@ class ModelFile:
 
     scene: Scene
     changes: tuple[str, ...]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Recording:
-    """States of all worlds on the engine's device, as `Worlds.record` returns them.
-
-    The arrays are contiguous and hold 64-bit floats. They stay valid until the next recording of the same worlds, which
-    may reuse their memory.
-
-    Attributes:
-        device: Name of the device, as `cuda:0` or `cpu`.
-        positions_m: Positions of the body origins at the start and after each sample [m], shape
-            [sample_count, world_count, body_count, 3].
-        states: Poses and velocities at the start and after each frame, shape
-            [frame_count, world_count, body_count, 13]; see `World.body_states`.
-        kernels: What scores and judges the arrays where they lie. None if they lie on the CPU, as arrays of NumPy or of
-            a library that follows the DLPack protocol (`__dlpack__`).
-    """
-
-    device: str
-    positions_m: Any
-    states: Any
-    kernels: RecordingKernels | None = None
-
-
-class RigidLimits(Protocol):
-    """Bounds of rigid bodies in all worlds, beyond which a state is suspect.
-
-    Attributes:
-        masses_kg: Masses, shape [world_count, body_count].
-        distances_m: Largest coordinate of a position, shape [world_count].
-        speeds_m_per_s: Largest component of a velocity, shape [world_count].
-        energies_j: Largest kinetic energy of translation, shape [world_count].
-    """
-
-    masses_kg: NDArray[np.float64]
-    distances_m: NDArray[np.float64]
-    speeds_m_per_s: NDArray[np.float64]
-    energies_j: NDArray[np.float64]
-
-
-class RecordingKernels(ABC):
-    """Computations on the device of a `Recording`, which copy their results alone to the host.
-
-    `gauge_envs.backends.newton.recordings.WarpKernels` is one for arrays that follow the DLPack protocol.
-    """
-
-    @abstractmethod
-    def copied(self, array: Any) -> NDArray[np.float64]:
-        """Return an array on the host."""
-
-    @abstractmethod
-    def squares(
-        self,
-        positions_m: Any,
-        *,
-        rows: Sequence[int],
-        sample_counts: NDArray[np.intp],
-        projection: NDArray[np.float64],
-        mean: NDArray[np.float64],
-        shift_limit: int,
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Return squared distances of worlds from the mean of a band, summed over frames and coordinates.
-
-        Between two whole shifts the distance is a parabola, whose minimum is exact. A world that is shifted stays at
-        its first and last sample.
-
-        Args:
-            positions_m: `Recording.positions_m`.
-            rows: Numbers of the observed bodies.
-            sample_counts: Number of samples of each world that count, shape [world_count].
-            projection: Matrix from positions [mm] of the observed bodies to coordinates of the band, shape
-                [coordinate_count, 3 * len(rows)].
-            mean: Mean of the band, shape [frame_count, coordinate_count]; NaN where it is not known.
-            shift_limit: Largest time shift [samples].
-
-        Returns:
-            Squares as the worlds are, NaN for a world that lacks a known frame; the time shift that fits each world
-            best [samples]; and the squares with it; shape [world_count] each.
-        """
-
-    @abstractmethod
-    def suspects(
-        self, recording: Recording, limits: RigidLimits, *, later: int
-    ) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.float64]]:
-        """Find worlds that may be out of bounds, and copy them alone.
-
-        Args:
-            recording: The record.
-            limits: Bounds of the worlds.
-            later: Frame from which a sample that is not finite counts too.
-
-        Returns:
-            The first such frame of each world, shape [world_count], the frame count if there is none; and the states
-            and positions of the worlds with one.
-        """
 
 
 class World(ABC):
@@ -349,11 +253,9 @@ class Worlds(ABC):
 
     Attributes:
         worlds: The instances, in the order of the scenes.
-        can_record: Whether `record` is implemented. Its worlds leave `World.fault` as it is.
     """
 
     worlds: Sequence[World]
-    can_record: ClassVar[bool] = False
 
     @abstractmethod
     def reset(self, seed: int) -> None:
@@ -447,24 +349,6 @@ class Worlds(ABC):
         }
         return {number: fault for number, fault in found.items() if fault is not None}
 
-    def record(
-        self, names: Sequence[str], *, frame_count: int, samples: int, interval_s: float
-    ) -> Recording:
-        """Advance all worlds from now on, and record them on the engine's device without a copy to the host.
-
-        Args:
-            names: Names of moving bodies.
-            frame_count: Number of frames, with the current one as the first.
-            samples: Number of samples from one frame to the next.
-            interval_s: Time between samples [s].
-
-        Raises:
-            BackendError: The engine records nothing; `can_record` is false.
-        """
-        raise BackendError(
-            f"{type(self).__name__} records nothing on a device: read body_states after each advance"
-        )
-
     def on_device(self) -> DeviceWorlds:
         """Return these worlds as arrays of the engine's device, for `make_vec(..., mode="device")`.
 
@@ -510,8 +394,8 @@ class ArrayWorlds(Worlds):
     """Worlds of an engine that holds them in arrays, whose first axis are the worlds.
 
     It implements `reset`, `advance`, `body_states` and `close`; `drive` for scenes with drivers; `command` and
-    `apply_wrench` for scenes with motors; and `nodes` for scenes with deformable bodies. No method is called for a
-    single world.
+    `apply_wrench` for scenes with motors; and `nodes` for scenes with deformable bodies, with `track` for ropes and
+    rods. `on_device` is for learners there.
 
     Args:
         settings: Every numerical setting in force; see `World`.
@@ -546,6 +430,20 @@ class ArrayWorlds(Worlds):
     def nodes(self, name: str) -> NDArray[np.float64]:
         """Return the nodes of a deformable body in all worlds; see `Worlds.nodes`."""
         raise self._lacks("nodes")
+
+    def track(
+        self, number: int, name: str, points_m: NDArray[np.float64]
+    ) -> Callable[[], NDArray[np.float64]] | None:
+        """Return a reader of material points in one world, or None to interpolate between nodes; see `World.track`."""
+        return None
+
+    def state(self) -> Any:
+        """Return a snapshot of all worlds; see `Simulation.state`. Without it, `build` wraps a `ReplayedSimulation`."""
+        raise self._lacks("state")
+
+    def restore(self, state: Any) -> None:
+        """Restore a snapshot; see `Simulation.restore`."""
+        raise self._lacks("restore")
 
     def _lacks(self, method: str) -> BackendError:
         return BackendError(
@@ -592,12 +490,19 @@ class _ArrayWorld(World):
     def nodes(self, name: str) -> NDArray[np.float64]:
         return self._worlds.nodes(name)[self._number]
 
+    def track(
+        self, name: str, points_m: NDArray[np.float64]
+    ) -> Callable[[], NDArray[np.float64]] | None:
+        return self._worlds.track(self._number, name, points_m)
+
     def fault(self) -> str | None:
         return self._worlds.faults().get(self._number)
 
 
 class ArraySimulation(_ArrayWorld, Simulation):
-    """The only world of an `ArrayWorlds`: what `build` of an engine in arrays returns, in a `ReplayedSimulation`.
+    """The only world of an `ArrayWorlds`: what `build` of an engine in arrays returns.
+
+    In a `ReplayedSimulation` unless its worlds have `state` and `restore`.
 
     Args:
         worlds: Worlds of one scene.
@@ -613,6 +518,14 @@ class ArraySimulation(_ArrayWorld, Simulation):
     def advance(self, seconds: float) -> None:
         """Simulate an interval."""
         self._worlds.advance(seconds)
+
+    def state(self) -> Any:
+        """Return a snapshot."""
+        return self._worlds.state()
+
+    def restore(self, state: Any) -> None:
+        """Restore a snapshot."""
+        self._worlds.restore(state)
 
     def close(self) -> None:
         """Free the engine's resources."""

@@ -60,6 +60,10 @@ class DeviceWorlds(ABC):
     def body_states(self, names: Sequence[str]) -> Any:
         """Return poses and velocities in a new array, shape [world_count, len(names), 13]; see `World.body_states`."""
 
+    def copied(self, array: Any) -> NDArray[Any]:
+        """Return an array on the host; no environment calls it."""
+        return np.asarray(array)
+
 
 class HostArrays:
     """The device of `DeviceWorlds` that NumPy has: what computes on devices computes on the host with it."""

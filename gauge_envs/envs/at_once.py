@@ -1,11 +1,7 @@
-"""Episodes of many worlds in shared arrays: they are observed, judged and rewarded at once, or recorded on a device.
+"""Episodes of many worlds in shared arrays: they are observed, judged and rewarded at once.
 
 A loop over worlds in Python costs more than an engine that steps thousands of them on one device. So the records of all
 episodes are parts of two arrays, and each sample is one reading of all worlds. Every number is that of `Episode`.
-
-Where the engine records whole episodes on its device, nothing is copied to the host between start and end. Its kernels,
-or NumPy for arrays on the CPU, find worlds that may have diverged. Only these are judged by the code of single
-episodes.
 """
 
 from __future__ import annotations
@@ -16,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.backends.base import Backend, Recording, Simulation, Worlds, worlds_of
+from gauge_envs.backends.base import Backend, Simulation, Worlds, worlds_of
 from gauge_envs.backends.device import HOST, DeviceWorlds, HostArrays
 from gauge_envs.backends.registry import backend_for
 from gauge_envs.envs.arguments import EnvArguments
@@ -27,8 +23,7 @@ from gauge_envs.envs.episode import (
     bounded_reward,
     reward_terms,
 )
-from gauge_envs.envs.lockstep import AddInfo, EpisodesOneByOne, Numbers, Rollout
-from gauge_envs.evaluation.worlds import host_array, score_recording
+from gauge_envs.envs.lockstep import AddInfo, EpisodesOneByOne, Numbers
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.observer import MarkersOfWorlds, ObserverMarkers
 from gauge_envs.references.bands import Band
@@ -348,57 +343,6 @@ class EpisodesAtOnce(EpisodesOneByOne):
             1, 0, 2
         )
 
-    # --- on a device ---
-
-    def roll_out(self, actions: Sequence[Any], *, keep: bool) -> Rollout | None:
-        """Run the episodes on the engine's device, or return None if the engine records nothing."""
-        if (
-            not self.worlds.can_record
-            or self._driven
-            or self._markers is not None
-            or self._deformable_bounds
-        ):
-            return None
-        for one in actions:
-            if np.any(one):
-                self._rates(one)
-        recorded = RecordedEpisodes(self.episodes, self.worlds, self._bounds)
-        scores = recorded.scores()
-        if keep:
-            self._keep(recorded)
-        device = recorded.recording.device
-        return Rollout(
-            scores=scores,
-            diverged=recorded.faults,
-            frames=recorded.frames,
-            device=device,
-        )
-
-    def _keep(self, recorded: RecordedEpisodes) -> None:
-        """Copy the record of episodes to the host, after which they are as if they had been stepped."""
-        recording = recorded.recording
-        copied = host_array if recording.kernels is None else recording.kernels.copied
-        positions, states = copied(recording.positions_m), copied(recording.states)
-        self._samples[:] = 1e3 * positions[:, :, self._rows].reshape(
-            self._samples.shape
-        )
-        self._bodies[:] = states[: len(self._bodies), :, self._rows]
-        self._frame = int(recorded.frames.max())
-        self.ran = self.ran[:0]
-        self._shown[:], self._faults, self._is_behind = (
-            recorded.frames,
-            dict(recorded.faults),
-            True,
-        )
-        self._diverged[[*self._faults]] = True
-        for number, episode in enumerate(self.episodes):
-            last = states[min(int(self._shown[number]), len(self._bodies) - 1), number]
-            if episode.runs_on:
-                episode.begin_later_frame(
-                    (dict(zip(self._dynamic, last[:, :7], strict=True)), {})
-                )
-                episode.count_later_frames(int(recorded.later[number]))
-
 
 class BatchReward:
     """Rewards of many worlds against one band, with the bits of `Episode.reward` on the host.
@@ -444,123 +388,6 @@ class BatchReward:
         deviations = self._arrays.abs(g - mean[frame])
         distances = product(deviations[:, None, :], weight[frame][:, None])[:, 0, 0]
         return bounded_reward(distances) if self._is_bounded else -distances
-
-
-class RecordedEpisodes:
-    """Episodes of all worlds, recorded from frame 0 to the end and judged.
-
-    Args:
-        episodes: The episode of each world, at frame 0; for which `EpisodesAtOnce` is made.
-        worlds: Their worlds at the start; `can_record` is true.
-        bounds: Bounds of the worlds.
-
-    Attributes:
-        recording: The record.
-        faults: Why the episode of a world diverged, by the number of the world.
-        frames: Number of the last frame of each world's episode, shape [world_count].
-        later: Number of frames after the last one that count for the release alignment, shape [world_count].
-    """
-
-    def __init__(
-        self, episodes: Sequence[Episode], worlds: Worlds, bounds: RigidBoundsOfWorlds
-    ) -> None:
-        experiment = episodes[0].experiment
-        dynamic = [body.name for body in experiment.scene.dynamic_bodies]
-        self._episodes = episodes
-        self._last = experiment.frame_count - 1
-        self.rows = [dynamic.index(name) for name in experiment.recorded]
-        limits = np.array([episode.later_limit for episode in episodes], dtype=np.intp)
-        self.recording: Recording = worlds.record(
-            dynamic,
-            frame_count=experiment.frame_count + int(limits.max()),
-            samples=SAMPLES_PER_FRAME,
-            interval_s=SAMPLE_INTERVAL_S,
-        )
-        self.faults: dict[int, str] = {}
-        self.frames = np.full(len(episodes), self._last, dtype=np.intp)
-        self.later = limits
-        self._judge(bounds)
-
-    def scores(self) -> dict[str, FloatArray]:
-        """Return the scores of all worlds, shape [world_count] each; NaN for a world that diverged.
-
-        The first episode has a band.
-        """
-        first = self._episodes[0]
-        assert first.band is not None
-        counts = (self.frames + self.later) * SAMPLES_PER_FRAME + 1
-        # A world without samples has no score.
-        counts[list(self.faults)] = 0
-        return score_recording(
-            first.experiment,
-            first.band,
-            recording=self.recording,
-            rows=self.rows,
-            sample_counts=counts,
-        )
-
-    def _judge(self, bounds: RigidBoundsOfWorlds) -> None:
-        recording, later = self.recording, self._last + 1
-        if recording.kernels is None:
-            states, positions = (
-                host_array(recording.states),
-                host_array(recording.positions_m),
-            )
-            firsts = _first_suspects_on_host(states, positions, bounds, later=later)
-            suspects = np.flatnonzero(firsts < len(states))
-            near, places = states[:, suspects], positions[:, suspects]
-        else:
-            firsts, near, places = recording.kernels.suspects(
-                recording, bounds, later=later
-            )
-            suspects = np.flatnonzero(firsts < recording.states.shape[0])
-        for column, world in enumerate(suspects.tolist()):
-            self._decide(world, int(firsts[world]), near[:, column], places[:, column])
-
-    def _decide(
-        self, world: int, first: int, states: FloatArray, positions_m: FloatArray
-    ) -> None:
-        """Judge a world from a frame on, as `EpisodesAtOnce` does frame by frame."""
-        episode = self._episodes[world]
-        for frame in range(first, self._last + int(self.later[world]) + 1):
-            fault = episode.fault_of(states[frame])
-            if frame <= self._last:
-                if fault is not None:
-                    self.faults[world], self.frames[world], self.later[world] = (
-                        fault,
-                        frame,
-                        0,
-                    )
-                    return
-                continue
-            samples = positions_m[
-                (frame - 1) * SAMPLES_PER_FRAME + 1 : frame * SAMPLES_PER_FRAME + 1,
-                self.rows,
-            ]
-            if fault is not None or not np.isfinite(samples).all():
-                self.later[world] = frame - 1 - self._last
-                return
-
-
-def _first_suspects_on_host(
-    states: FloatArray,
-    positions: FloatArray,
-    bounds: RigidBoundsOfWorlds,
-    *,
-    later: int,
-) -> NDArray[np.intp]:
-    """Return the first frame in which each world may be out of bounds, shape [world_count]; the frame count if none.
-
-    In frames from `later` on, a sample that is not finite counts too.
-    """
-    suspects = np.array([bounds.suspects(frame) for frame in states[1:]]).reshape(
-        len(states) - 1, -1
-    )
-    samples = positions[1:].reshape(
-        len(states) - 1, SAMPLES_PER_FRAME, positions.shape[1], -1
-    )
-    suspects[later - 1 :] |= ~np.isfinite(samples[later - 1 :]).all(axis=(1, 3))
-    return np.where(suspects.any(axis=0), suspects.argmax(axis=0) + 1, len(states))
 
 
 def episodes_in_lockstep(

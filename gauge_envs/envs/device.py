@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from gauge_envs.backends.base import worlds_of
+from gauge_envs.backends.device import DeviceWorlds
 from gauge_envs.backends.registry import backend_for
 from gauge_envs.envs.arguments import EnvArguments, drawn_seed
 from gauge_envs.envs.at_once import BatchReward
@@ -71,6 +72,11 @@ class DeviceVectorEnv(GaugeVectorEnv):
         self._starts_m: Any = None
         self._order = np.random.default_rng(0)
         self._is_reset = False
+
+    @property
+    def worlds_on_device(self) -> DeviceWorlds:
+        """The worlds in arrays of the device."""
+        return self._lockstep.device
 
     def reset(
         self,
@@ -133,14 +139,22 @@ class DeviceVectorEnv(GaugeVectorEnv):
         over = (episodes.diverged, episodes.truncations())
         return episodes.observation(), rewards, *over, episodes.info()
 
-    def _check_record(self, call: str) -> None:
-        raise EpisodeError(
+    def _refuse(self, call: str) -> EpisodeError:
+        return EpisodeError(
             f"{self.experiment.id}: {call} needs a record, which stays on the device; infos has scores at the end"
         )
 
-    def rollout(self, actions: Any = None, *, keep: bool = False) -> Any:
-        """Raise an error: `step` copies nothing either."""
-        self._check_record("rollout")
+    def scores(self) -> tuple[Any, ...]:
+        """Raise an error."""
+        raise self._refuse("scores")
+
+    def score_arrays(self) -> dict[str, Any]:
+        """Raise an error."""
+        raise self._refuse("score_arrays")
+
+    def deformations(self) -> tuple[Any, ...]:
+        """Raise an error."""
+        raise self._refuse("deformations")
 
 
 def dynamic_states(scene: Scene) -> FloatArray:

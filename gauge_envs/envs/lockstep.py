@@ -6,7 +6,6 @@ one call and the experiment allows it.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
@@ -22,24 +21,6 @@ from gauge_envs.scene.geometry import FloatArray
 Numbers = NDArray[np.intp]
 AddInfo = Callable[[dict[str, Any], dict[str, Any], int], dict[str, Any]]
 """Function of `VectorEnv` that adds the `info` of a world to those of all."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Rollout:
-    """Result of one episode of all worlds.
-
-    Attributes:
-        scores: Arrays of `GaugeVectorEnv.score_arrays`, shape [world_count] each; NaN for a world that diverged.
-        diverged: Why the episode of a world diverged, by the number of the world; others are left out.
-        frames: Number of the last frame of each world's episode, shape [world_count].
-        device: Device that recorded, judged and scored the worlds, as `cuda:0`. None if the engine records nothing, or
-            the experiment is no passive one of rigid bodies: then the episode was stepped and scored on the host.
-    """
-
-    scores: Mapping[str, FloatArray]
-    diverged: Mapping[int, str]
-    frames: NDArray[np.intp]
-    device: str | None
 
 
 class EpisodesOneByOne:
@@ -131,16 +112,6 @@ class EpisodesOneByOne:
                 {one: self.episodes[one].no_rates for one in numbers}
             ),
         )
-
-    def roll_out(self, actions: Sequence[Any], *, keep: bool) -> Rollout | None:
-        """Run the episodes on the engine's device, from frame 0 to the end, or return None where that cannot be.
-
-        Args:
-            actions: Actions of each frame.
-            keep: Whether to copy the record to the host, after which the episodes are as if they had been stepped.
-                Otherwise they stay at frame 0 until the next ones begin.
-        """
-        return None
 
     def observations(self) -> Observation:
         """Return the observations of all worlds in new arrays; a world whose episode is over keeps its last one."""

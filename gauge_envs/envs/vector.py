@@ -36,14 +36,13 @@ from gauge_envs.envs.arguments import (
 from gauge_envs.envs.at_once import episodes_in_lockstep
 from gauge_envs.envs.base import WorldsEnvironment, world_constants
 from gauge_envs.envs.episode import Episode, Observation
-from gauge_envs.envs.lockstep import Rollout
 from gauge_envs.envs.pictures import (
     WORLDS_RENDER_MODES,
     Pictures,
     Rendered,
     episode_picture,
 )
-from gauge_envs.errors import ActionError, EpisodeError, ParameterError
+from gauge_envs.errors import EpisodeError, ParameterError
 from gauge_envs.evaluation.deformation import DeformationScore
 from gauge_envs.evaluation.score import Score
 from gauge_envs.evaluation.worlds import score_worlds
@@ -166,7 +165,7 @@ class GaugeVectorEnv(WorldsEnvironment[Observation]):
         self._lockstep = episodes_in_lockstep(
             self.arguments, experiments, self.experiment, self.band
         )
-        self._is_reset = self._has_no_record = False
+        self._is_reset = False
 
     @property
     def worlds(self) -> Worlds:
@@ -216,7 +215,7 @@ class GaugeVectorEnv(WorldsEnvironment[Observation]):
             self._free()
             self._build(experiments)
         self.jitter = starts[0]
-        self._is_reset, self._has_no_record = True, False
+        self._is_reset = True
         self._lockstep.begin(seeds[0])
         return self._lockstep.observations(), self._lockstep.infos(self._add_info)
 
@@ -234,65 +233,8 @@ class GaugeVectorEnv(WorldsEnvironment[Observation]):
         rewards, infos = self._lockstep.rewards(), self._lockstep.infos(self._add_info)
         return self._lockstep.observations(), rewards, *self._lockstep.flags(), infos
 
-    def rollout(self, actions: Any = None, *, keep: bool = False) -> Rollout:
-        """Simulate the whole episode after a reset, and return the scores of all worlds.
-
-        Where the engine records on its device (Newton) and the experiment is a passive one of rigid bodies, no state is
-        copied to the host before the end: there are no observations, rewards or infos. Other episodes are stepped. The
-        result says which.
-
-        Args:
-            actions: Actions of each frame as `step` takes them, shape [frame_count - 1, num_envs, ...]; None is zero.
-            keep: Whether to copy the record to the host at the end. `scores`, `score_arrays`, `render` and the records
-                of `episodes` are then as after stepping. Otherwise the environment must be reset before anything else.
-                Episodes that were stepped are always kept.
-        """
-        self._check_started("rollout", started=self._is_reset)
-        if self.band is None:
-            raise EpisodeError(
-                f"{self.experiment.id}: it has no reference, and so no scores"
-            )
-        if any(episode.frame for episode in self.episodes):
-            raise EpisodeError(
-                f"{self.experiment.id}: a rollout starts at frame 0, call reset before it"
-            )
-        count = self.experiment.frame_count - 1
-        if actions is None:
-            actions = np.zeros(
-                (count, *(self.action_space.shape or ())), dtype=self.action_space.dtype
-            )
-        if len(actions) != count:
-            raise ActionError(
-                f"{len(actions)} frames of actions for an episode of {count} steps"
-            )
-        recorded = self._lockstep.roll_out(actions, keep=keep)
-        if recorded is not None:
-            self._is_reset, self._has_no_record = keep, not keep
-            return recorded
-        for one in actions:
-            if len(self._lockstep.running):
-                self._lockstep.step(one)
-        return Rollout(
-            scores=self.score_arrays(),
-            diverged={
-                number: one.fault
-                for number, one in enumerate(self.episodes)
-                if one.fault is not None
-            },
-            frames=np.array([episode.frame for episode in self.episodes]),
-            device=None,
-        )
-
-    def _check_record(self, call: str) -> None:
-        """Raise an error if the last episode left no record on the host."""
-        if self._has_no_record:
-            raise EpisodeError(
-                f"{self.experiment.id}: the rollout kept no record; use rollout(keep=True), or call reset before {call}"
-            )
-
     def scores(self) -> tuple[Score | None, ...]:
         """Return the score of each world's episode, or None before it is over; see `GaugeEnv.score`."""
-        self._check_record("scores")
         self._lockstep.run_on()
         return tuple(
             episode.score() if episode.is_over else None for episode in self.episodes
@@ -306,7 +248,6 @@ class GaugeVectorEnv(WorldsEnvironment[Observation]):
         Entries of worlds whose episode is not over or diverged are NaN. A `Score` holds more, as intervals and
         `verification`, and takes some milliseconds for each world.
         """
-        self._check_record("score_arrays")
         if self.band is None:
             raise EpisodeError(
                 f"{self.experiment.id}: it has no reference, and so no scores"
@@ -321,7 +262,6 @@ class GaugeVectorEnv(WorldsEnvironment[Observation]):
 
     def deformations(self) -> tuple[DeformationScore | None, ...]:
         """Return the statistics of deformation of each world's episode; see `GaugeEnv.deformation`."""
-        self._check_record("deformations")
         return tuple(
             episode.deformation() if episode.is_over else None
             for episode in self.episodes

@@ -1,8 +1,6 @@
 """Scores of many worlds of one experiment in one pass, for training and for batches of thousands.
 
-`score_worlds` reads trajectories on the host. `score_recording` reads positions where the engine recorded them: on the
-CPU with NumPy, elsewhere by the engine's kernels, and copies the scores alone. Numbers of the kernels agree within
-1e-9; NumPy stays the reference.
+`score_worlds` reads trajectories on the host, `score_samples` on the engine's device, with the same arithmetic.
 """
 
 from __future__ import annotations
@@ -13,18 +11,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.backends.base import Recording
 from gauge_envs.backends.device import HOST, DeviceWorlds, HostArrays
-from gauge_envs.errors import BackendError, ShapeError
+from gauge_envs.errors import ShapeError
 from gauge_envs.evaluation.deviation import aligned_baseline, band_baseline
 from gauge_envs.evaluation.metrics.trajectory import MAX_RELEASE_OFFSET_S
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.bands import Band
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
-
-DLPACK_CPU = 1
-"""Number of the CPU among the devices of DLPack."""
 
 MOST_STEPS = round(MAX_RELEASE_OFFSET_S / SAMPLE_INTERVAL_S)
 """Largest time shift [samples]."""
@@ -207,101 +201,3 @@ def _best_shift(
         shifts = arrays.where(better, step * (first + share), shifts)
         best = arrays.where(better, squares, best)
     return shifts, best
-
-
-# --- on a device ---
-
-
-def host_array(array: Any) -> NDArray[Any]:
-    """Return an array of another library on the CPU as a NumPy array, without a copy.
-
-    Args:
-        array: A NumPy array, or one that follows the DLPack protocol.
-
-    Raises:
-        BackendError: It lies on another device.
-    """
-    if isinstance(array, np.ndarray):
-        return array
-    if array.__dlpack_device__()[0] != DLPACK_CPU:
-        raise BackendError(
-            "a recording lies on a GPU, and its engine offers no kernels there: set Recording.kernels"
-        )
-    return np.asarray(np.from_dlpack(array))
-
-
-def score_recording(
-    experiment: Experiment,
-    band: Band,
-    *,
-    recording: Recording,
-    rows: Sequence[int],
-    sample_counts: NDArray[np.intp],
-) -> dict[str, FloatArray]:
-    """Return the distances of recorded worlds from a band; for experiments that observe positions.
-
-    Args:
-        experiment: Experiment that was simulated.
-        band: Its reference.
-        recording: The record, 180 samples a second from 0.
-        rows: Numbers of the observed bodies, in the order of the experiment.
-        sample_counts: Number of samples of each world that count, shape [world_count]. A world that lacks a frame has
-            no score; fewer samples after the last frame shorten the range of time shifts.
-
-    Returns:
-        As `score_worlds` returns them.
-    """
-    kernels = recording.kernels
-    positions = (
-        host_array(recording.positions_m) if kernels is None else recording.positions_m
-    )
-    needed = (experiment.frame_count - 1) * SAMPLES_PER_FRAME + 1
-    world_count = len(sample_counts)
-    width = 3 * len(rows)
-    is_right = (
-        len(positions.shape) == 4
-        and positions.shape[1] == world_count
-        and positions.shape[3] == 3
-    )
-    if not is_right or positions.shape[0] < needed or width != band.projection.shape[1]:
-        raise ShapeError(
-            f"positions have shape {tuple(positions.shape)} with {len(rows)} observed bodies; [{needed} or more, "
-            f"{world_count}, body_count, 3] and {band.projection.shape[1] // 3} observed bodies are needed"
-        )
-    # A kernel would read outside of the array.
-    if not all(0 <= row < positions.shape[2] for row in rows):
-        raise ShapeError(
-            f"rows are {list(rows)}, expected numbers of the {positions.shape[2]} bodies, from 0"
-        )
-    if kernels is None:
-        if positions.dtype != np.float64:
-            raise ShapeError(
-                f"positions are of type {positions.dtype.name}, expected 64-bit floats"
-            )
-        values = 1e3 * positions[:, :, list(rows)].reshape(
-            len(positions), world_count, width
-        )
-        values[np.arange(len(positions))[:, None] >= sample_counts] = np.nan
-        times_s = SAMPLE_INTERVAL_S * np.arange(len(positions), dtype=np.float64)
-        return score_worlds(
-            experiment, band, times_s=times_s, values=values.transpose(1, 0, 2)
-        )
-    squares, shifts, shifted_squares = kernels.squares(
-        positions,
-        rows=rows,
-        sample_counts=sample_counts,
-        projection=band.projection,
-        mean=band.mean,
-        shift_limit=MOST_STEPS,
-    )
-    known_frame_count = np.count_nonzero(np.isfinite(band.mean).any(axis=1))
-    scores = {"rmse": np.sqrt(squares / known_frame_count)}
-    if _is_aligned(experiment, band):
-        is_missing = ~np.isfinite(scores["rmse"])
-        scores["release_offset_s"] = np.where(
-            is_missing, np.nan, SAMPLE_INTERVAL_S * shifts
-        )
-        scores["rmse_aligned"] = np.where(
-            is_missing, np.nan, np.sqrt(shifted_squares / known_frame_count)
-        )
-    return _normalized(experiment, band, scores)

@@ -1,6 +1,7 @@
 """Worlds that advance together: arrays in place of a loop change no number of an episode."""
 
 import threading
+from dataclasses import replace
 
 import gymnasium
 import numpy as np
@@ -10,7 +11,9 @@ from benchmarks.worlds import measured
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
 from gauge_envs.envs import stepper
 from gauge_envs.envs.at_once import EpisodesAtOnce
+from gauge_envs.envs.divergence import RigidBoundsOfWorlds
 from gauge_envs.envs.lockstep import EpisodesOneByOne
+from gauge_envs.experiments.resolve import load_experiment
 
 
 def zeros(envs):
@@ -144,3 +147,27 @@ def test_the_benchmark_of_worlds_times_each_part():
     assert row.steps_per_s == pytest.approx(
         1e6 / (row.engine_us + row.host_us + row.run_on_us + row.scoring_us), rel=1e-9
     )
+
+
+def test_each_world_is_judged_by_its_own_masses():
+    scene = load_experiment("BouncingBall-rubber").scene
+    heavy = replace(
+        scene,
+        bodies=tuple(
+            replace(one, mass_kg=1e3 * one.mass_kg)
+            if one in scene.dynamic_bodies
+            else one
+            for one in scene.bodies
+        ),
+    )
+    states = np.zeros((2, 1, 13))
+    states[:, 0, 3] = 1.0
+    own, of_the_first = (
+        RigidBoundsOfWorlds([scene, heavy]),
+        RigidBoundsOfWorlds([scene, scene]),
+    )
+    of_the_first.energies_j = own.energies_j
+    # Twice the energy that the heavy ball may have.
+    states[1, 0, 7] = 2.0 * np.sqrt(own.energies_j[1] / heavy.dynamic_bodies[0].mass_kg)
+    assert own.suspects(states).tolist() == [False, True]
+    assert of_the_first.suspects(states).tolist() == [False, False]

@@ -133,7 +133,8 @@ def test_a_world_that_diverges_keeps_its_observation(drifting):
 def test_what_a_device_cannot_do_is_refused(drifting, monkeypatch):
     envs = gymnasium.make_vec(PASSIVE, num_envs=2, mode="device")
     envs.reset(seed=0)
-    for call in (envs.unwrapped.rollout, envs.unwrapped.scores):
+    inner = envs.unwrapped
+    for call in (inner.scores, inner.score_arrays, inner.deformations):
         with pytest.raises(EpisodeError, match="stays on the device"):
             call()
     for name, arguments, error in (
@@ -146,3 +147,34 @@ def test_what_a_device_cannot_do_is_refused(drifting, monkeypatch):
     monkeypatch.undo()
     with pytest.raises(BackendError, match="no arrays on a device"):
         gymnasium.make_vec(PASSIVE, num_envs=2, mode="device")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [PASSIVE, "GAUGE/Turntable-1-wood"])
+def test_newton_in_tensors_is_newton_on_the_host(name, monkeypatch):
+    """In single precision; and Warp and PyTorch copy nothing in the steps."""
+    pytest.importorskip("newton")
+    torch = pytest.importorskip("torch")
+    wp = pytest.importorskip("warp")
+    monkeypatch.setattr(device, "START_COUNT", 3)
+    kinds = {"score_arrays": True}, {"mode": "device"}
+    host, there = (
+        gymnasium.make_vec(name, num_envs=3, backend="newton", **kind) for kind in kinds
+    )
+    for envs in (host, there):
+        first = envs.reset(seed=4, options={"jitter": True})
+    actions = actions_of(host, host.unwrapped.experiment.frame_count)
+    expected = [host.step(one) for one in actions[:-1]]
+    copies = []
+    for owner, call in ((wp.array, "numpy"), (torch.Tensor, "cpu")):
+        monkeypatch.setattr(owner, call, lambda *_: copies.append(1))
+    found = [there.step(torch.from_numpy(one)) for one in actions]
+    assert not copies
+    monkeypatch.undo()
+    for one, other in zip(found, expected, strict=False):
+        # mm of the trajectory and of its score; the driven motion has single precision.
+        assert np.abs(one[0]["observable"].numpy() - other[0]["observable"]).max() < 0.1
+        assert np.abs(one[1].numpy() - other[1]).max() < 0.05
+    assert np.allclose(found[-2][4]["rmse"], expected[-1][4]["rmse"], rtol=0.01)
+    assert found[-1][4]["frame"] == 0
+    assert np.isfinite(first[0]["observable"].numpy()).all()

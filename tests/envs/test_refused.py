@@ -137,10 +137,7 @@ def test_calls_are_refused(approved):
         "arrays of no reference": lambda: worlds(
             name="RopeWinding-rubber", score_arrays=True
         ),
-        "record of no recorder": lambda: Together([]).record(
-            ["cube"], frame_count=2, samples=6, interval_s=1 / 180
-        ),
-        "rollout before reset": lambda: worlds().rollout(),
+        "no device": lambda: Together([]).on_device(),
     }
     approved("envs/calls", refused_calls(GaugeError, calls))
 

@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from gauge_envs.backends.base import Recording, Worlds, separate_worlds
+from gauge_envs.backends.base import Worlds, separate_worlds
+from gauge_envs.backends.device import DeviceWorlds, HostArrays
 from mutations.mutant import fault
 
 
@@ -80,20 +81,30 @@ class _CommandsAll(_Batch):
             world.command(values[0])
 
 
-class _RecordsLate(_Batch):
-    """Records without the start."""
+class _OnHost(HostArrays, DeviceWorlds):
+    """Worlds whose device is the host, and which ignore where they shall begin."""
 
-    can_record = True
+    def __init__(self, worlds):
+        self._worlds = worlds
 
-    def record(self, names, *, frame_count, samples, interval_s):
-        rows = []
-        for _ in range((frame_count - 1) * samples + 1):
-            self.advance(interval_s)
-            rows.append(self.body_states(names))
-        rows = np.array(rows)
-        return Recording(
-            device="cpu", positions_m=rows[..., :3], states=rows[::samples]
-        )
+    def begin(self, states):
+        self._worlds.reset(0)
+
+    def drive(self, body, motions):
+        self._worlds.drive(body, motions, np.arange(len(motions)))
+
+    def advance(self, seconds):
+        self._worlds.advance(seconds)
+
+    def body_states(self, names):
+        return self._worlds.body_states(names)
+
+
+class _BeginsAsBuilt(_Batch):
+    """Has a device that ignores given starts."""
+
+    def on_device(self):
+        return _OnHost(self.inner)
 
 
 def _constants_of_first(build, scenes):
@@ -179,11 +190,11 @@ FAULTS = dict(
             worlds=_wrapped(_CommandsAll),
         ),
         fault(
-            "worlds-record",
-            "record without the start",
-            "worlds-record",
-            "must hold the start",
-            worlds=_wrapped(_RecordsLate),
+            "worlds-device",
+            "worlds on a device begin as built",
+            "worlds-device",
+            "at the given states",
+            worlds=_wrapped(_BeginsAsBuilt),
         ),
     )
 )

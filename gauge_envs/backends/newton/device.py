@@ -89,6 +89,10 @@ class NewtonOnDevice(DeviceWorlds):
             tensor = tensor.to(torch.float32)
         return tensor.to(self._device)
 
+    def copied(self, array: Any) -> NDArray[Any]:
+        """Return a tensor on the host."""
+        return np.asarray(array.cpu())
+
     def begin(self, states: Any | None) -> None:
         """Return all worlds to their starts, or to other states."""
         with self._in_stream():

@@ -138,39 +138,3 @@ def carry(
     particle_q[particle[i]] = here
     particle_qd[particle[i]] = wp.div(wp.sub(there, here), timestep_s)
     particle_qd_grad[particle[i]] = wp.skew(wp.spatial_bottom(body_qd_after[body[i]]))
-
-
-@wp.kernel(enable_backward=False)
-def record(
-    sample: int,
-    frame: int,
-    body: wp.array2d[wp.int32],
-    origin: wp.array[wp.vec3d],
-    centre: wp.array[wp.vec3d],
-    body_q: wp.array[wp.transform],
-    body_qd: wp.array[wp.spatial_vector],
-    positions: wp.array4d[wp.float64],
-    states: wp.array4d[wp.float64],
-):
-    """Write positions of body origins after a sample, and their poses and velocities after a frame, if it is not -1."""
-    n, b = wp.tid()
-    i = body[n, b]
-    q = body_q[i]
-    for k in range(3):
-        positions[sample, n, b, k] = wp.float64(q[k]) + origin[n][k]
-    if frame < 0:
-        return
-    v = body_qd[i]
-    for k in range(3):
-        states[frame, n, b, k] = wp.float64(q[k]) + origin[n][k]
-        states[frame, n, b, 4 + k] = wp.float64(q[3 + k])
-        states[frame, n, b, 10 + k] = wp.float64(v[3 + k])
-    states[frame, n, b, 3] = wp.float64(q[6])
-    # Newton's velocity is that of the centre of mass.
-    turned = wp.normalize(
-        wp.quatd(wp.float64(q[3]), wp.float64(q[4]), wp.float64(q[5]), wp.float64(q[6]))
-    )
-    spin = wp.vec3d(wp.float64(v[3]), wp.float64(v[4]), wp.float64(v[5]))
-    turning = wp.cross(spin, wp.quat_rotate(turned, centre[i]))
-    for k in range(3):
-        states[frame, n, b, 7 + k] = wp.float64(v[k]) - turning[k]

@@ -1,4 +1,4 @@
-"""Simulations and batched worlds on top of a Newton model, and recordings in arrays of its device."""
+"""Simulations and batched worlds on top of a Newton model."""
 
 from __future__ import annotations
 
@@ -8,14 +8,11 @@ from typing import cast
 
 import newton
 import numpy as np
-import warp as wp
 from numpy.typing import NDArray
 
-from gauge_envs.backends.base import Recording, Simulation, Worlds
+from gauge_envs.backends.base import Simulation, Worlds
 from gauge_envs.backends.device import DeviceWorlds
-from gauge_envs.backends.newton.kernels import record
 from gauge_envs.backends.newton.model import WorldLayout, build_model
-from gauge_envs.backends.newton.recordings import WarpKernels
 from gauge_envs.backends.newton.rigid import StepperMuJoCo
 from gauge_envs.backends.newton.settings import SettingsNewton
 from gauge_envs.backends.newton.stepper import HostState, Stepper
@@ -109,87 +106,8 @@ class SimulationNewton(_WorldNewton, Simulation):
         """Do nothing, since the simulation only holds memory."""
 
 
-class Recorder:
-    """Record of the bodies of all worlds.
-
-    The host starts the recorded steps and a kernel after each sample, and waits for none of them.
-
-    Args:
-        stepper: Stepper of the model.
-        bodies: Indices of the bodies in the model, shape [world_count, body_count].
-        origins_m: World positions of the origin of each world's bodies [m], shape [world_count, 3].
-        frame_count: Number of frames, with the first one.
-        samples: Number of samples from one frame to the next.
-    """
-
-    def __init__(
-        self,
-        stepper: Stepper,
-        bodies: NDArray[np.intp],
-        origins_m: NDArray[np.float64],
-        *,
-        frame_count: int,
-        samples: int,
-    ) -> None:
-        self._stepper, self._bodies, self._samples = stepper, bodies, samples
-        self._device = stepper.model.device
-        with wp.ScopedDevice(self._device):
-            self._index = wp.array(bodies.astype(np.int32), dtype=wp.int32)
-            self._origins = wp.array(origins_m, dtype=wp.vec3d)
-            self._centres = wp.array(
-                stepper.model.body_com.numpy().astype(np.float64), dtype=wp.vec3d
-            )
-            sample_count = (frame_count - 1) * samples + 1
-            self._positions = wp.zeros(
-                (sample_count, *bodies.shape, 3), dtype=wp.float64
-            )
-            self._states = wp.zeros((frame_count, *bodies.shape, 13), dtype=wp.float64)
-
-    def fits(self, bodies: NDArray[np.intp], frame_count: int, samples: int) -> bool:
-        """Return whether the arrays suit these bodies and this length."""
-        is_as_long = (frame_count, samples) == (len(self._states), self._samples)
-        return is_as_long and np.array_equal(bodies, self._bodies)
-
-    def run(self, interval_s: float) -> Recording:
-        """Advance the model and record it from its current state on.
-
-        Args:
-            interval_s: Time between samples [s].
-        """
-        self._record(0)
-        for sample in range(1, len(self._positions)):
-            self._stepper.advance(interval_s)
-            self._record(sample)
-        return Recording(
-            device=str(self._device),
-            positions_m=self._positions,
-            states=self._states,
-            kernels=WarpKernels(),
-        )
-
-    def _record(self, sample: int) -> None:
-        state = self._stepper.now
-        frame, rest = divmod(sample, self._samples)
-        bodies = (
-            self._index,
-            self._origins,
-            self._centres,
-            state.body_q,
-            state.body_qd,
-        )
-        wp.launch(
-            record,
-            dim=self._bodies.shape,
-            inputs=[sample, -1 if rest else frame, *bodies],
-            outputs=[self._positions, self._states],
-            device=self._device,
-        )
-
-
 class WorldsNewton(Worlds):
     """Instances of a scene as worlds of one Newton model."""
-
-    can_record = True
 
     def __init__(self, scenes: Sequence[Scene], settings: SettingsNewton) -> None:
         self._stepper, layouts = build_model(scenes, settings)
@@ -208,7 +126,6 @@ class WorldsNewton(Worlds):
         }
         self._origins_m = np.array([layout.origin_m for layout in layouts])[:, None]
         self._scene, self._layouts = scenes[0], layouts
-        self._recorder: Recorder | None = None
 
     def reset(self, seed: int) -> None:
         """Return all worlds to their starts. Newton draws no random numbers here, so the seed has no effect."""
@@ -276,24 +193,6 @@ class WorldsNewton(Worlds):
                 "Newton's worlds on a device are of rigid bodies alone: leave out mode='device'"
             )
         return NewtonOnDevice(self._scene, self._stepper, self._layouts, self._bodies)
-
-    def record(
-        self, names: Sequence[str], *, frame_count: int, samples: int, interval_s: float
-    ) -> Recording:
-        """Advance all worlds and record them in Warp arrays of the model's device; see `Worlds.record`."""
-        bodies = np.column_stack([self._bodies[name] for name in names])
-        if self._recorder is None or not self._recorder.fits(
-            bodies, frame_count, samples
-        ):
-            origins_m = self._origins_m[:, 0]
-            self._recorder = Recorder(
-                self._stepper,
-                bodies,
-                origins_m,
-                frame_count=frame_count,
-                samples=samples,
-            )
-        return self._recorder.run(interval_s)
 
     def _all_move(self, names: Sequence[str]) -> bool:
         return bool(names) and self._bodies.keys() >= set(names)

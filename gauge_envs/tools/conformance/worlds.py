@@ -16,9 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.backends.base import Backend, Worlds, scene_support, worlds_of
-from gauge_envs.errors import BackendError
+from gauge_envs.envs.device import dynamic_states
+from gauge_envs.errors import BackendError, MissingExtraError
 from gauge_envs.runs.rollout import DeclinedError
-from gauge_envs.scene import Motion, Scene
+from gauge_envs.scene import RigidBody, Scene
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 from gauge_envs.tools.bench.parts import (
     ball,
@@ -304,46 +305,31 @@ def _worlds_command(lab: Lab) -> Measurement:
     return _worst(rates * joints.INERTIA / (torques_n_m * PUSHED_S))
 
 
-@Check(
-    "worlds-record",
-    scene="worlds of a ball that drops on a slab, with other starts and constants each",
-)
-def _worlds_record(lab: Lab) -> Measurement:
-    scenes = [
-        replace(
-            one,
-            bodies=(one.bodies[0], one.bodies[2]),
-            contacts=one.contacts[:1],
-            drivers=(),
-        )
-        for one in _scenes(_numbers(lab))
+@Check("worlds-device", scene=f"{WHAT}, in arrays of the device")
+def _worlds_device(lab: Lab) -> Measurement:
+    numbers = _numbers(lab)
+    scenes = _scenes(numbers)
+    built = [
+        replace(one, bodies=tuple(map(_at_start_of, one.bodies, other.bodies)))
+        for one, other in zip(scenes, [*scenes[1:], scenes[0]], strict=True)
     ]
-    names = [one.name for one in scenes[0].bodies if one.motion is Motion.DYNAMIC]
-    frames, samples = 10, 6
-    with closing(_built(lab, scenes)) as worlds:
-        if not worlds.can_record:
-            raise DeclinedError(("the engine records nothing on a device",))
-        worlds.reset(0)
-        recording = worlds.record(
-            names,
-            frame_count=frames,
-            samples=samples,
-            interval_s=SAMPLE_INTERVAL_S,
-        )
-        kernels = recording.kernels
-        positions, states = (
-            np.array(one) if kernels is None else kernels.copied(one)
-            for one in (recording.positions_m, recording.states)
-        )
-        worlds.reset(0)
-        read = [np.array(worlds.body_states(names))]
-        for _ in range((frames - 1) * samples):
-            worlds.advance(SAMPLE_INTERVAL_S)
-            read.append(np.array(worlds.body_states(names)))
-    expected = np.array(read)
-    if positions.shape != expected[..., :3].shape:
-        hint = f"positions have the shape {positions.shape} instead of {expected[..., :3].shape}"
-        return Measurement(measured=np.nan, hint=hint)
-    apart = float(np.abs(positions - expected[..., :3]).max())
-    of_frames = np.abs(one_sign(states) - one_sign(expected[::samples])).max()
-    return Measurement(measured=max(apart, float(of_frames)))
+    starts = np.array([dynamic_states(one) for one in scenes])
+    courses = []
+    with closing(_built(lab, built)) as worlds:
+        try:
+            device = worlds.on_device()
+        except (BackendError, MissingExtraError) as error:
+            raise DeclinedError((str(error),)) from error
+        device.begin(device.asarray(starts))
+        for interval in range(INTERVALS):
+            device.drive("plate", device.asarray(_motions(numbers, interval)))
+            device.advance(SAMPLE_INTERVAL_S)
+            states = device.copied(device.body_states(NAMES))
+            courses.append(one_sign(states.astype(np.float64)))
+    return _difference(np.array(courses), _alone(lab))
+
+
+def _at_start_of(body: RigidBody, other: RigidBody) -> RigidBody:
+    """Return a body that starts as another one does."""
+    speed = other.linear_velocity_m_per_s
+    return replace(body, pose=other.pose, linear_velocity_m_per_s=speed)
