@@ -1,8 +1,7 @@
-"""Worlds of one experiment on an engine's device, for learners there: no step copies anything to the host.
+"""Episodes of all worlds on an engine's device, for learners there: no step copies anything to the host.
 
-`gymnasium.make_vec(id, num_envs=4096, backend=..., mode="device")` makes a `DeviceVectorEnv`. Commands, driven motions,
-starts, observations, rewards, flags and scores are arrays of the engine's library. The Python calls of a step do not
-depend on the number of worlds.
+Commands, driven motions, starts, observations, rewards, flags and scores are arrays of the engine's library. The Python
+calls of a step do not depend on the number of worlds.
 """
 
 from __future__ import annotations
@@ -13,148 +12,20 @@ from typing import Any
 import numpy as np
 
 from gauge_envs.backends.base import worlds_of
-from gauge_envs.backends.device import DeviceWorlds
 from gauge_envs.backends.registry import backend_for
-from gauge_envs.envs.arguments import EnvArguments, drawn_seed
+from gauge_envs.envs.arguments import EnvArguments
 from gauge_envs.envs.at_once import BatchReward
 from gauge_envs.envs.divergence import RigidBoundsOfWorlds
 from gauge_envs.envs.episode import Episode
-from gauge_envs.envs.vector import GaugeVectorEnv
-from gauge_envs.errors import EpisodeError, ParameterError, UnsupportedSceneError
+from gauge_envs.errors import ParameterError, UnsupportedSceneError
 from gauge_envs.evaluation.worlds import score_samples
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.bands import Band
 from gauge_envs.scene.driver_path import DriverPathInArrays, motor_commands
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.scene.jitter import Jitter, jittered
 from gauge_envs.scene.scene import Scene
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
-
-START_COUNT = 1024
-"""Smallest number of random starts from which episodes draw theirs."""
-
-
-class DeviceVectorEnv(GaugeVectorEnv):
-    """Worlds of one experiment of rigid bodies in arrays of the engine's device.
-
-    It has the spaces, the starts, the rewards and the scores of `GaugeVectorEnv`, but for rounding in the engine's
-    precision. What differs:
-
-    - Observations, rewards, terminations, truncations and scores are arrays of the engine's library. Actions may be;
-      they are clipped to -1 and 1.
-    - All worlds run to the last frame of the experiment, and start their next episode in the step after it, also with
-      random starts. A world that diverges is terminated from then on and keeps its observation; its reward is 0, and
-      its scores are NaN. No reason is given.
-    - A reset draws a random start for each world, and for 1,024 at least. Each later episode takes one of them
-      in each world, without repetition among the worlds.
-    - `infos` has `frame` and `time_s`, and at the last frame the arrays of `GaugeVectorEnv.score_arrays`.
-    - There are no pictures, trials, or records of single worlds.
-
-    Args:
-        variant: Name of the variant, as `SlopeSlider-2-wood`.
-        num_envs: Number of worlds.
-        **arguments: Other arguments of `GaugeVectorEnv`.
-
-    Raises:
-        UnsupportedSceneError: The experiment has deformable bodies, or observes no positions.
-        BackendError: The engine has no arrays on a device.
-    """
-
-    _lockstep: EpisodesOnDevice  # type: ignore[assignment]  # the parent's other methods that need records raise
-
-    def _build(self, experiments: Sequence[Experiment]) -> None:
-        if self.render_mode is not None:
-            raise ParameterError("render_mode: worlds on a device have no pictures")
-        self._lockstep = EpisodesOnDevice(
-            self.arguments, experiments, self.experiment, self.band
-        )
-        self._starts_m: Any = None
-        self._order = np.random.default_rng(0)
-        self._is_reset = False
-
-    @property
-    def worlds_on_device(self) -> DeviceWorlds:
-        """The worlds in arrays of the device."""
-        return self._lockstep.device
-
-    def reset(
-        self,
-        *,
-        seed: int | Sequence[int] | None = None,
-        options: dict[str, Any] | None = None,
-    ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Start a new episode in every world.
-
-        Args:
-            seed: As for `GaugeVectorEnv.reset`; None draws seeds where starts scatter.
-            options: `{"jitter": ...}`, as for `GaugeEnv.reset`; it holds for the next episodes.
-        """
-        self._check_open("reset")
-        jitter = self._starts.of_reset(options, seeded=seed is not None)
-        if not isinstance(jitter, Jitter | None):
-            raise ParameterError(
-                f"{self.experiment.id}: trials do not start worlds on a device"
-            )
-        stated = [None] * self.num_envs if seed is None else self._seeds(seed)
-        seeds = [drawn_seed(one, jitter, self._order) for one in stated]
-        self._order = np.random.default_rng(seeds[0])
-        self.seeds_used, self.jitter = tuple(seeds), jitter
-        self._starts_m = None
-        if jitter is not None:
-            later = range(seeds[-1] + 1, seeds[-1] + 1 + START_COUNT - len(seeds))
-            scene = self.experiment.scene
-            starts = [
-                dynamic_states(jittered(scene, jitter, seed=one))
-                for one in (*seeds, *later)
-            ]
-            self._starts_m = self._lockstep.device.asarray(np.stack(starts))
-        self._is_reset = True
-        return self._begin(np.arange(self.num_envs))
-
-    def _begin(self, order: Any) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Start an episode in all worlds, from random starts of some numbers if starts scatter."""
-        starts = self._starts_m
-        if starts is not None:
-            starts = starts[self._lockstep.device.asarray(order)]
-        self._lockstep.start(starts)
-        return self._lockstep.observation(), self._lockstep.info()
-
-    def step(
-        self, actions: Any
-    ) -> tuple[dict[str, Any], Any, Any, Any, dict[str, Any]]:
-        """Simulate one frame, 1/30 s, in every world; after the last one, start the next episode of all instead.
-
-        Args:
-            actions: Actions of all worlds, shape [num_envs, ...]; on the device, or a NumPy array.
-        """
-        self._check_started("step", started=self._is_reset)
-        episodes = self._lockstep
-        if episodes.is_complete:
-            count = self.num_envs if self._starts_m is None else len(self._starts_m)
-            order = self._order.choice(count, self.num_envs, replace=False)
-            observation, info = self._begin(order)
-            return observation, *episodes.nothing(), info
-        rewards = episodes.advance(actions)
-        over = (episodes.diverged, episodes.truncations())
-        return episodes.observation(), rewards, *over, episodes.info()
-
-    def _refuse(self, call: str) -> EpisodeError:
-        return EpisodeError(
-            f"{self.experiment.id}: {call} needs a record, which stays on the device; infos has scores at the end"
-        )
-
-    def scores(self) -> tuple[Any, ...]:
-        """Raise an error."""
-        raise self._refuse("scores")
-
-    def score_arrays(self) -> dict[str, Any]:
-        """Raise an error."""
-        raise self._refuse("score_arrays")
-
-    def deformations(self) -> tuple[Any, ...]:
-        """Raise an error."""
-        raise self._refuse("deformations")
 
 
 def dynamic_states(scene: Scene) -> FloatArray:

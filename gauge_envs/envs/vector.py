@@ -21,6 +21,7 @@ from gymnasium.vector import (
 from numpy.typing import NDArray
 
 from gauge_envs.backends.base import Worlds
+from gauge_envs.backends.device import DeviceWorlds
 from gauge_envs.envs.arguments import (
     EnvArguments,
     EnvKeywords,
@@ -35,6 +36,7 @@ from gauge_envs.envs.arguments import (
 )
 from gauge_envs.envs.at_once import episodes_in_lockstep
 from gauge_envs.envs.base import WorldsEnvironment, world_constants
+from gauge_envs.envs.device import EpisodesOnDevice, dynamic_states
 from gauge_envs.envs.episode import Episode, Observation
 from gauge_envs.envs.pictures import (
     WORLDS_RENDER_MODES,
@@ -49,7 +51,7 @@ from gauge_envs.evaluation.worlds import score_worlds
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.variants import Variant
 from gauge_envs.references.grades import BandGrade
-from gauge_envs.scene.jitter import Jitter
+from gauge_envs.scene.jitter import Jitter, jittered
 
 Step = tuple[
     Observation,
@@ -58,6 +60,10 @@ Step = tuple[
     NDArray[np.bool_],
     dict[str, Any],
 ]
+
+
+START_COUNT = 1024
+"""Smallest number of random starts from which episodes draw theirs."""
 
 
 class GaugeVectorEnv(WorldsEnvironment[Observation]):
@@ -277,6 +283,128 @@ class GaugeVectorEnv(WorldsEnvironment[Observation]):
         self.worlds.close()
 
 
+class DeviceVectorEnv(GaugeVectorEnv):
+    """Worlds of one experiment of rigid bodies in arrays of the engine's device: `make_vec(id, mode="device")`.
+
+    It has the spaces, the starts, the rewards and the scores of `GaugeVectorEnv`, but for rounding in the engine's
+    precision. What differs:
+
+    - Observations, rewards, terminations, truncations and scores are arrays of the engine's library. Actions may be;
+      they are clipped to -1 and 1.
+    - All worlds run to the last frame of the experiment, and start their next episode in the step after it, also with
+      random starts. A world that diverges is terminated from then on and keeps its observation; its reward is 0, and
+      its scores are NaN. No reason is given.
+    - A reset draws a random start for each world, and for 1,024 at least. Each later episode takes one of them
+      in each world, without repetition among the worlds.
+    - `infos` has `frame` and `time_s`, and at the last frame the arrays of `GaugeVectorEnv.score_arrays`.
+    - There are no pictures, trials, or records of single worlds.
+
+    Args:
+        variant: Name of the variant, as `SlopeSlider-2-wood`.
+        num_envs: Number of worlds.
+        **arguments: Other arguments of `GaugeVectorEnv`.
+
+    Raises:
+        UnsupportedSceneError: The experiment has deformable bodies, or observes no positions.
+        BackendError: The engine has no arrays on a device.
+    """
+
+    _lockstep: EpisodesOnDevice  # type: ignore[assignment]  # the parent's other methods that need records raise
+
+    def _build(self, experiments: Sequence[Experiment]) -> None:
+        if self.render_mode is not None:
+            raise ParameterError("render_mode: worlds on a device have no pictures")
+        self._lockstep = EpisodesOnDevice(
+            self.arguments, experiments, self.experiment, self.band
+        )
+        self._starts_m: Any = None
+        self._order = np.random.default_rng(0)
+        self._is_reset = False
+
+    @property
+    def worlds_on_device(self) -> DeviceWorlds:
+        """The worlds in arrays of the device."""
+        return self._lockstep.device
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Start a new episode in every world.
+
+        Args:
+            seed: As for `GaugeVectorEnv.reset`; None draws seeds where starts scatter.
+            options: `{"jitter": ...}`, as for `GaugeEnv.reset`; it holds for the next episodes.
+        """
+        self._check_open("reset")
+        jitter = self._starts.of_reset(options, seeded=seed is not None)
+        if not isinstance(jitter, Jitter | None):
+            raise ParameterError(
+                f"{self.experiment.id}: trials do not start worlds on a device"
+            )
+        stated = [None] * self.num_envs if seed is None else self._seeds(seed)
+        seeds = [drawn_seed(one, jitter, self._order) for one in stated]
+        self._order = np.random.default_rng(seeds[0])
+        self.seeds_used, self.jitter = tuple(seeds), jitter
+        self._starts_m = None
+        if jitter is not None:
+            later = range(seeds[-1] + 1, seeds[-1] + 1 + START_COUNT - len(seeds))
+            scene = self.experiment.scene
+            starts = [
+                dynamic_states(jittered(scene, jitter, seed=one))
+                for one in (*seeds, *later)
+            ]
+            self._starts_m = self._lockstep.device.asarray(np.stack(starts))
+        self._is_reset = True
+        return self._begin(np.arange(self.num_envs))
+
+    def _begin(self, order: Any) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Start an episode in all worlds, from random starts of some numbers if starts scatter."""
+        starts = self._starts_m
+        if starts is not None:
+            starts = starts[self._lockstep.device.asarray(order)]
+        self._lockstep.start(starts)
+        return self._lockstep.observation(), self._lockstep.info()
+
+    def step(
+        self, actions: Any
+    ) -> tuple[dict[str, Any], Any, Any, Any, dict[str, Any]]:
+        """Simulate one frame, 1/30 s, in every world; after the last one, start the next episode of all instead.
+
+        Args:
+            actions: Actions of all worlds, shape [num_envs, ...]; on the device, or a NumPy array.
+        """
+        self._check_started("step", started=self._is_reset)
+        episodes = self._lockstep
+        if episodes.is_complete:
+            count = self.num_envs if self._starts_m is None else len(self._starts_m)
+            order = self._order.choice(count, self.num_envs, replace=False)
+            observation, info = self._begin(order)
+            return observation, *episodes.nothing(), info
+        rewards = episodes.advance(actions)
+        over = (episodes.diverged, episodes.truncations())
+        return episodes.observation(), rewards, *over, episodes.info()
+
+    def _refuse(self, call: str) -> EpisodeError:
+        return EpisodeError(
+            f"{self.experiment.id}: {call} needs a record, which stays on the device; infos has scores at the end"
+        )
+
+    def scores(self) -> tuple[Any, ...]:
+        """Raise an error."""
+        raise self._refuse("scores")
+
+    def score_arrays(self) -> dict[str, Any]:
+        """Raise an error."""
+        raise self._refuse("score_arrays")
+
+    def deformations(self) -> tuple[Any, ...]:
+        """Raise an error."""
+        raise self._refuse("deformations")
+
+
 class ScoreEpisodes(VectorWrapper):
     """Score each episode of a vector environment once, when it ends.
 
@@ -393,8 +521,6 @@ def scored_vector_env(
     if mode not in ("host", "device"):
         raise ParameterError(f"mode is {mode!r}, expected 'host' or 'device'")
     if mode == "device":
-        from gauge_envs.envs.device import DeviceVectorEnv
-
         envs: GaugeVectorEnv = DeviceVectorEnv(**arguments)
     else:
         envs = GaugeVectorEnv(**arguments)

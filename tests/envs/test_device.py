@@ -8,7 +8,7 @@ import pytest
 from refusing import DriftingWorlds, Refusing, values_of
 
 from gauge_envs.backends.mujoco import BackendMuJoCo
-from gauge_envs.envs import device
+from gauge_envs.envs import vector
 from gauge_envs.errors import (
     BackendError,
     EpisodeError,
@@ -32,7 +32,7 @@ def drifting(monkeypatch):
         lambda self, scenes, settings=None: DriftingWorlds(scenes),
     )
     monkeypatch.setattr(Refusing, "copies", 0)
-    monkeypatch.setattr(device, "START_COUNT", 16)
+    monkeypatch.setattr(vector, "START_COUNT", 16)
 
 
 def actions_of(envs, steps):
@@ -156,7 +156,7 @@ def test_newton_in_tensors_is_newton_on_the_host(name, monkeypatch):
     pytest.importorskip("newton")
     torch = pytest.importorskip("torch")
     wp = pytest.importorskip("warp")
-    monkeypatch.setattr(device, "START_COUNT", 3)
+    monkeypatch.setattr(vector, "START_COUNT", 3)
     kinds = {"score_arrays": True}, {"mode": "device"}
     host, there = (
         gymnasium.make_vec(name, num_envs=3, backend="newton", **kind) for kind in kinds
