@@ -27,6 +27,7 @@ SHEETS = [
     for family in ("TextileFlinging", "TextileBending")
     for fabric in FABRICS
 ]
+QUICK = ("TextileFlinging-uniform", "TextileBending-oxford")
 MM_PER_M = 1e3
 
 
@@ -95,13 +96,13 @@ def test_a_small_swing_of_the_sheet_has_the_period_of_a_hanging_chain():
     small = replace(driver, motions=(replace(driver.motions[0], profiles=profiles),))
     stiffness = 25.0 * sheet.cloth.stretch_stiffness_n_per_m
     stiff = replace(sheet.cloth, stretch_stiffness_n_per_m=stiffness)
-    frames = 181
+    frames = 121
     nodes_m, _, _ = solve_sheet(
         replace(sheet, cloth=stiff, held={side: small}), cells=32, frames=frames
     )
     lower = 0 if side == "high" else -1
-    swing = nodes_m[60:, 1, lower] - nodes_m[-1, 1, -1 if side == "high" else 0]
-    times_s = np.arange(60, frames) / 30.0
+    swing = nodes_m[42:, 1, lower] - nodes_m[-1, 1, -1 if side == "high" else 0]
+    times_s = np.arange(42, frames) / 30.0
     length_m = sheet.cloth.size_m[0]
     zeros = np.array([2.404826, 5.520078, 8.653728])
     modes = 0.5 * zeros * np.sqrt(GRAVITY_M_PER_S2 / length_m)
@@ -119,7 +120,13 @@ def test_a_small_swing_of_the_sheet_has_the_period_of_a_hanging_chain():
     assert best == pytest.approx(1.0, abs=0.005)
 
 
-@pytest.mark.parametrize("name", SHEETS)
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=() if name in QUICK else pytest.mark.slow)
+        for name in SHEETS
+    ],
+)
 def test_the_reference_is_that_of_a_sheet_of_finer_cells(name):
     """The finer sheet is not among the runs that the reference was made of."""
     sheet, markers_m = sheet_and_markers(name)
@@ -138,9 +145,6 @@ def test_every_load_of_the_table_is_solved():
     assert {one.name for one in variants() if loads_of(one.name)} == {
         one.name for one in variants() if solved_loads(one.name)
     }
-
-
-QUICK = ("TextileFlinging-uniform", "TextileBending-oxford")
 
 
 @pytest.mark.parametrize(
@@ -193,16 +197,16 @@ def test_a_frozen_scene_and_a_softer_or_lighter_fabric_differ_from_the_reference
     sheet, markers_m = sheet_and_markers(name)
     band = solved_model(name).band
     frames = int(np.isfinite(band.points.mean).all(axis=1).sum())
-    soft = replace(
-        sheet.cloth,
-        stretch_stiffness_n_per_m=0.8 * sheet.cloth.stretch_stiffness_n_per_m,
-    )
-    light = replace(
-        sheet.cloth,
-        areal_density_kg_per_m2=0.8 * sheet.cloth.areal_density_kg_per_m2,
-    )
+    cloths = {"as it is": sheet.cloth}
+    if "Bending" in name:
+        stiffness = sheet.cloth.stretch_stiffness_n_per_m
+        density = sheet.cloth.areal_density_kg_per_m2
+        cloths |= {
+            "soft": replace(sheet.cloth, stretch_stiffness_n_per_m=0.8 * stiffness),
+            "light": replace(sheet.cloth, areal_density_kg_per_m2=0.8 * density),
+        }
     found = {}
-    for title, cloth in (("as it is", sheet.cloth), ("soft", soft), ("light", light)):
+    for title, cloth in cloths.items():
         nodes_m, _, _ = solve_sheet(
             replace(sheet, cloth=cloth), cells=80, frames=frames
         )
@@ -210,11 +214,10 @@ def test_a_frozen_scene_and_a_softer_or_lighter_fabric_differ_from_the_reference
         found[title] = verify(
             band, frames=np.zeros((frames, len(band.coordinates))), markers_m=places_m
         )
-    assert found["as it is"].scaled < 1.96
-    assert found["as it is"].power > 5.0
-    if "Bending" in name:
-        assert found["soft"].scaled > 5.0
-        assert found["light"].scaled > 5.0
+    right = found.pop("as it is")
+    assert right.scaled < 1.96
+    assert right.power > 5.0
+    assert all(wrong.scaled > 5.0 for wrong in found.values())
 
 
 def test_a_held_end_changes_the_momentum_of_the_sheet_by_its_force():
