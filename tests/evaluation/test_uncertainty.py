@@ -39,7 +39,7 @@ from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result_file import write_result
 from gauge_envs.runs.score_file import score_file
 from gauge_envs.runs.sensitivity import measure_sensitivities
-from gauge_envs.scene.jitter import Jitter, tilted
+from gauge_envs.scene.jitter import Jitter
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 
 SLIDES = ("SlopeSlider-2-wood", "SlopeSlider-2-plastic", "SlopeSlider-2-metal")
@@ -421,47 +421,7 @@ def test_a_damaged_table_of_sensitivities_is_named(tmp_path, monkeypatch):
         load_sensitivities(SLIDES[0], "mujoco")
 
 
-def test_a_tilted_scene_is_the_scene_with_leaning_gravity():
-    """A pendulum's bodies, joints and drivers turn with it, and turning back gives the scene."""
-    for name in ("Pendulum-metal", "Turntable-1-wood", "TextileFlinging-satin"):
-        scene = load_experiment(name).scene
-        turned = tilted(
-            tilted(scene, [0.02, -0.01, 0.0], [0.1, 0.2, 0.3]),
-            [-0.02, 0.01, 0.0],
-            [0.1, 0.2, 0.3],
-        )
-        for body, other in zip(scene.bodies, turned.bodies, strict=True):
-            np.testing.assert_allclose(
-                body.pose.position_m, other.pose.position_m, atol=1e-12
-            )
-        for joint, other in zip(scene.joints, turned.joints, strict=True):
-            np.testing.assert_allclose(joint.anchor_m, other.anchor_m, atol=1e-12)
-
-
 # --- errors of a band ------------------------------------------------------------------------------------------------
-
-
-def test_an_interval_shrinks_with_the_number_of_trials():
-    band = bundled_band(SLIDES[2])
-    baseline = published_baselines(SLIDES[2])["rmse"]
-    deviation = np.full_like(band.mean, 40.0)
-    few = band_errors(replace(band, trials=band.trials[:8]), baseline)
-    every = band_errors(band, baseline)
-    widths = [
-        high - low for low, high in (few.interval(deviation), every.interval(deviation))
-    ]
-    assert widths[0] >= widths[1] > 0.0
-
-
-def test_draws_of_two_engines_are_paired():
-    errors = band_errors(
-        bundled_band(SLIDES[0]), published_baselines(SLIDES[0])["rmse"]
-    )
-    one, other = (
-        errors.draws(np.full_like(bundled_band(SLIDES[0]).mean, size))
-        for size in (10.0, 11.0)
-    )
-    assert np.corrcoef(one, other)[0, 1] > 0.95
 
 
 @pytest.mark.parametrize("name", [*SLIDES, BALL])

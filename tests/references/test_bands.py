@@ -176,22 +176,6 @@ def test_ideal_ball(restitution, start, contact, release, score):
         )
 
 
-def test_effective_parameters_leave_almost_nothing():
-    text = (data_folder("scoring") / "facts" / "bouncing_ball_summary.toml").read_text(
-        encoding="utf-8"
-    )
-    summary = tomllib.loads(text)
-    assert summary["rebound_ratio"]["mean"] == pytest.approx(0.737, abs=0.001)
-    assert summary["start_height_m"]["mean"] == pytest.approx(0.4425, abs=0.0002)
-    score = ball_score(
-        restitution=summary["rebound_ratio"]["mean"],
-        start=summary["start_height_m"]["mean"],
-        contact=summary["contact_height_m"]["mean"],
-        release=summary["release_time_s"]["mean"],
-    )
-    assert score < 0.03
-
-
 def test_slope_summary_inverts_coulomb_sliding():
     text = (
         data_folder("scoring") / "facts" / "slope_slider_30deg_summary.toml"

@@ -7,7 +7,6 @@ from pydantic import TypeAdapter, ValidationError
 
 from gauge_envs.evaluation.score import Score, Validation
 from gauge_envs.references.metrics import (
-    EVENT_METRICS,
     METRICS,
     BaselineMetric,
     MetricKey,
@@ -45,10 +44,6 @@ def test_units_are_those_of_the_published_table():
         assert (
             row.unit == unit if unit is not None else row.unit in ("mm", "rad", "mm^2")
         )
-
-
-def test_events_need_no_band():
-    assert EVENT_METRICS == ("lsd", "mte", "pd", "el")
 
 
 def test_unknown_metrics_are_refused_with_the_known_ones():

@@ -8,17 +8,15 @@ import pytest
 from texts import changed_text
 
 from gauge_envs.errors import ShapeError, UnknownNameError
-from gauge_envs.evaluation.reference import band_grade, load_band
+from gauge_envs.evaluation.reference import band_grade
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.files import data_folder
 from gauge_envs.observables.kinds import Observable, largest_distance
 from gauge_envs.references.bands import Band, SigmaSource
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.published import (
-    CarriedLaw,
     FlightLaw,
     Reference,
-    SlideLaw,
     carried_band,
     law_for,
     published_baselines,
@@ -183,21 +181,6 @@ def test_world_model_table_is_complete():
 # Bands
 
 
-@pytest.mark.parametrize("variant", TRIAL_VARIANTS)
-def test_bundled_bands_load(variant):
-    band = load_band(variant)
-    frames = published_baselines(variant)["rmse"].frames
-    assert (band.grade, band.unit, band.mean.shape) == (
-        BandGrade.TRIALS,
-        "mm",
-        (frames, 1),
-    )
-    assert np.linalg.norm(band.projection, axis=1) == pytest.approx(1)
-    assert band.trial_count in (19, 20, 22)
-    assert (band.sigma > 0).all()
-    assert 0 < band.measured.sum() < frames
-
-
 def test_band_arrays_are_read_only_copies():
     mean = np.zeros((4, 1))
     band = make_band(mean=mean)
@@ -239,21 +222,6 @@ def test_project_refuses_another_width(shape):
 # Laws
 
 
-@pytest.mark.parametrize("variant", CARRIED_VARIANTS)
-def test_carried_band_repeats_the_published_scatter(variant):
-    baseline = published_baselines(variant)["rmse"]
-    positions = np.arange(3.0 * baseline.frames).reshape(-1, 3)
-    band = carried_band(variant=variant, positions_mm=positions)
-    assert band.grade is BandGrade.LAW
-    assert (band.mean == positions).all()
-    assert (band.project(positions) == positions).all()
-    assert band.measured.all()
-    assert baseline.std is not None
-    assert np.square(band.sigma).sum(axis=1) == pytest.approx(
-        baseline.mean**2 + baseline.std**2
-    )
-
-
 def test_carried_band_recovers_the_sigma_of_an_ensemble(scoring):
     """Publish mean and std of E_RMSE of trials with a known scatter; the band must give that scatter back."""
     trials = np.random.default_rng(7).normal(scale=1.7, size=(4000, 9, 3))
@@ -291,17 +259,6 @@ def test_carried_band_refuses_variants_without_the_law(variant):
         carried_band(variant=variant, positions_mm=np.zeros((9, 3)))
 
 
-def test_laws_name_who_is_carried_by_what():
-    slider, turntable = law_for("SlopeSlider-1-metal"), law_for("Turntable-1-wood")
-    assert isinstance(slider, CarriedLaw) and isinstance(turntable, CarriedLaw)
-    assert (slider.kind, slider.body, slider.carrier) == ("carried", "cube", "board")
-    assert (turntable.kind, turntable.body, turntable.carrier) == (
-        "carried",
-        "cube",
-        "plate",
-    )
-
-
 def test_the_band_of_a_motion_until_contact_is_that_of_its_measurement():
     law = law_for("NonsmoothContact-1-wood")
     assert isinstance(law, FlightLaw)
@@ -314,15 +271,6 @@ def test_the_band_of_a_motion_until_contact_is_that_of_its_measurement():
     assert band.uncertainty is not None and np.isnan(band.uncertainty[2:]).all()
     assert not band.normalized_by_baseline
     assert Band.from_dict(band.to_dict()).to_dict() == band.to_dict()
-
-
-@pytest.mark.parametrize("variant", [*FLIGHT_VARIANTS, *SLIDE_VARIANTS])
-def test_laws_until_contact_name_what_moves(variant):
-    law = law_for(variant)
-    assert isinstance(law, FlightLaw | SlideLaw)
-    assert law.body == {"1": "pyramid", "2": "pyramid", "3": "wedge"}.get(
-        variant.split("-")[1], "teh"
-    )
 
 
 def test_a_material_without_published_scores_has_no_law():

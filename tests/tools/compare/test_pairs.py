@@ -181,7 +181,7 @@ def test_the_interval_of_a_mean_of_resolved_scores_holds_the_true_one():
 
 def test_identical_engines_are_never_distinguishable_and_a_large_difference_is():
     random = np.random.default_rng(11)
-    for _ in range(50):
+    for _ in range(20):
         same, apart = (
             paired([observed(slides(errors), aligned=True, random=random)])
             for errors in ((0.02, 0.02), (0.0, 0.2))
@@ -267,8 +267,8 @@ def of_solution(motions, error):
     return GradedExperiment(id="solved", draws=tuple(draws), scale_unit="u")
 
 
-@pytest.mark.parametrize("directions", [1, 3, 30])
-@pytest.mark.parametrize("size_in_u", [1.0, 3.0, 8.0])
+@pytest.mark.parametrize("directions", [1, 30])
+@pytest.mark.parametrize("size_in_u", [1.0, 8.0])
 def test_engines_that_are_as_far_from_the_solution_are_rarely_told_apart(
     directions, size_in_u
 ):

@@ -344,7 +344,7 @@ PLACES = {name: places(content) for name, content in SMALL.items()}
 
 
 @given(data=st.data(), name=st.sampled_from(sorted(SMALL)))
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=100)
 def test_a_trial_with_changed_places_is_used_or_a_named_fault(data, name):
     content = copy.deepcopy(SMALL[name])
     for path in data.draw(
@@ -367,7 +367,7 @@ def test_a_trial_with_changed_places_is_used_or_a_named_fault(data, name):
     cut=st.integers(0, 2000),
     flips=st.lists(st.tuples(st.integers(0, 10_000), st.integers(0, 255)), max_size=3),
 )
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=100)
 def test_a_trial_with_changed_bytes_is_used_or_a_named_fault(cut, flips):
     content = bytearray(json.dumps(SMALL[SLIDER]).encode())
     for place, byte in flips:
@@ -383,7 +383,7 @@ def test_a_trial_with_changed_bytes_is_used_or_a_named_fault(cut, flips):
     ),
     st.integers(2, 4),
 )
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=20)
 def test_what_is_written_is_what_is_read(path, markers):
     positions = np.array(path)
     content = {
