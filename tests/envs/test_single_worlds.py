@@ -101,21 +101,6 @@ def test_worlds_of_other_engines(engine, module, name, options):
     compared(name, engine=engine, **options)
 
 
-@pytest.mark.parametrize(("name", "constants"), [(SLIDE, CUBES), (DROP, BALLS)])
-def test_the_constants_of_worlds_matter(name, constants):
-    """A batch in which all worlds have the constants of the first would pass a test of one world."""
-    envs = gymnasium.make_vec(
-        f"GAUGE/{name}",
-        num_envs=3,
-        world_parameters=constants,
-        settings=COARSE["settings"],
-    )
-    envs.reset(seed=0)
-    for _ in range(17):
-        observation, *_ = envs.step(np.zeros(3, dtype=int))
-    assert np.ptp(observation["observable"], axis=0).max() > 10.0
-
-
 def test_constants_of_a_world_come_on_top_of_those_of_all():
     envs = gymnasium.make_vec(
         f"GAUGE/{SLIDE}",

@@ -159,14 +159,6 @@ def cells(results, metric="rmse"):
 # --- configurations and repeats ---
 
 
-@pytest.mark.parametrize(
-    ("values", "mean", "std"), [([3.0], 3.0, None), ([1.0, 2.0, 3.0], 2.0, 1.0)]
-)
-def test_spread_is_mean_and_sample_deviation(values, mean, std):
-    assert ScoreSpread.of(values) == ScoreSpread(mean=mean, std=std, count=len(values))
-    assert ScoreSpread.of([]) is None
-
-
 def test_results_that_differ_in_their_seed_alone_are_one_cell():
     comparison = compare(
         [made(rmse=value, seed=seed) for seed, value in enumerate([1.0, 2.0, 3.0])]
@@ -654,16 +646,6 @@ def distance(*results):
     (experiment,) = compare(results).experiments
     (far,) = experiment.distances
     return far
-
-
-def test_a_constant_distance():
-    far = distance(
-        made(FOAM), made(FOAM, backend="newton", motion=lambda _: [3.0, 4.0, 0.0])
-    )
-    assert far.rms.mean == pytest.approx(5.0)
-    assert (far.motion_rms, far.frames, far.apart_at_s) == (0.0, 31, None)
-    assert far.threshold == published_baselines(FOAM)["rmse"].mean
-    assert far.threshold_is_scatter
 
 
 def test_drifting_apart_crosses_the_published_scatter_of_real_trials_when_it_should():
