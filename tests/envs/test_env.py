@@ -44,16 +44,19 @@ def test_75_ids_in_22_families_are_registered():
     assert beyond <= set(gymnasium.registry)
 
 
-def family_of(name):
-    """Family of an id; control tasks are families of their own."""
-    return name.split("-")[0], "-Limit-" in name
+def kind_of(name):
+    """What the spaces of an id depend on: its task of control, or what is observed and whether it is driven."""
+    if "-Limit-" in name:
+        return name.split("-")[0]
+    experiment = gauge_envs.load_experiment(name)
+    return experiment.score.observable, bool(experiment.scene.drivers)
 
 
 ALL = (
     *(variant.name for variant in gauge_envs.variants()),
     *(task.name for task in control_tasks()),
 )
-checked_ids = pytest.mark.parametrize("name", one_of_a_kind(ALL, family_of))
+checked_ids = pytest.mark.parametrize("name", one_of_a_kind(ALL, kind_of))
 
 
 @pytest.fixture
@@ -203,13 +206,8 @@ def total_reward(env, action_of):
     return sum(rewards), min(rewards)
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "FoamBending-soft",
-        pytest.param("TextileFlinging-oxford", marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["FoamBending-soft", "TextileFlinging-oxford"])
 def test_rewards_of_deformable_bodies_are_bounded_and_a_search_climbs_them(name):
     env = gymnasium.make(f"GAUGE/{name}", settings={"preset": "training"}).unwrapped
     shape, random = env.action_space.shape, np.random.default_rng(3)

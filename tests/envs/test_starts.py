@@ -48,11 +48,13 @@ def observable(observations):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "options"),
-    [({}, {"jitter": True}), ({"jitter": "real"}, None)],
+    ("arguments", "options", "mode"),
+    [
+        ({}, {"jitter": True}, "vector_entry_point"),
+        ({"jitter": "real"}, None, "sync"),
+    ],
     ids=["reset", "make"],
 )
-@pytest.mark.parametrize("mode", ["vector_entry_point", "sync"])
 def test_starts_scatter_before_and_after_autoreset(arguments, options, mode):
     envs = gym.make_vec(SLIDE, num_envs=3, vectorization_mode=mode, **arguments)
     reset = {"seed": 4, "options": options}

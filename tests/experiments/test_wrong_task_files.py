@@ -64,20 +64,21 @@ BREAKS = {
 }
 
 
-@pytest.mark.parametrize("broken", BREAKS)
-def test_one_wrong_file_is_named_and_the_others_are_listed(broken, tasks):
-    content, reason = BREAKS[broken]
-    (tasks / "pendulum.toml").write_bytes(content)
+def test_a_list_names_a_wrong_file_and_has_the_others(tasks):
+    (tasks / "pendulum.toml").write_bytes(b"family = ")
     result = CliRunner().invoke(app, ["list", "--json"])
     assert result.exit_code == 1
     families = {json.loads(line)["family"] for line in result.stdout.splitlines()}
     assert len(families) == 21 and "Pendulum" not in families
-    assert (
-        "skipped:" in result.stderr
-        and "pendulum.toml" in result.stderr
-        and reason in result.stderr
-    )
-    assert len(task_file_faults()) == 1
+    assert "skipped:" in result.stderr and "pendulum.toml" in result.stderr
+
+
+@pytest.mark.parametrize("broken", BREAKS)
+def test_one_wrong_file_is_named_and_the_others_are_of_use(broken, tasks):
+    content, reason = BREAKS[broken]
+    (tasks / "pendulum.toml").write_bytes(content)
+    (fault,) = task_file_faults().values()
+    assert "pendulum.toml" in str(fault) and reason in str(fault)
     assert load_experiment("SlopeSlider-2-wood").frame_count == 19
     with pytest.raises(TaskFileError, match=r"pendulum\.toml"):
         load_experiment("Pendulum-metal")

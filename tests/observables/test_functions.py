@@ -89,6 +89,17 @@ def test_a_closed_surface_has_two_full_turns_in_total():
     np.testing.assert_allclose(curvature.sum(axis=1), 4 * np.pi, rtol=1e-10)
 
 
+def test_frames_are_independent():
+    markers, faces, corner, edge = sheet(4, 5, lambda x, y: 40 * x * y)
+    flat, *_ = sheet(4, 5)
+    both = angle_deficit_curvature(
+        np.stack((markers, flat)), faces, corner=corner, edge=edge
+    )
+    alone = angle_deficit_curvature(markers[None], faces, corner=corner, edge=edge)
+    np.testing.assert_allclose(both[:1], alone, atol=1e-12)
+    assert np.abs(both[0]).max() > 0.01 > np.abs(both[1]).max()
+
+
 def test_angles_with_a_missing_vertex_are_left_out():
     markers, faces = fan(6, 0.0)
     markers[0, 1] = np.nan
