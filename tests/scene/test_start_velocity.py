@@ -205,6 +205,22 @@ def test_a_body_may_slide_down_a_leaning_plane(friction):
     assert fallen_m == pytest.approx(expected * math.sin(lean), rel=0.01)
 
 
+def test_the_speed_limit_is_three_times_the_speed_of_a_fall_from_the_highest_point():
+    top_m = 2.0
+    ball = thrown(
+        Sphere(radius_m=0.1),
+        pose=Pose(position_m=(0.0, 0.0, top_m - 0.1)),
+        linear_velocity_m_per_s=(0.0, 0.0, 0.0),
+        angular_velocity_rad_per_s=(0.0, 0.0, 0.0),
+    )
+    level = body(
+        "ground", Plane(), Pose(position_m=(0.0, 0.0, 0.0)), motion=Motion.FIXED
+    )
+    scene = Scene(bodies=(ball, level), duration_s=1.0)
+    fall_m_per_s = math.sqrt(2.0 * GRAVITY_M_PER_S2 * top_m)
+    assert scene.speed_limit_m_per_s == pytest.approx(3.0 * fall_m_per_s)
+
+
 # --- tilted scenes and differences -----------------------------------------------------------------------------------
 
 

@@ -52,8 +52,18 @@ def numbers(one):
     return one.scale_x, one.scale_y, one.offset_x_px, one.offset_y_px
 
 
-@pytest.mark.parametrize("method", LAYOUTS)
-@pytest.mark.parametrize("task", TASKS)
+@pytest.mark.parametrize(
+    ("task", "method"),
+    [
+        pytest.param(
+            task,
+            method,
+            marks=() if (number - place) % len(LAYOUTS) == 0 else pytest.mark.slow,
+        )
+        for number, task in enumerate(TASKS)
+        for place, method in enumerate(LAYOUTS)
+    ],
+)
 def test_the_outline_tells_how_a_picture_was_laid_out(task, method):
     found = registration_by_outline(
         laid_out(first_picture(task), method), video_task(task)
