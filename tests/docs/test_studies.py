@@ -39,8 +39,8 @@ COMMANDS = {
     "what_changed": "what_changed models",
     "tosses": "cube_toss run mujoco out --every 400",
 }
-SLOW = {"control_steps", "coverage", "joints", "laws", "models", "planted_faults"}
-SLOW |= {"ranges", "scatter"}
+SLOW = {"control_steps", "coverage", "euler_order", "joints", "laws", "models"}
+SLOW |= {"planted_faults", "ranges", "scatter"}
 
 
 def test_every_study_has_a_command_of_a_script_and_its_note_names_all_scripts():

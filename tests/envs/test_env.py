@@ -85,7 +85,10 @@ def test_stable_baselines_checker_passes_with_flat_observations(name):
 
 
 @pytest.mark.parametrize(
-    "name", one_of_a_kind(v.name for v in gauge_envs.variants() if v.name not in RIGID)
+    "name",
+    one_of_a_kind(
+        (one.name for one in gauge_envs.variants() if one.name not in RIGID), kind_of
+    ),
 )
 def test_every_deformable_id_steps_inside_its_spaces(name):
     env = gymnasium.make(f"GAUGE/{name}").unwrapped
@@ -320,6 +323,16 @@ def test_bouncing_ball_error_is_release_restitution_and_height(rollout):
         recorded.validation.percentile_aligned,
         effective.validation.percentile_aligned,
     ) == (0.0, 100.0)
+
+
+def test_slower_body_is_scored_as_slower(rollout):
+    signed = [
+        rollout("SlopeSlider-2-wood", parameters={"cube.friction": mu})[2][
+            "score"
+        ].signed_error[0]
+        for mu in (0.2, 0.4)
+    ]
+    assert signed[0] > 0.0 > signed[1]
 
 
 # --- divergence ---
