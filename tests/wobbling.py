@@ -8,10 +8,18 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends import Backend, Feature, Simulation, Support
-from gauge_envs.scene import Box, Cloth, Deformable, Motion, Pose, Scene, SoftBody
+from gauge_envs.scene import (
+    Box,
+    Cloth,
+    Deformable,
+    Motion,
+    Pose,
+    RigidBody,
+    Scene,
+    SoftBody,
+)
 
 Array = NDArray[np.float64]
 
@@ -29,6 +37,8 @@ class Wobbling(Simulation):
         self.settings: dict[str, Any] = {}
         self.time_s = 0.0
         self.driven: dict[str, Array] = {}
+        self.rest: dict[str, tuple[Array, Array]] = {}
+        self.turned: dict[str, Array] = {}
 
     def reset(self, seed: int) -> None:
         """Go back to the start."""
@@ -63,8 +73,10 @@ class Wobbling(Simulation):
         if body.motion is not Motion.DYNAMIC:
             return np.array([*start, *np.zeros(6)])
         way_m, speed_m_per_s, angle, rate = self._way(name)
-        turn = Rotation.from_rotvec(self.scale * TURN_RAD * np.sin(angle) * AXIS)
-        quaternion = (turn * body.pose.rotation).as_quat(scalar_first=True)
+        half_rad = 0.5 * self.scale * TURN_RAD * np.sin(angle)
+        # The product of the quaternions of the turn and of the start.
+        quaternion = np.cos(half_rad) * np.array(body.pose.quaternion)
+        quaternion += np.sin(half_rad) * self._half_turned(body)
         start_speed = np.asarray(body.linear_velocity_m_per_s)
         return np.concatenate(
             [
@@ -74,6 +86,15 @@ class Wobbling(Simulation):
                 self.scale * TURN_RAD * rate * np.cos(angle) * AXIS,
             ]
         )
+
+    def _half_turned(self, body: RigidBody) -> Array:
+        """Return the quaternion of the start after half a turn about the axis."""
+        if body.name not in self.turned:
+            scalar, axis = body.pose.quaternion[0], body.pose.quaternion[1:]
+            self.turned[body.name] = np.array(
+                [-AXIS @ axis, *(scalar * AXIS + np.cross(AXIS, axis))]
+            )
+        return self.turned[body.name]
 
     def _way(self, name: str) -> tuple[Array, Array, float, float]:
         """Return the way from the start and its speed, and angle and rate of the first swing; names differ a little."""
@@ -87,16 +108,14 @@ class Wobbling(Simulation):
 
     def nodes(self, name: str) -> Array:
         """Return the nodes of a deformable body."""
-        body = next(one for one in self.scene.deformables if one.name == name)
+        if name not in self.rest:
+            body = next(one for one in self.scene.deformables if one.name == name)
+            self.rest[name] = rest_and_strain_m(body)
+        rest_m, strain_m = self.rest[name]
         way_m, _, angle, _ = self._way(name)
-        grid_m = grid_of(body)
-        sheared_m = np.roll(grid_m, 1, axis=1) + np.roll(grid_m, 2, axis=1)
-        # Curved, and more with gravity: stiffness is a difference of two scenes.
+        # More with gravity: stiffness is a difference of two scenes.
         size = self.scale * (1.0 + 0.1 * self.scene.gravity_m_per_s2) * np.sin(angle)
-        moved_m = (
-            size * STRAINS * (grid_m + sheared_m - 2.0 * (grid_m + sheared_m) ** 2)
-        )
-        return body.pose.to_world(grid_m + moved_m) + way_m
+        return rest_m + size * strain_m + way_m
 
     def state(self) -> Any:
         """Return the time and the driven bodies."""
@@ -126,6 +145,14 @@ def grid_of(body: Deformable) -> Array:
         for edge, count in zip(size, counts, strict=True)
     ]
     return np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+
+
+def rest_and_strain_m(body: Deformable) -> tuple[Array, Array]:
+    """Return the places of nodes at rest, and a displacement of each, which is curved, in the world [m]."""
+    grid_m = grid_of(body)
+    sheared_m = np.roll(grid_m, 1, axis=1) + np.roll(grid_m, 2, axis=1)
+    strain_m = STRAINS * (grid_m + sheared_m - 2.0 * (grid_m + sheared_m) ** 2)
+    return body.pose.to_world(grid_m), body.pose.rotation.apply(strain_m)
 
 
 class WobblingBackend(Backend):
