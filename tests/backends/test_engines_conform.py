@@ -99,8 +99,8 @@ ENGINES = (
         long=(
             *LONG,
             *("foam-*", "*-rests-on", "*-strike", "rod-length", "rod-mass"),
-            *("rope-mass", "rope-pulled-length", "rope-start", "rod-start"),
-            *("cloth-clamp", "air-friction"),
+            *("rope-mass", "rope-nodes", "rope-pulled-*", "rope-start", "rod-start"),
+            *("cloth-clamp", "cloth-held", "air-friction"),
         ),
     ),
     Engine(
@@ -124,8 +124,7 @@ ENGINES = (
             *("cloth", "air", "rod", "joint-armature", "joint-backlash"),
             *("foam-rests-on", "foam-strike", "rope-rests-on", "rope-strike"),
         ),
-        quick=(*CORE, "rope-period", "foam-*", "torsion", "rolling"),
-        long=("foam-start",),
+        quick=(*CORE, "rope-period", "torsion", "rolling"),
     ),
     Engine(
         name="newton",
