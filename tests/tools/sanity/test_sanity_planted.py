@@ -62,20 +62,8 @@ def test_the_recommended_model_passes_where_faults_show():
 
 
 @pytest.mark.parametrize("name", PLANTED)
-def test_a_planted_fault_fails_and_is_named(name, tmp_path, gauge):
+def test_a_planted_fault_fails_and_is_named(name):
     planted = PLANTED[name]
-    path = tmp_path / f"{name}.xml"
-    path.write_text(model_xml(planted))
-    arguments = [
-        "sanity",
-        str(path),
-        "--fail-on",
-        "wrong",
-        "--only",
-        ",".join(planted.rows),
-    ]
-    outcome = gauge(*arguments)
-    assert outcome.exit_code == 1, outcome.output
     report = checked(planted, *planted.rows)
     named = {
         setting
@@ -83,6 +71,7 @@ def test_a_planted_fault_fails_and_is_named(name, tmp_path, gauge):
         if row.cause is not None
         for setting in row.cause.settings
     }
+    assert any(row.verdict is Verdict.WRONG for row in report.rows)
     assert named & set(planted.culprits), [row.cause for row in report.rows]
     assert set(report.cure.changes) & set(planted.culprits), report.cure
 
