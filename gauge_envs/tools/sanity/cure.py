@@ -165,7 +165,7 @@ def _remedied(
     assert robot is not None
     upright = {name: value for name, value in fixed.items() if name not in LIMITS}
     if upright:
-        robot = replace(robot, model=robot.changed(upright)[0])
+        robot = replace(robot, model=robot.changed(upright)[0], changes=upright)
     found = find_remedies(robot, [name for name in counted if counted[name]])
     before = Behaviour(found.robot)
     known = set(fixed) | set(found.changes)

@@ -132,6 +132,19 @@ def remedies(xml):
     return find_remedies(before.robot, flags_of(before))
 
 
+def test_a_remedy_that_compiles_the_model_again_keeps_the_earlier_ones():
+    """Masses are rows of an array; limits are read by the compiler."""
+    text = good_xml()
+    for name in ("links in grams", "limits off"):
+        text = (MISTAKES | LATER)[name][0](text)
+    before = read(text)
+    found = find_remedies(before.robot, flags_of(before))
+    assert {"body_mass", "jnt_limited"} <= {key.partition("[")[0] for key in found.changes}
+    model = found.robot.model
+    assert model.jnt_limited.all()
+    assert model.body_mass[1:] == pytest.approx(before.robot.model.body_mass[1:] / 1e3)
+
+
 def keyframe_in_millimetres(text):
     begin, end = 'qpos="', text[text.index('qpos="') + 6 :]
     place, rest = end.split()[:3], end.split()[3:]

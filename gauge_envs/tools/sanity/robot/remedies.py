@@ -353,16 +353,21 @@ def keep_unconcerned(before: Robot, after: Robot, changes: Settings) -> None:
 
 def _with_model(robot: Robot, model: mujoco.MjModel, changes: Settings) -> Robot:
     """Return a robot with a changed model; one whose feet may be others, or elsewhere, is read again."""
-    changed = replace(robot, model=model)
+    spec = robot.spec_after(changes)
+    further = {key: value for key, value in changes.items() if key != LENGTHS}
+    every = robot.changes | further
     if not _is_of_shape(changes):
-        return changed
+        return replace(robot, model=model, changes=every)
     from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
 
-    spec = robot.spec_after(changes)
     read = mujoco_configuration(model, name="", source="", spec=spec).robot
     assert read is not None
     return replace(
-        read, pair=robot.pair, action_rad=robot.action_rad, delay_s=robot.delay_s
+        read,
+        pair=robot.pair,
+        action_rad=robot.action_rad,
+        delay_s=robot.delay_s,
+        changes=every,
     )
 
 

@@ -88,6 +88,7 @@ class Robot:
         pair: Names of two geoms whose constants count; None for all on the ground.
         action_rad: Angle by which an action of 1 moves the target of a servo [rad]; None when the task states none.
         delay_s: Longest delay between an observation and the torque that answers it [s]; None when not stated.
+        changes: Changes that the model has and its spec has not, as `changed` takes them.
         known: What was measured of it, by the id of a row, or by function and arguments; see `once`.
     """
 
@@ -99,6 +100,7 @@ class Robot:
     pair: tuple[str, str] | None = None
     action_rad: float | None = None
     delay_s: float | None = None
+    changes: Settings = field(default_factory=dict)
     known: dict[Any, Any] = field(default_factory=dict, init=False)
 
     @cached_property
@@ -220,7 +222,13 @@ class Robot:
         if LENGTHS in changes:
             scaled = self.scaled(changes[LENGTHS])
             return scaled.changed({k: v for k, v in changes.items() if k != LENGTHS})
-        model, stating = self._compiled(changes), {}
+        stating: dict[str, list[int]] = {}
+        model = self._compiled(self.changes | changes)
+        if model is None:
+            model = copy.copy(self.model)
+        else:
+            # A compiled model has none of the earlier changes.
+            changes = self.changes | changes
         for name, value in changes.items():
             if name in GEOM_FIELDS:
                 array = getattr(model, f"geom_{GEOM_FIELDS[name]}")
@@ -308,8 +316,8 @@ class Robot:
             array = getattr(model, f"pair_{GEOM_FIELDS[name]}")
             array[self.explicit_ground_pairs] = value
 
-    def _compiled(self, changes: Settings) -> mujoco.MjModel:
-        """Return a copy of the model, compiled again where the compiler would read it otherwise."""
+    def _compiled(self, changes: Settings) -> mujoco.MjModel | None:
+        """Return the compiled model where the compiler reads changes; None where it reads none of them."""
         found = {
             name: ELEMENT.fullmatch(name)
             for name in changes
@@ -321,7 +329,7 @@ class Robot:
         if self.spec is None and compiler:
             raise TargetError("the change needs the model's file")
         if self.spec is None or not (found or compiler):
-            return copy.copy(self.model)
+            return None
         spec = self.spec.copy()
         for attribute, value in compiler.items():
             setattr(spec.compiler, attribute, value)
