@@ -269,5 +269,46 @@ LATER = {
         replaced('range="-1.5 .3"', 'range="-1.5 .3" limited="false"'),
         "robot-unlimited",
     ),
+    "arm, kv as a damping ratio": (
+        replaced('kv="[0-9]+"', 'kv="1"'),
+        "robot-ringing",
+    ),
+    "arm, servos that do not read their bias": (
+        replaced(
+            '<position (.*?) kp="([0-9]+)" kv="([0-9]+)"',
+            r'<general \1 gainprm="\2" biasprm="0 -\2 -\3"',
+        ),
+        "robot-command",
+    ),
+    "arm, gains ten times those of the bias": (
+        replaced(
+            '<position (.*?) kp="([0-9]+)" kv="([0-9]+)"',
+            r'<general \1 biastype="affine" gainprm="\g<2>0" biasprm="0 -\2 -\3" ctrlrange="-3 3"',
+        ),
+        "robot-command",
+    ),
+    "quadruped, springs in its legs": (
+        replaced("<joint armature", '<joint stiffness="80" armature'),
+        "robot-sag",
+    ),
+    "quadruped, torques of one sign": (
+        replaced('forcerange="-40', 'forcerange="0'),
+        "robot-torque",
+    ),
+    "quadruped, a floor that is drawn alone": (
+        replaced('type="plane"', 'type="plane" contype="0" conaffinity="0"'),
+        "robot-feet",
+    ),
+    "biped, ankles without servos": (
+        several(
+            replaced('<position joint="[a-z]+_ankle"[^>]*>', ""),
+            replaced(' ctrl="[^"]*"', ' ctrl="0 -.3 .6 0 -.3 .6"'),
+        ),
+        "robot-torque",
+    ),
+    "biped, a start in the ground": (
+        replaced("[.]7287", ".5"),
+        "robot-stands",
+    ),
 }
 """Mistakes that were written after the rows and their limits."""

@@ -91,7 +91,14 @@ def _with_comments(text):
 
 
 BY_HAND = {
-    *("robot-size", "robot-balance", "robot-mirror", "robot-command", "robot-unlimited")
+    *(
+        "robot-size",
+        "robot-balance",
+        "robot-mirror",
+        "robot-command",
+        "robot-unlimited",
+    ),
+    *("robot-torque", "robot-stands"),
 }
 """Rows that a change mends for certain only where no other one does as well, or where the model states a range."""
 
@@ -139,7 +146,9 @@ def test_a_remedy_that_compiles_the_model_again_keeps_the_earlier_ones():
         text = (MISTAKES | LATER)[name][0](text)
     before = read(text)
     found = find_remedies(before.robot, flags_of(before))
-    assert {"body_mass", "jnt_limited"} <= {key.partition("[")[0] for key in found.changes}
+    assert {"body_mass", "jnt_limited"} <= {
+        key.partition("[")[0] for key in found.changes
+    }
     model = found.robot.model
     assert model.jnt_limited.all()
     assert model.body_mass[1:] == pytest.approx(before.robot.model.body_mass[1:] / 1e3)

@@ -112,6 +112,8 @@ def _words(
     attribute = field.replace("_", "")
     if (kind, field) == ("equality", "data"):
         attribute, text = "polycoef", " ".join(text.split()[:5])
+    if field == "biastype":
+        text = "affine"
     left = list(several)
     for name, members in _classes(robot, kind, field, several):
         tag = f' class="{name}"' if name != "main" else ""

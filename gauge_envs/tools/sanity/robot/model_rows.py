@@ -35,6 +35,7 @@ from gauge_envs.tools.sanity.robot.robot import (
     Robot,
     enabling,
     grasp_kinds,
+    joints_of_motors,
     once,
     random_poses,
     switched_off,
@@ -78,8 +79,14 @@ MOST_RAD_PER_S2 = 2e5
 UNLIMITED_SHARE = 0.25
 """Share of joints without a largest torque up to which they are exceptions: makers state it for all, 2 of 3 or none."""
 
+SAME_ANGLE = 0.05
+"""Difference from 1 up to which a command counts as the angle of its joint."""
+
 LOST_COMMANDS = 0.1
 """Part of the commands of a servo that must lie in the range of its joint, for the whole range to count as reached."""
+
+LIGHT = 1e-3
+"""Torque of a weight, over the largest one of the robot, up to which a joint turns about a balanced part."""
 
 FEW_JOINTS = 3
 """Driven hinges from which on a robot as a whole is judged."""
@@ -311,6 +318,9 @@ def _density(robot: Robot) -> Finding:
             advice = f"give {links} the mass and inertia of the real part"
             if is_unit:
                 advice = f"multiply mass and inertia, or the density, of {links} by {factor:g}"
+            if density < low:
+                geom = max(geoms_of(robot, body), key=lambda g: model.geom_rbound[g])
+                advice += f", or give {geom_name(model, geom)} its size"
             found = Finding(value=density, remark=remark, advice=advice)
     return replace(found, changes=changes, parts=densities)
 
@@ -447,8 +457,30 @@ def limbs_of(robot: Robot) -> list[list[int]]:
     return limbs
 
 
+def _untouched_plane(robot: Robot) -> int | None:
+    """Return the plane of the world that no geom of a robot with a free joint can touch; None without one."""
+    model = robot.model
+    is_plane = model.geom_type == int(mujoco.mjtGeom.mjGEOM_PLANE)
+    planes = np.flatnonzero(is_plane & (model.geom_bodyid == 0)).tolist()
+    is_free = joints_of(model, "FREE") & np.isin(model.jnt_bodyid, robot.bodies)
+    has_motors = bool(len(joints_of_motors(model)))
+    if not (planes and is_free.any() and has_motors):
+        return None
+    touching = set(np.unique(robot.pairs.geoms).tolist())
+    return None if touching & set(planes) else planes[0]
+
+
 @row("robot-feet")
 def _feet(robot: Robot) -> Finding:
+    if (plane := _untouched_plane(robot)) is not None:
+        name = geom_name(robot.model, plane)
+        keys = ("geom_contype", "geom_conaffinity")
+        return Finding(
+            value=1.0,
+            remark=f"{name}: the robot falls through it",
+            advice=f'contype="1" conaffinity="1" for {name}',
+            changes={f"{key}[{plane}]": 1 for key in keys},
+        )
     model, standing = robot.model, standing_of(robot)
     within = SOLE_WITHIN * standing.height_m
     geoms = [geom for body in robot.bodies for geom in geoms_of(robot, body)]
@@ -805,6 +837,52 @@ def largest_weights_nm(robot: Robot) -> FloatArray:
     )
 
 
+def undriven(robot: Robot) -> list[int]:
+    """Return hinges of a driven robot that carry a weight and that nothing drives, springs or couples."""
+    model = robot.model
+    drives_joints = np.isin(model.actuator_trntype, JOINT_TRANSMISSIONS).all()
+    is_joint = model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT)
+    is_linkage = model.ntendon or not drives_joints or not is_joint.all()
+    if is_linkage or len(list(driven_dofs(robot))) < FEW_JOINTS:
+        return []
+    moved = {*joints_of_motors(model).tolist()}
+    moved |= {*model.eq_obj1id.tolist(), *model.eq_obj2id.tolist()}
+    moved |= {*np.flatnonzero(springs(model)).tolist()}
+    weights_nm = largest_weights_nm(robot)
+    is_hinge = joints_of(model, "HINGE")
+    return [
+        dof
+        for dof, joint in enumerate(model.dof_jntid.tolist())
+        if is_hinge[joint]
+        and joint not in moved
+        and int(model.dof_bodyid[dof]) in robot.bodies
+        # Joints of the first body place the robot in the world.
+        and model.body_parentid[model.dof_bodyid[dof]]
+        and weights_nm[dof] > LIGHT * weights_nm.max()
+    ]
+
+
+def one_sided(robot: Robot) -> dict[int, int]:
+    """Return actuators without muscles whose forces have one sign, by the hinge that each turns."""
+    model = robot.model
+    low, high = model.actuator_forcerange.T
+    is_muscle = model.actuator_gaintype == int(mujoco.mjtGain.mjGAIN_MUSCLE)
+    is_one = model.actuator_forcelimited.astype(bool) & (low * high >= 0.0)
+    is_one &= np.isin(model.actuator_trntype, JOINT_TRANSMISSIONS) & ~is_muscle
+    driven = {dof for dof, _ in driven_dofs(robot)}
+    dofs = model.jnt_dofadr[model.actuator_trnid[:, 0]]
+    return {
+        int(dofs[a]): a for a in np.flatnonzero(is_one).tolist() if dofs[a] in driven
+    }
+
+
+def springs(model: mujoco.MjModel) -> FloatArray:
+    """Return the stiffness of the spring of each joint [N/m or Nm/rad], shape [njnt]."""
+    # MuJoCo 4 has coefficients of a polynomial, earlier versions one number.
+    linear: FloatArray = model.jnt_stiffness.reshape(model.njnt, -1)[:, 0]
+    return linear
+
+
 @row("robot-torque")
 def _torque(robot: Robot) -> Finding:
     model = robot.model
@@ -812,6 +890,21 @@ def _torque(robot: Robot) -> Finding:
     limits_nm = {dof: limit for dof, limit in driven.items() if np.isfinite(limit)}
     if not driven:
         return Finding(declined="no hinge of the robot is driven")
+    if idle := undriven(robot):
+        names = ", ".join(joint_name(robot, dof) for dof in idle[:3])
+        several = f"{names}: {len(idle)} of {len(driven) + len(idle)} hinges"
+        return Finding(
+            parts=by_joint(robot, dict.fromkeys(idle, 0.0)),
+            remark=f"{several} have no actuator",
+            advice=f"an actuator for {names}",
+        )
+    if single := one_sided(robot):
+        names = ", ".join(joint_name(robot, dof) for dof in list(single)[:3])
+        return Finding(
+            parts=by_joint(robot, dict.fromkeys(single, 0.0)),
+            remark=f"{names}: {len(single)} motors turn one way only",
+            advice=f"a forcerange of both signs for {names}",
+        )
     at_start = robot.is_floating
     bias_nm = np.abs(start(robot).qfrc_bias) if at_start else largest_weights_nm(robot)
     weights_nm = {dof: float(bias_nm[dof]) for dof in limits_nm}
@@ -1145,60 +1238,91 @@ def _range(robot: Robot) -> Finding:
 def _command(robot: Robot) -> Finding:
     model = robot.model
     is_on_joint = np.isin(model.actuator_trntype, JOINT_TRANSMISSIONS)
-    shares: dict[str, float] = {}
-    changes: dict[str, FloatArray] = {}
-    least = facts("robot_rows")["robot-command"]["interval"][0]
-    several = np.flatnonzero(servos(model) & is_on_joint)
-    twice: dict[str, str] = {}
-    for actuator in several.tolist():
-        joint = int(model.actuator_trnid[actuator, 0])
+    has_no_bias = model.actuator_biastype == int(mujoco.mjtBias.mjBIAS_NONE)
+    is_unread = has_no_bias & (model.actuator_biasprm[:, 1] < 0.0)
+    joints = model.actuator_trnid[:, 0]
+    is_servo = is_on_joint & (servos(model) | is_unread)
+    found: dict[str, Finding] = {}
+    for actuator in np.flatnonzero(is_servo).tolist():
+        joint = int(joints[actuator])
         gain = float(model.actuator_gainprm[actuator, 0])
-        bias = model.actuator_biasprm[actuator]
         gear = float(model.actuator_gear[actuator, 0])
         if int(model.jnt_bodyid[joint]) not in robot.bodies or not gain * gear:
             continue
-        name = model.joint(joint).name or f"joint {joint}"
-        # Without load, gain * control + bias[0] + bias[1] * gear * angle is 0.
-        per_control = -gain / (float(bias[1]) * gear)
-        shares[name] = 1.0
-        others = several[model.actuator_trnid[several, 0] == joint].tolist()
+        name = joint_name(robot, int(model.jnt_dofadr[joint]))
+        others = np.flatnonzero(is_servo & (joints == joint)).tolist()
         if len(others) > 1:
             names = [model.actuator(one).name or f"actuator {one}" for one in others]
-            twice[name] = f"{name} has {len(others)} servos: {', '.join(names)}"
-            shares[name] = 0.0
-            continue
-        if per_control < 0.0:
-            shares[name] = -1.0
-            changes[f"actuator_gear[{actuator}]"] = np.abs(
-                model.actuator_gear[actuator]
+            remark = f"{name} has {len(others)} servos: {', '.join(names)}"
+            found[name] = Finding(remark=remark, advice="one servo for each joint")
+        elif is_unread[actuator]:
+            affine = int(mujoco.mjtBias.mjBIAS_AFFINE)
+            found[name] = Finding(
+                remark=f"the servo of {name} does not read its biasprm",
+                advice=f'biastype="affine" for {name}',
+                changes={f"actuator_biastype[{actuator}]": affine},
             )
-        elif model.actuator_ctrllimited[actuator] and model.jnt_limited[joint]:
-            zero = -float(bias[0]) / (float(bias[1]) * gear)
-            ends = zero + per_control * model.actuator_ctrlrange[actuator]
-            low, high = model.jnt_range[joint]
-            reached_rad = min(ends[1], high) - max(ends[0], low)
-            # Of a range of commands that is far wider than the joint's, nearly all are lost.
-            wide_rad = max(high - low, LOST_COMMANDS * np.ptp(ends))
-            shares[name] = float(reached_rad / wide_rad)
-            if shares[name] < least:
-                ends = (model.jnt_range[joint] - zero) / per_control
-                changes[f"actuator_ctrlrange[{actuator}]"] = ends
-    if not shares:
+        else:
+            found[name] = _reached(robot, actuator, name)
+    if not found:
         return Finding(declined="no servo of the robot takes a position")
-    name = min(shares, key=lambda one: shares[one])
-    remark = name
-    advice = f"the ctrlrange of {name} in the unit of its joint, or inheritrange"
-    if shares[name] == -1.0:
-        remark = f"{name} turns against its command"
-        advice = f"a positive gear and gain for {name}"
-    elif name in twice:
-        remark, advice = twice[name], "one servo for each joint"
-    return Finding(
-        value=shares[name] if shares[name] >= 0.0 else -np.inf,
-        parts=shares,
-        remark=remark,
+    worst = min(found.values(), key=lambda one: one.value)
+    changes: dict[str, Any] = {}
+    for one in found.values():
+        changes |= one.changes
+    parts = {name: one.value for name, one in found.items()}
+    return replace(worst, parts=parts, changes=changes)
+
+
+def _reached(robot: Robot, actuator: int, name: str) -> Finding:
+    """Return the part of a joint's range that the commands of its servo reach, infinite against its direction."""
+    model = robot.model
+    joint = int(model.actuator_trnid[actuator, 0])
+    gain = float(model.actuator_gainprm[actuator, 0])
+    bias = model.actuator_biasprm[actuator]
+    gear = float(model.actuator_gear[actuator, 0])
+    # Without load, gain * control + bias[0] + bias[1] * gear * angle is 0.
+    per_control = -gain / (float(bias[1]) * gear)
+    if per_control < 0.0:
+        return Finding(
+            value=-np.inf,
+            remark=f"{name} turns against its command",
+            advice=f"a positive gear and gain for {name}",
+            changes={
+                f"actuator_gear[{actuator}]": np.abs(model.actuator_gear[actuator])
+            },
+        )
+    if not (model.actuator_ctrllimited[actuator] and model.jnt_limited[joint]):
+        return Finding(value=1.0, remark=name)
+    zero = -float(bias[0]) / (float(bias[1]) * gear)
+    ends = zero + per_control * model.actuator_ctrlrange[actuator]
+    low, high = model.jnt_range[joint]
+    reached_rad = float(min(ends[1], high) - max(ends[0], low))
+    # Of a range of commands that is far wider than the joint's, nearly all are lost.
+    is_angle = abs(per_control - 1.0) < SAME_ANGLE
+    used = LOST_COMMANDS if is_angle else 1.0
+    share = reached_rad / max(high - low, used * float(np.ptp(ends)))
+    found = Finding(value=share if share >= 0.0 else -np.inf, remark=name)
+    if share >= facts("robot_rows")["robot-command"]["interval"][0]:
+        return found
+    if is_angle or zero != 0.0:
+        ends = (model.jnt_range[joint] - zero) / per_control
+        return replace(
+            found,
+            advice=f"the ctrlrange of {name} in the unit of its joint, or inheritrange",
+            changes={f"actuator_ctrlrange[{actuator}]": ends},
+        )
+    key, advice = "biasprm", f"{gain:g} and {-gain:g} in gainprm and biasprm of {name}"
+    row = np.array(bias)
+    row[1] = -gain
+    if abs(gear) != 1.0:
+        key, advice = "gear", f"gear 1 for {name}, which its command passes too"
+        row = np.sign(gear) * np.eye(6)[0]
+    return replace(
+        found,
+        remark=f"a command of 1 turns {name} by {per_control:.3g} rad",
         advice=advice,
-        changes=changes,
+        changes={f"actuator_{key}[{actuator}]": row},
     )
 
 

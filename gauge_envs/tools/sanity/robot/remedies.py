@@ -33,7 +33,9 @@ from gauge_envs.tools.sanity.robot.model_rows import (
     judged_row,
     largest_weights_nm,
     loads_nm,
+    one_sided,
     servos,
+    springs,
     start,
     stiffness,
 )
@@ -49,8 +51,10 @@ from gauge_envs.tools.sanity.robot.robot import (
 from gauge_envs.tools.sanity.robot.rollout import (
     STEP_RAD,
     STEP_S,
+    deflecting_nm,
     hold_pose,
     lone_half_step_s,
+    servo_responses,
 )
 from gauge_envs.tools.sanity.robot.rows import ROWS
 from gauge_envs.tools.sanity.robot.sides import (
@@ -71,7 +75,7 @@ ORDER = (
     *("floor-tilt", "robot-level", "robot-balance"),
     *("robot-torque", "robot-rotor", "robot-armature", "robot-stiffness"),
     *("robot-damping", "robot-frictionloss", "robot-servo", "robot-sag", "robot-lag"),
-    *("robot-dry", "robot-holds", "robot-stands", "robot-loads"),
+    *("robot-ringing", "robot-dry", "robot-holds", "robot-stands", "robot-loads"),
     *("robot-saturation", "robot-slip", "robot-energy"),
 )
 """Rows in the order in which they are mended, and those that a change must not make worse.
@@ -107,7 +111,9 @@ OF_CONTACTS = frozenset(
 
 CONTACT_OPTIONS = frozenset({"cone", "impratio", *GEOM_FIELDS})
 
-WITHOUT_TOP = frozenset({"robot-dry", "robot-torque", "robot-stiffness", "robot-holds"})
+WITHOUT_TOP = frozenset(
+    {"robot-dry", "robot-torque", "robot-stiffness", "robot-holds", "robot-ringing"}
+)
 """Rows whose upper limit is none: more is no worse."""
 
 HALF_USED = 0.5
@@ -355,7 +361,7 @@ def _with_model(robot: Robot, model: mujoco.MjModel, changes: Settings) -> Robot
     """Return a robot with a changed model; one whose feet may be others, or elsewhere, is read again."""
     spec = robot.spec_after(changes)
     further = {key: value for key, value in changes.items() if key != LENGTHS}
-    every = robot.changes | further
+    every = {**robot.changes, **further}
     if not _is_of_shape(changes):
         return replace(robot, model=model, changes=every)
     from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
@@ -707,7 +713,18 @@ TOUCHING = 0.01
 
 @remedies_of("robot-command")
 def _command(robot: Robot) -> Iterator[Remedy]:
-    yield from _elements(robot, dict(ROWS["robot-command"](robot).changes))
+    """Yield what the row states; of a gain and a bias that differ, the smaller one for both too."""
+    changes, model = dict(ROWS["robot-command"](robot).changes), robot.model
+    yield from _elements(robot, changes)
+    smaller: dict[str, Any] = {}
+    for name in changes:
+        found = ELEMENT.fullmatch(name)
+        if found is not None and found[1] == "actuator_biasprm":
+            actuator = int(found[2])
+            gain = model.actuator_gainprm[actuator].copy()
+            gain[0] = -model.actuator_biasprm[actuator, 1]
+            smaller[f"actuator_gainprm[{actuator}]"] = gain
+    yield from _elements(robot, smaller)
 
 
 @remedies_of("robot-sides")
@@ -823,8 +840,14 @@ def _bound(robot: Robot) -> Iterator[Remedy]:
 
 @remedies_of("robot-torque")
 def _torque(robot: Robot) -> Iterator[Remedy]:
-    yield from _gears(robot)
     model = robot.model
+    both = {}
+    for actuator in one_sided(robot).values():
+        limit_nm = np.abs(model.actuator_forcerange[actuator]).max()
+        signs = np.array([-1.0, 1.0])
+        both[f"actuator_forcerange[{actuator}]"] = signs * limit_nm
+    yield from _elements(robot, both)
+    yield from _gears(robot)
     limited = [a for a in _motors(robot) if model.actuator_forcelimited[a]]
     weights, limits = weights_nm(robot), dict(driven_dofs(robot))
     # In kN m, servos would ask for their largest torque at errors that joints have.
@@ -1121,7 +1144,7 @@ def _servo(robot: Robot) -> Iterator[Remedy]:
 @remedies_of("robot-sag")
 def _sag(robot: Robot) -> Iterator[Remedy]:
     high_mrad = facts("robot_rows")["robot-sag"]["interval"][1]
-    weights = largest_weights_nm(robot)
+    weights = deflecting_nm(robot)
     sags_mrad = {
         a: 1e3 * float(weights[_dof(robot, a)]) / stiffness(robot.model, _dof(robot, a))
         for a in _position_servos(robot)
@@ -1129,6 +1152,9 @@ def _sag(robot: Robot) -> Iterator[Remedy]:
     soft = [a for a, sag_mrad in sags_mrad.items() if sag_mrad > high_mrad]
     if not soft:
         return
+    joints = [int(robot.model.actuator_trnid[a, 0]) for a in soft]
+    sprung = [joint for joint in joints if springs(robot.model)[joint]]
+    yield from _elements(robot, {f"jnt_stiffness[{one}]": 0.0 for one in sprung})
     yield from _gears(robot)
     every = _position_servos(robot)
     for several in (every, soft) if len(soft) < len(every) else (every,):
@@ -1137,6 +1163,27 @@ def _sag(robot: Robot) -> Iterator[Remedy]:
     scale = _rounded(max(sags_mrad[a] for a in soft) / (0.3 * high_mrad))
     for kv in (1.0, _rounded(scale**0.5), scale):
         yield gains(robot, soft, kp=scale, kv=kv)
+
+
+@remedies_of("robot-ringing")
+def _ringing(robot: Robot) -> Iterator[Remedy]:
+    """Yield another unit of kv, then that with which the loop has a damping ratio of 0.7, or of 0.3."""
+    low = facts("robot_rows")["robot-ringing"]["interval"][0]
+    model, responses = robot.model, servo_responses(robot)
+    ringing = [a for a in _position_servos(robot) if responses[_dof(robot, a)][0] < low]
+    yield gains(robot, ringing, kv=PER_DEGREE)
+    for ratio in (0.7, 0.3):
+        changes = {}
+        for a in ringing:
+            dof = _dof(robot, a)
+            kp, band_hz = stiffness(model, dof), responses[dof][1]
+            # The bandwidth of a loop that rings is 1.55 times its natural frequency.
+            natural_per_s = 2.0 * np.pi * band_hz / np.sqrt(1.0 + np.sqrt(2.0))
+            bias = model.actuator_biasprm[a].copy()
+            gear = float(model.actuator_gear[a, 0])
+            bias[2] = -_rounded(2.0 * ratio * kp / natural_per_s / gear**2)
+            changes[f"actuator_biasprm[{a}]"] = bias
+        yield from _elements(robot, changes)
 
 
 @remedies_of("robot-lag")

@@ -223,12 +223,12 @@ class Robot:
             scaled = self.scaled(changes[LENGTHS])
             return scaled.changed({k: v for k, v in changes.items() if k != LENGTHS})
         stating: dict[str, list[int]] = {}
-        model = self._compiled(self.changes | changes)
+        model = self._compiled({**self.changes, **changes})
         if model is None:
             model = copy.copy(self.model)
         else:
             # A compiled model has none of the earlier changes.
-            changes = self.changes | changes
+            changes = {**self.changes, **changes}
         for name, value in changes.items():
             if name in GEOM_FIELDS:
                 array = getattr(model, f"geom_{GEOM_FIELDS[name]}")

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 import mujoco
 import numpy as np
 
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.phenomena.base import facts
 from gauge_envs.tools.sanity.robot.model_rows import (
     NOT_STANDING,
@@ -18,8 +19,10 @@ from gauge_envs.tools.sanity.robot.model_rows import (
     driven_dofs,
     joint_name,
     largest_weights_nm,
+    rate_gains,
     row,
     servos,
+    springs,
     standing_of,
     start,
     stiffness,
@@ -184,8 +187,14 @@ def _finite(robot: Robot) -> Finding:
 @row("robot-stands")
 def _stands(robot: Robot) -> Finding:
     standing_of(robot)
+    ratio = max(_finite_hold(robot).height_ratio, 1e-3)
+    if ratio < 1.0:
+        return Finding(value=ratio, advisory=_advisory(robot))
+    # Without a policy a biped falls, and does not rise.
     return Finding(
-        value=max(_finite_hold(robot).height_ratio, 1e-3), advisory=_advisory(robot)
+        value=ratio,
+        remark="it rises: it starts in the ground, or in a spring",
+        advice="a place of the first body where the feet touch the ground",
     )
 
 
@@ -282,6 +291,9 @@ def _energy(robot: Robot) -> Finding:
 
 # --- joint by joint --------------------------------------------------------------------------------------------------
 
+SWING_RAD = 0.1
+"""Swing of a joint for which dry friction counts as damping [rad]."""
+
 STEP_RAD, STEP_S = 0.3, 1.0
 """Step of a servo's command, and the time for which it is watched."""
 
@@ -361,10 +373,56 @@ def _lag(robot: Robot) -> Finding:
                 advice = "the armature of its rotor and gear, its forcerange, and kp in Nm/rad"
             found = Finding(
                 value=half_ms,
-                remark=name,
+                remark=f"{name}: {response_text(*servo_responses(robot)[dof])}",
                 advice=f"{advice}, for {name} and servos like it",
             )
     return replace(found, parts=by_joint(robot, halves_ms))
+
+
+@once
+def servo_responses(robot: Robot) -> dict[int, tuple[float, float]]:
+    """Return the damping ratio and the bandwidth [Hz] of the servos on each driven hinge, all others locked.
+
+    Dry friction counts by the energy that it takes from a swing of 0.1 rad. The bandwidth is that of the angle at
+    -3 dB, in closed form for a linear loop of second order.
+    """
+    model, data = robot.model, start(robot)
+    inertia = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, inertia)
+    rates = model.dof_damping + rate_gains(model)
+    found = {}
+    for dof, _ in driven_dofs(robot):
+        kp = stiffness(model, dof)
+        if kp <= 0.0:
+            continue
+        natural_per_s = np.sqrt(kp / inertia[dof, dof])
+        dry = 2.0 * float(model.dof_frictionloss[dof]) / (np.pi * kp * SWING_RAD)
+        ratio = 0.5 * float(rates[dof]) * natural_per_s / kp + dry
+        flat = 1.0 - 2.0 * ratio**2
+        band_hz = natural_per_s / (2.0 * np.pi) * np.sqrt(flat + np.hypot(flat, 1.0))
+        found[dof] = (float(ratio), float(band_hz))
+    return found
+
+
+def response_text(ratio: float, band_hz: float) -> str:
+    """Return a damping ratio and a bandwidth in words."""
+    return f"damping ratio {ratio:.2g}, bandwidth {band_hz:.2g} Hz"
+
+
+@row("robot-ringing")
+def _ringing(robot: Robot) -> Finding:
+    responses = servo_responses(robot)
+    ratios = {dof: ratio for dof, (ratio, _) in responses.items()}
+    if not ratios:
+        return Finding(declined=NO_SERVO)
+    dof = min(ratios, key=lambda one: ratios[one])
+    name = joint_name(robot, dof)
+    return Finding(
+        value=ratios[dof],
+        parts=by_joint(robot, ratios),
+        remark=f"{name}: {response_text(*responses[dof])}",
+        advice=f"kv in Nm s/rad, not a damping ratio, for {name} and servos like it",
+    )
 
 
 @once
@@ -401,10 +459,23 @@ def lone_half_step_s(robot: Robot, actuator: int, dof: int) -> float:
     return float(data.time - over * alone.opt.timestep)
 
 
+def deflecting_nm(robot: Robot) -> FloatArray:
+    """Return the larger one of weight and spring that deflect the servo of each degree of freedom [Nm], shape [nv]."""
+    model, loads = robot.model, largest_weights_nm(robot).copy()
+    for dof, _ in driven_dofs(robot):
+        joint = int(model.dof_jntid[dof])
+        ends = np.array([-1.0, 1.0])
+        if model.jnt_limited[joint]:
+            ends = model.jnt_range[joint] - model.qpos_spring[model.jnt_qposadr[joint]]
+        spring_nm = float(springs(model)[joint] * np.abs(ends).max())
+        loads[dof] = max(loads[dof], spring_nm)
+    return loads
+
+
 @row("robot-sag")
 def _sag(robot: Robot) -> Finding:
     weights, gains = (
-        largest_weights_nm(robot),
+        deflecting_nm(robot),
         {dof: stiffness(robot.model, dof) for dof, _ in driven_dofs(robot)},
     )
     sags = {
@@ -418,6 +489,14 @@ def _sag(robot: Robot) -> Finding:
     remark = (
         f"{joint_name(robot, dof)}: {weights[dof]:.3g} Nm with {gains[dof]:.3g} Nm/rad"
     )
+    spring = float(springs(robot.model)[robot.model.dof_jntid[dof]])
+    if weights[dof] > largest_weights_nm(robot)[dof]:
+        return Finding(
+            value=sags[dof],
+            parts=by_joint(robot, sags),
+            remark=f"{remark}, from a spring of {spring:.3g} Nm/rad",
+            advice=f'stiffness="0" for {joint_name(robot, dof)} and joints like it',
+        )
     low_mrad, high_mrad = facts("robot_rows")["robot-sag"]["interval"]
     return Finding(
         value=sags[dof],

@@ -29,6 +29,9 @@ NO_IMAGE_M = 1e3
 SYMMETRIC_SHARE = 0.5
 """Share of joints with a mirror image in its place from which on the robot has two like sides."""
 
+FEW_PAIRS = 2
+"""Other pairs along an axis from which on they say how the two sides turn."""
+
 LEAST_SIZE_M = 0.01
 """Radius of a link without geoms [m]."""
 
@@ -46,6 +49,7 @@ class MirrorPair:
         apart_m: Distance of one from the mirror image of the other [m].
         distance_m: Distance of the joint from the origin of the robot [m].
         cosine: Cosine of the angle between an axis and the mirror image of the other one.
+        along: Axis of the robot to which that of the joint is nearest.
         centres_apart_m: Centre of mass of one link from the mirror image of the other, each seen from its joint [m].
         ranges_rad: Range of each, from the pose of the model [rad or m], shape [2].
         flip: Signs of the mirror image of a place in the frame of the robot, shape [3].
@@ -57,6 +61,7 @@ class MirrorPair:
     apart_m: float
     distance_m: float
     cosine: float
+    along: int
     centres_apart_m: FloatArray
     ranges_rad: Mapping[int, FloatArray]
     flip: FloatArray
@@ -116,6 +121,7 @@ def mirror_pairs(robot: Robot) -> list[MirrorPair]:
                 distance_m=float(np.linalg.norm(anchors_m[one])),
                 # The mirror image of an axis of rotation is turned once more.
                 cosine=float(-flip * axes[one] @ axes[other]),
+                along=int(np.abs(axes[one]).argmax()),
                 centres_apart_m=flip * centres_m[one] - centres_m[other],
                 ranges_rad={
                     int(j): model.jnt_range[j] - model.qpos0[model.jnt_qposadr[j]]
@@ -192,6 +198,13 @@ def differences(robot: Robot, pair: MirrorPair) -> Iterator[tuple[str, float]]:
     size_m = 2.0 * max([LEAST_SIZE_M, *model.geom_rbound[geoms]])
     yield "place", max(pair.apart_m - SAME_PLACE_M, 0.0) / pair.distance_m
     yield "axis", float(np.sqrt(max(1.0 - pair.cosine**2, 0.0)))
+    others = [
+        one.cosine > 0.0
+        for one in mirror_pairs(robot)
+        if one.along == pair.along and one.joint != pair.joint
+    ]
+    is_odd = len(others) >= FEW_PAIRS and others.count(pair.cosine > 0.0) == 0
+    yield "direction of command", float(is_odd)
     yield "centre of mass", float(np.linalg.norm(pair.centres_apart_m)) / size_m
     for name, values in quantities(robot).items():
         if name in OF_LINKS:
