@@ -2,7 +2,8 @@
 
 It writes cures.csv. LIST.csv is that of `makers.py`; without patterns all rows are checked. Models before and after are
 run by MuJoCo alone: held for 2 s at their keyframe, one servo after the other with a step of its command, and with a
-push. Motors without a servo get one here, the same before and after.
+push. A robot that floats makes its steps in the air, as the ground holds its feet. Motors without a servo get one here,
+the same before and after.
 """
 
 import csv
@@ -124,6 +125,10 @@ class Held:
     def half_step_s(self) -> float:
         """Return the time in which the slowest servo covers half of a step [s], among those that have room for it."""
         slowest = 0.0
+        if (self.model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)).any():
+            in_air = mujoco.mjtDisableBit.mjDSBL_CONTACT
+            in_air |= mujoco.mjtDisableBit.mjDSBL_GRAVITY
+            self.model.opt.disableflags |= int(in_air)
         for number, actuator in enumerate(self.actuators):
             joint = int(self.model.actuator_trnid[actuator, 0])
             high = self.model.jnt_range[joint, 1]
