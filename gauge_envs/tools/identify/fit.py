@@ -41,6 +41,7 @@ from gauge_envs.tools.identify.mujoco_joints import (
 from gauge_envs.tools.identify.rig import (
     DYNAMICS,
     LIMIT,
+    OFFSET,
     SERVO,
     Machine,
     SceneJoints,
@@ -130,7 +131,7 @@ class Setting:
         joint_name: Its name.
         name: Field of `JointDynamics` or `Servo`.
         value: Its value, in the unit of its name.
-        low, high: 95 % interval of the least squares over all logs; not below 0.
+        low, high: 95 % interval of the least squares over all logs; of an offset alone it may be below 0.
         std: Its standard error.
         of_files: Values of fits to each log alone.
         of_files_std: Their standard errors.
@@ -257,12 +258,17 @@ class _Problem:
         """Number of unknowns of a joint in all parts: its numbers, and the log's angle at rest."""
         return len(self.names) + self.zero
 
+    @property
+    def shifts(self) -> FloatArray:
+        """Unknowns at which numbers are 0, shape [name_count, 1]; none is negative, though an offset may be."""
+        return np.array([[float(name == OFFSET)] for name in self.names])
+
     def unknowns(
         self, scaled: FloatArray
     ) -> tuple[list[Terms], FloatArray, FloatArray]:
         """Return numbers of each joint, angles at rest [J], and changes of the starts, shape [part_count, 2, J]."""
         of_joints = scaled[: self.kinds * self.joints].reshape(self.kinds, self.joints)
-        values = of_joints[: len(self.names)] * self.sizes
+        values = (of_joints[: len(self.names)] - self.shifts) * self.sizes
         values = np.where(np.isnan(self.fixed), values, self.fixed)
         terms: list[Terms] = [
             dict(zip(self.names, column.tolist(), strict=True)) for column in values.T
@@ -952,7 +958,7 @@ def _with_load_error(
     """Return settings whose interval of least squares holds the uncertainty of the load too."""
     found = []
     for one in settings:
-        if one.is_known or one.name == SERVO[2]:
+        if one.is_known or one.name in (SERVO[2], OFFSET):
             found.append(one)
             continue
         half = np.hypot(one.high - one.value, NORMAL_95 * load_error * one.value)
@@ -976,10 +982,11 @@ def _between_files(
         if one.is_known or not np.isfinite(stds).all():
             found.append(one)
             continue
-        common_error = 0.0 if one.name == SERVO[2] else load_error
-        spread = spread_of(values, stds, common_error)
+        is_torque = one.name not in (SERVO[2], OFFSET)
+        least = -np.inf if one.name == OFFSET else 0.0
+        spread = spread_of(values, stds, load_error if is_torque else 0.0, least)
         unknown = one.unknown
-        is_open = spread.low == 0.0 and len(alone) > FEWEST_FILES
+        is_open = spread.low <= 0.0 <= spread.high and len(alone) > FEWEST_FILES
         if not unknown and is_open and one.name != SERVO[2]:
             unknown = ZERO_NEXT
         found.append(
@@ -1060,7 +1067,7 @@ def _check_request(
                 f"{log.name}: all logs must state commands of servos, or none"
             )
     for name in names:
-        known = [*DYNAMICS, *SERVO, LIMIT] if servo else [*DYNAMICS, "delay_s"]
+        known = [*DYNAMICS, *SERVO, LIMIT, OFFSET] if servo else [*DYNAMICS, "delay_s"]
         if name not in (*known, *SERVO_FRICTION):
             raise ParameterError(
                 f"{name}: no number of such a joint; known: {', '.join(known)}, and the laws {', '.join(TERMS)}"
@@ -1184,7 +1191,7 @@ def _to_leave_out(
 
     def openness(one: Setting) -> tuple[bool, float]:
         is_armature = one.unknown == SCALE and one.name == DYNAMICS[2]
-        return is_armature, (one.high - one.low) / max(one.value, 1e-300)
+        return is_armature, (one.high - one.low) / max(abs(one.value), 1e-300)
 
     found = []
     for joint in sorted({one.joint for one in settings}):
@@ -1228,6 +1235,7 @@ def guessed(
         "kv_n_m_s_per_rad": weight / rate,
         "delay_s": 0.02,
         LIMIT: weight,
+        OFFSET: 0.5,
         **dict(zip(STRIBECK, (0.01 * weight, 0.2, 1.0), strict=True)),
         **dict.fromkeys((LOAD, *DIRECTED), 0.05),
         **dict.fromkeys((LOAD_STRIBECK, *DIRECTED_STRIBECK), 0.05),
@@ -1252,7 +1260,8 @@ def _settings(
         )
         for kind, name in enumerate(problem.names):
             column = kind * problem.joints + joint
-            value, half = unknowns[column], NORMAL_95 * std[column]
+            value = unknowns[column] - problem.shifts[kind, 0]
+            half = NORMAL_95 * std[column]
             twins = [
                 other
                 for k, other in enumerate(problem.names)
@@ -1260,7 +1269,7 @@ def _settings(
             ]
             unknown = (
                 f"goes with {' and '.join(twins)}"
-                if twins and half > 0.1 * value
+                if twins and half > 0.1 * abs(value)
                 else ""
             )
             if is_scale and unknown and kind in torques:
@@ -1269,10 +1278,11 @@ def _settings(
             if is_known:
                 unknown, half = "", 0.0
                 value = problem.fixed[kind, joint] / problem.sizes[kind, joint]
-            elif not unknown and half >= value:
+            elif not unknown and half >= abs(value):
                 unknown = ZERO
             size = problem.sizes[kind, joint]
-            low, high = max(value - half, 0.0) * size, (value + half) * size
+            low, high = (value - half) * size, (value + half) * size
+            low = low if name == OFFSET else max(low, 0.0)
             found.append(
                 Setting(
                     joint=joint,

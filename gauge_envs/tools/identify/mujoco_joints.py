@@ -21,7 +21,7 @@ from gauge_envs.runs.rollout import DivergedError
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.hinged import joint_sign, parent_hinges
 from gauge_envs.tools.identify.logs import Log
-from gauge_envs.tools.identify.rig import DYNAMICS, LIMIT, SERVO, Terms
+from gauge_envs.tools.identify.rig import DYNAMICS, LIMIT, OFFSET, SERVO, Terms
 from gauge_envs.tools.identify.servo_laws import SERVO_FRICTION, Holding, holding
 from gauge_envs.tools.mjcf import PROBE
 
@@ -138,6 +138,7 @@ class ModelJoints:
                 (self.stated[place] | terms[place]).get("delay_s", 0.0)  # type: ignore[operator]
             )
             values = _controls(log, place, delay_s, count, self.timestep_s)
+            values += float(terms[place].get(OFFSET, 0.0))
             control[0, :, motor] = self.signs[place] * values
         # A state begins with its time, and the positions follow.
         columns = [1 + int(model.joint(one).qposadr[0]) for one in self.joints]
@@ -198,7 +199,7 @@ class ModelJoints:
 
         Args:
             lines: Elements `<joint>` and `<position>`; comments are skipped.
-            terms: Numbers of each joint, of which friction of servo benches is used, which no element states.
+            terms: Numbers of each joint; friction of servo benches and offsets, which no element states, are used.
             logs: The logs.
         """
         model = paste(self.spec.copy(), lines).compile()
@@ -211,12 +212,14 @@ class ModelJoints:
             if model.actuator_trntype[index] == JOINT
             and model.joint(joint).name in self.joints
         }
+        offsets_rad = np.array([one.get(OFFSET, 0.0) for one in terms])
         errors = {}
         for log in logs:
             assert log.command_rad is not None
+            commands = self.signs * (log.command_rad + offsets_rad)
             start_at(model, data, self, *log.start())
             for motor, joint in motors.items():
-                data.ctrl[motor] = self.signs[joint] * log.command_rad[0, joint]
+                data.ctrl[motor] = commands[0, joint]
                 if model.actuator_history[motor, 0]:
                     _fill_history(model, data, motor)
             if laws:
@@ -229,7 +232,7 @@ class ModelJoints:
                     _step(model, data, count, laws)
                 simulated[row] = data.qpos[placed] * self.signs
                 for motor, joint in motors.items():
-                    data.ctrl[motor] = self.signs[joint] * log.command_rad[row, joint]
+                    data.ctrl[motor] = commands[row, joint]
             if any(warning.number for warning in data.warning):
                 raise DivergedError(f"{log.name}: the pasted lines diverge in MuJoCo")
             errors[log.name] = np.sqrt(
@@ -591,7 +594,7 @@ def _stated(model: mujoco.MjModel, name: str) -> dict[str, float]:
     """Return the numbers that a model states for a joint."""
     joint = model.joint(name)
     dof = int(joint.dofadr[0])
-    numbers = dict.fromkeys((*DYNAMICS, *SERVO, LIMIT, *SERVO_FRICTION), 0.0)
+    numbers = dict.fromkeys((*DYNAMICS, *SERVO, LIMIT, OFFSET, *SERVO_FRICTION), 0.0)
     numbers[DYNAMICS[0]] = float(model.dof_frictionloss[dof])
     numbers[DYNAMICS[1]] = float(np.ravel(model.dof_damping[dof])[0])
     numbers[DYNAMICS[2]] = float(model.dof_armature[dof])

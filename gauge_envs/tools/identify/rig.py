@@ -44,6 +44,8 @@ DYNAMICS = tuple(
 )
 SERVO = ("kp_n_m_per_rad", "kv_n_m_s_per_rad", "delay_s")
 LIMIT = "torque_limit_n_m"
+OFFSET = "offset_rad"
+"""Angle that a servo adds to its command [rad], of both signs."""
 
 AnyHinge = TypeVar("AnyHinge", Hinge, BodyHinge)
 
@@ -251,7 +253,8 @@ def with_terms(
             name: given[name] for name in (*SERVO, LIMIT) if name in given
         }
         if log.command_rad is not None:
-            command = profile(log.command_rad, float(start_rad[place]), stays=True)
+            zero_rad = float(start_rad[place]) - given.get(OFFSET, 0.0)
+            command = profile(log.command_rad, zero_rad, stays=True)
             if isinstance(motor, Servo):
                 motor = replace(motor, command=command, **gains)
             else:
@@ -355,7 +358,7 @@ def numbers(scene: Scene) -> list[dict[str, float]]:
     return [
         {
             name: float(one.get(name) or 0.0)
-            for name in (*DYNAMICS, *SERVO, LIMIT, *SERVO_FRICTION)
+            for name in (*DYNAMICS, *SERVO, LIMIT, OFFSET, *SERVO_FRICTION)
         }
         for one in known
     ]

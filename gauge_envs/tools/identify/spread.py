@@ -22,7 +22,7 @@ class Spread:
     Attributes:
         mean: Weighted mean of the files.
         between: Standard deviation between files, beyond what the uncertainty of each explains.
-        low, high: 95 % prediction interval of the value of the next file; not below 0.
+        low, high: 95 % prediction interval of the value of the next file.
     """
 
     mean: float
@@ -32,7 +32,10 @@ class Spread:
 
 
 def spread_of(
-    values: FloatArray, stds: FloatArray, common_error: float = 0.0
+    values: FloatArray,
+    stds: FloatArray,
+    common_error: float = 0.0,
+    least: float = 0.0,
 ) -> Spread:
     """Return the spread between files, and the interval for the value of another one.
 
@@ -46,6 +49,7 @@ def spread_of(
         stds: Standard error of each [same unit], shape [K].
         common_error: Standard uncertainty that all files share, over the value, as of a load that all were fitted with;
             no scatter between files shows it.
+        least: Least value that is possible.
     """
     scale = float(max(np.ptp(values), stds.max(), 1e-300))
     scaled, errors = values / scale, stds / scale
@@ -67,7 +71,7 @@ def spread_of(
     return Spread(
         mean=scale * mean,
         between=scale * between,
-        low=scale * max(mean - half, 0.0),
+        low=max(scale * (mean - half), least),
         high=scale * (mean + half),
     )
 

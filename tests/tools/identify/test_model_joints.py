@@ -21,8 +21,9 @@ from gauge_envs.tools.identify import (
     read_mjcf,
 )
 from gauge_envs.tools.identify.baselines import baselines, lagged
-from gauge_envs.tools.identify.fit import AS_WELL, _to_leave_out
+from gauge_envs.tools.identify.fit import AS_WELL, _machine, _to_leave_out
 from gauge_envs.tools.identify.mujoco_joints import joints_of_model, start_at
+from gauge_envs.tools.identify.rig import SceneJoints
 
 ARM = """<mujoco><option timestep="{step}" integrator="implicitfast"/><worldbody><body>
   <SHOULDER/><inertial pos="0 0 -.1" mass=".2" diaginertia="1e-3 1e-3 1e-3"/>
@@ -121,6 +122,37 @@ def test_the_printed_error_is_that_of_the_pasted_lines(found):
     error = np.sqrt(((played(xml, held, log.times_s) - measured) ** 2).mean())
     # The replay starts at the measured angle and rate, this one at rest at 0.
     assert found.held_out_rad["other"][0] == pytest.approx(error, rel=0.02)
+
+
+def test_a_servo_stands_at_its_command_plus_the_offset():
+    """Without gravity, in plain MuJoCo and on an engine of this package."""
+    times_s = 0.02 * np.arange(100)
+    command = np.full((100, 1), 0.2)
+    log = Log("", times_s, command, command)
+    numbers = {"kp_n_m_per_rad": 4.0, "kv_n_m_s_per_rad": 0.4, "offset_rad": -0.05}
+    scene = one_joint(1.0, 0.0, 0.01)
+    start = np.zeros(1), np.zeros(1)
+    plain = _machine(backend("mujoco"), scene, log, list(numbers), {})
+    assert plain.angles(log, [numbers], start)[-1, 0] == pytest.approx(0.15, abs=1e-3)
+    engine = SceneJoints(backend("rapier"), scene, {})
+    assert engine.angles(log, [numbers], start)[-1, 0] == pytest.approx(0.15, abs=1e-3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("offset_rad", [0.04, -0.06])
+def test_the_standing_offset_of_a_servo_is_found(offset_rad):
+    """Commands that are less by an angle move the same arm if the servo adds it."""
+    log = servo_log("one", 1)
+    assert log.command_rad is not None
+    moved = replace(log, command_rad=log.command_rad - offset_rad)
+    spec = mujoco.MjSpec.from_string(arm())
+    names = ["dry_friction_n_m", "kp_n_m_per_rad", "kv_n_m_s_per_rad", "delay_s", "offset_rad"]  # fmt: skip
+    found = identify(backend("mujoco"), spec, [moved], names)
+    one = next(one for one in found.settings if one.name == "offset_rad")
+    assert one.low < offset_rad < one.high
+    assert one.value == pytest.approx(offset_rad, abs=0.003)
+    assert f"elbow: offset_rad = {one.value:.5g}, which no line above sets" in found.lines  # fmt: skip
+    assert found.error_rad["one"][0] < 2.0 * NOISE_RAD
 
 
 def test_a_bench_value_is_kept_and_pasted():
