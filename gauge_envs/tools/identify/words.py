@@ -108,7 +108,9 @@ def _laws(found: Identified) -> Table:
 
 
 def _choice(found: Identified) -> str:
-    """Return why the first law is used, and which laws the logs do not tell apart."""
+    """Return why the first law is used, and which laws the logs do not tell apart; "" where none was compared."""
+    if not found.laws:
+        return ""
     alike = [one.name for one in found.laws if one.is_as_good]
     if len(alike) == 1:
         return f"{alike[0]} is used: it predicts best, by more than a standard error."
