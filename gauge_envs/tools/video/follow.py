@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.video.frames import Picture, cv2
 from gauge_envs.tools.video.tasks import (
+    PLATE_RADIUS_PX,
     REFERENCE_SIZE_PX,
     SLOPE_DIRECTION,
     Motion,
@@ -216,7 +217,7 @@ class ShapeFollower:
             _Outline(inner, outer, COARSE),
             _Outline(inner, outer, 1.0),
         )
-        self._colour = self._look(first, np.array(task.rest_px or task.centre_px))
+        self._colour = _look(first, np.array(task.rest_px or task.centre_px), size_px)
 
     def candidates(self, picture: Picture) -> list[Sight]:
         """Return the places of a frame that may show the object, the likeliest first, and follow the background."""
@@ -295,28 +296,23 @@ class ShapeFollower:
         return Sight(
             x_px=float(place[0]),
             y_px=float(place[1]),
-            likeness=min(1.0, value) * self._likeness(self._look(picture, place)),
+            likeness=min(1.0, value)
+            * _likeness(_look(picture, place, self._size_px), self._colour),
             size_ratio=math.sqrt(float(inside[row, column]) + grown),
         )
 
-    def _look(
-        self, picture: NDArray[np.floating] | Picture, place: FloatArray
-    ) -> NDArray[np.float32]:
-        """Return the mean colour of the middle of the object."""
-        part, _ = _cut(picture, place[0], place[1], max(1, int(0.25 * self._size_px)))
-        return part.reshape(-1, 3).mean(axis=0).astype(np.float32)
 
-    def _likeness(self, colour: NDArray[np.float32]) -> float:
-        """Return the likeness of a colour to the object's at any brightness, from 0 to 1."""
-        gain = float(
-            np.clip(
-                colour @ self._colour / max(float(self._colour @ self._colour), 1.0),
-                0.5,
-                2.0,
-            )
-        )
-        away = float(np.abs(colour - gain * self._colour).max())
-        return math.exp(-max(0.0, away - TINT) / TINT_RANGE)
+def _look(picture: NDArray[Any], place: FloatArray, size_px: float) -> FloatArray:
+    """Return the mean colour of the middle of an object."""
+    part, _ = _cut(picture, place[0], place[1], max(1, int(0.25 * size_px)))
+    return np.asarray(part.reshape(-1, 3).mean(axis=0), dtype=float)
+
+
+def _likeness(colour: FloatArray, known: FloatArray) -> float:
+    """Return the likeness of a colour to a known one at any brightness, from 0 to 1."""
+    gain = np.clip(colour @ known / max(float(known @ known), 1.0), 0.5, 2.0)
+    away = float(np.abs(colour - gain * known).max())
+    return math.exp(-max(0.0, away - TINT) / TINT_RANGE)
 
 
 def _cut(
@@ -353,11 +349,11 @@ RENEWAL = 0.2
 LEAST_CORRELATION = 0.5
 """Smallest correlation with the template that shows the object."""
 
+SMOOTH_PX = 3.0
+"""Width of the grain that a pattern leaves out [px]."""
+
 SEARCHED_RAD = (0.0, 0.15, -0.15, 0.3, -0.3, 0.5, -0.5, 0.8, -0.8)
 """Angles about the axis at which an object that was lost is looked for [rad]."""
-
-SAME_GREY, GREY_RANGE = 20.0, 20.0
-"""Difference of the mean brightness that is still that of a lost object, and that at which likeness falls to 1/e."""
 
 
 class FaceFollower:
@@ -379,28 +375,33 @@ class FaceFollower:
         self._pose = np.array([0.0, *task.centre_px])
         self._step = np.zeros(3)
         self._face = _turned(_grey(first), self._pose, self._half)
+        self._size_px = task.size_px
+        self._colour = _look(first, self._pose[1:], task.size_px)
+        self._pattern = None if task.is_shiny else _pattern(self._face)
 
     def candidates(self, picture: Picture) -> list[Sight]:
         """Return the place in the next frame; none where it is lost."""
-        grey = _grey(picture)
-        pose, value = self._matched(grey, self._pose + self._step)
+        pose, value = self._matched(picture, self._pose + self._step)
         if value < LEAST_CORRELATION:
             around = [_swung(self._pose, self._pivot, one) for one in SEARCHED_RAD]
-            found = [self._matched(grey, one, is_lost=True) for one in around]
-            pose, value = max(found, key=lambda one: one[1])
+            found = (self._matched(picture, one) for one in around)
+            pose, value = next(
+                (one for one in found if one[1] >= LEAST_CORRELATION), (pose, 0.0)
+            )
         if value < LEAST_CORRELATION:
             self._step = np.zeros(3)
             return []
         self._step, self._pose = pose - self._pose, pose
-        face = _turned(grey, pose, self._half)
+        face = _turned(_grey(picture), pose, self._half)
         self._face = (1.0 - RENEWAL) * self._face + RENEWAL * face
+        if self._pattern is not None:
+            # The renewed template would follow a cube that melts; its square has the threshold of all likenesses.
+            value = max(0.0, float((_pattern(face) * self._pattern).mean())) ** 2
         return [Sight(x_px=pose[1], y_px=pose[2], likeness=min(1.0, value))]
 
-    def _matched(
-        self, grey: NDArray[np.float32], pose: FloatArray, *, is_lost: bool = False
-    ) -> tuple[FloatArray, float]:
+    def _matched(self, picture: Picture, pose: FloatArray) -> tuple[FloatArray, float]:
         """Return the pose near another one at which the picture is most like the template, and how much it is."""
-        window = _turned(grey, pose, self._wide)
+        window = _turned(_grey(picture), pose, self._wide)
         warp = np.eye(2, 3, dtype=np.float32)
         warp[:, 2] = self._wide - self._half
         template = self._face.astype(np.float32)
@@ -415,12 +416,16 @@ class FaceFollower:
         turn = math.atan2(warp[1, 0], warp[0, 0])
         middle = warp @ [self._half, self._half, 1.0] - self._wide
         found = pose + np.array([turn, *(_rotation(pose[0]) @ middle)])
-        if is_lost:
-            # Correlation does not know the brightness, and an edge of the plate is like one of the object.
-            shown = float(_turned(grey, found, self._half).mean())
-            away = abs(shown - float(template.mean()))
-            value *= math.exp(-max(0.0, away - SAME_GREY) / GREY_RANGE)
-        return found, value
+        # Correlation does not know the colour, and an edge of the plate is like one of the object.
+        shown = _look(picture, found[1:], self._size_px)
+        is_on_plate = math.dist(found[1:], self._pivot) < PLATE_RADIUS_PX
+        return found, is_on_plate * value * _likeness(shown, self._colour)
+
+
+def _pattern(face: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Return a face at the mean brightness 0 and the contrast 1, without its grain."""
+    smooth = cv2.GaussianBlur(face, (0, 0), SMOOTH_PX)
+    return (smooth - smooth.mean()) / max(float(smooth.std()), 1e-9)
 
 
 def _grey(picture: Picture) -> NDArray[np.float32]:

@@ -259,7 +259,9 @@ def frontal_track(view: PlaneView, track: Track, task: VideoTask) -> Track:
         track.is_found, track.points_px[:, 1] / REFERENCE_SIZE_PX[1] - 0.5, 0.0
     )
     clock = track.times_s + view.readout_s * row if view.readout_s else track.clock_s
-    return replace(track, points_px=places, size_ratio=sizes, clock_s=clock)
+    return replace(
+        track, points_px=places, size_ratio=sizes, clock_s=clock, registration=None
+    )
 
 
 def metric_view(track: Track, task: VideoTask) -> tuple[Track, PlaneView]:

@@ -15,6 +15,7 @@ from gauge_envs.errors import VideoError
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.video.frames import Registration, cv2, stretched
 from gauge_envs.tools.video.tasks import (
+    PLATE_RADIUS_PX,
     REFERENCE_SIZE_PX,
     SLOPE_DIRECTION,
     Motion,
@@ -60,9 +61,6 @@ MOST_SCATTER_PX = 2.0
 
 MOST_SIDE_PX = 1664
 """Side to which pictures are made smaller before edges and points are looked for [px]."""
-
-PLATE_RADIUS_PX = 225.0
-"""Radius of the turntable's plate in the first frames [px]."""
 
 CRADLE_ROW_PX = (367.0, 404.0, 440.5)
 """Horizontal places of the other hanging balls of the cradle in the first frame [px]."""

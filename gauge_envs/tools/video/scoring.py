@@ -1,7 +1,8 @@
 """Score the motion in a video by the law of its task, with the uncertainty of the track carried into the result."""
 
+import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -344,28 +345,46 @@ def _metrics(
     guess: tuple[float, float] | None = None,
 ) -> tuple[Metrics, Metrics]:
     """Return the metrics of a task in an interval, and further numbers."""
-    rows = _found(track, span)
-    times_s = track.times_s[rows]
+    metrics, details = paper_metrics(track, task, span, scale_m_per_px, guess)
     if task.motion in (Motion.SLIDE, Motion.FALL):
+        rows = _found(track, span)
         # Rest before the motion belongs to the fit: the release is where rest and law meet.
         early = np.arange(max(0, span[0] - 2 * laws.WINDOW), span[0])
         used = np.r_[early[track.is_found[early]], rows]
-        along_m = laws.displacement_px(track, task) * scale_m_per_px
-        release = {
-            "release_within_s": RELEASE_FRAMES / track.fps,
-            "release_s": float(times_s[0]),
-        }
         fit = laws.fit_constant_acceleration(
-            track.times_s[used], along_m[used], **release
+            track.times_s[used],
+            laws.displacement_px(track, task)[used] * scale_m_per_px,
+            release_within_s=RELEASE_FRAMES / track.fps,
+            release_s=float(track.times_s[rows[0]]),
         )
-        paper = laws.fit_constant_acceleration(times_s, along_m[rows])
-        values = {
-            "a": paper.a_m_per_s2,
-            "qfi": paper.qfi,
-            "acceleration_m_s2": fit.a_m_per_s2,
-            "form": fit.form,
-        }
-        return values, {"linear_r2": paper.r2, "release_s": fit.release_s}
+        metrics |= {"acceleration_m_s2": fit.a_m_per_s2, "form": fit.form}
+        details["release_s"] = fit.release_s
+    return metrics, details
+
+
+def paper_metrics(
+    track: Track,
+    task: VideoTask,
+    span: tuple[int, int],
+    scale_m_per_px: float,
+    guess: tuple[float, float] | None = None,
+) -> tuple[Metrics, Metrics]:
+    """Return the metrics as the paper defines them, and further numbers.
+
+    Args:
+        track: The track; its places count in whole pixels, as the paper stores them.
+        task: The task.
+        span: First and last retained row.
+        scale_m_per_px: Size of a pixel [m].
+        guess: Damping [1/s] and angular frequency [rad/s] of a swing from which the search starts.
+    """
+    track = track.in_whole_px()
+    rows = _found(track, span)
+    times_s = track.times_s[rows]
+    if task.motion in (Motion.SLIDE, Motion.FALL):
+        along_m = laws.displacement_px(track, task)[rows] * scale_m_per_px
+        fit = laws.fit_constant_acceleration(times_s, along_m)
+        return {"a": fit.a_m_per_s2, "qfi": fit.qfi}, {"linear_r2": fit.r2}
     if task.motion is Motion.TURN:
         error = laws.dynamic_error(
             times_s,
@@ -513,3 +532,61 @@ def _intervals(
             high,
         )
     return intervals
+
+
+# --- published values ------------------------------------------------------------------------------------------------
+
+CLOSE = 0.1
+"""Largest relative difference with which a value agrees with a published one."""
+
+MOST_SHIFT = 24
+"""Frames by which an interval is moved at either end in search of published values."""
+
+
+def agreement(result: VideoScore, task: VideoTask, published: Metrics) -> str:
+    """Return how the metrics of a clip agree with published ones, whose interval of frames is not published.
+
+    Args:
+        result: The result.
+        task: The task.
+        published: Published metrics of the same clip.
+    """
+    if not result.is_sound:
+        return "track not sound"
+    if _is_close(result.metrics, published):
+        return "yes"
+    if result.interval_frames is None:
+        return "no motion"
+    ends = [result.uncertainty[name] or (0.0, -1.0) for name in published]
+    if all(
+        low <= value <= high
+        for (low, high), value in zip(ends, published.values(), strict=True)
+    ):
+        return "within the interval"
+    if task.motion not in (Motion.SLIDE, Motion.FALL, Motion.TURN):
+        return "no"
+    track = result.track
+    start, end = np.searchsorted(track.frames, result.interval_frames)
+    shifts = range(-MOST_SHIFT, MOST_SHIFT + 1)
+    spans = [
+        (start + one, end + other)
+        for one, other in itertools.product(shifts, shifts)
+        if 0 <= start + one < end + other - LEAST_RETAINED
+        and end + other < len(track.frames)
+    ]
+    spans.sort(key=lambda span: abs(span[0] - start) + abs(span[1] - end))
+    for span in spans:
+        try:
+            metrics, _ = paper_metrics(track, task, span, task.scale_m_per_px)
+        except ParameterError:
+            continue
+        if _is_close(metrics, published):
+            return f"in frames {track.frames[span[0]]} to {track.frames[span[1]]}"
+    return "in no frames"
+
+
+def _is_close(metrics: Mapping[str, float | None], published: Metrics) -> bool:
+    return all(
+        abs((metrics.get(name) or 0.0) - value) <= CLOSE * abs(value)
+        for name, value in published.items()
+    )

@@ -25,6 +25,9 @@ from gauge_envs.scene import Scene
 REFERENCE_SIZE_PX = (832, 480)
 """Width and height of the first frames, on whose grid all pixel numbers are given."""
 
+PLATE_RADIUS_PX = 225.5
+"""Radius of the turntable in the first frames, with its rim [px]."""
+
 SLOPE_DIRECTION = (-math.cos(math.radians(31.6)), math.sin(math.radians(31.6)))
 """Direction down the board in the first frames of the slope slider: its long edges lie at 31.4 to 31.8 degrees."""
 
@@ -77,6 +80,7 @@ class VideoTask:
         pivot_px: Pivot of a swinging ball [px], shape [2]; None for other motions.
         pivot_sigma_px: Standard uncertainty of each coordinate of the pivot [px].
         rest_px: Position of the tracked ball when it hangs [px], shape [2]; None where there is none.
+        is_shiny: Whether lamps change the pattern of its face as it turns.
         release_height_m: Height from which the incoming ball of a cradle is released [m].
         law: Values of the law by the name of the metric, the column "real baseline" of the published table; empty for
             a film of one's own.
@@ -92,6 +96,7 @@ class VideoTask:
     pivot_px: tuple[float, float] | None = None
     pivot_sigma_px: float = 1.0
     rest_px: tuple[float, float] | None = None
+    is_shiny: bool = False
     release_height_m: float = 0.0
     law: dict[str, float]
 

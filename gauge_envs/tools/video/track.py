@@ -4,7 +4,7 @@ import csv
 import io
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from gauge_envs.errors import VideoError
 from gauge_envs.files import MEGABYTE, os_errors, read_regular, write_whole
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.tools.video.frames import Registration
+from gauge_envs.tools.video.frames import Registration, stretched
 from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX
 
 MOST_TRACK_BYTES = 16 * MEGABYTE
@@ -57,7 +57,7 @@ class Track:
         size_ratio: Apparent size divided by that in the first frame, shape [frame_count]; NaN where unknown.
         events: What happened in the video.
         clock_s: Times of the frames [s], shape [frame_count]; None where they follow from the rate.
-        registration: How the video lies on the grid; None for a track from a file.
+        registration: How the video lies on the grid; None for a track in millimetres, or of a frontal film.
         is_metric: Whether the places are in millimetres, to the right and up in the plane of the motion.
         moves: Motion of the camera since the first frame that was subtracted, shape [2, 3] each; None where it stood.
     """
@@ -77,6 +77,17 @@ class Track:
     def is_found(self) -> NDArray[np.bool_]:
         """Whether the object was found, shape [frame_count]."""
         return np.asarray(np.isfinite(self.points_px).all(axis=1))
+
+    def in_whole_px(self) -> "Track":
+        """Return the track in whole pixels of the video, as the paper stores centroids, where its grid is known."""
+        if self.registration is None:
+            return self
+        scale = np.array([self.registration.scale_x, self.registration.scale_y])
+        offset = np.array(
+            [self.registration.offset_x_px, self.registration.offset_y_px]
+        )
+        whole = np.floor((self.points_px - offset) / scale)
+        return replace(self, points_px=whole * scale + offset)
 
     def shown_px(self, row: int) -> FloatArray:
         """Return all places as the camera of a row sees them [px], shape [frame_count, 2]."""
@@ -173,6 +184,9 @@ def read_track(
         ),
         clock_s=clock_s,
         is_metric=unit == "_mm",
+        registration=None
+        if unit == "_mm"
+        else stretched(REFERENCE_SIZE_PX if unit else size_px),
     )
 
 

@@ -36,11 +36,13 @@ from gauge_envs.tools.video.registration import (
     registration_by_first_frame,
     registration_by_outline,
 )
-from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX, Motion, VideoTask
+from gauge_envs.tools.video.tasks import (
+    PLATE_RADIUS_PX,
+    REFERENCE_SIZE_PX,
+    Motion,
+    VideoTask,
+)
 from gauge_envs.tools.video.track import Event, Track
-
-PLATE_RADIUS_PX = 226.0
-"""Radius of the turntable in the first frames [px], with its rim."""
 
 MOST_SAMPLED = 80
 """Most frames from which the background is built; they are spread over the video."""

@@ -25,7 +25,11 @@ from gauge_envs.tools.video import (  # noqa: E402
     video_tasks,
 )
 from gauge_envs.tools.video.frames import FileFrames  # noqa: E402
-from gauge_envs.tools.video.scoring import findings_of  # noqa: E402
+from gauge_envs.tools.video.scoring import (  # noqa: E402
+    agreement,
+    findings_of,
+    paper_metrics,
+)
 from gauge_envs.tools.video.tasks import published_results  # noqa: E402
 from gauge_envs.tools.video.tracker import SceneWatch  # noqa: E402
 from gauge_envs.tools.video.words import (  # noqa: E402
@@ -469,6 +473,27 @@ def test_seeds_have_a_mean_with_its_interval_and_a_usable_share(tmp_path):
     assert first.startswith(r"\begin{tabular}") and last == r"\end{tabular}"
     assert line.count(" & ") == columns - 1 and line.endswith(r" \\")
     assert r"67\%" in line
+
+
+def test_published_values_of_other_frames_are_found_and_a_wrong_track_has_no_say(
+    tmp_path,
+):
+    """The paper counts time from a first frame that it does not publish, and whole pixels."""
+    task = video_task("SlopeSlider-2-wood")
+    result = score_track(read_track(slide_track(tmp_path / "track.csv", 1.7)), task)
+    first, last = result.interval_frames
+    assert agreement(result, task, {"a": result.metrics["a"]}) == "yes"
+    later, _ = paper_metrics(result.track, task, (first + 9, last), task.scale_m_per_px)
+    assert agreement(result, task, later).startswith("in frames")
+    assert agreement(result, task, {"a": 90.0}) == "in no frames"
+    wrong = replace(result, is_sound=False)
+    assert agreement(wrong, task, {"a": result.metrics["a"]}) == "track not sound"
+
+
+def test_places_count_in_whole_pixels_of_the_video(tmp_path):
+    (tmp_path / "track.csv").write_text("time,x,y\n0,100.7,50.2\n0.1,101.2,50.9\n")
+    track = read_track(tmp_path / "track.csv", size_px=(1664, 960)).in_whole_px()
+    assert track.points_px == pytest.approx(np.array([[50.0, 25.0], [50.5, 25.0]]))
 
 
 def test_published_values_are_those_of_the_table():
