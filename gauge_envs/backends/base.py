@@ -356,7 +356,7 @@ class Worlds(ABC):
             BackendError: The engine, or its solver of this scene, has none.
         """
         raise BackendError(
-            f"{type(self).__name__} has no arrays on a device: leave out mode='device'"
+            "this engine's worlds have no arrays on a device: leave out mode='device'"
         )
 
     @abstractmethod

@@ -32,8 +32,9 @@ class SteppedSettings(BaseModel):
     Attributes:
         preset: Name of the preset that supplied the other values.
         timestep_s: Time step of the integrator [s], at least 1e-8; `drive_interval_s` must be a multiple of it.
-        drive_interval_s: Interval by which the caller drives and advances the simulation [s]. Environments need
-            1/180 s; code that steps the backend itself may use another interval, at most 60 s.
+        drive_interval_s: Interval by which the caller drives and advances the simulation [s], at most 60 s.
+            Environments drive by 1/180 s; of a step that does not divide it, state the step here too:
+            `gauge_envs.backends.shared.resampled.ResampledSimulation` then says what is read between steps.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
@@ -142,7 +143,7 @@ def resolve_settings(
         nearest_rate_hz = math.ceil(steps) / interval
         raise ParameterError(
             f"{engine} setting 'timestep_s': drive_interval_s, {text} s, is {steps:.6g} steps, not a whole number: "
-            f"choose a timestep_s that divides it, as 1/{nearest_rate_hz:.6g}"
+            f"choose a timestep_s that divides it, as 1/{nearest_rate_hz:.6g}, or set drive_interval_s to the step"
         )
     return settings
 
@@ -194,7 +195,7 @@ def with_drive_interval(
 
 
 def check_drive_interval(settings: Mapping[str, Any]) -> None:
-    """Raise an error if the drive interval of settings is not that of environments, 1/180 s.
+    """Raise an error if the drive interval of settings is not that of episodes, 1/180 s.
 
     Args:
         settings: `World.settings`. Settings of engines with variable steps may have no drive interval.
@@ -202,8 +203,8 @@ def check_drive_interval(settings: Mapping[str, Any]) -> None:
     interval = settings.get("drive_interval_s", DRIVE_INTERVAL_S)
     if abs(interval - DRIVE_INTERVAL_S) > 1e-9:
         raise ParameterError(
-            f"setting 'drive_interval_s' is {interval:.6g} s, but environments drive in intervals of 1/180 s: "
-            "set drive_interval_s to 1/180 and timestep_s to a value that divides it"
+            f"setting 'drive_interval_s' is {interval:.6g} s, but worlds on a device advance by 1/180 s: set "
+            "drive_interval_s to 1/180 and timestep_s to a value that divides it"
         )
 
 

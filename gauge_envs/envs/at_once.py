@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.backends.base import Backend, Simulation, Worlds, worlds_of
+from gauge_envs.backends.base import Simulation, Worlds
 from gauge_envs.backends.device import HOST, DeviceWorlds, HostArrays
 from gauge_envs.backends.registry import backend_for
+from gauge_envs.backends.shared.resampled import worlds_in_intervals
 from gauge_envs.envs.arguments import EnvArguments
 from gauge_envs.envs.divergence import DeformableBoundsOfWorlds, RigidBoundsOfWorlds
 from gauge_envs.envs.episode import (
@@ -408,8 +409,8 @@ def episodes_in_lockstep(
         together: Whether the engine may build the worlds as one simulation.
     """
     engine = backend_for(arguments.backend, stated.model_file)
-    build = worlds_of if together else Backend.build_worlds
-    worlds = build(engine, [one.scene for one in experiments], arguments.settings)
+    scenes = [one.scene for one in experiments]
+    worlds = worlds_in_intervals(engine, scenes, arguments.settings, together=together)
     episodes = [
         Episode(
             one,

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from gauge_envs.backends.base import Backend, Simulation
 from gauge_envs.backends.registry import backend_for, versions_of
+from gauge_envs.backends.shared.resampled import in_intervals
 from gauge_envs.envs.arguments import check_support, plain_spec
 from gauge_envs.envs.pictures import (
     RENDER_MODES,
@@ -140,9 +141,9 @@ class SimulationEnvironment(EngineEnvironment, gymnasium.Env[ObsType, ActType]):
             experiment: The experiment with the start that applies now.
         """
         self._built = experiment
-        self.simulation: Simulation = self._engine.build(
-            experiment.scene, self._settings
-        )
+        scene = experiment.scene
+        built = self._engine.build(scene, self._settings)
+        self.simulation: Simulation = in_intervals(built, scene)
 
     def _state(self) -> dict[str, Any]:
         """Return the state of what `_build` makes."""

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.backends import backend_for, engine_call, is_bundled, versions_of
+from gauge_envs.backends.shared.resampled import in_intervals
 from gauge_envs.envs.arguments import TrialStart, check_support, jittered_experiment
 from gauge_envs.envs.episode import Episode
 from gauge_envs.errors import GaugeError, ParameterError, chosen
@@ -101,9 +102,10 @@ def replay(result: Result, *, views_per_frame: int | None = None) -> Replay:
     experiment = replayed_experiment(result)
     check_support(experiment, result.backend)
     with engine_call(result.backend, "build"):
-        simulation = backend_for(result.backend, None).build(
+        built = backend_for(result.backend, None).build(
             experiment.scene, result.settings_given or None
         )
+        simulation = in_intervals(built, experiment.scene)
     try:
         with engine_call(result.backend, "advance"):
             simulation.reset(result.seed or 0)

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.base import Backend
 from gauge_envs.backends.registry import backend_for
+from gauge_envs.backends.shared.resampled import in_intervals
 from gauge_envs.envs.episode import Episode
 from gauge_envs.errors import EpisodeError, GaugeError
 from gauge_envs.experiments.experiment import Experiment, TaskExperiment
@@ -157,7 +158,8 @@ def _frames(
     settings: Mapping[str, Any] | None,
 ) -> tuple[FloatArray, Mapping[str, Any]]:
     """Return g(t) at the frames, shape [T, D], and the settings in force."""
-    simulation = engine.build(experiment.scene, settings)
+    scene = experiment.scene
+    simulation = in_intervals(engine.build(scene, settings), scene)
     try:
         simulation.reset(0)
         episode = Episode(experiment, simulation, band=None, marker_proxy=request.proxy)

@@ -46,12 +46,7 @@ class BackendMuJoCo(BundledBackend):
         {
             "PGS": {"solver": "PGS"},
             "CG": {"solver": "CG"},
-            # Its own step of 2 ms does not divide the drive interval.
-            "out_of_box": {
-                "preset": "out_of_box",
-                "timestep_s": 1 / 540,
-                "drive_interval_s": 1 / 180,
-            },
+            "out_of_box": {"preset": "out_of_box"},
         }
     )
     worlds_mix_constants = True

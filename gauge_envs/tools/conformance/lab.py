@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike
 
 from gauge_envs.backends import Backend, Simulation
 from gauge_envs.backends.base import scene_support
-from gauge_envs.backends.settings import check_drive_interval, settings_record
+from gauge_envs.backends.settings import settings_record
+from gauge_envs.backends.shared.resampled import in_intervals
 from gauge_envs.errors import (
     BackendError,
     GaugeError,
@@ -84,8 +85,7 @@ class Lab:
             raise DeclinedError(support.missing)
         try:
             settings = {**(self.settings or {}), **changes} or None
-            simulation = self.backend.build(scene, settings)
-            check_drive_interval(simulation.settings)
+            simulation = in_intervals(self.backend.build(scene, settings), scene)
             settings_record(self.backend.name, simulation.settings)
         except Exception as error:
             if self.settings and isinstance(error, UnsupportedSceneError):

@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.backends.base import Backend, Worlds, scene_support, worlds_of
+from gauge_envs.backends.base import Backend, Worlds, scene_support
+from gauge_envs.backends.shared.resampled import worlds_in_intervals
 from gauge_envs.envs.device import dynamic_states
 from gauge_envs.errors import BackendError, MissingExtraError
 from gauge_envs.runs.rollout import DeclinedError
@@ -107,7 +108,7 @@ def _built(lab: Lab, scenes: list[Scene], **how: Any) -> Worlds:
     support = scene_support(lab.backend, scenes[0])
     if not support:
         raise DeclinedError(support.missing)
-    return worlds_of(lab.backend, scenes, lab.settings, **how)
+    return worlds_in_intervals(lab.backend, scenes, lab.settings, **how)
 
 
 def _scenes(numbers: Numbers) -> list[Scene]:

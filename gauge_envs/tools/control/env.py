@@ -15,7 +15,6 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from gauge_envs.backends.base import World
-from gauge_envs.backends.settings import check_drive_interval
 from gauge_envs.envs.arguments import (
     SEEDS,
     Scatter,
@@ -125,7 +124,6 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
         self._is_moved = False
         if not is_world:
             self._build(experiment)
-            check_drive_interval(self.simulation.settings)
         self._dynamic = tuple(body.name for body in scene.dynamic_bodies)
         self.moving = (*self._dynamic, *(driver.body for driver in scene.drivers))
         self._frame: int | None = None

@@ -12,9 +12,12 @@ import numpy as np
 from gymnasium.envs.registration import load_env_creator
 from numpy.typing import NDArray
 
-from gauge_envs.backends.base import Simulation, Worlds, separate_worlds, worlds_of
+from gauge_envs.backends.base import Simulation, Worlds, separate_worlds
 from gauge_envs.backends.registry import backend_for
-from gauge_envs.backends.settings import check_drive_interval
+from gauge_envs.backends.shared.resampled import (
+    in_intervals,
+    worlds_in_intervals,
+)
 from gauge_envs.envs.arguments import Scatter, check_episode_steps
 from gauge_envs.envs.base import WorldsEnvironment, world_constants
 from gauge_envs.envs.lockstep import check_length
@@ -229,12 +232,13 @@ class ControlWorlds:
         self._settings = settings
         self._engine = backend_for(backend, first.experiment.model_file)
         scenes = [env.experiment.scene for env in self.envs]
-        self._use(worlds_of(self._engine, scenes, settings, restart_alone=True))
+        self._use(
+            worlds_in_intervals(self._engine, scenes, settings, restart_alone=True)
+        )
 
     def _use(self, worlds: Worlds) -> None:
         self._stepper = Stepper(worlds, moving=self.envs[0].moving)
         for env, view in zip(self.envs, self._stepper.views, strict=True):
-            check_drive_interval(view.settings)
             env.world = view
 
     def begin(
@@ -270,7 +274,9 @@ class ControlWorlds:
                 if number in worlds:
                     worlds[number].close()
                 experiment = moved.get(number, env.experiment)
-                worlds[number] = self._engine.build(experiment.scene, self._settings)
+                scene = experiment.scene
+                built = self._engine.build(scene, self._settings)
+                worlds[number] = in_intervals(built, scene)
         self._use(separate_worlds([worlds[number] for number in range(len(self.envs))]))
 
     def step(self, actions: Mapping[int, Any]) -> dict[int, Step]:

@@ -122,7 +122,6 @@ def test_wrong_calls_are_refused(approved):
     worlds = ControlVectorEnv("Pendulum-Limit-metal", 2)
     closed = reset(ControlVectorEnv("Pendulum-Limit-metal", 2))
     closed.close()
-    out_of_box = {"settings": {"preset": "out_of_box"}}
     one_entry = {"num_envs": 2, "world_parameters": [{}]}
     carry = "GAUGE/Carry-Limit-wood"
     calls = {
@@ -134,7 +133,6 @@ def test_wrong_calls_are_refused(approved):
         "a large action": lambda: reset(turntable).step([1.1]),
         "no number": lambda: reset(turntable).step([math.nan]),
         "a word": lambda: reset(turntable).step("fast"),
-        "drive interval": lambda: make("Turntable-Limit-wood", **out_of_box),
         "window of worlds": lambda: gymnasium.make_vec(carry, render_mode="human"),
         "one entry": lambda: gymnasium.make_vec(carry, **one_entry),
         "no worlds": lambda: ControlVectorEnv("Carry-Limit-wood", 0),

@@ -14,8 +14,6 @@ from gauge_envs.backends import backend
 from gauge_envs.backends.mujoco.model_settings import COLUMNS, contact_pairs
 from gauge_envs.backends.mujoco.settings import PRESETS, SettingsMuJoCo
 from gauge_envs.errors import ParameterError, TargetError
-from gauge_envs.tools.conformance import run_checks
-from gauge_envs.tools.conformance.lab import RefusedSettingsError
 from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
 from gauge_envs.tools.sanity.stacks import configuration
 
@@ -539,28 +537,6 @@ def test_a_step_must_divide_the_drive_interval(settings):
         match=r"'timestep_s': drive_interval_s, 1/\d+\.?\d* s, is .* steps",
     ):
         backend("mujoco").build(load_experiment("BouncingBall-rubber").scene, settings)
-
-
-def test_environments_drive_in_intervals_of_their_own():
-    with pytest.raises(
-        ParameterError,
-        match=r"'drive_interval_s' is 0.002 s, but environments drive in intervals of 1/180 s",
-    ):
-        gymnasium.make("GAUGE/SlopeSlider-1-wood", settings={"preset": "out_of_box"})
-    made = gymnasium.make(
-        "GAUGE/SlopeSlider-1-wood",
-        settings={
-            "preset": "out_of_box",
-            "timestep_s": 1 / 540,
-            "drive_interval_s": 1 / 180,
-        },
-    )
-    made.close()
-
-
-def test_checks_against_closed_forms_drive_as_environments_do():
-    with pytest.raises(RefusedSettingsError, match=r"'drive_interval_s' is 0.002 s"):
-        list(run_checks("mujoco", settings={"preset": "out_of_box"}, only=["slide*"]))
 
 
 @pytest.mark.slow
