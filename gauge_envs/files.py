@@ -13,7 +13,7 @@ import sys
 import tomllib
 import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from stat import S_ISREG
@@ -339,6 +339,27 @@ def processors() -> int:
     )
     given = os.environ.get("OMP_NUM_THREADS", "")
     return min(count, int(given)) if given.isdecimal() and int(given) else count
+
+
+VECTORS = ("avx512f", "avx2", "avx", "asimd")
+"""Vector instructions that libraries choose between, by their names in Linux, the widest first."""
+
+
+@cache
+def processor() -> str:
+    """Return the machine's architecture, and on Linux its processor and widest vectors, as `x86_64, AMD EPYC, avx512f`.
+
+    Equal versions may give other last bits on another one: libraries choose their functions by its instructions.
+    """
+    stated = ""
+    with suppress(OSError):
+        stated = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace")
+    name = re.search(r"^model name\s*: (.*)", stated, re.MULTILINE)
+    flags = re.search(r"^(?:flags|Features)\s*: (.*)", stated, re.MULTILINE)
+    known = flags[1].split() if flags else []
+    vectors = next((one for one in VECTORS if one in known), "")
+    parts = (platform.machine(), name[1].strip() if name else "", vectors)
+    return ", ".join(filter(None, parts))
 
 
 def versions() -> dict[str, str]:

@@ -23,9 +23,11 @@ import numpy as np
 
 from gauge_envs import load_experiment
 from gauge_envs.backends.registry import backend_title, uninstalled_backend
+from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.files import json_ready, write_whole
 from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.configuration import RunConfiguration
+from gauge_envs.runs.episodes import rescored
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Result
 from gauge_envs.runs.result_file import (
@@ -38,7 +40,6 @@ from gauge_envs.tools.compare import PUBLISHED, Comparison, GradeComparison, com
 from gauge_envs.tools.compare.significance import NEGLIGIBLE
 from gauge_envs.tools.conformance import Status
 from gauge_envs.tools.conformance.matrix import MatrixColumn, read_columns
-from gauge_envs.tools.leaderboard.check import rescored
 from scripts.generated import (
     ROOT,
     SCORING,
@@ -385,9 +386,13 @@ def graded_results(engine: str, preset: str, folder: Path) -> list[Result]:
             f"{variant} {parameters}" for variant, parameters in sorted(missing)
         )
         raise SystemExit(f"no ranks: {name_of(engine, preset)} lacks {lacking}")
-    return [
-        rescored(found[one], recorded_experiment(found[one])) for one in sorted(wanted)
-    ]
+    ranked = []
+    for one in sorted(wanted):
+        experiment = recorded_experiment(found[one])
+        band = reference_band(experiment)
+        backend = None if found[one].settings_given else found[one].backend
+        ranked.append(rescored(found[one], experiment, band, backend))
+    return ranked
 
 
 COUNTED = ((Status.PASS,), (Status.FAIL, Status.ERROR), (Status.DECLINED,))

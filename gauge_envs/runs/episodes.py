@@ -22,10 +22,11 @@ from gauge_envs.envs.episode import Episode
 from gauge_envs.errors import GaugeError, ParameterError, UnsupportedSceneError
 from gauge_envs.evaluation.score import Score, score_trajectory
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.files import json_ready, versions
+from gauge_envs.files import json_ready, processor, versions
+from gauge_envs.references.bands import Band
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.imported import dataset_record
-from gauge_envs.references.sensitivities import write_sensitivities
+from gauge_envs.references.sensitivities import Sensitivities, write_sensitivities
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result
 from gauge_envs.runs.result_file import asset_record
@@ -129,24 +130,43 @@ def with_measured_uncertainty(
         and request.asset is None
     ):
         write_sensitivities(measured)
-    rescored = []
-    for result in results:
-        if result.outcome is Outcome.FINISHED and result.trajectory is not None:
-            times_s, values = result.trajectory.arrays(later=True)
-            score = score_trajectory(
-                experiment,
-                band,
-                times_s=times_s,
-                values=values,
-                markers_m=result.trajectory.markers_m(),
-                wrenches=result.trajectory.recorded_wrenches(),
-                backend=request.backend,
-                sensitivities=measured,
-                is_checked=True,
-            )
-            result = replace(result, score=score)
-        rescored.append(result)
-    return rescored
+    return [
+        rescored(one, experiment, band, request.backend, sensitivities=measured)
+        for one in results
+    ]
+
+
+def rescored(
+    result: Result,
+    experiment: Experiment,
+    band: Band | None,
+    backend: str | None,
+    sensitivities: Sensitivities | None = None,
+) -> Result:
+    """Return a result with the score of its trajectory by this version of the package.
+
+    Args:
+        result: A result; one without a finished trajectory stays as it is.
+        experiment: Its experiment.
+        band: Its reference; None without one.
+        backend: Engine whose stored sensitivities count; None for none.
+        sensitivities: Sensitivities in place of those.
+    """
+    if result.outcome is not Outcome.FINISHED or result.trajectory is None:
+        return result
+    times_s, values = result.trajectory.arrays(later=True)
+    score = score_trajectory(
+        experiment,
+        band,
+        times_s=times_s,
+        values=values,
+        markers_m=result.trajectory.markers_m(),
+        wrenches=result.trajectory.recorded_wrenches(),
+        backend=backend,
+        sensitivities=sensitivities,
+        is_checked=True,
+    )
+    return replace(result, score=score)
 
 
 def planned_results(request: RunRequest) -> list[Result]:
@@ -314,6 +334,7 @@ def _finished(
         sim_s=float(recorded.times_s[-1]),
         settings=settings_record(planned.backend, episode.settings),
         versions={**engine_versions, **versions()},
+        processor=processor(),
         error=None,
         trajectory=RecordedTrajectory.of(
             episode.experiment,

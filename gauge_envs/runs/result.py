@@ -177,6 +177,7 @@ class Result:
         settings: All numerical settings of the engine.
         settings_given: The settings that the caller gave.
         versions: Versions of the engine, gauge-envs, gymnasium, numpy and python.
+        processor: The machine's processor, see `files.processor`; empty in files of older versions, and without a run.
         seed: Seed of the reset and of the jitter.
         jitter: Standard deviations of the start, or `trial`, the number of the imported trial that it is from; empty
             for the calibrated start.
@@ -210,6 +211,7 @@ class Result:
     settings: dict[str, Any] = field(default_factory=dict)
     settings_given: dict[str, Any] = field(default_factory=dict)
     versions: dict[str, str] = field(default_factory=versions)
+    processor: str = ""
     seed: int | None = None
     jitter: dict[str, int | float] = field(default_factory=dict)
     marker_proxy: str = "material"

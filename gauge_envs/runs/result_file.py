@@ -121,6 +121,7 @@ def parse_result(text: bytes, name: str) -> Result:
         content.setdefault("deformation", None)
         content.setdefault("scatter", None)
         content.setdefault("cpu_s", None)
+        content.setdefault("processor", "")
         missing = [key.name for key in fields(Result) if key.name not in content]
         if missing:
             raise ValueError(f"no {missing[0]!r}")

@@ -11,6 +11,7 @@ releases of the package index since 2.3.7, with `--pre` in candidates too, and w
 
 import csv
 import json
+import os
 import re
 import subprocess
 import sys
@@ -58,22 +59,46 @@ def show_models() -> None:
 
 
 def run(only: str = "") -> None:
-    """Run the command on the cases, and print what it names, beside what is stored."""
-    for row in cases(only):
-        ends = (row["first"], row["last"])
-        words = [f"mujoco=={'..'.join(ends)}", "--bisect"]
-        if not row["published"]:
-            words = [f"mujoco=={end}" for end in ends]
-        command = ["gauge", "backend", "versions", subject(row["model"])]
-        command += [*words, "--steps", row["steps"], "--json", "--quiet"]
-        done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=False)
-        line = json.loads(done.stdout)
-        is_different = line["verdict"] == "different"
-        named = line["after"].partition("==")[2] if is_different else ""
-        first = (line["first"] or {}).get("detail", "")
-        print(
-            f"{row['model']}: {named or 'same'} (stored: {row['named'] or 'same'}) {first}"
-        )
+    """Run the command on the cases, print what it names beside what is stored, and store it.
+
+    Where `cpu_s` [s] is to be that of the command alone, the environments are in the cache before.
+    """
+    done: list[dict[str, str]] = []
+    for row in cases():
+        done.append(row if only not in ("", row["model"]) else found(row))
+        if done[-1] is not row:
+            stored = row["named"] or "same"
+            print(row["model"], done[-1]["named"] or "same", f"(stored: {stored})")
+            print(" ", done[-1]["printed"], f"{done[-1]['cpu_s']} CPU s", flush=True)
+    with (HERE / "cases.csv").open("w", encoding="utf-8", newline="") as stream:
+        writer = csv.DictWriter(stream, list(done[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(done)
+
+
+def found(row: dict[str, str]) -> dict[str, str]:
+    """Return a case with what the command names and prints first, and its processor time [s]."""
+    ends = (row["first"], row["last"])
+    words = [f"mujoco=={'..'.join(ends)}", "--bisect"]
+    if not row["published"]:
+        words = [f"mujoco=={end}" for end in ends]
+    command = ["gauge", "backend", "versions", subject(row["model"])]
+    command += [*words, "--steps", row["steps"], "--json", "--quiet"]
+    before = os.times()
+    done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=False)
+    after = os.times()
+    cpu_s = after.children_user - before.children_user
+    cpu_s += after.children_system - before.children_system
+    line = json.loads(done.stdout)
+    named = ""
+    if line["verdict"] == "different":
+        named = line["after"].partition("==")[2]
+        first = line["first"]
+        printed = f"{first['quantity']}: {first['detail']}"
+    else:
+        largest = line["largest"]
+        printed = f"at most {largest:.2g}" if largest else "bit for bit"
+    return row | {"named": named, "printed": printed, "cpu_s": f"{cpu_s:.1f}"}
 
 
 # --- checks by release -----------------------------------------------------------------------------------------------

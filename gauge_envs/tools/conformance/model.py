@@ -43,6 +43,7 @@ FAMILIES = (
     "soft",
     "touch",
     "worlds",
+    "solver",
 )
 """Modules of the checks, in the order of the table. They are imported at the first use of a check."""
 

@@ -5,6 +5,7 @@ Each states commands that stay until the next one, as `logs.Log` has them.
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -14,7 +15,7 @@ import mujoco
 import numpy as np
 
 from gauge_envs.errors import AssetError, MissingExtraError
-from gauge_envs.files import json_document, read_regular
+from gauge_envs.files import child_refusal, json_document, read_regular
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.identify.logs import (
     MOST_LOG_BYTES,
@@ -30,6 +31,8 @@ JOINT_STATE = "sensor_msgs/msg/JointState"
 TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
 CONTROL = "_ctrl"
 """What `mujoco.sysid` adds to the name of an actuator."""
+MOST_VALUES = 5_000_000
+"""Largest count of values of a Parquet file: 12 joints at 50 Hz for two hours have fewer than these."""
 BAG_SUFFIXES = (".mcap", ".db3")
 SENSED = {
     int(mujoco.mjtSensor.mjSENS_JOINTPOS): "position",
@@ -109,11 +112,8 @@ def _lerobot(path: Path, unit: str | None) -> Iterator[Log]:
     if not files:
         raise AssetError(path, "data", "there is no file data/*/*.parquet")
     columns = ["episode_index", "timestamp", state, action]
-    tables = [parquet.read_table(one, columns=columns).to_pydict() for one in files]
-    whole = {
-        name: np.concatenate([np.asarray(one[name], np.float64) for one in tables])
-        for name in columns
-    }
+    tables = [_parquet_columns(parquet, one, columns) for one in files]
+    whole = {name: np.concatenate([one[name] for one in tables]) for name in columns}
     for episode in np.unique(whole["episode_index"]):
         rows = whole["episode_index"] == episode
         yield checked(
@@ -126,6 +126,21 @@ def _lerobot(path: Path, unit: str | None) -> Iterator[Log]:
                 joints=tuple(names[0]),
             ),
         )
+
+
+def _parquet_columns(
+    parquet: Any, file: Path, names: Sequence[str]
+) -> dict[str, FloatArray]:
+    """Return columns of numbers of a Parquet file, each of shape [row_count, ...]; `parquet` is pyarrow's reader."""
+    try:
+        content = read_regular(file, MOST_LOG_BYTES)
+        script = Path(__file__).with_name("parquet_child.py")
+        if refusal := child_refusal(script, str(MOST_VALUES), *names, content=content):
+            raise ValueError(refusal)
+        found = parquet.read_table(io.BytesIO(content), columns=[*names]).to_pydict()
+        return {name: np.asarray(found[name], np.float64) for name in names}
+    except Exception as error:  # pyarrow raises many types for a damaged file.
+        raise AssetError(file, "", f"cannot be read: {error}") from None
 
 
 def _lerobot_info(file: Path) -> dict[str, Any]:

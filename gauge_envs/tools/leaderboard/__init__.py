@@ -17,12 +17,10 @@ from gauge_envs.registry import door
 
 if TYPE_CHECKING:
     from gauge_envs.tools.leaderboard.check import (
-        LeaderboardCheck as LeaderboardCheck,
         SubmissionCheck as SubmissionCheck,
         check_leaderboard as check_leaderboard,
     )
     from gauge_envs.tools.leaderboard.submission import (
-        Fault as Fault,
         Statement as Statement,
     )
 else:

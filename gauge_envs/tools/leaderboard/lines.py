@@ -1,11 +1,9 @@
 """What `gauge leaderboard check` and `table` print with `--json`, a line each; `record` states which."""
 
 from collections.abc import Sequence
-from typing import Annotated, Literal, NotRequired, TypedDict
+from typing import Literal, NotRequired, TypedDict
 
-from gauge_envs.cli.schemas import Form
 from gauge_envs.tools.compare import CompareLine
-from gauge_envs.tools.leaderboard.submission import Fault
 
 
 class SubmissionRecord(TypedDict):
@@ -20,6 +18,7 @@ class SubmissionRecord(TypedDict):
         url: Where the engine is described.
         reason: Why these settings; empty for none.
         standing: `ranked`, `shown` or `reported`.
+        processor: Processors of the machines that ran it; empty where a result does not say.
         results: Number of episodes that ran.
         of: Number of experiments that are asked for.
         diverged: Number of episodes that diverged.
@@ -38,6 +37,7 @@ class SubmissionRecord(TypedDict):
     url: str | None
     reason: str | None
     standing: str | None
+    processor: str
     results: int
     of: int
     diverged: int
@@ -48,12 +48,19 @@ class SubmissionRecord(TypedDict):
 
 
 class FaultRecord(TypedDict):
-    """Something that is wrong in a submission."""
+    """Something that is wrong in a submission.
+
+    Attributes:
+        folder: Folder of the submission.
+        reason: File in it, what is wrong, and what would be right.
+    """
 
     record: Literal["fault"]
+    folder: str
+    reason: str
 
 
-CheckLine = SubmissionRecord | Annotated[Fault, Form(more=FaultRecord)]
+CheckLine = SubmissionRecord | FaultRecord
 """Each submission, then all faults."""
 
 TableLine = SubmissionRecord | CompareLine

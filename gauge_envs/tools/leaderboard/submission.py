@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -10,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from gauge_envs.errors import GaugeError, ResultFileError, first_fault
 from gauge_envs.experiments.variants import matching_variants
-from gauge_envs.files import MOST_TOML_BYTES, printable, read_regular, toml_document
+from gauge_envs.files import MOST_TOML_BYTES, read_regular, toml_document
 
 STATEMENT_FILE = "submission.toml"
 
@@ -27,24 +26,6 @@ Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._+-]{0,63}$")]
 Line = Annotated[
     str, Field(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f\x7f]+$")
 ]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Fault:
-    """One thing that is wrong in a submission.
-
-    Attributes:
-        file: File or folder, relative to the folder that was checked.
-        key: Dotted key in the file, as `versions.mujoco`; empty for the file as a whole.
-        reason: What is wrong, and what would be right.
-    """
-
-    file: str
-    key: str = ""
-    reason: str
-
-    def __str__(self) -> str:
-        return ": ".join(part for part in (self.file, self.key, self.reason) if part)
 
 
 class Statement(BaseModel):
@@ -82,36 +63,25 @@ class Statement(BaseModel):
     standing: Standing = "ranked"
 
 
-def read_statement(file: Path, name: str) -> Statement | Fault:
+def read_statement(file: Path) -> Statement:
     """Read a `submission.toml`, whose folders are named by what it states.
 
-    Args:
-        file: The file.
-        name: Its name in messages.
+    Raises:
+        OSError: It cannot be read.
+        ValueError: It states something else.
     """
+    content = read_regular(file, MOST_TOML_BYTES)
     try:
-        statement = Statement.model_validate(
-            toml_document(read_regular(file, MOST_TOML_BYTES))
-        )
-    except OSError as error:
-        return Fault(file=name, reason=f"cannot be read: {error.strerror or error}")
+        statement = Statement.model_validate(toml_document(content))
     except ValidationError as error:
-        place, reason = first_fault(error)
-        return Fault(file=name, key=place, reason=reason)
+        raise ValueError(": ".join(first_fault(error))) from error
     except ValueError as error:
-        return Fault(file=name, reason=f"not TOML: {error}")
-    folders = file.resolve().parts[-4:-1]
-    for key, folder in zip(LEVELS, folders, strict=True):
+        raise ValueError(f"not TOML: {error}") from error
+    for key, folder in zip(LEVELS, file.resolve().parts[-4:-1], strict=True):
         stated = getattr(statement, key)
         if stated != folder:
-            reason = f"is {stated!r}, but the folder is {folder!r}"
-            return Fault(file=name, key=key, reason=reason)
+            raise ValueError(f"{key}: is {stated!r}, but the folder is {folder!r}")
     return statement
-
-
-def relative_name(path: Path, root: Path) -> str:
-    """Return a path relative to the folder that is checked, safe to print."""
-    return printable(path.relative_to(root).as_posix())
 
 
 def board_experiments(root: Path) -> tuple[str, ...]:

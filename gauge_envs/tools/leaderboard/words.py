@@ -1,6 +1,6 @@
 """The check of a leaderboard, and its table: scores with intervals, and means within each grade alone."""
 
-from dataclasses import asdict
+from collections.abc import Sequence
 from typing import Any
 
 from gauge_envs.pages.document import Document, Heading, Paragraph, Part, as_rows
@@ -9,23 +9,12 @@ from gauge_envs.pages.text import shortened
 from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.result import Outcome
 from gauge_envs.tools.compare import compare, comparison_document, short_tables
-from gauge_envs.tools.leaderboard import LeaderboardCheck, SubmissionCheck
+from gauge_envs.tools.leaderboard import SubmissionCheck
 
 RESULTS = Column(
     "", "results", lambda row: f"{row['results']} of {row['of']}", is_number=True
 )
 STATED = ("engine", "version", "configuration", "submitter")
-COLUMNS = (
-    *(Column(key, key) for key in STATED),
-    RESULTS,
-    Column("reason", "reason", place=Place.BELOW),
-    Column("declined", "declined", lambda names: _names(names), place=Place.BELOW),
-)
-SUBMITTED = (
-    Column("label", "column"),
-    *COLUMNS,
-    Column("diverged", "diverged", is_number=True),
-)
 GROUPS = {
     "ranked": (
         "Submissions",
@@ -44,102 +33,85 @@ GROUPS = {
 """Title and note of the submissions of each standing."""
 
 
-def check_document(check: LeaderboardCheck) -> Document:
+def check_document(checks: Sequence[SubmissionCheck]) -> Document:
     """Return the submissions and the faults; `record` of a row states which."""
-    submissions = [_submission_row(one) for one in check.submissions]
-    faults = Column(
-        "faults",
-        "faults",
-        is_number=True,
-        style=lambda count: "red" if count else "green",
-    )
+    submissions = [_submission_row(one) for one in checks]
+    faults = [
+        {"record": "fault", "folder": one.folder, "reason": reason}
+        for one in checks
+        for reason in one.faults
+    ]
+    count = Column("faults", "faults", is_number=True)
     listed = Table(
         title="Submissions",
-        columns=(Column("folder", "folder"), RESULTS, faults),
+        columns=(Column("folder", "folder"), RESULTS, count),
         rows=submissions,
     )
-    wrong = Table(
-        title="Faults",
-        columns=(
-            Column("file", "file", place=Place.HEADING),
-            Column("key", "key", lambda key: key or "(file)"),
-            Column("reason", "", place=Place.BELOW),
-        ),
-        rows=check.faults,
-    )
-    rows = submissions + [{"record": "fault"} | asdict(fault) for fault in check.faults]
-    return Document(parts=(listed, wrong) if check.faults else (listed,), rows=rows)
+    wrong = [Paragraph(f"{fault['folder']}: {fault['reason']}") for fault in faults]
+    return Document(parts=(listed, *wrong), rows=submissions + faults)
 
 
 def _submission_row(one: SubmissionCheck) -> dict[str, Any]:
+    stated = (*STATED, "url", "reason", "standing")
+    processors = {result.processor for result in one.results} - {""}
     return {
         "record": "submission",
         "folder": one.folder,
-        **{
-            key: getattr(one.statement, key, None)
-            for key in (*STATED, "url", "reason", "standing")
-        },
+        **{key: getattr(one.statement, key, None) for key in stated},
+        "processor": "; ".join(sorted(processors)),
         "results": len(one.results),
-        "of": len(one.experiments),
+        "of": len(one.results) + len(one.declined) + len(one.missing),
         "diverged": sum(result.outcome is Outcome.DIVERGED for result in one.results),
-        "declined": list(one.declined),
-        "missing": list(one.missing),
+        "declined": one.declined,
+        "missing": one.missing,
         "faults": len(one.faults),
     }
 
 
-def leaderboard_document(check: LeaderboardCheck) -> Document:
+def _submission_table(title: str, note: str, rows: Sequence[dict[str, Any]]) -> Table:
+    stated = [Column(key, key) for key in (*STATED, "processor")]
+    diverged = Column("diverged", "diverged", is_number=True)
+    reason = Column("reason", "reason", place=Place.BELOW)
+    names = [
+        Column(key, key, lambda found: shortened(found) or "none", place=Place.BELOW)
+        for key in ("declined", "missing")
+    ]
+    columns = (Column("label", "column"), *stated, RESULTS, diverged, reason, *names)
+    return Table(title=title, columns=columns, rows=rows, notes=(note,))
+
+
+def leaderboard_document(checks: Sequence[SubmissionCheck]) -> Document:
     """Return all submissions without faults, and their comparison; `record` of a row states what it is of."""
-    sound = [one for one in check.submissions if one.ok]
+    sound = [one for one in checks if not one.faults]
     whole = [one for one in sound if one.results and not one.missing]
-    partial = [one for one in sound if one not in whole]
-    page: list[Part] = [Heading("Leaderboard", 1)]
-    parts: list[Part] = []
+    parts: list[Part] = [Heading("Leaderboard", 1)]
     rows: list[dict[str, Any]] = []
     for standing, (title, note) in GROUPS.items():
-        group = [one for one in whole if one.standing == standing]
+        group = [
+            one for one in whole if one.statement and one.statement.standing == standing
+        ]
         if not group:
             continue
         comparison = compare(result for one in group for result in one.results)
-        configurations = [RunConfiguration.of(one.results[0]) for one in group]
-        places = map(comparison.configurations.index, configurations)
-        listed = [
-            {"label": comparison.labels[place]} | _submission_row(one)
-            for place, one in zip(places, group, strict=True)
-        ]
-        table = Table(title=title, columns=SUBMITTED, rows=listed, notes=(note,))
+        listed = []
+        for one in group:
+            place = comparison.configurations.index(RunConfiguration.of(one.results[0]))
+            label = {"label": comparison.labels[place]}
+            listed.append(label | _submission_row(one))
+        is_ranked = standing == "ranked"
+        parts.append(_submission_table(title, note, listed))
+        parts += short_tables(comparison, with_ranks=is_ranked)
+        rows += listed
         # Wall times are those of one machine.
-        compared = comparison_document(comparison, with_costs=False)
-        scores = short_tables(comparison, with_ranks=standing == "ranked")
-        page += [table, *scores]
-        if standing == "ranked":
-            parts += [table, *compared.parts]
-            rows += [*listed, *as_rows(compared)]
-        else:
-            parts += [table, *scores]
-            scored = [one for one in as_rows(compared) if one["record"] == "experiment"]
-            rows += [*listed, *scored]
-    apart = [_submission_row(one) for one in partial]
+        for row in as_rows(comparison_document(comparison, with_costs=False)):
+            if is_ranked or row["record"] == "experiment":
+                rows.append(row)
+    partial = [_submission_row(one) for one in sound if one not in whole]
     if partial:
-        missing = Column("missing", "missing", _names, place=Place.BELOW)
-        table = Table(
-            title="Partial submissions",
-            columns=(*COLUMNS, missing),
-            rows=apart,
-            notes=(
-                "They lack episodes of experiments that their engine does not decline. They are not compared, so that "
-                "the experiments of the others stay the same.",
-            ),
+        note = (
+            "They lack episodes of experiments that their engine does not decline. They are not compared, so that the "
+            "experiments of the others stay the same."
         )
-        page.append(table)
-        parts.append(table)
-    page.append(
-        Paragraph(
-            "Ranks in each experiment, all metrics and all pairs: gauge leaderboard table."
-        )
-    )
-    return Document(parts=parts, rows=[*rows, *apart], markdown=page)
-
-
-def _names(names: list[str]) -> str:
-    return shortened(names) if names else "none"
+        parts.append(_submission_table("Partial submissions", note, partial))
+    parts.append(Paragraph("All metrics and pairs: gauge leaderboard table --json."))
+    return Document(parts=parts, rows=[*rows, *partial])

@@ -44,6 +44,9 @@ if TYPE_CHECKING:
         BackendMuJoCoWarp as BackendMuJoCoWarp,
     )
     from gauge_envs.tools.sanity.robot.foot import FootGeometry as FootGeometry
+    from gauge_envs.tools.sanity.robot.solver_agreement import (
+        solver_differences as solver_differences,
+    )
     from gauge_envs.tools.sanity.run import check as check
     from gauge_envs.tools.sanity.stacks import configuration as configuration
     from gauge_envs.tools.sanity.stacks.gymnasium_env import Target as Target

@@ -119,8 +119,6 @@ class ModelEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
             raise ParameterError(
                 f"--env {path}: MuJoCo cannot load it: {error}"
             ) from None
-        if advice := sparse_advice(self.model):
-            warnings.warn(f"{path.name}: {advice}", stacklevel=2)
         self.data = mujoco.MjData(self.model)
         self.frame_skip = _steps(control_s, self.model.opt.timestep)
         self._reward, self._count, self._done = reward, round(duration_s / control_s), 0
@@ -254,6 +252,9 @@ def apply_settings(env: gymnasium.Env[Any, Any], settings: Mapping[str, str]) ->
         else:
             _write_option(model, name, text)
     mujoco.mj_setConst(model, mujoco.MjData(model))
+    if advice := sparse_advice(model):
+        name = env.spec.id if env.spec is not None else type(inner).__name__
+        warnings.warn(f"{name}: {advice}", stacklevel=2)
 
 
 def _steps(interval_s: float, step_s: float) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import io
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,6 +18,14 @@ import numpy as np
 from gauge_envs.errors import ParameterError, needs_extra
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import find_variant, variants
+from gauge_envs.files import (
+    MEGABYTE,
+    NUMBERS,
+    npz_arrays,
+    npz_names,
+    os_errors,
+    read_regular,
+)
 from gauge_envs.scene import Scene
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.mjcf import DRIVER_COLUMNS, DRIVER_PREFIX, scene_mjcf_text
@@ -24,6 +33,9 @@ from gauge_envs.tools.mjcf import DRIVER_COLUMNS, DRIVER_PREFIX, scene_mjcf_text
 MODEL_FILES = (".xml", ".mjcf", ".urdf")
 USD_FILES = (".usd", ".usda", ".usdc", ".usdz")
 HDF5_FILES = (".hdf5", ".h5")
+
+MOST_STATE_BYTES = 256 * MEGABYTE
+"""Largest size of a file of states, and of its arrays in memory."""
 
 MODEL_PLACES = ("", "model", "sim.model._model", "physics.model._model", "mj_model")
 """Attributes of a model or an environment that hold its compiled model."""
@@ -215,15 +227,23 @@ def read_states(path: Path, folder: Path) -> Path:
     """Return saved states as an NPZ, which may be the file itself.
 
     Raises:
-        ParameterError: There are no states.
+        ParameterError: There are no states, or too many.
     """
     if not _is_hdf5(path):
-        if not path.is_file():
-            raise ParameterError(f"{path}: there is no such file")
+        content = _content(path)
+        try:
+            npz_arrays(content, npz_names(content), MOST_STATE_BYTES)
+        except ValueError as error:
+            raise ParameterError(f"{path}: not an NPZ of states: {error}") from None
         return path
     file = folder / "states.npz"
     np.savez(file, flat=_demonstration(path)[0])
     return file
+
+
+def _content(path: Path) -> bytes:
+    with os_errors(lambda cause: ParameterError(f"{path}: cannot be read: {cause}")):
+        return read_regular(path, MOST_STATE_BYTES)
 
 
 def _is_hdf5(path: Path) -> bool:
@@ -235,8 +255,9 @@ def _demonstration(path: Path) -> tuple[np.ndarray, str]:
     with needs_extra("a file of demonstrations", "logs"):
         import h5py
     name, _, chosen = str(path).partition(":")
+    content = _content(Path(name))
     try:
-        with h5py.File(name, "r") as file:
+        with h5py.File(io.BytesIO(content), "r") as file:
             demonstrations: Sequence[str] = sorted(file.get("data", {}))
             chosen = chosen or next(iter(demonstrations), "")
             if chosen not in demonstrations or "states" not in file["data"][chosen]:
@@ -245,8 +266,15 @@ def _demonstration(path: Path) -> tuple[np.ndarray, str]:
                     f"{', '.join(demonstrations[:8]) or 'none'}"
                 )
             group = file["data"][chosen]
+            states = group["states"]
+            if states.ndim != 2 or states.dtype.kind not in NUMBERS:
+                raise ParameterError(f"{path}: states are a table of numbers")
+            if 8 * states.size > MOST_STATE_BYTES:
+                raise ParameterError(f"{path}: it states {states.size} numbers")
             model = group.attrs.get("model_file", "")
             text = model.decode() if isinstance(model, bytes) else str(model)
-            return group["states"][:].astype(np.float64), text
-    except OSError as error:
+            return states[:].astype(np.float64), text
+    except ParameterError:
+        raise
+    except Exception as error:  # h5py raises many types for a damaged file.
         raise ParameterError(f"{name}: it cannot be read as HDF5: {error}") from error

@@ -2,13 +2,15 @@
 
 import re
 
+import mujoco
 import pytest
 from mutations import FAULTS, Fault, Mutant, Passed, first_failure, is_of_the_fault
 from mutations.generated import KINDS, generated, is_held_out
 from mutations.worlds import RAISES
 
 from gauge_envs.backends import backend
-from gauge_envs.tools.conformance import Status, checks, run_checks, worlds
+from gauge_envs.backends.mujoco.versions import FAULTY_SPARSE
+from gauge_envs.tools.conformance import Status, checks, run_checks, solver, worlds
 
 MUJOCO = backend("mujoco")
 
@@ -162,7 +164,35 @@ def test_a_check_names_the_fault_of_a_mutant(check, name, says, monkeypatch):
 
 
 def test_every_check_can_fail():
-    assert {check for check, _, _ in CASES} == {check.id for check in checks()}
+    mutants = {check for check, _, _ in CASES}
+    assert mutants | set(solver.SCENES) == {check.id for check in checks()}
+
+
+@pytest.mark.parametrize(
+    "check",
+    [
+        pytest.param(one, marks=[pytest.mark.slow] if one == "solver-pile" else [])
+        for one in solver.SCENES
+    ],
+)
+def test_a_solver_that_leaves_a_hundredth_of_the_accelerations_is_named(
+    check, monkeypatch
+):
+    """The checks of solutions read MJCF files, which no mutant of the contract reaches."""
+    healthy = check != "solver-pile" or mujoco.__version__ not in FAULTY_SPARSE
+    (result,) = run_checks("mujoco", only=[check])
+    assert result.status is (Status.PASS if healthy else Status.FAIL)
+    forward = mujoco.mj_forward
+
+    def scaled(model, data):
+        forward(model, data)
+        if data.ncon and model.opt.jacobian == mujoco.mjtJacobian.mjJAC_AUTO:
+            data.qacc *= 1.01
+
+    monkeypatch.setattr(mujoco, "mj_forward", scaled)
+    (result,) = run_checks("mujoco", only=[check])
+    assert result.measured > 0.009
+    assert "sparse and dense part by" in result.diagnosis
 
 
 def test_batches_that_raise_are_an_error():

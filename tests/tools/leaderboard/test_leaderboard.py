@@ -10,11 +10,15 @@ import tarfile
 from importlib.metadata import version
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 from places import ROOT
 
+from gauge_envs import files, load_experiment
+from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.files import MEGABYTE
+from gauge_envs.pages.text import markdown_text
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.tools.leaderboard import check_leaderboard
@@ -48,7 +52,7 @@ def honest(tmp_path_factory):
     (root / "board.toml").write_text(f"experiments = {json.dumps(NAMES)}\n")
     write_statement(root, "default")
     write_statement(root, "coarse", f"timestep_s = {1 / 900}", standing="shown")
-    assert not check_leaderboard(root, run=True).faults
+    assert not faults(root, run=True)
     return root
 
 
@@ -71,8 +75,13 @@ def edit(file, change):
     write_archive(file, contents | {name: json.dumps(result).encode()})
 
 
-def texts(check):
-    return "\n".join(map(str, check.faults))
+def faults(board, **options):
+    """Return the faults of a leaderboard or a submission."""
+    return [
+        f"{one.folder}: {fault}"
+        for one in check_leaderboard(board, **options)
+        for fault in one.faults
+    ]
 
 
 def records(text):
@@ -104,9 +113,9 @@ def test_a_run_replaces_what_a_submitter_sent(forge, board):
         (folder / ARCHIVE).write_bytes(b"no archive")
     else:
         edit(folder / ARCHIVE, forge)
-        assert not check_leaderboard(folder).faults
-    (one,) = check_leaderboard(folder, run=True).submissions
-    assert one.ok
+        assert not faults(folder)
+    (one,) = check_leaderboard(folder, run=True)
+    assert not one.faults
     expected = run_episode(RunRequest(NAMES[1]))
     assert one.results[1].trajectory == expected.trajectory
     assert one.results[1].settings == expected.settings
@@ -115,14 +124,14 @@ def test_a_run_replaces_what_a_submitter_sent(forge, board):
 
 def test_scores_are_those_of_the_trajectories_and_wall_times_are_left_out(board):
     edit(folder_of(board) / ARCHIVE, lambda result: result["score"].update(rmse=0.5))
-    (one,) = check_leaderboard(folder_of(board)).submissions
+    (one,) = check_leaderboard(folder_of(board))
     assert one.results[1].score.rmse == pytest.approx(7.45, abs=0.05)
     assert one.results[1].wall_s is None
 
 
 def test_a_diverged_episode_has_no_score(board):
     edit(folder_of(board) / ARCHIVE, forge_divergence)
-    (one,) = check_leaderboard(folder_of(board)).submissions
+    (one,) = check_leaderboard(folder_of(board))
     assert one.results[1].score.rmse is None
     assert not one.missing
 
@@ -154,8 +163,8 @@ def result_with(**values):
 
 
 def without_json(folder):
-    files = read_archive(folder / ARCHIVE)
-    write_archive(folder / ARCHIVE, files | {"results/x.json": b"score = 1"})
+    contents = read_archive(folder / ARCHIVE)
+    write_archive(folder / ARCHIVE, contents | {"results/x.json": b"score = 1"})
 
 
 def twin(folder):
@@ -225,12 +234,11 @@ def test_a_fault_of_a_submission_is_found_and_nothing_else(
     for name, plant in FAULTS.items():
         copy = Path(shutil.copytree(honest, tmp_path / name / "board"))
         plant(folder_of(copy))
-        check = check_leaderboard(copy)
-        sound = [one.folder for one in check.submissions if one.ok]
-        assert f"mujoco/{MUJOCO}/coarse" in sound, name
+        found = faults(copy)
+        assert not any(f"mujoco/{MUJOCO}/coarse" in one for one in found), name
         count = 2 if name == "a configuration twice" else 1
-        assert len(check.faults) == count, texts(check)
-        lines.append(f"=== {name} ===\n{texts(check)}")
+        assert len(found) == count, found
+        lines += [f"=== {name} ===", *found]
     text = "\n".join(lines).replace(MUJOCO, "VERSION")
     # The rest of a line is in the words of a library.
     text = re.sub(r": (Input should|String should|Expect)[^\n]*", ": ...", text)
@@ -240,18 +248,17 @@ def test_a_fault_of_a_submission_is_found_and_nothing_else(
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"version": "4.1.0"}, "needs mujoco 4.1.0; installed here is"),
-        ({"package": "pytest", "version": pytest.__version__}, "versions.pytest"),
-        ({"package": "absent", "version": "1.0"}, "installed here is None"),
+        ({"version": "4.1.0"}, "needs mujoco 4.1.0; installed here: mujoco = "),
+        ({"package": "pytest", "version": pytest.__version__}, "needs pytest"),
         ({"engine": "MuJoCo"}, "unknown backend 'MuJoCo'"),
     ],
 )
 def test_a_submission_that_cannot_run_here_has_no_results(changes, words, tmp_path):
     write_statement(tmp_path, "default", **changes)
     (tmp_path / "board.toml").write_text('experiments = ["SlopeSlider-1-wood"]')
-    check = check_leaderboard(tmp_path, run=True)
-    assert words in texts(check)
-    assert not check.submissions[0].results
+    (one,) = check_leaderboard(tmp_path, run=True)
+    assert words in one.faults[0]
+    assert not one.results
 
 
 # --- the table ---
@@ -285,13 +292,13 @@ def test_table_has_intervals_and_no_mean_across_grades(gauge, honest):
     assert all(cell["wall_s_per_sim_s"] is None for cell in cells)
 
 
-def test_markdown_is_written_and_submitters_change_no_table(gauge, honest, tmp_path):
-    assert gauge("leaderboard", "table", honest, "--out", tmp_path).exit_code == 0
-    text = (tmp_path / "leaderboard.md").read_text(encoding="utf-8")
+def test_submitters_change_no_table(gauge, honest):
+    text = gauge("leaderboard", "table", honest, "--format", "markdown").stdout
     (line,) = (line for line in text.splitlines() if "| coarse |" in line)
     assert "A [red]vendor[/] \\| \\<b>" in line
     assert "Cost" not in text
-    rows = json.loads((tmp_path / "leaderboard.json").read_text(encoding="utf-8"))
+    assert markdown_text(files.processor()) in line
+    rows = records(gauge("leaderboard", "table", honest, "--json").stdout)
     kinds = {one["record"] for one in rows}
     assert kinds == {"submission", "experiment", "grade"}
 
@@ -311,9 +318,9 @@ def test_one_configuration_of_an_engine_counts_in_ranks(gauge, board):
     assert "Reported by their submitters" in text
     assert "Other configurations" not in text
     file.write_text(shown.replace("shown", "ranked"), encoding="utf-8")
-    check = check_leaderboard(board)
-    assert texts(check).count("one configuration of an engine counts in ranks") == 2
-    assert not any(one.ok for one in check.submissions)
+    found = faults(board)
+    assert len(found) == 2
+    assert all("one configuration of an engine counts in ranks" in one for one in found)
 
 
 @pytest.mark.parametrize("outcome", ["failed", "declined"])
@@ -322,8 +329,8 @@ def test_what_an_engine_declines_counts_and_what_fails_is_listed_apart(
 ):
     whole = records(gauge("leaderboard", "table", board, "--json").stdout)
     folder = write_statement(board, "one", "timestep_s = 0.001", standing="shown")
-    files = read_archive(folder_of(board) / ARCHIVE)
-    result = json.loads(files[SLIDER]) | {"settings_given": {"timestep_s": 0.001}}
+    contents = read_archive(folder_of(board) / ARCHIVE)
+    result = json.loads(contents[SLIDER]) | {"settings_given": {"timestep_s": 0.001}}
     kept = {SLIDER: result, "left_out.json": {NAMES[0]: outcome}}
     write_archive(
         folder / ARCHIVE, {key: json.dumps(kept[key]).encode() for key in kept}
@@ -346,8 +353,8 @@ def test_an_engine_declines_a_scene_that_it_cannot_build(tmp_path):
     folder = write_statement(tmp_path, "default", engine="rapier", **stated)
     names = ["BouncingBall-rubber", "Funnel-leather"]
     (tmp_path / "board.toml").write_text(f"experiments = {json.dumps(names)}")
-    (one,) = check_leaderboard(folder, run=True).submissions
-    assert one.ok and not one.missing
+    (one,) = check_leaderboard(folder, run=True)
+    assert not one.faults and not one.missing
     assert one.declined == ("Funnel-leather",)
     assert [result.id for result in one.results] == ["GAUGE/BouncingBall-rubber"]
 
@@ -363,9 +370,7 @@ def test_a_fault_gives_exit_code_1_and_leaves_the_submission_out(gauge, board):
     assert [one["configuration"] for one in standing] == ["default"]
 
 
-@pytest.mark.parametrize(
-    "options", [[], ["--json"], ["--format", "markdown"], ["--out", "site"]]
-)
+@pytest.mark.parametrize("options", [[], ["--json"], ["--format", "markdown"]])
 def test_a_leaderboard_without_a_valid_submission_has_an_empty_table(
     options, tmp_path, gauge
 ):
@@ -389,9 +394,10 @@ def test_a_leaderboard_asks_for_the_experiments_of_its_file(gauge, board):
     assert "2 of 2" in gauge("leaderboard", "check", folder_of(board)).output
     (board / "board.toml").write_text('experiments = ["SlopeSlider-1-*"]\n')
     check = check_leaderboard(board)
-    assert "SlopeSlider-2-wood', which the leaderboard does not ask for" in texts(check)
     missing = ("SlopeSlider-1-plastic", "SlopeSlider-1-metal")
-    assert [one.missing for one in check.submissions] == [missing] * 2
+    for one in check:
+        assert "does not ask for 'GAUGE/SlopeSlider-2-wood'" in one.faults[0]
+        assert one.missing == missing
 
 
 @pytest.mark.parametrize(
@@ -416,23 +422,44 @@ def workflow_step(job, identity):
     return step["run"]
 
 
-def changed_folders(tree, changed):
-    """Run the step of the real workflow that finds what to run, after a file of a repository changed."""
-    step = workflow_step("changed", "changed")
-    commit = "git -c user.name=a -c user.email=a@b commit -q -m text"
-    output = tree / "output"
-    change = f"echo '#' >> 'leaderboard/{changed}'; git add .; {commit}"
-    commands = f"git init -q; git add .; {commit}; {change}; {step}"
-    environment = {**os.environ, "GITHUB_OUTPUT": str(output)}
-    subprocess.run(
-        ["bash", "-e", "-c", commands], cwd=tree, check=True, env=environment
+COMMIT = "git add . && git -c user.name=a -c user.email=a@b commit -q -m text"
+
+
+def bash(commands, tree, **environment):
+    """Run commands as the workflow does, in a folder."""
+    path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
+    return subprocess.run(
+        ["bash", "-e", "-c", commands],
+        cwd=tree,
+        env={**os.environ, "PATH": path, **environment},
+        capture_output=True,
+        text=True,
+        check=False,
     )
+
+
+def committed(board, tree):
+    """Return a repository with a copy of a leaderboard."""
+    shutil.copytree(board, tree / "leaderboard", symlinks=True)
+    assert bash(f"git init -q && {COMMIT}", tree).returncode == 0
+    return tree
+
+
+def changed_folders(tree, base="HEAD^1"):
+    """Run the step of the real workflow that finds what to run, after a change of a repository was committed."""
+    output = tree / ".git" / "output"
+    step = workflow_step("changed", "changed")
+    done = bash(step, tree, GITHUB_OUTPUT=str(output), BASE=base)
+    assert done.returncode == 0, done.stderr
     name, _, folders = output.read_text().strip().partition("=")
     assert name == "folders"
     return json.loads(folders)
 
 
-@pytest.mark.skipif(shutil.which("jq") is None, reason="jq is not installed")
+needs_jq = pytest.mark.skipif(shutil.which("jq") is None, reason="jq is not installed")
+
+
+@needs_jq
 @pytest.mark.parametrize(
     ("changed", "run"),
     [
@@ -446,16 +473,22 @@ def changed_folders(tree, changed):
 def test_the_workflow_runs_every_submission_that_a_change_touches(
     changed, run, honest, tmp_path
 ):
-    shutil.copytree(honest, tmp_path / "leaderboard")
-    found = changed_folders(tmp_path, changed.replace("VERSION", MUJOCO))
-    assert found == [f"leaderboard/mujoco/{MUJOCO}/{name}" for name in run]
+    tree = committed(honest, tmp_path)
+    file = tree / "leaderboard" / changed.replace("VERSION", MUJOCO)
+    with file.open("a", encoding="utf-8") as stream:
+        stream.write("#")
+    assert bash(COMMIT, tree).returncode == 0
+    assert changed_folders(tree) == [
+        f"leaderboard/mujoco/{MUJOCO}/{name}" for name in run
+    ]
 
 
 STUBS = """
 python() { if test "$1" = -m; then echo "$@" >&2; else command "$PYTHON" "$@"; fi; }
-gauge() { echo "$@"; }
 """
-"""Commands of the workflow that install and run."""
+"""Commands of the workflow that install."""
+
+GAUGE_STUB = 'gauge() { echo "$@"; }\n'
 
 
 @pytest.mark.parametrize(
@@ -476,14 +509,221 @@ def test_the_workflow_runs_all_that_is_not_stated_as_reported(
     file = tmp_path / folder / "submission.toml"
     text = file.read_text(encoding="utf-8").replace("settings = {}", "")
     file.write_text(f"{text}[settings]\n{settings}\n", encoding="utf-8")
-    done = subprocess.run(
-        ["bash", "-e", "-c", STUBS + workflow_step("run", "run")],
-        cwd=tmp_path,
-        check=True,
-        capture_output=True,
-        text=True,
-        env={**os.environ, "FOLDER": str(folder), "PYTHON": sys.executable},
-    )
+    step = STUBS + GAUGE_STUB + workflow_step("run", "run")
+    done = bash(step, tmp_path, FOLDER=str(folder), PYTHON=sys.executable)
+    assert done.returncode == 0, done.stderr
     option = " --run" if is_run else ""
     assert done.stdout == f"leaderboard check {folder}{option}\n"
     assert (f"mujoco=={MUJOCO}" in done.stderr) == is_run
+
+
+# --- forgeries ---
+
+
+def real_mean(before, experiment, late=0):
+    """Return samples with the real mean in place of the coordinates that it has, some frames late."""
+    mean = np.nan_to_num(reference_band(load_experiment(experiment)).mean)
+    after = before.copy()
+    count = min(len(mean), len(before)) - late
+    after[late : late + count, : mean.shape[1]] = mean[:count]
+    return after
+
+
+def samples(change):
+    """Changes the trajectory in the archive of MuJoCo's submission."""
+
+    def forge(board):
+        def changed(result):
+            before = np.array(result["trajectory"]["samples"])
+            after = change(before, result["id"])
+            result["trajectory"]["samples"] = after.tolist()
+
+        edit(folder_of(board) / ARCHIVE, changed)
+
+    return forge
+
+
+def values(**changes):
+    return lambda board: result_with(**changes)(folder_of(board))
+
+
+def stated(**changes):
+    """Adds a submission with an archive of another one."""
+
+    def forge(board):
+        folder = write_statement(board, "more", **changes)
+        shutil.copy(folder_of(board) / ARCHIVE, folder)
+
+    return forge
+
+
+def left_out(board):
+    file = folder_of(board) / ARCHIVE
+    contents = read_archive(file)
+    del contents[SLIDER]
+    outcome = json.dumps({NAMES[1]: "declined"}).encode()
+    write_archive(file, contents | {"left_out.json": outcome})
+
+
+def many(board):
+    for index in range(8):
+        step_s = 1 / 1800 + index * 1e-9
+        write_statement(board, f"more{index}", f"timestep_s = {step_s}")
+
+
+def reported(board):
+    file = folder_of(board) / "submission.toml"
+    with file.open("a", encoding="utf-8") as stream:
+        stream.write('\nstanding = "reported"\n')
+
+
+def linked(board):
+    """The results are a link to a file of the repository, which nothing may write."""
+    file = folder_of(board) / ARCHIVE
+    file.rename(board / "kept")
+    file.symlink_to(board / "kept")
+
+
+def climbing(board):
+    file = folder_of(board) / ARCHIVE
+    write_archive(file, read_archive(file) | {"../../../../out.json": b"{}"})
+
+
+def deeper(board):
+    shutil.copytree(folder_of(board), folder_of(board) / "inner")
+
+
+def other_folder(board):
+    edit(folder_of(board, "coarse") / ARCHIVE, forge_trajectory)
+
+
+def page(board):
+    (board / "leaderboard.md").write_text("| mujoco | 1 |", encoding="utf-8")
+
+
+def fewer(board):
+    (board / "board.toml").write_text('experiments = ["SlopeSlider-1-wood"]')
+
+
+FORGERIES = {
+    # The eighteen with which a board of submitted trajectories was deceived.
+    "one result is the real mean, a frame late": (
+        samples(lambda x, name: real_mean(x, name, late=1)),
+        "void",
+    ),
+    "the real mean": (samples(real_mean), "void"),
+    "2 % slower": (samples(lambda x, _: x[:1] + 0.98 * (x - x[:1])), "void"),
+    "with noise": (
+        samples(lambda x, _: x + np.random.default_rng(0).normal(0, 0.1, x.shape)),
+        "void",
+    ),
+    "98 % of the way to the mean": (
+        samples(lambda x, name: 0.02 * x + 0.98 * real_mean(x, name)),
+        "void",
+    ),
+    "a quarter of the step under the name default": (
+        values(settings={"timestep_s": 1 / 7200}),
+        "void",
+    ),
+    "tuned friction": (values(asset={"edited": True}), "void"),
+    "another engine's trajectory": (
+        lambda board: shutil.copy(
+            folder_of(board, "coarse") / ARCHIVE, folder_of(board)
+        ),
+        "void",
+    ),
+    "called diverged": (values(outcome="diverged", diverged=True), "void"),
+    "a version that does not exist": (stated(version="99.0.0"), "red"),
+    "a package more": (values(versions={"mujoco": MUJOCO, "more": "1"}), "void"),
+    "capitals in the engine": (stated(engine="MuJoCo"), "red"),
+    "a dot behind the engine": (stated(engine="mujoco."), "red"),
+    "eight more of an engine": (many, "red"),
+    "fewer experiments": (fewer, "other ids"),
+    "the folder of another one": (other_folder, "void"),
+    "a score in the file": (values(score={"grade": "trials", "rmse": 0.0}), "void"),
+    "no file but the result changes": (
+        lambda board: (folder_of(board) / ARCHIVE).write_bytes(b"PK"),
+        "void",
+    ),
+    # Ten more.
+    "called declined": (left_out, "void"),
+    "called reported": (reported, "unranked"),
+    "a page by hand": (page, "void"),
+    "a link in place of the results": (linked, "void"),
+    "a name that climbs": (climbing, "void"),
+    "a submission in a submission": (deeper, "void"),
+    "another package": (stated(package="pip", version=version("pip")), "red"),
+    "the folder of another version": (
+        lambda board: restated(MUJOCO, "0.0.1")(folder_of(board)),
+        "red",
+    ),
+    "an engine as a path": (
+        lambda board: restated('"mujoco"', '"../mujoco"')(folder_of(board)),
+        "red",
+    ),
+    "results removed": (
+        lambda board: (folder_of(board) / ARCHIVE).unlink(),
+        "void",
+    ),
+}
+"""How a pull request forges a board, and what becomes of it: nothing (`void`), no merge (`red`), or what it states."""
+
+
+def ranked_rows(tree):
+    """Return what the table has of the ranked submissions."""
+    rows = records(bash("gauge leaderboard table --json", tree).stdout)
+    return [
+        one
+        for one in rows
+        if one["record"] != "submission" or one["standing"] == "ranked"
+    ]
+
+
+def merged(tree, folders):
+    """Run the steps of the real workflow that run submissions and write the table; return whether all succeeded."""
+    for folder in folders:
+        step = STUBS + workflow_step("run", "run")
+        done = bash(step, tree, FOLDER=folder, PYTHON=sys.executable)
+        if done.returncode:
+            return False
+        computed = tree / "computed" / folder.replace("/", "-")
+        computed.mkdir(parents=True)
+        shutil.copy(tree / folder / ARCHIVE, computed)
+        # Each job has a checkout of its own, so that the table starts with what was sent.
+        bash(f"git checkout -q -- '{folder}'", tree)
+    summary = str(tree / ".git" / "summary")
+    environment = {"FOLDERS": json.dumps(folders), "GITHUB_STEP_SUMMARY": summary}
+    return not bash(workflow_step("table", "table"), tree, **environment).returncode
+
+
+@pytest.fixture(scope="module")
+def honest_rows(honest, tmp_path_factory):
+    return ranked_rows(committed(honest, tmp_path_factory.mktemp("tree")))
+
+
+@needs_jq
+@pytest.mark.slow
+@pytest.mark.parametrize("name", FORGERIES)
+@pytest.mark.parametrize("commits", [1, 2])
+def test_a_forgery_changes_no_rank(name, commits, honest, honest_rows, tmp_path):
+    """The real steps of the workflow run on a copy of the board; a merge may bring several commits."""
+    if commits == 2 and name != "the real mean":
+        pytest.skip("one forgery is enough to see whether all commits are read")
+    tree = committed(honest, tmp_path)
+    forge, expected = FORGERIES[name]
+    forge(tree / "leaderboard")
+    more = f" && touch leaderboard/notes && {COMMIT}" if commits == 2 else ""
+    assert bash(COMMIT + more, tree).returncode == 0
+    is_merged = merged(tree, changed_folders(tree, f"HEAD~{commits}"))
+    assert is_merged == (expected != "red")
+    page = tree / "leaderboard" / "leaderboard.md"
+    found = ranked_rows(tree)
+    if expected == "void":
+        assert found == honest_rows
+        assert "| mujoco | 1 |" not in page.read_text(encoding="utf-8")
+    if expected == "unranked":
+        assert not any(one["record"] == "submission" for one in found)
+        assert "Reported by their submitters" in page.read_text(encoding="utf-8")
+    if name == "a link in place of the results":
+        kept = (tree / "leaderboard" / "kept").read_bytes()
+        assert kept == (folder_of(honest) / ARCHIVE).read_bytes()

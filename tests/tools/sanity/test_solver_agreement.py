@@ -14,7 +14,7 @@ from gauge_envs.tools.sanity.robot.model_rows import ROWS
 from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
 from gauge_envs.tools.sanity.robot.robot import Robot
 from gauge_envs.tools.sanity.robot.solver_agreement import NO_MEMORY, imbalance
-from gauge_envs.tools.transfer.settings_replay import ModelEnv
+from gauge_envs.tools.transfer.settings_replay import ModelEnv, apply_settings
 
 FAULTY = "4.0.0"
 """Release of MuJoCo whose sparse Newton solver leaves forces (google-deepmind/mujoco#3767)."""
@@ -195,7 +195,7 @@ def test_the_faulty_release_is_noted_for_sparse_models_alone(layout, monkeypatch
 def test_a_sparse_file_of_the_user_warns_under_the_faulty_release(
     layout, monkeypatch, tmp_path
 ):
-    """A file that scores an experiment, and one in which policies are replayed."""
+    """A file that scores an experiment, and the model of an environment in which policies are replayed."""
     monkeypatch.setattr(mujoco, "__version__", FAULTY)
     sliding = (assets_folder() / "mjcf" / "SlopeSlider-2-wood.xml").read_text()
     file, scene = tmp_path / "pile.xml", tmp_path / "slide.xml"
@@ -205,11 +205,11 @@ def test_a_sparse_file_of_the_user_warns_under_the_faulty_release(
     )
     with warnings.catch_warnings(record=True) as seen:
         warnings.simplefilter("always")
-        ModelEnv(file, None, control_s=0.02, duration_s=1.0)
+        apply_settings(ModelEnv(file, None, control_s=0.02, duration_s=1.0), {})
         with closing(gymnasium.make("GAUGE/SlopeSlider-2-wood", asset=scene)):
             pass
     found = {str(one.message) for one in seen if FAULTY in str(one.message)}
-    expected = {f"{one.name}: {sparse_text()}" for one in (file, scene)}
+    expected = {f"{name}: {sparse_text()}" for name in ("ModelEnv", scene.name)}
     assert found == (expected if layout == "sparse" else set())
 
 

@@ -58,32 +58,62 @@ INTEGRATION = mujoco.mjtState.mjSTATE_INTEGRATION
 @row("robot-solver")
 def _solver(robot: Robot) -> Finding:
     model = robot.model
-    data, layout, solvers = start(robot), _Layout(model), _Solvers(model)
+    data, agreement = start(robot), Agreement(model)
     begin = data.qpos.copy()
     push = np.random.default_rng(0).normal(0.0, PUSH_M_PER_S, model.nv)
     steps = min(MOST_STEPS, max(1, round(MOTION_S / model.opt.timestep)))
-    state = np.empty(mujoco.mj_stateSize(model, INTEGRATION))
     for velocity in (np.zeros(model.nv), push):
         data.qpos[:], data.qvel[:] = begin, velocity
+        agreement.follow(data, steps)
+    return _finding(robot, agreement, 2 * steps)
+
+
+class Agreement:
+    """How far other solutions of the same equations are from that of a model.
+
+    Args:
+        model: The model.
+
+    Attributes:
+        layout: The other layout of matrices.
+        solvers: Other solvers, and two threads.
+    """
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        self._model = model
+        self.layout, self.solvers = _Layout(model), _Solvers(model)
+
+    @property
+    def largest(self) -> dict[str, float]:
+        """Largest difference of accelerations of each pair of solutions, over the larger one."""
+        return {"sparse and dense": self.layout.largest, **self.solvers.largest}
+
+    def follow(self, data: mujoco.MjData, steps: int) -> None:
+        """Step the model, and compare solutions in the states that it visits.
+
+        Raises:
+            NotMeasuredError: The state diverges, or the model's memory is too small.
+        """
+        model = self._model
+        state = np.empty(mujoco.mj_stateSize(model, INTEGRATION))
         for step in range(steps):
             mujoco.mj_getState(model, data, state, INTEGRATION)
             mujoco.mj_forward(model, data)
             is_chosen = step % max(1, steps // COMPARED_STATES) == 0
-            layout.compare(data, state, is_chosen=is_chosen)
+            self.layout.compare(data, state, is_chosen=is_chosen)
             if is_chosen:
-                solvers.compare(data, state)
+                self.solvers.compare(data, state)
             # The solver has replaced its warm start.
             mujoco.mj_setState(model, data, state, INTEGRATION)
             mujoco.mj_step(model, data)
         if not np.isfinite(data.qpos).all():
             raise NotMeasuredError("the state diverges")
-    return _finding(robot, layout, solvers, 2 * steps)
 
 
-def _finding(robot: Robot, layout: _Layout, solvers: _Solvers, count: int) -> Finding:
+def _finding(robot: Robot, agreement: Agreement, count: int) -> Finding:
     """Return what was found in a number of states."""
-    model = robot.model
-    value = max(layout.largest, *solvers.largest.values())
+    model, layout, solvers = robot.model, agreement.layout, agreement.solvers
+    value = max(agreement.largest.values())
     remark = f"{count} states"
     if value > LIMIT:
         remark = f"MuJoCo {mujoco.__version__}, {remark}"
@@ -102,6 +132,22 @@ def _finding(robot: Robot, layout: _Layout, solvers: _Solvers, count: int) -> Fi
     if layout.largest > LIMIT and mujoco.mj_isSparse(model):
         advice = f'<option jacobian="dense"/>, or {advice}'
     return Finding(value=value, remark=remark, advice=advice)
+
+
+def solver_differences(mjcf: str, steps: int) -> dict[str, float]:
+    """Return by how much solutions of an MJCF model part on the way from its start, by pair.
+
+    Args:
+        mjcf: Text of the model.
+        steps: Steps from its start.
+
+    Returns:
+        Largest difference of accelerations, over the larger one.
+    """
+    model = mujoco.MjModel.from_xml_string(mjcf)
+    agreement = Agreement(model)
+    agreement.follow(mujoco.MjData(model), steps)
+    return agreement.largest
 
 
 class _Other:

@@ -1,0 +1,368 @@
+"""Damaged files of all readers end in an error for people or are read, in little memory and time.
+
+    DAMAGED_FILES=10000 python -m pytest -s tests/test_damaged_files.py
+
+A file is a valid one with damage by a seed. Each reader has a process of its own, with limits of memory and time.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import random
+import resource
+import shutil
+import time
+import traceback
+from collections import Counter
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from places import ROOT
+
+from gauge_envs import load_experiment
+from gauge_envs.errors import GaugeError
+from gauge_envs.evaluation.trajectory_file import read_trajectory
+from gauge_envs.experiments.resolve import load_experiment_from_asset
+from gauge_envs.files import MEGABYTE
+from gauge_envs.references.convergence import read_convergence
+from gauge_envs.references.sensitivities import _read as read_sensitivities
+from gauge_envs.references.tables import csv_header
+from gauge_envs.runs.episodes import run_episode
+from gauge_envs.runs.request import RunRequest
+from gauge_envs.runs.result_file import load_result
+from gauge_envs.runs.score_file import score_file
+from gauge_envs.tools.assets.build import assets_folder
+from gauge_envs.tools.conformance.expected import read_expected
+from gauge_envs.tools.conformance.matrix import read_columns
+from gauge_envs.tools.identify.stack_logs import read_logs
+from gauge_envs.tools.leaderboard import check_leaderboard
+from gauge_envs.tools.leaderboard.archive import ARCHIVE, write_archive
+from gauge_envs.tools.sanity import configuration
+from gauge_envs.tools.sanity.run import read_baseline
+from gauge_envs.tools.sweep.spec import load_sweep_file
+from gauge_envs.tools.usd.experiment_file import load_experiment_file
+from gauge_envs.tools.usd.reader import from_usd
+from gauge_envs.tools.versions.subject import read_states
+from gauge_envs.tools.video.frames import read_picture
+from gauge_envs.tools.video.plane import read_camera
+from gauge_envs.tools.video.track import read_track
+
+COUNT = int(os.environ.get("DAMAGED_FILES", "12"))
+"""Damaged files of each reader."""
+
+MOST_MEMORY = 500 * MEGABYTE
+"""Memory that a reader may take beyond that of the imported package."""
+
+MOST_S = 2.0
+"""Longest processor time of one file [s]."""
+
+ID = "SlopeSlider-2-wood"
+EXTREMES = (
+    *(b"nan", b"-1", b"0", b"1e999", b"-1e308", b"9" * 400, b"true", b"null", b"{}"),
+    *(b"[]", b'""', b"[[[[", b"\x00", b"\xff\xfe", b"\n", b",", b'"', b"'", b"\\"),
+)
+"""What damage puts in the place of some bytes."""
+
+
+def damaged(content: bytes, draw: random.Random) -> bytes:
+    """Return a file with one to three damages."""
+    data = bytearray(content)
+    for _ in range(draw.choice((1, 1, 1, 2, 3))):
+        start = draw.randrange(len(data) + 1)
+        end = min(len(data), start + draw.choice((1, 1, 2, 4, 16, 256)))
+        kind = draw.randrange(6)
+        if kind == 0:
+            data = data[:start]
+        elif kind == 1:
+            data[start:end] = draw.choice(EXTREMES)
+        elif kind == 2:
+            data[start:end] = draw.randbytes(end - start)
+        elif kind == 3 and end > start:
+            data[start] ^= 1 << draw.randrange(8)
+        elif kind == 4:
+            data[start:start] = data[start:end] * draw.choice((1, 1, 50))
+        else:
+            del data[start:end]
+    return bytes(data)
+
+
+# --- valid files -----------------------------------------------------------------------------------------------------
+
+
+def result() -> bytes:
+    return json.dumps(run_episode(RunRequest(ID)).to_dict()).encode()
+
+
+def array_file(**arrays) -> bytes:
+    stream = io.BytesIO()
+    np.savez_compressed(stream, **arrays)
+    return stream.getvalue()
+
+
+def samples() -> np.ndarray:
+    return np.array(json.loads(result())["trajectory"]["samples"])[::6]
+
+
+def trajectory_csv() -> bytes:
+    stream = io.StringIO()
+    np.savetxt(stream, samples(), delimiter=",")
+    return stream.getvalue().encode()
+
+
+def trajectory_npz() -> bytes:
+    return array_file(g=samples())
+
+
+def log_csv() -> bytes:
+    return text_of("examples", "joint_swing.csv")()
+
+
+def log_npz() -> bytes:
+    times_s = np.linspace(0.0, 1.0, 50)
+    return array_file(time_s=times_s, position_rad=np.sin(times_s))
+
+
+def parquet_file() -> bytes:
+    import pyarrow
+    from pyarrow import parquet
+
+    rows = [[0.0, 1.0]] * 20
+    table = pyarrow.table(
+        {
+            "episode_index": [0] * 20,
+            "timestamp": list(np.linspace(0.0, 1.0, 20)),
+            "observation.state": rows,
+            "action": rows,
+        }
+    )
+    stream = io.BytesIO()
+    parquet.write_table(table, stream)
+    return stream.getvalue()
+
+
+def read_lerobot(file):
+    folder = file.with_suffix("")
+    (folder / "meta").mkdir(parents=True, exist_ok=True)
+    (folder / "data" / "0").mkdir(parents=True, exist_ok=True)
+    feature = {"names": ["a", "b"]}
+    features = {"observation.state": feature, "action": feature}
+    info = {"codebase_version": "v3.0", "features": features}
+    (folder / "meta" / "info.json").write_text(json.dumps(info))
+    (folder / "data" / "0" / "0.parquet").write_bytes(file.read_bytes())
+    return read_logs(folder, unit="rad")
+
+
+def states_npz() -> bytes:
+    return array_file(qpos=np.zeros((20, 7)), qvel=np.zeros((20, 6)))
+
+
+def states_hdf5() -> bytes:
+    import h5py
+
+    stream = io.BytesIO()
+    with h5py.File(stream, "w") as file:
+        group = file.create_group("data/demo_0")
+        group["states"] = np.zeros((20, 14))
+        group.attrs["model_file"] = "<mujoco/>"
+    return stream.getvalue()
+
+
+def picture() -> bytes:
+    values = np.arange(4800, dtype=np.uint8).reshape(40, 40, 3)
+    return cv2.imencode(".png", values)[1].tobytes()
+
+
+def track() -> bytes:
+    rows = [f"{frame},{2 * frame},{3 * frame}" for frame in range(40)]
+    return "\n".join(["frame,x,y", *rows]).encode()
+
+
+def matrix() -> bytes:
+    document = json.loads((ROOT / "scoring" / "conformance.json").read_bytes())
+    column = document["columns"][0]
+    column["findings"] = dict(list(column["findings"].items())[:5])
+    document["columns"] = [column]
+    return json.dumps(document).encode()
+
+
+STATEMENT = """format = 1
+engine = "mujoco"
+package = "mujoco"
+version = "1.0"
+configuration = "default"
+submitter = "a"
+settings = {timestep_s = 0.001}
+"""
+
+
+def check_statement(file):
+    folder = file.parent / "board" / "mujoco" / "1.0" / "default"
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "submission.toml").write_bytes(file.read_bytes())
+    return check_leaderboard(folder)
+
+
+def check_results(file):
+    folder = file.parent / "other" / "mujoco" / "1.0" / "default"
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "submission.toml").write_text(STATEMENT)
+    (folder / ARCHIVE).write_bytes(file.read_bytes())
+    return check_leaderboard(folder)
+
+
+def archive() -> bytes:
+    file = Path(f"archive{os.getpid()}.tar.xz")
+    write_archive(file, {"results/a.json": b"{}", "left_out.json": b"{}"})
+    content = file.read_bytes()
+    file.unlink()
+    return content
+
+
+CAMERA = """size_px = [1280, 720]
+[points]
+px = [[400, 600], [900, 600], [800, 300], [500, 300]]
+m = [[-0.2, -0.2], [0.2, -0.2], [0.2, 0.2], [-0.2, 0.2]]
+sigma_px = 0.5
+sigma_m = 0.001
+"""
+USD = """#usda 1.0
+(
+    metersPerUnit = 1
+    upAxis = "Z"
+)
+def PhysicsScene "scene"
+{
+}
+def Cube "a" (prepend apiSchemas = ["PhysicsRigidBodyAPI", "PhysicsCollisionAPI", "PhysicsMassAPI"])
+{
+    double size = 0.1
+    float physics:mass = 1
+}
+"""
+MJCF = '<mujoco><worldbody><body><freejoint/><geom size="0.1"/></body></worldbody></mujoco>'
+SETTINGS = {"backend": "mujoco", "settings": {"timestep_s": 0.002, "cone": "elliptic"}}
+BASELINE = {
+    "phenomenon": "slide",
+    "configured": 1.0,
+    "verdict": "wrong",
+    "reality": {"value": 2.0, "tolerance": 0.1},
+    "parts": [],
+}
+
+
+def read_experiment(file):
+    for source in (ROOT / "examples" / "usd_experiment").iterdir():
+        if source.is_file() and not (file.parent / source.name).exists():
+            shutil.copy(source, file.parent)
+    return load_experiment_file(file)
+
+
+def text_of(*parts):
+    """Returns the first whole lines of a file of the repository."""
+    return lambda: ROOT.joinpath(*parts).read_bytes()[:6000].rpartition(b"\n")[0]
+
+
+READERS = {
+    "result.json": (result, load_result),
+    "score.json": (result, score_file),
+    "g.csv": (trajectory_csv, lambda file: read_trajectory(file, load_experiment(ID))),
+    "g.npz": (trajectory_npz, lambda file: read_trajectory(file, load_experiment(ID))),
+    "own.toml": (
+        text_of("examples", "usd_experiment", "crate.toml"),
+        read_experiment,
+    ),
+    "band.csv": (text_of("scoring", "bands", "SlopeSlider-2-wood.csv"), csv_header),
+    "convergence.csv": (
+        text_of("scoring", "convergence", "mujoco.csv"),
+        read_convergence.__wrapped__,
+    ),
+    "sensitivities.json": (
+        lambda: next(
+            (ROOT / "scoring" / "sensitivities" / "mujoco").glob("*.json")
+        ).read_bytes(),
+        lambda file: read_sensitivities.__wrapped__(file, 0),
+    ),
+    "settings.toml": (text_of("examples", "sanity", "good.toml"), configuration),
+    "settings.json": (json.dumps(SETTINGS).encode, configuration),
+    "settings.yaml": (lambda: b"sim:\n  dt: 0.01\n  physx: {a: 1}\n", configuration),
+    "log.csv": (log_csv, read_logs),
+    "log.npz": (log_npz, read_logs),
+    "lerobot.parquet": (parquet_file, read_lerobot),
+    "states.npz": (states_npz, lambda file: read_states(file, file.parent)),
+    "states.hdf5": (states_hdf5, lambda file: read_states(file, file.parent)),
+    "picture.png": (picture, read_picture),
+    "camera.toml": (CAMERA.encode, read_camera),
+    "track.csv": (track, lambda file: read_track(file, fps=30.0)),
+    "expected.toml": (lambda: b'free-fall = "a reason"\n', read_expected),
+    "matrix.json": (matrix, read_columns),
+    "sweep.toml": (text_of("examples", "sweep.toml"), load_sweep_file),
+    "baseline.json": (json.dumps(BASELINE).encode, read_baseline),
+    "submission.toml": (STATEMENT.encode, check_statement),
+    "results.tar.xz": (archive, check_results),
+    "scene.usda": (USD.encode, lambda file: from_usd(file, duration_s=1.0)),
+    "scene.xml": (
+        (assets_folder() / "mjcf" / f"{ID}.xml").read_bytes,
+        lambda file: load_experiment_from_asset(ID, file),
+    ),
+    "robot.xml": (MJCF.encode, configuration),
+}
+"""A valid file and the reader of each kind."""
+
+CHILDREN = {"scene.usda", "scene.xml", "robot.xml", "lerobot.parquet"}
+"""Kinds that a child process reads first, which takes it half a second."""
+
+
+# --- damage ----------------------------------------------------------------------------------------------------------
+
+
+def read_all(name: str, count: int, folder: Path) -> dict:
+    """Return what a reader made of damaged files: counts of outcomes, tracebacks, seconds and memory."""
+    make, read = READERS[name]
+    content = make()
+    file = folder / name
+    draw = random.Random(name)
+    found: Counter[str] = Counter()
+    wrong: list[str] = []
+    longest_s = 0.0
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    started_s = time.process_time()
+    for number in range(count):
+        file.write_bytes(damaged(content, draw) if number else content)
+        begun_s = time.process_time()
+        try:
+            read(file)
+            found["read"] += 1
+        except GaugeError as error:
+            found["refused"] += 1
+            if not number:
+                wrong.append(f"the valid file is refused: {error}")
+        except Exception as error:
+            found["traceback"] += 1
+            place = traceback.extract_tb(error.__traceback__)[-1]
+            wrong.append(f"{number}: {error!r} {place.filename}:{place.lineno}")
+        longest_s = max(longest_s, time.process_time() - begun_s)
+    after = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return {
+        **found,
+        "wrong": wrong[:5],
+        "cpu_s": time.process_time() - started_s,
+        "longest_s": longest_s,
+        "memory": 1024 * (after - before),
+    }
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_a_damaged_file_is_read_or_refused_in_words(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    if name in ("lerobot.parquet", "states.hdf5"):
+        pytest.importorskip({"lerobot.parquet": "pyarrow", "states.hdf5": "h5py"}[name])
+    count = max(2, COUNT // 50) if name in CHILDREN else COUNT
+    found = read_all(name, count, tmp_path)
+    print(name, found)
+    assert not found["wrong"]
+    assert found["longest_s"] < MOST_S
+    assert found["memory"] < MOST_MEMORY
