@@ -127,7 +127,15 @@ def png_size(file):
     return struct.unpack(">II", file.read_bytes()[16:24])
 
 
-@pytest.mark.parametrize("name", one_of_a_kind(IDS))
+def kind_of(name):
+    """What a page depends on: what is observed, how many coordinates it has, and its reference."""
+    experiment = load_experiment(name)
+    band = reference_band(experiment)
+    grade = None if band is None else band.grade
+    return experiment.score.observable, len(experiment.coordinates), grade
+
+
+@pytest.mark.parametrize("name", one_of_a_kind(IDS, kind_of))
 def test_a_page_fits_on_a_screen_and_answers_one_question(name):
     results = quick(name, "mujoco", "newton")
     figure = draw_experiment(results)
