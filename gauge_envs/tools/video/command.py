@@ -332,11 +332,11 @@ def video_board(
         arguments.measured(
             "--square",
             "mm",
-            "Edge of a square; 7 x 5 of 35 mm fit on A4.",
+            "Edge of a square; 7 x 5 of 30 mm fit on A4 and Letter.",
             arguments.SCENE,
             is_positive=True,
         ),
-    ] = 35.0,
+    ] = 30.0,
 ) -> None:
     """Write a board to print, beside which a phone held by hand can film a motion."""
     from gauge_envs.tools.video.phone_films import save_board

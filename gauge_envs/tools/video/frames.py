@@ -5,10 +5,12 @@ would take gigabytes.
 """
 
 import io
+import subprocess
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -211,13 +213,13 @@ class FileFrames(Frames):
     """Frames of a video file.
 
     Args:
-        path: File that OpenCV can decode, such as MP4 or WebM.
+        path: File that OpenCV or FFmpeg can decode, such as MP4 or WebM.
         fps: Frames per second, instead of the rate that the file states.
     """
 
     def __init__(self, path: Path, *, fps: float | None = None) -> None:
         self.name = str(path)
-        self._path = path
+        self._file = path
         _check_size(path, MOST_BYTES, "cut the clip to the event")
         _check_container(path)
         capture = self._opened()
@@ -226,6 +228,8 @@ class FileFrames(Frames):
                 raise VideoError(
                     f"{path}: OpenCV cannot decode it; give an MP4 or WebM video"
                 )
+            if not capture.grab():
+                self._file = self._converted(path)
             stated = float(capture.get(cv2.CAP_PROP_FPS))
             self.stated_count = max(0, int(capture.get(cv2.CAP_PROP_FRAME_COUNT)))
             self.size_px = (
@@ -272,6 +276,22 @@ class FileFrames(Frames):
             )
         self._times_s = times
 
+    def _converted(self, path: Path) -> Path:
+        """Return a file without loss that FFmpeg makes of one whose codec OpenCV lacks, as AV1; it is temporary."""
+        with needs_extra("a codec that OpenCV lacks", "video"):
+            import imageio_ffmpeg
+        self._folder = TemporaryDirectory()
+        file = Path(self._folder.name) / "frames.mkv"
+        given = ["-protocol_whitelist", "file", "-i", str(path.absolute())]
+        options = ["-map", "0:v:0", "-fps_mode", "passthrough", "-c:v", "ffv1"]
+        program = [imageio_ffmpeg.get_ffmpeg_exe(), "-v", "quiet"]
+        subprocess.run(
+            [*program, *given, *options, str(file)],
+            check=False,
+            stdin=subprocess.DEVNULL,
+        )
+        return file if file.exists() else path
+
     def _opened(self) -> Any:
         logging = cv2.utils.logging
         level = logging.getLogLevel()
@@ -280,7 +300,7 @@ class FileFrames(Frames):
         try:
             # Each thread of the decoder holds pictures of its own, which are large.
             return cv2.VideoCapture(
-                self.name, cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, 1]
+                str(self._file), cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, 1]
             )
         finally:
             logging.setLogLevel(level)
@@ -393,6 +413,9 @@ LEAST_MOTION = 12.0
 REPEAT_SHARE = 0.25
 """Difference of a repeated picture, against those of its neighbours; compression leaves up to a tenth."""
 
+HALT_SHARE = 0.05
+"""The same of a picture that is repeated without a rhythm: models let bodies halt, and leave more."""
+
 REACH = 5
 """Frames on both sides within which something must move, so that a repeat is no rest."""
 
@@ -418,12 +441,14 @@ class Cadence:
         times_s: Times of the new pictures [s], shape [new_count].
         fps: New pictures per second, on average.
         text: What differs from the stated rate; empty when nothing does.
+        fault: Why the times of the pictures are not known; empty when they are.
     """
 
     is_new: NDArray[np.bool_]
     times_s: FloatArray
     fps: float
     text: str = ""
+    fault: str = ""
 
 
 def read_cadence(frames: Frames) -> Cadence:
@@ -474,7 +499,12 @@ def cadence_of(
             )
     rhythm = _rhythm(differences)
     if rhythm is None:
-        return Cadence(is_new=every, times_s=np.arange(count) / fps, fps=fps)
+        return Cadence(
+            is_new=every,
+            times_s=np.arange(count) / fps,
+            fps=fps,
+            fault=_halts(differences),
+        )
     period = len(rhythm)
     is_new = ~np.resize(rhythm, count)
     is_new[0] = True
@@ -486,6 +516,24 @@ def cadence_of(
     return Cadence(
         is_new=is_new, times_s=np.arange(int(is_new.sum())) / rate, fps=rate, text=text
     )
+
+
+def _halts(differences: FloatArray) -> str:
+    """Return which frames repeat a picture without a rhythm while something moves; empty for few."""
+    values = np.array(differences)
+    values[0] = 0.0
+    moves = values > max(LEAST_MOTION, REPEAT_SHARE * float(values.max()))
+    halts = []
+    for row in range(2, len(values) - 2):
+        # One jump of everything beside it makes no repeat.
+        usual = np.sort(values[row - 2 : row + 3])[-2]
+        is_amid = moves[row - 2 : row].any() and moves[row + 1 : row + 3].any()
+        if is_amid and values[row] < HALT_SHARE * usual:
+            halts.append(row)
+    if len(halts) < LEAST_REPEATS:
+        return ""
+    shown = ", ".join(map(str, halts[:9]))
+    return f"{len(halts)} frames repeat a picture without a rhythm, so that times are unknown: {shown}"
 
 
 def _rhythm(differences: FloatArray) -> NDArray[np.bool_] | None:

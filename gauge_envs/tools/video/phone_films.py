@@ -14,6 +14,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
+from scipy.stats import median_abs_deviation
 
 from gauge_envs.errors import ParameterError, UnknownNameError, VideoError
 from gauge_envs.evaluation.estimators import restitution_of_flights, slide_friction
@@ -222,6 +223,8 @@ class FrontalFilm(Frames):
     def seen(self, track: Track) -> Track:
         """Return a track of the frontal film as the first camera sees it, on the reference grid of the film."""
         places = np.full(track.points_px.shape, np.nan)
+        if not track.is_found.any():
+            return replace(track, registration=None)
         plane_m = (track.points_px[track.is_found] - self._origin_px) * (
             self.scale,
             -self.scale,
@@ -519,7 +522,8 @@ def _drawn(
             values.append(judged(camera.drawn(rng), moved))
     except ParameterError:
         return None, None
-    half = 1.96 * float(np.std(values[1:], ddof=1))
+    # A few draws in which an impact is missed say nothing of the others: the scatter is that of the middle ones.
+    half = 1.96 * float(median_abs_deviation(values[1:], scale="normal"))
     return values[0], (values[0] - half, values[0] + half)
 
 

@@ -97,7 +97,7 @@ class Board(FileModel):
 
     square_m: PositiveFloat
     sigma_m: NonNegativeFloat = 0.0003
-    offset_m: float = 0.0
+    offset_m: float
     offset_sigma_m: NonNegativeFloat = 0.002
 
     def to_plane(self, lens: Lens | None) -> FloatArray:

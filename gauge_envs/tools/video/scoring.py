@@ -52,6 +52,10 @@ LEAST_PERIODS = 0.5
 """Fewest periods by which both turns of a swing part its period from its damping and equilibrium."""
 
 
+MOST_GRAVITIES = 1.2
+"""Largest acceleration of a slide or fall in that of gravity, beyond which the rate may be wrong."""
+
+
 def faults_of(
     track: Track, task: VideoTask, span: tuple[int, int] | None
 ) -> tuple[list[str], list[str]]:
@@ -109,6 +113,19 @@ def findings_of(
         found.append(
             f"less than half a period is shown, {shown_s:.2f} s of {period_s:.2f} s: it may be another one"
         )
+    a_m_s2 = metrics.get("acceleration_m_s2", 0.0)
+    if a_m_s2 > MOST_GRAVITIES * laws.GRAVITY_M_PER_S2:
+        found.append(
+            f"the acceleration is {a_m_s2 / laws.GRAVITY_M_PER_S2:.1f} times gravity: the stated rate may be wrong, "
+            "give --fps"
+        )
+    if task.motion is Motion.TURN:
+        places = track.points_px[track.is_found]
+        way = float(np.linalg.norm(places - places[0], axis=1).max()) / task.size_px
+        if way < 1.0:
+            found.append(
+                f"the object moves by {way:.2f} of its size: a dynamic error of 0 says little"
+            )
     if task.motion is Motion.CRADLE:
         swings = [track.frames[one] for one in laws.swings_without_apex(track, task)]
         found += [

@@ -187,6 +187,7 @@ def _of_the_file(
         ("picture", foreign),
         ("file", cut if _is_cut(frames, cadence) else ""),
         ("cadence", cadence.text),
+        ("time", cadence.fault),
     ):
         if text:
             last = int(np.flatnonzero(cadence.is_new)[-1])

@@ -1,5 +1,7 @@
 """Times of frames: repeated pictures, rest that is no repeat, stated times, and files that are cut off."""
 
+import subprocess
+
 import numpy as np
 import pytest
 
@@ -58,6 +60,23 @@ def test_a_body_at_rest_repeats_no_pictures(differences):
     assert found.is_new.all()
     assert found.fps == 30.0
     assert not found.text
+
+
+def test_pictures_that_are_repeated_at_random_leave_the_times_unknown():
+    rng = np.random.default_rng(3)
+    moving = np.r_[np.inf, np.full(59, 60.0) + rng.normal(0.0, 5.0, 59)]
+    halted = np.where(rng.random(60) < 0.14, 1.0, moving)
+    assert "so that times are unknown" in cadence_of(halted, 30.0).fault
+    assert not cadence_of(moving, 30.0).fault
+
+
+def test_a_codec_that_opencv_lacks_is_decoded(tmp_path):
+    program = pytest.importorskip("imageio_ffmpeg").get_ffmpeg_exe()
+    source = ["-f", "lavfi", "-i", "testsrc=size=320x240:rate=24:duration=0.5"]
+    coded = ["-c:v", "libaom-av1", "-cpu-used", "8", tmp_path / "av1.mp4"]
+    subprocess.run([program, "-v", "error", *source, *coded], check=True)
+    frames = FileFrames(tmp_path / "av1.mp4")
+    assert frames.fps == 24.0 and sum(1 for _ in frames.native()) == 12
 
 
 def test_stated_times_are_used_where_they_are_not_uniform():

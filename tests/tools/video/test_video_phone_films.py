@@ -155,9 +155,15 @@ def test_a_film_without_the_board_says_how_many_frames_lack_it():
         VideoError,
         match=r"8 corners of the board must be seen .* 9 of 9 lack them: 0, 1, 2",
     ):
-        FrontalFilm(frames, PlaneView(size_px=SIZE_PX, source=Board(square_m=0.035)))
+        FrontalFilm(
+            frames,
+            PlaneView(size_px=SIZE_PX, source=Board(square_m=0.035, offset_m=0.0)),
+        )
     with pytest.raises(VideoError, match="the camera file states"):
-        FrontalFilm(frames, PlaneView(size_px=(640, 480), source=Board(square_m=0.035)))
+        FrontalFilm(
+            frames,
+            PlaneView(size_px=(640, 480), source=Board(square_m=0.035, offset_m=0.0)),
+        )
 
 
 def test_a_static_camera_sees_the_plane_from_the_front(tmp_path):
@@ -167,7 +173,12 @@ def test_a_static_camera_sees_the_plane_from_the_front(tmp_path):
     cv2.fillConvexPoly(picture, np.array(px), (220, 30, 30))
     file = tmp_path / "camera.toml"
     file.write_text(CAMERA)
+    file.write_text(
+        f"{CAMERA}[lens]\nmatrix = [[900, 0, 640], [0, 900, 360], [0, 0, 1]]\n"
+    )
     film = FrontalFilm(ArrayFrames([picture] * 9, fps=30.0), read_camera(file))
+    # An object that is found in no frame has a track without places.
+    assert not film.seen(track_of(np.full((9, 2), np.nan), 30.0)).is_found.any()
     blue, _, red = next(film.native()).transpose(2, 0, 1).astype(int)
     dark = red - blue > 95
     rows, columns = np.flatnonzero(dark.any(axis=1)), np.flatnonzero(dark.any(axis=0))

@@ -39,8 +39,9 @@ TRACKS = [
 ]
 CAMERAS = [
     (SIZE, "either"),
-    (CAMERA + "[board]\nsquare_m = 0.035\n", "either"),
-    (SIZE + "[board]\nsquare_m = 0\n", "board.square_m: .*given: 0"),
+    (CAMERA + "[board]\nsquare_m = 0.035\noffset_m = 0\n", "either"),
+    (SIZE + "[board]\nsquare_m = 0.035\n", "board.offset_m: missing key"),
+    (SIZE + "[board]\noffset_m = 0\nsquare_m = 0\n", "board.square_m: .*given: 0"),
     (SIZE + "[board]\nsquare = 0.035\n", "board.square_m: missing key"),
     (CAMERA + "sigma = 1\n", "points.sigma: unknown key"),
     (CAMERA + "[motion]\npivot_m = [0.1, 0.2]\n", "pivot_sigma_m go together"),

@@ -326,6 +326,8 @@ def test_a_cube_that_breaks_the_law_has_a_sound_track_until_it_may_be_another_on
         places[36:] += [jump_px, 0.0]
         found[jump_px] = score_track(track_of(places, 24.0), task)
     assert [one.is_sound for one in found.values()] == [True, True, False]
+    still = score_track(track_of(lawful[:1] + 0.3 * (lawful - lawful[0]), 24.0), task)
+    assert still.metrics["de"] == 0.0 and "says little" in still.findings[-1]
     assert found[0.0].metrics["de"] == 0.0 and found[39.0].metrics["de"] > 0.05
     assert "jumps" in found[130.0].reasons[0]
 
