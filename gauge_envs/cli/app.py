@@ -38,6 +38,7 @@ OTHER_WORDS = {
     "test": "run",
     "transfer envelope": "transfer randomize, or gauge run --uncertainty for what constants do to a score",
     "versions": "backend versions",
+    "probe": "sanity probe",
     "schema": "show COMMAND --schema, or gauge list schemas",
 }
 """Commands by the words that other tools have for them."""

@@ -1,7 +1,7 @@
 """Arguments of environments: their declaration, checks, plain form for a spec, and the starts of episodes."""
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import KW_ONLY, asdict, dataclass, fields, replace
 from enum import Enum
 from os import PathLike, fspath
@@ -31,7 +31,7 @@ from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.references.bands import Band
 from gauge_envs.references.user_data import DataSource, has_import
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.scene.jitter import Jitter, jittered, scattered
+from gauge_envs.scene.jitter import Jitter, scattered
 from gauge_envs.scene.scene import Scene
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
@@ -49,7 +49,8 @@ class EnvArguments:
         settings: Numerical settings of the engine that replace those of the preset.
         marker_proxy: Marker proxy of deformable bodies. `material` tracks the marker's own material point between
             the nodes; `node` tracks the nearest node, as in the paper.
-        drivers: `bundled` moves driven bodies as the task file states, `imported` as the imported trials show.
+        drivers: `bundled` moves driven bodies as the task file states, `imported` as the imported trials show. With
+            `action` they rest until actions move them, see `gauge_envs.experiments.resolve.moved_by_actions`.
         reference: `bundled` scores against the package's references, `imported` against the imported trials.
         use_withheld: Score also against a band that is withheld by default; `gauge show` gives the reason.
         asset: File that states the scene in place of the task file: a USD layer for any engine, an MJCF file for
@@ -134,9 +135,12 @@ class EnvArguments:
         observable = experiment.score.observable
         if self.proxy is MarkerProxy.NODE and observable is Observable.POSITION:
             reasons["marker_proxy"] = "only rigid bodies are observed"
-        is_imported = self.drivers == DataSource.IMPORTED
-        if is_imported and experiment.drivers is not DataSource.IMPORTED:
-            reasons["drivers"] = "its imported trials show no driven body"
+        if self.drivers != experiment.drivers:
+            reasons["drivers"] = (
+                "it has no driven body"
+                if self.drivers == DataSource.ACTION
+                else "its imported trials show no driven body"
+            )
         if self.use_withheld:
             band = self.band(experiment)
             if band is None or band.withheld is None:
@@ -268,7 +272,11 @@ SEEDS = 2**31
 
 
 def checked_scatter(
-    experiment: Experiment, value: Any, name: str = "jitter"
+    experiment: Experiment,
+    value: Any,
+    name: str = "jitter",
+    *,
+    draw: Callable[..., Scene] = scattered,
 ) -> Jitter | Literal["real"] | None:
     """Return a scatter of starts that an experiment can have; `real` only for recorded starts.
 
@@ -276,6 +284,7 @@ def checked_scatter(
         experiment: The experiment.
         value: A `Scatter`.
         name: Name of the argument, for messages.
+        draw: `scattered`, or `jittered` where driven bodies keep their places.
     """
     if value is None or value is False:
         return None
@@ -293,7 +302,7 @@ def checked_scatter(
         raise ParameterError(
             f"{name} is {value!r}, expected 'real', True, False or a gauge_envs.Jitter"
         )
-    moved = jittered(experiment.scene, value, seed=0)
+    moved = draw(experiment.scene, value, seed=0)
     change = _starts_of(moved) - _starts_of(experiment.scene)
     if any(asdict(value).values()) and np.abs(change).max() < ROUNDING:
         raise ParameterError(
@@ -307,8 +316,14 @@ ROUNDING = 1e-12
 
 
 def _starts_of(scene: Scene) -> FloatArray:
-    """Return positions, orientations and velocities of all bodies at the start, shape [N, 3]."""
-    starts = []
+    """Return positions, orientations and velocities of all bodies at the start, shape [N, 3].
+
+    Among them are displacements and rotations of misplaced driven bodies.
+    """
+    nowhere = (0.0, 0.0, 0.0)
+    starts: list[Any] = []
+    for driver in scene.drivers:
+        starts += [driver.shift_m or nowhere, driver.turn_rad or nowhere]
     for body in scene.bodies:
         starts += [body.linear_velocity_m_per_s, body.angular_velocity_rad_per_s]
     for one in (*scene.bodies, *scene.deformables):
@@ -325,11 +340,19 @@ class Starts:
     Args:
         experiment: The experiment, without scatter.
         scatter: Scatter of every start without an option.
+        draw: As for `checked_scatter`.
     """
 
-    def __init__(self, experiment: Experiment, scatter: Scatter) -> None:
+    def __init__(
+        self,
+        experiment: Experiment,
+        scatter: Scatter,
+        *,
+        draw: Callable[..., Scene] = scattered,
+    ) -> None:
         self._experiment = experiment
-        self._scatter = checked_scatter(experiment, scatter)
+        self._draw = draw
+        self._scatter = checked_scatter(experiment, scatter, draw=draw)
         self._options: Mapping[str, Any] = {}
 
     def of_reset(
@@ -347,7 +370,33 @@ class Starts:
             )
         if options is not None or seeded:
             self._options = dict(options or {})
-        return jitter_option(self._experiment, self._options, self._scatter)
+        return self._chosen(self._options)
+
+    def _chosen(
+        self, options: Mapping[str, Any]
+    ) -> Jitter | TrialStart | Literal["real"] | None:
+        """Return the start that the options of a reset ask for, or that of `scatter` without any."""
+        unknown = [repr(key) for key in options if key not in ("jitter", "trial")]
+        if unknown:
+            raise ParameterError(
+                f"reset has only the options 'jitter' and 'trial', got {', '.join(unknown)}"
+            )
+        trial = options.get("trial")
+        if trial is not None:
+            if isinstance(trial, bool) or not isinstance(trial, int | np.integer):
+                raise ParameterError(
+                    f"option 'trial' is {trial!r}, expected the number of a trial, from 0"
+                )
+            if options.get("jitter"):
+                raise ParameterError(
+                    "options 'jitter' and 'trial' both state a start: give one of them"
+                )
+            return TrialStart(int(trial))
+        if "jitter" not in options:
+            return self._scatter
+        return checked_scatter(
+            self._experiment, options["jitter"], "option 'jitter'", draw=self._draw
+        )
 
 
 def drawn_seed(
@@ -367,37 +416,6 @@ def drawn_seed(
     if scatter is None or isinstance(scatter, TrialStart):
         return 0
     return int(random.integers(SEEDS))
-
-
-def jitter_option(
-    experiment: Experiment, options: Mapping[str, Any], scatter: Any = None
-) -> Jitter | TrialStart | Literal["real"] | None:
-    """Return the start that the options of a reset ask for, or None for the calibrated start.
-
-    Args:
-        experiment: The experiment.
-        options: The options.
-        scatter: Scatter without an option.
-    """
-    unknown = [repr(key) for key in options if key not in ("jitter", "trial")]
-    if unknown:
-        raise ParameterError(
-            f"reset has only the options 'jitter' and 'trial', got {', '.join(unknown)}"
-        )
-    trial = options.get("trial")
-    if trial is not None:
-        if isinstance(trial, bool) or not isinstance(trial, int | np.integer):
-            raise ParameterError(
-                f"option 'trial' is {trial!r}, expected the number of a trial, from 0"
-            )
-        if options.get("jitter"):
-            raise ParameterError(
-                "options 'jitter' and 'trial' both state a start: give one of them"
-            )
-        return TrialStart(int(trial))
-    if "jitter" not in options:
-        return scatter
-    return checked_scatter(experiment, options["jitter"], "option 'jitter'")
 
 
 def jittered_experiment(

@@ -40,14 +40,15 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
 
     Action: with driven bodies, a Box in [-1, 1] with one entry for each motion of a driver. It is a velocity that is
     added to the recorded one; the task file states its scale, `residual_rate_*`. Zero replays the recorded motion.
+    With `drivers="action"` there is no recorded motion, and zero leaves the driven bodies at rest.
     Without driven bodies the action is `Discrete(1)`.
 
     Reward: minus the mean z over band coordinates of |g - mean| / sigma at the frame, of the marker positions where the
-    band has `points`; 0 without a reference. With deformable bodies it is -z / (1 + z), with a tenth of the motion in
+    band has `points`; 0 without a reference. With deformable bodies it is -z / (1 + z), with the size of the motion in
     place of a smaller sigma.
 
-    `info`: `frame`, `time_s`, `reference` (grade of the band), `reference_source` and `drivers` (`bundled` or
-    `imported`), `edited` if an edited asset states the scene, and `diverged` (the reason) if the simulation diverged.
+    `info`: `frame`, `time_s`, `reference` (grade of the band), `reference_source` and `drivers` (`bundled`,
+    `imported` or `action`), `edited` if an edited asset states the scene, and `diverged` (the reason) if the simulation diverged.
     `gymnasium.make` adds `score` and `deformation` at the end; see `ScoreEpisode`.
 
     Copies and pickles are environments of their own. They continue bit for bit, also in another process with the same

@@ -593,11 +593,6 @@ def run_on_together(
             episodes[number].end_later_frame()
 
 
-REWARD_MOTION_SHARE = 0.1
-"""Share of the motion of a deformable body at which a deviation pays half of the largest loss. It is a choice: actions
-move a cloth by its whole motion, and an engine is within a hundredth of it."""
-
-
 def is_reward_bounded(experiment: Experiment) -> bool:
     """Return whether the reward of a frame lies between -1 and 0, as it does with deformable bodies.
 
@@ -618,7 +613,8 @@ def reward_terms(
     """Return projection, mean and weights such that |deviation| @ weight is the mean of |z| over known coordinates.
 
     z is the deviation over sigma, or over the uncertainty of the mean where that is larger. A bounded reward divides by
-    `REWARD_MOTION_SHARE` of the motion where that is larger still.
+    the size of the motion where that is larger still: actions move a cloth by its whole motion, and with a smaller
+    scale a policy that is far off would not see which way is better.
 
     They are those of the band's `points` if it has any. None without a band.
     """
@@ -631,7 +627,7 @@ def reward_terms(
         else np.fmax(band.sigma, band.uncertainty)
     )
     if is_bounded:
-        scale = np.fmax(scale, REWARD_MOTION_SHARE * motion_size(band))
+        scale = np.fmax(scale, motion_size(band))
     usable = band.measured[:, None] & (scale > 0.0) & np.isfinite(band.mean)
     count = np.maximum(usable.sum(axis=1, keepdims=True), 1)
     weight = np.where(usable, 1.0, 0.0) / np.where(usable, scale, 1.0) / count
@@ -678,8 +674,7 @@ def reward_text(band: Band | None, *, is_bounded: bool = False) -> str:
         names = (f"x, y, z of {len(compared.coordinates) // 3} markers",)
         scale = f"{POINT_SIGMA_MM:g} mm, or over the uncertainty of the mean where it is larger"
     if is_bounded and motion_size(compared) > 0.0:
-        share = REWARD_MOTION_SHARE * motion_size(compared)
-        scale = f"{share:.2g} {compared.unit}, a tenth of the motion"
+        scale = f"{motion_size(compared):.3g} {compared.unit}, the size of the motion"
     return (
         f"{sign} the mean over {', '.join(names)} of |deviation from the reference's mean| / {scale}, "
         f"at {span} of {len(band.mean)}{elsewhere}"

@@ -60,7 +60,9 @@ def driven_trial(experiment: AnyExperiment, trial: int) -> AnyExperiment | None:
             driver.motions, known.motions[driver.body][trial], strict=True
         ):
             path = SampledProfile(times_s=known.times_s, values=values)
-            motions.append(replace(motion, point_m=point_m, profiles=(path,)))
+            # With `drivers="action"` nothing moves by itself.
+            profiles = (path,) if motion.profiles else ()
+            motions.append(replace(motion, point_m=point_m, profiles=profiles))
         drivers.append(replace(driver, motions=tuple(motions)))
     bodies = tuple(
         replace(body, pose=starts.get(body.name, body.pose)) for body in scene.bodies

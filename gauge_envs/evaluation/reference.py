@@ -28,7 +28,8 @@ def reference_band(
 ) -> Band | None:
     """Return the band that an experiment is scored against: its trial or measured band, that of a law, or a model's.
 
-    A model is the solution of the calibrated scene alone: other parameters, drivers or an asset have none.
+    A model is the solution of the calibrated scene alone: other parameters, imported drivers or an asset have none.
+    Actions that move the driven bodies are judged by the recorded motion.
     `reference_source` of the experiment selects the bundled band or that of the imported trials.
 
     Args:
@@ -50,11 +51,10 @@ def reference_band(
     if law is None:
         solved = solved_model(experiment.name) if _is_calibrated(experiment) else None
         return None if solved is None else solved.band
-    # An asset changes the simulated scene. The law holds for the calibrated one.
+    # An asset or actions change the simulated scene. The law holds for the calibrated one.
+    is_changed = experiment.asset is not None or experiment.drivers is DataSource.ACTION
     calibrated = (
-        experiment.scene
-        if experiment.asset is None
-        else load_experiment(experiment.name).scene
+        load_experiment(experiment.name).scene if is_changed else experiment.scene
     )
     if isinstance(law, CarriedLaw):
         positions_mm = _carried_positions_mm(
@@ -101,7 +101,7 @@ def _is_calibrated(experiment: Experiment) -> bool:
     return not (
         experiment.edited
         or experiment.overrides
-        or experiment.drivers is not DataSource.BUNDLED
+        or experiment.drivers is DataSource.IMPORTED
     )
 
 

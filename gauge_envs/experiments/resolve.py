@@ -121,7 +121,8 @@ def load_experiment(
         parameters: `calibrated`, another parameter set of the task file, or overrides keyed `body.constant`, where a
             constant is a mass, friction, stiffness, ... or `position_m`, `euler_deg`, `hangs_from_m`, `length_m`. In a
             scene with cloth, `air.density_kg_per_m3` and the other fields of `scene.Air` add air.
-        drivers: `bundled` takes driven motion from the task file, `imported` from the imported trials.
+        drivers: `bundled` takes driven motion from the task file, `imported` from the imported trials. With `action`
+            driven bodies rest until actions move them, at most as fast as the bundled motion and its actions do.
         reference: `bundled` scores against the band or law of the package, `imported` against the imported trials.
 
     Returns:
@@ -181,8 +182,16 @@ def load_experiment(
         and not {key.rpartition(".")[2] for key in overrides} & START_KEYS
     ):
         experiment = with_trial(experiment, 0)
-    if _data_source(variant, "drivers", drivers) is DataSource.BUNDLED:
+    source = _data_source(variant, "drivers", drivers)
+    if source is DataSource.BUNDLED or not scene.drivers:
         return experiment
+    if source is DataSource.ACTION:
+        return replace(
+            experiment,
+            scene=moved_by_actions(experiment.scene),
+            drivers=source,
+            driver_provenance="action",
+        )
     recorded = recorded_drivers(variant.name, scene.drivers)
     if recorded == scene.drivers:
         return experiment
@@ -193,6 +202,22 @@ def load_experiment(
         drivers=DataSource.IMPORTED,
         driver_provenance=driver_provenance(driven),
     )
+
+
+def moved_by_actions(scene: Scene) -> Scene:
+    """Return a scene whose driven bodies rest until actions move them.
+
+    An action of 1 is the largest rate of the recorded motion and its actions together, so that every recorded motion
+    is a sequence of actions.
+    """
+    drivers = []
+    for driver in scene.drivers:
+        motions = tuple(
+            replace(motion, residual_rate=motion.largest_rate, profiles=())
+            for motion in driver.motions
+        )
+        drivers.append(replace(driver, motions=motions, provenance="action"))
+    return replace(scene, drivers=tuple(drivers))
 
 
 def load_experiment_from_asset(
@@ -278,6 +303,8 @@ def _check_stated(
 
 def _data_source(variant: Variant, name: str, value: DataSource | str) -> DataSource:
     source = chosen(DataSource, value, name)
+    if source is DataSource.ACTION and name == "reference":
+        raise ParameterError("reference 'action': choose 'bundled' or 'imported'")
     if source is DataSource.IMPORTED and load_imported(variant.name) is None:
         raise ParameterError(
             f"{variant.name}: {name}='imported', but no trials of it were imported; "

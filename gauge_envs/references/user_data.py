@@ -16,6 +16,8 @@ class DataSource(StrEnum):
     """The package: the task file's drivers, the bundled bands and laws."""
     IMPORTED = "imported"
     """The real trials that `gauge data import` read."""
+    ACTION = "action"
+    """No recorded motion: driven bodies rest until actions move them. A band has no such source."""
 
 
 BUNDLED_DATA = {

@@ -275,6 +275,36 @@ def test_zero_action_replays_the_recorded_motion_and_others_add_to_it():
     )
 
 
+@pytest.mark.parametrize("name", ["Turntable-2-wood", "StickStack-soft"])
+def test_the_recorded_motion_is_a_sequence_of_actions(name):
+    """With `drivers="action"` a body rests without actions, and the recorded motion is the better policy."""
+    recorded = gymnasium.make(f"GAUGE/{name}").unwrapped
+    (motion,) = recorded.experiment.scene.drivers[0].motions
+    env = gymnasium.make(f"GAUGE/{name}", drivers="action")
+    (acted,) = env.unwrapped.experiment.scene.drivers[0].motions
+    recorded.reset(seed=0)
+    earned = []
+    for is_still in (True, False):
+        start, info = env.reset(seed=0)
+        earned.append(0.0)
+        for frame in range(16):
+            change = motion.value((frame + 1) / 30) - motion.value(frame / 30)
+            action = 0.0 if is_still else 30 * change / acted.residual_rate
+            observation, reward, *_, info = env.step(np.array([action]))
+            earned[-1] += reward
+        if is_still:
+            still = pytest.approx(start["driver"][0, :7], abs=2e-6)
+            assert observation["driver"][0, :7] == still
+    for _ in range(16):
+        expected, *_ = recorded.step(np.zeros(1))
+    assert observation["driver"][0, :7] == pytest.approx(
+        expected["driver"][0, :7], abs=2e-6
+    )
+    assert earned[0] < 2.0 * earned[1] < 0.0
+    assert info["drivers"] == "action"
+    assert info["reference"] == recorded.episode.info()["reference"]
+
+
 def test_reset_forgets_earlier_actions():
     env = gymnasium.make("GAUGE/Turntable-1-wood")
     runs = []

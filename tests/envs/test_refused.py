@@ -16,7 +16,7 @@ from gauge_envs.envs.vector import GaugeVectorEnv, ScoreEpisodes
 from gauge_envs.errors import ActionError, GaugeError, ParameterError
 from gauge_envs.runs.request import RunRequest
 
-SLIDE, SOFT = "SlopeSlider-2-wood", "StickStack-soft"
+SLIDE = "SlopeSlider-2-wood"
 MAKE = (gymnasium.make, gymnasium.make_vec)
 
 ARGUMENTS = [
@@ -104,7 +104,7 @@ def test_calls_are_refused(approved):
         "reset option": lambda: GaugeEnv(SLIDE).reset(options={"jitterr": True}),
         "reset option of no mapping": lambda: GaugeEnv(SLIDE).reset(options="jitter"),
         "worlds' empty list of options": lambda: worlds().reset(options=[]),
-        "jitter of no rigid body": lambda: GaugeEnv(SOFT).reset(
+        "jitter of no rigid body": lambda: GaugeEnv("CantileverBeam-soft").reset(
             options={"jitter": True}
         ),
         "step before reset": lambda: GaugeEnv(SLIDE).step(0),

@@ -330,11 +330,11 @@ def test_the_reward_is_of_marker_positions_where_g_is_not(foam):
     band = reference_band(load_experiment(FOAM))
     assert band.unit == "mm^2"
     points_mm = 1e3 * trajectory.markers_m.reshape(len(trajectory.markers_m), -1)
-    # A foam's reward is bounded, and its scale is at least a tenth of the motion.
+    # A foam's reward is bounded, and its scale is at least the motion.
     mean = band.points.mean
     motion = np.sqrt(np.nanmean(np.square(mean - mean[0])))
     scale = np.fmax(band.points.sigma, band.points.uncertainty)
-    scale = np.fmax(scale, 0.1 * motion)
+    scale = np.fmax(scale, motion)
     distance = np.abs((points_mm - mean) / scale).mean(axis=1)
     expected = -distance / (1.0 + distance)
     known = np.isfinite(expected)

@@ -60,9 +60,10 @@ def _driven(body: str, motion: DriverMotion) -> tuple[str, str]:
     if not scale:
         return "1", f"no effect on {body}"
     kind = "rate about" if is_turn else "velocity along"
+    of = "added to the motion of" if motion.profiles else "of"
     return (
         f"times {scale:.3g} {'deg/s' if is_turn else 'm/s'}",
-        f"{kind} ({axis}), added to the motion of {body}",
+        f"{kind} ({axis}), {of} {body}",
     )
 
 

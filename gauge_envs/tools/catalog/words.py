@@ -76,6 +76,10 @@ def experiment_document(values: Mapping[str, Any], *, detailed: bool) -> Documen
     return Document(parts=(*short, more), rows=[values])
 
 
+TRAINING = "with drivers='action' driven bodies rest until actions move them"
+"""Task of a policy on an id whose reward is near its largest value without actions."""
+
+
 def _facts(values: Mapping[str, Any]) -> dict[str, str]:
     observable, reference, asset = (
         values["observable"],
@@ -91,6 +95,8 @@ def _facts(values: Mapping[str, Any]) -> dict[str, str]:
         **_power_facts(reference["power"]),
         "reward": reference["reward"],
     }
+    if values["drivers"] and reference["known_frames"]:
+        facts["training"] = TRAINING
     if reference["scatter"] != "-":
         facts["scatter"] = reference["scatter"]
     if reference["deformation"]:

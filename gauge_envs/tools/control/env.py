@@ -36,7 +36,7 @@ from gauge_envs.experiments.variants import Variant, find_variant
 from gauge_envs.references.sensitivities import input_uncertainties
 from gauge_envs.scene import Scene
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.scene.jitter import Jitter
+from gauge_envs.scene.jitter import Jitter, jittered
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLES_PER_FRAME
 from gauge_envs.tools.control.limit import Ending, Limit, LimitReport, pair_friction
 
@@ -120,7 +120,8 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
             backend=backend,
             settings=settings or self.OWN_SETTINGS.get(backend),
         )
-        self._starts = Starts(experiment, jitter)
+        # The laws hold for a stage that starts where it is stated.
+        self._starts = Starts(experiment, jitter, draw=jittered)
         self._is_moved = False
         if not is_world:
             self._build(experiment)
