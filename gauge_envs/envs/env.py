@@ -48,7 +48,8 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
     place of a smaller sigma.
 
     `info`: `frame`, `time_s`, `reference` (grade of the band), `reference_source` and `drivers` (`bundled`,
-    `imported` or `action`), `edited` if an edited asset states the scene, and `diverged` (the reason) if the simulation diverged.
+    `imported` or `action`), `edited` if an edited asset states the scene, and `diverged` (the reason) if the
+    simulation diverged.
     `gymnasium.make` adds `score` and `deformation` at the end; see `ScoreEpisode`.
 
     Copies and pickles are environments of their own. They continue bit for bit, also in another process with the same

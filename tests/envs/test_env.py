@@ -275,7 +275,7 @@ def test_zero_action_replays_the_recorded_motion_and_others_add_to_it():
     )
 
 
-@pytest.mark.parametrize("name", ["Turntable-2-wood", "StickStack-soft"])
+@pytest.mark.parametrize("name", ["Turntable-1-wood", "StickStack-soft"])
 def test_the_recorded_motion_is_a_sequence_of_actions(name):
     """With `drivers="action"` a body rests without actions, and the recorded motion is the better policy."""
     recorded = gymnasium.make(f"GAUGE/{name}").unwrapped
@@ -302,7 +302,7 @@ def test_the_recorded_motion_is_a_sequence_of_actions(name):
     )
     assert earned[0] < 2.0 * earned[1] < 0.0
     assert info["drivers"] == "action"
-    assert info["reference"] == recorded.episode.info()["reference"]
+    np.testing.assert_array_equal(env.unwrapped.band.mean, recorded.band.mean)
 
 
 def test_reset_forgets_earlier_actions():
