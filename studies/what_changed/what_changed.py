@@ -3,20 +3,25 @@
     python -m studies.what_changed.what_changed models
     python -m studies.what_changed.what_changed run thin_shelf
     python -m studies.what_changed.what_changed checks
+    python -m studies.what_changed.what_changed engines sapien==3.0.3
 
 `models` lists the cases and compiles their models. `run` needs a package index: it runs `gauge backend versions` on the
 cases of a model, or on all, and prints what `cases.csv` has of them. `checks` runs the scenes of `checks.py` in all
-releases of the package index since 2.3.7, with `--pre` in candidates too, and writes table and badge.
+releases of the package index since 2.3.7, with `--pre` in candidates too, and writes table and badge. `engines` runs
+those of `engines.py` in releases of other engines that `engines.csv` lacks.
 """
 
 import csv
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
+import venv
 from collections.abc import Iterator
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import gymnasium
 import mujoco
@@ -242,9 +247,57 @@ def table() -> str:
     return "\n".join(lines)
 
 
+# --- other engines ---------------------------------------------------------------------------------------------------
+
+ENGINES = HERE / "engines.csv"
+
+
+def measure_engines(*requirements: str) -> None:
+    """Run the scenes of `engines.py` in releases of engines that `engines.csv` lacks, one after the other.
+
+    Each release has an environment of its own, which is removed after its run; the file is written after each.
+    """
+    rows = engine_rows()
+    for requirement in requirements:
+        if requirement in {row["release"] for row in rows}:
+            continue
+        with TemporaryDirectory() as folder:
+            python = str(Path(folder) / "bin" / "python")
+            install = [python, "-m", "pip", "install", "-q"]
+            if uv := shutil.which("uv"):
+                install = [uv, "pip", "install", "-q", "--python", python]
+            venv.create(folder, with_pip=uv is None)
+            # SAPIEN imports a module that later setuptools lack.
+            packages = [requirement, "numpy", "setuptools<81"]
+            subprocess.run([*install, "--only-binary", ":all:", *packages], check=True)
+            engine = requirement.partition("==")[0]
+            command = [python, str(HERE / "engines.py"), engine]
+            done = subprocess.run(command, capture_output=True, text=True, check=True)
+        found = json.loads(done.stdout.splitlines()[-1])
+        values = {
+            name: f"{value:.4g}" if isinstance(value, float) else value
+            for name, value in found.items()
+        }
+        rows.append({"release": requirement} | values)
+        with ENGINES.open("w", encoding="utf-8", newline="") as stream:
+            writer = csv.DictWriter(stream, list(rows[0]), lineterminator="\n")
+            writer.writeheader()
+            writer.writerows(rows)
+
+
+def engine_rows() -> list[dict[str, str]]:
+    """Return the stored number of each scene by release."""
+    if not ENGINES.is_file():
+        return []
+    with ENGINES.open(encoding="utf-8", newline="") as stream:
+        return list(csv.DictReader(stream))
+
+
 if __name__ == "__main__":
     if sys.argv[1:] == ["models"]:
         show_models()
+    elif sys.argv[1] == "engines":
+        measure_engines(*sys.argv[2:])
     elif sys.argv[1] == "checks":
         measure(*sys.argv[2:])
         write_page()
