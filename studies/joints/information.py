@@ -13,7 +13,8 @@ import numpy as np
 from gauge_envs.backends import backend
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.identify import Log, one_joint
-from gauge_envs.tools.identify.fit import _machine, _Problem
+from gauge_envs.tools.identify.fit import machine_of
+from gauge_envs.tools.identify.problem import Problem
 from gauge_envs.tools.identify.servo_laws import (
     DIRECTED,
     DIRECTED_STRIBECK,
@@ -36,10 +37,10 @@ DROPS_RAD = (1.5, 1.2, 0.9, -1.5, -0.9)
 
 def sensitivity(log: Log, mass_kg: float, names: list[str]) -> FloatArray:
     """Return changes of angles by relative changes of all numbers [rad], shape [N, name_count]."""
-    machine = _machine(backend("mujoco"), one_joint(mass_kg, LENGTH_M, 1e-4), log, names, {})  # fmt: skip
+    machine = machine_of(backend("mujoco"), one_joint(mass_kg, LENGTH_M, 1e-4), log, names, {})  # fmt: skip
     sizes = np.array([[TRUTH[one]] for one in names])
     fixed = np.full(sizes.shape, np.nan)
-    problem = _Problem(machine, [log], [log.start()], tuple(names), sizes, False, False, fixed)  # fmt: skip
+    problem = Problem(machine, [log], [log.start()], tuple(names), sizes, False, False, fixed)  # fmt: skip
     found = problem.jacobian(np.ones(len(names)))
     table = np.zeros((len(found), len(NAMES)))
     table[:, [NAMES.index(one) for one in names]] = found

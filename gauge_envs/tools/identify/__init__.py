@@ -5,10 +5,10 @@ from typing import TYPE_CHECKING
 from gauge_envs.registry import door
 
 if TYPE_CHECKING:
-    from gauge_envs.tools.identify.fit import (
+    from gauge_envs.tools.identify.fit import identify as identify
+    from gauge_envs.tools.identify.identified import (
         Identified as Identified,
         Setting as Setting,
-        identify as identify,
     )
     from gauge_envs.tools.identify.logs import Log as Log, read_log as read_log
     from gauge_envs.tools.identify.mujoco_joints import read_mjcf as read_mjcf

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Literal, NotRequired, TypedDict
 
-from gauge_envs.tools.identify.fit import Setting
+from gauge_envs.tools.identify.identified import Setting
 
 
 class LogError(TypedDict):

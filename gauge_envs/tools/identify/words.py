@@ -4,7 +4,7 @@ from dataclasses import asdict
 
 from gauge_envs.pages.document import Document
 from gauge_envs.pages.table import Column, Table
-from gauge_envs.tools.identify.fit import Identified
+from gauge_envs.tools.identify.identified import Identified
 
 KV_NOTE = "kv belongs to this engine and step: one that is implicit in the angle damps by kp times the step besides."
 

@@ -8,17 +8,13 @@ from scipy.integrate import solve_ivp
 
 from gauge_envs.backends import backend
 from gauge_envs.tools.identify import Identified, Log, identify, one_joint
-from gauge_envs.tools.identify.fit import (
-    DYNAMICS,
-    QUADRATIC,
-    Law,
-    _contains,
-    _fitted,
-    _machine,
-    _misfit,
-)
+from gauge_envs.tools.identify.fit import machine_of
+from gauge_envs.tools.identify.identified import Law
+from gauge_envs.tools.identify.laws import _contains
+from gauge_envs.tools.identify.rig import DYNAMICS
 from gauge_envs.tools.identify.servo_laws import QUADRATIC_LOAD, TERMS, holding, rule
 from gauge_envs.tools.identify.spread import pattern, sensor_noise_rad, spread_of
+from gauge_envs.tools.identify.stages import QUADRATIC, Fitter
 from gauge_envs.tools.identify.words import identified_document
 
 DRY, VISCOUS, ARMATURE = DYNAMICS[:3]
@@ -41,7 +37,7 @@ def released(terms):
     times_s = np.arange(0.0, 4.0, 0.001)
     log = Log("", times_s, np.full((times_s.size, 1), 0.2))
     scene = one_joint(MASS_KG, LENGTH_M, INERTIA_KG_M2)
-    machine = _machine(backend("mujoco"), scene, log, list(terms), {})
+    machine = machine_of(backend("mujoco"), scene, log, list(terms), {})
     start = np.array([0.2]), np.zeros(1)
     return machine.angles(log, [terms], start)[:, 0]
 
@@ -78,7 +74,7 @@ def breakaway_n_m(numbers, upwards):
     level = np.full((times_s.size, 1), 0.5 * np.pi)
     log = Log("", times_s, level, torque_n_m=torque)
     scene = one_joint(MASS_KG, LENGTH_M, INERTIA_KG_M2)
-    machine = _machine(backend("mujoco"), scene, log, list(numbers), {})
+    machine = machine_of(backend("mujoco"), scene, log, list(numbers), {})
     angles = machine.angles(log, [numbers], (level[0], np.zeros(1)))[:, 0]
     # From here on a degree follows in 0.1 s.
     return torque[np.argmax(side * (angles - level[0, 0]) > 0.002), 0]
@@ -143,13 +139,13 @@ def test_a_law_starts_from_the_fit_of_one_that_it_contains():
     log = Log("", 0.01 * np.arange(100), np.linspace(0.3, -0.2, 100)[:, None])
     scene = one_joint(MASS_KG, LENGTH_M, INERTIA_KG_M2)
     names = [DRY, VISCOUS, *TERMS["M4"]]
-    machine = _machine(backend("mujoco"), scene, log, names, {})
-    common = {"part_s": None, "known": {}, "steps": 1}
-    first = _fitted(machine, [log], names, **common)
-    later = _fitted(machine, [log], [DRY, VISCOUS, *TERMS["M5"]], first=first, **common)  # fmt: skip
+    machine = machine_of(backend("mujoco"), scene, log, names, {})
+    fitter = Fitter(machine=machine, known={})
+    first = fitter.fit([log], names, most_steps=1)
+    later = fitter.fit([log], [DRY, VISCOUS, *TERMS["M5"]], first=first, most_steps=1)
     assert _contains(later.problem.names, first.problem.names)
     assert not _contains(first.problem.names, later.problem.names)
-    assert _misfit(later) <= 1.001 * _misfit(first)
+    assert later.misfit <= 1.001 * first.misfit
 
 
 def swing(name, seed, *, dry, drag, start_rad):

@@ -24,8 +24,9 @@ from gauge_envs.scene import (
 from gauge_envs.scene.motors import Servo
 from gauge_envs.scene.profiles import SampledProfile
 from gauge_envs.tools.identify import Identified, Log, identify, one_joint, read_log
-from gauge_envs.tools.identify.fit import _noise, _stages
+from gauge_envs.tools.identify.noise import lasting_noise
 from gauge_envs.tools.identify.rig import posed
+from gauge_envs.tools.identify.stages import parts_of
 from gauge_envs.tools.identify.words import KV_NOTE, identified_document
 from gauge_envs.tools.usd.writer import to_usd
 
@@ -229,7 +230,7 @@ def test_noise_is_found_although_the_unknowns_take_up_some_of_it():
             count
         )
         left = noise - spanned @ (spanned.T @ noise)
-        variance, neighbours, decay = _noise([np.column_stack([spanned, left])])
+        variance, neighbours, decay = lasting_noise([np.column_stack([spanned, left])])
         planted.append((variance, variance + 2.0 * neighbours / (1.0 - decay)))
     variance, lasting = np.median(planted, axis=0)
     assert variance == pytest.approx(2.0, rel=0.1)
@@ -532,5 +533,5 @@ def test_parts_as_long_as_those_of_the_first_stage_are_all_fitted_in_the_second(
     """The first stage takes about 15 s of the logs, the second one everything."""
     times_s = np.arange(0.0, 40.0, 0.02)
     log = Log("long", times_s, np.zeros((2000, 1)), np.zeros((2000, 1)))
-    stages = _stages(lambda parts, starts, free_starts: parts, [log], 5.0, 5.0)
+    stages = parts_of([log], 5.0, 5.0)
     assert [len(parts) for parts in stages] == [3, 8]

@@ -21,7 +21,7 @@ from gauge_envs.tools.identify import (
     read_mjcf,
 )
 from gauge_envs.tools.identify.baselines import baselines, lagged
-from gauge_envs.tools.identify.fit import AS_WELL, _machine, _to_leave_out
+from gauge_envs.tools.identify.fit import AS_WELL, _to_leave_out, machine_of
 from gauge_envs.tools.identify.mujoco_joints import joints_of_model, start_at
 from gauge_envs.tools.identify.rig import SceneJoints
 
@@ -132,7 +132,7 @@ def test_a_servo_stands_at_its_command_plus_the_offset():
     numbers = {"kp_n_m_per_rad": 4.0, "kv_n_m_s_per_rad": 0.4, "offset_rad": -0.05}
     scene = one_joint(1.0, 0.0, 0.01)
     start = np.zeros(1), np.zeros(1)
-    plain = _machine(backend("mujoco"), scene, log, list(numbers), {})
+    plain = machine_of(backend("mujoco"), scene, log, list(numbers), {})
     assert plain.angles(log, [numbers], start)[-1, 0] == pytest.approx(0.15, abs=1e-3)
     engine = SceneJoints(backend("rapier"), scene, {})
     assert engine.angles(log, [numbers], start)[-1, 0] == pytest.approx(0.15, abs=1e-3)

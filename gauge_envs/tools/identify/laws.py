@@ -1,0 +1,138 @@
+"""Laws of friction that logs are asked to choose from, by the prediction of logs that were not fitted."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from gauge_envs.backends.base import Backend, Feature
+from gauge_envs.errors import UnsupportedSceneError
+from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.tools.identify.identified import Law
+from gauge_envs.tools.identify.logs import Log
+from gauge_envs.tools.identify.rig import DYNAMICS, SERVO
+from gauge_envs.tools.identify.servo_laws import IN_ONE, SERVO_FRICTION, TERMS
+from gauge_envs.tools.identify.stages import QUADRATIC, Fit, Fitter
+
+LAW_STEPS = 15
+"""Most steps of the fit of a law to one log, which starts from a fit to all of them."""
+
+AS_GOOD = 1.05
+"""Error over that of the law that predicts best, up to which a law with fewer terms is as good."""
+
+LAWS = {
+    "dry": (DYNAMICS[0], DYNAMICS[2]),
+    "viscous": (DYNAMICS[1], DYNAMICS[2]),
+    "dry and viscous": DYNAMICS[:3],
+    "dry and quadratic": (DYNAMICS[0], DYNAMICS[2], QUADRATIC),
+    "dry, viscous and quadratic": DYNAMICS,
+}
+"""Names that are identified in each law of friction of a joint without a servo."""
+
+SERVO_NAMES = (DYNAMICS[0], DYNAMICS[2], *SERVO)
+"""What is identified of a servo unless names are given; kv holds the viscous friction of its joint."""
+
+
+def asked_laws(
+    engine: Backend, servo: bool, names: Sequence[str] | None
+) -> dict[str, tuple[str, ...]]:
+    """Return the names of each law of friction that is to be compared, or none where names alone are to be fitted.
+
+    Raises:
+        UnsupportedSceneError: The engine does not set friction anew in each step.
+    """
+    if names is None and not servo:
+        return {
+            law: terms
+            for law, terms in LAWS.items()
+            if QUADRATIC not in terms or Feature.QUADRATIC_FRICTION in engine.features
+        }
+    asked = [one for one in names or () if one in TERMS]
+    changing = [one for one in names or () if one in (*SERVO_FRICTION, *TERMS)]
+    if changing and engine.name != "mujoco":
+        raise UnsupportedSceneError(
+            f"backend {engine.name!r}: {', '.join(changing)}: friction by rate and load is set anew before each step, "
+            "which is done in plain MuJoCo alone"
+        )
+    rest = [one for one in names or () if one not in TERMS]
+    base = SERVO_NAMES if servo else DYNAMICS[:3]
+    return {law: tuple(dict.fromkeys([*base, *TERMS[law], *rest])) for law in asked}
+
+
+def compare_laws(
+    fitter: Fitter,
+    logs: Sequence[Log],
+    laws: Mapping[str, Sequence[str]],
+    fit: Fit,
+    progress: Callable[[str], None],
+) -> tuple[tuple[Law, ...], list[Fit]]:
+    """Fit each law to each log alone, and predict the others from their recorded starts.
+
+    Of one log, the halves stand for logs. A law of servo benches starts from the best fit of a law that it contains.
+
+    Returns:
+        The laws, the chosen one first, and its fits. It has the fewest terms of those that fit as well as the law that
+        predicts best, and predict worse by at most 5 % or a standard error of the mean logarithm of their ratio (after
+        Breiman et al., Classification and Regression Trees, 1984).
+    """
+    parts = list(logs)
+    if len(parts) == 1:
+        parts = list(logs[0].pieces(0.5 * logs[0].duration_s + 1e-9))
+    compared: dict[str, tuple[Law, list[Fit], FloatArray]] = {}
+    for name, names in laws.items():
+        progress(f"law {name}")
+        simpler = [
+            fits
+            for other, (_, fits, _) in compared.items()
+            if _contains(names, laws[other])
+        ]
+        alone = []
+        for row, log in enumerate(parts):
+            starts = [fits[row] for fits in simpler]
+            start = min(starts, key=lambda one: one.misfit, default=fit)
+            alone.append(fitter.fit([log], names, first=start, most_steps=LAW_STEPS))
+        left = [one.problem.residuals(one.unknowns) for one in alone]
+        missed = np.array(
+            [
+                np.sqrt((one.predicted(log) ** 2).mean())
+                for fitted_to, one in zip(parts, alone, strict=True)
+                for log in parts
+                if log is not fitted_to
+            ]
+        )
+        law = Law(
+            name=name,
+            fitted_rad=float(np.sqrt(np.mean([(one**2).mean() for one in left]))),
+            held_out_rad=float(np.sqrt((missed**2).mean())),
+        )
+        compared[name] = law, alone, missed
+
+    best = min(compared, key=lambda law: compared[law][0].held_out_rad)
+
+    def is_as_good(name: str) -> bool:
+        law, _, missed = compared[name]
+        ratio = np.log(missed / compared[best][2])
+        standard_error = ratio.std(ddof=1) / np.sqrt(ratio.size)
+        predicts = ratio.mean() <= max(standard_error, np.log(AS_GOOD))
+        return bool(
+            predicts and law.fitted_rad <= AS_GOOD * compared[best][0].fitted_rad
+        )
+
+    for name, (law, alone, missed) in compared.items():
+        alike = name == best or is_as_good(name)
+        compared[name] = replace(law, is_as_good=alike), alone, missed
+    chosen = min(
+        (name for name, (law, *_) in compared.items() if law.is_as_good),
+        key=lambda name: (len(laws[name]), compared[name][0].held_out_rad),
+    )
+    others = sorted(
+        (law for name, (law, *_) in compared.items() if name != chosen),
+        key=lambda law: law.held_out_rad,
+    )
+    return (compared[chosen][0], *others), compared[chosen][1]
+
+
+def _contains(names: Sequence[str], simpler: Sequence[str]) -> bool:
+    """Return whether a law of servo benches has all numbers of a simpler one, or those that are one there."""
+    known = {*names} | {IN_ONE[name] for name in names if name in IN_ONE}
+    return bool(known & {*SERVO_FRICTION}) and {*simpler} < known
