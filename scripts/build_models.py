@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
 from gauge_envs.backends import backend
-from gauge_envs.backends.base import Simulation
+from gauge_envs.backends.world import Simulation
 from gauge_envs.envs.env import GaugeEnv
 from gauge_envs.errors import GaugeError
 from gauge_envs.evaluation.reference import band_grade

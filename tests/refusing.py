@@ -5,8 +5,8 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from gauge_envs.backends.base import ArrayWorlds
 from gauge_envs.backends.device import DeviceWorlds, HostArrays
+from gauge_envs.backends.worlds import ArrayWorlds
 from gauge_envs.envs.device import dynamic_states
 
 COMMON = (

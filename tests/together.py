@@ -1,6 +1,7 @@
 """MuJoCo simulations that advance in one call, whose worlds are no simulations of their own."""
 
-from gauge_envs.backends.base import World, Worlds
+from gauge_envs.backends.world import World
+from gauge_envs.backends.worlds import Worlds
 
 
 class OneOfMany(World):

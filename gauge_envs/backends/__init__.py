@@ -1,18 +1,8 @@
 """Physics engines behind one interface, one folder per engine."""
 
-from gauge_envs.backends.base import (
-    ArraySimulation,
-    ArrayWorlds,
-    Backend,
-    Feature,
-    FileBackend,
-    ModelFile,
-    Simulation,
-    Support,
-    World,
-    Worlds,
-)
+from gauge_envs.backends.base import Backend, FileBackend, ModelFile
 from gauge_envs.backends.device import DeviceWorlds
+from gauge_envs.backends.features import Feature, Support
 from gauge_envs.backends.registry import (
     backend,
     backend_for,
@@ -24,6 +14,8 @@ from gauge_envs.backends.registry import (
     versions_of,
 )
 from gauge_envs.backends.shared.states import ReplayedSimulation
+from gauge_envs.backends.world import Simulation, World
+from gauge_envs.backends.worlds import ArraySimulation, ArrayWorlds, Worlds
 
 __all__ = [
     "ArraySimulation",

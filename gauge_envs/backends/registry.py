@@ -5,7 +5,8 @@ from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 
-from gauge_envs.backends.base import Backend, FileBackend, Support, with_declared
+from gauge_envs.backends.base import Backend, FileBackend, with_declared
+from gauge_envs.backends.features import Support
 from gauge_envs.errors import BackendError, GaugeError, ParameterError, UnknownNameError
 from gauge_envs.registry import BUNDLED, engine_points
 from gauge_envs.scene import Scene

@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.backends.base import Simulation, Worlds
 from gauge_envs.backends.device import HOST, DeviceWorlds, HostArrays
 from gauge_envs.backends.registry import backend_for
 from gauge_envs.backends.shared.resampled import worlds_in_intervals
+from gauge_envs.backends.world import Simulation
+from gauge_envs.backends.worlds import Worlds
 from gauge_envs.envs.arguments import EnvArguments
 from gauge_envs.envs.divergence import DeformableBoundsOfWorlds, RigidBoundsOfWorlds
 from gauge_envs.envs.episode import (

@@ -13,9 +13,10 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from gauge_envs.backends.base import Backend, Simulation
+from gauge_envs.backends.base import Backend
 from gauge_envs.backends.registry import backend_for, versions_of
 from gauge_envs.backends.shared.resampled import in_intervals
+from gauge_envs.backends.world import Simulation
 from gauge_envs.envs.arguments import check_support, plain_spec
 from gauge_envs.envs.pictures import (
     RENDER_MODES,

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gauge_envs.backends.base import Simulation, World
+from gauge_envs.backends.world import Simulation, World
 from gauge_envs.scene import Scene
 from gauge_envs.scene.driver_path import DriverPath, motor_commands
 from gauge_envs.scene.geometry import FloatArray

@@ -11,8 +11,8 @@ from typing import Any, cast
 import numpy as np
 from gymnasium import spaces
 
-from gauge_envs.backends.base import Simulation, World
 from gauge_envs.backends.settings import check_drive_interval
+from gauge_envs.backends.world import Simulation, World
 from gauge_envs.envs.arguments import checked_action
 from gauge_envs.envs.divergence import DeformableBounds, RigidBounds
 from gauge_envs.envs.driver_paths import DriverPaths

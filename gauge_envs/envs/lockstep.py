@@ -12,7 +12,7 @@ import numpy as np
 from gymnasium.vector.utils import batch_space, concatenate, create_empty_array
 from numpy.typing import NDArray
 
-from gauge_envs.backends.base import Worlds
+from gauge_envs.backends.worlds import Worlds
 from gauge_envs.envs.episode import Episode, Observation, run_on_together
 from gauge_envs.envs.stepper import Stepper
 from gauge_envs.errors import ActionError

@@ -8,7 +8,8 @@ from collections.abc import Generator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeVar, cast
 
-from gauge_envs.backends.base import Simulation, World, Worlds
+from gauge_envs.backends.world import Simulation, World
+from gauge_envs.backends.worlds import Worlds
 from gauge_envs.files import processors
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S

@@ -20,8 +20,8 @@ from gymnasium.vector import (
 )
 from numpy.typing import NDArray
 
-from gauge_envs.backends.base import Worlds
 from gauge_envs.backends.device import DeviceWorlds
+from gauge_envs.backends.worlds import Worlds
 from gauge_envs.envs.arguments import (
     EnvArguments,
     EnvKeywords,

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import Delaunay, QhullError
 
-from gauge_envs.backends.base import Simulation, World, Worlds
+from gauge_envs.backends.world import Simulation, World
+from gauge_envs.backends.worlds import Worlds
 from gauge_envs.errors import ShapeError
 from gauge_envs.observables.functions import (
     angle_deficit_curvature,

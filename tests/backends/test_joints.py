@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 from gauge_envs.backends import backend
-from gauge_envs.backends.base import Feature, Worlds, scene_support
+from gauge_envs.backends.base import scene_support
+from gauge_envs.backends.features import Feature
+from gauge_envs.backends.worlds import Worlds
 from gauge_envs.runs.rollout import record
 from gauge_envs.scene import BodyHinge, Box, Hinge, JointDynamics, Pose, Scene
 from gauge_envs.scene.driver_path import motor_commands

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from gauge_envs.backends.base import Worlds, separate_worlds
 from gauge_envs.backends.device import DeviceWorlds, HostArrays
+from gauge_envs.backends.worlds import Worlds, separate_worlds
 from mutations.mutant import fault
 
 

@@ -6,14 +6,15 @@ from functools import cache
 from types import MappingProxyType
 from typing import Any
 
-from gauge_envs.backends.base import JOINT_FEATURES, Feature, Simulation
 from gauge_envs.backends.drake.settings import settings_for
+from gauge_envs.backends.features import JOINT_FEATURES, Feature
 from gauge_envs.backends.shared.bundled import (
     BundledBackend,
     declined_compounds,
     first_of,
 )
 from gauge_envs.backends.shared.joints import with_rotors
+from gauge_envs.backends.world import Simulation
 from gauge_envs.scene import Scene
 
 __all__ = ["BackendDrake"]

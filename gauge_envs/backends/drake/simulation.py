@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from pydrake.multibody.math import SpatialForce
 from pydrake.multibody.plant import ExternallyAppliedSpatialForce
 
-from gauge_envs.backends.base import Simulation
 from gauge_envs.backends.drake.model import build_model
 from gauge_envs.backends.drake.settings import SettingsDrake
 from gauge_envs.backends.shared.rigid import (
@@ -19,6 +18,7 @@ from gauge_envs.backends.shared.rigid import (
     hinges_by_body,
     placed_states,
 )
+from gauge_envs.backends.world import Simulation
 from gauge_envs.scene import Motion, Pose, Scene
 from gauge_envs.scene.meshes import body_mass_properties
 

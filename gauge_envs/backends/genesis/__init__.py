@@ -7,12 +7,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
-from gauge_envs.backends.base import Feature, Simulation, Worlds
+from gauge_envs.backends.features import Feature
 from gauge_envs.backends.genesis.fabrics import pbd_constants
 from gauge_envs.backends.genesis.presets import settings_for, unsupported_features
 from gauge_envs.backends.genesis.settings import SettingsGenesis
 from gauge_envs.backends.shared.bundled import BundledBackend, check_settings
 from gauge_envs.backends.shared.joints import with_rotors
+from gauge_envs.backends.world import Simulation
+from gauge_envs.backends.worlds import Worlds
 from gauge_envs.scene import Scene
 
 __all__ = ["BackendGenesis"]

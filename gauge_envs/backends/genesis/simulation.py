@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.backends.base import Simulation, Worlds
 from gauge_envs.backends.genesis.document import reach_m
 from gauge_envs.backends.genesis.engine import engine
 from gauge_envs.backends.genesis.model import (
@@ -28,6 +27,8 @@ from gauge_envs.backends.shared.rigid import (
     placed_states,
 )
 from gauge_envs.backends.shared.states import Snapshot, StateOrigin
+from gauge_envs.backends.world import Simulation
+from gauge_envs.backends.worlds import Worlds
 from gauge_envs.errors import BackendError
 from gauge_envs.scene import Motion, Pose, Scene
 from gauge_envs.scene.motors import Servo

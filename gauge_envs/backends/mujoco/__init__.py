@@ -6,7 +6,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from gauge_envs.backends.base import Feature, ModelFile
+from gauge_envs.backends.base import ModelFile
+from gauge_envs.backends.features import Feature
 from gauge_envs.backends.mujoco.deformables import unsupported_features
 from gauge_envs.backends.mujoco.fabrics import flex_constants
 from gauge_envs.backends.mujoco.model import build_model

@@ -11,7 +11,6 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.backends.base import Simulation
 from gauge_envs.backends.mujoco.cloth import (
     AirOnCloth,
     ClothPartMuJoCo,
@@ -25,6 +24,7 @@ from gauge_envs.backends.mujoco.model import START_KEY, rotated_back
 from gauge_envs.backends.mujoco.soft import Grip, SoftPartMuJoCo
 from gauge_envs.backends.shared.rigid import hinges_by_body
 from gauge_envs.backends.shared.states import Snapshot, StateOrigin
+from gauge_envs.backends.world import Simulation
 from gauge_envs.scene import Hinge, Motion, Pose, Scene
 
 BAD_STATES = {

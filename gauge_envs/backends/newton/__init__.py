@@ -10,7 +10,7 @@ from functools import cache
 from types import MappingProxyType
 from typing import Any
 
-from gauge_envs.backends.base import Feature, Simulation, Worlds
+from gauge_envs.backends.features import Feature
 from gauge_envs.backends.newton.contacts import unsupported_surface_contacts
 from gauge_envs.backends.newton.fabrics import vbd_constants
 from gauge_envs.backends.newton.settings import (
@@ -29,6 +29,8 @@ from gauge_envs.backends.shared.attachments import (
 from gauge_envs.backends.shared.bundled import BundledBackend, check_settings
 from gauge_envs.backends.shared.joints import with_rotors
 from gauge_envs.backends.shared.soft_rows import soft_row_problems
+from gauge_envs.backends.world import Simulation
+from gauge_envs.backends.worlds import Worlds
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import Cloth, ContactMode, Hinge, Rod, Rope, Scene, Tether
 

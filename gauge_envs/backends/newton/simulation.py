@@ -10,7 +10,6 @@ import newton
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.backends.base import Simulation, Worlds
 from gauge_envs.backends.device import DeviceWorlds
 from gauge_envs.backends.newton.model import WorldLayout, build_model
 from gauge_envs.backends.newton.rigid import StepperMuJoCo
@@ -18,6 +17,8 @@ from gauge_envs.backends.newton.settings import SettingsNewton
 from gauge_envs.backends.newton.stepper import HostState, Stepper
 from gauge_envs.backends.shared.rigid import PlacedWorld, placed_states
 from gauge_envs.backends.shared.states import Snapshot, StateOrigin
+from gauge_envs.backends.world import Simulation
+from gauge_envs.backends.worlds import Worlds
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import Motion, Pose, Scene
 

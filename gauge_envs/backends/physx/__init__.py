@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from gauge_envs.backends.base import JOINT_FEATURES, Feature, Simulation
+from gauge_envs.backends.features import JOINT_FEATURES, Feature
 from gauge_envs.backends.physx.contacts import unsupported_contacts
 from gauge_envs.backends.physx.settings import settings_for
 from gauge_envs.backends.shared.bundled import BundledBackend, declined_hinges, first_of
 from gauge_envs.backends.shared.joints import with_rotors
 from gauge_envs.backends.shared.states import ReplayedSimulation
+from gauge_envs.backends.world import Simulation
 from gauge_envs.scene import Compound, ConvexUnion, Ellipsoid, Hinge, Motion, Scene
 
 __all__ = ["BackendPhysX"]

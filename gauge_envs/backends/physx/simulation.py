@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.backends.base import Simulation
 from gauge_envs.backends.physx.model import Model, build_model, physx_pose
 from gauge_envs.backends.physx.settings import SettingsPhysX
 from gauge_envs.backends.shared.joints import drive_of, padded, turned_joints
@@ -17,6 +16,7 @@ from gauge_envs.backends.shared.rigid import (
     hinges_by_body,
     placed_states,
 )
+from gauge_envs.backends.world import Simulation
 from gauge_envs.errors import BackendError
 from gauge_envs.scene import Pose, Scene
 from gauge_envs.scene.geometry import pose_distance

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from types import MappingProxyType
 from typing import Any
 
-from gauge_envs.backends.base import Feature, Simulation
+from gauge_envs.backends.features import Feature
 from gauge_envs.backends.pybullet.contacts import surfaces, turning_shares
 from gauge_envs.backends.pybullet.settings import settings_for
 from gauge_envs.backends.shared.attachments import (
@@ -18,6 +18,7 @@ from gauge_envs.backends.shared.attachments import (
 )
 from gauge_envs.backends.shared.bundled import BundledBackend, declined_compounds
 from gauge_envs.backends.shared.states import ReplayedSimulation
+from gauge_envs.backends.world import Simulation
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import (
     Cloth,

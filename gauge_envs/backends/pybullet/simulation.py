@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.backends.base import Simulation
 from gauge_envs.backends.pybullet.model import WorldPyBullet
 from gauge_envs.backends.pybullet.settings import SettingsPyBullet
 from gauge_envs.backends.pybullet.world import PLANE_REACH_M, Handle, pybullet
@@ -18,6 +17,7 @@ from gauge_envs.backends.shared.rigid import (
     body_state,
     placed_states,
 )
+from gauge_envs.backends.world import Simulation
 from gauge_envs.scene import Motion, Plane, Pose, Scene
 
 Rows = list[list[float]]

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
-from gauge_envs.backends.base import JOINT_FEATURES, Feature, Simulation, Worlds
+from gauge_envs.backends.features import JOINT_FEATURES, Feature
 from gauge_envs.backends.rapier.contacts import (
     LARGEST_CONTACT_COUNT,
     colliding_contacts,
@@ -17,6 +17,8 @@ from gauge_envs.backends.shared.bundled import (
     first_of,
 )
 from gauge_envs.backends.shared.joints import linked_hinges, with_rotors
+from gauge_envs.backends.world import Simulation
+from gauge_envs.backends.worlds import Worlds
 from gauge_envs.scene import Cloth, Hinge, Rod, Rope, Scene
 
 __all__ = ["BackendRapier"]

@@ -8,7 +8,6 @@ import rapier3d as rapier
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.backends.base import Simulation, Worlds
 from gauge_envs.backends.rapier.contacts import (
     LARGEST_CONTACT_COUNT,
     colliding_contacts,
@@ -25,6 +24,8 @@ from gauge_envs.backends.rapier.settings import SettingsRapier
 from gauge_envs.backends.shared.joints import drive_of, padded, turned_joints
 from gauge_envs.backends.shared.rigid import DrivenMotion, PlacedWorld, placed_states
 from gauge_envs.backends.shared.states import Snapshot, StateOrigin
+from gauge_envs.backends.world import Simulation
+from gauge_envs.backends.worlds import Worlds
 from gauge_envs.scene import BodyHinge, ConvexUnion, Pose, Scene
 from gauge_envs.scene.hinged import other_end
 

@@ -6,7 +6,8 @@ from contextlib import contextmanager
 from importlib.metadata import version
 from typing import Any, ClassVar
 
-from gauge_envs.backends.base import Backend, Support
+from gauge_envs.backends.base import Backend
+from gauge_envs.backends.features import Support
 from gauge_envs.backends.settings import SteppedSettings
 from gauge_envs.errors import MissingExtraError, UnsupportedSceneError
 from gauge_envs.registry import is_installed

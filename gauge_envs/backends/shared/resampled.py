@@ -10,13 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.backends.base import (
-    Backend,
-    Simulation,
-    Worlds,
-    separate_worlds,
-    worlds_of,
-)
+from gauge_envs.backends.base import Backend, worlds_of
+from gauge_envs.backends.world import Simulation
+from gauge_envs.backends.worlds import Worlds, separate_worlds
 from gauge_envs.scene import Pose, Scene
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.timing import DRIVE_INTERVAL_S

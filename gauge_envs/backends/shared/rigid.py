@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.backends.base import World
+from gauge_envs.backends.world import World
 from gauge_envs.scene import BodyHinge, Hinge, Motion, Pose, RigidBody, Scene, Tether
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.hinged import parent_hinges

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.backends.base import Simulation
+from gauge_envs.backends.world import Simulation
 from gauge_envs.errors import BackendError
 from gauge_envs.scene import JointDynamics, Pose, Scene
 

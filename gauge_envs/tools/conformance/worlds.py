@@ -15,8 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.backends.base import Backend, Worlds, scene_support
+from gauge_envs.backends.base import Backend, scene_support
 from gauge_envs.backends.shared.resampled import worlds_in_intervals
+from gauge_envs.backends.worlds import Worlds
 from gauge_envs.envs.device import dynamic_states
 from gauge_envs.errors import BackendError, MissingExtraError
 from gauge_envs.runs.rollout import DeclinedError

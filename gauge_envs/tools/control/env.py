@@ -14,7 +14,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from gauge_envs.backends.base import World
+from gauge_envs.backends.world import World
 from gauge_envs.envs.arguments import (
     SEEDS,
     Scatter,

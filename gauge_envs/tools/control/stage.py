@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gauge_envs.backends.base import World
+from gauge_envs.backends.world import World
 from gauge_envs.scene import Box, Contact, Motion, Pose, RigidBody, Scene
 from gauge_envs.scene.drivers import Driver, DriverMotion
 from gauge_envs.scene.geometry import FloatArray, Vector, vector

@@ -12,12 +12,13 @@ import numpy as np
 from gymnasium.envs.registration import load_env_creator
 from numpy.typing import NDArray
 
-from gauge_envs.backends.base import Simulation, Worlds, separate_worlds
 from gauge_envs.backends.registry import backend_for
 from gauge_envs.backends.shared.resampled import (
     in_intervals,
     worlds_in_intervals,
 )
+from gauge_envs.backends.world import Simulation
+from gauge_envs.backends.worlds import Worlds, separate_worlds
 from gauge_envs.envs.arguments import Scatter, check_episode_steps
 from gauge_envs.envs.base import WorldsEnvironment, world_constants
 from gauge_envs.envs.lockstep import check_length

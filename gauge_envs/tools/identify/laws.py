@@ -5,7 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from gauge_envs.backends.base import Backend, Feature
+from gauge_envs.backends.base import Backend
+from gauge_envs.backends.features import Feature
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.identify.identified import Law

@@ -13,7 +13,7 @@ from typing import Any
 
 import mujoco
 
-from gauge_envs.backends.base import Feature, Support
+from gauge_envs.backends.features import Feature, Support
 from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.backends.mujoco.model import build_model
 from gauge_envs.backends.mujoco.settings import settings_for

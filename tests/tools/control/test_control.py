@@ -19,8 +19,8 @@ from scipy.integrate import solve_ivp
 
 from gauge_envs import load_experiment, variants
 from gauge_envs.backends import backend
-from gauge_envs.backends.base import World
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
+from gauge_envs.backends.world import World
 from gauge_envs.errors import BackendError, GaugeError, ParameterError
 from gauge_envs.files import data_folder
 from gauge_envs.references.sensitivities import input_uncertainties
