@@ -153,6 +153,18 @@ FAULTS = dict(
             ),
         ),
         fault(
+            "cloth-itself",
+            "contact of cloth with itself left out",
+            "cloth-touches-itself",
+            "pass through each other",
+            scene=lambda scene: replace(
+                scene,
+                contacts=tuple(
+                    one for one in scene.contacts if one.first != one.second
+                ),
+            ),
+        ),
+        fault(
             "cloth-height",
             "cloth 3 mm too high",
             "cloth-start",

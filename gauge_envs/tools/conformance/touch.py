@@ -38,6 +38,7 @@ from gauge_envs.tools.bench.parts import (
 )
 from gauge_envs.tools.conformance.cloth import node_shares
 from gauge_envs.tools.conformance.lab import (
+    FRAME,
     LIGHT_FABRIC,
     Lab,
     clamped,
@@ -433,3 +434,49 @@ def _cloth_carry_slip(rollout: Rollout) -> Measurement:
     measured = acceleration_m_per_s2(rollout.times_s[part], mean) / G
     hint = f"the cloth is carried as if its friction were {measured:.3g} instead of {CARRY_FRICTION:g}"
     return Measurement(measured=measured, expected=CARRY_FRICTION, hint=hint)
+
+
+# --- cloth that touches itself ---------------------------------------------------------------------------------------
+
+HALF_M, FOLD_S, FOLDED_S = 0.15, 0.6, 1.0
+EDGE_M = (-0.135, 0.01)
+"""Where the rod lays the strip's end: along the strip from the fold, and over the held half [m]."""
+
+SUPPLE_FABRIC = replace(fabric(0.2, 110.0, 1e-6), thickness_m=3e-3)
+"""Fabric that sags by 22 mm between the fold and the rod, where nothing is under it."""
+
+
+def _folded() -> Scene:
+    """Return a strip with one half held level; a rod that turns by 180 degrees takes the other end over it."""
+    strip = Pose(position_m=(0.0, 0.0, LEVEL_M))
+    cloth = sheet(SUPPLE_FABRIC, strip, (2.0 * HALF_M, 0.05))
+    middle = (0.5 * (HALF_M + EDGE_M[0]), 0.0, LEVEL_M + 0.5 * EDGE_M[1])
+    turn = ramp(-math.pi, start_s=0.0, duration_s=FOLD_S, ramp_s=0.2)
+    half = Region(axis="x", side="low", depth_m=HALF_M)
+    end = Region(axis="x", side="high")
+    return Scene(
+        bodies=(FRAME, driven_box("rod", (HALF_M, 0.0, LEVEL_M), (0.01, 0.06, 0.01))),
+        deformables=(cloth,),
+        attachments=(
+            Attachment(deformable="cloth", region=half, to=FRAME.name),
+            Attachment(deformable="cloth", region=end, to="rod"),
+        ),
+        contacts=(contact("cloth", "cloth", friction=0.1),),
+        drivers=(driver("rod", "rotate", (0.0, 1.0, 0.0), turn, point_m=middle),),
+        duration_s=FOLDED_S,
+    )
+
+
+@rollout_of(
+    "a strip of cloth of 0.3 m by 0.05 m, of which one half is held level; a driven rod lays the end of the other half "
+    "over it, with slack",
+    _folded(),
+).check("cloth-touches-itself")
+def _cloth_touches_itself(rollout: Rollout) -> Measurement:
+    nodes = rollout.nodes_m["cloth"]
+    late = rollout.between(FOLDED_S - 0.2, math.inf)
+    # The held half is level, so that the height over it needs no pairs of nodes.
+    free = nodes[late][:, nodes[0, :, 0] > PLACE_TOLERANCE_M].mean(axis=0)
+    over = free[free[:, 0] < -PLACE_TOLERANCE_M, 2] - LEVEL_M
+    lowest_m = float(over.min(initial=math.inf))
+    return Measurement(measured=1e3 * (lowest_m - SUPPLE_FABRIC.thickness_m))
