@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.errors import BackendError
-from gauge_envs.scene import Pose
+from gauge_envs.scene import Pose, Scene
 
 
 class World(ABC):
@@ -145,6 +145,18 @@ class Simulation(World):
     @abstractmethod
     def reset(self, seed: int) -> None:
         """Return to the scene's start at time 0. The same seed gives the same trajectory."""
+
+    def start_at(self, scene: Scene) -> bool:
+        """Make the start of another scene the one that `reset` returns to, if every bit is then that of a new build.
+
+        Args:
+            scene: The scene.
+
+        Returns:
+            Whether it is; otherwise the caller closes this simulation and builds the scene. An engine may always
+            return False.
+        """
+        return False
 
     @abstractmethod
     def advance(self, seconds: float) -> None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from gauge_envs.backends.device import DeviceWorlds
 from gauge_envs.backends.world import Simulation, World
 from gauge_envs.errors import BackendError
-from gauge_envs.scene import Pose
+from gauge_envs.scene import Pose, Scene
 
 
 class Worlds(ABC):
@@ -46,6 +46,13 @@ class Worlds(ABC):
                 f"{type(self).__name__} returns to the start only all worlds at once: call reset"
             )
         world.reset(0)
+
+    def start_at(self, scenes: Sequence[Scene]) -> bool:
+        """Make the starts of other scenes those of the worlds, or return False; see `Simulation.start_at`."""
+        return all(
+            isinstance(world, Simulation) and world.start_at(scene)
+            for world, scene in zip(self.worlds, scenes, strict=True)
+        )
 
     @abstractmethod
     def advance(self, seconds: float) -> None:

@@ -399,6 +399,7 @@ def episodes_in_lockstep(
     band: Band | None,
     *,
     together: bool = True,
+    worlds: Worlds | None = None,
 ) -> EpisodesOneByOne:
     """Build worlds and their episodes. They run at once if the engine and the experiment allow it.
 
@@ -408,10 +409,14 @@ def episodes_in_lockstep(
         stated: The experiment without the changes of the worlds.
         band: Its band. Worlds with other constants, or with the start of a single-shot trial, have bands of their own.
         together: Whether the engine may build the worlds as one simulation.
+        worlds: Worlds at the starts of the experiments, which are built otherwise.
     """
-    engine = backend_for(arguments.backend, stated.model_file)
-    scenes = [one.scene for one in experiments]
-    worlds = worlds_in_intervals(engine, scenes, arguments.settings, together=together)
+    if worlds is None:
+        engine = backend_for(arguments.backend, stated.model_file)
+        scenes = [one.scene for one in experiments]
+        worlds = worlds_in_intervals(
+            engine, scenes, arguments.settings, together=together
+        )
     episodes = [
         Episode(
             one,

@@ -136,13 +136,18 @@ class SimulationEnvironment(EngineEnvironment, gymnasium.Env[ObsType, ActType]):
     """Attributes that `_build` makes and that do not pickle."""
 
     def _build(self, experiment: Experiment) -> None:
-        """Build the simulation.
+        """Build the simulation, unless there is one that takes the start.
 
         Args:
             experiment: The experiment with the start that applies now.
         """
         self._built = experiment
         scene = experiment.scene
+        if "simulation" in vars(self):
+            if self.simulation.start_at(scene):
+                self._pictures.free()
+                return
+            self._free()
         built = self._engine.build(scene, self._settings)
         self.simulation: Simulation = in_intervals(built, scene)
 

@@ -125,7 +125,7 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
             backend=self.arguments.backend,
             settings=self.arguments.settings,
         )
-        self.band = self.arguments.band(experiment)
+        self.band = self._stated_band = self.arguments.band(experiment)
         self._starts = Starts(experiment, jitter)
         self.seed_used: int | None = None
         self.jitter: Jitter | TrialStart | None = None
@@ -162,8 +162,9 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
                 trial scatter; a `Jitter` states other standard deviations, and False takes the argument `jitter` back.
                 `{"trial": 3}` starts from the positions and velocities of imported trial 3, see
                 `gauge_envs.envs.trial_start.trial_scene`, or replays a bundled one with its own driven path, which then
-                scores it. The scene is built anew, which takes as long as making the environment. An experiment with
-                single-shot trials starts from one of them without an option too: from trial `seed` modulo their number.
+                scores it. An engine that cannot place the start in what it has built builds the scene anew. An
+                experiment with single-shot trials starts from one of them without an option too: from trial `seed`
+                modulo their number.
 
         Raises:
             EpisodeError: The environment is closed.
@@ -179,10 +180,9 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
             experiment = jittered_experiment(
                 self.experiment, jitter, seed=self.seed_used, backend=self.backend_name
             )
-            self._free()
-            self.band = self.arguments.band(
-                self.experiment if experiment.trial is None else experiment
-            )
+            self.band = self._stated_band
+            if experiment.trial is not None:
+                self.band = self.arguments.band(experiment)
             self._build(experiment)
         self.jitter = jitter
         self.simulation.reset(self.seed_used)

@@ -6,6 +6,7 @@ share a simulation advance together where it yields, six times a frame. `envs.st
 
 from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, cast
 
 import numpy as np
@@ -99,7 +100,6 @@ class Episode:
         frame: Number of the current frame; None before `begin`.
         fault: Why the simulation counts as diverged, or None.
         action_space: Action space of the environment.
-        observation_space: Observation space of the environment.
         rest_nodes_m: Nodes of each deformable body at the start [m], each of shape [node_count, 3].
         deformable_bounds: Bounds of each deformable body.
         observer: Observer of g(t).
@@ -175,7 +175,11 @@ class Episode:
         self.holders = scene.holders if reference_loads(experiment, band) else ()
         self._wrenches = np.full((frame_count, len(self.holders), 6), np.nan)
         self.action_space = action_space_of(experiment)
-        self.observation_space = observation_space_of(experiment)
+
+    @cached_property
+    def observation_space(self) -> spaces.Space[Observation]:
+        """Observation space of the environment."""
+        return observation_space_of(self.experiment)
 
     # --- rollout ---
 

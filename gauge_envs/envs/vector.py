@@ -168,8 +168,15 @@ class GaugeVectorEnv(WorldsEnvironment[Observation]):
         self._set_spaces(num_envs, self.episodes[0])
 
     def _build(self, experiments: Sequence[Experiment]) -> None:
+        kept: Worlds | None = None
+        if "_lockstep" in vars(self):
+            if self.worlds.start_at([one.scene for one in experiments]):
+                kept = self.worlds
+                self._pictures.free()
+            else:
+                self._free()
         self._lockstep = episodes_in_lockstep(
-            self.arguments, experiments, self.experiment, self.band
+            self.arguments, experiments, self.experiment, self.band, worlds=kept
         )
         self._is_reset = False
 
@@ -218,7 +225,6 @@ class GaugeVectorEnv(WorldsEnvironment[Observation]):
                 jittered_experiment(stated, start, seed=one, backend=self.backend_name)
                 for stated, start, one in zip(self._stated, starts, seeds, strict=True)
             ]
-            self._free()
             self._build(experiments)
         self.jitter = starts[0]
         self._is_reset = True

@@ -1,5 +1,7 @@
 """Starts scatter as asked at `make` or `reset`, by the seeds of Gymnasium, and in the same way after an autoreset."""
 
+import copy
+
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -7,7 +9,7 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import SyncVectorEnv
 from places import one_of_a_kind
 
-from gauge_envs import Jitter, load_experiment
+from gauge_envs import GaugeEnv, Jitter, load_experiment
 from gauge_envs.errors import ParameterError
 from gauge_envs.references.single_shot import single_shots
 from gauge_envs.scene.jitter import jittered, scattered
@@ -83,6 +85,40 @@ def test_worlds_start_as_single_environments_do():
         starts_of_episodes(envs, 3, {"seed": 1}, observable) for envs in (sync, worlds)
     )
     assert np.array_equal(first, second)
+
+
+@pytest.mark.parametrize(
+    ("name", "is_kept"),
+    [
+        ("SlopeSlider-2-wood", True),
+        ("NonsmoothContact-1-wood", True),
+        ("BouncingBall-rubber", True),
+        ("Turntable-1-wood", True),
+        pytest.param("WallBreaking-wood", True, marks=pytest.mark.slow),
+        ("Pendulum-metal", False),
+    ],
+)
+@pytest.mark.parametrize("speed", [0.0, 0.01], ids=["still", "pushed"])
+def test_a_world_that_starts_elsewhere_has_the_bits_of_a_new_one(name, is_kept, speed):
+    scatter = Jitter(velocity_m_per_s=speed, angular_velocity_rad_per_s=speed)
+    env = GaugeEnv(name, jitter=scatter)
+    # Of a scene at rest the first push is built anew.
+    env.reset(seed=5)
+    first = env.simulation
+    anew = GaugeEnv(name, jitter=scatter)
+    for one in (env, anew):
+        one.reset(seed=6)
+        action = np.full(one.action_space.shape, 0.3, one.action_space.dtype)
+        for _ in range(4):
+            one.step(action)
+    assert (env.simulation is first) == is_kept
+    assert env.trajectory().samples.tobytes() == anew.trajectory().samples.tobytes()
+    assert np.array_equal(env.trajectory().bodies, anew.trajectory().bodies)
+    # A copy is built at the start that holds now.
+    other = copy.deepcopy(env)
+    for one in (env, other):
+        one.step(action)
+    assert env.trajectory().samples.tobytes() == other.trajectory().samples.tobytes()
 
 
 def test_starts_stay_without_scatter():

@@ -83,7 +83,9 @@ class BackendMuJoCo(BundledBackend):
                 "change them in the file"
             )
         simulation = SimulationMuJoCo(
-            scene, *model_files(self.name).load_model(path, scene)
+            scene,
+            *model_files(self.name).load_model(path, scene),
+            fixes_start=True,
         )
         # The sparse models of this package agree with dense ones: `robot-solver` ran on all of them.
         if advice := sparse_advice(simulation.model):

@@ -1,6 +1,6 @@
 """Constants of contacts: a recipe for each contact mode, and the user's settings that override it."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import mujoco
@@ -36,12 +36,12 @@ class ContactConstants:
 
     def put_on_pair(self, pair: mujoco.MjsPair) -> None:
         """Write all constants to an explicit pair."""
-        for key, value in asdict(self).items():
+        for key, value in vars(self).items():
             setattr(pair, key, value)
 
     def put_on_geom(self, geom: mujoco.MjsGeom) -> None:
         """Write all constants but `solreffriction`, which geoms lack, to one geom of a pair with equal constants."""
-        values = asdict(self)
+        values = dict(vars(self))
         del values["solreffriction"]
         _, sliding, torsional, rolling, _ = self.friction
         # MuJoCo adds the margins and the gaps of the two geoms, so each geom gets half.

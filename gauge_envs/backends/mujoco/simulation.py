@@ -20,9 +20,13 @@ from gauge_envs.backends.mujoco.cloth import (
 from gauge_envs.backends.mujoco.flex import FlexPart, free_joint_views
 from gauge_envs.backends.mujoco.grips import GripReader
 from gauge_envs.backends.mujoco.line import LinePartMuJoCo
-from gauge_envs.backends.mujoco.model import START_KEY, rotated_back
+from gauge_envs.backends.mujoco.model import (
+    START_KEY,
+    rotated_back,
+    start_velocities,
+)
 from gauge_envs.backends.mujoco.soft import Grip, SoftPartMuJoCo
-from gauge_envs.backends.shared.rigid import hinges_by_body
+from gauge_envs.backends.shared.rigid import bodies_elsewhere, hinges_by_body
 from gauge_envs.backends.shared.states import Snapshot, StateOrigin
 from gauge_envs.backends.world import Simulation
 from gauge_envs.scene import Hinge, Motion, Pose, Scene
@@ -50,6 +54,7 @@ class SimulationMuJoCo(Simulation):
         spec: The editable model, for export and inspection.
         model: The compiled model.
         parts: Parts of its deformable bodies, by name.
+        fixes_start: Whether the model is a file's, which states the start.
 
     Attributes:
         data: MuJoCo's state of the model.
@@ -65,8 +70,11 @@ class SimulationMuJoCo(Simulation):
         spec: mujoco.MjSpec,
         model: mujoco.MjModel,
         parts: Mapping[str, FlexPart],
+        *,
+        fixes_start: bool = False,
     ) -> None:
         self.settings = settings
+        self._fixes_start = fixes_start
         self.spec = spec
         self.model = model
         self._parts = parts
@@ -109,7 +117,7 @@ class SimulationMuJoCo(Simulation):
             if hinge.motor
         }
         self._motors = [actuators[id(hinge)] for hinge, _ in scene.motors]
-        self._origin = StateOrigin(f"mujoco {mujoco.__version__}", settings, scene)
+        self._origin = _origin(settings, scene)
         key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, START_KEY)
         self._start_velocities = model.key_qvel[key] if key >= 0 else np.zeros(model.nv)
         self.data.qvel[:] = self._start_velocities
@@ -119,6 +127,37 @@ class SimulationMuJoCo(Simulation):
         """Return to the scene's start. MuJoCo draws no random numbers, so the seed has no effect."""
         mujoco.mj_resetData(self.model, self.data)
         self.data.qvel[:] = self._start_velocities
+
+    def start_at(self, scene: Scene) -> bool:
+        """Place free bodies elsewhere in the compiled model; see `Simulation.start_at`.
+
+        Scenes with hinges or deformable bodies are built anew: MuJoCo's compiler rounds the axes of hinges differently.
+        The editable model, and the centre and extent of MuJoCo's own pictures, stay those of the first start.
+        """
+        model = self.model
+        is_scaled = self.settings.get("inverse_weight_scale", 1.0) != 1.0
+        if self._fixes_start or is_scaled or scene.hinges or scene.deformables:
+            return False
+        moved = bodies_elsewhere(self._scene, scene)
+        velocities = start_velocities(scene, model)
+        if moved is None or velocities.any() != bool(model.nkey):
+            return False
+        for body in moved:
+            joint = model.joint(body.name)
+            quaternion = np.array(body.pose.quaternion)
+            mujoco.mju_normalize4(quaternion)
+            start = np.concatenate([body.pose.position_m, quaternion])
+            joint.qpos0[:] = joint.qpos_spring[:] = start
+            index = int(joint.bodyid[0])
+            model.body_pos[index], model.body_quat[index] = start[:3], start[3:]
+        # What follows from the start, such as inverse weights.
+        mujoco.mj_setConst(model, self.data)
+        model.key_qpos[:] = model.qpos0
+        self._start_velocities[:] = velocities
+        self._scene = scene
+        self._origin = _origin(self.settings, scene)
+        self.reset(0)
+        return True
 
     def drive(
         self,
@@ -270,6 +309,10 @@ class SimulationMuJoCo(Simulation):
 
     def close(self) -> None:
         """Do nothing, since the simulation only holds memory."""
+
+
+def _origin(settings: Mapping[str, Any], scene: Scene) -> StateOrigin:
+    return StateOrigin(f"mujoco {mujoco.__version__}", settings, scene)
 
 
 class _StateReader(Protocol):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
@@ -59,6 +59,29 @@ class PlacedWorld(World):
         if moving:
             states[moving] = self.moving_states([names[row] for row in moving])
         return states
+
+
+def bodies_elsewhere(built: Scene, scene: Scene) -> list[RigidBody] | None:
+    """Return the dynamic bodies of a scene that start otherwise than in the one that was built.
+
+    None if anything else may differ: other parts are the same objects, as `dataclasses.replace` keeps them.
+    """
+    names = {one.name for one in fields(Scene) if one.init} - {"bodies"}
+    if any(getattr(scene, name) is not getattr(built, name) for name in names):
+        return None
+    moved = []
+    for old, new in zip(built.bodies, scene.bodies, strict=True):
+        started = replace(
+            old,
+            pose=new.pose,
+            linear_velocity_m_per_s=new.linear_velocity_m_per_s,
+            angular_velocity_rad_per_s=new.angular_velocity_rad_per_s,
+        )
+        if started != new or (started != old and new.motion is not Motion.DYNAMIC):
+            return None
+        if started != old:
+            moved.append(new)
+    return moved
 
 
 def centre_velocity(body: RigidBody, centre_m: ArrayLike) -> NDArray[np.float64]:

@@ -281,7 +281,6 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
         self._check_open("reset")
         moved = self.place(seed, options)
         if moved is not None:
-            self._free()
             self._build(moved)
         self.simulation.reset(0 if seed is None else seed)
         started = self.begin()

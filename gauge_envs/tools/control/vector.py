@@ -272,10 +272,11 @@ class ControlWorlds:
             self._stepper.worlds.close()
         for number, env in enumerate(self.envs):
             if number in moved or number not in worlds:
+                scene = moved.get(number, env.experiment).scene
                 if number in worlds:
+                    if worlds[number].start_at(scene):
+                        continue
                     worlds[number].close()
-                experiment = moved.get(number, env.experiment)
-                scene = experiment.scene
                 built = self._engine.build(scene, self._settings)
                 worlds[number] = in_intervals(built, scene)
         self._use(separate_worlds([worlds[number] for number in range(len(self.envs))]))
