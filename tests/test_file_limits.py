@@ -21,6 +21,7 @@ from gauge_envs import files, load_experiment
 from gauge_envs.errors import (
     AssetError,
     GaugeError,
+    ParameterError,
     ReferenceFileError,
     TrajectoryFileError,
     VideoError,
@@ -45,6 +46,7 @@ from gauge_envs.tools.sanity.stacks import configuration
 from gauge_envs.tools.usd import source
 from gauge_envs.tools.usd.experiment_file import load_experiment_file
 from gauge_envs.tools.usd.reader import from_usd
+from gauge_envs.tools.versions.subject import read_states
 from gauge_envs.tools.video.frames import read_picture
 
 NAME = "SlopeSlider-2-wood"
@@ -320,6 +322,20 @@ def test_a_model_that_takes_all_memory_is_refused(body, reason, tmp_path, monkey
         load_experiment_from_asset(NAME, file)
 
 
+def test_a_file_of_states_that_never_ends_is_refused(tmp_path, monkeypatch):
+    """HDF5 goes through the texts of a file in steps of the size that each states, here 0."""
+    h5py = pytest.importorskip("h5py")
+    file = tmp_path / "demo.hdf5"
+    with h5py.File(file, "w") as demonstrations:
+        demonstrations["data/demo_0/states"] = np.zeros((2, 14))
+        demonstrations["data/demo_0"].attrs["model_file"] = "<mujoco/>"
+    head, mark, texts = file.read_bytes().partition(b"GCOL")
+    file.write_bytes(head + mark + texts[:12] + bytes(len(texts) - 12))
+    monkeypatch.setitem(files.child_refusal.__kwdefaults__, "cpu_s", 1)
+    with pytest.raises(ParameterError, match="more than 1 s of processor time"):
+        read_states(file, tmp_path)
+
+
 @pytest.mark.parametrize("step", ["nan", "0", "-1", "1e-320"])
 def test_a_time_step_that_is_no_step_is_refused(step, tmp_path):
     file = tmp_path / "step.xml"
@@ -331,6 +347,7 @@ def test_a_time_step_that_is_no_step_is_refused(step, tmp_path):
 OPENING = {
     "open", "read_text", "read_bytes", "fromfile", "genfromtxt", "loadtxt", "imread", "VideoCapture", "connect",
     "np.load", "json.load", "pickle.load", "pickle.loads", "zipfile.ZipFile", "tarfile.open", "lzma.open", "gzip.open",
+    "h5py.File", "parquet.ParquetFile", "parquet.read_table", "AnyReader",
 }  # fmt: skip
 """Calls that read a file, by the name of the method, or with the name of the module."""
 
@@ -352,7 +369,9 @@ WITHOUT_LIMITS = {
     "tools/conformance/run.py": "a task of this process in memory",
     "tools/conformance/model.py": "a file of the package",
     "tools/identify/logs.py": "text in memory",
+    "tools/identify/parquet_child.py": "a table in memory, which a child with limits reads first",
     "tools/identify/snippets.py": "a file of the package",
+    "tools/identify/stack_logs.py": "bags of ROS 2, which have no limit of memory, as the page of security says",
     "tools/leaderboard/archive.py": "an archive in memory, read within limits before",
     "tools/sanity/command.py": "a file of the package",
     "tools/sanity/gauge_probe.py": "runs in the environment that it reads, without this package",
@@ -365,6 +384,7 @@ WITHOUT_LIMITS = {
     "tools/transfer/stack_files.py": "files of the package",
     "tools/versions/episodes_worker.py": "runs in an environment of its own, without this package",
     "tools/versions/comparison.py": "what the worker wrote",
+    "tools/versions/hdf5_child.py": "a file in memory, which a child with limits reads first",
     "tools/versions/environments.py": "records that this command wrote",
     "tools/versions/worker.py": "runs in an environment of its own, without this package",
     "tools/video/frames.py": "a limited head of the file; OpenCV by size and count of frames",

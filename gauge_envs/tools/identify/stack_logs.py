@@ -5,7 +5,7 @@ Each states commands that stay until the next one, as `logs.Log` has them.
 
 from __future__ import annotations
 
-import io
+import importlib
 import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -14,9 +14,10 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from gauge_envs.errors import AssetError, MissingExtraError
+from gauge_envs.errors import AssetError, MissingExtraError, needs_extra
 from gauge_envs.files import child_refusal, json_document, read_regular
 from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.tools.identify import parquet_child
 from gauge_envs.tools.identify.logs import (
     MOST_LOG_BYTES,
     Log,
@@ -78,10 +79,8 @@ def read_logs(
 
 def _lerobot(path: Path, unit: str | None) -> Iterator[Log]:
     """Yield the episodes of a dataset: `observation.state` is measured, `action` is commanded at the same frame."""
-    try:
-        from pyarrow import parquet
-    except ImportError as error:
-        raise MissingExtraError("datasets of LeRobot", "logs", error) from None
+    with needs_extra("datasets of LeRobot", "logs"):
+        importlib.import_module("pyarrow")
     if unit not in UNITS:
         raise AssetError(
             path,
@@ -112,7 +111,7 @@ def _lerobot(path: Path, unit: str | None) -> Iterator[Log]:
     if not files:
         raise AssetError(path, "data", "there is no file data/*/*.parquet")
     columns = ["episode_index", "timestamp", state, action]
-    tables = [_parquet_columns(parquet, one, columns) for one in files]
+    tables = [_parquet_columns(one, columns) for one in files]
     whole = {name: np.concatenate([one[name] for one in tables]) for name in columns}
     for episode in np.unique(whole["episode_index"]):
         rows = whole["episode_index"] == episode
@@ -128,18 +127,17 @@ def _lerobot(path: Path, unit: str | None) -> Iterator[Log]:
         )
 
 
-def _parquet_columns(
-    parquet: Any, file: Path, names: Sequence[str]
-) -> dict[str, FloatArray]:
-    """Return columns of numbers of a Parquet file, each of shape [row_count, ...]; `parquet` is pyarrow's reader."""
+def _parquet_columns(file: Path, names: list[str]) -> dict[str, FloatArray]:
+    """Return columns of numbers of a Parquet file, each of shape [row_count, ...]."""
     try:
         content = read_regular(file, MOST_LOG_BYTES)
-        script = Path(__file__).with_name("parquet_child.py")
-        if refusal := child_refusal(script, str(MOST_VALUES), *names, content=content):
+        script = Path(parquet_child.__file__)
+        refusal = child_refusal(script, str(MOST_VALUES), *names, content=content)
+        if refusal is not None:
             raise ValueError(refusal)
-        found = parquet.read_table(io.BytesIO(content), columns=[*names]).to_pydict()
+        found = parquet_child.columns(content, names, MOST_VALUES)
         return {name: np.asarray(found[name], np.float64) for name in names}
-    except Exception as error:  # pyarrow raises many types for a damaged file.
+    except Exception as error:  # A table may hold anything but numbers.
         raise AssetError(file, "", f"cannot be read: {error}") from None
 
 

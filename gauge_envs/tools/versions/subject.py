@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import importlib
-import io
 import sys
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,7 +18,7 @@ from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import find_variant, variants
 from gauge_envs.files import (
     MEGABYTE,
-    NUMBERS,
+    child_refusal,
     npz_arrays,
     npz_names,
     os_errors,
@@ -29,6 +27,7 @@ from gauge_envs.files import (
 from gauge_envs.scene import Scene
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.mjcf import DRIVER_COLUMNS, DRIVER_PREFIX, scene_mjcf_text
+from gauge_envs.tools.versions import hdf5_child
 
 MODEL_FILES = (".xml", ".mjcf", ".urdf")
 USD_FILES = (".usd", ".usda", ".usdc", ".usdz")
@@ -253,28 +252,11 @@ def _is_hdf5(path: Path) -> bool:
 def _demonstration(path: Path) -> tuple[np.ndarray, str]:
     """Return the states of a demonstration, shape [step_count, 1 + nq + nv], and its model; empty if it has none."""
     with needs_extra("a file of demonstrations", "logs"):
-        import h5py
+        importlib.import_module("h5py")
     name, _, chosen = str(path).partition(":")
     content = _content(Path(name))
-    try:
-        with h5py.File(io.BytesIO(content), "r") as file:
-            demonstrations: Sequence[str] = sorted(file.get("data", {}))
-            chosen = chosen or next(iter(demonstrations), "")
-            if chosen not in demonstrations or "states" not in file["data"][chosen]:
-                raise ParameterError(
-                    f"{path} has no data/{chosen or 'demo_0'}/states; its demonstrations: "
-                    f"{', '.join(demonstrations[:8]) or 'none'}"
-                )
-            group = file["data"][chosen]
-            states = group["states"]
-            if states.ndim != 2 or states.dtype.kind not in NUMBERS:
-                raise ParameterError(f"{path}: states are a table of numbers")
-            if 8 * states.size > MOST_STATE_BYTES:
-                raise ParameterError(f"{path}: it states {states.size} numbers")
-            model = group.attrs.get("model_file", "")
-            text = model.decode() if isinstance(model, bytes) else str(model)
-            return states[:].astype(np.float64), text
-    except ParameterError:
-        raise
-    except Exception as error:  # h5py raises many types for a damaged file.
-        raise ParameterError(f"{name}: it cannot be read as HDF5: {error}") from error
+    script = Path(hdf5_child.__file__)
+    refusal = child_refusal(script, chosen, str(MOST_STATE_BYTES), content=content)
+    if refusal is not None:
+        raise ParameterError(f"{path}: cannot be read as HDF5: {refusal}")
+    return hdf5_child.demonstration(content, chosen, MOST_STATE_BYTES)

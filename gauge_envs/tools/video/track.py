@@ -19,6 +19,9 @@ from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX
 MOST_TRACK_BYTES = 16 * MEGABYTE
 """Largest size of a track file."""
 
+MOST_NUMBER = 1e12
+"""Largest magnitude of a number; a clock may count seconds since 1970."""
+
 LAST_FRAME = 10**9
 """Largest number of a frame."""
 
@@ -250,8 +253,8 @@ def _number(path: Path, line: int, name: str, row: Mapping[str, str | None]) -> 
         value = float(text)
     except ValueError:
         value = math.nan
-    if not math.isfinite(value):
+    if not abs(value) <= MOST_NUMBER:
         raise VideoError(
-            f"{path}: line {line}: {name} is {text!r}; it must be a finite number or empty"
+            f"{path}: line {line}: {name} is {text!r}; it must be a finite number of at most {MOST_NUMBER:g}, or empty"
         )
     return value

@@ -23,7 +23,7 @@ SAME = "[points]\npx = {0}\nm = {0}\nsigma_px = 1\nsigma_m = 0\n"
 
 # What is written to a file, how it is read, and the place and the fault in the words of the error.
 TRACKS = [
-    ("frame,x,y\n1e300,1,2\n", "a whole number from 0 to 1000000000"),
+    ("frame,x,y\n1e11,1,2\n", "a whole number from 0 to 1000000000"),
     (f"frame,x,y\n{HUGE},1,2\n", "must be a finite number"),
     ("frame,x,y\n1,2," + "3" * 200_000, "it is no CSV: "),
     ("frame,x,y\n\x001,2,3", "it is no CSV: |finite number"),
