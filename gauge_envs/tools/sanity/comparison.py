@@ -507,11 +507,7 @@ def _parts_row(
         trained=_finite(trained.get(worst)),
         deployed=_finite(deployed.get(worst)),
         tolerance=tolerances[worst],
-        change=Change.NONE
-        if not changed
-        else Change.VISIBLE
-        if sizes[worst] <= VISIBLE_WITHIN
-        else Change.LARGE,
+        change=_change(0.0, sizes[worst], 1.0),
         parts=tuple(
             PartChange(
                 name=part,

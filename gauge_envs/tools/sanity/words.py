@@ -69,6 +69,11 @@ HALF_TEXT = 80
 MOST_NAMED = 2
 """Largest number of changes, or of rows that were not measured, that the first line names."""
 
+REALITY = Column(
+    "", "reality", lambda row: reality_text(row.reality, row.unit), is_number=True
+)
+"""Column of tables of phenomena."""
+
 LEGEND = (
     "Reality: mean of real trials and the interval of 95 % of further trials, or a law and its tolerance (gauge list "
     "phenomena, --format wide and pages name the source). Preset: this package's preset for the scene. This: the "
@@ -107,11 +112,7 @@ def sanity_document(report: Report) -> Document:
                 Paragraph(f"{verdict.value}: {VERDICT_NOTES[verdict]}", Tone.NOTE)
                 for verdict in _present(report)
             ),
-            *(
-                [Paragraph(f"advisory: {ADVISORY_NOTE}", Tone.NOTE)]
-                if any(row.advisory for row in report.rows)
-                else []
-            ),
+            *_advisory_note(report),
         ),
         rows=[whole, *rows],
         markdown=(
@@ -289,12 +290,7 @@ def _phenomenon_table(report: Report) -> Table:
             Column("phenomenon", "id"),
             Column("title", "phenomenon", wide_only=True),
             Column("reality.kind", "kind", wide_only=True),
-            Column(
-                "",
-                "reality",
-                lambda row: reality_text(row.reality, row.unit),
-                is_number=True,
-            ),
+            REALITY,
             Column(
                 "",
                 "preset",
@@ -323,6 +319,12 @@ def _phenomenon_table(report: Report) -> Table:
         ),
         rows=applicable(report),
     )
+
+
+def _advisory_note(report: Report) -> list[Part]:
+    """Return what advisory means, where a row is."""
+    note = Paragraph(f"advisory: {ADVISORY_NOTE}", Tone.NOTE)
+    return [note] if any(row.advisory for row in report.rows) else []
 
 
 def applicable(report: Report) -> tuple[PhenomenonResult, ...]:
@@ -632,11 +634,7 @@ def sanity_page(report: Report) -> str:
             element("p", _badge(verdict), f" {note}", class_="small")
             for verdict, note in VERDICT_NOTES.items()
         ),
-        *(
-            [Paragraph(f"advisory: {ADVISORY_NOTE}", Tone.NOTE)]
-            if any(row.advisory for row in report.rows)
-            else []
-        ),
+        *_advisory_note(report),
         Heading("One by one"),
         element("div", *cards, class_="cards"),
         Heading("What was read"),
@@ -677,12 +675,7 @@ def _phenomena(report: Report) -> Table:
                 "phenomenon",
                 html=lambda row: element("a", row.title, href=f"#{row.phenomenon}"),
             ),
-            Column(
-                "",
-                "reality",
-                lambda row: reality_text(row.reality, row.unit),
-                is_number=True,
-            ),
+            REALITY,
             Column("", "preset", preset, is_number=True),
             Column("configured", "this configuration", measured_text, is_number=True),
             Column("", "verdict", html=_row_badge),

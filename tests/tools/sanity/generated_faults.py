@@ -66,6 +66,27 @@ def narrow(actuator, scale):
     actuator.ctrllimited, actuator.ctrlrange = 1, [-0.1 * scale, 0.1 * scale]
 
 
+def half(spec, chance):
+    """Let the commands of a servo reach half of the range of its joint."""
+    actuator = chance.choice(list(spec.actuators))
+    unit = math.radians(1.0) if spec.compiler.degree else 1.0
+    actuator.ctrllimited = 1
+    actuator.ctrlrange = 0.5 * unit * spec.joint(actuator.target).range
+
+
+def of_speed(actuator, scale):
+    """Give a servo a speed to hold."""
+    actuator.biasprm[1], actuator.biasprm[2] = 0.0, -scale * actuator.gainprm[0]
+
+
+def swapped(spec, chance):
+    """Let two motors act on the joints of each other."""
+    for one in spec.actuators:
+        one.name = one.target
+    first, second = chance.sample(list(spec.actuators), 2)
+    first.target, second.target = second.target, first.target
+
+
 def filtered(actuator, scale):
     """Give a servo a filter of half a second."""
     actuator.dyntype = mujoco.mjtDyn.mjDYN_FILTER
@@ -250,6 +271,7 @@ CLASSES = {
     "a link in grams": fault("density", weight(1e3, 1e3)),
     "a link in tonnes": fault("density inertia", weight(1e-3, 1.0)),
     "a link of 20 times its mass": fault("density", weight(20.0, 20.0)),
+    "a link of ten times its mass": fault("density", weight(10.0, 10.0)),
     "an inertia in kg mm^2": fault("inertia", weight(1.0, 1e6)),
     "an inertia in t m^2": fault("inertia", weight(1.0, 1e-3)),
     "a centre of mass in the frame of the world": fault("inertia", link(away)),
@@ -273,6 +295,9 @@ CLASSES = {
     "no largest torques": fault("torque", unlimited),
     "a turned command": fault("command", servo(turned)),
     "a narrow command": fault("command", servo(narrow)),
+    "a command of half a range": fault("command", half),
+    "a servo of speed": fault("command", servo(of_speed)),
+    "two swapped motors": fault("command", swapped),
     "a filter": fault("delay", servo(filtered)),
     "a range of degrees as radians": fault(
         "range mirror", attribute("range", lambda old: DEGREE * old)

@@ -66,6 +66,10 @@ def names(case):
         ("hand, a servo without kv", "robot-sides"),
         ("arm, a turned command", "robot-command"),
         ("arm, a narrow command", "robot-command"),
+        ("quadruped, a command of half a range", "robot-command"),
+        ("hand, a servo of speed", "robot-command"),
+        ("biped, two swapped motors", "robot-command"),
+        ("arm, a link of ten times its mass", "robot-density"),
         ("arm, a filter", "robot-delay"),
         ("arm, a range without the pose", "robot-stops"),
         ("arm, a range of degrees as radians", "robot-range"),
@@ -100,6 +104,13 @@ def test_a_difference_of_two_sides_is_that_of_their_numbers():
         0.0, abs=1e-9
     )
     assert robot_row("robot-sides", robot_of(changed)).configured == pytest.approx(0.2)
+
+
+def test_an_oblique_axis_is_unlike_those_of_the_copies():
+    spec = mujoco.MjSpec.from_string(GOOD["hand"]())
+    spec.joint("ring_inner").axis = np.ones(3)
+    row = robot_row("robot-sides", robot_of(spec.to_xml()))
+    assert row.is_flag and row.remark.startswith("obliqueness of ring_inner and ")
 
 
 def test_no_largest_torque_is_advice_where_all_joints_state_none_and_wrong_where_one_does():

@@ -1,6 +1,6 @@
 """Judge what the target's own model states: masses, contacts of its feet, and what drives and brakes its joints."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -33,11 +33,14 @@ from gauge_envs.tools.sanity.robot.mujoco_feet import (
 from gauge_envs.tools.sanity.robot.robot import (
     JOINT_TRANSMISSIONS,
     Robot,
+    acts_on_joints,
+    couplings_of,
     enabling,
     grasp_kinds,
     joints_of_motors,
     once,
     random_poses,
+    swapped_motors,
     switched_off,
 )
 
@@ -49,6 +52,9 @@ FAR_CENTRE = 0.5
 
 It is 0 in 36 of 38 models of makers, and 0.26 in the Tiago of robosuite.
 """
+
+HEAVY = 9.0
+"""Density of a link over the middle one of a robot beyond which it is wrong: at most 6.2 in 28 models of makers."""
 
 WHOLE = "the robot"
 """Part of a row that judges the robot as a whole."""
@@ -158,16 +164,17 @@ def row(
     return keep
 
 
-def largest(findings: list[Finding], reason: str) -> Finding:
-    """Return the first finding with the largest value; without any, one that does not apply for a reason."""
-    return max(findings, key=lambda one: one.value, default=Finding(declined=reason))
-
-
 def standing_of(robot: Robot) -> Standing:
     """Return the robot that stands; rows that need one do not apply to a model without."""
     if robot.standing is None:
         raise NotApplicableError(NOT_STANDING)
     return robot.standing
+
+
+def limits_of(name: str) -> tuple[float, float]:
+    """Return the limits of a row, in its unit."""
+    low, high = facts("robot_rows")[name]["interval"]
+    return low, high
 
 
 def judged_row(name: str, found: Finding) -> PhenomenonResult:
@@ -227,8 +234,22 @@ def body_name(robot: Robot, body: int) -> str:
 
 def joint_name(robot: Robot, dof: int) -> str:
     """Return the name of a degree of freedom's joint, or its number."""
-    joint = int(robot.model.dof_jntid[dof])
+    return name_of(robot, int(robot.model.dof_jntid[dof]))
+
+
+def name_of(robot: Robot, joint: int) -> str:
+    """Return the name of a joint, or its number."""
     return robot.model.joint(joint).name or f"joint {joint}"
+
+
+def first_joints(robot: Robot, dofs: Sequence[int]) -> str:
+    """Return the names of the joints of the first degrees of freedom."""
+    return ", ".join(joint_name(robot, dof) for dof in dofs[:3])
+
+
+def of_elements(array: str, values: Mapping[int, Any]) -> dict[str, Any]:
+    """Return the changes of rows of an array of the model, by names that `Robot.changed` knows."""
+    return {f"{array}[{number}]": value for number, value in values.items()}
 
 
 def by_joint(robot: Robot, values: Mapping[int, float]) -> dict[str, float]:
@@ -286,15 +307,11 @@ def _box(robot: Robot, body: int) -> tuple[FloatArray, FloatArray]:
 
 @row("robot-density")
 def _density(robot: Robot) -> Finding:
-    model, worst, found = (
-        robot.model,
-        0.0,
-        Finding(declined="the shape of no link is known"),
-    )
+    model, worst = robot.model, 0.0
+    found = Finding(declined="the shape of no link is known")
     changes: dict[str, Any] = {}
     densities: dict[str, float] = {}
-    total_kg = float(model.body_mass[robot.bodies].sum())
-    low, high = facts("robot_rows")["robot-density"]["interval"]
+    low, high = limits_of("robot-density")
     for body in robot.bodies:
         mass_kg = float(model.body_mass[body])
         geom_m3, hull_m3, _ = _extent(robot, body)
@@ -303,10 +320,11 @@ def _density(robot: Robot) -> Finding:
         # The largest density that its largest geom allows, and the least one in the room around all of them [kg/m^3].
         dense, thin = mass_kg / geom_m3, mass_kg / max(hull_m3, geom_m3)
         density = dense if dense < low else max(thin, low)
-        densities[body_name(robot, body)] = density
+        name = body_name(robot, body)
+        densities[name] = density
         ratio = max(low / dense, thin / high)
         factor = min(UNIT_ERRORS, key=lambda one: abs(np.log(1000.0 / density / one)))
-        remark = f"{body_name(robot, body)} with {mass_kg:.3g} kg of {total_kg:.3g} kg"
+        remark = f"{name} with {mass_kg:.3g} kg of {robot.mass_kg:.3g} kg"
         is_unit = abs(np.log(1000.0 / density / factor)) < np.log(UNIT_WITHIN)
         if ratio > 1.0 and is_unit:
             remark += f": {UNIT_ERRORS[factor]}?"
@@ -314,7 +332,7 @@ def _density(robot: Robot) -> Finding:
             changes[f"body_inertia[{body}]"] = model.body_inertia[body] * factor
         if found.declined or ratio > worst:
             worst = ratio
-            links = f"{body_name(robot, body)} and links like it"
+            links = f"{name} and links like it"
             advice = f"give {links} the mass and inertia of the real part"
             if is_unit:
                 advice = f"multiply mass and inertia, or the density, of {links} by {factor:g}"
@@ -322,6 +340,16 @@ def _density(robot: Robot) -> Finding:
                 geom = max(geoms_of(robot, body), key=lambda g: model.geom_rbound[g])
                 advice += f", or give {geom_name(model, geom)} its size"
             found = Finding(value=density, remark=remark, advice=advice)
+    if worst <= 1.0 and densities:
+        name = max(densities, key=densities.__getitem__)
+        ratio = densities[name] / float(np.median(list(densities.values())))
+        if ratio > HEAVY:
+            densities[name] = np.inf
+            found = Finding(
+                value=np.inf,
+                remark=f"{name} is {ratio:.2g} times as dense as the middle one of the links",
+                advice=f"give {name} the mass and inertia of the real part",
+            )
     return replace(found, changes=changes, parts=densities)
 
 
@@ -336,25 +364,21 @@ def _bound(robot: Robot) -> Finding:
         model = bare.compile()
     except ValueError:
         return Finding(declined="without them a body has no mass: MuJoCo needs them")
-    masses, stated_masses = (
-        robot.model.body_mass[robot.bodies],
-        model.body_mass[robot.bodies],
-    )
+    stated_kg = model.body_mass[robot.bodies]
+    total_kg = float(stated_kg.sum())
     inertias = robot.model.body_inertia[robot.bodies].max(axis=1)
     stated_inertias = model.body_inertia[robot.bodies].max(axis=1)
-    share = float((masses - stated_masses).sum() / stated_masses.sum())
     is_raised = inertias > 1.02 * stated_inertias
     raised = np.asarray(robot.bodies)[is_raised].tolist()
-    weight = (
-        float(stated_masses[is_raised].sum() / stated_masses.sum()) if raised else 0.0
-    )
+    weight = float(stated_kg[is_raised].sum()) / total_kg
     names = ", ".join(body_name(robot, body) for body in raised[:3])
     remark = f"{len(raised)} links have more inertia than their geoms or their inertial element state: {names}"
     return Finding(
-        value=max(share, weight),
+        value=max(robot.mass_kg / total_kg - 1.0, weight),
         parts={body_name(robot, body): 1.0 for body in raised},
         remark=remark if raised else "",
         advice='<compiler boundmass="0" boundinertia="0"/>',
+        changes={"compiler_boundmass": 0.0, "compiler_boundinertia": 0.0},
     )
 
 
@@ -366,8 +390,7 @@ def _gravcomp(robot: Robot) -> Finding:
     if not robot.is_floating and len(lifted) in (0, len(heavy)):
         return Finding(declined="a controller of a fixed base may carry all its links")
     share = float(
-        (model.body_gravcomp * model.body_mass)[robot.bodies].sum()
-        / model.body_mass[robot.bodies].sum()
+        (model.body_gravcomp * model.body_mass)[robot.bodies].sum() / robot.mass_kg
     )
     names = ", ".join(body_name(robot, body) for body in lifted)
     return Finding(
@@ -384,12 +407,12 @@ def _gravcomp(robot: Robot) -> Finding:
 
 @row("robot-inertia")
 def _inertia(robot: Robot) -> Finding:
-    low, high = facts("robot_rows")["robot-inertia"]["interval"]
+    low, high = limits_of("robot-inertia")
     found, worst, changes = Finding(declined="the shape of no link is known"), 0.0, {}
     shares: dict[str, float] = {}
     far: list[tuple[float, str]] = []
     # Of a screen or a frame beside it nothing depends.
-    least_kg = 1e-5 * float(robot.model.body_mass[robot.bodies].sum())
+    least_kg = 1e-5 * robot.mass_kg
     for body in robot.bodies:
         mass_kg, reach_m = float(robot.model.body_mass[body]), _extent(robot, body)[2]
         if not (mass_kg > max(MASSLESS_KG, least_kg) and reach_m > 0.0):
@@ -400,9 +423,10 @@ def _inertia(robot: Robot) -> Finding:
         away = float(np.linalg.norm(beyond_m)) / max(
             float(np.linalg.norm(size_m)), 1e-9
         )
+        name = body_name(robot, body)
         if away > FAR_CENTRE:
-            far.append((away, body_name(robot, body)))
-        name, inertia = body_name(robot, body), robot.model.body_inertia[body]
+            far.append((away, name))
+        inertia = robot.model.body_inertia[body]
         # The sum of the principal moments is twice the mass times the square of the polar radius of gyration.
         radius_m = float(np.sqrt(0.5 * inertia.sum() / mass_kg))
         shares[name] = radius_m / reach_m
@@ -518,6 +542,12 @@ def _feet(robot: Robot) -> Finding:
     )
 
 
+def pair_name(robot: Robot, number: int) -> str:
+    """Return the names of the two geoms of a row of `pairs`."""
+    geoms = robot.pairs.geoms[number].tolist()
+    return " with ".join(geom_name(robot.model, geom) for geom in geoms)
+
+
 def geoms_of(robot: Robot, body: int) -> list[int]:
     """Return the geoms of a body."""
     first = int(robot.model.body_geomadr[body])
@@ -556,7 +586,7 @@ def _finger_friction(robot: Robot) -> Finding:
     }
     if not grips:
         return Finding(declined="no finger can touch anything")
-    slipperiest = min(grips, key=lambda geom: grips[geom])
+    slipperiest = min(grips, key=grips.__getitem__)
     slippery = [geom for geom, grip in grips.items() if grip < 0.1]
     name = geom_name(model, slipperiest)
     return Finding(
@@ -596,9 +626,7 @@ def _friction(robot: Robot) -> Finding:
                 f"geom_condim[{geom}]": 3,
                 f"geom_friction[{geom}]": np.array([0.8, 0.005, 0.0001]),
             }
-    names = " with ".join(
-        geom_name(robot.model, int(geom)) for geom in robot.pairs.geoms[row]
-    )
+    names = pair_name(robot, row)
     rule = (
         f"condim {constants[row, 0]:.0f}"
         if constants[row, 0] == 1
@@ -606,12 +634,7 @@ def _friction(robot: Robot) -> Finding:
     )
     return Finding(
         value=float(grips[row]),
-        parts={
-            " with ".join(
-                geom_name(robot.model, int(g)) for g in robot.pairs.geoms[one]
-            ): float(grip)
-            for one, grip in grips.items()
-        },
+        parts={pair_name(robot, one): float(grip) for one, grip in grips.items()},
         remark=f"{names}: {rule}"
         + (f", and {len(slippery) - 1} more pairs" if len(slippery) > 1 else ""),
         advice=f'condim="3" friction="0.8 0.005 0.0001" for {names}',
@@ -626,7 +649,7 @@ def _floor_friction(robot: Robot) -> Finding:
     model, found = robot.model, Finding(value=1.0)
     ratios: dict[str, float] = {}
     changes: dict[str, Any] = {}
-    _, most = facts("robot_rows")["robot-floor-friction"]["interval"]
+    _, most = limits_of("robot-floor-friction")
     # What a geom takes from the default of all is no statement about it.
     common = 1.0 if robot.spec is None else float(robot.spec.default.geom.friction[0])
     explicit = {
@@ -644,7 +667,7 @@ def _floor_friction(robot: Robot) -> Finding:
         is_stated = abs(min(stated) - common) > 1e-9
         if pair in explicit or not alike or not is_stated:
             continue
-        ratios[" with ".join(geom_name(model, geom) for geom in pair)] = met / least
+        ratios[pair_name(robot, row)] = met / least
         geom = pair[int(np.argmin(stated))]
         # With its priority, its condim counts too.
         condim = int(robot.pairs.constants[row, 0])
@@ -687,7 +710,7 @@ def _floor_tilt(robot: Robot) -> Finding:
         normal = data.geom_xmat[plane].reshape(3, 3)[:, 2]
         cosines[plane] = float(-normal @ gravity / np.linalg.norm(gravity))
     # Walls and ramps beside a floor are no fault.
-    geom = max(cosines, key=lambda g: cosines[g])
+    geom = max(cosines, key=cosines.__getitem__)
     angle = float(np.degrees(np.arccos(np.clip(cosines[geom], -1.0, 1.0))))
     return Finding(
         value=angle if angle > 1e-4 else 0.0,
@@ -772,13 +795,19 @@ def torque_limits(model: mujoco.MjModel) -> FloatArray:
     return limits
 
 
-def driven_dofs(robot: Robot) -> Iterator[tuple[int, float]]:
-    """Yield hinges of a robot that an actuator drives, and its limit [Nm]."""
-    is_hinge = joints_of(robot.model, "HINGE")
-    for dof, limit in enumerate(torque_limits(robot.model)):
-        is_own = int(robot.model.dof_bodyid[dof]) in robot.bodies
-        if limit and is_own and is_hinge[robot.model.dof_jntid[dof]]:
-            yield dof, float(limit)
+def driven_dofs(robot: Robot) -> dict[int, float]:
+    """Return the limits of hinges of a robot that an actuator drives, by degree of freedom [Nm]."""
+    model = robot.model
+    is_hinge = joints_of(model, "HINGE")[model.dof_jntid]
+    is_driven = is_hinge & np.isin(model.dof_bodyid, robot.bodies)
+    limits = enumerate(torque_limits(model).tolist())
+    return {dof: limit for dof, limit in limits if limit and is_driven[dof]}
+
+
+def driven_joints(robot: Robot) -> list[int]:
+    """Return the joints of these hinges."""
+    joints: list[int] = robot.model.dof_jntid[list(driven_dofs(robot))].tolist()
+    return joints
 
 
 def growth(robot: Robot) -> float:
@@ -817,7 +846,7 @@ def _servo(robot: Robot) -> Finding:
     ):
         return Finding(declined="no joint has a servo, damping or stiffness")
     value = growth(robot)
-    if value <= facts("robot_rows")["robot-servo"]["interval"][1]:
+    if value <= limits_of("robot-servo")[1]:
         return Finding(value=value)
     is_explicit = model.opt.integrator != mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     option = '<option integrator="implicitfast"/>, ' if is_explicit else ""
@@ -840,10 +869,10 @@ def largest_weights_nm(robot: Robot) -> FloatArray:
 def undriven(robot: Robot) -> list[int]:
     """Return hinges of a driven robot that carry a weight and that nothing drives, springs or couples."""
     model = robot.model
-    drives_joints = np.isin(model.actuator_trntype, JOINT_TRANSMISSIONS).all()
-    is_joint = model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT)
+    drives_joints = acts_on_joints(model).all()
+    is_joint = couplings_of(model)
     is_linkage = model.ntendon or not drives_joints or not is_joint.all()
-    if is_linkage or len(list(driven_dofs(robot))) < FEW_JOINTS:
+    if is_linkage or len(driven_dofs(robot)) < FEW_JOINTS:
         return []
     moved = {*joints_of_motors(model).tolist()}
     moved |= {*model.eq_obj1id.tolist(), *model.eq_obj2id.tolist()}
@@ -868,8 +897,8 @@ def one_sided(robot: Robot) -> dict[int, int]:
     low, high = model.actuator_forcerange.T
     is_muscle = model.actuator_gaintype == int(mujoco.mjtGain.mjGAIN_MUSCLE)
     is_one = model.actuator_forcelimited.astype(bool) & (low * high >= 0.0)
-    is_one &= np.isin(model.actuator_trntype, JOINT_TRANSMISSIONS) & ~is_muscle
-    driven = {dof for dof, _ in driven_dofs(robot)}
+    is_one &= acts_on_joints(model) & ~is_muscle
+    driven = set(driven_dofs(robot))
     dofs = model.jnt_dofadr[model.actuator_trnid[:, 0]]
     return {
         int(dofs[a]): a for a in np.flatnonzero(is_one).tolist() if dofs[a] in driven
@@ -885,13 +914,12 @@ def springs(model: mujoco.MjModel) -> FloatArray:
 
 @row("robot-torque")
 def _torque(robot: Robot) -> Finding:
-    model = robot.model
-    driven = dict(driven_dofs(robot))
+    driven = driven_dofs(robot)
     limits_nm = {dof: limit for dof, limit in driven.items() if np.isfinite(limit)}
     if not driven:
         return Finding(declined="no hinge of the robot is driven")
     if idle := undriven(robot):
-        names = ", ".join(joint_name(robot, dof) for dof in idle[:3])
+        names = first_joints(robot, idle)
         several = f"{names}: {len(idle)} of {len(driven) + len(idle)} hinges"
         return Finding(
             parts=by_joint(robot, dict.fromkeys(idle, 0.0)),
@@ -899,7 +927,7 @@ def _torque(robot: Robot) -> Finding:
             advice=f"an actuator for {names}",
         )
     if single := one_sided(robot):
-        names = ", ".join(joint_name(robot, dof) for dof in list(single)[:3])
+        names = first_joints(robot, list(single))
         return Finding(
             parts=by_joint(robot, dict.fromkeys(single, 0.0)),
             remark=f"{names}: {len(single)} motors turn one way only",
@@ -914,7 +942,7 @@ def _torque(robot: Robot) -> Finding:
     }
     unlimited = [dof for dof in driven if dof not in limits_nm]
     if unlimited and min(ratios.values(), default=1.0) >= 1.0:
-        names = ", ".join(joint_name(robot, dof) for dof in unlimited[:3])
+        names = first_joints(robot, unlimited)
         is_common = len(unlimited) > UNLIMITED_SHARE * len(driven)
         return Finding(
             value=np.inf,
@@ -925,14 +953,10 @@ def _torque(robot: Robot) -> Finding:
             if is_common
             else "",
         )
-    weakest = min(ratios, key=lambda dof: ratios[dof])
+    weakest = min(ratios, key=ratios.__getitem__)
     fair_nm = 2.0 * weights_nm[weakest]
     if robot.is_floating:
-        # Twice what a foot carries, at the height of the robot.
-        standing = standing_of(robot)
-        mass_kg = float(model.body_mass[robot.bodies].sum())
-        load_n = mass_kg * GRAVITY_M_PER_S2 / len(standing.feet)
-        fair_nm = 2.0 * load_n * standing.height_m
+        fair_nm = leg_nm(robot)
     joint = joint_name(robot, weakest)
     return Finding(
         value=ratios[weakest],
@@ -942,37 +966,65 @@ def _torque(robot: Robot) -> Finding:
     )
 
 
-def rate_gains(model: mujoco.MjModel) -> FloatArray:
-    """Return the damping of the servos on each degree of freedom [Nm s/rad], shape [nv]."""
+def foot_load_n(robot: Robot) -> float:
+    """Return what each foot of a robot carries of its weight [N]."""
+    return robot.mass_kg * GRAVITY_M_PER_S2 / len(standing_of(robot).feet)
+
+
+def leg_nm(robot: Robot) -> float:
+    """Return twice the torque of the load of a foot at the height of a robot that stands [Nm]."""
+    return 2.0 * foot_load_n(robot) * standing_of(robot).height_m
+
+
+def dof_of(robot: Robot, actuator: int) -> int:
+    """Return the degree of freedom on which an actuator acts."""
+    return int(robot.model.jnt_dofadr[robot.model.actuator_trnid[actuator, 0]])
+
+
+def motors_of(robot: Robot) -> list[int]:
+    """Return actuators on hinges that count as driven."""
+    joints = robot.model.actuator_trnid[:, 0]
+    return np.flatnonzero(np.isin(joints, driven_joints(robot))).tolist()
+
+
+def position_servos(robot: Robot) -> list[int]:
+    """Return servos on hinges of the robot."""
+    is_servo = servos(robot.model)
+    return [actuator for actuator in motors_of(robot) if is_servo[actuator]]
+
+
+def servo_gains(model: mujoco.MjModel, column: int) -> FloatArray:
+    """Return a gain of the servos on each degree of freedom, shape [nv].
+
+    Args:
+        model: The model.
+        column: 1 for the stiffness [Nm/rad], 2 for the damping [Nm s/rad].
+    """
     gains = np.zeros(model.nv)
-    for actuator in np.flatnonzero(servos(model)):
-        if int(model.actuator_trntype[actuator]) in JOINT_TRANSMISSIONS:
-            dof = model.jnt_dofadr[model.actuator_trnid[actuator, 0]]
-            gear = float(model.actuator_gear[actuator, 0])
-            gains[dof] -= gear**2 * float(model.actuator_biasprm[actuator, 2])
+    actuators = servos(model) & acts_on_joints(model)
+    gears = model.actuator_gear[actuators, 0]
+    dofs = model.jnt_dofadr[model.actuator_trnid[actuators, 0]]
+    np.subtract.at(gains, dofs, gears**2 * model.actuator_biasprm[actuators, column])
     return gains
 
 
 def stiffness(model: mujoco.MjModel, dof: int) -> float:
     """Return the stiffness of the servos on a degree of freedom [Nm/rad]."""
-    actuators = servos(model) & (model.actuator_trnid[:, 0] == model.dof_jntid[dof])
-    return float(
-        -model.actuator_biasprm[actuators, 1] @ model.actuator_gear[actuators, 0] ** 2
-    )
+    return float(servo_gains(model, 1)[dof])
 
 
 @row("robot-stiffness")
 def _stiffness(robot: Robot) -> Finding:
     errors_mrad = {
         dof: 1e3 * limit_nm / stiffness(robot.model, dof)
-        for dof, limit_nm in driven_dofs(robot)
+        for dof, limit_nm in driven_dofs(robot).items()
         if np.isfinite(limit_nm) and stiffness(robot.model, dof) > 0.0
     }
     if not errors_mrad:
         return Finding(
             declined="no joint has a servo and states the limit of its torque"
         )
-    dof = min(errors_mrad, key=lambda one: errors_mrad[one])
+    dof = min(errors_mrad, key=errors_mrad.__getitem__)
     name, gain = joint_name(robot, dof), stiffness(robot.model, dof)
     return Finding(
         value=errors_mrad[dof],
@@ -990,7 +1042,7 @@ def _action(robot: Robot) -> Finding:
         return Finding(declined="the task states no scale of its actions")
     shares = {
         dof: scale * stiffness(model, dof) / limit
-        for dof, limit in driven_dofs(robot)
+        for dof, limit in driven_dofs(robot).items()
         if np.isfinite(limit)
     }
     if not any(shares.values()):
@@ -998,7 +1050,7 @@ def _action(robot: Robot) -> Finding:
             declined="no servo of a robot that stands states the limit of its torque"
         )
     # A scale in other units moves all joints; single ones, such as necks, have weak motors.
-    dof = sorted(shares, key=lambda one: shares[one])[len(shares) // 2]
+    dof = sorted(shares, key=shares.__getitem__)[len(shares) // 2]
     return Finding(
         value=shares[dof],
         remark=f"{joint_name(robot, dof)}: {scale:g} rad with {stiffness(model, dof):.3g} Nm/rad",
@@ -1019,7 +1071,7 @@ def _delay(robot: Robot) -> Finding:
     }
     if robot.delay_s is None and not filters_s:
         return Finding(declined="neither the task nor an actuator states a delay")
-    slowest = max(filters_s, key=lambda name: filters_s[name], default="")
+    slowest = max(filters_s, key=filters_s.__getitem__, default="")
     filter_s = filters_s.get(slowest, 0.0)
     return Finding(
         value=1e3 * ((robot.delay_s or 0.0) + filter_s),
@@ -1034,7 +1086,7 @@ def _delay(robot: Robot) -> Finding:
 def loads_nm(robot: Robot) -> dict[int, float]:
     """Return the largest torque of the motor of each driven hinge; without a limit that of its servo [Nm]."""
     loads: dict[int, float] = {}
-    for dof, limit_nm in driven_dofs(robot):
+    for dof, limit_nm in driven_dofs(robot).items():
         if not np.isfinite(limit_nm):
             limit_nm = SERVO_ERROR_RAD * stiffness(robot.model, dof)
         if limit_nm > 0.0:
@@ -1057,31 +1109,25 @@ def _drag(
             parts=by_joint(robot, {dof: values[dof] for dof in feeding}),
             remark=f"negative {name} {values[least]:.3g} of {several}: it feeds the motion that it should brake",
             advice=f"positive {name} for {several}",
-            changes={f"dof_{name}[{dof}]": -float(values[dof]) for dof in feeding},
+            changes=of_elements(f"dof_{name}", {d: -float(values[d]) for d in feeding}),
         )
     limits = loads_nm(robot)
     if not limits:
         return Finding(
             declined="no joint states the limit of its torque, or has a servo"
         )
-    fair = {
-        d: float(values[d]) / max(spare * share(d, limit), 1.0)
-        for d, limit in limits.items()
-    }
-    worst = max(limits, key=lambda dof: share(dof, limits[dof]))
+    shares = {dof: share(dof, limit) for dof, limit in limits.items()}
+    fair = {d: float(values[d]) / max(spare * shares[d], 1.0) for d in limits}
+    worst = max(shares, key=shares.__getitem__)
     return Finding(
-        value=share(worst, limits[worst]),
-        parts=by_joint(
-            robot, {dof: share(dof, limit) for dof, limit in limits.items()}
-        ),
+        value=shares[worst],
+        parts=by_joint(robot, shares),
         remark=f"{joint_name(robot, worst)}: {name} {values[worst]:.3g} with {limits[worst]:.3g} Nm",
         advice=f'{name}="{fair[worst]:.2g}" for {joint_name(robot, worst)} and joints like it, '
         "or its largest torque in Nm",
-        changes={
-            f"dof_{name}[{dof}]": value
-            for dof, value in fair.items()
-            if value < values[dof]
-        },
+        changes=of_elements(
+            f"dof_{name}", {dof: one for dof, one in fair.items() if one < values[dof]}
+        ),
     )
 
 
@@ -1089,12 +1135,12 @@ def _drag(
 def _damping(robot: Robot) -> Finding:
     damping = robot.model.dof_damping
     rates = {
-        dof: float(damping[dof] + rate_gains(robot.model)[dof])
-        for dof, _ in driven_dofs(robot)
+        dof: float(damping[dof] + servo_gains(robot.model, 2)[dof])
+        for dof in driven_dofs(robot)
     }
     feeding = {dof: one for dof, one in rates.items() if one < 0.0 <= damping[dof]}
     if feeding:
-        worst = min(feeding, key=lambda dof: feeding[dof])
+        worst = min(feeding, key=feeding.__getitem__)
         name = joint_name(robot, worst)
         return Finding(
             value=feeding[worst],
@@ -1124,17 +1170,16 @@ def _armature(robot: Robot) -> Finding:
     ratios: dict[int, float] = {}
     full = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, full)
-    for dof, limit_nm in driven_dofs(robot):
-        armature = float(model.dof_armature[dof])
+    loads = loads_nm(robot)
+    for dof in driven_dofs(robot):
+        armature, limit_nm = float(model.dof_armature[dof]), loads.get(dof, 0.0)
         limb = max(float(full[dof, dof]) - armature, 1e-9)
         # Turned about its own axis a wrist has next to no inertia: what counts there is that its motor can turn it.
-        if not np.isfinite(limit_nm):
-            limit_nm = SERVO_ERROR_RAD * stiffness(model, dof)
         if armature * LEAST_RAD_PER_S2 <= limit_nm:
             continue
         ratios[dof] = armature / limb
         fair = max(limb, limit_nm / FAIR_RAD_PER_S2)
-        if armature / limb > facts("robot_rows")["robot-armature"]["interval"][1]:
+        if armature / limb > limits_of("robot-armature")[1]:
             changes[f"dof_armature[{dof}]"] = fair
         if armature / limb > found.value:
             found = Finding(
@@ -1148,11 +1193,11 @@ def _armature(robot: Robot) -> Finding:
 @row("robot-rotor")
 def _rotor(robot: Robot) -> Finding:
     armatures = {
-        dof: float(robot.model.dof_armature[dof]) for dof, _ in driven_dofs(robot)
+        dof: float(robot.model.dof_armature[dof]) for dof in driven_dofs(robot)
     }
     if not armatures:
         return Finding(declined="no hinge of the robot is driven")
-    limits_nm = dict(driven_dofs(robot))
+    limits_nm = driven_dofs(robot)
     fast = [
         dof
         for dof, armature in armatures.items()
@@ -1163,7 +1208,7 @@ def _rotor(robot: Robot) -> Finding:
     stated = sorted(armatures[dof] for dof in armatures if dof not in without_rotor)
     if not without_rotor:
         return Finding(remark="all driven joints state one")
-    names = ", ".join(joint_name(robot, dof) for dof in without_rotor[:3])
+    names = first_joints(robot, without_rotor)
     several = f"{names}: {len(without_rotor)} of {len(armatures)} driven joints"
     for dof in fast[:1]:
         several += f"; {limits_nm[dof]:.3g} Nm would turn the {armatures[dof]:.3g} kg m^2 of {joint_name(robot, dof)} "
@@ -1199,17 +1244,15 @@ def _rotor(robot: Robot) -> Finding:
 @row("robot-range")
 def _range(robot: Robot) -> Finding:
     model = robot.model
-    joints = [int(model.dof_jntid[dof]) for dof, _ in driven_dofs(robot)]
+    joints = driven_joints(robot)
     ranges_rad = {
-        model.joint(joint).name or f"joint {joint}": float(
-            np.ptp(model.jnt_range[joint])
-        )
+        name_of(robot, joint): float(np.ptp(model.jnt_range[joint]))
         for joint in joints
         if model.jnt_limited[joint]
     }
     if not ranges_rad:
         return Finding(declined="no driven hinge has limits")
-    low_rad, high_rad = facts("robot_rows")["robot-range"]["interval"]
+    low_rad, high_rad = limits_of("robot-range")
     off = [n for n, rad in ranges_rad.items() if not low_rad <= rad <= high_rad]
     name = max(
         ranges_rad, key=lambda n: max(low_rad / ranges_rad[n], ranges_rad[n] / high_rad)
@@ -1219,7 +1262,7 @@ def _range(robot: Robot) -> Finding:
     changes = {
         f"jnt_range[{joint}]": factor * model.jnt_range[joint]
         for joint in joints
-        if (model.joint(joint).name or f"joint {joint}") in off
+        if name_of(robot, joint) in off
     }
     unit = "radians read as degrees" if is_small else "degrees read as radians"
     advice = f"the range of {', '.join(off[:3])} in the unit of the compiler's angles"
@@ -1237,7 +1280,7 @@ def _range(robot: Robot) -> Finding:
 @row("robot-command")
 def _command(robot: Robot) -> Finding:
     model = robot.model
-    is_on_joint = np.isin(model.actuator_trntype, JOINT_TRANSMISSIONS)
+    is_on_joint = acts_on_joints(model)
     has_no_bias = model.actuator_biastype == int(mujoco.mjtBias.mjBIAS_NONE)
     is_unread = has_no_bias & (model.actuator_biasprm[:, 1] < 0.0)
     joints = model.actuator_trnid[:, 0]
@@ -1264,6 +1307,18 @@ def _command(robot: Robot) -> Finding:
             )
         else:
             found[name] = _reached(robot, actuator, name)
+    for motor, joint in swapped_motors(model).items():
+        name = model.actuator(motor).name
+        found[name] = Finding(
+            remark=f"{name} turns {name_of(robot, int(joints[motor]))}",
+            advice=f"joint {name_of(robot, joint)} for {name}",
+        )
+    for motor in speed_servos(robot):
+        name = name_of(robot, int(joints[motor]))
+        found[name] = Finding(
+            remark=f"the servo of {name} takes a speed, and is commanded an angle",
+            advice=f"a servo of position for {name}: -kp and -kv in biasprm",
+        )
     if not found:
         return Finding(declined="no servo of the robot takes a position")
     worst = min(found.values(), key=lambda one: one.value)
@@ -1272,6 +1327,16 @@ def _command(robot: Robot) -> Finding:
         changes |= one.changes
     parts = {name: one.value for name, one in found.items()}
     return replace(worst, parts=parts, changes=changes)
+
+
+def speed_servos(robot: Robot) -> list[int]:
+    """Return servos that take a speed on joints with limits, though other servos take an angle."""
+    model = robot.model
+    gains, (_, angle, rate) = model.actuator_gainprm[:, 0], model.actuator_biasprm.T[:3]
+    is_speed = acts_on_joints(model) & (angle == 0.0) & servos(model).any()
+    is_speed &= (rate < 0.0) & np.isclose(gains, -rate)
+    is_speed &= model.jnt_limited[model.actuator_trnid[:, 0]] > 0
+    return np.flatnonzero(is_speed).tolist()
 
 
 def _reached(robot: Robot, actuator: int, name: str) -> Finding:
@@ -1303,7 +1368,7 @@ def _reached(robot: Robot, actuator: int, name: str) -> Finding:
     used = LOST_COMMANDS if is_angle else 1.0
     share = reached_rad / max(high - low, used * float(np.ptp(ends)))
     found = Finding(value=share if share >= 0.0 else -np.inf, remark=name)
-    if share >= facts("robot_rows")["robot-command"]["interval"][0]:
+    if share >= limits_of("robot-command")[0]:
         return found
     if is_angle or zero != 0.0:
         ends = (model.jnt_range[joint] - zero) / per_control
@@ -1329,22 +1394,22 @@ def _reached(robot: Robot, actuator: int, name: str) -> Finding:
 @row("robot-unlimited")
 def _unlimited(robot: Robot) -> Finding:
     model = robot.model
-    joints = [int(model.dof_jntid[dof]) for dof, _ in driven_dofs(robot)]
+    joints = driven_joints(robot)
     if len(joints) < FEW_JOINTS or (robot.foot_rows and not model.jnt_limited.any()):
         return Finding(declined=f"fewer than {FEW_JOINTS} driven hinges, or wheels")
     off = switched_off(model, "constraint", "limit")
     free = [joint for joint in joints if off or not model.jnt_limited[joint]]
     # What a linkage couples to another joint cannot turn without end.
-    of_joints = model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT)
+    of_joints = couplings_of(model)
     coupled = {
         *model.eq_obj1id[of_joints].tolist(),
         *model.eq_obj2id[of_joints].tolist(),
     }
     free.sort(key=lambda joint: joint not in coupled)
-    names = ", ".join(model.joint(joint).name or f"joint {joint}" for joint in free[:3])
+    names = ", ".join(name_of(robot, joint) for joint in free[:3])
     return Finding(
         value=1.0 if coupled & set(free) else len(free) / len(joints),
-        parts={model.joint(joint).name or f"joint {joint}": 1.0 for joint in free},
+        parts={name_of(robot, joint): 1.0 for joint in free},
         remark=f"{names}: {len(free)} of {len(joints)} driven hinges" if free else "",
         changes=dict.fromkeys(off, True),
         advice=enabling(off)

@@ -15,7 +15,6 @@ import mujoco
 import numpy as np
 
 from gauge_envs.errors import TargetError
-from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.model import PhenomenonResult, Settings, Verdict
 from gauge_envs.tools.sanity.phenomena.base import facts
@@ -29,29 +28,37 @@ from gauge_envs.tools.sanity.robot.model_rows import (
     LEAST_RAD_PER_S2,
     MOST_RAD_PER_S2,
     SERVO_ERROR_RAD,
+    dof_of,
     driven_dofs,
+    driven_joints,
+    foot_load_n,
     judged_row,
     largest_weights_nm,
+    leg_nm,
+    limits_of,
     loads_nm,
+    motors_of,
+    of_elements,
     one_sided,
+    position_servos,
     servos,
     springs,
+    standing_of,
     start,
     stiffness,
 )
-from gauge_envs.tools.sanity.robot.mujoco_feet import joints_of
 from gauge_envs.tools.sanity.robot.robot import (
     ELEMENT,
     GEOM_FIELDS,
     LENGTHS,
     Robot,
     enabling,
+    once,
     switched_off,
 )
 from gauge_envs.tools.sanity.robot.rollout import (
-    STEP_RAD,
-    STEP_S,
     deflecting_nm,
+    half_step_s,
     hold_pose,
     lone_half_step_s,
     servo_responses,
@@ -254,14 +261,10 @@ class Behaviour:
 
     def __init__(self, robot: Robot) -> None:
         self.robot = robot
-        self._rows: dict[str, PhenomenonResult] = {}
-        self._steps_s: dict[int, float] = {}
 
     def row(self, name: str) -> PhenomenonResult:
         """Return a row of the robot."""
-        if name not in self._rows:
-            self._rows[name] = judged_row(name, ROWS[name](self.robot))
-        return self._rows[name]
+        return judged_row(name, ROWS[name](self.robot))
 
     @cached_property
     def is_held(self) -> bool:
@@ -276,49 +279,12 @@ class Behaviour:
         motion = hold_pose(self.robot)
         return motion.pose_error_rad if np.isinf(motion.diverged_s) else np.inf
 
-    def step_s(self, actuator: int) -> float:
-        """Return the time in which a servo covers half of a step of 0.3 rad in the whole robot [s]."""
-        if actuator not in self._steps_s:
-            self._steps_s[actuator] = half_step_s(self.robot, actuator)
-        return self._steps_s[actuator]
 
-
-def half_step_s(robot: Robot, actuator: int) -> float:
-    """Return the time in which a servo covers half of a step of 0.3 rad while the others hold [s].
-
-    A robot that floats is left without gravity and contact. It is infinite where the servo does not get there in 1 s,
-    and NaN where its joint or its command has no room for the step.
-    """
-    features = ("gravity", "contact") if robot.is_floating else ()
-    model = robot.without(*features)
-    data = start(robot, model)
-    joint = int(model.actuator_trnid[actuator, 0])
-    place = int(model.jnt_qposadr[joint])
-    gain, bias = (
-        model.actuator_gainprm[actuator, 0],
-        model.actuator_biasprm[actuator, 1],
-    )
-    per_rad = (
-        -float(bias) * float(model.actuator_gear[actuator, 0]) / float(gain or np.nan)
-    )
-    begin, command = float(data.qpos[place]), float(data.ctrl[actuator])
-    for sign in (1.0, -1.0):
-        goal, ctrl = begin + sign * STEP_RAD, command + sign * STEP_RAD * per_rad
-        low, high = model.jnt_range[joint]
-        has_room = not model.jnt_limited[joint] or low <= goal <= high
-        low, high = model.actuator_ctrlrange[actuator]
-        if has_room and (
-            not model.actuator_ctrllimited[actuator] or low <= ctrl <= high
-        ):
-            break
-    else:
-        return np.nan
-    data.ctrl[actuator] = ctrl
-    while data.time < STEP_S:
-        mujoco.mj_step(model, data)
-        if sign * (data.qpos[place] - begin) >= 0.5 * STEP_RAD:
-            return float(data.time)
-    return np.inf
+@once
+def step_s(robot: Robot, actuator: int) -> float:
+    """Return the time of half a step in the whole robot [s]; one that floats is without gravity and contact."""
+    model = robot.without(*(("gravity", "contact") if robot.is_floating else ()))
+    return half_step_s(model, start(robot, model), actuator)
 
 
 def _tried(
@@ -396,9 +362,9 @@ def harm(before: Behaviour, after: Behaviour, remedy: Remedy, name: str = "") ->
         was, now = before.pose_error_rad, after.pose_error_rad
         if now > max(WORSE * was + 1e-3, least):
             return f"it holds its pose within {1e3 * now:.3g} mrad instead of {1e3 * was:.3g}"
-    fastest_s = 1e-3 * facts("robot_rows")["robot-lag"]["interval"][0]
-    for actuator in _position_servos(before.robot):
-        was, now = before.step_s(actuator), after.step_s(actuator)
+    fastest_s = 1e-3 * limits_of("robot-lag")[0]
+    for actuator in position_servos(before.robot):
+        was, now = step_s(before.robot, actuator), step_s(after.robot, actuator)
         # A step that was faster than joints turn, or that a fault of the body made fast, was no merit.
         is_no_merit = was < fastest_s or name not in OF_DRIVES
         least_s = max(remedy.fair_step_s, FAIR_STEP_S if is_no_merit else 0.0)
@@ -424,7 +390,7 @@ def _strain(row: PhenomenonResult) -> float:
     """Return the share of its limit that a row uses, more than 1 outside; infinite where it has no value."""
     if row.configured is None:
         return np.inf
-    low, high = facts("robot_rows")[row.phenomenon]["interval"]
+    low, high = limits_of(row.phenomenon)
     value = row.configured
     if value < min(low, 0.0):
         return np.inf
@@ -443,23 +409,6 @@ def _change_text(before: Behaviour, after: Behaviour, name: str) -> str:
 # --- what the robot is made of ---------------------------------------------------------------------------------------
 
 
-def _position_servos(robot: Robot) -> list[int]:
-    """Return servos on hinges of the robot."""
-    model, dofs = robot.model, {dof for dof, _ in driven_dofs(robot)}
-    joints = {int(model.dof_jntid[dof]) for dof in dofs}
-    is_hinge = joints_of(model, "HINGE")
-    return [
-        int(actuator)
-        for actuator in np.flatnonzero(servos(model))
-        if (joint := int(model.actuator_trnid[actuator, 0])) in joints
-        and is_hinge[joint]
-    ]
-
-
-def _dof(robot: Robot, actuator: int) -> int:
-    return int(robot.model.jnt_dofadr[robot.model.actuator_trnid[actuator, 0]])
-
-
 def weights_nm(robot: Robot) -> FloatArray:
     """Return what each degree of freedom must hold of the robot's weight [Nm], shape [nv].
 
@@ -468,12 +417,10 @@ def weights_nm(robot: Robot) -> FloatArray:
     """
     if not robot.is_floating:
         return largest_weights_nm(robot)
-    standing, model, data = robot.standing, robot.model, start(robot)
-    assert standing is not None
-    mass_kg = float(model.body_mass[robot.bodies].sum())
-    load_n = mass_kg * GRAVITY_M_PER_S2 / len(standing.feet) * np.asarray(robot.up)
+    model, data = robot.model, start(robot)
+    load_n = foot_load_n(robot) * np.asarray(robot.up)
     held = data.qfrc_bias - data.qfrc_gravcomp
-    for geoms in standing.feet.values():
+    for geoms in standing_of(robot).feet.values():
         jacobian = np.zeros((3, model.nv))
         mujoco.mj_jacGeom(model, data, jacobian, None, geoms[0])
         held = held - jacobian.T @ load_n
@@ -510,10 +457,21 @@ def _stated(name: str) -> Finder:
     return found
 
 
+def _in_words(robot: Robot, changes: Settings) -> Remedy:
+    """Return changes as a remedy in the words of the model's classes."""
+    return Remedy(text=class_words(robot, changes), changes=changes)
+
+
 def _elements(robot: Robot, changes: Settings) -> Iterator[Remedy]:
     """Yield a remedy in the words of the model's classes, unless it changes nothing."""
     if changes:
-        yield Remedy(text=class_words(robot, changes), changes=changes)
+        yield _in_words(robot, changes)
+
+
+def _rows(changes: Settings, array: str) -> list[int]:
+    """Return the rows of an array of the model that are changed."""
+    found = [ELEMENT.fullmatch(name) for name in changes]
+    return [int(one[2]) for one in found if one is not None and one[1] == array]
 
 
 def _rounded(value: float) -> float:
@@ -552,16 +510,14 @@ def _size(robot: Robot) -> Iterator[Remedy]:
     """Yield metres for the unit with which fewest rows are flagged, unless another one does as well."""
     if robot.spec is None:
         return
-    flags: list[tuple[int, Remedy]] = []
+    flags: list[tuple[float, Remedy]] = []
     for unit, factor in UNITS_M.items():
         text = f"lengths times {factor:g}: every pos, size, fromto and scale of meshes is in {unit}"
         remedy = Remedy(text=text, changes={LENGTHS: factor})
         after = _after(robot, remedy.changes)
         if not after.row("robot-size").is_flag:
             flags.append((sum(after.row(name).is_flag for name in ORDER), remedy))
-    for count, remedy in sorted(flags, key=lambda one: one[0])[:1]:
-        others = [one for more, one in flags if more == count and one is not remedy]
-        yield replace(remedy, rival=next(iter(others), None))
+    yield from _least(flags, 0.0)
 
 
 @remedies_of("robot-range")
@@ -597,7 +553,7 @@ NO_NUMBER = "no change of a number mends it without harm"
 def _mirror(robot: Robot) -> Iterator[Remedy]:
     """Yield the axis, then the range, of each of two sides, unless that of the other one does as well."""
     model = robot.model
-    high = facts("robot_rows")["robot-mirror"]["interval"][1]
+    high = limits_of("robot-mirror")[1]
     pairs = [
         pair
         for pair in mirror_pairs(robot)
@@ -614,7 +570,7 @@ def _mirror(robot: Robot) -> Iterator[Remedy]:
                 else pair.range_of(joint) + model.qpos0[model.jnt_qposadr[joint]]
                 for joint, pair in of_side.items()
             }
-            sides.append(Remedy(text=class_words(robot, changes), changes=changes))
+            sides.append(_in_words(robot, changes))
         for one, rival in permutations(sides, 2):
             yield replace(one, rival=rival)
 
@@ -630,15 +586,16 @@ def _balance(robot: Robot) -> Iterator[Remedy]:
         }
         after = _after(robot, changes)
         if not after.row("robot-balance").is_flag:
-            remedy = Remedy(text=class_words(robot, changes), changes=changes)
-            turns.append((_tilt_rad(after.robot), remedy))
-    for tilt_rad, remedy in sorted(turns, key=lambda one: one[0])[:1]:
-        # Soles lie flat on the ground.
-        others = [
-            one
-            for tilt, one in turns
-            if tilt < tilt_rad + FLAT_RAD and one is not remedy
-        ]
+            turns.append((_tilt_rad(after.robot), _in_words(robot, changes)))
+    # Soles lie flat on the ground.
+    yield from _least(turns, FLAT_RAD)
+
+
+def _least(found: Sequence[tuple[float, Remedy]], apart: float) -> Iterator[Remedy]:
+    """Yield the remedy with the least number, and as its rival another one that is at most so far away."""
+    for least, remedy in sorted(found, key=lambda one: one[0])[:1]:
+        rivals = [one for number, one in found if number <= least + apart]
+        others = [one for one in rivals if one is not remedy]
         yield replace(remedy, rival=next(iter(others), None))
 
 
@@ -671,8 +628,7 @@ def _level(robot: Robot) -> Iterator[Remedy]:
                     robot, pair, joint, other
                 )
             }
-            remedy = Remedy(text=class_words(robot, changes), changes=changes)
-            several.append(remedy)
+            several.append(_in_words(robot, changes))
         meets = [_meets_ground(_after(robot, one.changes).robot) for one in several]
         if sum(meets) == 1:
             yield several[meets.index(True)]
@@ -716,21 +672,18 @@ def _command(robot: Robot) -> Iterator[Remedy]:
     """Yield what the row states; of a gain and a bias that differ, the smaller one for both too."""
     changes, model = dict(ROWS["robot-command"](robot).changes), robot.model
     yield from _elements(robot, changes)
-    smaller: dict[str, Any] = {}
-    for name in changes:
-        found = ELEMENT.fullmatch(name)
-        if found is not None and found[1] == "actuator_biasprm":
-            actuator = int(found[2])
-            gain = model.actuator_gainprm[actuator].copy()
-            gain[0] = -model.actuator_biasprm[actuator, 1]
-            smaller[f"actuator_gainprm[{actuator}]"] = gain
-    yield from _elements(robot, smaller)
+    smaller = {
+        a: model.actuator_gainprm[a].copy() for a in _rows(changes, "actuator_biasprm")
+    }
+    for actuator, gain in smaller.items():
+        gain[0] = -model.actuator_biasprm[actuator, 1]
+    yield from _elements(robot, of_elements("actuator_gainprm", smaller))
 
 
 @remedies_of("robot-sides")
 def _sides(robot: Robot) -> Iterator[Remedy]:
     """Yield the values of the right side for the wrong one, where most joints behind as many others say which it is."""
-    high = facts("robot_rows")["robot-sides"]["interval"][1]
+    high = limits_of("robot-sides")[1]
     pairs, known = mirror_pairs(robot), quantities(robot)
     changes: dict[str, Any] = {}
     words: list[str] = []
@@ -758,8 +711,8 @@ def _sides(robot: Robot) -> Iterator[Remedy]:
 
 def _fair_step_s(robot: Robot, dofs: Collection[int]) -> float:
     """Return the time in which the slowest servo on degrees of freedom covers half of a step [s]; 0 without one."""
-    servos_on = [a for a in _position_servos(robot) if _dof(robot, a) in dofs]
-    times_s = [half_step_s(robot, actuator) for actuator in servos_on]
+    servos_on = [a for a in position_servos(robot) if dof_of(robot, a) in dofs]
+    times_s = [step_s(robot, actuator) for actuator in servos_on]
     return max((one for one in times_s if np.isfinite(one)), default=0.0)
 
 
@@ -782,7 +735,7 @@ def _adjusted(
     model = robot.model
     if quantity in ("armature", "frictionloss"):
         return {f"dof_{quantity}[{dof}]": value}
-    motors = [a for a in _motors(robot) if _dof(robot, a) == dof]
+    motors = [a for a in motors_of(robot) if dof_of(robot, a) == dof]
     if len(motors) != 1:
         return {}
     (motor,) = motors
@@ -806,20 +759,17 @@ def _coupling(robot: Robot) -> Iterator[Remedy]:
     """Yield what the row states: another zero, or a stiffer coupling; then the other direction."""
     changes = dict(ROWS["robot-coupling"](robot).changes)
     yield from _elements(robot, changes)
-    turned: dict[str, Any] = {}
-    for name in changes:
-        found = ELEMENT.fullmatch(name)
-        if found is not None and found[1] == "eq_data":
-            turned[name] = np.array(robot.model.eq_data[int(found[2])])
-            turned[name][1] *= -1.0
-    yield from _elements(robot, turned)
+    turned = {n: robot.model.eq_data[n].copy() for n in _rows(changes, "eq_data")}
+    for one in turned.values():
+        one[1] *= -1.0
+    yield from _elements(robot, of_elements("eq_data", turned))
 
 
 @remedies_of("robot-unlimited")
 def _unlimited(robot: Robot) -> Iterator[Remedy]:
     model = robot.model
     yield from _stated("robot-unlimited")(robot)
-    joints = [int(model.dof_jntid[dof]) for dof, _ in driven_dofs(robot)]
+    joints = driven_joints(robot)
     stated = [
         j for j in joints if not model.jnt_limited[j] and np.ptp(model.jnt_range[j])
     ]
@@ -830,14 +780,6 @@ def _unlimited(robot: Robot) -> Iterator[Remedy]:
         )
 
 
-@remedies_of("robot-bound")
-def _bound(robot: Robot) -> Iterator[Remedy]:
-    yield Remedy(
-        text='<compiler boundmass="0" boundinertia="0"/>',
-        changes={"compiler_boundmass": 0.0, "compiler_boundinertia": 0.0},
-    )
-
-
 @remedies_of("robot-torque")
 def _torque(robot: Robot) -> Iterator[Remedy]:
     model = robot.model
@@ -845,37 +787,27 @@ def _torque(robot: Robot) -> Iterator[Remedy]:
     for actuator in one_sided(robot).values():
         limit_nm = np.abs(model.actuator_forcerange[actuator]).max()
         signs = np.array([-1.0, 1.0])
-        both[f"actuator_forcerange[{actuator}]"] = signs * limit_nm
-    yield from _elements(robot, both)
+        both[actuator] = signs * limit_nm
+    yield from _elements(robot, of_elements("actuator_forcerange", both))
     yield from _gears(robot)
-    limited = [a for a in _motors(robot) if model.actuator_forcelimited[a]]
-    weights, limits = weights_nm(robot), dict(driven_dofs(robot))
+    limited = [a for a in motors_of(robot) if model.actuator_forcelimited[a]]
+    weights, limits = weights_nm(robot), driven_dofs(robot)
     # In kN m, servos would ask for their largest torque at errors that joints have.
     if all(
         1e3 * limits[dof] <= SERVO_ERROR_RAD * stiffness(model, dof)
-        for dof in {_dof(robot, actuator) for actuator in limited}
+        for dof in {dof_of(robot, actuator) for actuator in limited}
     ):
-        yield from _elements(
-            robot,
-            {
-                f"actuator_forcerange[{a}]": 1e3 * model.actuator_forcerange[a]
-                for a in limited
-            },
-        )
-    changes, leg_nm = {}, 0.0
-    if robot.is_floating and robot.standing is not None:
-        # Twice what a foot carries, at the height of the robot.
-        mass_kg = float(model.body_mass[robot.bodies].sum())
-        load_n = mass_kg * GRAVITY_M_PER_S2 / len(robot.standing.feet)
-        leg_nm = 2.0 * load_n * robot.standing.height_m
+        ranges = {a: 1e3 * model.actuator_forcerange[a] for a in limited}
+        yield from _elements(robot, of_elements("actuator_forcerange", ranges))
+    changes, least_nm = {}, leg_nm(robot) if robot.is_floating else 0.0
     for actuator in limited:
-        dof = _dof(robot, actuator)
+        dof = dof_of(robot, actuator)
         loss_nm, drag_nm = (
             float(model.dof_frictionloss[dof]),
             6.0 * float(model.dof_damping[dof]),
         )
         fair_nm = 2.0 * float(weights[dof]) + max(10.0 * loss_nm, drag_nm)
-        fair_nm = _rounded(max(fair_nm, leg_nm))
+        fair_nm = _rounded(max(fair_nm, least_nm))
         if fair_nm > limits[dof]:
             fair = fair_nm / abs(float(model.actuator_gear[actuator, 0]) or 1.0)
             changes[f"actuator_forcerange[{actuator}]"] = np.array([-fair, fair])
@@ -884,18 +816,11 @@ def _torque(robot: Robot) -> Iterator[Remedy]:
 
 def _gears(robot: Robot) -> Iterator[Remedy]:
     """Yield the gear ratio 1 for actuators that state less, which makes a motor weaker."""
-    gears = {a: float(robot.model.actuator_gear[a, 0]) for a in _motors(robot)}
+    gears = {a: float(robot.model.actuator_gear[a, 0]) for a in motors_of(robot)}
     ones = {
         a: np.sign(g) * np.eye(6)[0] for a, g in gears.items() if 0.0 < abs(g) < 1.0
     }
-    yield from _elements(robot, {f"actuator_gear[{a}]": one for a, one in ones.items()})
-
-
-def _motors(robot: Robot) -> list[int]:
-    """Return actuators on hinges that count as driven."""
-    model = robot.model
-    joints = {int(model.dof_jntid[dof]) for dof, _ in driven_dofs(robot)}
-    return [a for a in range(model.nu) if int(model.actuator_trnid[a, 0]) in joints]
+    yield from _elements(robot, of_elements("actuator_gear", ones))
 
 
 @remedies_of("robot-rotor")
@@ -904,18 +829,13 @@ def _rotor(robot: Robot) -> Iterator[Remedy]:
     armatures = {dof: float(robot.model.dof_armature[dof]) for dof in limits}
     bare = [dof for dof in limits if MOST_RAD_PER_S2 * armatures[dof] < limits[dof]]
     strong = [d for d in bare if limits[d] > STRONG * np.median(list(limits.values()))]
-    motors = [a for a in _motors(robot) if _dof(robot, a) in strong]
+    motors = [a for a in motors_of(robot) if dof_of(robot, a) in strong]
     for unit in (1e3, 100.0):
-        yield from _elements(
-            robot,
-            {
-                f"actuator_forcerange[{a}]": robot.model.actuator_forcerange[a] / unit
-                for a in motors
-            },
-        )
+        ranges = {a: robot.model.actuator_forcerange[a] / unit for a in motors}
+        yield from _elements(robot, of_elements("actuator_forcerange", ranges))
     found = _from_others(armatures, limits, bare)
     right = set(limits) - set(bare)
-    for one in _elements(robot, {f"dof_armature[{d}]": v for d, v in found.items()}):
+    for one in _elements(robot, of_elements("dof_armature", found)):
         yield replace(one, fair_step_s=WORSE * _fair_step_s(robot, right))
     yield from _rotors(robot)
 
@@ -928,32 +848,28 @@ def _rotors(robot: Robot) -> Iterator[Remedy]:
     """Yield armatures for all joints that state none: what the motor accelerates by 1000 and by 300 rad/s^2."""
     limits = loads_nm(robot)
     for rate in (FAIR_RAD_PER_S2, 300.0):
-        yield from _elements(
-            robot,
-            {
-                f"dof_armature[{dof}]": _rounded(limit_nm / rate)
-                for dof, limit_nm in limits.items()
-                if robot.model.dof_armature[dof] <= 0.0
-            },
-        )
+        found = {
+            dof: _rounded(limit_nm / rate)
+            for dof, limit_nm in limits.items()
+            if robot.model.dof_armature[dof] <= 0.0
+        }
+        yield from _elements(robot, of_elements("dof_armature", found))
 
 
 @remedies_of("robot-armature")
 def _armature(robot: Robot) -> Iterator[Remedy]:
     limits, changes = loads_nm(robot), dict(ROWS["robot-armature"](robot).changes)
-    wrong = [dof for dof in limits if f"dof_armature[{dof}]" in changes]
+    wrong = [dof for dof in limits if dof in _rows(changes, "dof_armature")]
     armatures = {dof: float(robot.model.dof_armature[dof]) for dof in limits}
     others = _from_others(
         {d: a for d, a in armatures.items() if a > 0.0 or d in wrong}, limits, wrong
     )
-    yield from _elements(robot, {f"dof_armature[{d}]": v for d, v in others.items()})
+    yield from _elements(robot, of_elements("dof_armature", others))
     small = {dof: 1e-4 * armatures[dof] for dof in limits}
     rates = [limits[dof] / small[dof] for dof in wrong]
     if LEAST_RAD_PER_S2 < np.median(rates) < 3.0 * FAIR_RAD_PER_S2:
         # Catalogues of motors state kg cm^2.
-        yield from _elements(
-            robot, {f"dof_armature[{dof}]": value for dof, value in small.items()}
-        )
+        yield from _elements(robot, of_elements("dof_armature", small))
     yield from _elements(
         robot, {name: _rounded(float(value)) for name, value in changes.items()}
     )
@@ -961,13 +877,10 @@ def _armature(robot: Robot) -> Iterator[Remedy]:
 
 @remedies_of("robot-damping")
 def _damping(robot: Robot) -> Iterator[Remedy]:
-    damping = robot.model.dof_damping
-    negative = [dof for dof, _ in driven_dofs(robot) if damping[dof] < 0.0]
-    if negative:
-        yield from _elements(
-            robot, {f"dof_damping[{dof}]": -float(damping[dof]) for dof in negative}
-        )
-        yield from _elements(robot, {f"dof_damping[{dof}]": 0.0 for dof in negative})
+    if (robot.model.dof_damping < 0.0).any():
+        turned = dict(ROWS["robot-damping"](robot).changes)
+        for one in (turned, dict.fromkeys(turned, 0.0)):
+            yield from _elements(robot, one)
         return
     yield from _drag(robot, "damping", (PER_DEGREE, 1e3))
 
@@ -988,20 +901,16 @@ def _drag(robot: Robot, name: str, units: Sequence[float]) -> Iterator[Remedy]:
     row, limits = f"robot-{name}", loads_nm(robot)
     values = getattr(robot.model, f"dof_{name}")
     changes = dict(ROWS[row](robot).changes)
-    wrong = [dof for dof in limits if f"dof_{name}[{dof}]" in changes]
+    wrong = [dof for dof in limits if dof in _rows(changes, f"dof_{name}")]
     shares = {dof: float(values[dof]) / limits[dof] for dof in limits}
     right = [shares[dof] for dof in limits if dof not in wrong and shares[dof] > 0.0]
     if right:
         share = float(np.median(right))
-        yield from _elements(
-            robot,
-            {f"dof_{name}[{dof}]": _rounded(share * limits[dof]) for dof in wrong},
-        )
+        found = {dof: _rounded(share * limits[dof]) for dof in wrong}
+        yield from _elements(robot, of_elements(f"dof_{name}", found))
     for unit in units:
-        yield from _elements(
-            robot,
-            {f"dof_{name}[{dof}]": _rounded(values[dof] / unit) for dof in wrong},
-        )
+        found = {dof: _rounded(values[dof] / unit) for dof in wrong}
+        yield from _elements(robot, of_elements(f"dof_{name}", found))
     yield from _elements(
         robot, {key: _rounded(float(value)) for key, value in changes.items()}
     )
@@ -1053,7 +962,7 @@ def gains(
 def _bears(robot: Robot, actuators: Sequence[int], scale: float) -> bool:
     """Return whether servos with a scaled stiffness still hold the robot's weight."""
     weights = weights_nm(robot)
-    dofs = {_dof(robot, actuator) for actuator in actuators}
+    dofs = {dof_of(robot, actuator) for actuator in actuators}
     return all(
         scale * stiffness(robot.model, dof) * LARGEST_SAG_RAD >= weights[dof]
         for dof in dofs
@@ -1072,16 +981,16 @@ def _scaled(
 
 @remedies_of("robot-stiffness")
 def _stiff(robot: Robot) -> Iterator[Remedy]:
-    low_mrad = facts("robot_rows")["robot-stiffness"]["interval"][0]
-    limits = dict(driven_dofs(robot))
+    low_mrad = limits_of("robot-stiffness")[0]
+    limits = driven_dofs(robot)
     stiff = [
         a
-        for a in _position_servos(robot)
-        if 1e3 * limits[_dof(robot, a)]
-        < low_mrad * stiffness(robot.model, _dof(robot, a))
+        for a in position_servos(robot)
+        if 1e3 * limits[dof_of(robot, a)]
+        < low_mrad * stiffness(robot.model, dof_of(robot, a))
     ]
     yield from _units(robot, stiff)
-    yield from _units(robot, _position_servos(robot))
+    yield from _units(robot, position_servos(robot))
     yield from _scaled(robot, stiff, SHARES, 0.5)
 
 
@@ -1103,6 +1012,9 @@ def _integrator(robot: Robot) -> dict[str, Any]:
     return {"integrator": "implicitfast"} if is_explicit else {}
 
 
+@remedies_of(
+    *("robot-holds", "robot-stands", "robot-loads", "robot-energy", "robot-slip")
+)
 def _solver(robot: Robot) -> Iterator[Remedy]:
     """Yield the implicit integrator, then shorter steps with it."""
     option = _integrator(robot)
@@ -1118,13 +1030,6 @@ def _solver(robot: Robot) -> Iterator[Remedy]:
             )
 
 
-@remedies_of(
-    *("robot-holds", "robot-stands", "robot-loads", "robot-energy", "robot-slip")
-)
-def _of_solver(robot: Robot) -> Iterator[Remedy]:
-    yield from _solver(robot)
-
-
 @remedies_of("robot-servo")
 def _servo(robot: Robot) -> Iterator[Remedy]:
     if judged_row("robot-stiffness", ROWS["robot-stiffness"](robot)).is_flag:
@@ -1132,7 +1037,7 @@ def _servo(robot: Robot) -> Iterator[Remedy]:
     yield from _rotor(robot)
     yield from _solver(robot)
     option = _integrator(robot)
-    for one in _scaled(robot, _position_servos(robot), SHARES, 1.0):
+    for one in _scaled(robot, position_servos(robot), SHARES, 1.0):
         text = (
             f'<option integrator="implicitfast"/> and {one.text}'
             if option
@@ -1143,20 +1048,24 @@ def _servo(robot: Robot) -> Iterator[Remedy]:
 
 @remedies_of("robot-sag")
 def _sag(robot: Robot) -> Iterator[Remedy]:
-    high_mrad = facts("robot_rows")["robot-sag"]["interval"][1]
+    high_mrad = limits_of("robot-sag")[1]
     weights = deflecting_nm(robot)
     sags_mrad = {
-        a: 1e3 * float(weights[_dof(robot, a)]) / stiffness(robot.model, _dof(robot, a))
-        for a in _position_servos(robot)
+        a: 1e3
+        * float(weights[dof_of(robot, a)])
+        / stiffness(robot.model, dof_of(robot, a))
+        for a in position_servos(robot)
     }
     soft = [a for a, sag_mrad in sags_mrad.items() if sag_mrad > high_mrad]
     if not soft:
         return
     joints = [int(robot.model.actuator_trnid[a, 0]) for a in soft]
     sprung = [joint for joint in joints if springs(robot.model)[joint]]
-    yield from _elements(robot, {f"jnt_stiffness[{one}]": 0.0 for one in sprung})
+    yield from _elements(
+        robot, of_elements("jnt_stiffness", dict.fromkeys(sprung, 0.0))
+    )
     yield from _gears(robot)
-    every = _position_servos(robot)
+    every = position_servos(robot)
     for several in (every, soft) if len(soft) < len(every) else (every,):
         yield gains(robot, several, kp=PER_DEGREE)
         yield gains(robot, several, kp=PER_DEGREE, kv=PER_DEGREE)
@@ -1168,14 +1077,16 @@ def _sag(robot: Robot) -> Iterator[Remedy]:
 @remedies_of("robot-ringing")
 def _ringing(robot: Robot) -> Iterator[Remedy]:
     """Yield another unit of kv, then that with which the loop has a damping ratio of 0.7, or of 0.3."""
-    low = facts("robot_rows")["robot-ringing"]["interval"][0]
+    low = limits_of("robot-ringing")[0]
     model, responses = robot.model, servo_responses(robot)
-    ringing = [a for a in _position_servos(robot) if responses[_dof(robot, a)][0] < low]
+    ringing = [
+        a for a in position_servos(robot) if responses[dof_of(robot, a)][0] < low
+    ]
     yield gains(robot, ringing, kv=PER_DEGREE)
     for ratio in (0.7, 0.3):
         changes = {}
         for a in ringing:
-            dof = _dof(robot, a)
+            dof = dof_of(robot, a)
             kp, band_hz = stiffness(model, dof), responses[dof][1]
             # The bandwidth of a loop that rings is 1.55 times its natural frequency.
             natural_per_s = 2.0 * np.pi * band_hz / np.sqrt(1.0 + np.sqrt(2.0))
@@ -1188,10 +1099,10 @@ def _ringing(robot: Robot) -> Iterator[Remedy]:
 
 @remedies_of("robot-lag")
 def _lag(robot: Robot) -> Iterator[Remedy]:
-    low_ms, high_ms = facts("robot_rows")["robot-lag"]["interval"]
+    low_ms, high_ms = limits_of("robot-lag")
     alone_ms = {
-        a: 1e3 * lone_half_step_s(robot, a, _dof(robot, a))
-        for a in _position_servos(robot)
+        a: 1e3 * lone_half_step_s(robot, a, dof_of(robot, a))
+        for a in position_servos(robot)
     }
     fast = [a for a, half_ms in alone_ms.items() if half_ms < low_ms]
     slow = [a for a, half_ms in alone_ms.items() if high_ms < half_ms < np.inf]
@@ -1204,7 +1115,7 @@ def _lag(robot: Robot) -> Iterator[Remedy]:
     if slow:
         for unit in (PER_DEGREE, 1e3):
             yield gains(robot, slow, kv=1.0 / unit)
-        for dof in (_dof(robot, a) for a in slow[:1]):
+        for dof in (dof_of(robot, a) for a in slow[:1]):
             drag = float(robot.model.dof_damping[dof])
             if drag > 0.0:
                 yield from _drag(robot, "damping", (PER_DEGREE,))

@@ -11,6 +11,7 @@ from typing import Any, Concatenate, ParamSpec, TypeVar
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
 
 from gauge_envs.backends.mujoco.model import (
     CONES,
@@ -147,6 +148,11 @@ class Robot:
             for row in ground_rows(self.pairs)
             if feet & set(self.pairs.geoms[row].tolist())
         ]
+
+    @property
+    def mass_kg(self) -> float:
+        """Mass of all its links [kg]."""
+        return float(self.model.body_mass[self.bodies].sum())
 
     @property
     def is_floating(self) -> bool:
@@ -425,11 +431,46 @@ def set_option(option: Any, name: str, value: Any) -> None:
         option.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_OVERRIDE)
 
 
+def acts_on_joints(model: mujoco.MjModel) -> NDArray[np.bool_]:
+    """Return which actuators act on a joint, shape [nu]."""
+    return np.isin(model.actuator_trntype, JOINT_TRANSMISSIONS)
+
+
 def joints_of_motors(model: mujoco.MjModel) -> NDArray[np.int_]:
     """Return the joint of each actuator that acts on a joint."""
-    is_on_joint = np.isin(model.actuator_trntype, JOINT_TRANSMISSIONS)
-    joints: NDArray[np.int_] = model.actuator_trnid[is_on_joint, 0]
+    joints: NDArray[np.int_] = model.actuator_trnid[acts_on_joints(model), 0]
     return joints
+
+
+def couplings_of(model: mujoco.MjModel) -> NDArray[np.bool_]:
+    """Return which equalities couple joints, shape [neq]."""
+    couplings: NDArray[np.bool_] = model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT)
+    return couplings
+
+
+def swapped_motors(model: mujoco.MjModel) -> dict[int, int]:
+    """Return the joint that the name of a motor says, by the motor, where it acts on another one.
+
+    Names fit by the share of their words. Where they say another joint for more than half of all, they say nothing.
+    """
+    motors = np.flatnonzero(acts_on_joints(model)).tolist()
+    joints = model.actuator_trnid[motors, 0].tolist()
+    said = [_words(model.actuator(motor).name) for motor in motors]
+    driven = [_words(model.joint(joint).name) for joint in joints]
+    fits = 1e-6 * np.eye(len(joints))
+    for place in np.ndindex(fits.shape):
+        one, other = said[place[0]], driven[place[1]]
+        fits[place] += len(one & other) / max(len(one | other), 1)
+    _, best = linear_sum_assignment(fits, maximize=True)
+    moved = np.flatnonzero(best != np.arange(len(joints))).tolist()
+    if 2 * len(moved) > len(joints):
+        return {}
+    return {motors[place]: joints[best[place]] for place in moved}
+
+
+def _words(name: str) -> set[str]:
+    """Return the words and numbers of a name."""
+    return set(re.findall("[a-z]+|[0-9]+", name.lower()))
 
 
 def grasp_kinds(model: mujoco.MjModel, pairs: ContactPairs) -> NDArray[np.int_]:

@@ -7,20 +7,23 @@ import mujoco
 import numpy as np
 
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.tools.sanity.phenomena.base import facts
 from gauge_envs.tools.sanity.robot.model_rows import (
     NOT_STANDING,
-    SERVO_ERROR_RAD,
     Finding,
     NotApplicableError,
     NotMeasuredError,
     body_name,
     by_joint,
+    dof_of,
     driven_dofs,
+    driven_joints,
     joint_name,
     largest_weights_nm,
-    rate_gains,
+    limits_of,
+    loads_nm,
+    position_servos,
     row,
+    servo_gains,
     servos,
     springs,
     standing_of,
@@ -29,7 +32,13 @@ from gauge_envs.tools.sanity.robot.model_rows import (
     torque_limits,
 )
 from gauge_envs.tools.sanity.robot.mujoco_feet import first_moving_body
-from gauge_envs.tools.sanity.robot.robot import Robot, enabling, once, switched_off
+from gauge_envs.tools.sanity.robot.robot import (
+    Robot,
+    couplings_of,
+    enabling,
+    once,
+    switched_off,
+)
 
 HOLD_S, LATE_S = 2.0, 0.5
 """Time for which the robot is held [s], and its end, in which loads and torques are read."""
@@ -80,7 +89,7 @@ def hold_pose(robot: Robot, slope_deg: float = 0.0) -> HoldMotion:
     standing = robot.standing
     model = robot.without()
     data = start(robot, model)
-    hinges = [int(model.jnt_qposadr[model.dof_jntid[d]]) for d, _ in driven_dofs(robot)]
+    hinges = model.jnt_qposadr[driven_joints(robot)].tolist()
     begin = data.qpos.copy()
     gravity_m_per_s2 = float(np.linalg.norm(model.opt.gravity))
     up = np.asarray(robot.up)
@@ -123,7 +132,7 @@ def hold_pose(robot: Robot, slope_deg: float = 0.0) -> HoldMotion:
         int(dof): float(torques_nm[dof] / limits_nm[dof])
         for dof in np.flatnonzero(is_limited)
     }
-    weight_n = float(model.body_mass[robot.bodies].sum()) * gravity_m_per_s2
+    weight_n = robot.mass_kg * gravity_m_per_s2
     height_ratio, slip_m = np.nan, 0.0
     if standing is not None:
         end_height_m = float(data.xpos[standing.body] @ up) - ground_m
@@ -223,7 +232,7 @@ def _saturation(robot: Robot) -> Finding:
     saturations = by_joint(robot, _finite_hold(robot).saturations)
     if not saturations:
         return Finding(declined="no joint states the limit of its torque")
-    joint = max(saturations, key=lambda name: saturations[name])
+    joint = max(saturations, key=saturations.__getitem__)
     return Finding(
         value=saturations[joint],
         parts=saturations,
@@ -262,7 +271,7 @@ def _overlap(robot: Robot) -> Finding:
             parts = " and ".join(body_name(robot, body) for body in pair)
             depth_mm = -1e3 * float(contact.dist)
             depths_mm[parts] = max(depths_mm.get(parts, 0.0), depth_mm)
-    names = max(depths_mm, key=lambda pair: depths_mm[pair], default="")
+    names = max(depths_mm, key=depths_mm.__getitem__, default="")
     advice = f"exclude the pair {names}, or make its geoms smaller" if names else ""
     return Finding(
         value=depths_mm.get(names, 0.0), parts=depths_mm, remark=names, advice=advice
@@ -307,7 +316,8 @@ def _dry(robot: Robot) -> Finding:
     bare.opt.density = bare.opt.viscosity = 0.0
     data, shares, losses = start(robot, bare), {}, {}
     data.qacc[:] = 0.0
-    for dof, limit_nm in driven_dofs(robot):
+    limits_nm = loads_nm(robot)
+    for dof in driven_dofs(robot):
         torques = []
         for rate in (3.0, 6.0):
             data.qvel[:] = rate * (np.arange(bare.nv) == dof)
@@ -320,10 +330,8 @@ def _dry(robot: Robot) -> Finding:
         shares[dof] = dry / max(dry + viscous, 1e-12)
         # The least of measured joints: 5 % beside viscous friction, and 0.26 % of the weight of a bare bearing.
         loss_nm = viscous / 19.0 + 0.0026 * max(loads[dof], 0.1 * loads.max(), 0.01)
-        if not np.isfinite(limit_nm):
-            limit_nm = SERVO_ERROR_RAD * stiffness(robot.model, dof)
         # No gear loses more than a tenth of its motor's torque at rest.
-        losses[dof] = min(loss_nm, 0.1 * limit_nm)
+        losses[dof] = min(loss_nm, 0.1 * limits_nm.get(dof, 0.0))
     if not shares:
         return Finding(declined="no hinge of the robot is driven")
     few = [dof for dof in shares if shares[dof] < 0.01]
@@ -332,7 +340,7 @@ def _dry(robot: Robot) -> Finding:
     head = f"{enabling(off)} and " if off else ""
     # Many makers state no dry friction at all, which is less than a wrong one.
     stated = [dof for dof in few if off or model.dof_frictionloss[dof] > 0.0]
-    worst = min(stated or shares, key=lambda dof: shares[dof])
+    worst = min(stated or shares, key=shares.__getitem__)
     name, loss_nm = joint_name(robot, worst), float(model.dof_frictionloss[worst])
     advice = f'{head}frictionloss="{losses[worst]:.2g}" or more for {name} and joints like it: `gauge recipe joint`'
     if not off and loss_nm > losses[worst]:
@@ -354,28 +362,29 @@ def _dry(robot: Robot) -> Finding:
 
 @row("robot-lag")
 def _lag(robot: Robot) -> Finding:
-    model = robot.model
-    low_ms, high_ms = facts("robot_rows")["robot-lag"]["interval"]
+    low_ms, high_ms = limits_of("robot-lag")
     found, worst = Finding(declined=f"{NO_SERVO}, or have no room for a step"), 0.0
     halves_ms: dict[int, float] = {}
-    for dof, _ in driven_dofs(robot):
-        of_joint = servos(model) & (model.actuator_trnid[:, 0] == model.dof_jntid[dof])
-        for actuator in np.flatnonzero(of_joint):
-            half_ms = 1e3 * lone_half_step_s(robot, int(actuator), dof)
-            if np.isfinite(half_ms):
-                halves_ms[dof] = half_ms
-            ratio = max(low_ms / max(half_ms, 1e-9), half_ms / high_ms)
-            if not np.isfinite(half_ms) or ratio <= worst:
-                continue
-            worst, name = ratio, joint_name(robot, dof)
-            advice = "less damping or armature, kv in Nm s/rad, or more kp"
-            if half_ms < low_ms:
-                advice = "the armature of its rotor and gear, its forcerange, and kp in Nm/rad"
-            found = Finding(
-                value=half_ms,
-                remark=f"{name}: {response_text(*servo_responses(robot)[dof])}",
-                advice=f"{advice}, for {name} and servos like it",
+    for actuator in position_servos(robot):
+        dof = dof_of(robot, actuator)
+        half_ms = 1e3 * lone_half_step_s(robot, actuator, dof)
+        if not np.isfinite(half_ms):
+            continue
+        halves_ms[dof] = half_ms
+        ratio = max(low_ms / max(half_ms, 1e-9), half_ms / high_ms)
+        if ratio <= worst:
+            continue
+        worst, name = ratio, joint_name(robot, dof)
+        advice = "less damping or armature, kv in Nm s/rad, or more kp"
+        if half_ms < low_ms:
+            advice = (
+                "the armature of its rotor and gear, its forcerange, and kp in Nm/rad"
             )
+        found = Finding(
+            value=half_ms,
+            remark=f"{name}: {response_text(*servo_responses(robot)[dof])}",
+            advice=f"{advice}, for {name} and servos like it",
+        )
     return replace(found, parts=by_joint(robot, halves_ms))
 
 
@@ -389,9 +398,9 @@ def servo_responses(robot: Robot) -> dict[int, tuple[float, float]]:
     model, data = robot.model, start(robot)
     inertia = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, inertia)
-    rates = model.dof_damping + rate_gains(model)
+    rates = model.dof_damping + servo_gains(model, 2)
     found = {}
-    for dof, _ in driven_dofs(robot):
+    for dof in driven_dofs(robot):
         kp = stiffness(model, dof)
         if kp <= 0.0:
             continue
@@ -415,7 +424,7 @@ def _ringing(robot: Robot) -> Finding:
     ratios = {dof: ratio for dof, (ratio, _) in responses.items()}
     if not ratios:
         return Finding(declined=NO_SERVO)
-    dof = min(ratios, key=lambda one: ratios[one])
+    dof = min(ratios, key=ratios.__getitem__)
     name = joint_name(robot, dof)
     return Finding(
         value=ratios[dof],
@@ -427,42 +436,57 @@ def _ringing(robot: Robot) -> Finding:
 
 @once
 def lone_half_step_s(robot: Robot, actuator: int, dof: int) -> float:
-    """Return the time in which a servo covers half of a step while all else stays [s]; infinite without room for it."""
+    """Return the time in which a servo covers half of a step alone [s], at most 1 s; NaN without room."""
     alone = robot.without("contact", "gravity", "limit")
     # What a linkage couples to the joint moves with it.
-    of_joints = robot.model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT)
+    of_joints = couplings_of(robot.model)
     pairs = np.column_stack([alone.eq_obj1id, alone.eq_obj2id])[of_joints]
     moving = pairs[(pairs == alone.dof_jntid[dof]).any(axis=1)]
     moves = np.isin(alone.dof_jntid, [alone.dof_jntid[dof], *moving.ravel()])
     alone.dof_armature[:] = np.where(moves, robot.model.dof_armature, 1e6)
-    data, place = start(robot, alone), int(alone.jnt_qposadr[alone.dof_jntid[dof]])
-    ratio = float(alone.actuator_biasprm[actuator, 1]) / float(
-        alone.actuator_gainprm[actuator, 0] or np.nan
-    )
-    size, before = (
-        abs(STEP_RAD * float(alone.actuator_gear[actuator, 0]) * ratio),
-        float(data.ctrl[actuator]),
-    )
-    low, high = (
-        alone.actuator_ctrlrange[actuator]
-        if alone.actuator_ctrllimited[actuator]
-        else (-np.inf, np.inf)
-    )
-    if not size <= max(high - before, before - low):
-        return np.inf
-    data.ctrl[actuator] += size if high - before >= size else -size
-    begin, moved, last = float(data.qpos[place]), 0.0, 0.0
-    while moved < 0.5 * STEP_RAD and data.time < STEP_S:
-        mujoco.mj_step(alone, data)
-        last, moved = moved, abs(float(data.qpos[place]) - begin)
-    over = max(moved - 0.5 * STEP_RAD, 0.0) / max(moved - last, 1e-12)
-    return float(data.time - over * alone.opt.timestep)
+    return min(half_step_s(alone, start(robot, alone), actuator), STEP_S)
+
+
+def half_step_s(model: mujoco.MjModel, data: mujoco.MjData, actuator: int) -> float:
+    """Return the time in which a servo covers half of a step of 0.3 rad while the others hold [s].
+
+    It is infinite where the servo does not get there in 1 s, and NaN where its joint or its command has no room.
+    """
+    joint = int(model.actuator_trnid[actuator, 0])
+    place = int(model.jnt_qposadr[joint])
+    gain, bias = model.actuator_gainprm[actuator, 0], model.actuator_biasprm[actuator]
+    gear = float(model.actuator_gear[actuator, 0])
+    per_rad = -float(bias[1]) * gear / float(gain or np.nan)
+    begin, command = float(data.qpos[place]), float(data.ctrl[actuator])
+    is_free = not model.jnt_limited[joint] or switched_off(model, "limit")
+    for sign in (1.0, -1.0):
+        goal, ctrl = begin + sign * STEP_RAD, command + sign * STEP_RAD * per_rad
+        low, high = model.jnt_range[joint]
+        has_room = is_free or low <= goal <= high
+        low, high = model.actuator_ctrlrange[actuator]
+        if (
+            has_room
+            and np.isfinite(ctrl)
+            and (not model.actuator_ctrllimited[actuator] or low <= ctrl <= high)
+        ):
+            break
+    else:
+        return np.nan
+    data.ctrl[actuator] = ctrl
+    moved = last = 0.0
+    while data.time < STEP_S:
+        mujoco.mj_step(model, data)
+        last, moved = moved, sign * (float(data.qpos[place]) - begin)
+        if moved >= 0.5 * STEP_RAD:
+            over = (moved - 0.5 * STEP_RAD) / (moved - last)
+            return float(data.time - over * model.opt.timestep)
+    return np.inf
 
 
 def deflecting_nm(robot: Robot) -> FloatArray:
     """Return the larger one of weight and spring that deflect the servo of each degree of freedom [Nm], shape [nv]."""
     model, loads = robot.model, largest_weights_nm(robot).copy()
-    for dof, _ in driven_dofs(robot):
+    for dof in driven_dofs(robot):
         joint = int(model.dof_jntid[dof])
         ends = np.array([-1.0, 1.0])
         if model.jnt_limited[joint]:
@@ -474,18 +498,15 @@ def deflecting_nm(robot: Robot) -> FloatArray:
 
 @row("robot-sag")
 def _sag(robot: Robot) -> Finding:
-    weights, gains = (
-        deflecting_nm(robot),
-        {dof: stiffness(robot.model, dof) for dof, _ in driven_dofs(robot)},
-    )
+    weights, gains = deflecting_nm(robot), servo_gains(robot.model, 1)
     sags = {
-        dof: 1e3 * float(weights[dof]) / gain
-        for dof, gain in gains.items()
-        if gain > 0.0 and weights[dof] > 0.0
+        dof: 1e3 * float(weights[dof] / gains[dof])
+        for dof in driven_dofs(robot)
+        if gains[dof] > 0.0 and weights[dof] > 0.0
     }
     if not sags:
         return Finding(declined=f"{NO_SERVO}, or carry no weight")
-    dof = max(sags, key=lambda one: sags[one])
+    dof = max(sags, key=sags.__getitem__)
     remark = (
         f"{joint_name(robot, dof)}: {weights[dof]:.3g} Nm with {gains[dof]:.3g} Nm/rad"
     )
@@ -497,7 +518,7 @@ def _sag(robot: Robot) -> Finding:
             remark=f"{remark}, from a spring of {spring:.3g} Nm/rad",
             advice=f'stiffness="0" for {joint_name(robot, dof)} and joints like it',
         )
-    low_mrad, high_mrad = facts("robot_rows")["robot-sag"]["interval"]
+    low_mrad, high_mrad = limits_of("robot-sag")
     return Finding(
         value=sags[dof],
         parts=by_joint(robot, sags),

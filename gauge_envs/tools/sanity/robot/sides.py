@@ -1,4 +1,4 @@
-"""Judge whether the left and the right side of a robot are mirror images of each other."""
+"""Judge whether the sides of a robot are mirror images, and whether copies of a part are driven alike."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -11,14 +11,15 @@ from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.robot.model_rows import (
     Finding,
     driven_dofs,
+    driven_joints,
     geoms_of,
-    rate_gains,
+    name_of,
     row,
-    stiffness,
+    servo_gains,
     torque_limits,
 )
 from gauge_envs.tools.sanity.robot.mujoco_feet import joints_of
-from gauge_envs.tools.sanity.robot.robot import Robot, once
+from gauge_envs.tools.sanity.robot.robot import Robot, couplings_of, once
 
 SAME_PLACE_M = 0.01
 """Distance of a joint from the mirror image of another one up to which they are in the same place [m]."""
@@ -35,7 +36,15 @@ FEW_PAIRS = 2
 LEAST_SIZE_M = 0.01
 """Radius of a link without geoms [m]."""
 
-NOT_SYMMETRIC = "the robot has no two sides that mirror each other"
+FEW_COPIES = 2
+"""Other copies of a part that agree, from which on they say what the part should be."""
+
+SAME = 0.01
+"""Difference of two numbers over the larger one up to which they are the same."""
+
+NOT_SYMMETRIC = (
+    "the robot has no two sides that mirror each other, and no copies of a part"
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,7 +108,7 @@ def mirror_pairs(robot: Robot) -> list[MirrorPair]:
     centres_m = (data.xipos[bodies] - data.xanchor[joints]) @ frame
     depths = np.array([_depth(model, int(joint)) for joint in joints])
     is_aside = np.abs(anchors_m) > SAME_PLACE_M
-    couplings = model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT)
+    couplings = couplings_of(model)
     ends = (model.eq_obj1id[couplings], model.eq_obj2id[couplings])
     coupled = {frozenset(two) for two in np.column_stack(ends).tolist()}
     best: list[MirrorPair] = []
@@ -152,13 +161,13 @@ def _depth(model: mujoco.MjModel, joint: int) -> int:
 @row("robot-mirror")
 def _mirror(robot: Robot) -> Finding:
     model = robot.model
-    driven = {int(model.dof_jntid[dof]) for dof, _ in driven_dofs(robot)}
+    driven = set(driven_joints(robot))
     limited = driven & set(np.flatnonzero(model.jnt_limited).tolist())
     pairs = [one for one in mirror_pairs(robot) if {one.joint, one.other} <= limited]
     parts = {name_of(robot, one.other): one.range_apart_rad for one in pairs}
     if not parts:
         return Finding(declined="no two driven hinges with limits mirror each other")
-    name = max(parts, key=lambda one: parts[one])
+    name = max(parts, key=parts.__getitem__)
     return Finding(
         value=parts[name],
         parts=parts,
@@ -167,27 +176,63 @@ def _mirror(robot: Robot) -> Finding:
     )
 
 
-def name_of(robot: Robot, joint: int) -> str:
-    """Return the name of a joint, or its number."""
-    return robot.model.joint(joint).name or f"joint {joint}"
-
-
 @row("robot-sides")
 def _sides(robot: Robot) -> Finding:
-    parts: dict[str, float] = {}
-    for pair in mirror_pairs(robot):
-        names = f"{name_of(robot, pair.joint)} and {name_of(robot, pair.other)}"
-        for quantity, difference in differences(robot, pair):
-            parts[f"{quantity} of {names}"] = difference
+    mirrored = (
+        (one.joint, one.other, *of_pair)
+        for one in mirror_pairs(robot)
+        for of_pair in differences(robot, one)
+    )
+    parts = {
+        f"{quantity} of {name_of(robot, joint)} and {name_of(robot, other)}": difference
+        for joint, other, quantity, difference in (*mirrored, *odd_copies(robot))
+    }
     if not parts:
         return Finding(declined=NOT_SYMMETRIC)
-    worst = max(parts, key=lambda one: parts[one])
+    worst = max(parts, key=parts.__getitem__)
     return Finding(
         value=parts[worst],
         parts=parts,
         remark=worst if parts[worst] > 1e-3 else "",
-        advice=f"the same on both sides: {worst}",
+        advice=f"the same for both: {worst}",
     )
+
+
+def odd_copies(robot: Robot) -> Iterator[tuple[int, int, str, float]]:
+    """Yield a joint, a copy, a quantity in which its copies agree, and the difference over the larger one.
+
+    Copies carry links of the same mass, inertia and distance of the centre of mass. Fingers and legs often have four.
+    """
+    model = robot.model
+    dofs = list(driven_dofs(robot))
+    joints = model.dof_jntid[dofs]
+    bodies = model.jnt_bodyid[joints]
+    known = quantities(robot)
+    centres_m = model.body_ipos[bodies] - model.jnt_pos[joints]
+    links = [known["mass"][bodies], known["inertia"][bodies]]
+    links.append(np.linalg.norm(centres_m, axis=1))
+    is_copy = np.all([apart(one) <= SAME for one in links], axis=0)
+    np.fill_diagonal(is_copy, False)
+    driven = {n: one[dofs] for n, one in known.items() if n not in OF_LINKS}
+    driven["range"] = np.ptp(model.jnt_range[joints], axis=1)
+    along = np.abs(model.jnt_axis[joints]).max(axis=1)
+    driven["obliqueness"] = np.sqrt(np.maximum(1.0 - along**2, 0.0))
+    for quantity, values in driven.items():
+        differences_of = apart(values)
+        for place in np.flatnonzero(is_copy.sum(axis=0) >= FEW_COPIES).tolist():
+            copies = np.flatnonzero(is_copy[place])
+            agree = (differences_of[np.ix_(copies, copies)] <= SAME).all()
+            difference = float(differences_of[place, copies[0]])
+            if agree and np.isfinite(difference):
+                yield int(joints[place]), int(joints[copies[0]]), quantity, difference
+
+
+def apart(values: FloatArray) -> FloatArray:
+    """Return the difference of all numbers from each other over the larger one, NaN where one is not finite."""
+    sizes = np.abs(values)
+    with np.errstate(invalid="ignore"):
+        differences = np.abs(values[:, None] - values)
+        return differences / np.maximum(np.maximum(sizes[:, None], sizes), 1e-12)
 
 
 def differences(robot: Robot, pair: MirrorPair) -> Iterator[tuple[str, float]]:
@@ -207,14 +252,11 @@ def differences(robot: Robot, pair: MirrorPair) -> Iterator[tuple[str, float]]:
     yield "direction of command", float(is_odd)
     yield "centre of mass", float(np.linalg.norm(pair.centres_apart_m)) / size_m
     for name, values in quantities(robot).items():
-        if name in OF_LINKS:
-            places = model.jnt_bodyid[[pair.joint, pair.other]]
-        else:
-            places = model.jnt_dofadr[[pair.joint, pair.other]]
-        first, second = values[places]
-        if np.isfinite([first, second]).all():
-            largest = max(abs(first), abs(second), 1e-12)
-            yield name, float(abs(first - second) / largest)
+        places = model.jnt_bodyid if name in OF_LINKS else model.jnt_dofadr
+        both = values[places[[pair.joint, pair.other]]]
+        difference = float(apart(both)[0, 1])
+        if np.isfinite(difference):
+            yield name, difference
 
 
 OF_LINKS = frozenset({"mass", "inertia", "collisions", "friction"})
@@ -241,8 +283,8 @@ def quantities(robot: Robot) -> dict[str, FloatArray]:
         "inertia": model.body_inertia.sum(axis=1),
         "collisions": collisions,
         "friction": friction,
-        "kp": np.array([stiffness(model, dof) for dof in range(model.nv)]),
-        "damping": model.dof_damping + rate_gains(model),
+        "kp": servo_gains(model, 1),
+        "damping": model.dof_damping + servo_gains(model, 2),
         "armature": model.dof_armature,
         "frictionloss": model.dof_frictionloss,
         "largest torque": torque_limits(model),

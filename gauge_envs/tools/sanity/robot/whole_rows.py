@@ -11,7 +11,6 @@ from scipy.spatial import ConvexHull, QhullError
 
 from gauge_envs.backends.mujoco.model_settings import COLUMNS
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.tools.sanity.phenomena.base import facts
 from gauge_envs.tools.sanity.robot.model_rows import (
     SIGNS,
     Finding,
@@ -24,17 +23,18 @@ from gauge_envs.tools.sanity.robot.model_rows import (
     geoms_of,
     joint_name,
     limbs_of,
+    limits_of,
+    pair_name,
     row,
     standing_of,
     start,
 )
 from gauge_envs.tools.sanity.robot.mujoco_feet import (
     first_moving_body,
-    geom_name,
     joints_of,
     support_m,
 )
-from gauge_envs.tools.sanity.robot.robot import Robot, joints_of_motors
+from gauge_envs.tools.sanity.robot.robot import Robot, couplings_of, joints_of_motors
 
 SAME_PLACE = 0.3
 """Overlap of the boxes around two sets of geoms, over the box around both, from which on they show the same part."""
@@ -78,12 +78,11 @@ def _size_m(robot: Robot) -> float:
 def _size(robot: Robot) -> Finding:
     if not robot.bodies:
         return Finding(declined="the model has no robot")
-    model, size_m = robot.model, _size_m(robot)
-    mass_kg = float(model.body_mass[robot.bodies].sum())
+    size_m = _size_m(robot)
     unit = "millimetres" if size_m > 1.0 else "kilometres"
     return Finding(
         value=size_m,
-        remark=f"{mass_kg:.3g} kg",
+        remark=f"{robot.mass_kg:.3g} kg",
         advice=f"lengths in metres, not in {unit}: `pos`, `size`, `fromto` and the `scale` of meshes",
     )
 
@@ -119,7 +118,7 @@ def _visual_mass(robot: Robot) -> Finding:
         for body in drawn
         if model.body_mass[body] - masses[body] > 1e-6 and masses[body] > 0.0
     }
-    total_kg = float(model.body_mass[robot.bodies].sum())
+    total_kg = robot.mass_kg
     names = ", ".join(body_name(robot, body) for body in list(extra_kg)[:3])
     stated_kg = total_kg - sum(extra_kg.values())
     return Finding(
@@ -178,7 +177,7 @@ def _torsion(robot: Robot) -> Finding:
         rows = np.flatnonzero(touching).tolist()
     if not rows:
         return Finding(declined="no foot and no finger of the robot can touch")
-    _, largest = facts("robot_rows")["robot-torsion"]["interval"]
+    _, largest = limits_of("robot-torsion")
     levers: dict[str, float] = {}
     changes: dict[str, FloatArray] = {}
     worst, found = -1.0, Finding()
@@ -191,7 +190,7 @@ def _torsion(robot: Robot) -> Finding:
         parts = [geom for geom in two if int(model.geom_bodyid[geom]) in robot.bodies]
         reach_m = min(float(model.geom_rbound[geom]) or np.inf for geom in parts or two)
         lever = max(torsion_m, rolling_m) / max(reach_m, 1e-6)
-        names = " with ".join(geom_name(model, geom) for geom in two)
+        names = pair_name(robot, number)
         levers[names] = lever
         if lever > largest:
             # The larger friction of two geoms counts.
@@ -248,7 +247,7 @@ def _stops(robot: Robot) -> Finding:
     data, gives_mrad, changes = start(robot, model), {}, {}
     begin = data.qpos.copy()
     outside_mrad: dict[str, float] = {}
-    for dof, limit_nm in driven_dofs(robot):
+    for dof, limit_nm in driven_dofs(robot).items():
         joint = int(model.dof_jntid[dof])
         low, high = model.jnt_range[joint]
         if not model.jnt_limited[joint] or not low < high:
@@ -264,13 +263,13 @@ def _stops(robot: Robot) -> Finding:
         outside_mrad[f"{joint_name(robot, dof)} where it starts"] = 1e3 * outside_rad
         load_nm = STOP_RAD_PER_S2 / max(float(model.dof_invweight0[dof]), 1e-9)
         gives_mrad[dof] = 1e3 * give(model, data, beyond, dof, min(load_nm, limit_nm))
-        if gives_mrad[dof] > facts("robot_rows")["robot-stops"]["interval"][1]:
+        if gives_mrad[dof] > limits_of("robot-stops")[1]:
             changes[f"jnt_solref[{joint}]"] = np.array([0.02, 1.0])
             changes[f"jnt_solimp[{joint}]"] = np.array([0.9, 0.95, 0.001, 0.5, 2.0])
     if not gives_mrad:
         return Finding(declined="no driven hinge has a limit")
-    dof = max(gives_mrad, key=lambda one: gives_mrad[one])
-    farthest = max(outside_mrad, key=lambda one: outside_mrad[one])
+    dof = max(gives_mrad, key=gives_mrad.__getitem__)
+    farthest = max(outside_mrad, key=outside_mrad.__getitem__)
     if outside_mrad[farthest] > gives_mrad[dof]:
         return Finding(
             value=outside_mrad[farthest],
@@ -296,7 +295,7 @@ def _numbers(values: FloatArray) -> str:
 @row("robot-coupling")
 def _coupling(robot: Robot) -> Finding:
     model = robot.without("contact", "limit", "frictionloss")
-    is_joint = model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT)
+    is_joint = couplings_of(model)
     couplings = [
         number
         for number in np.flatnonzero(is_joint).tolist()
@@ -308,7 +307,7 @@ def _coupling(robot: Robot) -> Finding:
     begin, forces = data.qpos.copy(), _motor_forces(model, data)
     zeros: dict[str, float] = {}
     zero_changes: dict[str, FloatArray] = {}
-    largest = facts("robot_rows")["robot-coupling"]["interval"][1]
+    largest = limits_of("robot-coupling")[1]
     for number in couplings:
         joint, other = int(model.eq_obj1id[number]), int(model.eq_obj2id[number])
         dofs = [int(model.jnt_dofadr[one]) for one in (joint, other)]
@@ -339,7 +338,7 @@ def _coupling(robot: Robot) -> Finding:
             zeros[f"{name} from its coupled place"] = abs(off) / span
             zero_changes[f"eq_data[{number}]"] = wrong_zero
     if zeros:
-        name = max(zeros, key=lambda one: zeros[one])
+        name = max(zeros, key=zeros.__getitem__)
         return Finding(
             value=zeros[name],
             parts=gives | zeros,
@@ -352,7 +351,7 @@ def _coupling(robot: Robot) -> Finding:
         return Finding(
             declined="no equality couples a joint to one that a motor drives"
         )
-    name = max(gives, key=lambda one: gives[one])
+    name = max(gives, key=gives.__getitem__)
     return Finding(
         value=gives[name],
         parts=gives,
@@ -458,7 +457,7 @@ def _level(robot: Robot) -> Finding:
         if not lows:
             return Finding(declined="a foot cannot touch the ground")
         heights_mm[limb[0]] = 1e3 * min(lows)
-    lower, upper = sorted(heights_mm, key=lambda body: heights_mm[body])
+    lower, upper = sorted(heights_mm, key=heights_mm.__getitem__)
     apart_mm = heights_mm[upper] - heights_mm[lower]
     names = f"{body_name(robot, upper)} above {body_name(robot, lower)}"
     return Finding(

@@ -55,16 +55,21 @@ PLAYGROUND = Mjcf(
 )
 
 
+def _read(target: Any, package: str, pair: GeomPair | None) -> TrainingConfiguration:
+    return mujoco_configuration(
+        _model(target),
+        name=type(target).__name__,
+        source=f"{package}, MuJoCo {mujoco.__version__}",
+        pair=pair,
+        frame_skip=frame_skip(target),
+    )
+
+
 def _read_playground(target: Any, pair: GeomPair | None) -> TrainingConfiguration:
     env = getattr(target, "unwrapped", target)
     model = _model(env)
-    read = mujoco_configuration(
-        model,
-        name=type(env).__name__,
-        source=f"environment of MuJoCo Playground {_version('playground')}, MuJoCo {mujoco.__version__}",
-        pair=pair,
-        frame_skip=frame_skip(env),
-    )
+    package = f"environment of MuJoCo Playground {_version('playground')}"
+    read = _read(env, package, pair)
     engine, trains_on, capacity = "MJX", "", None
     runs_on = found(env, "_config.impl")
     if runs_on == "warp":
@@ -135,13 +140,7 @@ MJLAB = Dialect(
 def _read_mjlab(target: Any, pair: GeomPair | None) -> TrainingConfiguration:
     model = _model(target)
     cfg = found(target, "unwrapped.cfg") or found(target, "cfg") or target
-    read = mujoco_configuration(
-        model,
-        name=type(target).__name__,
-        source=f"mjlab {_version('mjlab')}, MuJoCo {mujoco.__version__}",
-        pair=pair,
-        frame_skip=frame_skip(target),
-    )
+    read = _read(target, f"mjlab {_version('mjlab')}", pair)
     stated, capacity = limits(target), None
     if stated:
         worlds = 1 if "nconmax" in stated else None
