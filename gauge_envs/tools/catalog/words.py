@@ -52,7 +52,7 @@ def experiment_document(values: Mapping[str, Any], *, detailed: bool) -> Documen
         Paragraph(values["summary"]),
         Paragraph(""),
         Facts(_facts(values)),
-        Heading("Action and observation"),
+        Heading(_spaces_heading(values)),
         Facts(_entries([*values["action"], *values["observation"]])),
         *_engines(values),
         _published(values),
@@ -76,8 +76,12 @@ def experiment_document(values: Mapping[str, Any], *, detailed: bool) -> Documen
     return Document(parts=(*short, more), rows=[values])
 
 
-TRAINING = "with drivers='action' driven bodies rest until actions move them"
-"""Task of a policy on an id whose reward is near its largest value without actions."""
+def _spaces_heading(values: Mapping[str, Any]) -> str:
+    """Return the heading of the spaces, with the task of a policy where zero actions are near the best."""
+    heading = "Action and observation"
+    if values["drivers"] and values["reference"]["known_frames"]:
+        heading += " (with drivers='action' driven bodies rest until actions move them)"
+    return heading
 
 
 def _facts(values: Mapping[str, Any]) -> dict[str, str]:
@@ -95,8 +99,6 @@ def _facts(values: Mapping[str, Any]) -> dict[str, str]:
         **_power_facts(reference["power"]),
         "reward": reference["reward"],
     }
-    if values["drivers"] and reference["known_frames"]:
-        facts["training"] = TRAINING
     if reference["scatter"] != "-":
         facts["scatter"] = reference["scatter"]
     if reference["deformation"]:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import re
 import signal
 import subprocess
+import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -138,7 +140,8 @@ class Bench:
         if motion is not None:
             self._motion["driven"] = str(motion)
         self._say = say
-        self._jobs = 0
+        # Both sides may ask for a number at once.
+        self._numbers = itertools.count(1)
 
     def run(self, side: Side) -> tuple[Observed, Path]:
         """Move the model on one side; return what it compiled, and the file of the states that it visits."""
@@ -159,8 +162,7 @@ class Bench:
 
     def kept(self, rows: dict[str, Any]) -> Path:
         """Write states to a file."""
-        self._jobs += 1
-        file = self._folder / f"states{self._jobs}.npz"
+        file = self._folder / f"states{next(self._numbers)}.npz"
         np.savez(file, **rows)
         return file
 
@@ -168,8 +170,7 @@ class Bench:
         self, side: Side, job: Mapping[str, Any], worker: Sequence[str] = WORKER
     ) -> dict[str, Any]:
         """Do a job on a side; return what the worker wrote, and the start `out` of the names of its files."""
-        self._jobs += 1
-        out = self._folder / f"job{self._jobs}"
+        out = self._folder / f"job{next(self._numbers)}"
         whole: dict[str, Any] = {"model": str(self.model.resolve()), **job}
         whole |= {"settings": dict(side.settings), "out": str(out)}
         file = Path(f"{out}.job.json")
@@ -230,8 +231,12 @@ def bench(subject: str, states: Path | None = None, **options: Any) -> Iterator[
         )
 
 
+_READING = threading.Lock()
+"""NumPy parses the header of an array with `ast`, which Python 3.11 may break off in two threads at once."""
+
+
 def _arrays(file: Path) -> dict[str, NDArray[Any]]:
-    with np.load(file) as arrays:
+    with _READING, np.load(file) as arrays:
         return {name: np.array(arrays[name]) for name in arrays.files}
 
 
