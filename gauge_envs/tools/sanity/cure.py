@@ -153,13 +153,13 @@ def _remedied(
     counted: Mapping[str, bool],
 ) -> tuple[Remedies, Callable[[Settings], Applied], _Judge]:
     """Return remedies of the target's own robot, `applied` that keeps rows, and a judge of further changes."""
-    from gauge_envs.tools.sanity.robot.remedies import (
+    from gauge_envs.tools.sanity.robot.behaviour import (
         Behaviour,
-        Remedy,
-        find_remedies,
         harm,
         keep_unconcerned,
     )
+    from gauge_envs.tools.sanity.robot.remedies import find_remedies
+    from gauge_envs.tools.sanity.robot.remedy import Remedy
 
     robot = configuration.robot
     assert robot is not None

@@ -137,7 +137,7 @@ def target_rows(
 
 def robot_row(name: str, robot: Robot | None) -> PhenomenonResult:
     """Return a row on the target's own model; one that is not measured without a model."""
-    from gauge_envs.tools.sanity.robot.model_rows import Finding, judged_row
+    from gauge_envs.tools.sanity.robot.finding import Finding, judged_row
     from gauge_envs.tools.sanity.robot.rows import ROWS
 
     return judged_row(

@@ -13,7 +13,7 @@ from gauge_envs.tools.sanity.cure import applied
 from gauge_envs.tools.sanity.model import Need, Verdict
 from gauge_envs.tools.sanity.phenomena import ROBOT_IDS, phenomenon
 from gauge_envs.tools.sanity.phenomena.base import facts
-from gauge_envs.tools.sanity.robot.model_rows import growth
+from gauge_envs.tools.sanity.robot.joints import growth
 from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
 from gauge_envs.tools.sanity.robot.robot import never_touches
 from gauge_envs.tools.sanity.robot.rows import ROWS

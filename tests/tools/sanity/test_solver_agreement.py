@@ -10,7 +10,7 @@ import pytest
 
 from gauge_envs.backends.mujoco.model_settings import contact_pairs
 from gauge_envs.tools.assets.build import assets_folder
-from gauge_envs.tools.sanity.robot.model_rows import ROWS
+from gauge_envs.tools.sanity.robot.finding import ROWS
 from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
 from gauge_envs.tools.sanity.robot.robot import Robot
 from gauge_envs.tools.sanity.robot.solver_agreement import NO_MEMORY, imbalance

@@ -6,12 +6,8 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from gauge_envs.tools.sanity.robot.model_rows import (
-    body_name,
-    joint_name,
-    servos,
-    start,
-)
+from gauge_envs.tools.sanity.robot.finding import body_name, joint_name
+from gauge_envs.tools.sanity.robot.joints import servos, start
 from gauge_envs.tools.sanity.robot.mujoco_feet import joints_of
 from gauge_envs.tools.sanity.robot.robot import JOINT_TRANSMISSIONS, Robot
 

@@ -7,26 +7,28 @@ import mujoco
 import numpy as np
 
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.tools.sanity.robot.model_rows import (
+from gauge_envs.tools.sanity.robot.finding import (
     NOT_STANDING,
     Finding,
     NotApplicableError,
     NotMeasuredError,
     body_name,
     by_joint,
+    joint_name,
+    limits_of,
+    row,
+    standing_of,
+)
+from gauge_envs.tools.sanity.robot.joints import (
     dof_of,
     driven_dofs,
     driven_joints,
-    joint_name,
     largest_weights_nm,
-    limits_of,
     loads_nm,
     position_servos,
-    row,
     servo_gains,
     servos,
     springs,
-    standing_of,
     start,
     stiffness,
     torque_limits,

@@ -1,11 +1,23 @@
 """All rows on a robot: each module adds its functions to `ROWS` as it is imported."""
 
 from gauge_envs.tools.sanity.robot import (
+    ground_rows,
+    joint_rows,
+    mass_rows,
     rollout,
     sides,
     solver_agreement,
     whole_rows,
 )
-from gauge_envs.tools.sanity.robot.model_rows import ROWS
+from gauge_envs.tools.sanity.robot.finding import ROWS
 
-__all__ = ["ROWS", "rollout", "sides", "solver_agreement", "whole_rows"]
+__all__ = [
+    "ROWS",
+    "ground_rows",
+    "joint_rows",
+    "mass_rows",
+    "rollout",
+    "sides",
+    "solver_agreement",
+    "whole_rows",
+]

@@ -8,13 +8,11 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.tools.sanity.robot.model_rows import (
-    Finding,
+from gauge_envs.tools.sanity.robot.finding import Finding, name_of, row
+from gauge_envs.tools.sanity.robot.ground_rows import geoms_of
+from gauge_envs.tools.sanity.robot.joints import (
     driven_dofs,
     driven_joints,
-    geoms_of,
-    name_of,
-    row,
     servo_gains,
     torque_limits,
 )

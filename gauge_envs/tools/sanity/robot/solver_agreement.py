@@ -8,13 +8,13 @@ import mujoco
 import numpy as np
 
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.tools.sanity.robot.model_rows import (
+from gauge_envs.tools.sanity.robot.finding import (
     Finding,
     NotMeasuredError,
     body_name,
     row,
-    start,
 )
+from gauge_envs.tools.sanity.robot.joints import start
 from gauge_envs.tools.sanity.robot.robot import Robot
 from gauge_envs.tools.versions import imbalance, is_discrete
 

@@ -11,24 +11,24 @@ from scipy.spatial import ConvexHull, QhullError
 
 from gauge_envs.backends.mujoco.model_settings import COLUMNS
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.tools.sanity.robot.model_rows import (
-    SIGNS,
+from gauge_envs.tools.sanity.robot.finding import (
     Finding,
     NotApplicableError,
     body_name,
-    box_corners,
     by_joint,
-    driven_dofs,
-    fingers,
-    geoms_of,
     joint_name,
-    limbs_of,
     limits_of,
-    pair_name,
     row,
     standing_of,
-    start,
 )
+from gauge_envs.tools.sanity.robot.ground_rows import (
+    fingers,
+    geoms_of,
+    limbs_of,
+    pair_name,
+)
+from gauge_envs.tools.sanity.robot.joints import driven_dofs, start
+from gauge_envs.tools.sanity.robot.mass_rows import SIGNS, box_corners
 from gauge_envs.tools.sanity.robot.mujoco_feet import (
     first_moving_body,
     joints_of,

@@ -1,0 +1,518 @@
+"""Judge what drives and brakes the joints of a model."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from gauge_envs.tools.sanity.robot.finding import (
+    Finding,
+    by_joint,
+    first_joints,
+    joint_name,
+    limits_of,
+    name_of,
+    of_elements,
+    row,
+)
+from gauge_envs.tools.sanity.robot.joints import (
+    FEW_JOINTS,
+    driven_dofs,
+    driven_joints,
+    growth,
+    largest_weights_nm,
+    leg_nm,
+    loads_nm,
+    one_sided,
+    servo_gains,
+    servos,
+    speed_servos,
+    start,
+    stiffness,
+    undriven,
+)
+from gauge_envs.tools.sanity.robot.robot import (
+    Robot,
+    acts_on_joints,
+    couplings_of,
+    enabling,
+    swapped_motors,
+    switched_off,
+)
+
+LEAST_RAD_PER_S2, FAIR_RAD_PER_S2 = 100.0, 1000.0
+"""Acceleration that the largest torque gives to the armature alone [rad/s^2]: least and middle of makers' models."""
+
+MOST_RAD_PER_S2 = 2e5
+"""The largest one: four times that of makers' models, and more than the bare rotor of a servo motor [rad/s^2]."""
+
+UNLIMITED_SHARE = 0.25
+"""Share of joints without a largest torque up to which they are exceptions: makers state it for all, 2 of 3 or none."""
+
+SAME_ANGLE = 0.05
+"""Difference from 1 up to which a command counts as the angle of its joint."""
+
+LOST_COMMANDS = 0.1
+"""Part of the commands of a servo that must lie in the range of its joint, for the whole range to count as reached."""
+
+FULL_ACTION_RAD_PER_S = 3.0
+"""Speed of a joint below which a leg cannot step: half a radian in a swing of 0.2 s is 2.5 rad/s."""
+
+
+@row("robot-servo")
+def _servo(robot: Robot) -> Finding:
+    model = robot.model
+    if not model.nv or not (
+        servos(model).any() or model.dof_damping.any() or model.jnt_stiffness.any()
+    ):
+        return Finding(declined="no joint has a servo, damping or stiffness")
+    value = growth(robot)
+    if value <= limits_of("robot-servo")[1]:
+        return Finding(value=value)
+    is_explicit = model.opt.integrator != mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    option = '<option integrator="implicitfast"/>, ' if is_explicit else ""
+    return Finding(
+        value=value,
+        remark=f"step {model.opt.timestep:g} s",
+        advice=f"the armature of rotors and gears, {option}a shorter step, or smaller gains",
+    )
+
+
+@row("robot-torque")
+def _torque(robot: Robot) -> Finding:
+    driven = driven_dofs(robot)
+    limits_nm = {dof: limit for dof, limit in driven.items() if np.isfinite(limit)}
+    if not driven:
+        return Finding(declined="no hinge of the robot is driven")
+    if idle := undriven(robot):
+        names = first_joints(robot, idle)
+        several = f"{names}: {len(idle)} of {len(driven) + len(idle)} hinges"
+        return Finding(
+            parts=by_joint(robot, dict.fromkeys(idle, 0.0)),
+            remark=f"{several} have no actuator",
+            advice=f"an actuator for {names}",
+        )
+    if single := one_sided(robot):
+        names = first_joints(robot, list(single))
+        return Finding(
+            parts=by_joint(robot, dict.fromkeys(single, 0.0)),
+            remark=f"{names}: {len(single)} motors turn one way only",
+            advice=f"a forcerange of both signs for {names}",
+        )
+    at_start = robot.is_floating
+    bias_nm = np.abs(start(robot).qfrc_bias) if at_start else largest_weights_nm(robot)
+    weights_nm = {dof: float(bias_nm[dof]) for dof in limits_nm}
+    ratios = {
+        dof: min(limit / max(weights_nm[dof], 1e-3), 1e6)
+        for dof, limit in limits_nm.items()
+    }
+    unlimited = [dof for dof in driven if dof not in limits_nm]
+    if unlimited and min(ratios.values(), default=1.0) >= 1.0:
+        names = first_joints(robot, unlimited)
+        is_common = len(unlimited) > UNLIMITED_SHARE * len(driven)
+        return Finding(
+            value=np.inf,
+            parts=by_joint(robot, ratios | dict.fromkeys(unlimited, np.inf)),
+            remark=f"{names}: {len(unlimited)} of {len(driven)} driven joints state no largest torque",
+            advice=f"the forcerange of {names}, from the data sheet of the motor and gear",
+            advisory="joints of the model state no limit of their torque"
+            if is_common
+            else "",
+        )
+    weakest = min(ratios, key=ratios.__getitem__)
+    fair_nm = 2.0 * weights_nm[weakest]
+    if robot.is_floating:
+        fair_nm = leg_nm(robot)
+    joint = joint_name(robot, weakest)
+    return Finding(
+        value=ratios[weakest],
+        parts=by_joint(robot, ratios),
+        remark=f"{joint}: {limits_nm[weakest]:.3g} Nm against {weights_nm[weakest]:.3g} Nm",
+        advice=f"a forcerange of {joint} and joints like it from {fair_nm:.2g} Nm on",
+    )
+
+
+@row("robot-stiffness")
+def _stiffness(robot: Robot) -> Finding:
+    errors_mrad = {
+        dof: 1e3 * limit_nm / stiffness(robot.model, dof)
+        for dof, limit_nm in driven_dofs(robot).items()
+        if np.isfinite(limit_nm) and stiffness(robot.model, dof) > 0.0
+    }
+    if not errors_mrad:
+        return Finding(
+            declined="no joint has a servo and states the limit of its torque"
+        )
+    dof = min(errors_mrad, key=errors_mrad.__getitem__)
+    name, gain = joint_name(robot, dof), stiffness(robot.model, dof)
+    return Finding(
+        value=errors_mrad[dof],
+        parts=by_joint(robot, errors_mrad),
+        remark=f"{name}: kp {gain:.3g} Nm/rad",
+        advice=f"kp of {name} and joints like it in Nm/rad, not per degree or in N mm: "
+        f"at most {gain * errors_mrad[dof] / 20.0:.3g}",
+    )
+
+
+@row("robot-action")
+def _action(robot: Robot) -> Finding:
+    scale, model = robot.action_rad, robot.model
+    if scale is None:
+        return Finding(declined="the task states no scale of its actions")
+    shares = {
+        dof: scale * stiffness(model, dof) / limit
+        for dof, limit in driven_dofs(robot).items()
+        if np.isfinite(limit)
+    }
+    if not any(shares.values()):
+        return Finding(
+            declined="no servo of a robot that stands states the limit of its torque"
+        )
+    # A scale in other units moves all joints; single ones, such as necks, have weak motors.
+    dof = sorted(shares, key=shares.__getitem__)[len(shares) // 2]
+    return Finding(
+        value=shares[dof],
+        remark=f"{joint_name(robot, dof)}: {scale:g} rad with {stiffness(model, dof):.3g} Nm/rad",
+        advice=f"an action scale of about {0.5 * scale / shares[dof]:.2g} rad, which asks for half of the torque",
+    )
+
+
+@row("robot-delay")
+def _delay(robot: Robot) -> Finding:
+    model = robot.model
+    filters = (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT))
+    filtered = np.flatnonzero(np.isin(model.actuator_dyntype, filters)).tolist()
+    filters_s = {
+        model.actuator(one).name or f"actuator {one}": float(
+            model.actuator_dynprm[one, 0]
+        )
+        for one in filtered
+    }
+    if robot.delay_s is None and not filters_s:
+        return Finding(declined="neither the task nor an actuator states a delay")
+    slowest = max(filters_s, key=filters_s.__getitem__, default="")
+    filter_s = filters_s.get(slowest, 0.0)
+    return Finding(
+        value=1e3 * ((robot.delay_s or 0.0) + filter_s),
+        parts={name: 1e3 * one for name, one in filters_s.items()},
+        remark=f"{slowest}: a filter with a time constant of {filter_s:.3g} s"
+        if filter_s
+        else "",
+        advice="delays of at most 50 ms from the observation to the torque",
+    )
+
+
+def _drag(
+    robot: Robot, name: str, share: Callable[[int, float], float], spare: float
+) -> Finding:
+    """Return the driven joint with the largest share of its torque; the advice leaves a part of the limit to spare."""
+    model, values = robot.model, getattr(robot.model, f"dof_{name}")
+    is_own = np.isin(model.dof_bodyid, robot.bodies)
+    feeding = np.flatnonzero(is_own & (values < 0.0)).tolist()
+    if feeding:
+        least = min(feeding, key=lambda dof: float(values[dof]))
+        several = f"{joint_name(robot, least)} and {len(feeding) - 1} more"
+        return Finding(
+            value=float(values[least]),
+            parts=by_joint(robot, {dof: values[dof] for dof in feeding}),
+            remark=f"negative {name} {values[least]:.3g} of {several}: it feeds the motion that it should brake",
+            advice=f"positive {name} for {several}",
+            changes=of_elements(f"dof_{name}", {d: -float(values[d]) for d in feeding}),
+        )
+    limits = loads_nm(robot)
+    if not limits:
+        return Finding(
+            declined="no joint states the limit of its torque, or has a servo"
+        )
+    shares = {dof: share(dof, limit) for dof, limit in limits.items()}
+    fair = {d: float(values[d]) / max(spare * shares[d], 1.0) for d in limits}
+    worst = max(shares, key=shares.__getitem__)
+    return Finding(
+        value=shares[worst],
+        parts=by_joint(robot, shares),
+        remark=f"{joint_name(robot, worst)}: {name} {values[worst]:.3g} with {limits[worst]:.3g} Nm",
+        advice=f'{name}="{fair[worst]:.2g}" for {joint_name(robot, worst)} and joints like it, '
+        "or its largest torque in Nm",
+        changes=of_elements(
+            f"dof_{name}", {dof: one for dof, one in fair.items() if one < values[dof]}
+        ),
+    )
+
+
+@row("robot-damping")
+def _damping(robot: Robot) -> Finding:
+    damping = robot.model.dof_damping
+    rates = {
+        dof: float(damping[dof] + servo_gains(robot.model, 2)[dof])
+        for dof in driven_dofs(robot)
+    }
+    feeding = {dof: one for dof, one in rates.items() if one < 0.0 <= damping[dof]}
+    if feeding:
+        worst = min(feeding, key=feeding.__getitem__)
+        name = joint_name(robot, worst)
+        return Finding(
+            value=feeding[worst],
+            parts=by_joint(robot, feeding),
+            remark=f"the servo of {name} feeds the motion that it should brake, by {feeding[worst]:.3g} Nm s",
+            advice=f"a positive kv for {name}",
+        )
+    return _drag(
+        robot,
+        "damping",
+        lambda dof, limit: FULL_ACTION_RAD_PER_S * float(damping[dof]) / limit,
+        4.0,
+    )
+
+
+@row("robot-frictionloss")
+def _frictionloss(robot: Robot) -> Finding:
+    loss = robot.model.dof_frictionloss
+    return _drag(
+        robot, "frictionloss", lambda dof, limit: float(loss[dof]) / limit, 20.0
+    )
+
+
+@row("robot-armature")
+def _armature(robot: Robot) -> Finding:
+    model, data, found, changes = robot.model, start(robot), Finding(), {}
+    ratios: dict[int, float] = {}
+    full = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, full)
+    loads = loads_nm(robot)
+    for dof in driven_dofs(robot):
+        armature, limit_nm = float(model.dof_armature[dof]), loads.get(dof, 0.0)
+        limb = max(float(full[dof, dof]) - armature, 1e-9)
+        # Turned about its own axis a wrist has next to no inertia: what counts there is that its motor can turn it.
+        if armature * LEAST_RAD_PER_S2 <= limit_nm:
+            continue
+        ratios[dof] = armature / limb
+        fair = max(limb, limit_nm / FAIR_RAD_PER_S2)
+        if armature / limb > limits_of("robot-armature")[1]:
+            changes[f"dof_armature[{dof}]"] = fair
+        if armature / limb > found.value:
+            found = Finding(
+                value=armature / limb,
+                remark=f"{joint_name(robot, dof)}: {armature:.3g} with a limb of {limb:.3g} kg m^2, {limit_nm:.3g} Nm",
+                advice=f'armature="{fair:.2g}" for {joint_name(robot, dof)} and joints like it',
+            )
+    return replace(found, changes=changes, parts=by_joint(robot, ratios))
+
+
+@row("robot-rotor")
+def _rotor(robot: Robot) -> Finding:
+    armatures = {
+        dof: float(robot.model.dof_armature[dof]) for dof in driven_dofs(robot)
+    }
+    if not armatures:
+        return Finding(declined="no hinge of the robot is driven")
+    limits_nm = driven_dofs(robot)
+    fast = [
+        dof
+        for dof, armature in armatures.items()
+        if armature > 0.0 and MOST_RAD_PER_S2 * armature < limits_nm[dof] < np.inf
+    ]
+    without_rotor = [dof for dof, armature in armatures.items() if armature <= 0.0]
+    without_rotor += fast
+    stated = sorted(armatures[dof] for dof in armatures if dof not in without_rotor)
+    if not without_rotor:
+        return Finding(remark="all driven joints state one")
+    names = first_joints(robot, without_rotor)
+    several = f"{names}: {len(without_rotor)} of {len(armatures)} driven joints"
+    for dof in fast[:1]:
+        several += f"; {limits_nm[dof]:.3g} Nm would turn the {armatures[dof]:.3g} kg m^2 of {joint_name(robot, dof)} "
+        several += f"by {limits_nm[dof] / armatures[dof]:.2g} rad/s^2"
+    share = len(without_rotor) / len(armatures)
+    parts = by_joint(robot, dict.fromkeys(without_rotor, 1.0))
+    if not stated and not fast:
+        # Half of the makers' models state none at all.
+        return Finding(
+            value=share,
+            parts=parts,
+            remark=several,
+            advisory="no joint of the model states the inertia of its rotor",
+        )
+    if not stated:
+        return Finding(
+            value=share,
+            parts=parts,
+            remark=several,
+            advice="armature in kg m^2, forcerange in Nm",
+        )
+    least = stated[0]
+    return Finding(
+        value=share,
+        parts=parts,
+        remark=several,
+        advice=f'armature="{least:.2g}" for {names}, as other joints state it: rotor inertia times gear ratio squared'
+        + (", or a forcerange in Nm" if fast else ""),
+        changes={f"dof_armature[{dof}]": least for dof in without_rotor},
+    )
+
+
+@row("robot-range")
+def _range(robot: Robot) -> Finding:
+    model = robot.model
+    joints = driven_joints(robot)
+    ranges_rad = {
+        name_of(robot, joint): float(np.ptp(model.jnt_range[joint]))
+        for joint in joints
+        if model.jnt_limited[joint]
+    }
+    if not ranges_rad:
+        return Finding(declined="no driven hinge has limits")
+    low_rad, high_rad = limits_of("robot-range")
+    off = [n for n, rad in ranges_rad.items() if not low_rad <= rad <= high_rad]
+    name = max(
+        ranges_rad, key=lambda n: max(low_rad / ranges_rad[n], ranges_rad[n] / high_rad)
+    )
+    is_small = ranges_rad[name] < 1.0
+    factor = np.degrees(1.0) if is_small else np.radians(1.0)
+    changes = {
+        f"jnt_range[{joint}]": factor * model.jnt_range[joint]
+        for joint in joints
+        if name_of(robot, joint) in off
+    }
+    unit = "radians read as degrees" if is_small else "degrees read as radians"
+    advice = f"the range of {', '.join(off[:3])} in the unit of the compiler's angles"
+    if 2 * len(off) > len(ranges_rad):
+        advice = f'<compiler angle="{"radian" if is_small else "degree"}"/>'
+    return Finding(
+        value=ranges_rad[name],
+        parts=ranges_rad,
+        remark=f"{name}, {len(off)} of {len(ranges_rad)}: {unit}?" if off else "",
+        advice=advice,
+        changes=changes,
+    )
+
+
+@row("robot-command")
+def _command(robot: Robot) -> Finding:
+    model = robot.model
+    is_on_joint = acts_on_joints(model)
+    has_no_bias = model.actuator_biastype == int(mujoco.mjtBias.mjBIAS_NONE)
+    is_unread = has_no_bias & (model.actuator_biasprm[:, 1] < 0.0)
+    joints = model.actuator_trnid[:, 0]
+    is_servo = is_on_joint & (servos(model) | is_unread)
+    found: dict[str, Finding] = {}
+    for actuator in np.flatnonzero(is_servo).tolist():
+        joint = int(joints[actuator])
+        gain = float(model.actuator_gainprm[actuator, 0])
+        gear = float(model.actuator_gear[actuator, 0])
+        if int(model.jnt_bodyid[joint]) not in robot.bodies or not gain * gear:
+            continue
+        name = joint_name(robot, int(model.jnt_dofadr[joint]))
+        others = np.flatnonzero(is_servo & (joints == joint)).tolist()
+        if len(others) > 1:
+            names = [model.actuator(one).name or f"actuator {one}" for one in others]
+            remark = f"{name} has {len(others)} servos: {', '.join(names)}"
+            found[name] = Finding(remark=remark, advice="one servo for each joint")
+        elif is_unread[actuator]:
+            affine = int(mujoco.mjtBias.mjBIAS_AFFINE)
+            found[name] = Finding(
+                remark=f"the servo of {name} does not read its biasprm",
+                advice=f'biastype="affine" for {name}',
+                changes={f"actuator_biastype[{actuator}]": affine},
+            )
+        else:
+            found[name] = _reached(robot, actuator, name)
+    for motor, joint in swapped_motors(model).items():
+        name = model.actuator(motor).name
+        found[name] = Finding(
+            remark=f"{name} turns {name_of(robot, int(joints[motor]))}",
+            advice=f"joint {name_of(robot, joint)} for {name}",
+        )
+    for motor in speed_servos(robot):
+        name = name_of(robot, int(joints[motor]))
+        found[name] = Finding(
+            remark=f"the servo of {name} takes a speed, and is commanded an angle",
+            advice=f"a servo of position for {name}: -kp and -kv in biasprm",
+        )
+    if not found:
+        return Finding(declined="no servo of the robot takes a position")
+    worst = min(found.values(), key=lambda one: one.value)
+    changes: dict[str, Any] = {}
+    for one in found.values():
+        changes |= one.changes
+    parts = {name: one.value for name, one in found.items()}
+    return replace(worst, parts=parts, changes=changes)
+
+
+def _reached(robot: Robot, actuator: int, name: str) -> Finding:
+    """Return the part of a joint's range that the commands of its servo reach, infinite against its direction."""
+    model = robot.model
+    joint = int(model.actuator_trnid[actuator, 0])
+    gain = float(model.actuator_gainprm[actuator, 0])
+    bias = model.actuator_biasprm[actuator]
+    gear = float(model.actuator_gear[actuator, 0])
+    # Without load, gain * control + bias[0] + bias[1] * gear * angle is 0.
+    per_control = -gain / (float(bias[1]) * gear)
+    if per_control < 0.0:
+        return Finding(
+            value=-np.inf,
+            remark=f"{name} turns against its command",
+            advice=f"a positive gear and gain for {name}",
+            changes={
+                f"actuator_gear[{actuator}]": np.abs(model.actuator_gear[actuator])
+            },
+        )
+    if not (model.actuator_ctrllimited[actuator] and model.jnt_limited[joint]):
+        return Finding(value=1.0, remark=name)
+    zero = -float(bias[0]) / (float(bias[1]) * gear)
+    ends = zero + per_control * model.actuator_ctrlrange[actuator]
+    low, high = model.jnt_range[joint]
+    reached_rad = float(min(ends[1], high) - max(ends[0], low))
+    # Of a range of commands that is far wider than the joint's, nearly all are lost.
+    is_angle = abs(per_control - 1.0) < SAME_ANGLE
+    used = LOST_COMMANDS if is_angle else 1.0
+    share = reached_rad / max(high - low, used * float(np.ptp(ends)))
+    found = Finding(value=share if share >= 0.0 else -np.inf, remark=name)
+    if share >= limits_of("robot-command")[0]:
+        return found
+    if is_angle or zero != 0.0:
+        ends = (model.jnt_range[joint] - zero) / per_control
+        return replace(
+            found,
+            advice=f"the ctrlrange of {name} in the unit of its joint, or inheritrange",
+            changes={f"actuator_ctrlrange[{actuator}]": ends},
+        )
+    key, advice = "biasprm", f"{gain:g} and {-gain:g} in gainprm and biasprm of {name}"
+    row = np.array(bias)
+    row[1] = -gain
+    if abs(gear) != 1.0:
+        key, advice = "gear", f"gear 1 for {name}, which its command passes too"
+        row = np.sign(gear) * np.eye(6)[0]
+    return replace(
+        found,
+        remark=f"a command of 1 turns {name} by {per_control:.3g} rad",
+        advice=advice,
+        changes={f"actuator_{key}[{actuator}]": row},
+    )
+
+
+@row("robot-unlimited")
+def _unlimited(robot: Robot) -> Finding:
+    model = robot.model
+    joints = driven_joints(robot)
+    if len(joints) < FEW_JOINTS or (robot.foot_rows and not model.jnt_limited.any()):
+        return Finding(declined=f"fewer than {FEW_JOINTS} driven hinges, or wheels")
+    off = switched_off(model, "constraint", "limit")
+    free = [joint for joint in joints if off or not model.jnt_limited[joint]]
+    # What a linkage couples to another joint cannot turn without end.
+    of_joints = couplings_of(model)
+    coupled = {
+        *model.eq_obj1id[of_joints].tolist(),
+        *model.eq_obj2id[of_joints].tolist(),
+    }
+    free.sort(key=lambda joint: joint not in coupled)
+    names = ", ".join(name_of(robot, joint) for joint in free[:3])
+    return Finding(
+        value=1.0 if coupled & set(free) else len(free) / len(joints),
+        parts={name_of(robot, joint): 1.0 for joint in free},
+        remark=f"{names}: {len(free)} of {len(joints)} driven hinges" if free else "",
+        changes=dict.fromkeys(off, True),
+        advice=enabling(off)
+        if off
+        else f'the ranges of {names} and joints like it; a `range` counts with autolimits, or with limited="true"',
+    )

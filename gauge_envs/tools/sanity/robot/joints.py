@@ -1,0 +1,264 @@
+"""Joints of a robot: what drives, brakes and loads each of them."""
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from gauge_envs.scene import GRAVITY_M_PER_S2
+from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.tools.sanity.robot.finding import standing_of
+from gauge_envs.tools.sanity.robot.mujoco_feet import joints_of
+from gauge_envs.tools.sanity.robot.robot import (
+    JOINT_TRANSMISSIONS,
+    Robot,
+    acts_on_joints,
+    couplings_of,
+    joints_of_motors,
+    once,
+    random_poses,
+)
+
+SERVO_ERROR_RAD = 0.5
+"""Error at which a servo without a limit asks for its largest torque [rad]."""
+
+LIGHT = 1e-3
+"""Torque of a weight, over the largest one of the robot, up to which a joint turns about a balanced part."""
+
+FEW_JOINTS = 3
+"""Driven hinges from which on a robot as a whole is judged."""
+
+
+def start(robot: Robot, model: mujoco.MjModel | None = None) -> mujoco.MjData:
+    """Return the pose in which the robot works, with the controls that hold it there.
+
+    It is the pose in which it stands; of a fixed base the keyframe `home` or the first one, else that of the model.
+    Joints that the model puts outside their ranges are in the middle of these.
+    """
+    model = robot.model if model is None else model
+    data = mujoco.MjData(model)
+    if robot.standing is not None:
+        data.qpos[:] = robot.standing.stance.qpos
+    elif model.nkey:
+        home = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "home")
+        data.qpos[:] = model.key_qpos[max(home, 0)]
+    else:
+        positions = data.qpos[model.jnt_qposadr]
+        low, high = model.jnt_range.T
+        is_outside = (positions < low) | (positions > high)
+        is_outside &= joints_of(model, "HINGE", "SLIDE") & (model.jnt_limited != 0)
+        data.qpos[model.jnt_qposadr[is_outside]] = (0.5 * (low + high))[is_outside]
+    mujoco.mj_forward(model, data)
+    # A servo's force is gain * control + bias[0] + bias[1] * length: here it is 0.
+    servo = servos(model) & (model.actuator_gainprm[:, 0] != 0.0)
+    bias = model.actuator_biasprm[servo]
+    forces = bias[:, 0] + bias[:, 1] * data.actuator_length[servo]
+    data.ctrl[servo] = -forces / model.actuator_gainprm[servo, 0]
+    if robot.standing is not None and robot.standing.stance.ctrl is not None:
+        data.ctrl[:] = robot.standing.stance.ctrl
+    mujoco.mj_forward(model, data)
+    return data
+
+
+def servos(model: mujoco.MjModel) -> NDArray[np.bool_]:
+    """Return which actuators hold a position, shape [nu]."""
+    affine = model.actuator_biastype == int(mujoco.mjtBias.mjBIAS_AFFINE)
+    return affine & (model.actuator_biasprm[:, 1] < 0.0)
+
+
+def torque_limits(model: mujoco.MjModel) -> FloatArray:
+    """Return the largest force of the actuators on each degree of freedom [N or Nm], shape [nv].
+
+    It is infinite where no limit is stated, and 0 where nothing acts.
+    """
+    limits = np.zeros(model.nv)
+    for actuator in range(model.nu):
+        joint = int(model.actuator_trnid[actuator, 0])
+        if (
+            int(model.actuator_trntype[actuator]) not in JOINT_TRANSMISSIONS
+            or joint < 0
+        ):
+            continue
+        largest = np.inf
+        if model.actuator_forcelimited[actuator]:
+            largest = float(np.abs(model.actuator_forcerange[actuator]).max())
+        elif (
+            model.actuator_ctrllimited[actuator]
+            and not model.actuator_biasprm[actuator].any()
+        ):
+            largest = float(
+                abs(model.actuator_gainprm[actuator, 0])
+                * np.abs(model.actuator_ctrlrange[actuator]).max()
+            )
+        dof = int(model.jnt_dofadr[joint])
+        limits[dof] += abs(float(model.actuator_gear[actuator, 0])) * largest
+        if model.jnt_actfrclimited[joint]:
+            limits[dof] = min(
+                limits[dof], float(np.abs(model.jnt_actfrcrange[joint]).max())
+            )
+    return limits
+
+
+def driven_dofs(robot: Robot) -> dict[int, float]:
+    """Return the limits of hinges of a robot that an actuator drives, by degree of freedom [Nm]."""
+    model = robot.model
+    is_hinge = joints_of(model, "HINGE")[model.dof_jntid]
+    is_driven = is_hinge & np.isin(model.dof_bodyid, robot.bodies)
+    limits = enumerate(torque_limits(model).tolist())
+    return {dof: limit for dof, limit in limits if limit and is_driven[dof]}
+
+
+def driven_joints(robot: Robot) -> list[int]:
+    """Return the joints of these hinges."""
+    joints: list[int] = robot.model.dof_jntid[list(driven_dofs(robot))].tolist()
+    return joints
+
+
+def growth(robot: Robot) -> float:
+    """Return the largest ratio by which a small motion about the pose grows in one step, without contact and gravity.
+
+    It is the spectral radius of the engine's own step: gains, damping, inertia, step and integrator together.
+    """
+    free = robot.without("contact", "gravity", "limit", "frictionloss")
+    data, nv = start(robot, free), free.nv
+    base, ctrl, matrix = data.qpos.copy(), data.ctrl.copy(), np.zeros((2 * nv, 2 * nv))
+
+    def stepped(change: FloatArray) -> FloatArray:
+        mujoco.mj_resetData(free, data)
+        data.qpos[:], data.ctrl[:] = base, ctrl
+        mujoco.mj_integratePos(free, data.qpos, change[:nv], 1.0)
+        data.qvel[:] = change[nv:]
+        mujoco.mj_step(free, data)
+        moved = np.zeros(nv)
+        mujoco.mj_differentiatePos(free, moved, 1.0, base, data.qpos)
+        return np.concatenate([moved, data.qvel])
+
+    for column, change in enumerate(1e-5 * np.eye(2 * nv)):
+        matrix[:, column] = (stepped(change) - stepped(-change)) / 2e-5
+    return (
+        float(np.abs(np.linalg.eigvals(matrix)).max())
+        if np.isfinite(matrix).all()
+        else np.inf
+    )
+
+
+@once
+def largest_weights_nm(robot: Robot) -> FloatArray:
+    """Return the largest torque of gravity on each degree of freedom in random poses [Nm], shape [nv]."""
+    poses = random_poses(robot.model, 64)
+    return np.max(
+        [np.abs(data.qfrc_bias - data.qfrc_gravcomp) for data in poses], axis=0
+    )
+
+
+def undriven(robot: Robot) -> list[int]:
+    """Return hinges of a driven robot that carry a weight and that nothing drives, springs or couples."""
+    model = robot.model
+    drives_joints = acts_on_joints(model).all()
+    is_joint = couplings_of(model)
+    is_linkage = model.ntendon or not drives_joints or not is_joint.all()
+    if is_linkage or len(driven_dofs(robot)) < FEW_JOINTS:
+        return []
+    moved = {*joints_of_motors(model).tolist()}
+    moved |= {*model.eq_obj1id.tolist(), *model.eq_obj2id.tolist()}
+    moved |= {*np.flatnonzero(springs(model)).tolist()}
+    weights_nm = largest_weights_nm(robot)
+    is_hinge = joints_of(model, "HINGE")
+    return [
+        dof
+        for dof, joint in enumerate(model.dof_jntid.tolist())
+        if is_hinge[joint]
+        and joint not in moved
+        and int(model.dof_bodyid[dof]) in robot.bodies
+        # Joints of the first body place the robot in the world.
+        and model.body_parentid[model.dof_bodyid[dof]]
+        and weights_nm[dof] > LIGHT * weights_nm.max()
+    ]
+
+
+def one_sided(robot: Robot) -> dict[int, int]:
+    """Return actuators without muscles whose forces have one sign, by the hinge that each turns."""
+    model = robot.model
+    low, high = model.actuator_forcerange.T
+    is_muscle = model.actuator_gaintype == int(mujoco.mjtGain.mjGAIN_MUSCLE)
+    is_one = model.actuator_forcelimited.astype(bool) & (low * high >= 0.0)
+    is_one &= acts_on_joints(model) & ~is_muscle
+    driven = set(driven_dofs(robot))
+    dofs = model.jnt_dofadr[model.actuator_trnid[:, 0]]
+    return {
+        int(dofs[a]): a for a in np.flatnonzero(is_one).tolist() if dofs[a] in driven
+    }
+
+
+def springs(model: mujoco.MjModel) -> FloatArray:
+    """Return the stiffness of the spring of each joint [N/m or Nm/rad], shape [njnt]."""
+    # MuJoCo 4 has coefficients of a polynomial, earlier versions one number.
+    linear: FloatArray = model.jnt_stiffness.reshape(model.njnt, -1)[:, 0]
+    return linear
+
+
+def foot_load_n(robot: Robot) -> float:
+    """Return what each foot of a robot carries of its weight [N]."""
+    return robot.mass_kg * GRAVITY_M_PER_S2 / len(standing_of(robot).feet)
+
+
+def leg_nm(robot: Robot) -> float:
+    """Return twice the torque of the load of a foot at the height of a robot that stands [Nm]."""
+    return 2.0 * foot_load_n(robot) * standing_of(robot).height_m
+
+
+def dof_of(robot: Robot, actuator: int) -> int:
+    """Return the degree of freedom on which an actuator acts."""
+    return int(robot.model.jnt_dofadr[robot.model.actuator_trnid[actuator, 0]])
+
+
+def motors_of(robot: Robot) -> list[int]:
+    """Return actuators on hinges that count as driven."""
+    joints = robot.model.actuator_trnid[:, 0]
+    return np.flatnonzero(np.isin(joints, driven_joints(robot))).tolist()
+
+
+def position_servos(robot: Robot) -> list[int]:
+    """Return servos on hinges of the robot."""
+    is_servo = servos(robot.model)
+    return [actuator for actuator in motors_of(robot) if is_servo[actuator]]
+
+
+def servo_gains(model: mujoco.MjModel, column: int) -> FloatArray:
+    """Return a gain of the servos on each degree of freedom, shape [nv].
+
+    Args:
+        model: The model.
+        column: 1 for the stiffness [Nm/rad], 2 for the damping [Nm s/rad].
+    """
+    gains = np.zeros(model.nv)
+    actuators = servos(model) & acts_on_joints(model)
+    gears = model.actuator_gear[actuators, 0]
+    dofs = model.jnt_dofadr[model.actuator_trnid[actuators, 0]]
+    np.subtract.at(gains, dofs, gears**2 * model.actuator_biasprm[actuators, column])
+    return gains
+
+
+def stiffness(model: mujoco.MjModel, dof: int) -> float:
+    """Return the stiffness of the servos on a degree of freedom [Nm/rad]."""
+    return float(servo_gains(model, 1)[dof])
+
+
+def loads_nm(robot: Robot) -> dict[int, float]:
+    """Return the largest torque of the motor of each driven hinge; without a limit that of its servo [Nm]."""
+    loads: dict[int, float] = {}
+    for dof, limit_nm in driven_dofs(robot).items():
+        if not np.isfinite(limit_nm):
+            limit_nm = SERVO_ERROR_RAD * stiffness(robot.model, dof)
+        if limit_nm > 0.0:
+            loads[dof] = limit_nm
+    return loads
+
+
+def speed_servos(robot: Robot) -> list[int]:
+    """Return servos that take a speed on joints with limits, though other servos take an angle."""
+    model = robot.model
+    gains, (_, angle, rate) = model.actuator_gainprm[:, 0], model.actuator_biasprm.T[:3]
+    is_speed = acts_on_joints(model) & (angle == 0.0) & servos(model).any()
+    is_speed &= (rate < 0.0) & np.isclose(gains, -rate)
+    is_speed &= model.jnt_limited[model.actuator_trnid[:, 0]] > 0
+    return np.flatnonzero(is_speed).tolist()

@@ -1,0 +1,232 @@
+"""Judge the masses, inertias and sizes that a model states."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import mujoco
+import numpy as np
+from scipy.spatial import ConvexHull, QhullError
+
+from gauge_envs.scene import Vector
+from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.tools.sanity.robot.finding import Finding, body_name, limits_of, row
+from gauge_envs.tools.sanity.robot.ground_rows import geoms_of
+from gauge_envs.tools.sanity.robot.mujoco_feet import geom_name
+from gauge_envs.tools.sanity.robot.robot import Robot, once
+
+SIGNS = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1).T
+"""Signs of the corners of a box, shape [8, 3]."""
+
+FAR_CENTRE = 0.5
+"""Distance of a centre of mass from the box around its link, over the diagonal of the box, beyond which it is wrong.
+
+It is 0 in 36 of 38 models of makers, and 0.26 in the Tiago of robosuite.
+"""
+
+HEAVY = 9.0
+"""Density of a link over the middle one of a robot beyond which it is wrong: at most 6.2 in 28 models of makers."""
+
+UNIT_ERRORS = {
+    1e3: "a density in g/cm^3 or a mass in tonnes",
+    1e-3: "a mass in grams",
+    1e6: "a mass in kt",
+}
+
+MASSLESS_KG = 1e-5
+"""Mass up to which a body is a frame that carries no link; makers give such frames 1e-8 to 1e-6 kg [kg]."""
+
+UNIT_WITHIN = 35.0
+"""Factor within which a density in another unit is that of water."""
+
+
+def _extent(robot: Robot, body: int) -> Vector:
+    """Return the largest volume of a geom of a body, that of their hull [m^3], and the reach from its centre [m].
+
+    Joints of the next links belong to the hull. All are NaN for a body whose shape is not known.
+    """
+    model, geoms = robot.model, geoms_of(robot, body)
+    if not geoms:
+        return (np.nan,) * 3
+    largest = float(8.0 * model.geom_aabb[geoms, 3:].prod(axis=1).max())
+    every = _points(robot, body)
+    try:
+        hull = float(ConvexHull(every).volume)
+    except QhullError:
+        hull = largest
+    reach = np.linalg.norm(every - model.body_ipos[body], axis=1).max()
+    return largest, hull, float(reach)
+
+
+def box_corners(model: mujoco.MjModel, geoms: Sequence[int]) -> FloatArray:
+    """Return the corners of the boxes around geoms of one body, in its frame [m], shape [8 geom_count, 3]."""
+    corners = [np.zeros((0, 3))]
+    for geom in geoms:
+        turn = np.zeros(9)
+        mujoco.mju_quat2Mat(turn, model.geom_quat[geom])
+        box = model.geom_aabb[geom, :3] + SIGNS * model.geom_aabb[geom, 3:]
+        corners.append(model.geom_pos[geom] + box @ turn.reshape(3, 3).T)
+    return np.vstack(corners)
+
+
+@once
+def _points(robot: Robot, body: int) -> FloatArray:
+    """Return the corners of the boxes around the geoms of a body, its joints and those of the next bodies [m]."""
+    model = robot.model
+    children = [b for b in robot.bodies if int(model.body_parentid[b]) == body]
+    joints = model.jnt_pos[model.jnt_bodyid == body]
+    corners = box_corners(model, geoms_of(robot, body))
+    return np.vstack([corners, model.body_pos[children], joints])
+
+
+def _box(robot: Robot, body: int) -> tuple[FloatArray, FloatArray]:
+    """Return the lower and the upper corner of the box around a link, in its frame [m], shape [3] each."""
+    points = _points(robot, body)
+    return points.min(axis=0), points.max(axis=0)
+
+
+@row("robot-density")
+def _density(robot: Robot) -> Finding:
+    model, worst = robot.model, 0.0
+    found = Finding(declined="the shape of no link is known")
+    changes: dict[str, Any] = {}
+    densities: dict[str, float] = {}
+    low, high = limits_of("robot-density")
+    for body in robot.bodies:
+        mass_kg = float(model.body_mass[body])
+        geom_m3, hull_m3, _ = _extent(robot, body)
+        if not (mass_kg > MASSLESS_KG and geom_m3 > 0.0):
+            continue
+        # The largest density that its largest geom allows, and the least one in the room around all of them [kg/m^3].
+        dense, thin = mass_kg / geom_m3, mass_kg / max(hull_m3, geom_m3)
+        density = dense if dense < low else max(thin, low)
+        name = body_name(robot, body)
+        densities[name] = density
+        ratio = max(low / dense, thin / high)
+        factor = min(UNIT_ERRORS, key=lambda one: abs(np.log(1000.0 / density / one)))
+        remark = f"{name} with {mass_kg:.3g} kg of {robot.mass_kg:.3g} kg"
+        is_unit = abs(np.log(1000.0 / density / factor)) < np.log(UNIT_WITHIN)
+        if ratio > 1.0 and is_unit:
+            remark += f": {UNIT_ERRORS[factor]}?"
+            changes[f"body_mass[{body}]"] = model.body_mass[body] * factor
+            changes[f"body_inertia[{body}]"] = model.body_inertia[body] * factor
+        if found.declined or ratio > worst:
+            worst = ratio
+            links = f"{name} and links like it"
+            advice = f"give {links} the mass and inertia of the real part"
+            if is_unit:
+                advice = f"multiply mass and inertia, or the density, of {links} by {factor:g}"
+            if density < low:
+                geom = max(geoms_of(robot, body), key=lambda g: model.geom_rbound[g])
+                advice += f", or give {geom_name(model, geom)} its size"
+            found = Finding(value=density, remark=remark, advice=advice)
+    if worst <= 1.0 and densities:
+        name = max(densities, key=densities.__getitem__)
+        ratio = densities[name] / float(np.median(list(densities.values())))
+        if ratio > HEAVY:
+            densities[name] = np.inf
+            found = Finding(
+                value=np.inf,
+                remark=f"{name} is {ratio:.2g} times as dense as the middle one of the links",
+                advice=f"give {name} the mass and inertia of the real part",
+            )
+    return replace(found, changes=changes, parts=densities)
+
+
+@row("robot-bound")
+def _bound(robot: Robot) -> Finding:
+    spec = robot.spec
+    if spec is None or not (spec.compiler.boundmass or spec.compiler.boundinertia):
+        return Finding(declined="the model states neither boundmass nor boundinertia")
+    bare = spec.copy()
+    bare.compiler.boundmass = bare.compiler.boundinertia = 0.0
+    try:
+        model = bare.compile()
+    except ValueError:
+        return Finding(declined="without them a body has no mass: MuJoCo needs them")
+    stated_kg = model.body_mass[robot.bodies]
+    total_kg = float(stated_kg.sum())
+    inertias = robot.model.body_inertia[robot.bodies].max(axis=1)
+    stated_inertias = model.body_inertia[robot.bodies].max(axis=1)
+    is_raised = inertias > 1.02 * stated_inertias
+    raised = np.asarray(robot.bodies)[is_raised].tolist()
+    weight = float(stated_kg[is_raised].sum()) / total_kg
+    names = ", ".join(body_name(robot, body) for body in raised[:3])
+    remark = f"{len(raised)} links have more inertia than their geoms or their inertial element state: {names}"
+    return Finding(
+        value=max(robot.mass_kg / total_kg - 1.0, weight),
+        parts={body_name(robot, body): 1.0 for body in raised},
+        remark=remark if raised else "",
+        advice='<compiler boundmass="0" boundinertia="0"/>',
+        changes={"compiler_boundmass": 0.0, "compiler_boundinertia": 0.0},
+    )
+
+
+@row("robot-gravcomp")
+def _gravcomp(robot: Robot) -> Finding:
+    model = robot.model
+    lifted = [body for body in robot.bodies if model.body_gravcomp[body]]
+    heavy = [body for body in robot.bodies if model.body_mass[body] > MASSLESS_KG]
+    if not robot.is_floating and len(lifted) in (0, len(heavy)):
+        return Finding(declined="a controller of a fixed base may carry all its links")
+    share = float(
+        (model.body_gravcomp * model.body_mass)[robot.bodies].sum() / robot.mass_kg
+    )
+    names = ", ".join(body_name(robot, body) for body in lifted)
+    return Finding(
+        value=abs(share),
+        parts={
+            body_name(robot, body): abs(float(model.body_gravcomp[body]))
+            for body in lifted
+        },
+        remark=names,
+        advice=f'gravcomp="0" for {names}',
+        changes={f"body_gravcomp[{body}]": 0.0 for body in lifted},
+    )
+
+
+@row("robot-inertia")
+def _inertia(robot: Robot) -> Finding:
+    low, high = limits_of("robot-inertia")
+    found, worst, changes = Finding(declined="the shape of no link is known"), 0.0, {}
+    shares: dict[str, float] = {}
+    far: list[tuple[float, str]] = []
+    # Of a screen or a frame beside it nothing depends.
+    least_kg = 1e-5 * robot.mass_kg
+    for body in robot.bodies:
+        mass_kg, reach_m = float(robot.model.body_mass[body]), _extent(robot, body)[2]
+        if not (mass_kg > max(MASSLESS_KG, least_kg) and reach_m > 0.0):
+            continue
+        low_m, high_m = _box(robot, body)
+        centre_m, size_m = robot.model.body_ipos[body], high_m - low_m
+        beyond_m = np.maximum(np.maximum(low_m - centre_m, centre_m - high_m), 0.0)
+        away = float(np.linalg.norm(beyond_m)) / max(
+            float(np.linalg.norm(size_m)), 1e-9
+        )
+        name = body_name(robot, body)
+        if away > FAR_CENTRE:
+            far.append((away, name))
+        inertia = robot.model.body_inertia[body]
+        # The sum of the principal moments is twice the mass times the square of the polar radius of gyration.
+        radius_m = float(np.sqrt(0.5 * inertia.sum() / mass_kg))
+        shares[name] = radius_m / reach_m
+        share = (0.5 * reach_m / max(radius_m, 1e-9)) ** 2
+        ratio = max(low * reach_m / max(radius_m, 1e-12), radius_m / reach_m / high)
+        if ratio > 1.0:
+            changes[f"body_inertia[{body}]"] = inertia * share
+        if ratio > worst:
+            worst = ratio
+            found = Finding(
+                value=radius_m / reach_m,
+                remark=f"{name} of {mass_kg:.3g} kg: {radius_m:.3g} m of {reach_m:.3g} m",
+                advice=f"give {name} the inertia of its geoms, about {share:.2g} of the stated one",
+            )
+    if far:
+        away, name = max(far)
+        return Finding(
+            value=np.inf,
+            parts=shares | {f"centre of mass of {one}": np.inf for _, one in far},
+            remark=f"the centre of mass of {name} is outside of its shape, by {away:.2g} of its size",
+            advice=f"the centre of mass of {name} in the frame of its body, in metres",
+        )
+    return replace(found, changes=changes, parts=shares)
