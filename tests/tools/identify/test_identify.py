@@ -237,6 +237,16 @@ def test_noise_is_found_although_the_unknowns_take_up_some_of_it():
     assert lasting == pytest.approx(2.0 + 2.0 * share / (1.0 - share), rel=0.25)
 
 
+def test_a_log_that_is_followed_exactly_has_no_noise():
+    """The Gram matrix of the unknowns and such a residual has no Cholesky factor."""
+    waves = np.linalg.qr(np.vander(np.linspace(0.0, 1.0, 50), 3))[0]
+    variance, neighbours, decay = lasting_noise(
+        [np.column_stack([waves, np.zeros(50)])]
+    )
+    assert variance == pytest.approx(0.0, abs=1e-12)
+    assert neighbours == pytest.approx(0.0, abs=1e-12) and 0.0 < decay < 1.0
+
+
 def test_what_the_log_does_not_tell_apart_is_said():
     scene = one_joint(MASS_KG, 0.0, INERTIA_KG_M2)
     names = ("kp_n_m_per_rad", "kv_n_m_s_per_rad", VISCOUS)
