@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gauge_envs.errors import BackendError
+
 
 class DeviceWorlds(ABC):
     """Worlds of rigid bodies that are driven, read and restarted in arrays of one library on one device.
@@ -45,12 +47,20 @@ class DeviceWorlds(ABC):
         """
 
     def drive(self, body: str, motions: Any) -> None:
-        """Prescribe the motion of a kinematic body in all worlds, shape [world_count, 19]; see `Worlds.drive`."""
-        raise NotImplementedError(f"{type(self).__name__} drives no body")
+        """Prescribe the motion of a kinematic body in all worlds, shape [world_count, 19]; see `Worlds.drive`.
+
+        Raises:
+            BackendError: The engine drives no body here.
+        """
+        raise BackendError(f"{type(self).__name__} drives no body")
 
     def command(self, values: Any) -> None:
-        """Set what the motors follow in all worlds, shape [world_count, motor_count]; see `World.command`."""
-        raise NotImplementedError(f"{type(self).__name__} has no motors")
+        """Set what the motors follow in all worlds, shape [world_count, motor_count]; see `World.command`.
+
+        Raises:
+            BackendError: The engine has no motors here.
+        """
+        raise BackendError(f"{type(self).__name__} has no motors")
 
     @abstractmethod
     def advance(self, seconds: float) -> None:
