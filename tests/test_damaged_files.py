@@ -25,9 +25,11 @@ from pathlib import Path
 
 import cv2
 import fork_server
+import mujoco
 import numpy as np
 import pytest
 from places import ROOT
+from ros_bags import bag_of
 
 from gauge_envs import load_experiment
 from gauge_envs.errors import GaugeError
@@ -59,6 +61,9 @@ from gauge_envs.tools.video.track import read_track
 
 COUNT = int(os.environ.get("DAMAGED_FILES", "12"))
 """Damaged files of each reader."""
+
+SEED = os.environ.get("DAMAGED_SEED", "")
+"""What makes another pass of other damages."""
 
 MOST_MEMORY = 500 * MEGABYTE
 """Memory that a reader may take beyond that of the imported package."""
@@ -160,6 +165,30 @@ def read_lerobot(file):
     (folder / "meta" / "info.json").write_text(json.dumps(info))
     (folder / "data" / "0" / "0.parquet").write_bytes(file.read_bytes())
     return read_logs(folder, unit="rad")
+
+
+def bag_file() -> bytes:
+    folder = Path(f"bag{os.getpid()}")
+    content = (bag_of(folder, storage="mcap") / f"{folder}.mcap").read_bytes()
+    shutil.rmtree(folder)
+    return content
+
+
+SERVO = """<mujoco><worldbody><body><joint name="a"/><geom size="1"/></body></worldbody><actuator><position name="m"
+joint="a"/></actuator><sensor><jointpos name="s" joint="a"/></sensor></mujoco>"""
+
+
+def sysid_npz() -> bytes:
+    times_s = np.linspace(0.0, 1.0, 50)
+    angles = np.sin(times_s)[:, np.newaxis]
+    return array_file(
+        sensordata_times=times_s,
+        sensordata_data=angles,
+        sensordata_signal_mapping=np.array('{"s": [0, [0]]}'),
+        control_times=times_s,
+        control_data=angles,
+        control_signal_mapping=np.array('{"m_ctrl": [0, [0]]}'),
+    )
 
 
 def states_npz() -> bytes:
@@ -298,6 +327,11 @@ READERS = {
     "log.csv": (log_csv, read_logs),
     "log.npz": (log_npz, read_logs),
     "lerobot.parquet": (parquet_file, read_lerobot),
+    "log.mcap": (bag_file, read_logs),
+    "sysid.npz": (
+        sysid_npz,
+        lambda file: read_logs(file, mujoco.MjSpec.from_string(SERVO)),
+    ),
     "states.npz": (states_npz, lambda file: read_states(file, file.parent)),
     "states.hdf5": (states_hdf5, lambda file: read_states(file, file.parent)),
     "picture.png": (picture, read_picture),
@@ -318,8 +352,11 @@ READERS = {
 }
 """A valid file and the reader of each kind."""
 
-CHILDREN = {"scene.usda", "scene.xml", "robot.xml", "lerobot.parquet", "states.hdf5"}
-"""Kinds that a child process reads first, which takes it half a second."""
+CHILDREN = {"scene.usda", "scene.xml", "robot.xml", "lerobot.parquet", "states.hdf5", "log.mcap"}  # fmt: skip
+"""Kinds that a child process reads, which takes it half a second."""
+
+LIBRARIES = {"lerobot.parquet": "pyarrow", "states.hdf5": "h5py", "log.mcap": "rosbags"}
+"""Packages that read a kind, and may be absent."""
 
 
 # --- damage ----------------------------------------------------------------------------------------------------------
@@ -330,7 +367,7 @@ def read_all(name: str, count: int, folder: Path) -> dict:
     make, read = READERS[name]
     content = make()
     file = folder / name
-    draw = random.Random(name)
+    draw = random.Random(SEED + name)
     found: Counter[str] = Counter()
     wrong: list[str] = []
     longest_s = 0.0
@@ -372,8 +409,8 @@ def read_all(name: str, count: int, folder: Path) -> dict:
 @pytest.mark.parametrize("name", READERS)
 def test_a_damaged_file_is_read_or_refused_in_words(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    if name in ("lerobot.parquet", "states.hdf5"):
-        pytest.importorskip({"lerobot.parquet": "pyarrow", "states.hdf5": "h5py"}[name])
+    if name in LIBRARIES:
+        pytest.importorskip(LIBRARIES[name])
     count = max(2, COUNT // 50) if name in CHILDREN else COUNT
     fork_server.start()
     with ProcessPoolExecutor(1, get_context("fork")) as pool:

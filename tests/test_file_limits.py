@@ -42,6 +42,7 @@ from gauge_envs.references.sensitivities import _read as read_sensitivities
 from gauge_envs.references.tables import csv_header
 from gauge_envs.runs.result_file import load_result
 from gauge_envs.tools.identify.logs import read_log
+from gauge_envs.tools.identify.stack_logs import read_logs
 from gauge_envs.tools.sanity.stacks import configuration
 from gauge_envs.tools.usd import source
 from gauge_envs.tools.usd.experiment_file import load_experiment_file
@@ -81,6 +82,7 @@ READERS = {
     "convergence.csv": read_convergence,
     "log.csv": read_log,
     "log.npz": read_log,
+    "log.mcap": read_logs,
     "picture.png": read_picture,
 }
 
@@ -331,7 +333,7 @@ def test_a_file_of_states_that_never_ends_is_refused(tmp_path, monkeypatch):
         demonstrations["data/demo_0"].attrs["model_file"] = "<mujoco/>"
     head, mark, texts = file.read_bytes().partition(b"GCOL")
     file.write_bytes(head + mark + texts[:12] + bytes(len(texts) - 12))
-    monkeypatch.setitem(files.child_refusal.__kwdefaults__, "cpu_s", 1)
+    monkeypatch.setitem(files.child_output.__kwdefaults__, "cpu_s", 1)
     with pytest.raises(ParameterError, match="more than 1 s of processor time"):
         read_states(file, tmp_path)
 
@@ -347,7 +349,7 @@ def test_a_time_step_that_is_no_step_is_refused(step, tmp_path):
 OPENING = {
     "open", "read_text", "read_bytes", "fromfile", "genfromtxt", "loadtxt", "imread", "VideoCapture", "connect",
     "np.load", "json.load", "pickle.load", "pickle.loads", "zipfile.ZipFile", "tarfile.open", "lzma.open", "gzip.open",
-    "h5py.File", "parquet.ParquetFile", "parquet.read_table", "AnyReader",
+    "h5py.File", "parquet.ParquetFile", "parquet.read_table", "rosbag2.Reader",
 }  # fmt: skip
 """Calls that read a file, by the name of the method, or with the name of the module."""
 
@@ -369,9 +371,9 @@ WITHOUT_LIMITS = {
     "tools/conformance/run.py": "a task of this process in memory",
     "tools/conformance/model.py": "a file of the package",
     "tools/identify/logs.py": "text in memory",
-    "tools/identify/parquet_child.py": "a table in memory, which a child with limits reads first",
+    "tools/identify/bag_child.py": "a bag, in a child with limits",
+    "tools/identify/parquet_child.py": "a table in memory, in a child with limits",
     "tools/identify/snippets.py": "a file of the package",
-    "tools/identify/stack_logs.py": "bags of ROS 2, which have no limit of memory, as the page of security says",
     "tools/leaderboard/archive.py": "an archive in memory, read within limits before",
     "tools/sanity/command.py": "a file of the package",
     "tools/sanity/gauge_probe.py": "runs in the environment that it reads, without this package",
@@ -384,7 +386,7 @@ WITHOUT_LIMITS = {
     "tools/transfer/stack_files.py": "files of the package",
     "tools/versions/episodes_worker.py": "runs in an environment of its own, without this package",
     "tools/versions/comparison.py": "what the worker wrote",
-    "tools/versions/hdf5_child.py": "a file in memory, which a child with limits reads first",
+    "tools/versions/hdf5_child.py": "a file in memory, in a child with limits",
     "tools/versions/environments.py": "records that this command wrote",
     "tools/versions/worker.py": "runs in an environment of its own, without this package",
     "tools/video/frames.py": "a limited head of the file; OpenCV by size and count of frames",

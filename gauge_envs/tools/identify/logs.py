@@ -176,6 +176,9 @@ def read_log(path: Path) -> Log:
 
 def checked(path: Path, log: Log) -> Log:
     """Return a log, or raise `AssetError` where numbers lack, are not finite, or times do not ascend."""
+    if log.times_s.ndim != 1 or log.position_rad.ndim != 2:
+        reason = f"expected a row of angles for each time; it has {log.position_rad.shape} for {log.times_s.shape}"
+        raise AssetError(path, POSITION, reason)
     shape = len(log.times_s), log.position_rad.shape[1]
     for name, values in log.columns.items():
         if values.shape != shape:
@@ -187,7 +190,8 @@ def checked(path: Path, log: Log) -> Log:
     if len(log.times_s) < 20:
         reason = f"{len(log.times_s)} samples: 20 or more are needed"
         raise AssetError(path, "time_s", reason)
-    late = np.flatnonzero(np.diff(log.times_s) <= 0.0)
+    steps_s = np.diff(log.times_s)
+    late = np.flatnonzero(~(np.isfinite(steps_s) & (steps_s > 0.0)))
     if len(late):
         reason = f"row {late[0] + 2} is not later than the row before it"
         raise AssetError(path, "time_s", reason)

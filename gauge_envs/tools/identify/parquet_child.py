@@ -1,18 +1,20 @@
-"""Reads a Parquet file, of a stranger first in a child process: pyarrow aborts on some damaged ones, and has no limits.
+"""Reads a Parquet file in a child process, and prints its columns as an NPZ: pyarrow aborts on some damaged ones.
 
-Arguments: the largest count of values, and the columns. The file is the standard input. `files.child_refusal` runs it.
+Arguments: the largest count of values, and the columns. The file is the standard input. `files.child_output` runs it.
 """
 
 import io
 import sys
 from typing import Any
 
+import numpy as np
+
 REFUSED = 3
 """Exit code of a refusal; `files.CHILD_REFUSED`."""
 
 
-def columns(content: bytes, names: list[str], most: int) -> dict[str, list[Any]]:
-    """Return columns of a table; an error if it states more values than the limit."""
+def columns(content: bytes, names: list[str], most: int) -> dict[str, Any]:
+    """Return columns of numbers of a table; an error if it states more values than the limit."""
     from pyarrow import parquet
 
     table = parquet.ParquetFile(io.BytesIO(content))
@@ -24,13 +26,14 @@ def columns(content: bytes, names: list[str], most: int) -> dict[str, list[Any]]
     # A few bytes of an encoding may stand for any number of values.
     if count > most:
         raise ValueError(f"it states {count} values, the limit is {most}")
-    found: dict[str, list[Any]] = table.read(columns=names).to_pydict()
-    return found
+    found = table.read(columns=names).to_pydict()
+    return {name: np.asarray(found[name], np.float64) for name in names}
 
 
 if __name__ == "__main__":
     try:
-        columns(sys.stdin.buffer.read(), sys.argv[2:], int(sys.argv[1]))
+        arrays = columns(sys.stdin.buffer.read(), sys.argv[2:], int(sys.argv[1]))
+        np.savez(sys.stdout.buffer, **arrays)
     except Exception as error:  # pyarrow raises many types for a damaged file.
         print(ascii(str(error))[1:-1] or type(error).__name__)
         sys.exit(REFUSED)

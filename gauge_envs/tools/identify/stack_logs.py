@@ -6,20 +6,30 @@ Each states commands that stay until the next one, as `logs.Log` has them.
 from __future__ import annotations
 
 import importlib
-import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
 
-from gauge_envs.errors import AssetError, MissingExtraError, needs_extra
-from gauge_envs.files import child_refusal, json_document, read_regular
+from gauge_envs.errors import AssetError, needs_extra
+from gauge_envs.files import (
+    MEGABYTE,
+    NUMBERS,
+    check_regular,
+    child_output,
+    json_document,
+    npz_arrays,
+    read_regular,
+)
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.tools.identify import parquet_child
+from gauge_envs.tools.identify import bag_child, parquet_child
 from gauge_envs.tools.identify.logs import (
+    COMMAND,
     MOST_LOG_BYTES,
+    NAMES,
+    POSITION,
     Log,
     checked,
     npz_of_log,
@@ -28,12 +38,14 @@ from gauge_envs.tools.identify.logs import (
 
 UNITS = {"rad": 1.0, "deg": float(np.pi / 180.0)}
 """Units of angles in datasets that state none, in rad."""
-JOINT_STATE = "sensor_msgs/msg/JointState"
-TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
 CONTROL = "_ctrl"
 """What `mujoco.sysid` adds to the name of an actuator."""
 MOST_VALUES = 5_000_000
-"""Largest count of values of a Parquet file: 12 joints at 50 Hz for two hours have fewer than these."""
+"""Largest count of values of a Parquet file or a bag: 12 joints at 50 Hz for two hours have fewer than these."""
+MOST_BAG_BYTES = 2000 * MEGABYTE
+"""Largest size of the files of a bag, which may have pictures beside the joints."""
+BAG_CPU_S = 30
+"""Longest processor time of reading a bag [s]."""
 BAG_SUFFIXES = (".mcap", ".db3")
 SENSED = {
     int(mujoco.mjtSensor.mjSENS_JOINTPOS): "position",
@@ -70,7 +82,13 @@ def read_logs(
     if path.suffix == ".npz" and path.is_file():
         data = npz_of_log(path)
         if "sensordata_data" in data:
-            return [_trajectory(path, data, model)]
+            try:
+                return [_trajectory(path, data, model)]
+            except AssetError:
+                raise
+            except (LookupError, TypeError, ValueError, AttributeError) as error:
+                reason = f"no trajectory of mujoco.sysid: {error!r}"
+                raise AssetError(path, "", reason) from None
     return [read_log(path)]
 
 
@@ -96,14 +114,7 @@ def _lerobot(path: Path, unit: str | None) -> Iterator[Log]:
             path, "codebase_version", f"{version}: version 3 is read; convert it"
         )
     state, action = "observation.state", "action"
-    names = []
-    for feature in (state, action):
-        if feature not in info["features"]:
-            raise AssetError(path, feature, "the dataset has no such feature")
-        stated: Any = info["features"][feature].get("names") or []
-        if isinstance(stated, dict):
-            stated = [one for group in stated.values() for one in group]
-        names.append([str(one).removesuffix(".pos") for one in stated])
+    names = [_joint_names(path, info["features"], one) for one in (state, action)]
     if not names[0] or names[0] != names[1]:
         reason = f"its joints are {', '.join(names[1]) or 'without names'}, those of {state} {', '.join(names[0])}"
         raise AssetError(path, action, f"{reason}: a log needs the same for both")
@@ -112,7 +123,12 @@ def _lerobot(path: Path, unit: str | None) -> Iterator[Log]:
         raise AssetError(path, "data", "there is no file data/*/*.parquet")
     columns = ["episode_index", "timestamp", state, action]
     tables = [_parquet_columns(one, columns) for one in files]
-    whole = {name: np.concatenate([one[name] for one in tables]) for name in columns}
+    try:
+        whole = {
+            name: np.concatenate([one[name] for one in tables]) for name in columns
+        }
+    except ValueError as error:
+        raise AssetError(path, "data", f"shapes of its files differ: {error}") from None
     for episode in np.unique(whole["episode_index"]):
         rows = whole["episode_index"] == episode
         yield checked(
@@ -127,17 +143,25 @@ def _lerobot(path: Path, unit: str | None) -> Iterator[Log]:
         )
 
 
+def _joint_names(path: Path, features: dict[str, Any], feature: str) -> list[str]:
+    """Return the names of the joints of a feature, which may be in groups."""
+    if not isinstance(features.get(feature), dict):
+        raise AssetError(path, feature, "the dataset has no such feature")
+    stated = features[feature].get("names") or []
+    groups = stated.values() if isinstance(stated, dict) else [stated]
+    if not all(isinstance(group, list) for group in groups):
+        raise AssetError(path, feature, "names is no list")
+    return [str(one).removesuffix(".pos") for group in groups for one in group]
+
+
 def _parquet_columns(file: Path, names: list[str]) -> dict[str, FloatArray]:
     """Return columns of numbers of a Parquet file, each of shape [row_count, ...]."""
+    script = Path(parquet_child.__file__)
     try:
         content = read_regular(file, MOST_LOG_BYTES)
-        script = Path(parquet_child.__file__)
-        refusal = child_refusal(script, str(MOST_VALUES), *names, content=content)
-        if refusal is not None:
-            raise ValueError(refusal)
-        found = parquet_child.columns(content, names, MOST_VALUES)
-        return {name: np.asarray(found[name], np.float64) for name in names}
-    except Exception as error:  # A table may hold anything but numbers.
+        printed = child_output(script, str(MOST_VALUES), *names, content=content)
+        return npz_arrays(printed, names, MOST_LOG_BYTES)
+    except (OSError, ValueError) as error:
         raise AssetError(file, "", f"cannot be read: {error}") from None
 
 
@@ -156,82 +180,22 @@ def _lerobot_info(file: Path) -> dict[str, Any]:
 
 def _bag(path: Path) -> Log:
     """Return the log of a bag: joint states, and the commands of the one topic that names joints."""
+    script = Path(bag_child.__file__)
+    parts = [path]
+    if (path / "metadata.yaml").is_file():
+        parts = [one for one in path.iterdir() if not one.is_dir()]
     try:
-        from rosbags.highlevel import AnyReader, AnyReaderError
-        from rosbags.typesys import Stores, get_typestore
-    except ImportError as error:
-        raise MissingExtraError("bags of ROS 2", "logs", error) from None
-    try:
-        # Definitions of messages that the bag does not hold.
-        store = get_typestore(Stores.ROS2_HUMBLE)
-        with AnyReader([path], default_typestore=store) as bag:
-            topics = {one.topic: str(one.msgtype) for one in bag.connections}
-            measured = [one for one in topics if one.endswith("joint_states")]
-            commanded = [
-                one
-                for one, kind in topics.items()
-                if one not in measured and kind in (JOINT_STATE, TRAJECTORY)
-            ]
-            listed = ", ".join(f"{one} ({kind})" for one, kind in topics.items())
-            if len(measured) != 1 or topics[measured[0]] != JOINT_STATE:
-                reason = f"one topic joint_states of {JOINT_STATE} is needed; it has {listed}"
-                raise AssetError(path, "joint_states", reason)
-            if len(commanded) != 1:
-                kinds = f"{JOINT_STATE} or {TRAJECTORY}"
-                reason = f"one topic of commands that names joints is needed, {kinds}; it has {listed}"
-                raise AssetError(path, "commands", reason)
-            rows: dict[str, list[tuple[float, Any]]] = {measured[0]: [], commanded[0]: []}  # fmt: skip
-            wanted = [one for one in bag.connections if one.topic in rows]
-            for connection, received_ns, raw in bag.messages(wanted):
-                message: Any = bag.deserialize(raw, connection.msgtype)
-                stamp = message.header.stamp
-                stamped_s = stamp.sec + 1e-9 * stamp.nanosec
-                time_s = stamped_s or 1e-9 * received_ns
-                rows[connection.topic].append((time_s, message))
-    except (AnyReaderError, OSError) as error:
+        check_regular(parts, MOST_BAG_BYTES)
+        with needs_extra("bags of ROS 2", "logs"):
+            importlib.import_module("rosbags")
+        printed = child_output(script, str(path), str(MOST_VALUES), cpu_s=BAG_CPU_S)
+        names = ("time_s", POSITION, COMMAND, NAMES)
+        arrays = npz_arrays(printed, names, MOST_LOG_BYTES, kinds=NUMBERS + "U")
+    except (OSError, ValueError) as error:
         raise AssetError(path, "bag", f"cannot be read: {error}") from None
-    states, commands = rows[measured[0]], rows[commanded[0]]
-    if not states or not commands:
-        raise AssetError(path, "bag", "it has no joint states, or no commands")
-    first: Any = commands[0][1]
-    is_state = topics[commanded[0]] == JOINT_STATE
-    names = tuple(first.name if is_state else first.joint_names)
-    command_times_s = np.array([time_s for time_s, _ in commands])
-    targets = np.array(
-        [
-            _ordered(path, one.name, one.position, names)
-            if is_state
-            else _ordered(path, one.joint_names, one.points[0].positions, names)
-            for _, one in commands
-        ]
-    )
-    times_s = np.array([time_s for time_s, _ in states])
-    angles = np.array(
-        [_ordered(path, one.name, one.position, names) for _, one in states]
-    )
-    # What was measured before the first command has none.
-    known = times_s >= command_times_s[0]
-    latest = np.searchsorted(command_times_s, times_s[known], side="right") - 1
-    log = Log(
-        str(path),
-        times_s[known] - times_s[known][0],
-        angles[known],
-        targets[latest],
-        joints=names,
-    )
+    times_s, angles, commands, joints = (arrays[name] for name in names)
+    log = Log(str(path), times_s, angles, commands, joints=tuple(map(str, joints)))
     return checked(path, log)
-
-
-def _ordered(
-    path: Path, given: Sequence[str], values: Sequence[float], names: Sequence[str]
-) -> list[float]:
-    """Return the values of joints in the order of names."""
-    by_name = dict(zip(given, values, strict=True))
-    if missing := [one for one in names if one not in by_name]:
-        raise AssetError(
-            path, missing[0], f"a message lacks this joint; it has {', '.join(given)}"
-        )
-    return [float(by_name[one]) for one in names]
 
 
 # --- mujoco.sysid ----------------------------------------------------------------------------------------------------
@@ -291,5 +255,6 @@ def _trajectory(path: Path, data: dict[str, Any], spec: mujoco.MjSpec | None) ->
 def _columns(data: dict[str, Any], part: str) -> dict[str, FloatArray]:
     """Return the columns of a time series by their names, which a JSON text maps to types and indices."""
     values = np.asarray(data[f"{part}_data"], np.float64)
-    mapping = json.loads(str(data.get(f"{part}_signal_mapping", "{}")))
+    stated = str(data.get(f"{part}_signal_mapping", "{}"))
+    mapping = json_document(stated.encode())
     return {name: values[:, rows[0]] for name, (_, rows) in mapping.items()}

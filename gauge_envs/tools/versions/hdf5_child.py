@@ -1,7 +1,7 @@
-"""Reads demonstrations in HDF5, of a stranger's file first in a child process: h5py has no limits, and may never end.
+"""Reads a demonstration in HDF5 in a child process, and prints it as an NPZ: h5py has no limits, and may never end.
 
 Arguments: the demonstration, and the largest size of its states. The file is the standard input.
-`files.child_refusal` runs it.
+`files.child_output` runs it.
 """
 
 import io
@@ -49,7 +49,9 @@ def demonstration(
 
 if __name__ == "__main__":
     try:
-        demonstration(sys.stdin.buffer.read(), sys.argv[1], int(sys.argv[2]))
+        content = sys.stdin.buffer.read()
+        states, model = demonstration(content, sys.argv[1], int(sys.argv[2]))
+        np.savez(sys.stdout.buffer, states=states, model=model)
     except Exception as error:  # h5py raises many types for a damaged file.
         print(ascii(str(error))[1:-1] or type(error).__name__)
         sys.exit(REFUSED)

@@ -18,7 +18,7 @@ from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import find_variant, variants
 from gauge_envs.files import (
     MEGABYTE,
-    child_refusal,
+    child_output,
     npz_arrays,
     npz_names,
     os_errors,
@@ -256,7 +256,10 @@ def _demonstration(path: Path) -> tuple[np.ndarray, str]:
     name, _, chosen = str(path).partition(":")
     content = _content(Path(name))
     script = Path(hdf5_child.__file__)
-    refusal = child_refusal(script, chosen, str(MOST_STATE_BYTES), content=content)
-    if refusal is not None:
-        raise ParameterError(f"{path}: cannot be read as HDF5: {refusal}")
-    return hdf5_child.demonstration(content, chosen, MOST_STATE_BYTES)
+    most = str(MOST_STATE_BYTES)
+    try:
+        printed = child_output(script, chosen, most, content=content)
+        arrays = npz_arrays(printed, ("states", "model"), MOST_STATE_BYTES, kinds="fU")
+    except ValueError as error:
+        raise ParameterError(f"{path}: cannot be read as HDF5: {error}") from None
+    return arrays["states"], str(arrays["model"])
