@@ -409,10 +409,12 @@ UNRANKED = (
     "torsion",
     "rolling",
     "solver-pile",
+    "copies-",
 )
 """Checks of what no ranked experiment has.
 
-Slip in impacts, rubbing, flat landings, edges, foam, joints, grasps, and chains of more than 60 degrees of freedom.
+Slip in impacts, as that of the copies, rubbing, flat landings, edges, foam, joints, grasps, and chains of more than 60
+degrees of freedom.
 """
 
 

@@ -189,7 +189,8 @@ def told(value: Any) -> str:
         parts = [
             f"{one.name}={told(getattr(value, one.name))}"
             for one in fields(value)
-            if one.default is MISSING or getattr(value, one.name) != one.default
+            if one.init
+            and (one.default is MISSING or getattr(value, one.name) != one.default)
         ]
         return f"{type(value).__name__}({', '.join(parts)})"
     if isinstance(value, Enum):

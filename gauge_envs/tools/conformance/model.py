@@ -38,6 +38,8 @@ FAMILIES = (
     "driven",
     "grasp",
     "rich",
+    "collisions",
+    "copies",
     "cloth",
     "air",
     "soft",

@@ -43,6 +43,8 @@ oblique-grip-spin        impact-frictionless   the impact has no friction
 oblique-slip-friction    impact-frictionless   the impact has no friction
 oblique-slip-rebound     restitution-none      slip adds to the rebound
 pendulum-energy          hinge-damping         damped
+pendulum-long-energy     hinge-damping         damped slowly
+pendulum-long-period     hinge-damping         damped slowly
 pile-bounds              blast                 makes energy
 pile-energy              gains-energy          makes energy
 pile-sinks               no-contacts           tunnel
@@ -60,6 +62,7 @@ rest-lying-cylinder      cylinder-radius       its radius is half
 rest-sphere              margin                a margin, or its size
 foam-restore             restore-velocity      after restore()
 rope-restore             restore-velocity      after restore()
+copies-alike             engine.spin:side:negative     the order of bodies and pairs
 tether-place             Tether.anchor_m:offset:0-False       furthest for the
 restore-edge             restore-velocity      after restore()
 restore-hinge            restore-velocity      after restore()
