@@ -28,9 +28,6 @@ from gauge_envs.tools.sanity.stacks.dialect import TOML, Dialect
 LARGEST_GROUP = 3
 """Largest number of settings that are responsible together; beyond it, the whole configuration is."""
 
-MANY_BODIES = 20
-"""Number of bodies from which on a rollout takes longer than all others together."""
-
 SEEN_DEVIATION = 0.05
 """Least change of a deviation, in half-widths of the interval, that counts as an effect of a setting."""
 
@@ -51,7 +48,6 @@ def find_cause(
     configured: Measured,
     default: Measured,
     dialect: Dialect = TOML,
-    named: Sequence[str] = (),
 ) -> Cause | None:
     """Find the settings that are responsible for a visible or wrong phenomenon.
 
@@ -62,6 +58,8 @@ def find_cause(
     2. If no setting explains the error, each setting is applied alone to the preset, since several may each cause it.
     3. If that fails too, pairs of settings are put back, and then the best pair with a third setting.
 
+    In a scene of many bodies the first setting that brings the phenomenon into the interval is the last one tried.
+
     Args:
         measurements: Measurements on the backend.
         phenomenon: The phenomenon.
@@ -69,9 +67,6 @@ def find_cause(
         configured: Outcome in the configuration.
         default: Outcome with this package's preset.
         dialect: Dialect of the target.
-        named: Settings that are responsible for other rows, once for each. In a scene of many bodies those of most
-            rows are tried first, alone and together, and others, first those of contacts, where none of them explains
-            the row; the first one that brings the phenomenon into the interval is the last one that is tried.
 
     Returns:
         The cause; None when the phenomenon is inside the interval of reality, was declined, or the engine died.
@@ -82,24 +77,14 @@ def find_cause(
     )
     if nothing_to_explain or default.verdict is Verdict.DECLINED:
         return None
-    search = _Search(
-        measurements, phenomenon, settings, configured, default, dialect, named
-    )
-    likely = search.likely()
+    search = _Search(measurements, phenomenon, settings, configured, default, dialect)
     return (
-        search.put_back_one(likely)
-        or search.together(likely)
-        or search.put_back_one(search.others())
+        search.put_back_one()
         or search.default_is_no_better()
         or search.each_alone()
         or search.together(search.that_matter())
         or search.whole()
     )
-
-
-def has_many_bodies(phenomenon: Phenomenon) -> bool:
-    """Return whether a rollout of a phenomenon takes longer than those of all others together."""
-    return len(phenomenon.scenario.scene.bodies) > MANY_BODIES
 
 
 @dataclass
@@ -112,14 +97,13 @@ class _Search:
     configured: Measured
     default: Measured
     dialect: Dialect
-    named: Sequence[str]
 
     def __post_init__(self) -> None:
         self._others = alternatives(
             self.measurements, self.phenomenon.scenario, self.settings
         )
         self._best = {name: several[-1] for name, several in self._others.items()}
-        self._is_slow = has_many_bodies(self.phenomenon)
+        self._is_slow = self.phenomenon.has_many_bodies
         self._tried: list[SettingTrial] = []
         self._put_back: dict[str, Measured] = {}
         self._alone: dict[str, Measured] = {}
@@ -137,24 +121,13 @@ class _Search:
         mends = any(one.verdict is Verdict.INSIDE for one in others)
         return step_s <= ADVISED_STEP_S and mends
 
-    def likely(self) -> list[str]:
-        """Return the named settings, those of most rows first, where a rollout takes long; none elsewhere."""
-        if not self._is_slow:
-            return []
-        named = [name for name in self._others if name in self.named]
-        return sorted(named, key=self.named.count, reverse=True)
+    def _order(self, name: str) -> tuple[bool, bool]:
+        """Return the key by which settings are sorted: the step last, and first contacts where a rollout takes long."""
+        return name == STEP, self._is_slow and not name.startswith("contact_")
 
-    def others(self) -> list[str]:
-        """Return settings that are not put back yet: the step last, and first contacts where a rollout takes long."""
-
-        def order(name: str) -> tuple[bool, bool]:
-            return name == STEP, self._is_slow and not name.startswith("contact_")
-
-        return sorted((n for n in self._others if n not in self._put_back), key=order)
-
-    def put_back_one(self, names: Sequence[str]) -> Cause | None:
+    def put_back_one(self) -> Cause | None:
         """Put back each setting alone and return the one that comes closest to reality, if it explains the error."""
-        for name in names:
+        for name in sorted(self._others, key=self._order):
             if name == STEP and self._needs_no_step():
                 continue
             if self._is_slow and any(

@@ -20,7 +20,6 @@ from gauge_envs.tools.sanity.cause import (
     STEP,
     Alternative,
     alternatives,
-    has_many_bodies,
 )
 from gauge_envs.tools.sanity.measure import Measurements, Subject, subject_of
 from gauge_envs.tools.sanity.model import (
@@ -124,7 +123,7 @@ def find_cure(
             changes=changes,
             line=f"{pasted}: {_effect(flags, mended, engine)}",
             flag_count=len(flags),
-            mended_count=len(mended),
+            mended={name: after[name][1] for name in mended},
         )
         new_flags = [
             name
@@ -274,7 +273,7 @@ def _ranked(
     slow = [
         name
         for name in flags
-        if name not in STATED_IDS and has_many_bodies(phenomenon(name))
+        if name not in STATED_IDS and phenomenon(name).has_many_bodies
     ]
     queue: list[tuple[int, int, int]] = []
     found: dict[int, tuple[Applied, dict[str, Outcome]]] = {}
@@ -486,10 +485,10 @@ def candidates_of(
         ]
         least = found[0]
     # What a change does to a scene of many bodies is measured once it is chosen.
-    few = [one for one in flagged if not has_many_bodies(one.phenomenon)]
+    few = [one for one in flagged if not one.phenomenon.has_many_bodies]
     if few:
         flagged = few
-        others = [one for one in others if not has_many_bodies(one.phenomenon)]
+        others = [one for one in others if not one.phenomenon.has_many_bodies]
     mending = list(_greedy(flagged, (), dialect, named))
     if mending and _new_flags(others, mending[-1]):
         mending = list(_greedy(flagged, others, dialect, named))

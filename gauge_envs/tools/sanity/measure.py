@@ -48,6 +48,9 @@ OF_CONTACTS = (
 )
 """Starts of names of settings without effect where nothing can touch."""
 
+NEUTRAL = {"mujoco": {"contact_margin_m": 0.0, "contact_gap_m": 0.0}}
+"""Values that are those of an engine where a setting is not stated, by the name of the engine."""
+
 _Run = Callable[[Backend, Scenario, Settings], Any]
 
 
@@ -195,16 +198,18 @@ class Measurements:
         self, scenario: Scenario, settings: Settings
     ) -> Rollout | DeclinedError | DivergedError:
         """Return the rollout of a scenario, or why there is none."""
-        if _key(run_scenario, scenario, settings) in self._known:
+        if _key(self.engine, run_scenario, scenario, settings) in self._known:
             return self._outcome(run_scenario, scenario, settings)
         if time.monotonic() >= self._ends_s:
             raise TimeLimitError("the time limit is reached")
-        try:
-            force = self.in_force(scenario, settings)
-        except DeclinedError as declined:
-            return declined
         # A stated step gives every rollout of the scenario the same sampling rule.
-        step = {k: v for k, v in force.items() if k == "timestep_s"}
+        step: dict[str, Any] = {}
+        if settings.get("timestep_s") is None:
+            try:
+                force = self.in_force(scenario, settings)
+            except DeclinedError as declined:
+                return declined
+            step = {k: v for k, v in force.items() if k == "timestep_s"}
         return self._outcome(run_scenario, scenario, settings, step)
 
     def _outcome(
@@ -215,7 +220,7 @@ class Measurements:
         more: Settings | None = None,
     ) -> Any:
         """Return what a function gives for a scenario and settings, or the error with which it ends."""
-        key = _key(function, scenario, settings)
+        key = _key(self.engine, function, scenario, settings)
         if key not in self._known:
             try:
                 self._known[key] = self._engine.call(
@@ -227,7 +232,7 @@ class Measurements:
 
 
 def _key(
-    function: _Run, scenario: Scenario, settings: Settings
+    engine: str, function: _Run, scenario: Scenario, settings: Settings
 ) -> tuple[str, str, str]:
     if not scenario.scene.contacts:
         settings = {
@@ -235,7 +240,13 @@ def _key(
             for name, value in settings.items()
             if not name.startswith(OF_CONTACTS)
         }
-    text = json.dumps(json_ready(settings), sort_keys=True)
+    neutral = NEUTRAL.get(engine, {})
+    stated = {
+        name: value
+        for name, value in settings.items()
+        if name not in neutral or value != neutral[name]
+    }
+    text = json.dumps(json_ready(stated), sort_keys=True)
     return function.__name__, scenario.name, text
 
 
@@ -410,7 +421,10 @@ def subject_of(
             subject,
             inapplicable="round fingertips: their torsional friction alone holds a torque",
         )
-    sets: dict[str, Settings] = dict(judged_contacts.contact_sets)
+    sets = {
+        geoms: _relevant(phenomenon, settings)
+        for geoms, settings in judged_contacts.contact_sets.items()
+    }
     if phenomenon.needs_foot:
         geometry = configuration.foot_geometry
         if geometry is None:
@@ -441,6 +455,14 @@ def subject_of(
             return replace(subject, inapplicable=reason)
     subject = replace(subject, sets=sets, advisory=subject.phenomenon.advisory)
     return _impact(subject, configuration) if phenomenon.is_impact else subject
+
+
+def _relevant(phenomenon: Phenomenon, settings: Settings) -> Settings:
+    """Return settings without torsional and rolling friction for many bodies: bricks that lie flat do not need them."""
+    if not phenomenon.has_many_bodies or settings.get("condim", 3) < 3:
+        return settings
+    several = ("condim", "torsional_friction_m", "rolling_friction_m")
+    return {name: value for name, value in settings.items() if name not in several}
 
 
 def _impact(subject: Subject, configuration: TrainingConfiguration) -> Subject:

@@ -415,13 +415,18 @@ class Cure:
         changes: Changed settings with their new values.
         line: The change in the target's own language, and what it mends.
         flag_count: Number of visible or wrong rows before the change.
-        mended_count: Number of these rows that are inside after the change.
+        mended: Value of each of these rows that is inside after the change; None where it was not measured.
     """
 
     changes: Settings
     line: str
     flag_count: int
-    mended_count: int
+    mended: Mapping[str, float | None] = field(default_factory=dict)
+
+    @property
+    def mended_count(self) -> int:
+        """Number of flagged rows that are inside after the change."""
+        return len(self.mended)
 
 
 def deviation_of(

@@ -13,6 +13,7 @@ from typing import Any
 
 from gauge_envs.errors import ParameterError, TargetError
 from gauge_envs.files import MEGABYTE, json_document, os_errors, read_regular, versions
+from gauge_envs.pages.text import with_unit
 from gauge_envs.tools.sanity.cause import find_cause
 from gauge_envs.tools.sanity.cure import candidates_of, find_cure
 from gauge_envs.tools.sanity.measure import (
@@ -27,6 +28,7 @@ from gauge_envs.tools.sanity.measure import (
 )
 from gauge_envs.tools.sanity.model import (
     INSIDE_WITHIN,
+    Cause,
     Cure,
     PartOutcome,
     PhenomenonResult,
@@ -111,7 +113,10 @@ def check(
             raise ParameterError(
                 f"{configuration.name}: {measurements.engine} refuses these settings: {simulated[0].remark}"
             )
-        cure, tried = run.cure(rows) if explain else (None, ())
+        cure: Cure | None = None
+        tried: tuple[str, ...] = ()
+        if explain:
+            rows, cure, tried = run.cured(rows)
     notes = []
     if run.is_cut_short:
         notes.append(
@@ -149,7 +154,7 @@ class _Run:
         self._measurements = measurements
         self._configuration = configuration
         self._subjects: list[Subject] = []
-        self._named: list[str] = []
+        self._unexplained: dict[str, Callable[[], Cause | None]] = {}
         self._dialect = dialect(configuration.language)
         self.is_cut_short = False
 
@@ -170,7 +175,42 @@ class _Run:
         yield from map(self._row, self._subjects, outcomes, defaults)
         yield from target_rows(self._configuration, self._dialect, chosen)
 
-    def cure(
+    def cured(
+        self, rows: Sequence[PhenomenonResult]
+    ) -> tuple[list[PhenomenonResult], Cure | None, tuple[str, ...]]:
+        """Return all rows with their causes, the change that mends most, and what else was tried.
+
+        A scene of many bodies takes longest. The change to which the other rows lead explains its rows where it mends
+        them; the responsible setting is sought only where it does not.
+        """
+        slow, found = self._unexplained, None
+        if not slow or any(
+            row.is_flag and row.cause and row.experiment for row in rows
+        ):
+            found = self._cure(rows)
+        mended = {} if found is None or found[0] is None else found[0].mended
+        causes = {
+            name: self._in_time(find)
+            for name, find in slow.items()
+            if name not in mended
+        }
+        if causes:
+            rows = [
+                replace(row, cause=causes.get(row.phenomenon, row.cause))
+                for row in rows
+            ]
+        if causes or found is None:
+            found = self._cure(rows)
+        cure, tried = found
+        rows = [
+            replace(row, cause=_cause_of_cure(row, cure))
+            if cure is not None and row.phenomenon in {*slow} - {*causes}
+            else row
+            for row in rows
+        ]
+        return rows, cure, tried
+
+    def _cure(
         self, rows: Sequence[PhenomenonResult]
     ) -> tuple[Cure | None, tuple[str, ...]]:
         """Return the change that mends most flags, None when there is no flag or no cure, and what else was tried."""
@@ -207,10 +247,11 @@ class _Run:
         if self._explain and not advisory and default is not None:
             settings = subject.sets[geoms]
             search = (self._measurements, phenomenon, settings, configured, default)
-            find = partial(find_cause, *search, self._dialect, self._named)
-            cause = self._in_time(find)
-            if cause is not None:
-                self._named += cause.settings
+            find = partial(find_cause, *search, self._dialect)
+            if not phenomenon.has_many_bodies:
+                cause = self._in_time(find)
+            elif configured.verdict.is_off:
+                self._unexplained[phenomenon.id] = find
         # What an engine cannot simulate at all is no part of a check.
         is_unknown = default is not None and {configured.verdict, default.verdict} == {
             Verdict.DECLINED
@@ -237,6 +278,17 @@ class _Run:
             for name, one in outcomes.items()
         )
         return replace(row, geoms=geoms, parts=parts)
+
+
+def _cause_of_cure(row: PhenomenonResult, cure: Cure) -> Cause:
+    """Return that the change that mends most mends a row."""
+    before, after = (
+        "divergence" if value is None else with_unit(f"{value:.3g}", row.unit)
+        for value in (row.configured, cure.mended[row.phenomenon])
+    )
+    quantity = phenomenon(row.phenomenon).quantity
+    line = f"the first line brings {quantity} from {before} to {after}"
+    return Cause(settings=tuple(cure.changes), line=line)
 
 
 # --- comparison with an earlier run ----------------------------------------------------------------------------------

@@ -86,7 +86,7 @@ def page_report():
         changes={},
         line=f'<geom solref="0.004 1"/> for {LONG}: 2 of 2 flags go',
         flag_count=2,
-        mended_count=2,
+        mended={"creep-wood": 0.5, "wall-drift": 0.1},
     )
     return replace(
         report(worst, SLIDE, PERIOD, WALL, ADVICE), configuration=checked, cure=cure

@@ -161,7 +161,7 @@ CURE = Cure(
     changes={"cone": "elliptic"},
     line='<option cone="elliptic"/>: 2 of 2 flags go',
     flag_count=2,
-    mended_count=2,
+    mended={"creep-wood": 0.5, "wall-drift": 0.1},
 )
 GROUPS = (
     PartOutcome(

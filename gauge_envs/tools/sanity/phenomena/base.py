@@ -73,6 +73,11 @@ class Phenomenon:
     advisory: str = ""
 
     @property
+    def has_many_bodies(self) -> bool:
+        """Whether a rollout takes longer than those of all others together."""
+        return len(self.scenario.scene.bodies) > MANY_BODIES
+
+    @property
     def needs(self) -> tuple[Need, ...]:
         """What a target must have for the phenomenon to apply."""
         scene = self.scenario.scene
@@ -88,6 +93,9 @@ class Phenomenon:
             *(need for need, is_needed in needed.items() if is_needed),
         )
 
+
+MANY_BODIES = 20
+"""Number of bodies from which on a rollout takes longer than all others together."""
 
 RECORDINGS = "scoring/facts/recordings/recordings.toml"
 """File that `recorded` reads; sources name it."""
