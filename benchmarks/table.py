@@ -86,6 +86,12 @@ def starts() -> Iterator[Row]:
     )
     command = "import sys; sys.argv = ['gauge', 'list']; from gauge_command import main; main()"
     yield Row("gauge list / import gymnasium", child_s(command) / gymnasium_s, 3.5)
+    makes = [
+        f"import gymnasium, gauge_envs; gymnasium.make({name!r})"
+        for name in ("HalfCheetah-v5", "GAUGE/SlopeSlider-2-wood")
+    ]
+    cheetah_s, slide_s = map(child_s, makes)
+    yield Row("make SlopeSlider-2-wood / HalfCheetah-v5", slide_s / cheetah_s, 2.0)
 
 
 def steps() -> Iterator[Row]:

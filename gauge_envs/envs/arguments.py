@@ -327,7 +327,7 @@ def _starts_of(scene: Scene) -> FloatArray:
     for body in scene.bodies:
         starts += [body.linear_velocity_m_per_s, body.angular_velocity_rad_per_s]
     for one in (*scene.bodies, *scene.deformables):
-        starts += [one.pose.position_m, *one.pose.rotation.as_matrix().tolist()]
+        starts += [one.pose.position_m, *one.pose.matrix.tolist()]
     return np.array(starts)
 
 

@@ -1,7 +1,9 @@
 """The Gymnasium environment: one experiment, stepped at the frame rate of its real trials."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping
-from typing import Any, ClassVar, Unpack
+from typing import TYPE_CHECKING, Any, ClassVar, Unpack
 
 from gauge_envs.envs.arguments import (
     EnvArguments,
@@ -16,11 +18,13 @@ from gauge_envs.envs.arguments import (
 from gauge_envs.envs.base import SimulationEnvironment
 from gauge_envs.envs.episode import Episode, Observation, Trajectory
 from gauge_envs.envs.pictures import Pictures, Rendered, episode_picture
-from gauge_envs.evaluation.deformation import DeformationScore
-from gauge_envs.evaluation.score import Score
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.variants import Variant
 from gauge_envs.scene.jitter import Jitter
+
+if TYPE_CHECKING:
+    from gauge_envs.evaluation.deformation import DeformationScore
+    from gauge_envs.evaluation.score import Score
 
 
 class GaugeEnv(SimulationEnvironment[Observation, Any]):

@@ -4,10 +4,12 @@
 share a simulation advance together where it yields, six times a frame. `envs.stepper` does both for many worlds.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from gymnasium import spaces
@@ -19,10 +21,8 @@ from gauge_envs.envs.divergence import DeformableBounds, RigidBounds
 from gauge_envs.envs.driver_paths import DriverPaths
 from gauge_envs.envs.reach import Reach
 from gauge_envs.errors import EpisodeError
-from gauge_envs.evaluation.deformation import DeformationScore, score_deformation
 from gauge_envs.evaluation.metrics.trajectory import MAX_RELEASE_OFFSET_S
 from gauge_envs.evaluation.reference import reference_loads
-from gauge_envs.evaluation.score import Score, score_trajectory
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.observables.observer import (
@@ -36,6 +36,11 @@ from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.models import POINT_SIGMA_MM
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
+
+if TYPE_CHECKING:
+    # Scores import much of SciPy, and come with the end of an episode.
+    from gauge_envs.evaluation.deformation import DeformationScore
+    from gauge_envs.evaluation.score import Score
 
 LATER_FRAMES = round(MAX_RELEASE_OFFSET_S * FRAME_RATE_HZ)
 """Frames that an aligned episode is simulated on after its last one."""
@@ -408,6 +413,8 @@ class Episode:
 
     def score(self) -> Score:
         """Return the score of the episode; if it diverged, the score has a grade and no metric."""
+        from gauge_envs.evaluation.score import Score, score_trajectory
+
         if not self.is_over:
             raise EpisodeError(
                 f"{self.experiment.id}: no score before the episode is over"
@@ -432,6 +439,8 @@ class Episode:
 
     def deformation(self) -> DeformationScore | None:
         """Return the statistics of deformation beside real ones; None without them, or if the episode diverged."""
+        from gauge_envs.evaluation.deformation import score_deformation
+
         if not self.is_over:
             raise EpisodeError(
                 f"{self.experiment.id}: no statistics of deformation before the episode is over"

@@ -1,12 +1,16 @@
 """The wrapper that scores episodes, which `gymnasium.make` applies to every id, innermost; and one that logs scores."""
 
-from typing import Any
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 
 from gauge_envs.envs.arguments import warn_without_reward
 from gauge_envs.envs.env import GaugeEnv
-from gauge_envs.evaluation.score import Score
+
+if TYPE_CHECKING:
+    from gauge_envs.evaluation.score import Score
 
 
 class ScoreEpisode(gymnasium.Wrapper, gymnasium.utils.RecordConstructorArgs):

@@ -17,10 +17,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import BSpline, make_interp_spline
 
 from gauge_envs.errors import ShapeError
 from gauge_envs.evaluation.estimators import first_bounce
@@ -30,6 +30,9 @@ from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.bands import Band
 from gauge_envs.scene import ContactMode, Scene
 from gauge_envs.scene.geometry import FloatArray
+
+if TYPE_CHECKING:
+    from scipy.interpolate import BSpline
 
 Continuation = Callable[[FloatArray], FloatArray]
 
@@ -182,6 +185,8 @@ class RecognizedMotion:
 
     @cached_property
     def _curve(self) -> BSpline:
+        from scipy.interpolate import make_interp_spline
+
         return make_interp_spline(self.times_s, self.values, k=1)
 
     def changes(
@@ -521,6 +526,8 @@ def _interpolated(
     times_s: FloatArray, values: FloatArray, at_s: FloatArray
 ) -> FloatArray:
     """Return all coordinates by linear interpolation, shape [*shape of at_s, C]."""
+    from scipy.interpolate import make_interp_spline
+
     return make_interp_spline(times_s, values, k=1)(
         np.clip(at_s, times_s[0], times_s[-1])
     )

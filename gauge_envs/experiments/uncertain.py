@@ -217,7 +217,7 @@ def free_directions(bodies: Sequence[RigidBody]) -> Iterator[tuple[str, FloatArr
     if all(isinstance(body.shape, Sphere) for body in bodies):
         yield from zip(AXES, np.eye(3), strict=True)
         return
-    axes = bodies[0].pose.rotation.as_matrix().T
+    axes = bodies[0].pose.matrix.T
     normal = int(np.abs(axes[:, 2]).argmax())
     for number, axis in enumerate(axes):
         if number != normal:

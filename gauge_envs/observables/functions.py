@@ -8,7 +8,6 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.distance import cdist
 
 from gauge_envs.errors import ShapeError
 from gauge_envs.scene.geometry import FloatArray
@@ -133,6 +132,8 @@ def assign_markers(
     Returns:
         Node index of each marker, shape [marker_count].
     """
+    from scipy.spatial.distance import cdist
+
     markers_m, nodes_m = (
         _points("markers_m", markers_m, dimension=2),
         _points("nodes_m", nodes_m, dimension=2),

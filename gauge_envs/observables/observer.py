@@ -12,7 +12,6 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import Delaunay, QhullError
 
 from gauge_envs.backends.world import Simulation, World
 from gauge_envs.backends.worlds import Worlds
@@ -301,6 +300,8 @@ def _barycentric(
     name: str, points: FloatArray, queries: FloatArray
 ) -> list[tuple[NDArray[np.intp], FloatArray]]:
     """Return simplex and weights of each query; a query outside is moved to the surface of the nearest simplex."""
+    from scipy.spatial import Delaunay, QhullError
+
     try:
         mesh = Delaunay(points)
     except QhullError as error:

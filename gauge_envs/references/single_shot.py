@@ -11,12 +11,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, lru_cache
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, NonNegativeInt, PositiveInt, model_validator
-from scipy.spatial.transform import Rotation, Slerp
 
 from gauge_envs.errors import ParameterError, ReferenceFileError
 from gauge_envs.files import MEGABYTE, npz_arrays
@@ -33,6 +32,9 @@ from gauge_envs.references.tables import (
 from gauge_envs.scene.geometry import FloatArray, NonNegative, Positive, Vector
 from gauge_envs.scene.profiles import SampledProfile
 from gauge_envs.scene.timing import FRAME_RATE_HZ
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 Half = Literal["fit", "judge"]
 
@@ -251,6 +253,8 @@ class SingleShot:
     @property
     def rotations(self) -> Rotation:
         """Orientations, body to world, T of them."""
+        from scipy.spatial.transform import Rotation
+
         return Rotation.from_quat(self.quaternions, scalar_first=True)
 
     @property
@@ -271,6 +275,7 @@ class SingleShot:
         """
         # Lists of experiments need no spline, and the import takes a tenth of a second.
         from scipy.interpolate import CubicSpline
+        from scipy.spatial.transform import Slerp
 
         within_s = np.clip(times_s, 0.0, self.duration_s)
         return CubicSpline(self.times_s, self.positions_m)(within_s), Slerp(
@@ -346,6 +351,8 @@ class SingleShots:
         return found
 
     def _posed(self, trial: int) -> SingleShot:
+        from scipy.spatial.transform import Rotation
+
         if not 0 <= trial < len(self):
             raise ParameterError(
                 f"GAUGE/{self.variant}: trial {trial} does not exist: choose 0 to {len(self) - 1}"
@@ -395,6 +402,8 @@ class SingleShots:
 
     def _hanging(self, on: SingleShot, place: int) -> SingleShot:
         """Return the trial of a body that hangs on another one."""
+        from scipy.spatial.transform import Rotation
+
         hung, trial = self.sidecar.hung[place], on.trial
         rows = slice(*(int(row) for row in self.arrays["first"][trial : trial + 2]))
         angles_rad = self.sidecar.angle_unit_rad * self.arrays["angle"][

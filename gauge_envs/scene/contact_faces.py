@@ -5,7 +5,6 @@ from collections.abc import Collection, Iterable, Iterator, Sequence
 from itertools import combinations
 
 import numpy as np
-from scipy.spatial import ConvexHull
 
 from gauge_envs.scene.bodies import RigidBody
 from gauge_envs.scene.geometry import (
@@ -128,7 +127,7 @@ def blocked_directions(pose: Pose, normals: Sequence[FloatArray]) -> FloatArray:
 
 def face_normal(pose: Pose) -> FloatArray:
     """Return the body axis that is closest to vertical, in the world frame, shape [3]."""
-    axes: FloatArray = pose.rotation.as_matrix().T
+    axes: FloatArray = pose.matrix.T
     return axes[int(np.abs(axes[:, 2]).argmax())]
 
 
@@ -139,6 +138,8 @@ def _pieces(
 
     A plane is an outward normal, and minus the distance from the origin along it [m].
     """
+    from scipy.spatial import ConvexHull
+
     if isinstance(shape, Compound):
         for part in shape.parts:
             place = vector(pose.to_world(np.asarray(part.pose.position_m)))
@@ -154,7 +155,7 @@ def _pieces(
         size_m = (
             shape.size_m if isinstance(shape, Box) else (np.inf, np.inf, shape.length_m)
         )
-        axes = pose.rotation.as_matrix().T
+        axes = pose.matrix.T
         flat = np.isfinite(size_m)
         normals = np.concatenate([axes[flat], -axes[flat]])
         heights = np.tile(0.5 * np.asarray(size_m)[flat], 2)

@@ -5,7 +5,6 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.geometry import FloatArray, Pose
@@ -319,6 +318,8 @@ def _between(
     before: FloatArray, after: FloatArray, interval_s: float
 ) -> tuple[FloatArray, FloatArray]:
     """Return velocity and acceleration of the motions from some states to others, shape [count, 6] each."""
+    from scipy.spatial.transform import Rotation
+
     turns = Rotation.from_quat(after[:, 3:7], scalar_first=True)
     turns = turns * Rotation.from_quat(before[:, 3:7], scalar_first=True).inv()
     linear, angular = (

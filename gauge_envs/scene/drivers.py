@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from gauge_envs.scene.bodies import RigidBody
 from gauge_envs.scene.geometry import FloatArray, NonNegative, Pose, Vector, vector
@@ -134,6 +133,8 @@ class Driver:
             Position, quaternion, linear velocity of the body origin [m/s] (3) and angular velocity [rad/s] (3) in the
             world frame, shape [world_count, 13].
         """
+        from scipy.spatial.transform import Rotation
+
         position, rotation = (
             starts[:, :3],
             Rotation.from_quat(starts[:, 3:], scalar_first=True),

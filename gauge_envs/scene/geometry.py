@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -9,14 +11,13 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 from annotated_types import Ge, Gt, MinLen
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import ConvexHull
-from scipy.spatial.transform import Rotation
 
 from gauge_envs.errors import needs_extra
 
 if TYPE_CHECKING:
     # It takes 0.2 s, and only pictures need it.
     import trimesh
+    from scipy.spatial.transform import Rotation
 
 Vector = tuple[float, float, float]
 FloatArray = NDArray[np.float64]
@@ -45,9 +46,13 @@ class Pose:
     @classmethod
     def from_euler_deg(cls, position_m: Vector, euler_deg: Vector) -> Pose:
         """Return the pose of rotations about the fixed x, then y, then z axis [deg], as in the trial metadata."""
-        return cls.from_rotation(
-            position_m, Rotation.from_euler("xyz", euler_deg, degrees=True)
-        )
+        quaternion = (1.0, 0.0, 0.0, 0.0)
+        for axis, angle_deg in enumerate(euler_deg):
+            half_rad = 0.5 * math.radians(angle_deg)
+            turn = [math.cos(half_rad), 0.0, 0.0, 0.0]
+            turn[1 + axis] = math.sin(half_rad)
+            quaternion = _quaternion_product(turn, quaternion)
+        return cls(position_m=position_m, quaternion=quaternion)
 
     @classmethod
     def from_rotation(cls, position_m: Vector, rotation: Rotation) -> Pose:
@@ -58,7 +63,35 @@ class Pose:
     @cached_property
     def rotation(self) -> Rotation:
         """Orientation as a SciPy rotation, body to world."""
+        from scipy.spatial.transform import Rotation
+
         return Rotation.from_quat(self.quaternion, scalar_first=True)
+
+    @cached_property
+    def matrix(self) -> FloatArray:
+        """Rotation matrix, body to world, shape [3, 3]: `rotation.as_matrix()`, without the import of SciPy."""
+        w, x, y, z = self.quaternion
+        length = math.sqrt(x * x + y * y + z * z + w * w)
+        w, x, y, z = w / length, x / length, y / length, z / length
+        return np.array(
+            [
+                [
+                    x * x - y * y - z * z + w * w,
+                    2 * (x * y - z * w),
+                    2 * (x * z + y * w),
+                ],
+                [
+                    2 * (x * y + z * w),
+                    -x * x + y * y - z * z + w * w,
+                    2 * (y * z - x * w),
+                ],
+                [
+                    2 * (x * z - y * w),
+                    2 * (y * z + x * w),
+                    -x * x - y * y + z * z + w * w,
+                ],
+            ]
+        )
 
     def relative_to(self, other: Pose) -> Pose:
         """Return this pose in the frame of another one."""
@@ -69,13 +102,25 @@ class Pose:
 
     def to_world(self, points_m: FloatArray) -> FloatArray:
         """Return body-frame points [m], shape [..., 3], in world coordinates."""
-        return self.rotation.apply(points_m) + np.asarray(self.position_m)
+        return np.asarray(points_m) @ self.matrix.T + np.asarray(self.position_m)
 
     def to_body(self, points_m: FloatArray) -> FloatArray:
         """Return world points [m], shape [..., 3], in body coordinates."""
-        return self.rotation.apply(
-            np.asarray(points_m) - np.asarray(self.position_m), inverse=True
-        )
+        return (np.asarray(points_m) - np.asarray(self.position_m)) @ self.matrix
+
+
+def _quaternion_product(
+    p: Sequence[float], q: Sequence[float]
+) -> tuple[float, float, float, float]:
+    """Return the rotation q followed by p, each w, x, y, z; terms in the order of SciPy, for the same last bits."""
+    pw, px, py, pz = p
+    qw, qx, qy, qz = q
+    return (
+        pw * qw - px * qx - py * qy - pz * qz,
+        pw * qx + qw * px + (py * qz - pz * qy),
+        pw * qy + qw * py + (pz * qx - px * qz),
+        pw * qz + qw * pz + (px * qy - py * qx),
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -188,6 +233,8 @@ class ConvexUnion:
     @cached_property
     def volume_m3(self) -> float:
         """Volume [m^3]."""
+        from scipy.spatial import ConvexHull
+
         return float(
             sum(ConvexHull(np.asarray(piece)).volume for piece in self.pieces_m)
         )

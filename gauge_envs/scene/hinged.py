@@ -1,11 +1,12 @@
 """Rigid bodies that hinges join to trees: their order, their frames, and what contradicts a hinge."""
 
+from __future__ import annotations
+
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from gauge_envs.scene.bodies import (
     BodyHinge,
@@ -16,6 +17,9 @@ from gauge_envs.scene.bodies import (
     Tether,
 )
 from gauge_envs.scene.geometry import FloatArray, Pose, vector
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 UNIT = 1e-6
 """Largest deviation of an axis from unit length."""

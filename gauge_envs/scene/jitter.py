@@ -1,13 +1,14 @@
 """Random start poses and velocities of a scene, like the scatter of manual set-ups of real trials."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
 from gauge_envs.errors import ParameterError
 from gauge_envs.scene.bodies import BodyHinge, Cloth, Hinge, Motion, RigidBody, Tether
@@ -15,6 +16,9 @@ from gauge_envs.scene.contact_faces import blocked_directions, face_normal
 from gauge_envs.scene.geometry import FloatArray, Pose, Sphere, Vector, vector
 from gauge_envs.scene.hinged import carried, moved_along, other_end, parent_hinges
 from gauge_envs.scene.scene import Scene
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 JITTER_FORMAT = 2
 """Number of this way to draw a start; another way gets another number, so that a sweep runs its repeats again."""
@@ -82,6 +86,8 @@ def jittered(scene: Scene, jitter: Jitter, *, seed: int) -> Scene:
         jitter: Standard deviations of the start.
         seed: Seed of the random numbers, 0 or more.
     """
+    from scipy.spatial.transform import Rotation
+
     random, random_velocity = (
         np.random.default_rng(seed),
         np.random.default_rng((seed, 1)),
@@ -233,6 +239,8 @@ def _drawn(
     is_ball: bool = False,
 ) -> _Move:
     """Return a random move about a point that keeps the contacts with faces of given normals; a ball has none."""
+    from scipy.spatial.transform import Rotation
+
     shift = jitter.position_m * random.standard_normal(3)
     angle_rad = jitter.angle_rad * random.standard_normal()
     if not is_ball:
@@ -387,6 +395,8 @@ def tilted(scene: Scene, rotation_rad: ArrayLike, about_m: ArrayLike) -> Scene:
         rotation_rad: Rotation vector [rad], shape [3].
         about_m: Fixed point of the rotation [m], shape [3].
     """
+    from scipy.spatial.transform import Rotation
+
     rotation, centre = (
         Rotation.from_rotvec(rotation_rad),
         np.asarray(about_m, dtype=np.float64),

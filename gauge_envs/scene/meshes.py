@@ -2,7 +2,6 @@
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull
 
 from gauge_envs.scene.bodies import Cloth, Deformable, Region, RigidBody, Rope, SoftBody
 from gauge_envs.scene.geometry import (
@@ -50,6 +49,8 @@ def hull_faces(points_m: FloatArray) -> list[tuple[int, ...]]:
     Args:
         points_m: Vertices [m], shape [vertex_count, 3].
     """
+    from scipy.spatial import ConvexHull
+
     hull = ConvexHull(points_m)
     groups: list[tuple[FloatArray, set[int]]] = []
     for equation, simplex in zip(hull.equations, hull.simplices, strict=True):
@@ -84,6 +85,8 @@ def hull_triangles(points_m: FloatArray) -> FloatArray:
     Returns:
         Corners of each triangle [m], shape [triangle_count, 3, 3].
     """
+    from scipy.spatial import ConvexHull
+
     hull = ConvexHull(points_m)
     triangles = points_m[hull.simplices]
     across = np.cross(
@@ -176,6 +179,8 @@ def mass_properties(shape: Shape, mass_kg: float) -> tuple[FloatArray, FloatArra
 
 def _tetrahedra(points_m: FloatArray) -> FloatArray:
     """Return tetrahedra that fill the convex hull of points [m], corners of shape [tetrahedron_count, 4, 3]."""
+    from scipy.spatial import ConvexHull
+
     faces_m = points_m[ConvexHull(points_m).simplices]
     inner = np.broadcast_to(points_m.mean(axis=0), (len(faces_m), 1, 3))
     return np.concatenate([inner, faces_m], axis=1)
@@ -219,7 +224,7 @@ def _part_properties(
         centre, inertia = np.zeros(3), mass / 5.0 * np.diag([y + z, x + z, x + y])
     else:
         centre, inertia = mass_properties(shape, mass)
-    turn = part.pose.rotation.as_matrix()
+    turn = part.pose.matrix
     return mass, part.pose.to_world(centre), turn @ inertia @ turn.T
 
 

@@ -250,11 +250,7 @@ class Scene:
         A leaning plane stops no fall: bodies slide down it.
         """
         planes = [body.pose for body in self.bodies if isinstance(body.shape, Plane)]
-        level = [
-            pose.position_m[2]
-            for pose in planes
-            if pose.rotation.apply((0.0, 0.0, 1.0))[2] > LEVEL
-        ]
+        level = [pose.position_m[2] for pose in planes if pose.matrix[2, 2] > LEVEL]
         if level:
             return max(level)
         lowest = min((b.pose.position_m[2] for b in self.bodies), default=0.0)

@@ -115,9 +115,7 @@ class Model:
 
 def rigid_transform(pose: Pose) -> RigidTransform:
     """Return a pose as Drake's transform."""
-    return RigidTransform(
-        RotationMatrix(pose.rotation.as_matrix()), np.asarray(pose.position_m)
-    )
+    return RigidTransform(RotationMatrix(pose.matrix), np.asarray(pose.position_m))
 
 
 def build_model(scene: Scene, settings: SettingsDrake) -> Model:

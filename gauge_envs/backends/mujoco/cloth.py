@@ -16,7 +16,6 @@ from math import sqrt
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
 
 from gauge_envs.backends.mujoco.flex import (
     FlexPart,
@@ -263,6 +262,8 @@ class AirOnCloth:
     """
 
     def __init__(self, air: Air, part: ClothPartMuJoCo, data: mujoco.MjData) -> None:
+        from scipy.sparse import csr_array
+
         self._air = air
         self._points = part.points
         triangles = part.grid.triangles

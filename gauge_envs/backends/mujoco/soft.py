@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from math import ceil
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.sparse import csr_matrix
 
 from gauge_envs.backends.mujoco.flex import (
     FlexPart,
@@ -27,6 +27,9 @@ from gauge_envs.backends.shared.cells import grid_points
 from gauge_envs.backends.shared.soft_rows import TOLERANCE_M, Block, SoftRow
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import Motion, SoftBody
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_matrix
 
 LONE_CELLS = (4, 2)
 """Default cells along and across a single body: torsion of a 1:3.5 bar is within 3 % of theory, shear within 3 % of a
@@ -227,6 +230,8 @@ class _Lattice:
 
     def weights(self, points_m: NDArray[np.float64]) -> csr_matrix:
         """Return the matrix from node positions to material points, shape [point_count, lattice_node_count]."""
+        from scipy.sparse import csr_matrix
+
         places = (points_m - self._low_m) / self.cell_m
         cells = np.clip(np.floor(places).astype(int), 0, np.array(self.cells) - 1)
         x = places - cells

@@ -113,9 +113,9 @@ class SimulationPyBullet(PlacedWorld, Simulation):
             return None
         positions = self.body_states(names)[:, :3]
         for plane in self._planes:
-            across = np.abs(
-                (positions - plane.position_m) @ plane.rotation.as_matrix()[:, :2]
-            ).max(axis=1)
+            across = np.abs((positions - plane.position_m) @ plane.matrix[:, :2]).max(
+                axis=1
+            )
             if across.max() > PLANE_REACH_M:
                 name = names[int(across.argmax())]
                 return f"{name} is beyond the {PLANE_REACH_M:g} m that this backend's planes reach"

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.base import Backend, worlds_of
 from gauge_envs.backends.world import Simulation
@@ -203,6 +202,8 @@ def _moved(
     pose: Pose, velocity: Array, acceleration: Array, seconds: float
 ) -> tuple[Pose, Array, Array]:
     """Return a uniformly accelerated motion some time later."""
+    from scipy.spatial.transform import Rotation
+
     way = seconds * velocity + 0.5 * seconds**2 * acceleration
     place = vector(np.asarray(pose.position_m) + way[:3])
     turned = Rotation.from_rotvec(way[3:]) * pose.rotation

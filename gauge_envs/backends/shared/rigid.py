@@ -5,17 +5,19 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.world import World
 from gauge_envs.scene import BodyHinge, Hinge, Motion, Pose, RigidBody, Scene, Tether
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.hinged import parent_hinges
 from gauge_envs.scene.meshes import body_mass_properties
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 
 def body_state(
@@ -114,6 +116,8 @@ def hinge_frame(hinge: Hinge | BodyHinge, along_m: float = 0.0) -> Pose:
         hinge: The hinge.
         along_m: Distance of the frame from the anchor [m].
     """
+    from scipy.spatial.transform import Rotation
+
     point_m = (
         vector(np.asarray(hinge.anchor_m) + along_m * np.asarray(hinge.axis))
         if along_m
@@ -174,6 +178,8 @@ class TetherSpring:
             state: State of the body, shape [13].
             frequency_per_s: Angular frequency of the spring [1/s].
         """
+        from scipy.spatial.transform import Rotation
+
         arm = np.asarray(self.tether.anchor_m) - state[:3]
         length = float(np.linalg.norm(arm))
         if length <= self.tether.length_m:
@@ -234,6 +240,8 @@ class DrivenMotion:
 
     def pose(self, time_s: float) -> Pose:
         """Return the pose at a time since the start of the interval [s]."""
+        from scipy.spatial.transform import Rotation
+
         travel = self.travel(time_s)
         rotation = Rotation.from_rotvec(travel[3:]) * self.start.rotation
         return Pose.from_rotation(
@@ -260,6 +268,8 @@ class DrivenMotion:
         Returns:
             Linear [m/s] and angular [rad/s] velocity in the world frame, shape [6].
         """
+        from scipy.spatial.transform import Rotation
+
         before, after = self.travel(start_s), self.travel(end_s)
         turned = (
             Rotation.from_rotvec(after[3:]) * Rotation.from_rotvec(before[3:]).inv()

@@ -15,7 +15,6 @@ from math import ceil
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from gauge_envs.backends.shared.attachments import (
     RigidAttachment,
@@ -201,7 +200,7 @@ class SoftRow:
 
 
 def _box(body: SoftBody) -> Block:
-    rotation = body.pose.rotation.as_matrix()
+    rotation = body.pose.matrix
     if not np.allclose(rotation, np.rint(rotation), atol=1e-6):
         raise UnsupportedSceneError(
             f"soft body {body.name!r} is not rotated by right angles: align its box with the world's axes"
@@ -213,9 +212,7 @@ def _box(body: SoftBody) -> Block:
 
 def _world_axis(block: Block, attachment: RigidAttachment) -> tuple[int, str]:
     """Return the world axis and the side of an attached region, which is given in the body frame."""
-    direction = block.body.pose.rotation.as_matrix()[
-        :, "xyz".index(attachment.region.axis)
-    ]
+    direction = block.body.pose.matrix[:, "xyz".index(attachment.region.axis)]
     axis = int(np.argmax(np.abs(direction)))
     flipped = {"low": "high", "high": "low"}[attachment.region.side]
     return axis, attachment.region.side if direction[axis] > 0.0 else flipped
@@ -415,6 +412,8 @@ def linear_weights(
     Returns:
         Indices of the sources and their weights, both of shape [point_count, NEIGHBOURS].
     """
+    from scipy.spatial import cKDTree
+
     distances_m, nearest = cKDTree(sources_m).query(points_m, k=NEIGHBOURS)
     reach_m = distances_m[:, -1:]
     # The importance of a source falls to 2 % at the farthest neighbour.

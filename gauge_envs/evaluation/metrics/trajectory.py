@@ -9,8 +9,6 @@ import math
 import numpy as np
 from numpy.lib.stride_tricks import as_strided
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import minimize_scalar
-from scipy.spatial.distance import cdist
 
 from gauge_envs.errors import ShapeError
 from gauge_envs.scene.geometry import FloatArray
@@ -125,6 +123,8 @@ def release_offset(
         The offset in s, positive if the real object is released later than the simulated one; and the RMSE after the
         shift in the observable's unit. Of equally good shifts the smallest is chosen, so an object at rest has 0.
     """
+    from scipy.optimize import minimize_scalar
+
     simulated = _trajectory("simulated", simulated)
     real_mean = _trajectory("real_mean", real_mean, allow_missing=True)
     times_s = np.asarray(times_s, dtype=np.float64)
@@ -340,6 +340,8 @@ def _distances(first: FloatArray, second: FloatArray) -> FloatArray:
 
     |a|^2 + |b|^2 - 2 ab is one matrix product. It loses digits for rows that nearly coincide; these are computed again.
     """
+    from scipy.spatial.distance import cdist
+
     centre = first.mean(axis=0)
     first, second = first - centre, second - centre
     first_squares, second_squares = (

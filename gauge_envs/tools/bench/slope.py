@@ -38,7 +38,7 @@ class Slope:
     @classmethod
     def of(cls, support: Pose) -> Slope:
         """Return the face of a support at a pose."""
-        frame = support.rotation.as_matrix()
+        frame = support.matrix
         normal = frame[:, 2]
         downhill = normal[2] * normal - [0.0, 0.0, 1.0]
         sine = float(np.linalg.norm(downhill))

@@ -137,7 +137,7 @@ def _push(lab: Lab, shape: Shape) -> _Push:
     scene = _pushed_scene(shape)
     names = [one.name for one in scene.bodies]
     centre_m, inertia = mass_properties(shape, MASS_KG)
-    turned = scene.bodies[0].pose.rotation.as_matrix()
+    turned = scene.bodies[0].pose.matrix
     inertia = turned @ inertia @ turned.T
     torque = 2.0 * TURN_RAD / PUSH_S**2 * float(np.linalg.eigvalsh(inertia)[0])
     wrenches = np.diag([MASS_KG] * 3 + [torque] * 3)

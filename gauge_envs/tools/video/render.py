@@ -227,7 +227,7 @@ def _view(scene: Scene, task: VideoTask) -> FlatView:
     down = np.array([0.0, 0.0, -1.0])
     if task.motion is Motion.SLIDE:
         assert task.direction is not None
-        normal = body.pose.rotation.as_matrix()
+        normal = body.pose.matrix
         normal = normal[:, int(np.abs(normal[2]).argmax())]
         normal = normal * np.sign(normal[2])
         slide = down - (down @ normal) * normal
