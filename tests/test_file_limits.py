@@ -385,7 +385,7 @@ WITHOUT_LIMITS = {
     "tools/transfer/policies/sb3.py": "an archive in memory, read within limits before",
     "tools/transfer/stack_files.py": "files of the package",
     "tools/versions/episodes_worker.py": "runs in an environment of its own, without this package",
-    "tools/versions/comparison.py": "what the worker wrote",
+    "tools/versions/processes.py": "what the worker wrote",
     "tools/versions/hdf5_child.py": "a file in memory, in a child with limits",
     "tools/versions/environments.py": "records that this command wrote",
     "tools/versions/worker.py": "runs in an environment of its own, without this package",

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 from gauge_envs.registry import door
 
 if TYPE_CHECKING:
+    from gauge_envs.tools.transfer.estimates import Estimate as Estimate
     from gauge_envs.tools.transfer.ranges import (
         Justified as Justified,
         JustifiedRange as JustifiedRange,
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
         subject_ranges as subject_ranges,
     )
     from gauge_envs.tools.transfer.transfer import (
-        Estimate as Estimate,
         estimate as estimate,
         success_share as success_share,
     )

@@ -11,6 +11,7 @@ from scipy.stats import binomtest, t as student
 
 from gauge_envs.errors import ParameterError
 from gauge_envs.evaluation.dependence import LEVEL
+from gauge_envs.tools.transfer.estimates import Estimate
 from gauge_envs.tools.transfer.policy_replays import (
     Replay,
     Replays,
@@ -20,21 +21,6 @@ from gauge_envs.tools.transfer.policy_replays import (
 
 FALL_SHARE = 0.9
 """A policy falls where it keeps less than this share of its promise, as far as the law allows that there."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Estimate:
-    """A mean with its 95 % interval.
-
-    Attributes:
-        value: The mean.
-        low: Lower end; None with a single episode, which has no interval.
-        high: Upper end; None with a single episode.
-    """
-
-    value: float
-    low: float | None = None
-    high: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,15 +5,13 @@ from typing import TYPE_CHECKING
 from gauge_envs.registry import door
 
 if TYPE_CHECKING:
-    from gauge_envs.tools.versions.comparison import (
-        bench as bench,
-        compare as compare,
-    )
+    from gauge_envs.tools.versions.comparison import compare as compare
     from gauge_envs.tools.versions.model import (
         Comparison as Comparison,
         Side as Side,
         Verdict as Verdict,
     )
+    from gauge_envs.tools.versions.processes import bench as bench
     from gauge_envs.tools.versions.worker import (
         imbalance as imbalance,
         is_discrete as is_discrete,

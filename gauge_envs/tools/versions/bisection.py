@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from gauge_envs.tools.versions.comparison import Bench, check_same_shape, distance
+from gauge_envs.tools.versions.comparison import check_same_shape
+from gauge_envs.tools.versions.gap import distance
 from gauge_envs.tools.versions.model import Release, Side
+from gauge_envs.tools.versions.processes import Bench
 
 
 def bisect(

@@ -163,7 +163,8 @@ def _steps(
 ) -> tuple[Verdict, Document]:
     """Compare steps from the same states; with a collection of used releases, of the neighbours that differ."""
     from gauge_envs.tools.versions.bisection import bisect
-    from gauge_envs.tools.versions.comparison import bench, compare
+    from gauge_envs.tools.versions.comparison import compare
+    from gauge_envs.tools.versions.processes import bench
     from gauge_envs.tools.versions.sides import releases_between
     from gauge_envs.tools.versions.words import comparison_document
 

@@ -16,7 +16,7 @@ from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result_file import load_result
 from gauge_envs.scene.jitter import Jitter
 from gauge_envs.tools.compare import coordinate_words
-from gauge_envs.tools.versions.comparison import LEAST_LIMIT, NOISE_FACTOR
+from gauge_envs.tools.versions.gap import LEAST_LIMIT, NOISE_FACTOR
 from gauge_envs.tools.versions.model import MotionComparison, Side, Verdict
 
 if TYPE_CHECKING:

@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 
 from gauge_envs.experiments.variants import find_variant, variants
 from gauge_envs.tools.transfer import Estimate, estimate, success_share
-from gauge_envs.tools.versions.comparison import Bench
 from gauge_envs.tools.versions.environments import (
     NUMPY_2_SINCE,
     made_environment,
     version_key,
 )
 from gauge_envs.tools.versions.model import ReturnComparison, Side, Verdict
+from gauge_envs.tools.versions.processes import Bench
 
 WORKER = ("-B", str(Path(__file__).with_name("episodes_worker.py")))
 """Arguments of Python for the worker, which imports what the user's Python has."""

@@ -11,7 +11,6 @@ from pathlib import Path
 import mujoco
 
 from gauge_envs.errors import ParameterError
-from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import find_variant, variants
 from gauge_envs.registry import engine_points
 from gauge_envs.tools.versions.environments import (
@@ -82,6 +81,8 @@ def are_motions(subject: str, sides: Sequence[Side]) -> bool:
             f"{releases[0]} and {reasons[0]}: releases are compared with each other and with mujoco, on its own options"
         )
     if subject in {name for one in variants() for name in (one.name, one.id)}:
+        from gauge_envs.experiments.resolve import load_experiment
+
         scene = load_experiment(find_variant(subject).id).scene
         return bool(reasons or (scene.deformables and not releases))
     if reasons:

@@ -6,7 +6,7 @@ import importlib
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
 
 import gymnasium
@@ -14,7 +14,6 @@ import mujoco
 import numpy as np
 
 from gauge_envs.errors import ParameterError, needs_extra
-from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import find_variant, variants
 from gauge_envs.files import (
     MEGABYTE,
@@ -24,10 +23,10 @@ from gauge_envs.files import (
     os_errors,
     read_regular,
 )
-from gauge_envs.scene import Scene
-from gauge_envs.scene.timing import FRAME_RATE_HZ
-from gauge_envs.tools.mjcf import DRIVER_COLUMNS, DRIVER_PREFIX, scene_mjcf_text
 from gauge_envs.tools.versions import hdf5_child
+
+if TYPE_CHECKING:
+    from gauge_envs.scene import Scene
 
 MODEL_FILES = (".xml", ".mjcf", ".urdf")
 USD_FILES = (".usd", ".usda", ".usdc", ".usdz")
@@ -113,6 +112,8 @@ def read_subject(text: str, folder: Path, states: Path | None = None) -> Subject
 def _scene_of(text: str) -> Scene:
     """Return the scene of an id of this suite, or of a USD layer."""
     if Path(text).suffix.lower() not in USD_FILES:
+        from gauge_envs.experiments.resolve import load_experiment
+
         return load_experiment(find_variant(text).id).scene
     with needs_extra("a USD layer", "usd"):
         from gauge_envs.tools.usd import from_usd
@@ -125,6 +126,13 @@ def _of_scene(title: str, folder: Path, states: Path | None) -> Subject:
 
     MuJoCo 3.9 and earlier crash on custom numbers of that size.
     """
+    from gauge_envs.scene.timing import FRAME_RATE_HZ
+    from gauge_envs.tools.mjcf import (
+        DRIVER_COLUMNS,
+        DRIVER_PREFIX,
+        scene_mjcf_text,
+    )
+
     scene = _scene_of(title)
     frames = 1 + round(scene.duration_s * FRAME_RATE_HZ)
     root = ElementTree.fromstring(scene_mjcf_text(scene, title, frames))

@@ -6,8 +6,8 @@ The process runs in the environment of the release, without this package. The jo
      "states": ["states.npz"], "out": "side"}
 
 With `run`, the model moves through its segments, and the states go to `OUT.run.npz`. Each state of the files `states`
-is computed for one step, from itself alone, and what was computed goes to `OUT.probe0.npz` and so on, with the poses of
-all geoms if `has_poses` is true. `OUT.json` has the compiled model in words.
+is computed for one step, from itself alone, and what was computed goes to `OUT.probe0.npz` and so on. With settings
+`exact` all is computed a second time with them, with the poses of geoms. `OUT.json` has the compiled model in words.
 """
 
 import json
@@ -15,7 +15,7 @@ import re
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from xml.etree import ElementTree
 from xml.sax.saxutils import quoteattr
 
@@ -54,66 +54,16 @@ ENUMS = {
 }
 """Enumeration of each field whose numbers mean other things in other releases."""
 
-FIELDS = [
-    "qpos0",
-    "qpos_spring",
-    "body_",
-    "jnt_",
-    "dof_",
-    "geom_",
-    "mesh_scale",
-    "mesh_pos",
-    "mesh_quat",
-    "mesh_inertia",
-    "hfield_size",
-    "pair_",
-    "exclude_",
-    "eq_",
-    "tendon_",
-    "wrap_",
-    "actuator_",
-    "key_",
-    "flex_",
-    "flexedge_",
-]
-"""Names, or starts of names, of compiled fields that physics reads."""
+PHYSICS = re.compile(
+    "qpos0|qpos_spring|body_|jnt_|dof_|geom_|mesh_(scale|pos|quat|inertia)|hfield_size|pair_|exclude_|eq_|tendon_|wrap_|"
+    "actuator_|key_|flex_|flexedge_"
+)
+"""Starts of names of compiled fields that physics reads."""
 
-BOOKKEEPING = [
-    "adr",
-    "num",
-    "bvh",
-    "plugin",
-    "rgba",
-    "matid",
-    "group",
-    "user",
-    "sameframe",
-    "simple",
-    "rootid",
-    "weldid",
-    "treeid",
-    "jntid",
-    "dataid",
-    "Madr",
-    "texcoord",
-    "flatskin",
-]
+STORAGE = re.compile(
+    "adr|num|bvh|plugin|rgba|matid|group|user|sameframe|simple|rootid|weldid|treeid|jntid|dataid|Madr|texcoord|flatskin"
+)
 """Parts of names of fields that only say where something is stored."""
-
-OWNERS = {
-    "body_": "body",
-    "jnt_": "joint",
-    "dof_": "dof",
-    "geom_": "geom",
-    "mesh_": "mesh",
-    "pair_": "pair",
-    "eq_": "equality",
-    "tendon_": "tendon",
-    "actuator_": "actuator",
-    "key_": "key",
-    "qpos": "coordinate",
-}
-"""What the rows of a field are of."""
 
 PERTURBATION = 1e-10
 """Change of coordinates and velocities that no release would make on purpose [m, rad, m/s, rad/s]."""
@@ -124,18 +74,14 @@ CONTROL_INTERVAL_S = 0.1
 PUSH_M_PER_S = 0.5
 """Standard deviation of the velocities of a push [m/s or rad/s]."""
 
-MOST_KEYS = 4
-"""Keyframes that are started from."""
-
-MOST_SETTLED = 4
-"""Saved states from which the model settles."""
+MOST_STARTS = 4
+"""Keyframes that are started from, and saved states from which the model settles."""
 
 DRIVEN_INTERVAL_S = 1.0 / 180.0
 """Time of a row of the motion of a driven body of the suite [s]."""
 
 MOST_PROBES = 600
 """Most states of a segment that are probed; of a longer one, every n-th step."""
-
 
 MOST_DROPPED = 40
 """Attributes of a model file that a release may lack."""
@@ -149,12 +95,7 @@ UNKNOWN = re.compile(
 def without_unknown(path: Path, folder: Path) -> tuple[Any, list[str]]:
     """Compile a model file without the attributes that the release does not know.
 
-    Args:
-        path: The model file.
-        folder: Folder of a copy without them.
-
-    Returns:
-        The compiled model, and the attributes, as `option apirate="100"`.
+    The copy without them goes to a folder. Returns the compiled model, and the attributes, as `option apirate="100"`.
     """
     file = path
     dropped: list[str] = []
@@ -192,8 +133,8 @@ def with_absolute_folders(text: str, path: Path) -> str:
         for kind in folders:
             stated = compiler.get("assetdir", folders[kind])
             folders[kind] = compiler.get(kind, stated)
-    folders = {kind: str(path.parent / at) for kind, at in folders.items()}
-    words = " ".join(f"{kind}={quoteattr(at)}" for kind, at in folders.items())
+    stated = {kind: quoteattr(str(path.parent / at)) for kind, at in folders.items()}
+    words = " ".join(f"{kind}={at}" for kind, at in stated.items())
     # On the same line, so that those of the messages stay.
     end = text.rindex("</mujoco>")
     return text[:end] + f"<compiler {words}/>" + text[end:]
@@ -213,11 +154,8 @@ def set_options(model: Any, settings: Job) -> None:
             raise SystemExit("unknown setting: " + name)
         if isinstance(value, str):
             kind = getattr(mujoco, ENUMS[name])
-            members = {
-                member.partition("_")[2]: int(number)
-                for member, number in kind.__members__.items()
-            }
-            value = members[value.upper()]
+            prefix = next(iter(kind.__members__)).partition("_")[0]
+            value = int(kind.__members__[f"{prefix}_{value.upper()}"])
         setattr(model.opt, name, value)
 
 
@@ -226,10 +164,8 @@ def set_options(model: Any, settings: Job) -> None:
 
 def named(model: Any, kind: str, index: int) -> str:
     """Return the name of an object, or its kind and index."""
-    found = mujoco.mj_id2name(
-        model, getattr(mujoco.mjtObj, "mjOBJ_" + kind.upper()), index
-    )
-    return found or f"{kind} {index}"
+    number = getattr(mujoco.mjtObj, "mjOBJ_" + kind.upper())
+    return mujoco.mj_id2name(model, number, index) or f"{kind} {index}"
 
 
 def enum_texts(field: str, values: Any) -> list[str]:
@@ -237,11 +173,8 @@ def enum_texts(field: str, values: Any) -> list[str]:
     kind = getattr(mujoco, ENUMS[field])
     numbers = {int(value): name for name, value in kind.__members__.items()}
     if field.endswith("flags"):
-        return [
-            name
-            for number, name in sorted(numbers.items())
-            if number and int(values) & number
-        ]
+        is_set = [number for number in sorted(numbers) if number & int(values)]
+        return [numbers[number] for number in is_set]
     return [numbers.get(int(value), str(value)) for value in np.ravel(values)]
 
 
@@ -256,8 +189,7 @@ def compiled(model: Any) -> Job:
             elif np.ndim(value) < 2 and not callable(value):
                 fields["opt." + name] = np.ravel(value).tolist()
     for name in dir(model):
-        is_physics = any(name.startswith(start) for start in FIELDS)
-        if not is_physics or any(part in name for part in BOOKKEEPING):
+        if not PHYSICS.match(name) or STORAGE.search(name):
             continue
         value = getattr(model, name)
         if name in ENUMS:
@@ -269,28 +201,16 @@ def compiled(model: Any) -> Job:
 
 def names(model: Any) -> dict[str, list[str]]:
     """Return the names of what the rows of fields and results are of."""
-    counts = {
-        "body": model.nbody,
-        "joint": model.njnt,
-        "actuator": model.nu,
-        "mesh": model.nmesh,
-        "key": model.nkey,
-        "equality": model.neq,
-        "tendon": model.ntendon,
-        "pair": model.npair,
-    }
-    found = {
-        kind: [named(model, kind, i) for i in range(count)]
-        for kind, count in counts.items()
-    }
-    found["geom"] = []
+    found: dict[str, list[str]] = {"geom": [], "dof": []}
+    for field in ("nbody", "njnt", "nu", "nmesh", "nkey", "neq", "ntendon", "npair"):
+        short = {"njnt": "joint", "nu": "actuator", "neq": "equality"}
+        kind = short.get(field, field[1:])
+        found[kind] = [named(model, kind, i) for i in range(getattr(model, field))]
     for i in range(model.ngeom):
-        body = found["body"][model.geom_bodyid[i]]
         name = named(model, "geom", i)
-        found["geom"].append(
-            name if not name.startswith("geom ") else name + " of " + body
-        )
-    found["dof"] = []
+        if name.startswith("geom "):
+            name += " of " + found["body"][model.geom_bodyid[i]]
+        found["geom"].append(name)
     for i in range(model.nv):
         body = found["body"][model.dof_bodyid[i]]
         joint = int(model.dof_jntid[i])
@@ -301,6 +221,16 @@ def names(model: Any) -> dict[str, list[str]]:
             name = f"{found['joint'][joint]} of {body}"
         found["dof"].append(name)
     return found
+
+
+class Segment(NamedTuple):
+    """A motion: its first state, controls (None: held), steps, and steps for which a row of controls is held."""
+
+    name: str
+    start: dict[str, Any]
+    controls: Any
+    steps: int
+    interval: int
 
 
 # --- motion ----------------------------------------------------------------------------------------------------------
@@ -334,7 +264,7 @@ def starts(model: Any, seed: int) -> Iterator[tuple[str, dict[str, Any], Any]]:
     high = np.where(limited, model.actuator_ctrlrange[:, 1], 1.0)
     first["ctrl"] = np.clip(np.zeros(model.nu), low, high)
     yield "start", first, None
-    for key in range(min(model.nkey, MOST_KEYS)):
+    for key in range(min(model.nkey, MOST_STARTS)):
         mujoco.mj_resetDataKeyframe(model, data, key)
         first = taken(data)
         yield "keyframe " + named(model, "key", key), first, None
@@ -362,23 +292,19 @@ def driven(model: Any, job: Job) -> list[tuple[int, Any]]:
 
 
 def moved(
-    model: Any,
-    start: Mapping[str, Any],
-    controls: Any,
-    steps: int,
-    interval: int,
-    motions: Sequence[tuple[int, Any]],
+    model: Any, part: Segment, motions: Sequence[tuple[int, Any]]
 ) -> Iterator[tuple[dict[str, Any], Any]]:
     """Yield the state before each step, and the data."""
     data = mujoco.MjData(model)
-    put(data, start)
+    put(data, part.start)
     mujoco.mj_forward(model, data)
-    if "qacc_warmstart" in start:
-        data.qacc_warmstart[:] = start["qacc_warmstart"]
+    if "qacc_warmstart" in part.start:
+        data.qacc_warmstart[:] = part.start["qacc_warmstart"]
     drive_steps = max(1, round(DRIVEN_INTERVAL_S / model.opt.timestep))
-    for step in range(steps):
-        if controls is not None:
-            data.ctrl[:] = controls[min(step // interval, len(controls) - 1)]
+    for step in range(part.steps):
+        if part.controls is not None:
+            at = min(step // part.interval, len(part.controls) - 1)
+            data.ctrl[:] = part.controls[at]
         if step % drive_steps == 0:
             for body, rows in motions:
                 values = rows[min(step // drive_steps, len(rows) - 1)]
@@ -423,55 +349,48 @@ def saved(model: Any, file: str) -> dict[str, Any]:
 
 def row(rows: Mapping[str, Any], index: int) -> dict[str, Any]:
     """Return one state of the rows of a file."""
-    return {
-        name: value[index] for name, value in rows.items() if name in (*STATE, "time")
-    }
+    return {name: rows[name][index] for name in (*STATE, "time") if name in rows}
 
 
-def segments(
-    model: Any, job: Job
-) -> Iterator[tuple[str, dict[str, Any], Any, int, int]]:
-    """Yield name, start, controls, steps and steps of a row of controls of each segment."""
+def segments(model: Any, job: Job) -> Iterator[Segment]:
+    """Yield the segments through which a model moves: from the user's states, or from its own starts."""
     steps, seed = job["run"]["steps"], job["run"].get("seed", 0)
     file = job["run"].get("saved")
     if file is None:
         interval = max(1, round(CONTROL_INTERVAL_S / model.opt.timestep))
         for name, start, controls in starts(model, seed):
-            yield name, start, controls, steps, interval
+            yield Segment(name, start, controls, steps, interval)
         return
     rows = saved(model, file)
     count = len(rows["qpos"])
-    for index in np.unique(np.linspace(0, count - 1, MOST_SETTLED).astype(int)):
-        yield f"settle from state {index}", row(rows, index), None, steps, 1
+    for index in np.unique(np.linspace(0, count - 1, MOST_STARTS).astype(int)):
+        yield Segment(f"settle from state {index}", row(rows, index), None, steps, 1)
     if "ctrl" in rows and count > 1:
         interval = 1
         if "time" in rows:
             apart_s = rows["time"][1] - rows["time"][0]
             interval = max(1, round(apart_s / model.opt.timestep))
         most = min(interval * count, 20 * steps)
-        yield "replay", row(rows, 0), rows["ctrl"], most, interval
+        yield Segment("replay", row(rows, 0), rows["ctrl"], most, interval)
 
 
 def run(model: Any, job: Job) -> tuple[dict[str, Any], list[Job]]:
     """Move the model through its segments; return the states that are probed, and what became of each segment."""
     states, ends = [], []
     motions = driven(model, job)
-    for index, (name, start, controls, steps, interval) in enumerate(
-        segments(model, job)
-    ):
-        every = max(1, -(-steps // MOST_PROBES))
+    for index, part in enumerate(segments(model, job)):
+        every = max(1, -(-part.steps // MOST_PROBES))
         positions = {}
         # A start that differs by less than anyone means shows what chaos makes of nothing.
         for variant in ("plain", "perturbed"):
-            begin = dict(start)
+            begin = dict(part.start)
             if variant == "perturbed":
                 noise = np.random.RandomState(job["run"].get("seed", 0) + 1)
                 velocity = begin.get("qvel", np.zeros(model.nv))
                 begin["qvel"] = velocity + PERTURBATION * noise.normal(size=model.nv)
             depths, speed = np.zeros(model.nbody), 0.0
-            for step, (state, data) in enumerate(
-                moved(model, begin, controls, steps, interval, motions)
-            ):
+            motion = moved(model, part._replace(start=begin), motions)
+            for step, (state, data) in enumerate(motion):
                 pairs, distances = contacts(data)
                 for side in (0, 1):
                     np.maximum.at(depths, model.geom_bodyid[pairs[:, side]], -distances)
@@ -483,7 +402,8 @@ def run(model: Any, job: Job) -> tuple[dict[str, Any], list[Job]]:
             mujoco.mj_forward(model, data)
             positions[variant] = np.array(data.xpos)
             if variant == "plain":
-                end = {"segment": name, "steps": steps, "depths_m": depths.tolist()}
+                end = {"segment": part.name, "steps": part.steps}
+                end["depths_m"] = depths.tolist()
                 end["largest_speed"] = speed
                 end["speeds"] = speeds(model, data)
                 end["warnings"] = warnings(data)
@@ -661,16 +581,18 @@ def main(file: Path) -> None:
         "nu": model.nu,
         "fields": compiled(model),
         "names": names(model),
-        "owners": OWNERS,
         "dropped": dropped,
     }
     if job.get("run"):
         states, words["ends"] = run(model, job)
         np.savez(job["out"] + ".run.npz", **states)
-    for index, states_file in enumerate(job.get("states", [])):
-        rows = saved(model, states_file)
-        found = probe(model, rows, job.get("has_poses", False))
-        np.savez(f"{job['out']}.probe{index}.npz", **found)
+    exact, count = job.get("exact"), 0
+    for settings in [{}] if exact is None else [{}, exact]:
+        set_options(model, settings)
+        for file_of_states in job.get("states", []):
+            found = probe(model, saved(model, file_of_states), exact is not None)
+            np.savez(f"{job['out']}.probe{count}.npz", **found)
+            count += 1
     Path(job["out"] + ".json").write_text(json.dumps(words), encoding="utf-8")
 
 
