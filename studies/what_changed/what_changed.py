@@ -19,7 +19,7 @@ import shutil
 import subprocess
 import sys
 import venv
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -252,37 +252,93 @@ def table() -> str:
 ENGINES = HERE / "engines.csv"
 
 
+BESIDE = {"genesis-world": ["torch==2.13.0"]}
+"""Packages that a release of an engine does not name."""
+
+
+DRAKE_OF_NUMPY_2 = (1, 34)
+"""First measured release of Drake that does not crash with NumPy 2."""
+
+
+def beside(requirement: str) -> list[str]:
+    """Return the packages that are installed with a release of an engine."""
+    engine, _, version = requirement.partition("==")
+    # SAPIEN imports a module that later setuptools lack.
+    packages = ["setuptools<81", *BESIDE.get(engine, ["numpy"])]
+    if engine == "drake" and version_key(version) < DRAKE_OF_NUMPY_2:
+        packages.append("numpy<2")
+    if engine == "mujoco-warp":
+        # It states only the oldest MuJoCo that it runs with.
+        first, second = version.split(".")[:2]
+        packages.append(f"mujoco=={first}.{second}.*")
+    return packages
+
+
 def measure_engines(*requirements: str) -> None:
     """Run the scenes of `engines.py` in releases of engines that `engines.csv` lacks, one after the other.
 
-    Each release has an environment of its own, which is removed after its run; the file is written after each.
+    Each engine has an environment, which is removed afterwards; the file is written after each release, so that the
+    command goes on where it was stopped.
     """
-    rows = engine_rows()
+    done = {row["release"] for row in engine_rows()}
+    wanted: dict[str, list[str]] = {}
     for requirement in requirements:
-        if requirement in {row["release"] for row in rows}:
-            continue
+        if requirement not in done:
+            wanted.setdefault(requirement.partition("==")[0], []).append(requirement)
+    for engine, releases in wanted.items():
         with TemporaryDirectory() as folder:
             python = str(Path(folder) / "bin" / "python")
-            install = [python, "-m", "pip", "install", "-q"]
+            install = [python, "-m", "pip", "install", "-q", "--no-input"]
             if uv := shutil.which("uv"):
                 install = [uv, "pip", "install", "-q", "--python", python]
             venv.create(folder, with_pip=uv is None)
-            # SAPIEN imports a module that later setuptools lack.
-            packages = [requirement, "numpy", "setuptools<81"]
-            subprocess.run([*install, "--only-binary", ":all:", *packages], check=True)
-            engine = requirement.partition("==")[0]
-            command = [python, str(HERE / "engines.py"), engine]
-            done = subprocess.run(command, capture_output=True, text=True, check=True)
-        found = json.loads(done.stdout.splitlines()[-1])
-        values = {
-            name: f"{value:.4g}" if isinstance(value, float) else value
-            for name, value in found.items()
-        }
-        rows.append({"release": requirement} | values)
-        with ENGINES.open("w", encoding="utf-8", newline="") as stream:
-            writer = csv.DictWriter(stream, list(rows[0]), lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(rows)
+            for requirement in releases:
+                packages = [requirement, *beside(requirement)]
+                command = [*install, "--only-binary", ":all:", *packages]
+                done_install = subprocess.run(
+                    command, capture_output=True, text=True, check=False
+                )
+                if done_install.returncode:
+                    print(f"{requirement}: {done_install.stderr.splitlines()[-1]}")
+                    continue
+                store(requirement, scene_numbers(python, engine))
+
+
+def scene_numbers(python: str, engine: str) -> dict[str, str]:
+    """Return the number of each scene in the installed release of an engine, or why it has none."""
+    command = [python, str(HERE / "engines.py"), engine]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        lines = done.stderr.splitlines() or [f"exit code {done.returncode}"]
+        return dict.fromkeys(scene_titles(), lines[-1][:200])
+    found = json.loads(done.stdout.splitlines()[-1])
+    return {
+        name: f"{value:.4g}" if isinstance(value, float) else value
+        for name, value in found.items()
+    }
+
+
+def scene_titles() -> dict[str, str]:
+    """Return the title of each scene of other engines, in the order of the table."""
+    with (HERE / "scenes.csv").open(encoding="utf-8", newline="") as stream:
+        return {row["scene"]: row["title"] for row in csv.DictReader(stream)}
+
+
+def store(requirement: str, values: dict[str, str]) -> None:
+    """Write the numbers of a release beside those of the others, the oldest of an engine first."""
+    rows = [*engine_rows(), {"release": requirement} | values]
+    order = list(dict.fromkeys(row["release"].partition("==")[0] for row in rows))
+    rows.sort(key=lambda row: engine_key(row["release"], order))
+    with ENGINES.open("w", encoding="utf-8", newline="") as stream:
+        writer = csv.DictWriter(stream, list(rows[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def engine_key(release: str, order: Sequence[str]) -> tuple[int, tuple[int, ...]]:
+    """Return what releases of engines sort by."""
+    engine, _, version = release.partition("==")
+    return order.index(engine), version_key(version)
 
 
 def engine_rows() -> list[dict[str, str]]:

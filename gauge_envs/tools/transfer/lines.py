@@ -5,10 +5,11 @@ from dataclasses import dataclass
 from typing import Annotated, Literal, TypedDict
 
 from gauge_envs.cli.schemas import Form
+from gauge_envs.tools.transfer.estimates import Estimate
 from gauge_envs.tools.transfer.policy_replays import ReplayWorld
 from gauge_envs.tools.transfer.ranges import JustifiedRange, LeftOut
 from gauge_envs.tools.transfer.settings_replay import SettingsReport
-from gauge_envs.tools.transfer.transfer import Estimate, WorldTransfer
+from gauge_envs.tools.transfer.transfer import WorldTransfer
 
 
 class Named(TypedDict):

@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 from gauge_envs.backends.mujoco.versions import sparse_advice
 from gauge_envs.errors import GaugeError, ParameterError
 from gauge_envs.tools.control import Policy
+from gauge_envs.tools.transfer.estimates import Estimate
 from gauge_envs.tools.transfer.transfer import (
     FALL_SHARE,
-    Estimate,
     estimate,
     success_share,
 )

@@ -11,12 +11,12 @@ from gauge_envs.pages.document import Document, Paragraph, Part
 from gauge_envs.pages.figures import OURS, REAL, new_figure, tidy_axis
 from gauge_envs.pages.table import Column, Place, Table
 from gauge_envs.pages.text import counted
+from gauge_envs.tools.transfer.estimates import Estimate
 from gauge_envs.tools.transfer.ranges import Justified
 from gauge_envs.tools.transfer.settings_replay import SettingsReport
 from gauge_envs.tools.transfer.stack_files import evidence
 from gauge_envs.tools.transfer.transfer import (
     FALL_SHARE,
-    Estimate,
     TransferReport,
     WorldTransfer,
 )

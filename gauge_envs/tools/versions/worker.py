@@ -133,8 +133,8 @@ def with_absolute_folders(text: str, path: Path) -> str:
         for kind in folders:
             stated = compiler.get("assetdir", folders[kind])
             folders[kind] = compiler.get(kind, stated)
-    stated = {kind: quoteattr(str(path.parent / at)) for kind, at in folders.items()}
-    words = " ".join(f"{kind}={at}" for kind, at in stated.items())
+    found = {kind: quoteattr(str(path.parent / at)) for kind, at in folders.items()}
+    words = " ".join(f"{kind}={at}" for kind, at in found.items())
     # On the same line, so that those of the messages stay.
     end = text.rindex("</mujoco>")
     return text[:end] + f"<compiler {words}/>" + text[end:]
