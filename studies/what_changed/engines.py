@@ -14,6 +14,9 @@ import numpy as np
 STEP_S = 1 / 480
 G = 9.81
 
+MODULUS_PA = 1e7
+"""Modulus of moving bodies in Drake, whose default contact has one point for two boxes."""
+
 
 class Body(NamedTuple):
     """A box, or a ball where `size_m` is one number; fixed where it has no mass."""
@@ -46,6 +49,14 @@ def matrix(w: float, x: float, y: float, z: float) -> Any:
     u, v = np.array([x, y, z]), w
     cross = np.array([[0, -u[2], u[1]], [u[2], 0, -u[0]], [-u[1], u[0], 0]])
     return np.eye(3) + 2.0 * v * cross + 2.0 * cross @ cross
+
+
+def density(one: Body) -> float:
+    """Return the mass per volume of a body [kg/m^3]; a fixed one has 1 kg."""
+    volume_m3 = 8.0 * np.prod(one.size_m)
+    if len(one.size_m) == 1:
+        volume_m3 = 4.0 / 3.0 * np.pi * one.size_m[0] ** 3
+    return float(max(one.mass_kg, 1.0) / volume_m3)
 
 
 # --- engines ---------------------------------------------------------------------------------------------------------
@@ -94,13 +105,11 @@ def sapien(bodies: Bodies, gravity: Any) -> World:
     for one in bodies:
         builder = scene.create_actor_builder()
         material = physx.PhysxMaterial(one.friction, one.friction, one.restitution)
-        volume = 8.0 * np.prod(one.size_m)
         if len(one.size_m) == 1:
-            volume = 4.0 / 3.0 * np.pi * one.size_m[0] ** 3
             add, size = builder.add_sphere_collision, {"radius": one.size_m[0]}
         else:
             add, size = builder.add_box_collision, {"half_size": one.size_m}
-        add(material=material, density=max(one.mass_kg, 1.0) / volume, **size)
+        add(material=material, density=density(one), **size)
         body = builder.build() if one.mass_kg else builder.build_static()
         body.set_pose(sapien.Pose(one.place_m))
         found = body.find_component_by_type(physx.PhysxRigidDynamicComponent)
@@ -182,13 +191,148 @@ def mujoco_warp(bodies: Bodies, gravity: Any) -> World:
     return World(lambda: mjw.step(there, state_there), state)
 
 
+def newton(bodies: Bodies, gravity: Any) -> World:
+    """Return a scene of Newton with its own solver, XPBD."""
+    import newton as engine
+    import warp as wp
+
+    builder = engine.ModelBuilder()
+    made = []
+    for one in bodies:
+        place = wp.transform(one.place_m, wp.quat_identity())
+        body = builder.add_body(xform=place) if one.mass_kg else -1
+        made.append(body)
+        shape = engine.ModelBuilder.ShapeConfig(
+            density=density(one),
+            mu=one.friction,
+            restitution=one.restitution,
+        )
+        at = wp.transform_identity() if one.mass_kg else place
+        if len(one.size_m) == 1:
+            builder.add_shape_sphere(body, xform=at, radius=one.size_m[0], cfg=shape)
+        else:
+            size = dict(zip(("hx", "hy", "hz"), one.size_m, strict=True))
+            builder.add_shape_box(body, xform=at, cfg=shape, **size)
+    model = builder.finalize(device="cpu")
+    model.set_gravity(tuple(map(float, gravity)))
+    solver = engine.solvers.SolverXPBD(model, enable_restitution=True)
+    states, control = [model.state(), model.state()], model.control()
+    rates = states[0].body_qd.numpy()
+    for one, body in zip(bodies, made, strict=True):
+        if body >= 0:
+            rates[body, 3:] = one.spin_rad_per_s
+    states[0].body_qd.assign(rates)
+
+    def step() -> None:
+        contacts = model.collide(states[0])
+        states[0].clear_forces()
+        solver.step(states[0], states[1], control, contacts, STEP_S)
+        states.reverse()
+
+    def state(index: int) -> tuple[Any, Any, Any, Any]:
+        pose = states[0].body_q.numpy()[made[index]]
+        rate = states[0].body_qd.numpy()[made[index]]
+        x, y, z, w = pose[3:]
+        return pose[:3], rate[:3], rate[3:], matrix(w, x, y, z)
+
+    return World(step, state)
+
+
+def drake(bodies: Bodies, gravity: Any) -> World:
+    """Return a scene of Drake with compliant hydroelastic contact."""
+    from pydrake import geometry, math
+    from pydrake.multibody import math as spatial, plant as plants, tree
+    from pydrake.systems import analysis, framework
+
+    builder = framework.DiagramBuilder()
+    plant, _ = plants.AddMultibodyPlantSceneGraph(builder, STEP_S)
+    plant.mutable_gravity_field().set_gravity_vector(gravity)
+    made = []
+    for index, one in enumerate(bodies):
+        properties = geometry.ProximityProperties()
+        if one.mass_kg:
+            soften = geometry.AddCompliantHydroelasticProperties
+            soften(0.05, MODULUS_PA, properties)
+        else:
+            # A compliant floor resists a sliding box with a force that grows with its speed.
+            geometry.AddRigidHydroelasticProperties(1.0, properties)
+        friction = plants.CoulombFriction(one.friction, one.friction)
+        geometry.AddContactMaterial(friction=friction, properties=properties)
+        if len(one.size_m) == 1:
+            shape = geometry.Sphere(one.size_m[0])
+            inertia = tree.UnitInertia.SolidSphere(one.size_m[0])
+        else:
+            edges_m = [2.0 * half for half in one.size_m]
+            shape = geometry.Box(*edges_m)
+            inertia = tree.UnitInertia.SolidBox(*edges_m)
+        body, at = plant.world_body(), math.RigidTransform(one.place_m)
+        if one.mass_kg:
+            solid = tree.SpatialInertia(one.mass_kg, np.zeros(3), inertia)
+            body, at = plant.AddRigidBody(f"b{index}", solid), math.RigidTransform()
+        plant.RegisterCollisionGeometry(body, at, shape, f"s{index}", properties)
+        made.append(body)
+    plant.Finalize()
+    simulator = analysis.Simulator(builder.Build())
+    context = plant.GetMyContextFromRoot(simulator.get_mutable_context())
+    for one, body in zip(bodies, made, strict=True):
+        if one.mass_kg:
+            plant.SetFreeBodyPose(context, body, math.RigidTransform(one.place_m))
+            speed = spatial.SpatialVelocity(one.spin_rad_per_s, np.zeros(3))
+            plant.SetFreeBodySpatialVelocity(body, speed, context)
+    simulator.Initialize()
+
+    def step() -> None:
+        simulator.AdvanceTo(simulator.get_context().get_time() + STEP_S)
+
+    def state(index: int) -> tuple[Any, Any, Any, Any]:
+        pose = plant.EvalBodyPoseInWorld(context, made[index])
+        rate = plant.EvalBodySpatialVelocityInWorld(context, made[index])
+        turned = pose.rotation().matrix()
+        return pose.translation(), rate.translational(), rate.rotational(), turned
+
+    return World(step, state)
+
+
+def genesis(bodies: Bodies, gravity: Any) -> World:
+    import genesis as gs
+
+    if not getattr(gs, "_initialized", False):
+        gs.init(backend=gs.cpu, logging_level="error")
+    options = gs.options.SimOptions(dt=STEP_S, gravity=tuple(map(float, gravity)))
+    scene = gs.Scene(sim_options=options, show_viewer=False)
+    made = []
+    for one in bodies:
+        material = gs.materials.Rigid(rho=density(one), friction=one.friction)
+        place = {"pos": one.place_m, "fixed": not one.mass_kg}
+        if len(one.size_m) == 1:
+            shape = gs.morphs.Sphere(radius=one.size_m[0], **place)
+        else:
+            shape = gs.morphs.Box(size=tuple(2 * half for half in one.size_m), **place)
+        made.append(scene.add_entity(shape, material=material))
+    scene.build()
+    for one, body in zip(bodies, made, strict=True):
+        if one.mass_kg:
+            body.set_dofs_velocity(np.array([0.0, 0.0, 0.0, *one.spin_rad_per_s]))
+
+    def state(index: int) -> tuple[Any, Any, Any, Any]:
+        body = made[index]
+        found = (body.get_pos(), body.get_vel(), body.get_ang(), body.get_quat())
+        place, speed, spin, turned = (np.asarray(one.cpu(), float) for one in found)
+        return place, speed, spin, matrix(*turned)
+
+    return World(scene.step, state)
+
+
 ENGINES = {
     "pybullet": pybullet,
     "sapien": sapien,
     "rapier3d": rapier3d,
     "mujoco-warp": mujoco_warp,
+    "newton": newton,
+    "drake": drake,
+    "genesis-world": genesis,
 }
-WITHOUT_RESTITUTION = ("mujoco-warp",)
+WITHOUT_RESTITUTION = ("mujoco-warp", "drake", "genesis-world")
 """Engines that have no coefficient of restitution."""
 
 # --- scenes ----------------------------------------------------------------------------------------------------------
