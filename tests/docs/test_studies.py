@@ -23,8 +23,6 @@ COMMANDS = {
     "control_steps": "control_steps",
     "cost": "cost results",
     "coverage": "interval_coverage out.csv 'drop, 5 % outliers'",
-    "euler_order": "euler_order",
-    "few_iterations": "few_iterations cases",
     "joints": "pendulums",
     "laws": "laws checks",
     "models": "cantilever",
@@ -39,7 +37,7 @@ COMMANDS = {
     "what_changed": "what_changed models",
     "tosses": "cube_toss run mujoco out --every 400",
 }
-SLOW = {"control_steps", "coverage", "euler_order", "joints", "laws", "models"}
+SLOW = {"control_steps", "coverage", "joints", "laws", "models"}
 SLOW |= {"planted_faults", "ranges", "scatter"}
 
 

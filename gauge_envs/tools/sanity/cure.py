@@ -445,7 +445,7 @@ FEW_ITERATIONS = (
     {"iterations": 4, "ls_iterations": 20},
     {"iterations": 4, "ls_iterations": 20, "cone": "elliptic"},
 )
-"""Least iterations with which bodies slide as they should on engines for GPUs (studies/few_iterations)."""
+"""Least iterations with which bodies slide as they should on engines for GPUs (studies/README.md, few_iterations)."""
 
 
 def candidates_of(

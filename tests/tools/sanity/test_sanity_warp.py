@@ -119,7 +119,7 @@ def test_what_mends_few_iterations_is_measured_where_it_trains():
         report.cure is not None
         and "on mujoco_warp, where it trains" in report.cure.line
     )
-    # The elliptic cone alone lets this cube slide, and not one that has rested (studies/few_iterations).
+    # The elliptic cone alone lets this cube slide, and not one that has rested (studies/README.md, few_iterations).
     assert report.cure.changes["iterations"] >= 4
     measurements = Measurements(BackendMuJoCoWarp())
     subject = subject_of(
