@@ -209,7 +209,13 @@ def recipe_joint(
         note(
             f"{name}: {engine} does not follow it, do not use these settings: is a column, the load or a unit wrong?"
         )
-    return any(one.unknown for one in found.settings) or bool(found.lost)
+    for name, joint in found.behind_a_lag:
+        note(
+            f"{name}, {joint}: a lag without a model follows it better, do not use its settings: "
+            "start from other gains, with a scene that states them"
+        )
+    is_open = any(one.unknown for one in found.settings)
+    return is_open or bool(found.lost) or bool(found.behind_a_lag)
 
 
 def _bench(known: list[str] | None, source: str | None) -> dict[str, float]:

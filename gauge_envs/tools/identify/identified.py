@@ -113,3 +113,13 @@ class Identified:
             for name, error in self.error_rad.items()
             if (error > np.maximum(motion[name] / 3.0, 0.01)).any()
         ]
+
+    @property
+    def behind_a_lag(self) -> list[tuple[str, str]]:
+        """Fitted logs and joints that a lag, which has no model, follows better, without the lost ones."""
+        return [
+            (log, self.names[joint])
+            for log, error in self.error_rad.items()
+            if log not in self.lost and "lag" in self.plain_rad.get(log, {})
+            for joint in np.flatnonzero(error > self.plain_rad[log]["lag"])
+        ]

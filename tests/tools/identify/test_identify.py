@@ -502,8 +502,11 @@ def test_an_error_below_the_encoder_or_a_third_of_the_motion_is_followed():
         joints=(),
         error_rad=error_rad,
         motion_rad=motion_rad,
+        names=("Elbow",),
+        plain_rad={name: {"lag": np.array([0.01])} for name in errors},
     )
     assert found.lost == ["lost"]
+    assert found.behind_a_lag == [("swing", "Elbow")]
 
 
 def test_wrong_requests_are_refused(gauge, approved, tmp_path):
