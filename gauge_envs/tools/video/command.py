@@ -25,6 +25,38 @@ if TYPE_CHECKING:
     from gauge_envs.tools.video import Track
 
 
+CameraOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--camera",
+        metavar="FILE",
+        rich_help_panel=arguments.SCENE,
+        help="How the camera sees the plane, TOML or JSON; a board in the film.",
+    ),
+]
+RateOption = Annotated[
+    float | None,
+    arguments.measured(
+        "--fps",
+        "Hz",
+        "Frames per second; needed for a track without times.",
+        arguments.SCENE,
+        is_positive=True,
+        show_default="that of the video",
+    ),
+]
+ObjectOption = Annotated[
+    str | None,
+    typer.Option(
+        "--object",
+        metavar="px",
+        rich_help_panel=arguments.SCENE,
+        help="With --camera: left, top, width and height of a box around the object in the first frame, as "
+        "612,300,40,40.",
+    ),
+]
+
+
 def list_video_tasks(patterns: Sequence[str]) -> list[Table]:
     """Return the table of the tasks: what moves, how large it is, and what real trials give."""
     from gauge_envs.tools.video import video_tasks
@@ -75,14 +107,7 @@ def video_score(
             help="Task, see gauge list video-tasks; own films: slide, fall, pendulum.",
         ),
     ],
-    camera: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            rich_help_panel=arguments.SCENE,
-            help="How the camera sees the plane, TOML or JSON; a board in the film.",
-        ),
-    ] = None,
+    camera: CameraOption = None,
     first_frame: Annotated[
         Path | None,
         typer.Option(
@@ -91,17 +116,7 @@ def video_score(
             help="Picture that the model was given, to register the videos by.",
         ),
     ] = None,
-    fps: Annotated[
-        float | None,
-        arguments.measured(
-            "--fps",
-            "Hz",
-            "Frames per second; needed for a track without times.",
-            arguments.SCENE,
-            is_positive=True,
-            show_default="that of the video",
-        ),
-    ] = None,
+    fps: RateOption = None,
     size: Annotated[
         str | None,
         typer.Option(
@@ -111,16 +126,7 @@ def video_score(
             help="Width and height of the pictures of a track, as 832x480.",
         ),
     ] = None,
-    object_box: Annotated[
-        str | None,
-        typer.Option(
-            "--object",
-            metavar="px",
-            rich_help_panel=arguments.SCENE,
-            help="With --camera: left, top, width and height of a box around the object in the first frame, as "
-            "612,300,40,40.",
-        ),
-    ] = None,
+    object_box: ObjectOption = None,
     angle_deg: Annotated[
         float | None,
         arguments.measured(
@@ -320,6 +326,39 @@ def _given_track(video: Path, file: Path) -> Track:
     return read_track(file, size_px=source.size_px)
 
 
+def video_check(
+    file: Annotated[Path, typer.Argument(metavar="FILM", help="Film of one's own.")],
+    camera: CameraOption = None,
+    object_box: ObjectOption = None,
+    fps: RateOption = None,
+    out: Annotated[
+        Path, arguments.target("Picture to write, .png: the first frame, drawn in.")
+    ] = Path("film_check.png"),
+) -> bool:
+    """Show what a film of one's own shows in its first frame, and what to mend before it is scored.
+
+    That is the board, how it is turned, the scale, and the object: without --object, what moves away from its place.
+    Exit code 1 when something is to be mended.
+    """
+    from gauge_envs.pages.document import save_file
+    from gauge_envs.tools.video import read_camera
+    from gauge_envs.tools.video.check import check_film, picture_bytes
+    from gauge_envs.tools.video.frames import FileFrames
+    from gauge_envs.tools.video.words import check_table
+
+    if camera is None:
+        raise ParameterError(
+            "--camera is needed: a file with the size of the film and of the board, as on the page World models"
+        )
+    box_px = None if object_box is None else _box(object_box)
+    findings, picture = check_film(
+        FileFrames(file, fps=fps), read_camera(camera), box_px
+    )
+    print_document(check_table(findings), Format.TEXT)
+    message(save_file(out, picture_bytes(picture)))
+    return any(one.advice for one in findings)
+
+
 def video_board(
     file: Annotated[
         Path,
@@ -339,7 +378,7 @@ def video_board(
     ] = 30.0,
 ) -> None:
     """Write a board to print, beside which a phone held by hand can film a motion."""
-    from gauge_envs.tools.video.phone_films import save_board
+    from gauge_envs.tools.video.board import save_board
 
     echo(save_board(file, square_mm))
 

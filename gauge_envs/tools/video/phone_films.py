@@ -8,25 +8,21 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 from scipy.stats import median_abs_deviation
 
 from gauge_envs.errors import ParameterError, UnknownNameError, VideoError
 from gauge_envs.evaluation.estimators import restitution_of_flights, slide_friction
-from gauge_envs.files import os_errors
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.video import laws
+from gauge_envs.tools.video.board import BoardPose, board_poses, board_views
 from gauge_envs.tools.video.frames import Frames, Picture, cv2
 from gauge_envs.tools.video.plane import (
     Board,
-    Lens,
     PlaneView,
-    PointPairs,
     frontal_task,
     frontal_track,
 )
@@ -49,18 +45,6 @@ MOTIONS = {
 }
 """Tasks whose laws judge films of a phone, by the name of the motion."""
 
-SQUARES = np.array([7, 5])
-"""Squares of the board across and down."""
-
-DPI = 300
-"""Least resolution of the printed board [dots per inch]."""
-
-LEAST_CORNERS, MOST_UNSEEN = 8, 0.3
-"""Fewest corners of the board by which a frame is placed, and largest share of frames without them."""
-
-MOST_CALIBRATED = 30
-"""Most frames from which the lens is found."""
-
 MOST_COARSE = 1.5
 """Largest size of a pixel of the frontal picture, in pixels of the reference grid at the middle of the film."""
 
@@ -76,45 +60,18 @@ DRAWS = 40
 MOST_GRAVITY = 0.2
 """Largest share by which the gravity of a fall or a swing differs: a swing of a radian takes 0.12."""
 
+MOST_SLOPE_DEG = 1.5
+"""Largest difference of the slope of a motion beside the board from the stated one: five times that of a level."""
+
 LEAST_FLIGHT = 5
 """Fewest frames of a flight between two impacts."""
 
 
-def charuco() -> Any:
-    """Return OpenCV's board with squares of length 1."""
-    words = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
-    return cv2.aruco.CharucoBoard(tuple(map(int, SQUARES)), 1.0, 0.75, words)
-
-
-def save_board(path: Path, square_mm: float) -> Path:
-    """Write the board with a bar of 100 mm, PNG or PDF in its true size, and return its path."""
-    if path.suffix not in (".png", ".pdf") or not 5.0 <= square_mm <= 200.0:
-        raise ParameterError(
-            f"{path}, --square {square_mm:g}: give a .png or .pdf, and squares of 5 to 200 mm"
-        )
-    side = math.ceil(DPI * square_mm / 25.4)
-    sheet = cv2.copyMakeBorder(
-        charuco().generateImage(tuple(map(int, SQUARES * side))),
-        *[side // 2] * 4,
-        0,
-        value=255,
-    )
-    low, bar = sheet.shape[0] - side // 3, round(100.0 * side / square_mm)
-    sheet[low : low + side // 12, side // 2 : side // 2 + bar] = 0
-    text = f"100 mm; squares {square_mm:g} mm"
-    cv2.putText(
-        sheet,
-        text,
-        (side // 2, sheet.shape[0] - side // 12),
-        0,
-        side / 250.0,
-        0,
-        max(1, side // 120),
-    )
-    dpi = 25.4 * side / square_mm
-    with os_errors(lambda cause: VideoError(f"{path}: cannot be written: {cause}")):
-        Image.fromarray(sheet).save(path, dpi=(dpi, dpi), resolution=dpi)
-    return path
+def box_corners(box_px: Sequence[float]) -> FloatArray:
+    """Return the corners of a box of left, top, width and height [px], around it, shape [4, 2]."""
+    left, top, width, height = box_px
+    right, bottom = left + width, top + height
+    return np.array([[left, top], [right, top], [right, bottom], [left, bottom]])
 
 
 class FrontalFilm(Frames):
@@ -126,6 +83,7 @@ class FrontalFilm(Frames):
 
     Attributes:
         camera: How the first frame sees the plane, with the uncertainty of the calibration.
+        poses: How each frame sees the board; None where it does not, and empty without a board.
     """
 
     def __init__(self, source: Frames, view: PlaneView) -> None:
@@ -138,9 +96,11 @@ class FrontalFilm(Frames):
         self.size_px = REFERENCE_SIZE_PX
         self._source = source
         self.camera = view
+        self.poses: list[BoardPose | None] = []
         self._views: list[PlaneView | None] | None = None
         if isinstance(view.source, Board):
-            self._views = _board_views(source, view, view.source)
+            self.poses = board_poses(source, view, view.source)
+            self._views = board_views(self.poses, view, view.source)
             self.camera = self._views[0] or view
         width, height = source.size_px
         border = np.array(
@@ -220,17 +180,20 @@ class FrontalFilm(Frames):
             + self._origin_px
         )
 
+    def to_picture_px(self, points_px: FloatArray) -> FloatArray:
+        """Return places in the first frame of places on the frontal grid [px], both of shape [count, 2]."""
+        return self.camera.to_picture_px(
+            (points_px - self._origin_px) * (self.scale, -self.scale)
+        )
+
     def seen(self, track: Track) -> Track:
         """Return a track of the frontal film as the first camera sees it, on the reference grid of the film."""
         places = np.full(track.points_px.shape, np.nan)
         if not track.is_found.any():
             return replace(track, registration=None)
-        plane_m = (track.points_px[track.is_found] - self._origin_px) * (
-            self.scale,
-            -self.scale,
-        )
         shrinkage = np.array(REFERENCE_SIZE_PX) / self._source.size_px
-        places[track.is_found] = self.camera.to_picture_px(plane_m) * shrinkage
+        found_px = self.to_picture_px(track.points_px[track.is_found])
+        places[track.is_found] = found_px * shrinkage
         return replace(
             track,
             points_px=places,
@@ -247,16 +210,7 @@ class FrontalFilm(Frames):
         """Return the task of an object in a box of the first frame: left, top, width and height [px]."""
         if motion not in MOTIONS:
             raise UnknownNameError("motion of a film", motion, list(MOTIONS))
-        left, top, width, height = box_px
-        corners = np.array(
-            [
-                [left, top],
-                [left + width, top],
-                [left + width, top + height],
-                [left, top + height],
-            ]
-        )
-        places = self.to_grid_px(corners)
+        places = self.to_grid_px(box_corners(box_px))
         size = math.sqrt(cv2.contourArea(places.astype(np.float32)))
         centre, pivot = places.mean(axis=0), self.camera.pivot_m
         return replace(
@@ -270,102 +224,6 @@ class FrontalFilm(Frames):
             else tuple(pivot * (1.0, -1.0) / self.scale + self._origin_px),
             law={},
         )
-
-
-Corners: TypeAlias = tuple[FloatArray, FloatArray]
-"""Corners of the board in a frame: places on the board [m], shape [count, 3], and in the picture [px], [count, 2]."""
-
-
-def _board_views(
-    source: Frames, view: PlaneView, board: Board
-) -> list[PlaneView | None]:
-    """Return how each frame sees the plane, with the uncertainty of the first; None without a board."""
-    # To the right and up from the middle of the board, and towards the camera.
-    middle = np.array([*(0.5 * SQUARES), 0.0])
-    corners_m = (
-        (charuco().getChessboardCorners() - middle) * [1.0, -1.0, 0.0] * board.square_m
-    )
-    found = _board_corners(source, corners_m)
-    seen = [corners for corners in found if corners is not None]
-    lens = view.lens or _calibrated(seen, source.size_px)
-    outer_m = corners_m[[0, SQUARES[0] - 2, -1, 1 - SQUARES[0]]]
-    plane_m = outer_m + np.array([0.0, 0.0, board.offset_m])
-    uncertainty: dict[str, float] = {}
-    views: list[PlaneView | None] = []
-    for corners in found:
-        if corners is None:
-            views.append(None)
-            continue
-        places_m, places_px = corners
-        # The pose of the board in the frame of the camera: a rotation vector and a translation.
-        _, turn, away = cv2.solvePnP(places_m, places_px, *lens.coefficients)
-        if not uncertainty:
-            missed_px = _projected_px(places_m, turn, away, lens) - places_px
-            tilt = board.offset_sigma_m / float(np.linalg.norm(away))
-            # Each of four points is drawn on its own, so an error that all share is counted twice as large.
-            sigma_m = 2.0 * math.hypot(board.sigma_m, tilt * np.linalg.norm(outer_m[0]))
-            uncertainty = {"sigma_px": float(missed_px.std()), "sigma_m": sigma_m}
-        plane_px = _projected_px(plane_m, turn, away, lens)
-        pairs = PointPairs(
-            px=plane_px.tolist(), m=outer_m[:, :2].tolist(), **uncertainty
-        )
-        views.append(replace(view, lens=lens, source=pairs))
-    return views
-
-
-def _board_corners(source: Frames, corners_m: FloatArray) -> list[Corners | None]:
-    """Return the corners of the board in each frame; None where too few are seen."""
-    detector = cv2.aruco.CharucoDetector(charuco())
-    found: list[Corners | None] = []
-    for picture in source.native():
-        places, ids, *_ = detector.detectBoard(
-            cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
-        )
-        if ids is None or len(ids) < LEAST_CORNERS:
-            found.append(None)
-        else:
-            found.append((corners_m[ids.ravel()], places.reshape(-1, 2).astype(float)))
-    unseen = [str(number) for number, corners in enumerate(found) if corners is None]
-    if found[0] is None or len(unseen) > MOST_UNSEEN * len(found):
-        raise VideoError(
-            f"{source.name}: {LEAST_CORNERS} corners of the board must be seen in the first frame and in "
-            f"{1.0 - MOST_UNSEEN:.0%} of all; {len(unseen)} of {len(found)} lack them: {', '.join(unseen[:9])}"
-        )
-    return found
-
-
-def _projected_px(places_m: FloatArray, turn: Any, away: Any, lens: Lens) -> FloatArray:
-    """Return where the camera sees places on the board [px], shape [count, 2]."""
-    places_px, _ = cv2.projectPoints(places_m, turn, away, *lens.coefficients)
-    return np.asarray(places_px[:, 0])
-
-
-def _calibrated(seen: list[Corners], size_px: tuple[int, int]) -> Lens:
-    """Return the lens by which a film sees the board: its focal length and one coefficient of distortion."""
-    chosen = seen[:: math.ceil(len(seen) / MOST_CALIBRATED)]
-    start = np.array(
-        [
-            [size_px[0], 0.0, 0.5 * size_px[0]],
-            [0.0, size_px[0], 0.5 * size_px[1]],
-            [0.0, 0.0, 1.0],
-        ]
-    )
-    names = (
-        "USE_INTRINSIC_GUESS",
-        "FIX_PRINCIPAL_POINT",
-        "FIX_ASPECT_RATIO",
-        "ZERO_TANGENT_DIST",
-        "FIX_K2",
-        "FIX_K3",
-    )
-    fixed = sum(getattr(cv2, f"CALIB_{name}") for name in names)
-    objects, pictures = (
-        [one[part].astype(np.float32) for one in chosen] for part in (0, 1)
-    )
-    _, matrix, bent, *_ = cv2.calibrateCamera(
-        objects, pictures, size_px, start, None, flags=fixed
-    )
-    return Lens(matrix=matrix.tolist(), distortion=(float(bent.flat[0]), 0.0))
 
 
 def score_phone_film(
@@ -430,10 +288,17 @@ def score_phone_film(
         f"{one}: give --fps of the camera if the film is in slow motion, and check the camera file"
         for one in faults
     ]
+    if task.motion is Motion.SLIDE and angle_deg is not None:
+        slope_deg = math.degrees(_slope_rad(plane))
+        if abs(slope_deg - angle_deg) > MOST_SLOPE_DEG:
+            reasons.append(
+                f"the motion descends by {slope_deg:.1f} degrees beside the board, and --angle states {angle_deg:g}: "
+                "is the board level, upright and parallel to the motion?"
+            )
     return replace(
         result,
         track=track,
-        is_sound=result.is_sound and not faults,
+        is_sound=result.is_sound and not reasons,
         reasons=(*reasons, *result.reasons),
         metrics={**result.metrics, name: value},
         uncertainty={**result.uncertainty, name: interval},
@@ -463,18 +328,13 @@ def resistance(
     result: VideoScore, task: VideoTask, angle_deg: float | None, inertia_factor: float
 ) -> Estimate:
     """Return the friction of a slide, or the rolling resistance of a body that rolls without slip, on its slope."""
-    assert task.direction is not None
     a, ends = (
         result.metrics["acceleration_m_s2"],
         result.uncertainty["acceleration_m_s2"],
     )
     if a is None or ends is None:
         return None, None
-    angle = (
-        math.atan2(task.direction[1], abs(task.direction[0]))
-        if angle_deg is None
-        else math.radians(angle_deg)
-    )
+    angle = _slope_rad(task) if angle_deg is None else math.radians(angle_deg)
 
     # A body that rolls has the inertia m (1 + k): it slides like one under the gravity g / (1 + k).
     gravity = laws.GRAVITY_M_PER_S2 / (1.0 + inertia_factor)
@@ -488,6 +348,12 @@ def resistance(
         friction(a) - math.hypot(below, tilt),
         friction(a) + math.hypot(above, tilt),
     )
+
+
+def _slope_rad(task: VideoTask) -> float:
+    """Return the slope of a motion in the plane [rad]; the direction of a picture has its second part down."""
+    assert task.direction is not None
+    return math.atan2(task.direction[1], abs(task.direction[0]))
 
 
 def _drawn(

@@ -3,7 +3,8 @@
 import math
 import re
 from base64 import b64encode
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -23,6 +24,7 @@ from gauge_envs.tools.video import (
     video_task,
     video_tasks,
 )
+from gauge_envs.tools.video.check import Finding
 from gauge_envs.tools.video.frames import FileFrames, Frames, Picture, cv2, write_mp4
 from gauge_envs.tools.video.scoring import agreement
 from gauge_envs.tools.video.tasks import Measured, published_results
@@ -125,6 +127,18 @@ def score_document(result: VideoScore, task: VideoTask | None) -> Document:
             *([table] if known else []),
         ),
         rows=[result.to_dict()],
+    )
+
+
+def check_table(findings: Sequence[Finding]) -> Table:
+    """Return the table of what a film shows before it is scored."""
+    return Table(
+        columns=(
+            Column("name", ""),
+            Column("text", "found"),
+            Column("advice", "to mend"),
+        ),
+        rows=[asdict(one) for one in findings],
     )
 
 

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.tools.video.phone_films import SQUARES, charuco
+from gauge_envs.tools.video.board import SQUARES, charuco
 
 FloatArray = NDArray[np.float64]
 

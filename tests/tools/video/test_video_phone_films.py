@@ -3,6 +3,7 @@
 import json
 import math
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -23,12 +24,18 @@ from gauge_envs.tools.video import (  # noqa: E402
     score_track,
     video_task,
 )
+from gauge_envs.tools.video.board import board_poses, charuco  # noqa: E402
+from gauge_envs.tools.video.check import (  # noqa: E402
+    check_film,
+    edge_blur_px,
+    moved_box,
+)
 from gauge_envs.tools.video.frames import ArrayFrames  # noqa: E402
 from gauge_envs.tools.video.phone_films import (  # noqa: E402
     FrontalFilm,
-    charuco,
     resistance,
     restitution,
+    score_phone_film,
 )
 from gauge_envs.tools.video.plane import Board, frontal_task  # noqa: E402
 from gauge_envs.tools.video.words import TITLES  # noqa: E402
@@ -164,6 +171,120 @@ def test_a_film_without_the_board_says_how_many_frames_lack_it():
             frames,
             PlaneView(size_px=(640, 480), source=Board(square_m=0.035, offset_m=0.0)),
         )
+
+
+SQUARE_M, EDGE_M = 0.03, 0.05
+BOARD_VIEW = PlaneView(
+    size_px=SIZE_PX, source=Board(square_m=SQUARE_M, offset_m=0.0, offset_sigma_m=0.0)
+)
+
+
+def wall_film(*, off_level_deg=0.0, yaw_deg=0.0, frames=30, lasts=True):
+    """Return a film at 30 Hz of a square that slides by 30 degrees on the wall of its board, seen from 1 m.
+
+    The board is off level, and the camera to its right, by these angles; the square stays where it is unless it lasts.
+    The friction is 0.2, from the third frame on.
+    """
+    px_per_m = 1000.0
+    board = charuco().generateImage((210, 150))
+    to_wall = cv2.getRotationMatrix2D((105, 75), -off_level_deg, 1.0)
+    to_wall[:, 2] += (0.5 * px_per_m - 105, 0.5 * px_per_m - 75)
+    wall = np.full((int(px_per_m), int(px_per_m), 3), 200, np.uint8)
+    cv2.warpAffine(
+        cv2.cvtColor(board, cv2.COLOR_GRAY2BGR),
+        to_wall,
+        wall.shape[:2],
+        dst=wall,
+        borderMode=cv2.BORDER_TRANSPARENT,
+    )
+    turn = cv2.Rodrigues(np.array([0.0, math.radians(yaw_deg), 0.0]))[0]
+    # Places on the wall [px] in the frame of the camera [m]: to the right, down and away.
+    plane = np.array([[1, 0, -500], [0, 1, -500], [0, 0, px_per_m]]) / px_per_m
+    plane = turn @ np.diag([1.0, 1.0, 0.0]) @ plane + np.array(
+        [[0, 0, 0], [0, 0, 0], [0, 0, 1.0]]
+    )
+    lens = np.array([[1500.0, 0, 640], [0, 1500.0, 360], [0, 0, 1]])
+    a_m_s2 = 9.80665 * (math.sin(math.pi / 6) - 0.2 * math.cos(math.pi / 6))
+    pictures = []
+    for number in range(frames):
+        away_m = 0.5 * a_m_s2 * (max(number - 2, 0) / 30.0) ** 2 if lasts else 0.0
+        low = np.array([0.33, 0.15]) + away_m * np.array(
+            [-math.cos(math.pi / 6), -math.sin(math.pi / 6)]
+        )
+        corners = low * (1, -1) + EDGE_M * np.array([[0, 0], [1, 0], [1, -1], [0, -1]])
+        shown = wall.copy()
+        cv2.fillConvexPoly(
+            shown, (16 * (px_per_m * corners + 500)).astype(int), (40, 60, 150), 16, 4
+        )
+        shown = cv2.GaussianBlur(shown, (0, 0), 1.0)
+        pictures.append(cv2.warpPerspective(shown, lens @ plane, SIZE_PX)[..., ::-1])
+    return ArrayFrames(pictures, fps=30.0)
+
+
+def test_a_film_says_what_it_shows_before_it_is_scored():
+    findings, picture = check_film(
+        wall_film(yaw_deg=20.0, off_level_deg=4.0, frames=14), BOARD_VIEW
+    )
+    texts = {one.name: one.text for one in findings}
+    assert not any(one.advice for one in findings), findings
+    assert re.match(
+        r"the board is turned by (3\.[6-9]|4\.[0-4]) degrees.*level\?", texts["level"]
+    )
+    assert re.match(
+        r"the camera looks at it from (19|20|21) degrees to the", texts["parallel"]
+    )
+    assert "14 of 14 frames show it" in texts["board"]
+    level = {
+        one.name: one.text for one in check_film(wall_film(frames=14), BOARD_VIEW)[0]
+    }
+    box = re.match(
+        r"--object [\d,]+, (\d+) x (\d+) mm: is this the object", level["object"]
+    )
+    for edge_mm in map(float, box.groups()):
+        assert edge_mm == pytest.approx(1e3 * EDGE_M, abs=3.0)
+    assert picture.shape == (*SIZE_PX[::-1], 3)
+
+
+def test_a_film_in_which_nothing_moves_or_no_board_is_seen_says_what_to_mend():
+    findings, _ = check_film(wall_film(lasts=False, frames=9), BOARD_VIEW)
+    assert [one.name for one in findings if one.advice] == ["object"]
+    grey = ArrayFrames([np.full((*SIZE_PX[::-1], 3), 120, np.uint8)] * 9, fps=30.0)
+    findings, _ = check_film(grey, BOARD_VIEW)
+    assert findings[-1].name == "board" and "8 corners" in findings[-1].advice
+
+
+def test_a_camera_that_faces_the_board_does_not_tell_its_focal_length():
+    film, board = wall_film(frames=3), BOARD_VIEW.source
+    faces = board_poses(film, BOARD_VIEW, board)[0]
+    aside = board_poses(wall_film(yaw_deg=20.0, frames=3), BOARD_VIEW, board)[0]
+    for pose, largest in ((faces, 0.3), (aside, 0.03)):
+        error = math.log(pose.lens.matrix[0][0] / 1500.0)
+        assert abs(error) < 2.0 * pose.focal_sigma < 2.0 * largest
+    # What is 35 mm before the board has an unknown scale then.
+    behind = board.model_copy(update={"offset_m": 0.035})
+    before = replace(BOARD_VIEW, source=behind)
+    advice = [one.advice for one in check_film(film, before)[0] if one.name == "camera"]
+    assert advice == ["state its [lens], or let it look from the side"]
+
+
+@pytest.mark.parametrize("sigma_px", [1.5, 3.0])
+def test_the_blur_of_edges_is_that_of_the_gaussian_that_made_them(sigma_px):
+    board = cv2.cvtColor(charuco().generateImage((700, 500)), cv2.COLOR_GRAY2BGR)
+    blurred = cv2.GaussianBlur(board, (0, 0), sigma_px)
+    corners = np.array([[100.0, 100.0], [600.0, 400.0]])
+    assert edge_blur_px(blurred, corners) == pytest.approx(sigma_px, rel=0.2)
+
+
+@pytest.mark.slow
+def test_a_board_that_is_not_level_contradicts_the_stated_slope():
+    for off_deg, is_sound in ((0.0, True), (4.0, False)):
+        film = FrontalFilm(wall_film(off_level_deg=off_deg), BOARD_VIEW)
+        result = score_phone_film(film, "slide", moved_box(film), angle_deg=30.0)
+        assert result.is_sound is is_sound, result.reasons
+        told = any("is the board level, upright" in one for one in result.reasons)
+        assert told is not is_sound
+        if is_sound:
+            assert result.metrics["friction"] == pytest.approx(0.2, abs=0.02)
 
 
 def test_a_static_camera_sees_the_plane_from_the_front(tmp_path):
