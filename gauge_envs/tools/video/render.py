@@ -4,6 +4,7 @@ The view is a parallel projection with the scale, the place and the direction of
 with the exact track of the object, which the tracker has to find.
 """
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -224,6 +225,7 @@ def _view(scene: Scene, task: VideoTask) -> FlatView:
     """Return the parallel projection in which the scene starts where the first frame of the task shows it."""
     body = scene.dynamic_bodies[-1]
     seen_m, seen_px = np.asarray(body.pose.position_m), np.array(task.centre_px)
+    scale_m_per_px = task.scale_m_per_px
     down = np.array([0.0, 0.0, -1.0])
     if task.motion is Motion.SLIDE:
         assert task.direction is not None
@@ -255,14 +257,17 @@ def _view(scene: Scene, task: VideoTask) -> FlatView:
             arm = np.subtract(first.pose.position_m, _hinge(scene, first).anchor_m)
             right = -right * np.sign(arm @ right)
         seen_m, seen_px = np.asarray(hinge.anchor_m), np.array(task.pivot_px)
+        if task.motion is Motion.PENDULUM:
+            # The stated rod is 8 mm shorter than that of the first frame, in which the ball must be at its place.
+            arm_m = np.linalg.norm(np.subtract(body.pose.position_m, seen_m))
+            scale_m_per_px = float(arm_m) / math.dist(task.centre_px, task.pivot_px)
     offset_px = MIDDLE_PX - seen_px
     colors, grain = _colors(scene, task)
     return FlatView(
-        centre_m=seen_m
-        + task.scale_m_per_px * (offset_px[0] * right + offset_px[1] * down),
+        centre_m=seen_m + scale_m_per_px * (offset_px[0] * right + offset_px[1] * down),
         right=right,
         down=down,
-        scale_m_per_px=task.scale_m_per_px,
+        scale_m_per_px=scale_m_per_px,
         colors=colors,
         grain=grain,
     )
