@@ -179,7 +179,7 @@ FAILS_ITSELF = {
         }
     ),
     "rapier": frozenset(
-        {"oblique-grip-speed", "oblique-slip-friction", "rebound-flat"}
+        {"oblique-grip-speed", "oblique-slip-friction", "rebound-flat", "solver-heap"}
     ),
     "physx": frozenset({"oblique-grip-speed", "oblique-grip-spin", "crossed-edges"}),
     "drake": frozenset(
@@ -188,7 +188,7 @@ FAILS_ITSELF = {
     # The implicit damping of a servo also brakes it at its largest torque.
     "genesis": frozenset({"oblique-grip-speed", "oblique-grip-spin", "joint-limit"}),
     # Bullet gives all foams of a world the constants of the first.
-    "pybullet": frozenset({"foam-tension", "foam-poisson"}),
+    "pybullet": frozenset({"solver-heap", "foam-tension", "foam-poisson"}),
 }
 """Checks that a healthy engine fails by a physics of its own, as its page says."""
 

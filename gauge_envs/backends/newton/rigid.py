@@ -543,6 +543,7 @@ class StepperMuJoCo(Stepper):
                 solver="newton",
                 integrator=settings.integrator,
                 cone=settings.cone,
+                jacobian=settings.jacobian,
                 impratio=settings.impratio,
                 iterations=settings.iterations,
                 ls_iterations=settings.line_search_iterations,

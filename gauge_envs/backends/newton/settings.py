@@ -46,6 +46,7 @@ class SettingsMuJoCoWarp(SettingsNewton):
     Attributes:
         integrator: Integrator, under Newton's name.
         cone: Friction cone.
+        jacobian: Layout of the matrices of constraints; `auto` is sparse for more than 32 degrees of freedom.
         impratio: Ratio of frictional to normal constraint impedance; values above 1 reduce the creep of resting bodies.
         iterations: Maximum number of solver iterations.
         line_search_iterations: Maximum number of iterations of each line search.
@@ -71,6 +72,7 @@ class SettingsMuJoCoWarp(SettingsNewton):
     solver: Literal["SolverMuJoCo"] = "SolverMuJoCo"
     integrator: Literal["euler", "rk4", "implicitfast"] = "implicitfast"
     cone: Literal["pyramidal", "elliptic"] = "elliptic"
+    jacobian: Literal["auto", "dense", "sparse"] = "auto"
     impratio: float = Field(default=10.0, gt=0.0)
     iterations: int = Field(default=100, ge=1)
     line_search_iterations: Annotated[int, Native("ls_iterations")] = Field(

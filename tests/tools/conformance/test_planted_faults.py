@@ -168,7 +168,33 @@ def test_a_check_names_the_fault_of_a_mutant(check, name, says, monkeypatch):
 
 def test_every_check_can_fail():
     mutants = {check for check, _, _ in CASES}
-    assert mutants | set(solver.SCENES) == {check.id for check in checks()}
+    known = mutants | {*solver.SCENES, "solver-heap"}
+    assert known == {check.id for check in checks()}
+
+
+def test_iterations_that_end_before_the_solution_are_named():
+    given, ended = (
+        next(iter(run_checks("mujoco", only=["solver-heap"], settings=settings)))
+        for settings in (None, {"iterations": 2})
+    )
+    assert given.status is Status.PASS
+    assert given.measured < 1e-6
+    assert ended.status is Status.FAIL
+    assert "2 and 20 iterations part by" in ended.diagnosis
+
+
+def test_a_batch_whose_worlds_take_one_start_is_named(monkeypatch):
+    """Rapier builds worlds together: planted, all start as the first."""
+    pytest.importorskip("rapier3d")
+    together = solver._together
+    monkeypatch.setattr(
+        solver,
+        "_together",
+        lambda lab, scenes: together(lab, [scenes[0]] * len(scenes)),
+    )
+    (found,) = run_checks("rapier", only=["solver-heap"])
+    assert found.measured > 0.9
+    assert "one world and 6 part by" in found.diagnosis
 
 
 @pytest.mark.parametrize(

@@ -119,7 +119,8 @@ def _finding(robot: Robot, agreement: Agreement, count: int) -> Finding:
         remark = f"MuJoCo {mujoco.__version__}, {remark}"
     if layout.differing:
         body = body_name(robot, int(model.dof_bodyid[layout.worst_dof]))
-        remark = f"{remark}: {layout.differing} differ, most at {body}"
+        left = f"{100.0 * layout.imbalance:.2g} %"
+        remark = f"{remark}: {layout.differing} differ, most at {body}; {left} of the forces is not balanced"
     for pair, found in solvers.largest.items():
         if found > LIMIT:
             remark += f"; {pair} part by {found:.2g}"
@@ -134,7 +135,7 @@ def _finding(robot: Robot, agreement: Agreement, count: int) -> Finding:
     return Finding(value=value, remark=remark, advice=advice)
 
 
-def solver_differences(mjcf: str, steps: int) -> dict[str, float]:
+def solver_differences(mjcf: str, steps: int) -> tuple[dict[str, float], float]:
     """Return by how much solutions of an MJCF model part on the way from its start, by pair.
 
     Args:
@@ -142,12 +143,13 @@ def solver_differences(mjcf: str, steps: int) -> dict[str, float]:
         steps: Steps from its start.
 
     Returns:
-        Largest difference of accelerations, over the larger one.
+        Largest difference of accelerations, over the larger one; and the largest share of the forces that the model's
+        own solution leaves unbalanced.
     """
     model = mujoco.MjModel.from_xml_string(mjcf)
     agreement = Agreement(model)
     agreement.follow(mujoco.MjData(model), steps)
-    return agreement.largest
+    return agreement.largest, agreement.layout.imbalance
 
 
 class _Other:
@@ -199,6 +201,7 @@ class _Layout:
 
     Attributes:
         largest: Largest difference, over the larger acceleration.
+        imbalance: Largest imbalance of the model's own solution; 0 where it has none.
         differing: States that differ.
         worst_dof: Degree of freedom that differs most.
     """
@@ -210,11 +213,13 @@ class _Layout:
         other = kinds.mjJAC_DENSE if is_sparse else kinds.mjJAC_SPARSE
         self._other = _Other(model, jacobian=other)
         self.largest, self.differing, self.worst_dof = 0.0, 0, 0
+        self.imbalance = 0.0
 
     def compare(
         self, data: mujoco.MjData, state: FloatArray, *, is_chosen: bool
     ) -> None:
         left = imbalance(self._model, data)
+        self.imbalance = max(self.imbalance, float(np.nan_to_num(left)))
         # A state whose forces are balanced is solved, whatever the other layout says.
         if left <= BALANCED or (np.isnan(left) and not is_chosen):
             return
