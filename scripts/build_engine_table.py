@@ -413,8 +413,8 @@ UNRANKED = (
 )
 """Checks of what no ranked experiment has.
 
-Slip in impacts, as that of the copies, rubbing, flat landings, edges, foam, joints, grasps, and chains and heaps of more
-than 40 degrees of freedom.
+Slip in impacts, as that of the copies, rubbing, flat landings, edges, foam, joints, grasps, and chains and heaps of
+more than 40 degrees of freedom.
 """
 
 
