@@ -506,6 +506,7 @@ class ScoreEpisodes(VectorWrapper):
 def scored_vector_env(
     *,
     mode: Literal["host", "device"] = "host",
+    score: bool = True,
     score_arrays: bool = False,
     max_episode_steps: int | None = None,
     **arguments: Any,
@@ -514,6 +515,7 @@ def scored_vector_env(
 
     Args:
         mode: `device` makes a `DeviceVectorEnv`, whose arrays stay on the engine's device and which scores itself.
+        score: Whether to score each episode; training needs rewards alone.
         score_arrays: Argument `arrays` of `ScoreEpisodes`.
         max_episode_steps: Steps of an episode, as `gymnasium.make_vec` repeats them from the spec.
         **arguments: Arguments of `GaugeVectorEnv`.
@@ -524,6 +526,10 @@ def scored_vector_env(
     Warns:
         NoRewardWarning: The experiment has no reference in use, so that every reward is 0; once for each id.
     """
+    if not score and (score_arrays or mode == "device"):
+        raise ParameterError(
+            "score=False goes with separate scores alone: leave out score_arrays=True and mode='device', or score=False"
+        )
     if mode not in ("host", "device"):
         raise ParameterError(f"mode is {mode!r}, expected 'host' or 'device'")
     if mode == "device":
@@ -537,6 +543,6 @@ def scored_vector_env(
         )
     check_episode_steps(max_episode_steps, envs.experiment.frame_count - 1)
     warn_without_reward(envs.experiment, envs.band)
-    if mode == "device":
+    if mode == "device" or not score:
         return envs
     return ScoreEpisodes(envs, arrays=score_arrays)

@@ -122,13 +122,15 @@ def _logged(score: Score) -> dict[str, float]:
     return found
 
 
-def scored_env(**arguments: Any) -> ScoreEpisode:
+def scored_env(*, score: bool = True, **arguments: Any) -> ScoreEpisode | GaugeEnv:
     """Return a `GaugeEnv` that is scored; `gymnasium.make` calls this for every id.
 
     The wrapper is not part of the registration, because `make_vec` refuses an id that has both wrappers and a vector
     environment of its own.
 
     Args:
+        score: Whether to score each episode. A score of a short episode may take longer than its steps, and training
+            needs rewards alone.
         **arguments: Arguments of `GaugeEnv`.
 
     Raises:
@@ -140,7 +142,7 @@ def scored_env(**arguments: Any) -> ScoreEpisode:
     env = GaugeEnv(**arguments)
     env.arguments.check_read(env.experiment)
     warn_without_reward(env.experiment, env.band)
-    return ScoreEpisode(env)
+    return ScoreEpisode(env) if score else env
 
 
 # `gymnasium.make` reads the render modes from here.

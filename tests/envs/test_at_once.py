@@ -13,6 +13,7 @@ from gauge_envs.envs import stepper
 from gauge_envs.envs.at_once import EpisodesAtOnce
 from gauge_envs.envs.divergence import RigidBoundsOfWorlds
 from gauge_envs.envs.lockstep import EpisodesOneByOne
+from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.resolve import load_experiment
 
 
@@ -103,6 +104,21 @@ def test_scores_as_arrays_are_those_of_each_world(together):
     }.items():
         assert infos[f"_{key}"].all()
         assert infos[key] == pytest.approx(expected, rel=1e-6, abs=2e-6)
+
+
+def test_training_leaves_scores_out():
+    envs = gymnasium.make_vec("GAUGE/SlopeSlider-2-wood", num_envs=2, score=False)
+    single = gymnasium.make("GAUGE/SlopeSlider-2-wood", score=False)
+    for one, action in ((envs, zeros(envs)), (single, 0)):
+        one.reset(seed=0)
+        for _ in range(18):
+            *_, truncated, infos = one.step(action)
+        assert np.all(truncated) and "score" not in infos
+    for other in ({"score_arrays": True}, {"mode": "device"}):
+        with pytest.raises(ParameterError, match="score=False"):
+            gymnasium.make_vec(
+                "GAUGE/SlopeSlider-2-wood", num_envs=2, score=False, **other
+            )
 
 
 def test_separate_simulations_give_the_same_arrays():
