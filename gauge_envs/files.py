@@ -61,6 +61,7 @@ runpy.run_path(sys.argv[0], run_name="__main__")
 """Program of a child: it limits itself, and then runs a script."""
 
 
+@cache
 def data_folder(name: str) -> Path:
     """Return the folder `tasks`, `scoring` or `assets`, inside the installed package or beside it in a checkout."""
     package = Path(__file__).parent

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from enum import StrEnum
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,10 @@ from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 BULKY = ("scene", "experiment")
 """Keys of `Result.asset` with long values, which are only needed to build the scene again."""
+
+
+FRAME_TOLERANCE_S = 1e-4
+"""Largest time between a frame and its sample [s]; the same as in scoring."""
 
 
 class Outcome(StrEnum):
@@ -112,6 +117,11 @@ class RecordedTrajectory:
             wrenches=json_ready(_rounded_n(wrenches)),
         )
 
+    @cached_property
+    def frames(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Numbers of the 30 Hz frames with finite samples, and g(t) there; see `recorded_frames`."""
+        return recorded_frames(*self.arrays())
+
     def markers_m(self) -> NDArray[np.float64] | None:
         """Return the markers at the frames [m], shape [frame_count, marker_count, 3]; None if they are not recorded."""
         if not self.markers_mm:
@@ -140,6 +150,22 @@ class RecordedTrajectory:
             dtype=np.float64,
         )
         return np.array(times_s), samples.reshape(len(times_s), len(self.coordinates))
+
+
+def recorded_frames(
+    times_s: NDArray[np.float64], samples: NDArray[np.float64]
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Return the numbers of the 30 Hz frames with finite samples, and the samples there.
+
+    Args:
+        times_s: Times [s], shape [sample_count].
+        samples: Values at those times, shape [sample_count, coordinate_count].
+    """
+    frames = np.rint(times_s * FRAME_RATE_HZ).astype(np.int64)
+    hits = (np.abs(times_s - frames / FRAME_RATE_HZ) < FRAME_TOLERANCE_S) & np.isfinite(
+        samples
+    ).all(axis=1)
+    return frames[hits], samples[hits]
 
 
 MARKER_DECIMALS = 4

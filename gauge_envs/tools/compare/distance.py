@@ -17,9 +17,6 @@ from gauge_envs.tools.compare.draws import ScoreSpread
 MOTION_SHARE = 0.05
 """Threshold of a distance, as a share of the motion, for experiments without a published scatter of real trials."""
 
-FRAME_TOLERANCE_S = 1e-4
-"""Largest time between a frame and its sample [s]; the same as in scoring."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class Distance:
@@ -141,14 +138,14 @@ def _all_common_frames(pairs: Sequence[tuple[Result, Result]]) -> list[CommonFra
 def _paired(
     some: Sequence[Result], others: Sequence[Result]
 ) -> list[tuple[Result, Result]]:
-    every = [
-        (a, b)
-        for a, b in product(some, others)
-        if a.trajectory is not None and b.trajectory is not None
-    ]
+    first, second = (
+        [one for one in results if one.trajectory is not None]
+        for results in (some, others)
+    )
     # Results of the same seed have the same jittered start, so only the configuration differs.
-    same_seed = [(a, b) for a, b in every if a.seed == b.seed]
-    return same_seed or every
+    by_seed = {one.seed: one for one in second}
+    same_seed = [(one, by_seed[one.seed]) for one in first if one.seed in by_seed]
+    return same_seed or [*product(first, second)]
 
 
 def _common_frames(one: Result, other: Result) -> CommonFrames | None:
@@ -157,23 +154,7 @@ def _common_frames(one: Result, other: Result) -> CommonFrames | None:
         return None
     if one.trajectory.coordinates != other.trajectory.coordinates:
         return None
-    frames_a, a = recorded_frames(*one.trajectory.arrays())
-    frames_b, b = recorded_frames(*other.trajectory.arrays())
+    frames_a, a = one.trajectory.frames
+    frames_b, b = other.trajectory.frames
     common, index_a, index_b = np.intersect1d(frames_a, frames_b, return_indices=True)
     return (common, a[index_a], b[index_b]) if len(common) else None
-
-
-def recorded_frames(
-    times_s: NDArray[np.float64], samples: NDArray[np.float64]
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return the numbers of the 30 Hz frames with finite samples, and the samples there.
-
-    Args:
-        times_s: Times [s], shape [sample_count].
-        samples: Values at those times, shape [sample_count, coordinate_count].
-    """
-    frames = np.rint(times_s * FRAME_RATE_HZ).astype(np.int64)
-    hits = (np.abs(times_s - frames / FRAME_RATE_HZ) < FRAME_TOLERANCE_S) & np.isfinite(
-        samples
-    ).all(axis=1)
-    return frames[hits], samples[hits]

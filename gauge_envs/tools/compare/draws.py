@@ -130,9 +130,12 @@ def score_draws(
         return None
     if band.grade.is_solution:
         return _solution_draws(results, experiment, band)
-    raw: list[float] = []
-    drawn: list[tuple[float, FloatArray, FloatArray]] = []
-    for result in results:
+    raw, primary = np.empty(len(results)), np.empty(len(results))
+    draws = np.empty((len(results), DRAW_COUNT))
+    influences = []
+    # The random numbers of a source depend on its name alone. Another order makes those of experiments independent.
+    order = _random(experiment).permutation(DRAW_COUNT)
+    for index, result in enumerate(results):
         found = result.score.validation
         if result.trajectory is None or found is None or found.rmse_normalized is None:
             return None
@@ -141,20 +144,16 @@ def score_draws(
         first = deviations.first
         if (baseline := first.baseline) is None:
             return None
-        draws, influences = (
-            first.errors.draws(first.values),
-            first.errors.influences(first.values),
-        )
-        raw.append(deviations.raw.normalized or 0.0)
-        drawn.append((first.rmse / baseline, draws / baseline, influences / baseline))
-    # The random numbers of a source depend on its name alone. Another order makes those of experiments independent.
-    order = _random(experiment).permutation(len(drawn[0][1]))
+        raw[index] = deviations.raw.normalized or 0.0
+        primary[index] = first.rmse / baseline
+        draws[index] = first.errors.draws(first.values)[order] / baseline
+        influences.append(first.errors.influences(first.values) / baseline)
     return ScoreDraws(
         seeds=tuple(result.seed for result in results),
-        raw=np.array(raw),
-        primary=np.array([score for score, _, _ in drawn]),
-        draws=np.array([draws[order] for _, draws, _ in drawn]),
-        influences=np.array([influences for _, _, influences in drawn]),
+        raw=raw,
+        primary=primary,
+        draws=draws,
+        influences=np.array(influences),
     )
 
 
@@ -237,12 +236,11 @@ def paired_scores(
 def _common_repeats(
     first: ScoreDraws, second: ScoreDraws
 ) -> tuple[Sequence[int], Sequence[int]]:
-    common = [seed for seed in first.seeds if seed in second.seeds]
+    places = {seed: place for place, seed in enumerate(second.seeds)}
+    common = [place for place, seed in enumerate(first.seeds) if seed in places]
     if not common:
         return range(len(first.seeds)), range(len(second.seeds))
-    return [first.seeds.index(seed) for seed in common], [
-        second.seeds.index(seed) for seed in common
-    ]
+    return common, [places[first.seeds[place]] for place in common]
 
 
 def _influence(scores: ScoreDraws, chosen: Sequence[int]) -> FloatArray:
@@ -254,10 +252,15 @@ def _mean(
 ) -> tuple[float, FloatArray]:
     """Return the mean over repeats and its draws, which also scatter as the mean of so few repeats does."""
     index = list(chosen)
-    values, draws = scores.primary[index], scores.draws[index]
-    draws = values[:, None] + wider * (draws - values[:, None])
+    values, draws = scores.primary, scores.draws
+    if index != [*range(len(values))]:
+        values, draws = values[index], draws[index]
     weights = _repeat_weights(len(index), draws.shape[1])
-    return float(values.mean()), np.einsum("kn,nk->k", weights, draws)
+    # Of thousands of repeats a copy of the draws takes hundreds of megabytes.
+    spread = np.einsum("kn,nk->k", weights, draws)
+    if wider != 1.0:
+        spread = wider * spread + (1.0 - wider) * (weights @ values)
+    return float(values.mean()), spread
 
 
 @cache
@@ -272,8 +275,10 @@ def _repeat_weights(count: int, draw_count: int) -> FloatArray:
     if count == 1:
         return np.ones((draw_count, 1))
     random = np.random.default_rng([SEED, *b"repeats"])
-    normal = random.standard_normal((draw_count, count))
-    across = normal - normal.mean(axis=1, keepdims=True)
+    weights = random.standard_normal((draw_count, count))
+    weights -= weights.mean(axis=1, keepdims=True)
     # The sum of across times values has the variance of the sum of squares about their mean, (count - 1) s^2.
     scale = np.sqrt(random.chisquare(count - 1, draw_count) * count)
-    return 1.0 / count + across / scale[:, None]
+    weights /= scale[:, None]
+    weights += 1.0 / count
+    return weights

@@ -18,10 +18,9 @@ from gauge_envs.evaluation.verification import (
 from gauge_envs.pages.results import ALIGNED
 from gauge_envs.references.bands import Band, SigmaSource
 from gauge_envs.references.grades import BandGrade
-from gauge_envs.runs.result import RecordedTrajectory, Result
+from gauge_envs.runs.result import RecordedTrajectory, Result, recorded_frames
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-from gauge_envs.tools.compare.distance import recorded_frames
 
 SPREADS = {
     SigmaSource.TRIALS: "scatter of the real trials (1 standard deviation)",
@@ -245,7 +244,7 @@ def choose_yardstick(
             name=_band_words(band), band=band.points or band, reference=band
         )
     first = recorded_of(results[0])
-    numbers, rows = recorded_frames(*first.arrays())
+    numbers, rows = first.frames
     mean = np.full(
         (int(numbers[-1]) + 1 if len(numbers) else 1, len(first.coordinates)), np.nan
     )
