@@ -199,7 +199,7 @@ def _with_deformables(patterns: Sequence[str]) -> bool:
 
 def _checked_files(out: Sequence[Path] | None) -> dict[str, Path]:
     """Return the files of `--out`; a page needs what draws its pictures."""
-    from gauge_envs.tools.sanity.words import check_can_draw
+    from gauge_envs.tools.sanity.page import check_can_draw
 
     files = arguments.by_suffix(out, ".html", ".md", ".json")
     if ".html" in files:
@@ -213,12 +213,8 @@ def _print_report(
     from gauge_envs.pages.document import Document, Paragraph, Tone, save_file
     from gauge_envs.tools.sanity.formats import WRITERS
     from gauge_envs.tools.sanity.model import UNREAD
-    from gauge_envs.tools.sanity.words import (
-        is_clean,
-        sanity_document,
-        sanity_page,
-        top_line,
-    )
+    from gauge_envs.tools.sanity.page import sanity_page
+    from gauge_envs.tools.sanity.words import is_clean, sanity_document, top_line
 
     writers = {".html": lambda file: save_file(file, sanity_page(report))}
     shown = sanity_document(report)
@@ -278,8 +274,8 @@ def _compare(
     """Print what changes between two targets, and return the exit code."""
     from gauge_envs.pages.document import Document
     from gauge_envs.tools.sanity.comparison import Change, compare
+    from gauge_envs.tools.sanity.comparison_words import comparison_document
     from gauge_envs.tools.sanity.formats import github_comparison
-    from gauge_envs.tools.sanity.words import comparison_document
 
     known = (*Format, ReportFormat.GITHUB)
     if form.value not in {one.value for one in known}:

@@ -9,10 +9,9 @@ from xml.etree import ElementTree
 
 from gauge_envs.files import versions
 from gauge_envs.tools.sanity.comparison import Change, Comparison
+from gauge_envs.tools.sanity.comparison_words import change_text, comparison_line
 from gauge_envs.tools.sanity.model import PhenomenonResult, Report, Verdict
 from gauge_envs.tools.sanity.words import (
-    change_text,
-    comparison_line,
     measured_text,
     reality_text,
     responsible_text,

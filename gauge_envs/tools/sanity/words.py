@@ -1,34 +1,21 @@
-"""Sanity checks in words and on a page, and comparisons of two training configurations in words.
-
-The page is one HTML file: no script, no other file, no network.
-"""
+"""Sanity checks in words."""
 
 import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
-from io import StringIO
 from typing import Any
 
-import numpy as np
-
-from gauge_envs.errors import needs_extra
 from gauge_envs.pages.document import (
     Document,
     Heading,
     Paragraph,
     Part,
     Tone,
-    as_html,
-    page,
 )
-from gauge_envs.pages.html import Html, element, folded
-from gauge_envs.pages.table import Column, Facts, Place, Table, grid
+from gauge_envs.pages.table import Column, Facts, Place, Table
 from gauge_envs.pages.text import counted, quantity_text, vector_text, with_unit
-from gauge_envs.tools.sanity.comparison import Change, ChangeRow, Comparison
 from gauge_envs.tools.sanity.model import (
-    Cause,
-    Curve,
     PhenomenonResult,
     Reality,
     Report,
@@ -56,9 +43,6 @@ STYLES = {
     Verdict.WRONG: "bold red",
     Verdict.DECLINED: "dim",
 }
-
-MOST_PARTS = 4
-"""Largest number of links, joints or motors that a row of a comparison names; JSON has all."""
 
 MOST_TRIED = 4
 """Largest number of changes without success that the first line names."""
@@ -101,7 +85,7 @@ def sanity_document(report: Report) -> Document:
             Paragraph(""),
             Heading(checked.name),
             Facts(_facts(checked)),
-            *([_contact_table(checked)] if len(checked.contact_groups) > 1 else []),
+            *([contact_table(checked)] if len(checked.contact_groups) > 1 else []),
             *(Paragraph(f"note: {note}", Tone.WARNING) for note in checked.notes),
             table,
             *inapplicable(report),
@@ -112,7 +96,7 @@ def sanity_document(report: Report) -> Document:
                 Paragraph(f"{verdict.value}: {VERDICT_NOTES[verdict]}", Tone.NOTE)
                 for verdict in _present(report)
             ),
-            *_advisory_note(report),
+            *advisory_note(report),
         ),
         rows=[whole, *rows],
         markdown=(
@@ -258,7 +242,8 @@ def setting_text(value: Any) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-def _contact_table(checked: TrainingConfiguration) -> Table:
+def contact_table(checked: TrainingConfiguration) -> Table:
+    """Return the contact constants of each group of pairs."""
     names = {
         "condim": False,
         "friction": False,
@@ -321,7 +306,7 @@ def _phenomenon_table(report: Report) -> Table:
     )
 
 
-def _advisory_note(report: Report) -> list[Part]:
+def advisory_note(report: Report) -> list[Part]:
     """Return what advisory means, where a row is."""
     note = Paragraph(f"advisory: {ADVISORY_NOTE}", Tone.NOTE)
     return [note] if any(row.advisory for row in report.rows) else []
@@ -334,13 +319,13 @@ def applicable(report: Report) -> tuple[PhenomenonResult, ...]:
 
 def inapplicable(report: Report) -> list[Part]:
     """Return a line for each reason why rows do not apply, with these rows."""
-    return _by_reason(
+    return by_reason(
         "not applicable",
         [(row.remark, row.phenomenon) for row in report.rows if not row.applies],
     )
 
 
-def _by_reason(word: str, found: Sequence[tuple[str, str]]) -> list[Part]:
+def by_reason(word: str, found: Sequence[tuple[str, str]]) -> list[Part]:
     """Return a line for each reason, with the ids of its rows."""
     several: dict[str, list[str]] = {}
     for reason, name in found:
@@ -445,367 +430,3 @@ def _present(report: Report) -> list[Verdict]:
         for v in (Verdict.WRONG, Verdict.VISIBLE, Verdict.INSIDE, Verdict.DECLINED)
         if v in found
     ]
-
-
-# --- two configurations ----------------------------------------------------------------------------------------------
-
-CHANGE_STYLES = {
-    Change.NONE: "green",
-    Change.VISIBLE: "yellow",
-    Change.LARGE: "bold red",
-    Change.UNKNOWN: "dim",
-    Change.NEITHER: "dim",
-}
-
-COMPARISON_LEGEND = (
-    "same: no real trial could resolve the difference, or it is within the tolerance of the law; visible: up to 2.5 "
-    "times as much; large: more; unknown: one of the two was not measured. What models state of links, joints and "
-    "motors is the same within 5 %; places and angles within 1 mm, 2 mm for centres of mass, and 0.01 rad. A dash: no "
-    "limit, or no such part."
-)
-
-
-def comparison_document(comparison: Comparison) -> Document:
-    """Return the largest change, both sources, and the table; its rows are both configurations, then each row."""
-    whole = comparison.to_dict()
-    rows = whole.pop("rows")
-    answer, table = (
-        Paragraph(comparison_line(comparison), Tone.ANSWER),
-        _change_table(comparison),
-    )
-    return Document(
-        parts=(
-            answer,
-            Paragraph(""),
-            Heading(f"{comparison.trained.name} against {comparison.deployed.name}"),
-            Facts(
-                {
-                    "trained": comparison.trained.source,
-                    "deployed": comparison.deployed.source,
-                }
-            ),
-            table,
-            *_neither(comparison),
-            Paragraph(""),
-            Paragraph(COMPARISON_LEGEND, Tone.NOTE),
-        ),
-        rows=[whole, *rows],
-        markdown=(answer, table, *_neither(comparison)),
-    )
-
-
-def _neither(comparison: Comparison) -> list[Part]:
-    """Return a line for each reason why rows are not compared, with these rows."""
-    return _by_reason(
-        "not compared",
-        [
-            (row.remark, row.id)
-            for row in comparison.rows
-            if row.change is Change.NEITHER
-        ],
-    )
-
-
-def comparison_line(comparison: Comparison) -> str:
-    """Return the largest changes in one line."""
-    changed = comparison.changed
-    if not changed:
-        return f"Nothing changes in {', '.join(_change_counts(comparison))}"
-    named = [
-        f"{row.title}{f' ({row.parts[0].name})' if row.parts else ''}: from "
-        + with_unit(
-            f"{measured_text(row.trained)} to {measured_text(row.deployed)}", row.unit
-        )
-        for row in changed[:MOST_NAMED]
-    ]
-    others = ", ".join(row.id for row in changed[MOST_NAMED:])
-    compared, *missing = _change_counts(comparison)
-    texts = [
-        f"{len(changed)} of {compared} change",
-        *missing,
-        f"most of all {'; then '.join(named)}",
-        f"then {others}" if others else "",
-    ]
-    return "; ".join(filter(None, texts))
-
-
-def _change_counts(comparison: Comparison) -> list[str]:
-    """Return how many rows were compared, are unknown, and were not compared."""
-    found = Counter(row.change for row in comparison.rows)
-    unknown, neither = found[Change.UNKNOWN], found[Change.NEITHER]
-    compared = counted(len(comparison.rows) - unknown - neither, "row")
-    others = {"unknown": unknown, Change.NEITHER.value: neither}
-    return [compared, *(f"{count} {word}" for word, count in others.items() if count)]
-
-
-def change_text(row: ChangeRow) -> str:
-    """Return what changes in a row, in one line."""
-    values = f"{measured_text(row.trained)} to {measured_text(row.deployed)}"
-    found = _parts_text(row) or values
-    return "; ".join(
-        filter(None, (f"{row.title}: {with_unit(found, row.unit)}", row.remark))
-    )
-
-
-def _parts_text(row: ChangeRow) -> str:
-    """Return the links, joints or motors that change most, with both values."""
-    named = [
-        f"{one.name} {measured_text(one.trained)} to {measured_text(one.deployed)}"
-        for one in row.parts[:MOST_PARTS]
-    ]
-    if len(row.parts) > MOST_PARTS:
-        named.append(f"and {len(row.parts) - MOST_PARTS} more")
-    return ", ".join(named)
-
-
-def _change_table(comparison: Comparison) -> Table:
-    def difference(row: ChangeRow) -> str:
-        known = row.trained is not None and row.deployed is not None
-        return (
-            with_unit(f"{(row.deployed or 0.0) - (row.trained or 0.0):+.3g}", row.unit)
-            if known
-            else "-"
-        )
-
-    def below(row: ChangeRow) -> str:
-        title = row.title if row.change in (Change.VISIBLE, Change.LARGE) else ""
-        return "; ".join(filter(None, (title, _parts_text(row), row.remark)))
-
-    return Table(
-        columns=(
-            Column("id", "id"),
-            Column("title", "quantity", wide_only=True),
-            Column("trained", "trained", measured_text, is_number=True),
-            Column("deployed", "deployed", measured_text, is_number=True),
-            Column("", "difference", difference, is_number=True),
-            Column(
-                "change",
-                "change",
-                lambda change: change.value,
-                style=CHANGE_STYLES.__getitem__,
-            ),
-            Column("", "", below, place=Place.BELOW),
-        ),
-        rows=[row for row in comparison.rows if row.change is not Change.NEITHER],
-    )
-
-
-# --- page ------------------------------------------------------------------------------------------------------------
-
-REALITY_COLOR, DEFAULT_COLOR, CONFIGURED_COLOR = "#303030", "#0072b2", "#d55e00"
-"""Grey and two of Okabe and Ito's colours, which colour-blind readers distinguish; line styles differ too."""
-
-MARKS = {
-    Verdict.INSIDE: "\u2713",
-    Verdict.VISIBLE: "\u25b3",
-    Verdict.WRONG: "\u2717",
-    Verdict.DECLINED: "\u2013",
-}
-"""Signs beside the words, so that a verdict is visible without its colour."""
-
-FIGURE_SIZE_IN = (3.3, 2.6)
-"""Size of a figure. At its own size it fits on a phone, where the text of `FONT_PT` is as large as the page's."""
-
-FONT_PT = 10.5
-"""Size of the text in figures: 14 pixels."""
-
-LOOK = "stack dense anywhere"
-"""Tables whose names may be longer than a phone is wide."""
-
-
-def check_can_draw() -> None:
-    """Check that a page can be drawn, before a long run."""
-    with needs_extra("the HTML page", "plot"):
-        import matplotlib  # noqa: F401
-
-
-def sanity_page(report: Report) -> str:
-    """Return the self-contained page of a sanity check."""
-    checked = report.configuration
-    lead = "What the numerical settings of this configuration do to the physics of measured objects: "
-    rows = applicable(report)
-    cards = (_card(row) for row in sorted(rows, key=lambda row: not row.is_flag))
-    parts: list[Part] = [
-        Paragraph(top_line(report), Tone.ANSWER),
-        element("p", f"{lead}{tally_text(report)}.", class_="lead"),
-        _phenomena(report),
-        *inapplicable(report),
-        *(
-            element("p", _badge(verdict), f" {note}", class_="small")
-            for verdict, note in VERDICT_NOTES.items()
-        ),
-        *_advisory_note(report),
-        Heading("One by one"),
-        element("div", *cards, class_="cards"),
-        Heading("What was read"),
-        *_configuration(checked),
-        Heading("Versions"),
-        grid(("package", "version"), sorted(report.versions.items()), look="anywhere"),
-    ]
-    return page(f"Sanity check of {checked.name}", parts)
-
-
-def _badge(verdict: Verdict, text: str | None = None) -> Html:
-    return element(
-        "span",
-        f"{MARKS[verdict]} {text or verdict.value}",
-        class_=f"badge {verdict.value}",
-    )
-
-
-def _row_badge(row: PhenomenonResult) -> Html:
-    """Return the badge of a row; it is grey where the row is off and does not count."""
-    counts = row.is_flag or row.verdict is Verdict.INSIDE
-    return _badge(row.verdict if counts else Verdict.DECLINED, verdict_text(row))
-
-
-def _phenomena(report: Report) -> Table:
-    def preset(row: PhenomenonResult) -> str:
-        verdict = (
-            ""
-            if row.default_verdict is Verdict.INSIDE
-            else f" ({row.default_verdict.value})"
-        )
-        return measured_text(row.default) + verdict
-
-    return Table(
-        columns=(
-            Column(
-                "",
-                "phenomenon",
-                html=lambda row: element("a", row.title, href=f"#{row.phenomenon}"),
-            ),
-            REALITY,
-            Column("", "preset", preset, is_number=True),
-            Column("configured", "this configuration", measured_text, is_number=True),
-            Column("", "verdict", html=_row_badge),
-            Column("", "", responsible_text, place=Place.BELOW),
-        ),
-        rows=applicable(report),
-        look="stack phenomena anywhere",
-    )
-
-
-def _configuration(checked: TrainingConfiguration) -> list[Part]:
-    parts: list[Part] = [Facts(source_facts(checked))]
-    parts += [Paragraph(note, Tone.WARNING) for note in checked.notes]
-    rows = [
-        (name, setting_text(value), origin)
-        for origin, settings in settings_by_origin(checked).items()
-        for name, value in settings.items()
-    ]
-    settings = grid(("setting", "value", "from"), rows, look=LOOK) if rows else None
-    shown = (
-        element("p", "No settings: this package's presets.")
-        if settings is None
-        else settings.html()
-    )
-    parts.append(folded(f"{len(rows)} settings", shown, open=True))
-    if checked.contact_groups:
-        table = replace(_contact_table(checked), title="", look=LOOK)
-        parts.append(folded("contacts of the model", table.html(), open=True))
-    return parts
-
-
-# --- one phenomenon --------------------------------------------------------------------------------------------------
-
-
-def _card(row: PhenomenonResult) -> Html:
-    """Return the details of a row, which are open where it is visible or wrong."""
-    values = f"reality {reality_text(row.reality, row.unit)}, preset {measured_text(row.default)}, this configuration "
-    source = f"Reality ({row.reality.kind.value}): {row.reality.source}. Interval: {row.reality.rationale}."
-    scene = f" Scene: {row.experiment}." if row.experiment else ""
-    parts: list[Part] = [
-        element("p", _row_badge(row), f" {values}{measured_text(row.configured)}")
-    ]
-    if row.curve is not None:
-        parts.append(_figure(row.curve))
-    if text := responsible_text(row):
-        parts.append(Paragraph(text))
-    if row.cause is not None and row.cause.tried:
-        parts.append(_tried(row.cause, row.unit))
-    if row.parts:
-        rows = [
-            (one.name, measured_text(one.value), one.verdict.value, one.remark)
-            for one in row.parts
-        ]
-        parts.append(grid(("part", "measured", "verdict", ""), rows, look="anywhere"))
-    parts.append(Paragraph(source + scene, Tone.NOTE))
-    return folded(
-        row.title, as_html(parts), class_="card", id=row.phenomenon, open=row.is_flag
-    )
-
-
-def _tried(cause: Cause, unit: str) -> Html:
-    rows = [
-        (
-            ", ".join(
-                f"{name} = {setting_text(value)}"
-                for name, value in trial.changes.items()
-            ),
-            "the preset" if trial.on_default else "this configuration",
-            "diverged or declined"
-            if trial.value is None
-            else measured_text(trial.value),
-        )
-        for trial in cause.tried
-    ]
-    titles = ("change", "of", "measured" if unit == "1" else f"measured [{unit}]")
-    return folded(
-        f"{len(rows)} changes were tried", grid(titles, rows, look="anywhere").html()
-    )
-
-
-def _figure(curve: Curve) -> Html:
-    """Return the curves of a phenomenon as inline SVG."""
-    check_can_draw()
-    import matplotlib as mpl
-    from matplotlib.figure import Figure
-
-    # Text stays text: a page of many figures is five times smaller than with glyphs as paths.
-    with mpl.rc_context(
-        {"svg.fonttype": "none", "font.family": "sans-serif", "font.size": FONT_PT}
-    ):
-        figure = Figure(figsize=FIGURE_SIZE_IN, layout="constrained")
-        _draw(figure.add_subplot(), curve)
-        figure.legend(
-            loc="outside upper center",
-            ncols=2,
-            frameon=False,
-            handlelength=1.4,
-            columnspacing=1.0,
-            borderpad=0.0,
-        )
-        stream = StringIO()
-        figure.savefig(stream, format="svg", metadata={"Date": None})
-    text = stream.getvalue()
-    return Html(text[text.index("<svg") :])
-
-
-def _draw(axes: Any, curve: Curve) -> None:
-    if curve.reality:
-        centre, half = np.asarray(curve.reality), np.asarray(curve.tolerance)
-        band = (curve.times_s, centre - half, centre + half)
-        axes.fill_between(*band, color="#cfcfcf", lw=0.0, label="reality")
-        axes.plot(curve.times_s, curve.reality, color=REALITY_COLOR, lw=1.0)
-    if curve.default:
-        axes.plot(
-            curve.times_s,
-            curve.default,
-            color=DEFAULT_COLOR,
-            lw=1.4,
-            ls="--",
-            label="preset",
-        )
-    if curve.configured:
-        axes.plot(
-            curve.configured_times_s,
-            curve.configured,
-            color=CONFIGURED_COLOR,
-            lw=1.6,
-            label="this configuration",
-        )
-    axes.set_xlabel("time [s]")
-    axes.set_ylabel(curve.label)
-    axes.locator_params(nbins=5)
-    axes.spines[["top", "right"]].set_visible(False)

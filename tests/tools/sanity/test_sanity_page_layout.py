@@ -20,8 +20,8 @@ from test_sanity_report import (
 )
 
 from gauge_envs.tools.sanity.model import ContactGroup, Cure, PartOutcome, Verdict
+from gauge_envs.tools.sanity.page import sanity_page
 from gauge_envs.tools.sanity.robot.foot import REFERENCE_FOOT
-from gauge_envs.tools.sanity.words import sanity_page
 
 CHROMIUM = (
     shutil.which("chromium")

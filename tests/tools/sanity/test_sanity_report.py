@@ -29,8 +29,9 @@ from gauge_envs.tools.sanity.model import (
     TrainingConfiguration,
     Verdict,
 )
+from gauge_envs.tools.sanity.page import sanity_page
 from gauge_envs.tools.sanity.phenomena.base import facts
-from gauge_envs.tools.sanity.words import sanity_document, sanity_page
+from gauge_envs.tools.sanity.words import sanity_document
 
 CONSTANTS = {
     "condim": 3,
