@@ -41,6 +41,8 @@ class Feature(StrEnum):
     """`JointDynamics.viscous_friction_n_m_s_per_rad`."""
     QUADRATIC_FRICTION = "quadratic joint friction"
     """`JointDynamics.quadratic_friction_n_m_s2_per_rad2`."""
+    SERVO_FRICTION = "friction of servo benches"
+    """`JointDynamics.servo`."""
     ARMATURE = "armature"
     """`JointDynamics.armature_kg_m2`."""
     BACKLASH = "backlash"
@@ -60,6 +62,8 @@ JOINT_FEATURES = frozenset(
         Feature.CHAINS,
         Feature.DRY_FRICTION,
         Feature.VISCOUS_FRICTION,
+        Feature.QUADRATIC_FRICTION,
+        Feature.SERVO_FRICTION,
         Feature.ARMATURE,
         Feature.SERVO,
         Feature.TORQUE_MOTOR,
@@ -122,6 +126,7 @@ def _needed_joint_features(scene: Scene) -> Iterator[tuple[Feature, str]]:
                 hinge.dynamics.quadratic_friction_n_m_s2_per_rad2,
                 "quadratic friction",
             ),
+            Feature.SERVO_FRICTION: (hinge.dynamics.servo, "friction of servo benches"),
             Feature.ARMATURE: (hinge.dynamics.armature_kg_m2, "armature"),
             Feature.BACKLASH: (hinge.dynamics.backlash_rad, "backlash"),
             Feature.SERVO: (isinstance(hinge.motor, Servo), "a position servo"),

@@ -43,6 +43,7 @@ from gauge_envs.scene.profiles import (
     SampledProfile,
     TrapezoidProfile,
 )
+from gauge_envs.scene.servo_friction import SERVO_FRICTION, ServoFriction
 
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 
@@ -314,13 +315,24 @@ JOINT_DYNAMICS = JointDynamics.__dataclass_fields__.keys()
 
 
 class JointConstants(FileModel):
-    """Constants of a hinge and its motor, as in `scene.JointDynamics`, `scene.motors.Servo` and `TorqueMotor`."""
+    """Constants of a hinge and its motor, as in `scene.JointDynamics` with its `ServoFriction` and `scene.motors`."""
 
     dry_friction_n_m: NonNegative | None = None
     viscous_friction_n_m_s_per_rad: NonNegative | None = None
     armature_kg_m2: NonNegative | None = None
     backlash_rad: NonNegative | None = None
     quadratic_friction_n_m_s2_per_rad2: NonNegative | None = None
+    stribeck_friction_n_m: NonNegative | None = None
+    stribeck_rate_rad_per_s: NonNegative | None = None
+    stribeck_exponent: NonNegative | None = None
+    load_friction: NonNegative | None = None
+    load_stribeck_friction: NonNegative | None = None
+    motor_load_friction: NonNegative | None = None
+    external_load_friction: NonNegative | None = None
+    motor_load_stribeck_friction: NonNegative | None = None
+    external_load_stribeck_friction: NonNegative | None = None
+    motor_load_squared_per_n_m: NonNegative | None = None
+    external_load_squared_per_n_m: NonNegative | None = None
     kp_n_m_per_rad: Positive | None = None
     kv_n_m_s_per_rad: NonNegative | None = None
     torque_limit_n_m: Positive | None = None
@@ -348,11 +360,12 @@ def hinge_terms(
         for name in JointConstants.model_fields
         if (value := constants.get(name)) is not None
     }
-    terms: dict[str, Any] = {
-        "dynamics": JointDynamics(
-            **{name: stated.pop(name) for name in JOINT_DYNAMICS & stated.keys()}
-        )
+    given: dict[str, Any] = {
+        name: stated.pop(name) for name in JOINT_DYNAMICS & stated.keys()
     }
+    if by_load := {name: stated.pop(name) for name in SERVO_FRICTION if name in stated}:
+        given["servo"] = ServoFriction(**by_load)
+    terms: dict[str, Any] = {"dynamics": JointDynamics(**given)}
     if motor is not None:
         kind = Servo if motor.kind == "servo" else TorqueMotor
         if kind is Servo and "kp_n_m_per_rad" not in stated:

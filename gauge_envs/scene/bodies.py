@@ -9,6 +9,7 @@ from typing import Literal
 from gauge_envs.errors import ParameterError
 from gauge_envs.scene.geometry import Box, NonNegative, Pose, Shape, Vector
 from gauge_envs.scene.motors import Motor
+from gauge_envs.scene.servo_friction import ServoFriction
 
 
 class Motion(StrEnum):
@@ -140,6 +141,7 @@ class JointDynamics:
         backlash_rad: Play between the rotor, which needs an armature, and what it turns [rad]. It starts in its middle
             and ends in two stops of any restitution. Friction and motor act on the rotor; a servo measures its angle.
         quadratic_friction_n_m_s2_per_rad2: Torque per squared rate, as of air, that opposes it [N m s^2/rad^2].
+        servo: What the dry friction of a servo's joint gains with load and loses with its rate.
     """
 
     dry_friction_n_m: NonNegative = 0.0
@@ -148,6 +150,7 @@ class JointDynamics:
     # Hashes and prints of joints without play stay.
     backlash_rad: NonNegative = field(default=0.0, repr=False)
     quadratic_friction_n_m_s2_per_rad2: NonNegative = field(default=0.0, repr=False)
+    servo: ServoFriction | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         if self.backlash_rad and not self.armature_kg_m2:

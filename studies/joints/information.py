@@ -12,15 +12,15 @@ import numpy as np
 
 from gauge_envs.backends import backend
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.tools.identify import Log, one_joint
-from gauge_envs.tools.identify.fit import machine_of
-from gauge_envs.tools.identify.problem import Problem
-from gauge_envs.tools.identify.servo_laws import (
+from gauge_envs.scene.servo_friction import (
     DIRECTED,
     DIRECTED_STRIBECK,
     QUADRATIC_LOAD,
     TERMS,
 )
+from gauge_envs.tools.identify import Log, one_joint
+from gauge_envs.tools.identify.fit import machine_of
+from gauge_envs.tools.identify.problem import Problem
 from studies.joints.pendulums import HERE
 
 MASS_KG, LENGTH_M, NOISE_RAD, SAMPLE_S, DURATION_S = 0.3, 0.15, 5e-4, 0.02, 20.0

@@ -3,18 +3,30 @@
 import copy
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends import backend
 from gauge_envs.backends.base import scene_support
 from gauge_envs.backends.features import Feature
 from gauge_envs.backends.worlds import Worlds
 from gauge_envs.runs.rollout import record
-from gauge_envs.scene import BodyHinge, Box, Hinge, JointDynamics, Pose, Scene
+from gauge_envs.scene import (
+    GRAVITY_M_PER_S2,
+    BodyHinge,
+    Box,
+    Hinge,
+    JointDynamics,
+    Pose,
+    Scene,
+)
 from gauge_envs.scene.driver_path import motor_commands
 from gauge_envs.scene.motors import Servo, TorqueMotor
+from gauge_envs.scene.servo_friction import ServoFriction
 from gauge_envs.tools.bench.parts import body, box, box_inertia_kg_m2, ramp
+from gauge_envs.tools.identify.rig import posed
 
 ENGINES = {
     "mujoco": "mujoco",
@@ -167,9 +179,6 @@ def test_a_bar_coasts_with_quadratic_friction_as_its_closed_form(name):
         bodies=(bar,), joints=(hinge,), duration_s=seconds, gravity_m_per_s2=0.0
     )
     engine = backend(name)
-    if Feature.QUADRATIC_FRICTION not in engine.features:
-        assert "quadratic friction" in scene_support(engine, scene).missing[0]
-        return
     inertia = float(box_inertia_kg_m2(bar)[1])
     for motor, dry in ((None, 0.0), (TorqueMotor(command=STEP), 0.03)):
         joint = replace(
@@ -184,3 +193,73 @@ def test_a_bar_coasts_with_quadratic_friction_as_its_closed_form(name):
         assert rollout.angular_velocity("bar")[:, 1] == pytest.approx(
             expected, rel=0.004
         )
+
+
+DRY_N_M, SHARE = 0.02, 0.3
+
+
+def _loaded(angles_rad):
+    """Return bars at rest on a level axis, whose friction has a dry part and a share of the load."""
+    law = JointDynamics(
+        dry_friction_n_m=DRY_N_M, servo=ServoFriction(load_friction=SHARE)
+    )
+    bars, hinges = [], []
+    for number, angle in enumerate(angles_rad):
+        turn = Rotation.from_rotvec([0.0, angle, 0.0])
+        place = np.array([0.0, number, 1.0]) + turn.apply([0.0, 0.0, -0.15])
+        pose = Pose.from_rotation(tuple(place.tolist()), turn)
+        shape = Box(size_m=(0.03, 0.03, 0.3))
+        bars.append(body(f"bar{number}", shape, pose, mass_kg=0.4))
+        anchor_m = (0.0, float(number), 1.0)
+        hinge = Hinge(body=f"bar{number}", anchor_m=anchor_m, axis=(0.0, 1.0, 0.0))
+        hinges.append(replace(hinge, dynamics=law))
+    return Scene(bodies=tuple(bars), joints=tuple(hinges), duration_s=0.1)
+
+
+@on_every_engine
+def test_a_share_of_the_load_holds_a_bar_and_brakes_another(name):
+    """A weight w breaks away above dry / (1 - share); a fall by the angle a then loses dry a + share of w's work."""
+    pytest.importorskip(ENGINES[name])
+    weight_n_m = 0.4 * GRAVITY_M_PER_S2 * 0.15
+    edge = DRY_N_M / (1.0 - SHARE) / weight_n_m
+    starts = np.array([np.arcsin(0.97 * edge), np.arcsin(1.03 * edge), 0.8])
+    scene = _loaded(starts)
+    simulation = backend(name).build(scene)
+    simulation.reset(0)
+    simulation.advance(0.05)
+    state = copy.deepcopy(simulation.state())
+    simulation.advance(0.05)
+    states = simulation.body_states(["bar0", "bar1", "bar2"])
+    simulation.restore(state)
+    simulation.advance(0.05)
+    np.testing.assert_array_equal(
+        simulation.body_states(["bar0", "bar1", "bar2"]), states
+    )
+    simulation.close()
+    angles = Rotation.from_quat(states[:, [4, 5, 6, 3]]).as_rotvec()[:, 1]
+    assert angles[0] == pytest.approx(starts[0], abs=1e-6)
+    assert angles[1] < starts[1] - 1e-5
+    about_joint = float(box_inertia_kg_m2(scene.bodies[0])[1]) + 0.4 * 0.15**2
+    work = (1.0 - SHARE) * weight_n_m * (np.cos(angles[2]) - np.cos(0.8))
+    work -= DRY_N_M * (0.8 - angles[2])
+    rate = -np.sqrt(2.0 * work / about_joint)
+    assert states[2, 11] == pytest.approx(rate, rel=0.005)
+
+
+@pytest.mark.parametrize("hung", [True, False])
+def test_a_chain_has_the_accelerations_of_mujoco(hung):
+    """The mass matrix and the loads of friction laws, of a chain on the world and of one in free flight."""
+    law = JointDynamics(armature_kg_m2=0.001, servo=ServoFriction())
+    inner = replace(_arm().body_hinges[0], motor=None, dynamics=law)
+    outer = replace(_arm().joints[0], motor=None, dynamics=JointDynamics())
+    scene = replace(_arm(), joints=(outer,) * hung, body_hinges=(inner,))
+    scene = posed(scene, [0.4, 0.7][-1 - hung :], [1.0, 2.0][-1 - hung :])
+    simulation = backend("mujoco").build(scene)
+    simulation.reset(0)
+    accelerations = simulation.accelerations()
+    engine = simulation.inner
+    mujoco.mj_forward(engine.model, engine.data)
+    # In free flight the lower bar is the root.
+    names = ["upper", "lower"] if hung else ["upper"]
+    expected = [float(engine.data.joint(name).qacc[0]) for name in names]
+    assert accelerations == pytest.approx(expected, rel=1e-6)

@@ -15,6 +15,7 @@ from gauge_envs.runs.result_file import load_result, recorded_experiment, write_
 from gauge_envs.scene import JointDynamics
 from gauge_envs.scene.motors import Servo, TorqueMotor
 from gauge_envs.scene.profiles import CosineProfile, SampledProfile
+from gauge_envs.scene.servo_friction import ServoFriction
 from gauge_envs.tools.catalog.description import description
 from gauge_envs.tools.usd.writer import to_usd
 
@@ -42,7 +43,7 @@ recorded = true
 
 [constants.upper]
 brass = { mass_kg = 0.5, dry_friction_n_m = 0.01, armature_kg_m2 = 0.002, backlash_rad = 0.02 }
-steel = { mass_kg = 0.6, viscous_friction_n_m_s_per_rad = 0.03 }
+steel = { mass_kg = 0.6, viscous_friction_n_m_s_per_rad = 0.03, load_friction = 0.1 }
 
 [constants.lower]
 brass = { mass_kg = 0.2, kp_n_m_per_rad = 8.0, kv_n_m_s_per_rad = 0.1, torque_limit_n_m = 1.5, delay_s = 0.02 }
@@ -102,7 +103,9 @@ def test_joint_terms_of_a_task_file_depend_on_the_material(tmp_path):
     assert brass[0].dynamics == JointDynamics(
         dry_friction_n_m=0.01, armature_kg_m2=0.002, backlash_rad=0.02
     )
-    assert steel[0].dynamics == JointDynamics(viscous_friction_n_m_s_per_rad=0.03)
+    assert steel[0].dynamics == JointDynamics(
+        viscous_friction_n_m_s_per_rad=0.03, servo=ServoFriction(load_friction=0.1)
+    )
     assert brass[0].motor is None
     assert brass[1].motor == Servo(
         command=SERVO_COMMAND,

@@ -13,6 +13,7 @@ from gauge_envs.backends.shared.bundled import (
     declined_compounds,
     first_of,
 )
+from gauge_envs.backends.shared.joint_laws import with_joint_laws
 from gauge_envs.backends.shared.joints import with_rotors
 from gauge_envs.backends.world import Simulation
 from gauge_envs.scene import Scene
@@ -64,6 +65,7 @@ class BackendDrake(BundledBackend):
         for reason, names in subjects.items():
             yield f"{first_of(names)} is deformable: {reason}"
 
+    @with_joint_laws()
     def build(
         self, scene: Scene, settings: Mapping[str, Any] | None = None
     ) -> Simulation:

@@ -12,6 +12,7 @@ from gauge_envs.backends.genesis.fabrics import pbd_constants
 from gauge_envs.backends.genesis.presets import settings_for, unsupported_features
 from gauge_envs.backends.genesis.settings import SettingsGenesis
 from gauge_envs.backends.shared.bundled import BundledBackend, check_settings
+from gauge_envs.backends.shared.joint_laws import with_joint_laws
 from gauge_envs.backends.shared.joints import with_rotors
 from gauge_envs.backends.world import Simulation
 from gauge_envs.backends.worlds import Worlds
@@ -39,7 +40,7 @@ class BackendGenesis(BundledBackend):
         "a string is a spring that this package computes",
         "its cache of geoms, whose key lacks torsional and rolling friction, is emptied",
     )
-    features = frozenset(Feature) - {Feature.AIR, Feature.QUADRATIC_FRICTION}
+    features = frozenset(Feature) - {Feature.AIR}
     own_defaults = frozenset({"out_of_box", "paper"})
     settings_for = staticmethod(settings_for)
     fabric_constants = staticmethod(pbd_constants)
@@ -52,6 +53,7 @@ class BackendGenesis(BundledBackend):
         """Yield one sentence for each feature of a scene that Genesis does not support."""
         return unsupported_features(scene, settings_for(scene))
 
+    @with_joint_laws()
     def build(
         self, scene: Scene, settings: Mapping[str, Any] | None = None
     ) -> Simulation:
@@ -61,6 +63,7 @@ class BackendGenesis(BundledBackend):
 
         return SimulationGenesis(with_rotors(scene), chosen)
 
+    @with_joint_laws()
     def build_worlds(
         self, scenes: Sequence[Scene], settings: Mapping[str, Any] | None = None
     ) -> Worlds:

@@ -21,6 +21,7 @@ from gauge_envs.backends.mujoco.versions import (
 )
 from gauge_envs.backends.settings import check_kept
 from gauge_envs.backends.shared.bundled import BundledBackend
+from gauge_envs.backends.shared.joint_laws import with_joint_laws
 from gauge_envs.errors import ParameterError, UnsupportedSceneError
 from gauge_envs.registry import model_files
 from gauge_envs.scene import Scene
@@ -57,6 +58,7 @@ class BackendMuJoCo(BundledBackend):
         yield from without_deformables(scene)
         yield from unsupported_features(scene)
 
+    @with_joint_laws(quadratic=False)
     def build(
         self, scene: Scene, settings: Mapping[str, Any] | None = None
     ) -> SimulationMuJoCo:

@@ -27,6 +27,7 @@ from gauge_envs.backends.shared.attachments import (
     rigid_attachments,
 )
 from gauge_envs.backends.shared.bundled import BundledBackend, check_settings
+from gauge_envs.backends.shared.joint_laws import with_joint_laws
 from gauge_envs.backends.shared.joints import with_rotors
 from gauge_envs.backends.shared.soft_rows import soft_row_problems
 from gauge_envs.backends.world import Simulation
@@ -58,7 +59,7 @@ class BackendNewton(BundledBackend):
         "the damping of a contact is derived from the restitution, whose coefficient the MuJoCo solver ignores",
         "a step of cloth starts from the last acceleration, by a subclass of SolverVBD",
     )
-    features = frozenset(Feature) - {Feature.AIR, Feature.QUADRATIC_FRICTION}
+    features = frozenset(Feature) - {Feature.AIR}
     own_defaults = frozenset({"out_of_box", "paper"})
     worlds_mix_constants = True
     worlds_restart_alone = True
@@ -67,6 +68,7 @@ class BackendNewton(BundledBackend):
         """Yield one sentence for each feature of a scene that Newton's solvers do not support."""
         return _unsupported_features(scene, settings_for(scene))
 
+    @with_joint_laws()
     def build(
         self, scene: Scene, settings: Mapping[str, Any] | None = None
     ) -> Simulation:
@@ -76,6 +78,7 @@ class BackendNewton(BundledBackend):
 
         return SimulationNewton(with_rotors(scene), chosen)
 
+    @with_joint_laws()
     def build_worlds(
         self, scenes: Sequence[Scene], settings: Mapping[str, Any] | None = None
     ) -> Worlds:

@@ -12,6 +12,7 @@ from gauge_envs.backends.features import JOINT_FEATURES, Feature
 from gauge_envs.backends.physx.contacts import unsupported_contacts
 from gauge_envs.backends.physx.settings import settings_for
 from gauge_envs.backends.shared.bundled import BundledBackend, declined_hinges, first_of
+from gauge_envs.backends.shared.joint_laws import with_joint_laws
 from gauge_envs.backends.shared.joints import with_rotors
 from gauge_envs.backends.shared.states import ReplayedSimulation
 from gauge_envs.backends.world import Simulation
@@ -48,7 +49,6 @@ class BackendPhysX(BundledBackend):
         Feature.BODY_HINGES,
         Feature.STATED_INERTIA,
         Feature.BACKLASH,
-        Feature.QUADRATIC_FRICTION,
     }
     own_defaults = frozenset({"out_of_box", "isaac", "paper"})
 
@@ -81,6 +81,7 @@ class BackendPhysX(BundledBackend):
         yield from _unsupported_hulls(scene)
         yield from unsupported_contacts(scene)
 
+    @with_joint_laws()
     def build(
         self, scene: Scene, settings: Mapping[str, Any] | None = None
     ) -> Simulation:

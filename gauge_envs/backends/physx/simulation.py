@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.physx.model import Model, build_model, physx_pose
 from gauge_envs.backends.physx.settings import SettingsPhysX
-from gauge_envs.backends.shared.joints import drive_of, padded, turned_joints
+from gauge_envs.backends.shared.joints import drive_of, joint_motors
 from gauge_envs.backends.shared.rigid import (
     DrivenMotion,
     PlacedWorld,
@@ -31,7 +31,7 @@ class SimulationPhysX(PlacedWorld, Simulation):
     def __init__(self, scene: Scene, settings: SettingsPhysX) -> None:
         self.settings = settings.model_dump(mode="json")
         self._scene = scene
-        self._turned = turned_joints(scene)
+        self._motors = joint_motors(scene)
         # Viscous friction of joints whose drive is another term.
         self._viscous = {
             name: hinge.dynamics.viscous_friction_n_m_s_per_rad
@@ -115,9 +115,7 @@ class SimulationPhysX(PlacedWorld, Simulation):
         }
         motors = {
             one.body: (one, value)
-            for one, value in zip(
-                self._turned, padded(self._commands, self._turned), strict=True
-            )
+            for one, value in zip(self._motors, self._commands, strict=True)
         }
         for name, (link, row) in model.rows.items():
             tree, torques = trees[id(link.articulation)]
@@ -127,8 +125,6 @@ class SimulationPhysX(PlacedWorld, Simulation):
                 link.joint.set_drive_target(one.sign * value)
             elif one:
                 torques[row] += one.torque_n_m(value, angle, rate)
-            if one:
-                torques[row] += one.drag_n_m(rate)
             torques[row] -= self._viscous.get(name, 0.0) * rate
         for tree, torques in trees.values():
             tree.set_qf(torques)

@@ -17,6 +17,7 @@ from gauge_envs.backends.shared.attachments import (
     rigid_attachments,
 )
 from gauge_envs.backends.shared.bundled import BundledBackend, declined_compounds
+from gauge_envs.backends.shared.joint_laws import with_joint_laws
 from gauge_envs.backends.shared.states import ReplayedSimulation
 from gauge_envs.backends.world import Simulation
 from gauge_envs.errors import UnsupportedSceneError
@@ -92,6 +93,7 @@ class BackendPyBullet(BundledBackend):
         except UnsupportedSceneError as error:
             yield str(error)
 
+    @with_joint_laws()
     def build(
         self, scene: Scene, settings: Mapping[str, Any] | None = None
     ) -> Simulation:

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from gauge_envs.backends.pybullet.model import WorldPyBullet
 from gauge_envs.backends.pybullet.settings import SettingsPyBullet
 from gauge_envs.backends.pybullet.world import PLANE_REACH_M, Handle, pybullet
-from gauge_envs.backends.shared.joints import padded, turned_joints
+from gauge_envs.backends.shared.joints import joint_motors
 from gauge_envs.backends.shared.rigid import (
     DrivenMotion,
     PlacedWorld,
@@ -35,7 +35,7 @@ class SimulationPyBullet(PlacedWorld, Simulation):
         self.settings = settings.model_dump(mode="json")
         self.world = WorldPyBullet(scene, settings)
         self._scene = scene
-        self._turned = turned_joints(scene)
+        self._motors = joint_motors(scene)
         self._scale = settings.units_per_m
         self._timestep_s = settings.timestep_s
         boxes = settings.planes == "box"
@@ -171,14 +171,12 @@ class SimulationPyBullet(PlacedWorld, Simulation):
         )
 
     def _turn_joints(self) -> None:
-        """Apply the torques of motors and drag for one step, computed from the state before it."""
-        for one, value in zip(
-            self._turned, padded(self._commands, self._turned), strict=True
-        ):
+        """Apply the torques of motors for one step, computed from the state before it."""
+        commands = self._commands or [0.0] * len(self._motors)
+        for one, value in zip(self._motors, commands, strict=True):
             handle = self.world.handles[one.body]
             angle, rate = self.world.call("getJointState", handle.body, handle.link)[:2]
-            motor = one.torque_n_m(value, angle, rate)
-            torque = self._scale**2 * (motor + one.drag_n_m(rate))
+            torque = self._scale**2 * one.torque_n_m(value, angle, rate)
             self.world.call(
                 "setJointMotorControl2",
                 handle.body,

@@ -16,6 +16,7 @@ from gauge_envs.backends.shared.bundled import (
     declined_compounds,
     first_of,
 )
+from gauge_envs.backends.shared.joint_laws import with_joint_laws
 from gauge_envs.backends.shared.joints import linked_hinges, with_rotors
 from gauge_envs.backends.world import Simulation
 from gauge_envs.backends.worlds import Worlds
@@ -47,7 +48,6 @@ class BackendRapier(BundledBackend):
         Feature.BODY_HINGES,
         Feature.STATED_INERTIA,
         Feature.BACKLASH,
-        Feature.QUADRATIC_FRICTION,
     }
     worlds_mix_constants = True
 
@@ -89,6 +89,7 @@ class BackendRapier(BundledBackend):
                 f"{LARGEST_CONTACT_COUNT}"
             )
 
+    @with_joint_laws()
     def build(
         self, scene: Scene, settings: Mapping[str, Any] | None = None
     ) -> Simulation:
@@ -97,6 +98,7 @@ class BackendRapier(BundledBackend):
 
         return SimulationRapier(with_rotors(scene), settings_for(scene, settings))
 
+    @with_joint_laws()
     def build_worlds(
         self, scenes: Sequence[Scene], settings: Mapping[str, Any] | None = None
     ) -> Worlds:

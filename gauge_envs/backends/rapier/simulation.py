@@ -21,7 +21,7 @@ from gauge_envs.backends.rapier.model import (
     link_of,
 )
 from gauge_envs.backends.rapier.settings import SettingsRapier
-from gauge_envs.backends.shared.joints import drive_of, padded, turned_joints
+from gauge_envs.backends.shared.joints import drive_of, joint_motors
 from gauge_envs.backends.shared.rigid import DrivenMotion, PlacedWorld, placed_states
 from gauge_envs.backends.shared.states import Snapshot, StateOrigin
 from gauge_envs.backends.world import Simulation
@@ -40,10 +40,10 @@ class _SceneWorld(PlacedWorld):
         self.settings = settings.model_dump(mode="json")
         self._layout = layout
         self.placed = placed_states(scene)
-        self._turned = turned_joints(scene)
+        self._motors = joint_motors(scene)
         self._axes = [
             scene.body(one.body).pose.rotation.apply(one.hinge.axis, inverse=True)
-            for one in self._turned
+            for one in self._motors
         ]
         self.commands: list[float] = []
         self._bodies: dict[str, rapier.RigidBody] = {}
@@ -97,27 +97,22 @@ class _SceneWorld(PlacedWorld):
     def command(self, values: NDArray[np.float64]) -> None:
         """Set what the motors follow; see `World.command`."""
         self.commands = values.tolist()
-        for one, value in zip(self._turned, self.commands, strict=False):
+        for one, value in zip(self._motors, self.commands, strict=False):
             if one.is_drive:
                 chain, link, _ = link_of(self._holder, self._layout[one.body][0])
                 kp, kv, _ = (number / MASS_UNIT_KG for number in drive_of(one.hinge))
                 chain.set_link_motor(link, TURN, one.sign * value, 0.0, kp, kv)
 
     def torques(self) -> list[tuple[rapier.RigidBody, NDArray[np.float64]]]:
-        """Return the torques on bodies in the next step of drag, and of the motors that are none of Rapier's."""
+        """Return the torques on bodies in the next step of the motors that are none of Rapier's."""
         found = []
-        for one, axis, value in zip(
-            self._turned, self._axes, padded(self.commands, self._turned), strict=True
-        ):
-            drag = one.hinge.dynamics.quadratic_friction_n_m_s2_per_rad2
-            if one.is_drive and not drag:
+        commands = self.commands or [0.0] * len(self._motors)
+        for one, axis, value in zip(self._motors, self._axes, commands, strict=True):
+            if one.is_drive:
                 continue
             chain, _, row = link_of(self._holder, self._layout[one.body][0])
-            rate = chain.generalized_velocity()[row]
-            torque = one.drag_n_m(rate)
-            if not one.is_drive:
-                angle = chain.generalized_position()[row]
-                torque += one.torque_n_m(value, angle, rate)
+            angle = chain.generalized_position()[row]
+            torque = one.torque_n_m(value, angle, chain.generalized_velocity()[row])
             body = self._bodies[one.body]
             along = (
                 np.array(body.rotation.transform_vector(tuple(axis)).to_tuple())

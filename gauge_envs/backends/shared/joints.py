@@ -1,6 +1,5 @@
 """Joints of a scene, for every engine: start rates, motors, rotors, and which terms one drive of an engine can be."""
 
-from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -86,13 +85,13 @@ class JointMotor(NamedTuple):
     Attributes:
         body: Name of the body that its hinge turns, relative to what the body hangs on.
         hinge: The hinge.
-        motor: The motor; None where a joint has quadratic friction alone.
+        motor: The motor.
         sign: -1 where the hinge's angle counts the other way, otherwise 1.
     """
 
     body: str
     hinge: Hinge | BodyHinge
-    motor: Motor | None
+    motor: Motor
     sign: float
 
     @property
@@ -110,11 +109,6 @@ class JointMotor(NamedTuple):
             return self.motor.torque_n_m(self.sign * command, angle_rad, rate_rad_per_s)
         return self.sign * command
 
-    def drag_n_m(self, rate_rad_per_s: float) -> float:
-        """Return the torque of quadratic friction at a rate [N m]."""
-        factor = self.hinge.dynamics.quadratic_friction_n_m_s2_per_rad2
-        return -factor * abs(rate_rad_per_s) * rate_rad_per_s
-
 
 def joint_motors(scene: Scene) -> list[JointMotor]:
     """Return the motors of a scene, in the order of commands."""
@@ -124,23 +118,6 @@ def joint_motors(scene: Scene) -> list[JointMotor]:
         JointMotor(name, hinge, motor, joint_sign(hinge, name))
         for name, hinge, motor in bodies
     ]
-
-
-def turned_joints(scene: Scene) -> list[JointMotor]:
-    """Return the motors of a scene, in the order of commands, and behind them other joints with quadratic friction."""
-    motors = joint_motors(scene)
-    driven = {one.body for one in motors}
-    return motors + [
-        JointMotor(name, hinge, None, joint_sign(hinge, name))
-        for name, hinge in hinges_by_body(scene).items()
-        if hinge.dynamics.quadratic_friction_n_m_s2_per_rad2 and name not in driven
-    ]
-
-
-def padded(commands: Iterable[float], joints: Sequence[JointMotor]) -> list[float]:
-    """Return commands of motors, and 0 for each joint behind them."""
-    values = list(commands)
-    return values + [0.0] * (len(joints) - len(values))
 
 
 def drive_of(hinge: Hinge | BodyHinge) -> tuple[float, float, float]:

@@ -209,15 +209,22 @@ class StateOrigin:
                 for at, touch in enumerate(one.contacts)
             )
             turned = [values for values in resists if any(values[1:])]
-            plays, drags = (
+            plays, drags, servos = (
                 [
                     (at, term)
                     for at, hinge in enumerate(one.hinges)
                     if (term := getattr(hinge.dynamics, name))
                 ]
-                for name in ("backlash_rad", "quadratic_friction_n_m_s2_per_rad2")
+                for name in (
+                    "backlash_rad",
+                    "quadratic_friction_n_m_s2_per_rad2",
+                    "servo",
+                )
             )
-            few = (one.air, one.body_hinges, dynamics, one.motors, turned, plays, drags)
+            few = (
+                *(one.air, one.body_hinges, dynamics, one.motors, turned, plays, drags),
+                servos,
+            )
             self._hash = hashlib.sha256(
                 "".join(map(repr, (parts, *filter(None, few)))).encode()
             ).hexdigest()

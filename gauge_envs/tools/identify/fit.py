@@ -14,9 +14,11 @@ from mujoco import MjSpec
 
 from gauge_envs.backends.base import Backend, scene_support
 from gauge_envs.backends.settings import with_drive_interval
+from gauge_envs.backends.shared.joint_laws import without_laws
 from gauge_envs.errors import ParameterError, UnsupportedSceneError
 from gauge_envs.scene import Scene
 from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.servo_friction import SERVO_FRICTION, TERMS
 from gauge_envs.scene.timing import DRIVE_INTERVAL_S
 from gauge_envs.tools.identify.baselines import baselines
 from gauge_envs.tools.identify.identified import Identified, Law, Setting
@@ -50,7 +52,6 @@ from gauge_envs.tools.identify.rig import (
     check_joints,
     with_terms,
 )
-from gauge_envs.tools.identify.servo_laws import SERVO_FRICTION, TERMS
 from gauge_envs.tools.identify.snippets import snippet_lines
 from gauge_envs.tools.identify.stages import Fit, Fitter, guessed
 
@@ -82,8 +83,8 @@ def identify(
         scene: A scene in which each hinge is at angle 0; its hinges are the joints of the logs, in its order. Or an
             MJCF model, whose joints have the names of the logs'; joints that no log names keep their pose.
         logs: Logs to fit.
-        names: Numbers to identify, fields of `JointDynamics` and `Servo`, and laws of `servo_laws.TERMS` to compare;
-            None compares the laws of friction of a swing.
+        names: Numbers to identify, fields of `JointDynamics` and `Servo`, and laws of `TERMS` to compare; None
+            compares the laws of friction of a swing.
         known: Numbers of all joints that are not identified, as from a bench.
         held_out: Logs that are only predicted, with the identified numbers.
         load_error: Standard uncertainty of the loads, over their masses and inertias. Torques are known in proportion
@@ -100,6 +101,7 @@ def identify(
     """
     servo = logs[0].command_rad is not None
     known = known or {}
+    logs = [log.moving() for log in logs]
     laws_names = {
         law: [*(one for one in terms if one not in known), *known]
         for law, terms in asked_laws(engine, servo, names).items()
@@ -249,7 +251,8 @@ def machine_of(
     if engine.name != "mujoco":
         return known
     given = with_drive_interval(settings, DRIVE_INTERVAL_S)
-    simulation = engine.build(built, given or None)
+    # Plain MuJoCo gets laws of friction by its own dry friction.
+    simulation = engine.build(without_laws(built, quadratic=False), given or None)
     try:
         spec = simulation.spec  # type: ignore[attr-defined]
         return joints_of_scene(scene, spec, log, known.stated, settings)

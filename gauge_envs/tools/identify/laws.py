@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -9,14 +10,14 @@ from gauge_envs.backends.base import Backend
 from gauge_envs.backends.features import Feature
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.servo_friction import IN_ONE, SERVO_FRICTION, TERMS
 from gauge_envs.tools.identify.identified import Law
 from gauge_envs.tools.identify.logs import Log
 from gauge_envs.tools.identify.rig import DYNAMICS, SERVO
-from gauge_envs.tools.identify.servo_laws import IN_ONE, SERVO_FRICTION, TERMS
 from gauge_envs.tools.identify.stages import QUADRATIC, Fit, Fitter
 
-LAW_STEPS = 15
-"""Most steps of the fit of a law to one log, which starts from a fit to all of them."""
+LAW_STEPS, LAW_CLOSE = 15, 3e-3
+"""Most steps of the fit of a law to one log, which starts from a fit to all of them, and the change that ends it."""
 
 AS_GOOD = 1.05
 """Error over that of the law that predicts best, up to which a law with fewer terms is as good."""
@@ -50,10 +51,9 @@ def asked_laws(
         }
     asked = [one for one in names or () if one in TERMS]
     changing = [one for one in names or () if one in (*SERVO_FRICTION, *TERMS)]
-    if changing and engine.name != "mujoco":
+    if changing and Feature.SERVO_FRICTION not in engine.features:
         raise UnsupportedSceneError(
-            f"backend {engine.name!r}: {', '.join(changing)}: friction by rate and load is set anew before each step, "
-            "which is done in plain MuJoCo alone"
+            f"backend {engine.name!r}: {', '.join(changing)}: this engine does not build friction by rate and load"
         )
     rest = [one for one in names or () if one not in TERMS]
     base = SERVO_NAMES if servo else DYNAMICS[:3]
@@ -91,7 +91,8 @@ def compare_laws(
         for row, log in enumerate(parts):
             starts = [fits[row] for fits in simpler]
             start = min(starts, key=lambda one: one.misfit, default=fit)
-            alone.append(fitter.fit([log], names, first=start, most_steps=LAW_STEPS))
+            limits: dict[str, Any] = {"tolerance": LAW_CLOSE, "most_steps": LAW_STEPS}
+            alone.append(fitter.fit([log], names, first=start, **limits))
         left = [one.problem.residuals(one.unknowns) for one in alone]
         missed = np.array(
             [

@@ -30,6 +30,8 @@ KINDS = ("time_s", POSITION, COMMAND, TORQUE, RATE)
 """What the columns of a log hold."""
 MOST_LOG_BYTES = 50 * MEGABYTE
 """Largest size of a log, as a file and as arrays in memory: three minutes of seven joints at 1 kHz as text."""
+AT_REST = 0.01
+"""Largest distance from the last angle, over the largest of a swing, at which a joint rests."""
 NAMES = "joints"
 """Array of an NPZ file with the names of its joints."""
 
@@ -79,6 +81,21 @@ class Log:
             name = self.name if count == 1 else f"{self.name}, part {number + 1}"
             rows = {key: values[first:last] for key, values in self.columns.items()}
             yield replace(self, name=name, times_s=self.times_s[first:last], **rows)
+
+    def moving(self) -> Log:
+        """Return a free swing without the time after it came to rest, of which a fifth of the swing's is left.
+
+        A joint that rests tells only that friction holds it.
+        """
+        if self.command_rad is not None or self.torque_n_m is not None:
+            return self
+        from_end = np.abs(self.position_rad - self.position_rad[-1])
+        is_moving = (from_end > AT_REST * from_end.max(axis=0)).any(axis=1)
+        last = int(np.flatnonzero(is_moving)[-1]) if is_moving.any() else 0
+        end_s = self.times_s[0] + 1.2 * (self.times_s[last] - self.times_s[0])
+        count = max(int(np.searchsorted(self.times_s, end_s, side="right")), 10)
+        rows = {key: values[:count] for key, values in self.columns.items()}
+        return replace(self, times_s=self.times_s[:count], **rows)
 
     def only(self, names: Sequence[str]) -> Log:
         """Return the log of some of its joints."""

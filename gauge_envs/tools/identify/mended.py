@@ -14,7 +14,7 @@ from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.scene_source import read_bytes
 from gauge_envs.tools.identify.identified import Identified
 from gauge_envs.tools.identify.logs import Log
-from gauge_envs.tools.identify.mujoco_joints import paste
+from gauge_envs.tools.identify.paste import paste
 from gauge_envs.tools.identify.stack_logs import CONTROL, SENSED
 
 SENSOR, CONTROLLED = 0, 5

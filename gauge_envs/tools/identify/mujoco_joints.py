@@ -8,21 +8,20 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
 from mujoco import rollout
-from scipy.interpolate import CubicSpline
 
 from gauge_envs.errors import AssetError, ParameterError
 from gauge_envs.files import child_refusal
 from gauge_envs.runs.rollout import DivergedError
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.hinged import joint_sign, parent_hinges
+from gauge_envs.scene.servo_friction import SERVO_FRICTION, Holding, holding
 from gauge_envs.tools.identify.logs import Log
+from gauge_envs.tools.identify.paste import JOINT, paste
 from gauge_envs.tools.identify.rig import DYNAMICS, LIMIT, OFFSET, SERVO, Terms
-from gauge_envs.tools.identify.servo_laws import SERVO_FRICTION, Holding, holding
 from gauge_envs.tools.mjcf import PROBE
 
 if TYPE_CHECKING:
@@ -38,11 +37,6 @@ LOOP_STEPS, LOOP_GAP = 30, 1e-6
 """Most steps to close loops at a start, and the gap that is left at most [m, rad]."""
 OPTIONS = ("timestep_s", "integrator")
 """Settings that replace those of a model."""
-ELEMENTS = {"frictionloss": "frictionloss", "damping": "damping", "armature": "armature",
-            "solimpfriction": "solimp_friction", "solreffriction": "solref_friction"}  # fmt: skip
-"""Attributes of `<joint>` that lines may set, and their fields in an `MjsJoint`."""
-
-JOINT = mujoco.mjtTrn.mjTRN_JOINT
 RK4 = mujoco.mjtIntegrator.mjINT_RK4
 STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 
@@ -93,6 +87,9 @@ class ModelJoints:
             field.solimp_friction = STIFF_IMPEDANCE
             field.solref_friction = [SHORT_S, 1.0]
         model = spec.compile()
+        if model.nv == 1:
+            # One joint is one island: the search for islands takes an eighth of a step.
+            model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
         return model, mujoco.MjData(model)
 
     def size(self) -> tuple[float, float]:
@@ -154,8 +151,7 @@ class ModelJoints:
         if np.any(data.warning.number):
             raise DivergedError(f"{log.name}: plain MuJoCo diverges")
         moved = np.vstack([state[columns], states[0][:, columns]]) * self.signs
-        times_s = np.arange(count + 1) * self.timestep_s
-        return np.asarray(CubicSpline(times_s, moved)(log.times_s - log.times_s[0]))
+        return _at_times(moved, (log.times_s - log.times_s[0]) / self.timestep_s)
 
     def _laws(
         self, model: mujoco.MjModel, terms: Sequence[Terms]
@@ -241,36 +237,6 @@ class ModelJoints:
         return errors
 
 
-def paste(spec: mujoco.MjSpec, lines: str) -> mujoco.MjSpec:
-    """Return the model with elements `<joint>` and `<position>`; the first actuator at a joint becomes its servo."""
-    for element in ElementTree.fromstring(f"<mujoco>{lines}</mujoco>"):
-        values = dict(element.attrib)
-        if element.tag == "joint":
-            joint = spec.joint(values.pop("name"))
-            for name, text in values.items():
-                _write(joint, ELEMENTS[name], text)
-        elif element.tag == "position":
-            target, gains = values["joint"], [float(values["kp"]), float(values["kv"])]
-            at_joint = (one for one in spec.actuators if one.trntype == JOINT)
-            motor = next((one for one in at_joint if one.target == target), None)
-            if motor is None:
-                motor = spec.add_actuator(name=f"{target}_servo", target=target, trntype=JOINT)  # fmt: skip
-            if motor.biastype != mujoco.mjtBias.mjBIAS_AFFINE:
-                # Its range was one of torques.
-                motor.ctrllimited = mujoco.mjtLimited.mjLIMITED_FALSE
-            # A torque is the force times the gear, and an angle times the gear is what the motor sees.
-            gear = float(motor.gear[0])
-            kp, kv = (one / gear**2 for one in gains)
-            motor.set_to_position(kp=kp, kv=kv)
-            for name in {"delay", "nsample", "interp"} & {*values}:
-                _write(motor, name, values[name])
-            if "forcerange" in values:
-                limit = float(values["forcerange"].split()[1]) / abs(gear)
-                motor.forcerange = [-limit, limit]
-                motor.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
-    return spec
-
-
 def _step(
     model: mujoco.MjModel, data: mujoco.MjData, count: int, laws: Mapping[int, Holding]
 ) -> None:
@@ -284,6 +250,24 @@ def _step(
             torque, load = float(motors[dof]), -float(others[dof])
             model.dof_frictionloss[dof] = law(float(data.qvel[dof]), torque, load)
         mujoco.mj_step(model, data)
+
+
+def _at_times(angles: FloatArray, steps: FloatArray) -> FloatArray:
+    """Return angles between steps, by cubics through the two steps before and behind, shape [N, J].
+
+    Args:
+        angles: Angles at each step [rad], shape [step_count, J].
+        steps: Times over the step, shape [N].
+    """
+    first = np.clip(np.floor(steps).astype(int) - 1, 0, len(angles) - 4)
+    place = (steps - first)[:, None]
+    at = [place - node for node in range(4)]
+    return np.asarray(
+        -at[1] * at[2] * at[3] / 6.0 * angles[first]
+        + at[0] * at[2] * at[3] / 2.0 * angles[first + 1]
+        - at[0] * at[1] * at[3] / 2.0 * angles[first + 2]
+        + at[0] * at[1] * at[2] / 6.0 * angles[first + 3]
+    )
 
 
 def motor_name(joint: str) -> str:
@@ -371,21 +355,6 @@ def _fill_history(model: mujoco.MjModel, data: mujoco.MjData, motor: int) -> Non
     mujoco.mj_initCtrlHistory(
         model, data, motor, times_s, np.full(count, data.ctrl[motor])
     )
-
-
-def _write(element: Any, name: str, text: str) -> None:
-    """Write an attribute of MJCF into a field of an `MjSpec`."""
-    if name == "interp":
-        element.interp = ("zoh", "linear", "cubic").index(text)
-        return
-    numbers = [float(one) for one in text.split()]
-    before = getattr(element, name)
-    if isinstance(before, int):
-        setattr(element, name, int(numbers[0]))
-    elif np.ndim(before) == 0:
-        setattr(element, name, numbers[0])
-    else:
-        before[: len(numbers)] = numbers
 
 
 # --- where the joints come from --------------------------------------------------------------------------------------

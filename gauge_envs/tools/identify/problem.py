@@ -259,6 +259,7 @@ class Problem:
             np.maximum(first, low + 1e-6),
             self.jacobian,
             bounds=(low, np.inf),
+            x_scale="jac",
             xtol=tolerance,
             ftol=tolerance,
             max_nfev=most,

@@ -35,12 +35,14 @@ from gauge_envs.scene.hinged import (
 from gauge_envs.scene.meshes import body_mass_properties
 from gauge_envs.scene.motors import Servo, TorqueMotor
 from gauge_envs.scene.profiles import SampledProfile
+from gauge_envs.scene.servo_friction import SERVO_FRICTION, ServoFriction
 from gauge_envs.scene.timing import DRIVE_INTERVAL_S
 from gauge_envs.tools.identify.logs import Log
-from gauge_envs.tools.identify.servo_laws import SERVO_FRICTION
 
 DYNAMICS = tuple(
-    one.name for one in fields(JointDynamics) if one.name != "backlash_rad"
+    one.name
+    for one in fields(JointDynamics)
+    if one.name not in ("backlash_rad", "servo")
 )
 SERVO = ("kp_n_m_per_rad", "kv_n_m_s_per_rad", "delay_s")
 LIMIT = "torque_limit_n_m"
@@ -245,9 +247,14 @@ def with_terms(
 
     def changed(place: int, hinge: AnyHinge) -> AnyHinge:
         given = terms[place]
-        dynamics = replace(
-            hinge.dynamics, **{name: given[name] for name in DYNAMICS if name in given}
-        )
+        terms_given: dict[str, Any] = {
+            name: given[name] for name in DYNAMICS if name in given
+        }
+        servo = {name: given[name] for name in SERVO_FRICTION if name in given}
+        if servo:
+            before = hinge.dynamics.servo or ServoFriction()
+            terms_given["servo"] = replace(before, **servo)
+        dynamics = replace(hinge.dynamics, **terms_given)
         motor, profile = hinge.motor, partial(_profile, log, place)
         gains: dict[str, Any] = {
             name: given[name] for name in (*SERVO, LIMIT) if name in given
@@ -352,7 +359,9 @@ def _angle_rad(rollout: Rollout, hinge: Hinge | BodyHinge) -> FloatArray:
 def numbers(scene: Scene) -> list[dict[str, float]]:
     """Return the numbers of each hinge by name, in the order of `Scene.hinges`; 0 is none."""
     known = [
-        vars(hinge.dynamics) | (vars(hinge.motor) if hinge.motor else {})
+        vars(hinge.dynamics)
+        | (vars(hinge.motor) if hinge.motor else {})
+        | (vars(hinge.dynamics.servo) if hinge.dynamics.servo else {})
         for hinge in scene.hinges
     ]
     return [

@@ -6,7 +6,7 @@ from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from string import Formatter
 
-from gauge_envs.tools.identify.servo_laws import SERVO_FRICTION, rule
+from gauge_envs.scene.servo_friction import SERVO_FRICTION, rule
 
 LAW = (
     'before each mj_step: i = model.joint("{name}").dofadr[0]; '

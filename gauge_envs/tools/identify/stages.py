@@ -13,10 +13,7 @@ import numpy as np
 from gauge_envs.errors import ParameterError
 from gauge_envs.runs.rollout import DivergedError
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.tools.identify.logs import Log
-from gauge_envs.tools.identify.problem import CLOSE, LOST_RAD, SERVO_CLOSE, Problem
-from gauge_envs.tools.identify.rig import DYNAMICS, LIMIT, OFFSET, SERVO, Machine
-from gauge_envs.tools.identify.servo_laws import (
+from gauge_envs.scene.servo_friction import (
     DIRECTED,
     DIRECTED_STRIBECK,
     IN_ONE,
@@ -26,6 +23,9 @@ from gauge_envs.tools.identify.servo_laws import (
     SERVO_FRICTION,
     STRIBECK,
 )
+from gauge_envs.tools.identify.logs import Log
+from gauge_envs.tools.identify.problem import CLOSE, LOST_RAD, SERVO_CLOSE, Problem
+from gauge_envs.tools.identify.rig import DYNAMICS, LIMIT, OFFSET, SERVO, Machine
 
 FREE_PARTS_S, SERVO_PARTS_S = (0.6, np.inf), (5.0, 20.0)
 """Longest part of a log in both stages [s]; a servo forgets its start."""

@@ -55,6 +55,10 @@ def scene_mjcf_text(
         raise UnsupportedSceneError(
             f"{name}: MJCF cannot express the air around the cloth: write a USD layer, or export without air"
         )
+    if any(hinge.dynamics.servo for hinge in scene.hinges):
+        raise UnsupportedSceneError(
+            f"{name}: MJCF has no friction by rate and load: set frictionloss before each step"
+        )
     simulation = BackendMuJoCo().build(scene)
     lines = [*notes, *start_notes(simulation)]
     if scene.deformables:

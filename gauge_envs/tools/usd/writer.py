@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdPhysics, UsdShade, Vt
 
-from gauge_envs.errors import ParameterError, ResultFileError
+from gauge_envs.errors import ParameterError, ResultFileError, UnsupportedSceneError
 from gauge_envs.scene.bodies import (
     Attachment,
     BodyHinge,
@@ -747,6 +747,10 @@ def _set(schema: Any, name: str, kind: str, value: Any) -> Usd.Attribute:
 
 def _joint_terms(prim: Usd.Prim, hinge: Hinge | BodyHinge) -> None:
     """Write friction, armature and motor of a hinge."""
+    if hinge.dynamics.servo:
+        raise UnsupportedSceneError(
+            f"{prim.GetName()}: a USD layer has no friction by rate and load: leave it out, or state it in a task file"
+        )
     for field, name in DYNAMICS.items():
         if value := getattr(hinge.dynamics, field):
             prim.AddAppliedSchema("MjcJointAPI")

@@ -7,12 +7,12 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from gauge_envs.backends import backend
+from gauge_envs.scene.servo_friction import QUADRATIC_LOAD, TERMS, holding, rule
 from gauge_envs.tools.identify import Identified, Log, identify, one_joint
 from gauge_envs.tools.identify.fit import machine_of
 from gauge_envs.tools.identify.identified import Law
 from gauge_envs.tools.identify.laws import _contains
 from gauge_envs.tools.identify.rig import DYNAMICS
-from gauge_envs.tools.identify.servo_laws import QUADRATIC_LOAD, TERMS, holding, rule
 from gauge_envs.tools.identify.spread import pattern, sensor_noise_rad, spread_of
 from gauge_envs.tools.identify.stages import QUADRATIC, Fitter
 from gauge_envs.tools.identify.words import identified_document

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from gauge_envs.backends import backend
-from gauge_envs.errors import ParameterError, UnsupportedSceneError
+from gauge_envs.errors import ParameterError
 from gauge_envs.runs.rollout import DivergedError
 from gauge_envs.tools.identify import (
     Log,
@@ -433,12 +433,20 @@ def test_the_law_of_a_servo_is_chosen_by_prediction_and_pasted():
     assert found.held_out_rad["o"][0] == pytest.approx(error, rel=0.02)
 
 
-def test_a_law_of_servos_is_refused_by_engines_that_do_not_set_friction_in_each_step():
-    log = servo_log("one", 1)
-    nameless = Log("one", log.times_s, log.position_rad, log.command_rad)
-    for asked in ("M3", "load_friction"):
-        with pytest.raises(UnsupportedSceneError, match=f"{asked}: friction by rate and load"):  # fmt: skip
-            identify(backend("pybullet"), one_joint(1.0, 0.2), [nameless], [asked])
+def test_friction_by_load_is_that_of_mujoco_in_an_engine_without_such_a_term():
+    """Plain MuJoCo sets its dry friction before each step, Rapier gets a torque."""
+    pytest.importorskip("rapier3d")
+    times_s = np.arange(0.0, 0.6, 0.02)
+    log = Log("swing", times_s, np.zeros((times_s.size, 1)))
+    by_rate = {"stribeck_friction_n_m": 0.05, "stribeck_rate_rad_per_s": 0.5}
+    numbers = {"dry_friction_n_m": 0.05, "load_friction": 0.2, **by_rate}
+    step = {"timestep_s": 1.0 / 3600.0}
+    swings = []
+    for name in ("mujoco", "rapier"):
+        machine = machine_of(backend(name), one_joint(1.0, 0.2), log, [*numbers], step)
+        swings.append(machine.angles(log, [numbers], (np.ones(1), np.zeros(1))))
+    assert swings[0].min() < -0.1
+    assert swings[1] == pytest.approx(swings[0], abs=0.002)
 
 
 def test_an_armature_that_is_not_determined_is_left_out_however_far_it_is_from_the_model():

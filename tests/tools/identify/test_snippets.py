@@ -12,10 +12,10 @@ from scipy.spatial.transform import Rotation
 from gauge_envs.backends import backend
 from gauge_envs.scene import Hinge
 from gauge_envs.scene.motors import Servo
+from gauge_envs.scene.servo_friction import SERVO_FRICTION
 from gauge_envs.tools.bench.parts import ramp
 from gauge_envs.tools.identify import Log, one_joint
 from gauge_envs.tools.identify.rig import numbers, simulated, with_terms
-from gauge_envs.tools.identify.servo_laws import SERVO_FRICTION
 from gauge_envs.tools.identify.snippets import snippet_lines
 
 MASS_KG, LENGTH_M, G = 0.5, 0.2, 9.80665

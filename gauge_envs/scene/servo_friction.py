@@ -8,13 +8,16 @@ Duclusaud, Passault, Padois and Ly, "Extended Friction Models for the Physics Si
     M5  M2 + |lm m - le e| + s |lms m - les e|      M6  M5 + s q, against a load alone (m e < 0):
                                                         q = qe e^2 where |m| > |e|, else qm m^2
 
-Viscous friction is a number of its own in each. MuJoCo has no such term: what its dry friction can hold is set anew
-before each step, from the torques of the step before.
+Viscous friction is a number of its own in each. No engine has such a term: what friction can hold is set anew before
+each step.
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from math import exp
 from typing import NamedTuple
+
+from gauge_envs.scene.geometry import NonNegative
 
 STRIBECK = ("stribeck_friction_n_m", "stribeck_rate_rad_per_s", "stribeck_exponent")
 LOAD, LOAD_STRIBECK = "load_friction", "load_stribeck_friction"
@@ -40,6 +43,42 @@ IN_ONE = {
 }
 """Numbers of M5 and M6 that are one number in M4, which is so a case of both."""
 SERVO_FRICTION = tuple(dict.fromkeys(name for law in TERMS.values() for name in law))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ServoFriction:
+    """What the dry friction of a servo's joint gains with load and loses with its rate: M2 to M6 of this module.
+
+    Attributes:
+        stribeck_friction_n_m: Friction at rest beside the dry one [N m].
+        stribeck_rate_rad_per_s: The rate r [rad/s]; 0 leaves out all that a rate takes away.
+        stribeck_exponent: The exponent a, at most 10.
+        load_friction: The share l of the load.
+        load_stribeck_friction: The share ls.
+        motor_load_friction: The share lm of the motor's torque.
+        external_load_friction: The share le of all other torques.
+        motor_load_stribeck_friction: The share lms.
+        external_load_stribeck_friction: The share les.
+        motor_load_squared_per_n_m: The factor qm [1/(N m)].
+        external_load_squared_per_n_m: The factor qe [1/(N m)].
+    """
+
+    stribeck_friction_n_m: NonNegative = 0.0
+    stribeck_rate_rad_per_s: NonNegative = 0.0
+    stribeck_exponent: NonNegative = 1.0
+    load_friction: NonNegative = 0.0
+    load_stribeck_friction: NonNegative = 0.0
+    motor_load_friction: NonNegative = 0.0
+    external_load_friction: NonNegative = 0.0
+    motor_load_stribeck_friction: NonNegative = 0.0
+    external_load_stribeck_friction: NonNegative = 0.0
+    motor_load_squared_per_n_m: NonNegative = 0.0
+    external_load_squared_per_n_m: NonNegative = 0.0
+
+    def holding(self, dry_n_m: float) -> "Holding":
+        """Return what friction can hold beside a dry friction [N m]; see `holding`."""
+        return holding(asdict(self), dry_n_m) or (lambda rate, m, e: dry_n_m)
+
 
 Holding = Callable[[float, float, float], float]
 """Torque that friction can hold [N m], from the rate [rad/s] and the torques m and e [N m]."""
