@@ -12,6 +12,7 @@ import pytest
 from gauge_envs.backends import backend
 from gauge_envs.errors import ParameterError
 from gauge_envs.runs.rollout import DivergedError
+from gauge_envs.scene.servo_friction import STRIBECK
 from gauge_envs.tools.identify import (
     Log,
     Setting,
@@ -438,7 +439,7 @@ def test_friction_by_load_is_that_of_mujoco_in_an_engine_without_such_a_term():
     pytest.importorskip("rapier3d")
     times_s = np.arange(0.0, 0.6, 0.02)
     log = Log("swing", times_s, np.zeros((times_s.size, 1)))
-    by_rate = {"stribeck_friction_n_m": 0.05, "stribeck_rate_rad_per_s": 0.5}
+    by_rate = dict(zip(STRIBECK, (0.05, 0.5, 1.0), strict=True))
     numbers = {"dry_friction_n_m": 0.05, "load_friction": 0.2, **by_rate}
     step = {"timestep_s": 1.0 / 3600.0}
     swings = []
