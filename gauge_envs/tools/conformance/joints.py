@@ -69,7 +69,7 @@ def _scene(
     seconds: float,
     gravity: float = 0.0,
     motor: Motor | None = None,
-    **terms: float,
+    **terms: Any,
 ) -> Scene:
     joint: dict[str, Any] = {"dynamics": JointDynamics(**terms), "motor": motor}
     hinges = (
