@@ -258,8 +258,8 @@ def option(**attributes):
 
 
 def fault(rows, plant, robots=EVERY):
-    """Return a class of mistakes; two sides tell most of them."""
-    names = [f"robot-{name}" for name in (*rows.split(), "sides")]
+    """Return a class of mistakes; two sides, or the middle one, tell most of them."""
+    names = [f"robot-{name}" for name in (*rows.split(), "sides", "alike")]
     return Fault((*names, "gravity"), robots, plant)
 
 

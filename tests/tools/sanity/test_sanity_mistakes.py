@@ -12,6 +12,7 @@ from more_faults import GOOD, LATER, MISTAKES, biped_xml
 
 from gauge_envs.tools.sanity.model import Verdict
 from gauge_envs.tools.sanity.phenomena import ROBOT_IDS
+from gauge_envs.tools.sanity.robot.alike import factors
 from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
 from gauge_envs.tools.sanity.robot.whole_rows import outside
 from gauge_envs.tools.sanity.stacks import dialect
@@ -69,7 +70,7 @@ def names(case):
         ("quadruped, a command of half a range", "robot-command"),
         ("hand, a servo of speed", "robot-command"),
         ("biped, two swapped motors", "robot-command"),
-        ("arm, a link of ten times its mass", "robot-density"),
+        ("arm, a link of ten times its mass", "robot-alike"),
         ("arm, a filter", "robot-delay"),
         ("arm, a range without the pose", "robot-stops"),
         ("arm, a range of degrees as radians", "robot-range"),
@@ -104,6 +105,26 @@ def test_a_difference_of_two_sides_is_that_of_their_numbers():
         0.0, abs=1e-9
     )
     assert robot_row("robot-sides", robot_of(changed)).configured == pytest.approx(0.2)
+
+
+def test_a_number_is_compared_alone_and_over_what_it_grows_with():
+    """A gain of ten times the others is no mistake where its motor has ten times their torque."""
+    gains, torques = np.array([2.0, 2.0, 2.0, 2.0, 20.0]), np.array([1.0, 1, 1, 1, 10])
+    assert factors(gains, [torques]) == pytest.approx(np.ones(5))
+    assert factors(gains, [torques[::-1]])[4] == pytest.approx(10.0)
+    assert factors(1.0 / gains, [torques[::-1]])[4] == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize(("toes_m", "is_wrong"), [(0.16, True), (-0.16, False)])
+def test_a_knee_that_bends_towards_the_toes_is_wrong(toes_m, is_wrong):
+    """The foot lies ahead of the ankle, or behind it: the same ranges bend the wrong way, or the right one."""
+    spec = mujoco.MjSpec.from_string(biped_xml())
+    for side in ("left", "right"):
+        knee = spec.joint(f"{side}_knee")
+        knee.range = -np.array(knee.range)[::-1]
+        spec.body(f"{side}_foot").geoms[0].pos[0] = toes_m
+    remark = robot_row("robot-balance", robot_of(spec.to_xml())).remark
+    assert remark.startswith("towards the toes bends left_knee") == is_wrong
 
 
 def test_an_oblique_axis_is_unlike_those_of_the_copies():

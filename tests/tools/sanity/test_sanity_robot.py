@@ -185,26 +185,10 @@ def test_torque_damping_friction_and_armature_are_ratios_to_the_limb():
     text = good_xml()
     found = rows_of(text)
     robot = read(text).robot
-    data = mujoco.MjData(robot.model)
-    mujoco.mj_resetDataKeyframe(robot.model, data, 0)
-    mujoco.mj_forward(robot.model, data)
-    # The limb of a hip weighs on it by the lever of its centre of mass, and the lowest ratio is the row.
-    torques = []
-    for leg in ("FL", "FR", "RL", "RR"):
-        body = robot.model.body(f"{leg}_thigh").id
-        lever = data.subtree_com[body] - data.joint(f"{leg}_hip").xanchor
-        torques.append(abs(robot.model.body_subtreemass[body] * G * lever[0]))
-    knee = max(
-        abs(
-            robot.model.body_subtreemass[b]
-            * G
-            * (data.subtree_com[b] - data.joint(f"{leg}_knee").xanchor)[0]
-        )
-        for leg in ("FL", "RL")
-        for b in [robot.model.body(f"{leg}_calf").id]
-    )
+    # The strongest joint of a leg holds a quarter of the weight at a quarter of the height.
+    load_n = robot.mass_kg * G / 4
     assert found["robot-torque"].configured == pytest.approx(
-        40.0 / max(*torques, knee), rel=1e-3
+        40.0 / (load_n * robot.standing.height_m / 4), rel=1e-3
     )
     assert found["robot-damping"].configured == pytest.approx(3.0 * 0.5 / 40.0)
     assert found["robot-frictionloss"].configured == pytest.approx(0.2 / 40.0)
@@ -233,6 +217,7 @@ def test_the_cure_of_an_armature_is_what_the_motor_of_each_heavy_joint_can_turn(
 
 def test_springs_gain_energy_beyond_the_longest_stable_step():
     sprung = good_xml().replace("<joint armature", '<joint stiffness="300" armature')
+    sprung = sprung.replace('kv="2"', 'kv="0"')
     short, long = (
         row(
             "robot-energy", sprung.replace('timestep="0.002"', f'timestep="{step_s}"')

@@ -21,7 +21,7 @@ ORDER = (
     *("robot-size", "robot-density", "robot-bound", "robot-visual-mass"),
     *("robot-inertia", "robot-gravcomp", "robot-medium"),
     *("robot-range", "robot-unlimited", "robot-command", "robot-mirror"),
-    *("robot-sides", "robot-overlap"),
+    *("robot-sides", "robot-alike", "robot-overlap"),
     *("robot-stops", "robot-coupling"),
     *("robot-feet", "robot-friction", "robot-torsion", "robot-floor-friction"),
     *("floor-tilt", "robot-level", "robot-balance"),
@@ -187,7 +187,8 @@ def harm(before: Behaviour, after: Behaviour, remedy: Remedy, name: str = "") ->
         name: Row that is mended.
     """
     for other in ORDER:
-        if other in (name, STATED_ANYWAY.get(name)):
+        if other in (name, STATED_ANYWAY.get(name), "robot-alike"):
+            # Gains of one joint may change beside those of the others.
             continue
         if _is_worse(before.row(other), after.row(other)):
             return f"{other} gets worse, {_change_text(before, after, other)}"

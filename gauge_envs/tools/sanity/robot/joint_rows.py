@@ -1,6 +1,6 @@
 """Judge what drives and brakes the joints of a model."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -16,7 +16,9 @@ from gauge_envs.tools.sanity.robot.finding import (
     name_of,
     of_elements,
     row,
+    standing_of,
 )
+from gauge_envs.tools.sanity.robot.ground_rows import limbs_of
 from gauge_envs.tools.sanity.robot.joints import (
     FEW_JOINTS,
     driven_dofs,
@@ -48,8 +50,8 @@ LEAST_RAD_PER_S2, FAIR_RAD_PER_S2 = 100.0, 1000.0
 MOST_RAD_PER_S2 = 2e5
 """The largest one: four times that of makers' models, and more than the bare rotor of a servo motor [rad/s^2]."""
 
-UNLIMITED_SHARE = 0.25
-"""Share of joints without a largest torque up to which they are exceptions: makers state it for all, 2 of 3 or none."""
+EXCEPTIONS_SHARE = 0.25
+"""Share of joints without a largest torque or a rotor up to which they are exceptions: makers leave it out in more."""
 
 SAME_ANGLE = 0.05
 """Difference from 1 up to which a command counts as the angle of its joint."""
@@ -104,6 +106,8 @@ def _torque(robot: Robot) -> Finding:
     at_start = robot.is_floating
     bias_nm = np.abs(start(robot).qfrc_bias) if at_start else largest_weights_nm(robot)
     weights_nm = {dof: float(bias_nm[dof]) for dof in limits_nm}
+    if at_start:
+        weights_nm |= _leg_weights_nm(robot, limits_nm)
     ratios = {
         dof: min(limit / max(weights_nm[dof], 1e-3), 1e6)
         for dof, limit in limits_nm.items()
@@ -111,7 +115,7 @@ def _torque(robot: Robot) -> Finding:
     unlimited = [dof for dof in driven if dof not in limits_nm]
     if unlimited and min(ratios.values(), default=1.0) >= 1.0:
         names = first_joints(robot, unlimited)
-        is_common = len(unlimited) > UNLIMITED_SHARE * len(driven)
+        is_common = len(unlimited) > EXCEPTIONS_SHARE * len(driven)
         return Finding(
             value=np.inf,
             parts=by_joint(robot, ratios | dict.fromkeys(unlimited, np.inf)),
@@ -132,6 +136,15 @@ def _torque(robot: Robot) -> Finding:
         remark=f"{joint}: {limits_nm[weakest]:.3g} Nm against {weights_nm[weakest]:.3g} Nm",
         advice=f"a forcerange of {joint} and joints like it from {fair_nm:.2g} Nm on",
     )
+
+
+def _leg_weights_nm(robot: Robot, limits_nm: Mapping[int, float]) -> dict[int, float]:
+    """Return what the strongest joint of each leg must hold: the load of a foot at a quarter of the height [Nm]."""
+    standing, dofs_body = standing_of(robot), robot.model.dof_bodyid
+    feet, needed_nm = set(standing.feet), 0.125 * leg_nm(robot)
+    legs = [set(limb) for limb in limbs_of(robot) if feet & set(limb)]
+    several = [[dof for dof in limits_nm if int(dofs_body[dof]) in leg] for leg in legs]
+    return {max(leg, key=limits_nm.__getitem__): needed_nm for leg in several if leg}
 
 
 @row("robot-stiffness")
@@ -325,13 +338,13 @@ def _rotor(robot: Robot) -> Finding:
         several += f"by {limits_nm[dof] / armatures[dof]:.2g} rad/s^2"
     share = len(without_rotor) / len(armatures)
     parts = by_joint(robot, dict.fromkeys(without_rotor, 1.0))
-    if not stated and not fast:
+    if share > EXCEPTIONS_SHARE and not fast:
         # Half of the makers' models state none at all.
         return Finding(
             value=share,
             parts=parts,
             remark=several,
-            advisory="no joint of the model states the inertia of its rotor",
+            advisory="joints of the model state no inertia of their rotor",
         )
     if not stated:
         return Finding(

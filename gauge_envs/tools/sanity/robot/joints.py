@@ -213,8 +213,9 @@ def dof_of(robot: Robot, actuator: int) -> int:
 
 def motors_of(robot: Robot) -> list[int]:
     """Return actuators on hinges that count as driven."""
-    joints = robot.model.actuator_trnid[:, 0]
-    return np.flatnonzero(np.isin(joints, driven_joints(robot))).tolist()
+    model = robot.model
+    is_driven = np.isin(model.actuator_trnid[:, 0], driven_joints(robot))
+    return np.flatnonzero(is_driven & acts_on_joints(model)).tolist()
 
 
 def position_servos(robot: Robot) -> list[int]:

@@ -24,9 +24,6 @@ FAR_CENTRE = 0.5
 It is 0 in 36 of 38 models of makers, and 0.26 in the Tiago of robosuite.
 """
 
-HEAVY = 9.0
-"""Density of a link over the middle one of a robot beyond which it is wrong: at most 6.2 in 28 models of makers."""
-
 UNIT_ERRORS = {
     1e3: "a density in g/cm^3 or a mass in tonnes",
     1e-3: "a mass in grams",
@@ -40,7 +37,7 @@ UNIT_WITHIN = 35.0
 """Factor within which a density in another unit is that of water."""
 
 
-def _extent(robot: Robot, body: int) -> Vector:
+def extent(robot: Robot, body: int) -> Vector:
     """Return the largest volume of a geom of a body, that of their hull [m^3], and the reach from its centre [m].
 
     Joints of the next links belong to the hull. All are NaN for a body whose shape is not known.
@@ -94,7 +91,7 @@ def _density(robot: Robot) -> Finding:
     low, high = limits_of("robot-density")
     for body in robot.bodies:
         mass_kg = float(model.body_mass[body])
-        geom_m3, hull_m3, _ = _extent(robot, body)
+        geom_m3, hull_m3, _ = extent(robot, body)
         if not (mass_kg > MASSLESS_KG and geom_m3 > 0.0):
             continue
         # The largest density that its largest geom allows, and the least one in the room around all of them [kg/m^3].
@@ -120,16 +117,6 @@ def _density(robot: Robot) -> Finding:
                 geom = max(geoms_of(robot, body), key=lambda g: model.geom_rbound[g])
                 advice += f", or give {geom_name(model, geom)} its size"
             found = Finding(value=density, remark=remark, advice=advice)
-    if worst <= 1.0 and densities:
-        name = max(densities, key=densities.__getitem__)
-        ratio = densities[name] / float(np.median(list(densities.values())))
-        if ratio > HEAVY:
-            densities[name] = np.inf
-            found = Finding(
-                value=np.inf,
-                remark=f"{name} is {ratio:.2g} times as dense as the middle one of the links",
-                advice=f"give {name} the mass and inertia of the real part",
-            )
     return replace(found, changes=changes, parts=densities)
 
 
@@ -167,8 +154,11 @@ def _gravcomp(robot: Robot) -> Finding:
     model = robot.model
     lifted = [body for body in robot.bodies if model.body_gravcomp[body]]
     heavy = [body for body in robot.bodies if model.body_mass[body] > MASSLESS_KG]
-    if not robot.is_floating and len(lifted) in (0, len(heavy)):
-        return Finding(declined="a controller of a fixed base may carry all its links")
+    # A controller carries all that one link of a fixed base carries.
+    beyond = [b for b in heavy if b not in lifted and model.body_parentid[b] in lifted]
+    is_arm = not beyond and len(lifted) != 1
+    if not robot.is_floating and (is_arm or len(lifted) == len(heavy)):
+        return Finding(declined="a controller of a fixed base may carry its arm")
     share = float(
         (model.body_gravcomp * model.body_mass)[robot.bodies].sum() / robot.mass_kg
     )
@@ -194,7 +184,7 @@ def _inertia(robot: Robot) -> Finding:
     # Of a screen or a frame beside it nothing depends.
     least_kg = 1e-5 * robot.mass_kg
     for body in robot.bodies:
-        mass_kg, reach_m = float(robot.model.body_mass[body]), _extent(robot, body)[2]
+        mass_kg, reach_m = float(robot.model.body_mass[body]), extent(robot, body)[2]
         if not (mass_kg > max(MASSLESS_KG, least_kg) and reach_m > 0.0):
             continue
         low_m, high_m = _box(robot, body)

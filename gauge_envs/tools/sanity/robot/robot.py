@@ -64,6 +64,12 @@ LENGTHS_OF = (
 )
 """Attributes of a spec that are lengths, behind the kind of their element."""
 
+CHANGED_ARRAYS = (
+    "dof_armature",
+    *("actuator_gainprm", "actuator_biasprm", "actuator_forcerange"),
+)
+"""Arrays of the model that a row may change in a copy."""
+
 OPTIONS = {"integrator": INTEGRATORS, "cone": CONES, "solver": SOLVERS}
 
 JOINT_TRANSMISSIONS = (
@@ -111,7 +117,7 @@ class Robot:
     def without(self, *features: str) -> mujoco.MjModel:
         """Return a copy of the model with some features switched off, valid until the next call.
 
-        Options and armatures of the copy may be changed. There is one copy, as meshes make copies slow.
+        Options and `CHANGED_ARRAYS` of the copy may be changed. There is one copy, as meshes make copies slow.
         """
         model, option = self._trial_model, self._trial_model.opt
         for name in ("gravity", "wind"):
@@ -120,7 +126,8 @@ class Robot:
             setattr(option, name, getattr(self.model.opt, name))
         for feature in features:
             option.disableflags |= disable_bit(feature)
-        model.dof_armature[:] = self.model.dof_armature
+        for name in CHANGED_ARRAYS:
+            getattr(model, name)[:] = getattr(self.model, name)
         return model
 
     @cached_property
@@ -449,28 +456,42 @@ def couplings_of(model: mujoco.MjModel) -> NDArray[np.bool_]:
 
 
 def swapped_motors(model: mujoco.MjModel) -> dict[int, int]:
-    """Return the joint that the name of a motor says, by the motor, where it acts on another one.
+    """Return the joint on which a motor should act, by the motor, where it acts on another one.
 
-    Names fit by the share of their words. Where they say another joint for more than half of all, they say nothing.
+    Names fit by the share of their words. Where they say no joints, the order says them: makers list motors in that of
+    the joints, so that two alone out of order are swapped.
     """
     motors = np.flatnonzero(acts_on_joints(model)).tolist()
     joints = model.actuator_trnid[motors, 0].tolist()
-    said = [_words(model.actuator(motor).name) for motor in motors]
-    driven = [_words(model.joint(joint).name) for joint in joints]
+    said = _distinct([model.actuator(motor).name for motor in motors])
+    driven = _distinct([model.joint(joint).name for joint in joints])
     fits = 1e-6 * np.eye(len(joints))
     for place in np.ndindex(fits.shape):
         one, other = said[place[0]], driven[place[1]]
         fits[place] += len(one & other) / max(len(one | other), 1)
     _, best = linear_sum_assignment(fits, maximize=True)
+    several = zip(said, (driven[place] for place in best), strict=True)
+    if not all(
+        one and other and (one <= other or other <= one) for one, other in several
+    ):
+        best = np.argsort(joints)
+        if len(joints) < FEW_MOTORS or (best != np.arange(len(joints))).sum() != 2:
+            return {}
     moved = np.flatnonzero(best != np.arange(len(joints))).tolist()
     if 2 * len(moved) > len(joints):
         return {}
     return {motors[place]: joints[best[place]] for place in moved}
 
 
-def _words(name: str) -> set[str]:
-    """Return the words and numbers of a name."""
-    return set(re.findall("[a-z]+|[0-9]+", name.lower()))
+FEW_MOTORS = 4
+"""Motors from which on two out of the order of their joints are an exception."""
+
+
+def _distinct(names: list[str]) -> list[set[str]]:
+    """Return the words and numbers of each name that not all of them have."""
+    words = [set(re.findall("[a-z]+|[0-9]+", name.lower())) for name in names]
+    common = set.intersection(*words) if len(words) > 1 else set()
+    return [one - common for one in words]
 
 
 def grasp_kinds(model: mujoco.MjModel, pairs: ContactPairs) -> NDArray[np.int_]:

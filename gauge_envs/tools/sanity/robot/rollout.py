@@ -65,7 +65,7 @@ class HoldMotion:
 
     Attributes:
         diverged_s: Time at which the state diverged [s]; infinite when it did not.
-        height_ratio: Height of its first body above the ground at the end, over that at the start; NaN on a fixed base.
+        height_ratio: Height of its centre of mass at the end, over that at the start; NaN on a fixed base.
         load_shares: Share of the weight on each of its bodies that touch the ground, late in the motion.
         saturations: Mean torque over its limit of each driven degree of freedom, late in the motion.
         slip_mm_per_s: Mean speed of its feet along the ground, late in the motion [mm/s].
@@ -108,7 +108,7 @@ def hold_pose(robot: Robot, slope_deg: float = 0.0) -> HoldMotion:
     if standing is not None:
         soles = [geoms[0] for geoms in standing.feet.values()]
         ground_m = min(float(point[2]) for point in standing.support_m.values())
-        start_height_m = float(data.xpos[standing.body] @ up) - ground_m
+        start_height_m = float(data.subtree_com[standing.body] @ up) - ground_m
     soles_before_m = np.zeros((len(soles), 3))
     torques_nm = np.zeros(model.nv)
     loads_n: dict[int, float] = {}
@@ -137,7 +137,7 @@ def hold_pose(robot: Robot, slope_deg: float = 0.0) -> HoldMotion:
     weight_n = robot.mass_kg * gravity_m_per_s2
     height_ratio, slip_m = np.nan, 0.0
     if standing is not None:
-        end_height_m = float(data.xpos[standing.body] @ up) - ground_m
+        end_height_m = float(data.subtree_com[standing.body] @ up) - ground_m
         height_ratio = end_height_m / max(start_height_m, 1e-6)
         slips_m = np.linalg.norm(data.geom_xpos[soles] - soles_before_m, axis=-1)
         slip_m = float(slips_m.mean())
@@ -282,7 +282,10 @@ def _overlap(robot: Robot) -> Finding:
 
 @row("robot-energy")
 def _energy(robot: Robot) -> Finding:
-    bare = robot.without("contact", "actuation", "limit", "equality")
+    bare = robot.without("contact", "limit", "equality")
+    # Of servos the damping is left, without the limit that makes it a switch.
+    bare.actuator_gainprm[:], bare.actuator_biasprm[:, :2] = 0.0, 0.0
+    bare.actuator_forcerange[:] = [-1e9, 1e9]
     bare.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_ENERGY)
     data, values = start(robot, bare), []
     moving = slice(6 if robot.is_floating else 0, None)
@@ -304,6 +307,8 @@ def _energy(robot: Robot) -> Finding:
 
 SWING_RAD = 0.1
 """Swing of a joint for which dry friction counts as damping [rad]."""
+
+NO_ROTOR = "no joint of the model states the inertia of its rotor"
 
 STEP_RAD, STEP_S = 0.3, 1.0
 """Step of a servo's command, and the time for which it is watched."""
@@ -374,6 +379,10 @@ def _lag(robot: Robot) -> Finding:
             continue
         halves_ms[dof] = half_ms
         ratio = max(low_ms / max(half_ms, 1e-9), half_ms / high_ms)
+        is_bare = half_ms < low_ms and not robot.model.dof_armature.any()
+        if is_bare:
+            # Advice hides no servo that is too slow.
+            ratio = 1.0
         if ratio <= worst:
             continue
         worst, name = ratio, joint_name(robot, dof)
@@ -386,6 +395,7 @@ def _lag(robot: Robot) -> Finding:
             value=half_ms,
             remark=f"{name}: {response_text(*servo_responses(robot)[dof])}",
             advice=f"{advice}, for {name} and servos like it",
+            advisory=NO_ROTOR if is_bare else "",
         )
     return replace(found, parts=by_joint(robot, halves_ms))
 

@@ -1,6 +1,7 @@
 """All rows on a robot: each module adds its functions to `ROWS` as it is imported."""
 
 from gauge_envs.tools.sanity.robot import (
+    alike,
     ground_rows,
     joint_rows,
     mass_rows,
@@ -13,6 +14,7 @@ from gauge_envs.tools.sanity.robot.finding import ROWS
 
 __all__ = [
     "ROWS",
+    "alike",
     "ground_rows",
     "joint_rows",
     "mass_rows",

@@ -209,6 +209,8 @@ def odd_copies(robot: Robot) -> Iterator[tuple[int, int, str, float]]:
     centres_m = model.body_ipos[bodies] - model.jnt_pos[joints]
     links = [known["mass"][bodies], known["inertia"][bodies]]
     links.append(np.linalg.norm(centres_m, axis=1))
+    # A link of another place that weighs the same by chance is no copy.
+    links.append(np.array([_depth(model, int(joint)) for joint in joints], float))
     is_copy = np.all([apart(one) <= SAME for one in links], axis=0)
     np.fill_diagonal(is_copy, False)
     driven = {n: one[dofs] for n, one in known.items() if n not in OF_LINKS}
@@ -249,7 +251,13 @@ def differences(robot: Robot, pair: MirrorPair) -> Iterator[tuple[str, float]]:
     is_odd = len(others) >= FEW_PAIRS and others.count(pair.cosine > 0.0) == 0
     yield "direction of command", float(is_odd)
     yield "centre of mass", float(np.linalg.norm(pair.centres_apart_m)) / size_m
+    couplings = couplings_of(model)
+    followers = {*model.eq_obj1id[couplings], *model.eq_obj2id[couplings]}
+    # Of two fingers that a coupling closes, one has the motor.
+    follows = bool(followers & {pair.joint, pair.other})
     for name, values in quantities(robot).items():
+        if follows and name in OF_MOTORS:
+            continue
         places = model.jnt_bodyid if name in OF_LINKS else model.jnt_dofadr
         both = values[places[[pair.joint, pair.other]]]
         difference = float(apart(both)[0, 1])
@@ -259,6 +267,9 @@ def differences(robot: Robot, pair: MirrorPair) -> Iterator[tuple[str, float]]:
 
 OF_LINKS = frozenset({"mass", "inertia", "collisions", "friction"})
 """Quantities of links; the others are of joints."""
+
+OF_MOTORS = frozenset({"kp", "damping", "largest torque"})
+"""Quantities that a joint has through its motor."""
 
 
 @once

@@ -18,6 +18,7 @@ from gauge_envs.tools.sanity.robot.finding import (
     by_joint,
     joint_name,
     limits_of,
+    name_of,
     row,
     standing_of,
 )
@@ -28,6 +29,7 @@ from gauge_envs.tools.sanity.robot.ground_rows import (
     pair_name,
 )
 from gauge_envs.tools.sanity.robot.joints import driven_dofs, start
+from gauge_envs.tools.sanity.robot.knees import wrong_knees
 from gauge_envs.tools.sanity.robot.mass_rows import SIGNS, box_corners
 from gauge_envs.tools.sanity.robot.mujoco_feet import (
     first_moving_body,
@@ -50,6 +52,12 @@ GIVE_STEPS = 14
 
 STOP_RAD_PER_S2 = 100.0
 """Acceleration that a stop takes up at most: that of a strong motor [rad/s^2]."""
+
+LEAST_TIP_M = 0.0025
+"""Size below which a geom is a point of a larger pad; MuJoCo's default torsional friction of 5 mm fits it [m]."""
+
+LYING_DEG = 90.0
+"""Lean of a robot that lies [degrees]; what a knee that bends the wrong way counts."""
 
 LYING_SHARE = 0.2
 """Height of the centre of mass over the size of a robot below which it lies; 0.5 of a standing one."""
@@ -189,6 +197,7 @@ def _torsion(robot: Robot) -> Finding:
         two = pairs.geoms[number].tolist()
         parts = [geom for geom in two if int(model.geom_bodyid[geom]) in robot.bodies]
         reach_m = min(float(model.geom_rbound[geom]) or np.inf for geom in parts or two)
+        reach_m = max(reach_m, LEAST_TIP_M)
         lever = max(torsion_m, rolling_m) / max(reach_m, 1e-6)
         names = pair_name(robot, number)
         levers[names] = lever
@@ -470,8 +479,17 @@ def _level(robot: Robot) -> Finding:
 @row("robot-balance")
 def _balance(robot: Robot) -> Finding:
     standing = standing_of(robot)
-    _two_feet(robot)
+    limbs = _two_feet(robot)
     data = start(robot)
+    if knees := [knee for limb in limbs for knee in wrong_knees(robot, limb, limbs)]:
+        names = " and ".join(name_of(robot, knee) for knee in knees)
+        return Finding(
+            # Two of them are worse than one.
+            value=LYING_DEG * len(knees),
+            parts=dict.fromkeys((name_of(robot, knee) for knee in knees), LYING_DEG),
+            remark=f"towards the toes bends {names}",
+            advice=f"the axis and the signs of the range of {names}",
+        )
     points = []
     ground = min(float(point[2]) for point in standing.support_m.values())
     for geoms in standing.feet.values():

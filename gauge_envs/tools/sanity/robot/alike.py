@@ -1,0 +1,153 @@
+"""Judge whether what a robot states of each joint and link is of the size of its others."""
+
+from collections.abc import Iterator, Mapping, Sequence
+
+import mujoco
+import numpy as np
+
+from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.tools.sanity.robot.finding import Finding, body_name, joint_name, row
+from gauge_envs.tools.sanity.robot.joints import (
+    driven_dofs,
+    largest_weights_nm,
+    start,
+)
+from gauge_envs.tools.sanity.robot.mass_rows import MASSLESS_KG, extent
+from gauge_envs.tools.sanity.robot.robot import Robot
+from gauge_envs.tools.sanity.robot.sides import quantities
+
+FACTORS: Mapping[str, float] = {
+    **dict.fromkeys(("mass", "damping", "frictionloss", "armature", "kp"), 6.0),
+    "largest torque": 6.0,
+    "inertia": 12.0,
+}
+"""Largest factor between a joint or a link and the middle one of its robot, by quantity, from makers' models."""
+
+OF_DRIVES: Mapping[str, Sequence[str]] = {
+    "damping": ("largest torque", "kp"),
+    "frictionloss": ("largest torque", "kp", "weight"),
+    "armature": ("largest torque", "kp", "limb"),
+    "kp": ("largest torque", "weight", "limb"),
+    "largest torque": ("weight", "limb", "kp", "armature"),
+}
+"""Quantities of joints, and what they grow with from joint to joint."""
+
+OF_LINKS: Mapping[str, Sequence[str]] = {
+    "mass": ("volume", "geom"),
+    "inertia": ("rod", "cube", "bulk"),
+}
+"""Quantities of links, and what they grow with: of the same mass in its reach, in its volume, and of its density."""
+
+FEW_PARTS = 4
+"""Joints or links from which on a middle one says what the others are."""
+
+FEW_WITHOUT = 0.2
+"""Share of joints without damping up to which they have lost it; of dry friction, makers leave some out."""
+
+
+def factors(values: FloatArray, scales: Sequence[FloatArray]) -> FloatArray:
+    """Return by which factor each value is off the middle one, below 1 for a smaller one; NaN where it is not finite.
+
+    It is the factor nearest to 1 of those of the values alone and over each scale, and 1 where these disagree.
+
+    Args:
+        values: Values of the parts of a robot, shape [count].
+        scales: What the values grow with from part to part, shape [count] each.
+    """
+    several = []
+    for scale in (np.ones(len(values)), *scales):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            logs = np.log(values) - np.log(scale)
+        logs[~np.isfinite(logs)] = np.nan
+        if np.isfinite(logs).sum() >= FEW_PARTS:
+            several.append(logs - np.nanmedian(logs))
+    if not several:
+        return np.full(len(values), np.nan)
+    every = np.array(several)
+    above = np.fmin.reduce(every).clip(min=0.0)
+    below = np.fmax.reduce(every).clip(max=0.0)
+    found: FloatArray = np.exp(above + below)
+    return found
+
+
+def _drives(robot: Robot) -> tuple[list[str], dict[str, FloatArray]]:
+    """Return the names and the quantities of driven hinges with limits: wheels and bases have other motors."""
+    model = robot.model
+    is_limited = model.jnt_limited[model.dof_jntid] != 0
+    dofs = [dof for dof in driven_dofs(robot) if is_limited[dof]]
+    inertia = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, start(robot), inertia)
+    known = quantities(robot) | {
+        "limb": np.diag(inertia) - model.dof_armature,
+        "weight": largest_weights_nm(robot),
+    }
+    names = [joint_name(robot, dof) for dof in dofs]
+    named = {*OF_DRIVES, "limb", "weight"}
+    return names, {name: known[name][dofs] for name in named}
+
+
+def _links(robot: Robot) -> tuple[list[str], dict[str, FloatArray]]:
+    """Return the names and the quantities of links whose shape is known."""
+    model = robot.model
+    rooms = {body: extent(robot, body) for body in robot.bodies}
+    bodies = [
+        body
+        for body, (room_m3, _, far_m) in rooms.items()
+        if model.body_mass[body] > MASSLESS_KG and room_m3 > 0.0 and far_m > 0.0
+    ]
+    mass_kg = model.body_mass[bodies]
+    geom_m3 = np.array([rooms[body][0] for body in bodies])
+    volume_m3 = np.array([max(rooms[body][:2]) for body in bodies])
+    reach_m = np.array([rooms[body][2] for body in bodies])
+    return [body_name(robot, body) for body in bodies], {
+        "mass": mass_kg,
+        "inertia": model.body_inertia[bodies].sum(axis=1),
+        "volume": volume_m3,
+        "geom": geom_m3,
+        "rod": mass_kg * reach_m**2,
+        "cube": mass_kg * volume_m3 ** (2 / 3),
+        "bulk": mass_kg ** (5 / 3),
+    }
+
+
+def unlike(robot: Robot) -> Iterator[tuple[str, str, float]]:
+    """Yield a quantity, a joint or link, and by which factor it is off the middle one; 0 where it alone has none."""
+    for (names, known), grows in (
+        (_drives(robot), OF_DRIVES),
+        (_links(robot), OF_LINKS),
+    ):
+        for quantity, scales in grows.items():
+            values = known[quantity]
+            if len(values) < FEW_PARTS:
+                continue
+            several = factors(values, [known[scale] for scale in scales])
+            without = values == 0.0
+            if quantity == "damping" and without.mean() <= FEW_WITHOUT:
+                several = np.where(without, 0.0, several)
+            for name, factor in zip(names, several.tolist(), strict=True):
+                if np.isfinite(factor):
+                    yield quantity, name, factor
+
+
+@row("robot-alike")
+def _alike(robot: Robot) -> Finding:
+    parts: dict[str, float] = {}
+    words: dict[str, str] = {}
+    for quantity, name, factor in unlike(robot):
+        part = f"{quantity} of {name}"
+        off = factor if factor > 1.0 else 1.0 / max(factor, 1e-12)
+        parts[part] = off / FACTORS[quantity] if factor else np.inf
+        side = f"{factor:.2g} times" if factor > 1.0 else f"1/{off:.2g} of"
+        words[part] = f"{part} is {side} the middle one" if factor else f"no {part}"
+    if not parts:
+        return Finding(
+            declined=f"fewer than {FEW_PARTS} links, or hinges with a motor and limits"
+        )
+    worst = max(parts, key=parts.__getitem__)
+    is_off = parts[worst] > 1.0
+    return Finding(
+        value=parts[worst],
+        parts=parts,
+        remark=words[worst] if is_off else "",
+        advice=f"is {worst} in the unit of the others, and that of its part?",
+    )
