@@ -95,7 +95,7 @@ def test_worlds_start_as_single_environments_do():
         ("BouncingBall-rubber", True),
         ("Turntable-1-wood", True),
         pytest.param("WallBreaking-wood", True, marks=pytest.mark.slow),
-        ("Pendulum-metal", False),
+        ("Pendulum-metal", True),
     ],
 )
 @pytest.mark.parametrize("speed", [0.0, 0.01], ids=["still", "pushed"])

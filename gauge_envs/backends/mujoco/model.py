@@ -343,11 +343,12 @@ def _add_hinge(
     settings: SettingsMuJoCo,
 ) -> None:
     """Add the joint of a hinged body, which has the name of the body."""
+    anchor_m, axis = hinge_in_body(body, hinge)
     joint = frame.add_joint(
         type=mujoco.mjtJoint.mjJNT_HINGE,
         name=body.name,
-        pos=body.pose.to_body(np.asarray(hinge.anchor_m)),
-        axis=body.pose.rotation.apply(np.asarray(hinge.axis), inverse=True),
+        pos=anchor_m,
+        axis=axis,
         frictionloss=hinge.dynamics.dry_friction_n_m,
         damping=[
             hinge.dynamics.viscous_friction_n_m_s_per_rad,
@@ -374,6 +375,16 @@ def _add_hinge(
             STIFF_IMPEDANCE,
             [max(2.0 * settings.timestep_s, 1e-3), 1.0],
         )
+
+
+def hinge_in_body(
+    body: RigidBody, hinge: Hinge | BodyHinge
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the anchor [m] and the axis of a hinge in the frame of its body, each of shape [3]."""
+    return (
+        body.pose.to_body(np.asarray(hinge.anchor_m)),
+        np.asarray(hinge.axis) @ body.pose.matrix,
+    )
 
 
 def _volumes_m3(shape: ConvexUnion | Compound) -> list[float]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable, Mapping, Sequence
-from math import cos, sin
+from math import cos, hypot, sin
 from typing import Any, Protocol
 
 import mujoco
@@ -22,6 +22,7 @@ from gauge_envs.backends.mujoco.grips import GripReader
 from gauge_envs.backends.mujoco.line import LinePartMuJoCo
 from gauge_envs.backends.mujoco.model import (
     START_KEY,
+    hinge_in_body,
     rotated_back,
     start_velocities,
 )
@@ -43,6 +44,10 @@ NO_CLOCK = ctypes.cast(
 )
 """A function of C that returns a constant. In Python MuJoCo reads a clock dozens of times in each step, for the timers
 of `MjData`: a fifth to a third of a step of a few rigid bodies (studies/cost)."""
+
+
+UNIT_LENGTH = 1e-14
+"""Largest deviation of an axis from length 1 that MuJoCo's compiler leaves as it is."""
 
 
 class SimulationMuJoCo(Simulation):
@@ -131,30 +136,46 @@ class SimulationMuJoCo(Simulation):
     def start_at(self, scene: Scene) -> bool:
         """Place free bodies elsewhere in the compiled model; see `Simulation.start_at`.
 
-        Scenes with hinges or deformable bodies are built anew: MuJoCo's compiler rounds the axes of hinges differently.
+        Scenes with hinges between bodies or with deformable bodies are built anew.
         The editable model, and the centre and extent of MuJoCo's own pictures, stay those of the first start.
         """
         model = self.model
         is_scaled = self.settings.get("inverse_weight_scale", 1.0) != 1.0
-        if self._fixes_start or is_scaled or scene.hinges or scene.deformables:
+        # The compiler normalizes an axis of another length, with bits of its own.
+        is_rounded = any(
+            abs(hypot(*hinge.axis) - 1.0) > UNIT_LENGTH for hinge in scene.hinges
+        )
+        is_built_anew = scene.body_hinges or scene.deformables or is_rounded
+        if self._fixes_start or is_scaled or is_built_anew:
             return False
         moved = bodies_elsewhere(self._scene, scene)
         velocities = start_velocities(scene, model)
         if moved is None or velocities.any() != bool(model.nkey):
             return False
+        hinges = hinges_by_body(scene)
         for body in moved:
-            joint = model.joint(body.name)
+            first = model.joint(body.name)
             quaternion = np.array(body.pose.quaternion)
             mujoco.mju_normalize4(quaternion)
-            start = np.concatenate([body.pose.position_m, quaternion])
-            joint.qpos0[:] = joint.qpos_spring[:] = start
-            index = int(joint.bodyid[0])
-            model.body_pos[index], model.body_quat[index] = start[:3], start[3:]
+            index = int(first.bodyid[0])
+            model.body_pos[index] = body.pose.position_m
+            model.body_quat[index] = quaternion
+            hinge = hinges.get(body.name)
+            if hinge is None:
+                start = np.concatenate([body.pose.position_m, quaternion])
+                first.qpos0[:] = first.qpos_spring[:] = start
+            else:
+                anchor_m, axis = hinge_in_body(body, hinge)
+                # A second joint is the play of the first.
+                joints = slice(first.id, first.id + int(model.body_jntnum[index]))
+                model.jnt_pos[joints], model.jnt_axis[joints] = anchor_m, axis
         # What follows from the start, such as inverse weights.
         mujoco.mj_setConst(model, self.data)
         model.key_qpos[:] = model.qpos0
         self._start_velocities[:] = velocities
         self._scene = scene
+        # That of a hinged body keeps its start.
+        self._readers.clear()
         self._origin = _origin(self.settings, scene)
         self.reset(0)
         return True
