@@ -8,20 +8,18 @@
 `models` lists the cases and compiles their models. `run` needs a package index: it runs `gauge backend versions` on the
 cases of a model, or on all, and prints what `cases.csv` has of them. `checks` runs the scenes of `checks.py` in all
 releases of the package index since 2.3.7, with `--pre` in candidates too, and writes table and badge. `engines` runs
-those of `engines.py` in releases of other engines that `engines.csv` lacks.
+those of `engines.py` in releases of other engines that `engines.csv` lacks, with `--new` in the newest of each, and
+writes table and badges.
 """
 
 import csv
 import json
 import os
 import re
-import shutil
 import subprocess
 import sys
-import venv
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import gymnasium
 import mujoco
@@ -33,6 +31,7 @@ from gauge_envs.tools.versions.environments import (
     released_versions,
     version_key,
 )
+from studies.what_changed import engine_releases
 
 HERE = Path(__file__).parent
 
@@ -107,6 +106,8 @@ def found(row: dict[str, str]) -> dict[str, str]:
 
 
 # --- checks by release -----------------------------------------------------------------------------------------------
+
+COMMITS = "https://github.com/google-deepmind/mujoco/commit/"
 
 RESULTS, BADGE = HERE / "checks.csv", HERE / "badge.json"
 
@@ -201,6 +202,18 @@ def badge() -> dict[str, int | str]:
     }
 
 
+def checks(*words: str) -> None:
+    """Run the checks in releases of MuJoCo, and write their table and badge."""
+    measure(*words)
+    write_page()
+
+
+def engines(*words: str) -> None:
+    """Run the scenes in releases of other engines, and write their table and badges."""
+    engine_releases.measure_engines(*words)
+    engine_releases.write_page()
+
+
 def write_page() -> None:
     """Write the table of the note, and the badge."""
     page = HERE / "README.md"
@@ -242,120 +255,20 @@ def table() -> str:
                 value = "0" if small else f"{value:.3g}"
             releases = first if first == last else f"{first} to {last}"
             cells.append(f"{releases}: {value}")
-        words = (row["title"], row["truth"], "; ".join(cells), row["changelog"])
+        changelog = re.sub(r"\((\w{8,9})\)", rf"([\1]({COMMITS}\1))", row["changelog"])
+        words = (row["title"], row["truth"], "; ".join(cells), changelog)
         lines.append(f"| {' | '.join(words)} |".replace("|  |", "| |"))
     return "\n".join(lines)
 
 
-# --- other engines ---------------------------------------------------------------------------------------------------
-
-ENGINES = HERE / "engines.csv"
-
-
-BESIDE = {"genesis-world": ["torch==2.13.0"]}
-"""Packages that a release of an engine does not name."""
-
-
-DRAKE_OF_NUMPY_2 = (1, 34)
-"""First measured release of Drake that does not crash with NumPy 2."""
-
-
-def beside(requirement: str) -> list[str]:
-    """Return the packages that are installed with a release of an engine."""
-    engine, _, version = requirement.partition("==")
-    # SAPIEN imports a module that later setuptools lack.
-    packages = ["setuptools<81", *BESIDE.get(engine, ["numpy"])]
-    if engine == "drake" and version_key(version) < DRAKE_OF_NUMPY_2:
-        packages.append("numpy<2")
-    if engine == "mujoco-warp":
-        # It states only the oldest MuJoCo that it runs with.
-        first, second = version.split(".")[:2]
-        packages.append(f"mujoco=={first}.{second}.*")
-    return packages
-
-
-def measure_engines(*requirements: str) -> None:
-    """Run the scenes of `engines.py` in releases of engines that `engines.csv` lacks, one after the other.
-
-    Each engine has an environment, which is removed afterwards; the file is written after each release, so that the
-    command goes on where it was stopped.
-    """
-    done = {row["release"] for row in engine_rows()}
-    wanted: dict[str, list[str]] = {}
-    for requirement in requirements:
-        if requirement not in done:
-            wanted.setdefault(requirement.partition("==")[0], []).append(requirement)
-    for engine, releases in wanted.items():
-        with TemporaryDirectory() as folder:
-            python = str(Path(folder) / "bin" / "python")
-            install = [python, "-m", "pip", "install", "-q", "--no-input"]
-            if uv := shutil.which("uv"):
-                install = [uv, "pip", "install", "-q", "--python", python]
-            venv.create(folder, with_pip=uv is None)
-            for requirement in releases:
-                packages = [requirement, *beside(requirement)]
-                command = [*install, "--only-binary", ":all:", *packages]
-                done_install = subprocess.run(
-                    command, capture_output=True, text=True, check=False
-                )
-                if done_install.returncode:
-                    print(f"{requirement}: {done_install.stderr.splitlines()[-1]}")
-                    continue
-                store(requirement, scene_numbers(python, engine))
-
-
-def scene_numbers(python: str, engine: str) -> dict[str, str]:
-    """Return the number of each scene in the installed release of an engine, or why it has none."""
-    command = [python, str(HERE / "engines.py"), engine]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    if done.returncode:
-        lines = done.stderr.splitlines() or [f"exit code {done.returncode}"]
-        return dict.fromkeys(scene_titles(), lines[-1][:200])
-    found = json.loads(done.stdout.splitlines()[-1])
-    return {
-        name: f"{value:.4g}" if isinstance(value, float) else value
-        for name, value in found.items()
-    }
-
-
-def scene_titles() -> dict[str, str]:
-    """Return the title of each scene of other engines, in the order of the table."""
-    with (HERE / "scenes.csv").open(encoding="utf-8", newline="") as stream:
-        return {row["scene"]: row["title"] for row in csv.DictReader(stream)}
-
-
-def store(requirement: str, values: dict[str, str]) -> None:
-    """Write the numbers of a release beside those of the others, the oldest of an engine first."""
-    rows = [*engine_rows(), {"release": requirement} | values]
-    order = list(dict.fromkeys(row["release"].partition("==")[0] for row in rows))
-    rows.sort(key=lambda row: engine_key(row["release"], order))
-    with ENGINES.open("w", encoding="utf-8", newline="") as stream:
-        writer = csv.DictWriter(stream, list(rows[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
-
-
-def engine_key(release: str, order: Sequence[str]) -> tuple[int, tuple[int, ...]]:
-    """Return what releases of engines sort by."""
-    engine, _, version = release.partition("==")
-    return order.index(engine), version_key(version)
-
-
-def engine_rows() -> list[dict[str, str]]:
-    """Return the stored number of each scene by release."""
-    if not ENGINES.is_file():
-        return []
-    with ENGINES.open(encoding="utf-8", newline="") as stream:
-        return list(csv.DictReader(stream))
+COMMANDS: dict[str, Callable[..., None]] = {
+    "models": show_models,
+    "run": run,
+    "checks": checks,
+    "engines": engines,
+}
+"""What the first argument does with the others."""
 
 
 if __name__ == "__main__":
-    if sys.argv[1:] == ["models"]:
-        show_models()
-    elif sys.argv[1] == "engines":
-        measure_engines(*sys.argv[2:])
-    elif sys.argv[1] == "checks":
-        measure(*sys.argv[2:])
-        write_page()
-    else:
-        run(*sys.argv[2:])
+    COMMANDS[sys.argv[1]](*sys.argv[2:])

@@ -210,6 +210,7 @@ def _checked_files(out: Sequence[Path] | None) -> dict[str, Path]:
 def _print_report(
     report: Report, form: ReportFormat, files: Mapping[str, Path]
 ) -> None:
+    from gauge_envs.backends.mujoco.versions import SPARSE_FAULT
     from gauge_envs.pages.document import Document, Paragraph, Tone, save_file
     from gauge_envs.tools.sanity.formats import WRITERS
     from gauge_envs.tools.sanity.model import UNREAD
@@ -225,7 +226,7 @@ def _print_report(
         unread = [
             Paragraph(f"note: {n}", Tone.WARNING)
             for n in report.configuration.notes
-            if n.startswith(UNREAD)
+            if n.startswith(UNREAD) or SPARSE_FAULT in n
         ]
         shown = Document(
             parts=(line, *unread), rows=shown.rows, markdown=shown.markdown

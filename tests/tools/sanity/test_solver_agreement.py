@@ -7,8 +7,10 @@ import gymnasium
 import mujoco
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from gauge_envs.backends.mujoco.model_settings import contact_pairs
+from gauge_envs.cli.app import app
 from gauge_envs.tools.assets.build import assets_folder
 from gauge_envs.tools.sanity.robot.finding import ROWS
 from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
@@ -215,3 +217,11 @@ def test_a_sparse_file_of_the_user_warns_under_the_faulty_release(
 
 def sparse_text():
     return f'MuJoCo {FAULTY} solves some sparse models wrongly: set <option jacobian="dense"/>'
+
+
+def test_a_check_without_flags_names_the_faulty_release(monkeypatch, tmp_path):
+    monkeypatch.setattr(mujoco, "__version__", FAULTY)
+    file = tmp_path / "pile.xml"
+    file.write_text(pile(2, 0, 0), encoding="utf-8")
+    told = CliRunner().invoke(app, ["sanity", str(file), "--only", "robot-stops"])
+    assert "note: " + sparse_text() in " ".join(told.output.split())

@@ -13,6 +13,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+import yaml
 from places import ROOT
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
@@ -34,7 +35,7 @@ from gauge_envs.tools.versions.returns import compare_returns
 from gauge_envs.tools.versions.sides import are_motions, read_side
 from gauge_envs.tools.versions.subject import read_states, read_subject
 from gauge_envs.tools.versions.words import CANNOT_TELL, comparison_document
-from studies.what_changed import checks, what_changed
+from studies.what_changed import checks, engine_releases, what_changed
 
 SCENE = """<mujoco><option timestep="0.004"/><worldbody><geom name="floor" type="plane" size="3 3 1"/>
 <body name="box" pos="0 0 0.0999"><freejoint/><geom name="box" type="box" size="0.1 0.1 0.1"/></body>
@@ -744,6 +745,44 @@ def test_the_note_has_the_checks_by_release():
     page = (ROOT / "studies" / "what_changed" / "README.md").read_text(encoding="utf-8")
     assert what_changed.table() in page
     assert json.loads(what_changed.BADGE.read_text()) == what_changed.badge()
+
+
+def test_a_release_of_an_engine_is_in_table_and_badge(tmp_path, monkeypatch):
+    """Planted: a release of Drake in which a box on a slope rests, as in 1.37."""
+    page = (ROOT / "studies" / "what_changed" / "README.md").read_text(encoding="utf-8")
+    assert engine_releases.table() in page
+    before = engine_releases.badges()
+    for engine, badge in before.items():
+        file = engine_releases.HERE / f"badge_{engine}.json"
+        assert json.loads(file.read_text(encoding="utf-8")) == badge
+    copied = tmp_path / "engines.csv"
+    copied.write_bytes(engine_releases.RESULTS.read_bytes())
+    monkeypatch.setattr(engine_releases, "RESULTS", copied)
+    row = next(
+        one for one in engine_releases.results() if one["release"] == "drake==1.51.1"
+    )
+    engine_releases.store("drake==1.60.0", row | {"slide": "0"})
+    monkeypatch.setattr(
+        engine_releases,
+        "released_versions",
+        lambda engine, *_, **__: ["1.51.1", "1.60.0", "1.61.0"],
+    )
+    assert "drake==1.61.0" in engine_releases.new_releases(has_candidates=False)
+    assert "**1.60.0**: 0" in engine_releases.table()
+    after = engine_releases.badges()["drake"]
+    assert after["label"] == "Drake 1.60.0"
+    count = int(before["drake"]["message"].split()[0])
+    assert after["message"] == f"{count - 1} of 5 scenes"
+
+
+def test_the_workflow_of_releases_runs_commands_of_the_study():
+    text = (ROOT / ".github" / "workflows" / "releases.yml").read_text("utf-8")
+    steps = yaml.safe_load(text)["jobs"]["measure"]["steps"]
+    words = [step["run"].split() for step in steps if "studies" in step.get("run", "")]
+    run = [line[2:] for line in words if line[0] == "python"]
+    assert [line[0] for line in run] == ["studies.what_changed.what_changed"] * 2
+    assert [line[1] for line in run] == ["checks", "engines"]
+    assert set(what_changed.COMMANDS) >= {"checks", "engines"}
 
 
 def test_the_badge_counts_the_checks_of_the_newest_release(monkeypatch):

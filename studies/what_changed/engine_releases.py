@@ -1,0 +1,226 @@
+"""Run the scenes of `engines.py` in releases of engines other than MuJoCo; write their table and badges."""
+
+import csv
+import json
+import re
+import shutil
+import subprocess
+import sys
+import venv
+from collections.abc import Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from gauge_envs.tools.versions.environments import (
+    Environment,
+    released_versions,
+    version_key,
+)
+
+HERE = Path(__file__).parent
+RESULTS = HERE / "engines.csv"
+
+TITLES = {
+    "rapier3d": "Rapier",
+    "sapien": "SAPIEN",
+    "pybullet": "PyBullet",
+    "mujoco-warp": "mujoco-warp",
+    "newton": "Newton",
+    "drake": "Drake",
+    "genesis-world": "Genesis",
+}
+"""Title of the engine of each package, in the order of the table."""
+
+MOVED = 0.02
+"""Difference of a number, over the larger one, that is a move; numbers below `small` in `scenes.csv` are 0."""
+
+DRAKE_OF_NUMPY_2 = (1, 34)
+"""First release of Drake that is run with NumPy 2, which crashes 1.30 and earlier."""
+
+
+def beside(requirement: str) -> list[str]:
+    """Return the packages that are installed with a release of an engine, which does not state them or their limits."""
+    engine, _, version = requirement.partition("==")
+    # SAPIEN imports a module that later setuptools lack.
+    packages = ["numpy", "setuptools<81"]
+    if engine == "drake" and version_key(version) < DRAKE_OF_NUMPY_2:
+        packages[0] = "numpy<2"
+    if engine == "genesis-world":
+        packages.append("torch==2.13.0")
+    if engine == "mujoco-warp":
+        first, second = version.split(".")[:2]
+        packages.append(f"mujoco=={first}.{second}.*")
+    return packages
+
+
+def new_releases(*, has_candidates: bool) -> list[str]:
+    """Return the newest release of each engine, where it has no numbers yet."""
+    here = Environment("", Path(sys.executable))
+    done = {row["release"] for row in results()}
+    newest = []
+    for engine in TITLES:
+        versions = released_versions(engine, here, has_candidates=has_candidates)
+        newest.append(f"{engine}=={versions[-1]}")
+    return [requirement for requirement in newest if requirement not in done]
+
+
+def measure_engines(*words: str) -> None:
+    """Run the scenes in releases that `engines.csv` lacks, as `drake==1.37.0`; `--new`: the newest of each engine.
+
+    An engine has one environment, which is removed afterwards; the file is written after each release, so that the
+    command goes on where it was stopped.
+    """
+    requirements = [word for word in words if "==" in word]
+    if "--new" in words:
+        requirements += new_releases(has_candidates="--pre" in words)
+    done = {row["release"] for row in results()}
+    wanted: dict[str, list[str]] = {}
+    for requirement in requirements:
+        if requirement not in done:
+            wanted.setdefault(requirement.partition("==")[0], []).append(requirement)
+    for engine, releases in wanted.items():
+        with TemporaryDirectory() as folder:
+            python = str(Path(folder) / "bin" / "python")
+            install = [python, "-m", "pip", "install", "-q", "--no-input"]
+            if uv := shutil.which("uv"):
+                install = [uv, "pip", "install", "-q", "--python", python]
+            venv.create(folder, with_pip=uv is None)
+            for requirement in releases:
+                packages = [requirement, *beside(requirement)]
+                command = [*install, "--only-binary", ":all:", *packages]
+                made = subprocess.run(
+                    command, capture_output=True, text=True, check=False
+                )
+                if made.returncode:
+                    print(f"{requirement}: {made.stderr.splitlines()[-1]}")
+                    continue
+                store(requirement, scene_numbers(python, engine))
+
+
+def scene_numbers(python: str, engine: str) -> dict[str, str]:
+    """Return the number of each scene in the installed release of an engine, or why it has none."""
+    command = [python, str(HERE / "engines.py"), engine]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        lines = done.stderr.splitlines() or [f"exit code {done.returncode}"]
+        names = [scene["scene"] for scene in scenes()]
+        return dict.fromkeys(names, lines[-1][:200])
+    found = json.loads(done.stdout.splitlines()[-1])
+    return {
+        name: f"{value:.4g}" if isinstance(value, float) else value
+        for name, value in found.items()
+    }
+
+
+def store(requirement: str, values: dict[str, str]) -> None:
+    """Write the numbers of a release beside those of the others, the oldest of an engine first."""
+    rows = [*results(), values | {"release": requirement}]
+    order = list(TITLES)
+    rows.sort(key=lambda row: _key(row["release"], order))
+    with RESULTS.open("w", encoding="utf-8", newline="") as stream:
+        writer = csv.DictWriter(stream, list(rows[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def _key(release: str, order: Sequence[str]) -> tuple[int, tuple[int, ...]]:
+    engine, _, version = release.partition("==")
+    return order.index(engine), version_key(version)
+
+
+def rows_of(file: Path) -> list[dict[str, str]]:
+    """Return the rows of a table, by the names of its columns."""
+    with file.open(encoding="utf-8", newline="") as stream:
+        return list(csv.DictReader(stream))
+
+
+def results() -> list[dict[str, str]]:
+    """Return the stored number of each scene by release."""
+    return rows_of(RESULTS)
+
+
+def scenes() -> list[dict[str, str]]:
+    """Return the scenes with their titles and truths, in the order of the table."""
+    return rows_of(HERE / "scenes.csv")
+
+
+# --- table and badges ------------------------------------------------------------------------------------------------
+
+
+def is_same(one: str, two: str, small: float) -> bool:
+    """Return whether a number did not move, or a text is the same."""
+    try:
+        first, second = float(one), float(two)
+    except ValueError:
+        return one == two
+    largest = max(abs(first), abs(second))
+    return largest < small or abs(first - second) <= MOVED * largest
+
+
+def ranges(engine: str, scene: dict[str, str]) -> list[tuple[str, str, str]]:
+    """Return the releases between which a scene does not move: first, last, and the number at the last."""
+    found: list[tuple[str, str, str]] = []
+    for row in results():
+        name, _, version = row["release"].partition("==")
+        if name != engine:
+            continue
+        value = row[scene["scene"]]
+        if found and is_same(found[-1][2], value, float(scene["small"])):
+            found[-1] = (found[-1][0], version, value)
+        else:
+            found.append((version, version, value))
+    return found
+
+
+def table() -> str:
+    """Return the scenes as a table of a page; a bold release is one with which a number moved."""
+    changes = rows_of(HERE / "engine_changes.csv")
+    lines = ["| scene | truth | engine | number, by release |", "|---|---|---|---|"]
+    for scene in scenes():
+        start = f"| {scene['title']} | {scene['truth']} |"
+        for engine, title in TITLES.items():
+            cells = []
+            for first, last, value in ranges(engine, scene):
+                releases = first if first == last else f"{first} to {last}"
+                mark = f"**{releases}**" if cells else releases
+                here = (engine, scene["scene"], first)
+                for change in changes:
+                    place = (change["engine"], change["scene"], change["release"])
+                    if place == here:
+                        mark += f" ([{change['fact']}]({change['address']}))"
+                cells.append(f"{mark}: {value}")
+            if cells:
+                lines.append(f"{start} {title} | {'; '.join(cells)} |")
+                start = "| | |"
+    return "\n".join(lines)
+
+
+def badges() -> dict[str, dict[str, int | str]]:
+    """Return the badge of the newest release of each engine, as shields.io reads it."""
+    newest = {row["release"].partition("==")[0]: row for row in results()}
+    found: dict[str, dict[str, int | str]] = {}
+    for engine, row in newest.items():
+        met = []
+        for scene in scenes():
+            value = row[scene["scene"]]
+            if value != "no coefficient":
+                met.append(is_same(value, scene["truth"], float(scene["small"])))
+        found[engine] = {
+            "schemaVersion": 1,
+            "label": f"{TITLES[engine]} {row['release'].partition('==')[2]}",
+            "message": f"{sum(met)} of {len(met)} scenes",
+            "color": "brightgreen" if all(met) else "orange",
+        }
+    return found
+
+
+def write_page() -> None:
+    """Write the table of the note, and the badges, one for each engine."""
+    page = HERE / "README.md"
+    text = page.read_text(encoding="utf-8")
+    old = re.search(r"^\| scene \| truth .*?(?=\n\n)", text, re.DOTALL | re.MULTILINE)
+    assert old is not None
+    page.write_text(text.replace(old[0], table()), encoding="utf-8")
+    for engine, badge in badges().items():
+        file = HERE / f"badge_{engine}.json"
+        file.write_text(json.dumps(badge) + "\n", encoding="utf-8")
