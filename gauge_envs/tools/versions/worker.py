@@ -6,8 +6,8 @@ The process runs in the environment of the release, without this package. The jo
      "states": ["states.npz"], "out": "side"}
 
 With `run`, the model moves through its segments, and the states go to `OUT.run.npz`. Each state of the files `states`
-is computed for one step, from itself alone, and what was computed goes to `OUT.probe0.npz` and so on. With settings
-`exact` all is computed a second time with them, with the poses of geoms. `OUT.json` has the compiled model in words.
+is computed for one step, from itself alone, into `OUT.probe0.npz` and so on; with `exact`, settings, then again with
+these and the poses of geoms. `OUT.json` has the compiled model in words.
 """
 
 import json
@@ -87,9 +87,13 @@ MOST_DROPPED = 40
 """Attributes of a model file that a release may lack."""
 
 UNKNOWN = re.compile(
-    r"(unrecognized attribute|invalid keyword): '(\w+)'\s+Element '(\w+)', line (\d+)"
+    r"(unrecognized attribute|invalid keyword): '(\w+)'\s+Element '(\w*)', line (\d+)"
 )
 """MuJoCo's message on an attribute, or a value of one, that it does not know."""
+
+MISPLACED = re.compile(r"(\w+) is only available for .*\s+Element name '.*', id \d+")
+UNNAMED = r"unrecognized attribute: '\1' Element ''"
+"""Its message on an attribute that it knows for other actuators alone, and the same in the words of the first."""
 
 
 def without_unknown(path: Path, folder: Path) -> tuple[Any, list[str]]:
@@ -103,22 +107,21 @@ def without_unknown(path: Path, folder: Path) -> tuple[Any, list[str]]:
         try:
             return mujoco.MjModel.from_xml_path(str(file)), dropped
         except ValueError as error:
-            unknown = UNKNOWN.search(str(error))
+            unknown = UNKNOWN.search(MISPLACED.sub(UNNAMED, str(error)))
             text = file.read_text(encoding="utf-8")
             # An included file has lines of its own.
             if unknown is None or "<include" in text or len(dropped) >= MOST_DROPPED:
                 raise
             kind, word, element, line = unknown.groups()
         lines = text.splitlines(keepends=True)
-        begin = sum(map(len, lines[: int(line) - 1]))
-        begin = text.index("<" + element, begin)
+        begin = text.index("<" + element, sum(map(len, lines[: int(line) - 1])))
         stated = rf"\s{word}\s*=\s*(\"[^\"]*\"|'[^']*')"
         if kind == "invalid keyword":
             stated = rf"\s\w+\s*=\s*[\"']{word}[\"']"
         attribute = re.compile(stated).search(text, begin)
         if attribute is None:
             raise SystemExit(f"{element}: {word} is unknown to this release")
-        dropped.append(element + " " + attribute[0].strip())
+        dropped.append((element or "actuator") + " " + attribute[0].strip())
         text = text[: attribute.start()] + text[attribute.end() :]
         if file == path:
             text = with_absolute_folders(text, path)
@@ -250,8 +253,7 @@ def put(data: Any, state: Mapping[str, Any]) -> None:
 def taken(data: Any) -> dict[str, Any]:
     """Return the state of the data of a model."""
     state = {name: np.array(getattr(data, name)) for name in STATE}
-    state["time"] = data.time
-    return state
+    return state | {"time": data.time}
 
 
 def starts(model: Any, seed: int) -> Iterator[tuple[str, dict[str, Any], Any]]:
@@ -431,12 +433,10 @@ def saved_states(model: Any, job: Job, segment: int) -> Iterator[dict[str, Any]]
 
 def speeds(model: Any, data: Any) -> list[float]:
     """Return the speed of the frame of each body [m/s]."""
-    found, velocity = [], np.zeros(6)
-    for body in range(model.nbody):
-        kind = mujoco.mjtObj.mjOBJ_XBODY
+    kind, found = mujoco.mjtObj.mjOBJ_XBODY, np.zeros((model.nbody, 6))
+    for body, velocity in enumerate(found):
         mujoco.mj_objectVelocity(model, data, kind, body, velocity, 0)
-        found.append(float(np.linalg.norm(velocity[3:])))
-    return found
+    return [float(speed) for speed in np.linalg.norm(found[:, 3:], axis=1)]
 
 
 # --- one step from a given state -------------------------------------------------------------------------------------

@@ -572,6 +572,34 @@ def test_a_setting_that_a_release_lacks_is_left_out_and_listed(tmp_path):
     assert model.read_text(encoding="utf-8") == text
 
 
+class OfMuJoCo3:
+    """Reads models as MuJoCo 3.12: MuJoCo 4 writes `input` of all actuators."""
+
+    installed = mujoco.MjModel
+
+    @classmethod
+    def from_xml_path(cls, path):
+        if ' input="pos"' in Path(path).read_text(encoding="utf-8"):
+            raise ValueError(
+                "Error: input is only available for so3, pid and dcmotor actuators, actuator 'servo' (id = 0)\n"
+                "Element name 'servo', id 0, line 2"
+            )
+        return cls.installed.from_xml_string("<mujoco/>")
+
+
+def test_an_attribute_that_a_release_has_for_other_actuators_is_left_out(
+    tmp_path, monkeypatch
+):
+    (tmp_path / "made").mkdir()
+    model = tmp_path / "scene.xml"
+    servo = '<general name="servo" joint="hinge" input="pos" gainprm="80"/>'
+    text = f"<mujoco><actuator>\n{servo}\n</actuator></mujoco>"
+    model.write_text(text, encoding="utf-8")
+    monkeypatch.setattr(worker.mujoco, "MjModel", OfMuJoCo3)
+    _, dropped = worker.without_unknown(model, tmp_path / "made")
+    assert dropped == ['actuator input="pos"']
+
+
 # --- subjects --------------------------------------------------------------------------------------------------------
 
 
