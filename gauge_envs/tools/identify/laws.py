@@ -5,6 +5,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from scipy.stats import t as student
 
 from gauge_envs.backends.base import Backend
 from gauge_envs.backends.features import Feature
@@ -21,6 +22,9 @@ LAW_STEPS, LAW_CLOSE = 15, 3e-3
 
 AS_GOOD = 1.05
 """Error over that of the law that predicts best, up to which a law with fewer terms is as good."""
+
+ONE_SIGMA = 0.8413
+"""Share of a normal distribution below one standard deviation."""
 
 LAWS = {
     "dry": (DYNAMICS[0], DYNAMICS[2]),
@@ -115,6 +119,8 @@ def compare_laws(
         law, _, missed = compared[name]
         ratio = np.log(missed / compared[best][2])
         standard_error = ratio.std(ddof=1) / np.sqrt(ratio.size)
+        # Two predictions scatter by chance: the quantile of Student's t that is 1 of many.
+        standard_error *= student.ppf(ONE_SIGMA, ratio.size - 1)
         predicts = ratio.mean() <= max(standard_error, np.log(AS_GOOD))
         return bool(
             predicts and law.fitted_rad <= AS_GOOD * compared[best][0].fitted_rad
