@@ -62,9 +62,6 @@ MORE_PRESETS = {
 }
 """Presets beside the default one, which is the empty text, and `out_of_box`."""
 
-PAPER_STEP = {"timestep_s": 1 / 180, "drive_interval_s": 1 / 180}
-"""Settings beside MuJoCo's `out_of_box`, whose own step of 2 ms does not divide the interval of the environments."""
-
 SHORT_S = 5.0
 """Wall time below which an episode runs twice, for the faster time [s]."""
 
@@ -119,9 +116,7 @@ def name_of(engine: str, preset: str) -> str:
 
 def settings_of(engine: str, preset: str) -> dict[str, Any]:
     """Return the settings that select a preset."""
-    if not preset:
-        return {}
-    return {"preset": preset} | (PAPER_STEP if engine == "mujoco" else {})
+    return {"preset": preset} if preset else {}
 
 
 @cache
@@ -403,7 +398,11 @@ UNRANKED = (
     "slide-between",
     "rebound-flat",
     "crossed-edges",
+    "cloth-",
+    "air-",
     "foam-",
+    "rope-",
+    "rod-",
     "joint-",
     "grasp-",
     "torsion",
@@ -413,8 +412,8 @@ UNRANKED = (
 )
 """Checks of what no ranked experiment has.
 
-Slip in impacts, as that of the copies, rubbing, flat landings, edges, foam, joints, grasps, and chains and heaps of
-more than 40 degrees of freedom.
+Slip in impacts, as that of the copies, rubbing, flat landings, edges, deformable bodies, joints, grasps, and chains and
+heaps of more than 40 degrees of freedom.
 """
 
 

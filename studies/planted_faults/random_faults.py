@@ -64,7 +64,7 @@ COLUMNS = (
     "change_u",
     "id",
 )
-SEED = 61
+SEED = 62
 MOST_FRAMES = 120
 """Frames of an id that are run: a fault shows within 4 s, or is not counted."""
 SOFT = re.compile(r"^(cloth|air|foam|rope|rod|soft)-")
@@ -178,18 +178,14 @@ def _model(scene: Scene) -> dict[str, Any]:
 def draw(part: str, count: int) -> None:
     """Draw faults of held-out classes until a number of them counts, and write a row for each.
 
-    A class is drawn once, and no fault for which checks were written.
+    No class is drawn that any fault of the table has.
 
     Args:
         part: `rigid` or `deformable`.
         count: Faults that count, with those that have rows.
     """
     rows = _rows()
-    drawn = {
-        tuple(fault.split(":")[:2])
-        for (fault, _), row in rows.items()
-        if row["set"] == "held out"
-    }
+    drawn = {tuple(fault.split(":")[:2]) for fault, _ in rows}
     classes: dict[tuple[str, str], list[Generated]] = {}
     for one in _faults().values():
         if one.is_held_out and one.is_deformable == (part == "deformable"):
