@@ -56,6 +56,7 @@ class SimulationDrake(PlacedWorld, Simulation):
         self._state = self._model.start.copy()
         self._motions: dict[str, DrivenMotion] = {}
         self._wrenches: dict[str, NDArray[np.float64]] = {}
+        self._command = np.zeros(len(self._model.motors))
         self.placed = placed_states(self._scene)
         for body in self._scene.bodies:
             if body.motion is Motion.KINEMATIC:
@@ -67,7 +68,7 @@ class SimulationDrake(PlacedWorld, Simulation):
         self._context.SetDiscreteState(self._state)
         self._apply_forces()
         if self._model.plant.num_actuators():
-            self.command(np.zeros(len(self._model.motors)))
+            self.command(self._command)
 
     def _place(self, name: str, pose: Pose, velocity: NDArray[np.float64]) -> None:
         """Write the pose of a driven body to the state, and keep what `body_states` returns until the next step."""
@@ -95,6 +96,7 @@ class SimulationDrake(PlacedWorld, Simulation):
 
     def command(self, values: NDArray[np.float64]) -> None:
         """Set what the motors follow; see `World.command`."""
+        self._command = np.array(values, dtype=float)
         plant = self._model.plant
         torques, angles = (
             np.zeros(plant.num_actuators()),
@@ -189,23 +191,25 @@ class SimulationDrake(PlacedWorld, Simulation):
         )
 
     def state(self) -> Any:
-        """Return the plant's state, the driven motions, the states of placed bodies and the applied wrenches."""
+        """Return the plant's state, driven motions, states of placed bodies, applied wrenches and the command."""
         return (
             self._state.copy(),
             dict(self._motions),
             dict(self.placed),
             dict(self._wrenches),
+            self._command.copy(),
         )
 
     def restore(self, state: Any) -> None:
         """Restore a state."""
-        values, motions, placed, wrenches = state
+        values, motions, placed, wrenches, command = state
         self._state = values.copy()
         self._motions, self.placed, self._wrenches = (
             dict(motions),
             dict(placed),
             dict(wrenches),
         )
+        self._command = command.copy()
         self._load()
 
     def close(self) -> None:
