@@ -16,6 +16,7 @@ from gauge_envs.pages.document import (
 from gauge_envs.pages.table import Column, Facts, Place, Table
 from gauge_envs.pages.text import counted, quantity_text, vector_text, with_unit
 from gauge_envs.tools.sanity.model import (
+    INSIDE_WITHIN,
     PhenomenonResult,
     Reality,
     Report,
@@ -412,9 +413,10 @@ def regression_text(one: Regression) -> str:
     row = one.row
     value = with_unit(measured_text(one.value), row.unit)
     head = ", ".join(filter(None, (row.phenomenon, one.part)))
-    was = (
-        "not in the baseline" if one.before is None else f"{one.before:.3g} half-widths"
-    )
+    was = "not in the baseline"
+    if one.before is not None:
+        is_inside = one.before <= INSIDE_WITHIN
+        was = "inside" if is_inside else f"{one.before:.3g} half-widths"
     return f"{head}: {one.verdict.value}, {value}, {one.deviation:.3g} half-widths from reality; was {was}"
 
 

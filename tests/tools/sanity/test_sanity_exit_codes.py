@@ -157,7 +157,7 @@ def test_a_baseline_compares_values_with_their_intervals(
     assert outcome.exit_code == code
     if WORSE in rows and code:
         assert (
-            "period: visible, 1 mm/s, 2 half-widths from reality; was 1 half-widths"
+            "period: visible, 1 mm/s, 2 half-widths from reality; was inside"
             in outcome.stderr
         )
 

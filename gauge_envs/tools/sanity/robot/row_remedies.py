@@ -283,7 +283,9 @@ def _sides(robot: Robot) -> Iterator[Remedy]:
                 continue
             dofs = robot.model.jnt_dofadr[[wrong, right]]
             changes |= _adjusted(robot, quantity, int(dofs[0]), middle, changes)
-            words.append(f"{quantity} {middle:.3g} for {robot.model.joint(wrong).name}")
+            whole = " of joint and servo together" if quantity == "damping" else ""
+            name = robot.model.joint(wrong).name
+            words.append(f"{quantity}{whole} {middle:.3g} for {name}")
             fair_s = max(fair_s, _fair_step_s(robot, [int(dofs[1])]))
     if changes:
         yield Remedy(text=" and ".join(words), changes=changes, fair_step_s=fair_s)
