@@ -15,6 +15,7 @@ from typing import Any
 from gauge_envs.backends.registry import uninstalled_backend
 from gauge_envs.tools.leaderboard import check_leaderboard
 from gauge_envs.tools.leaderboard.submission import STATEMENT_FILE
+from scripts import board_hashes
 from scripts.generated import ROOT, Request
 
 BOARD = ROOT / "leaderboard"
@@ -76,3 +77,4 @@ def measure(request: Request) -> None:
         for configuration, settings in configurations(engine):
             folder = BOARD / engine / version(PACKAGES[engine]) / configuration
             submit(folder, statement(engine, configuration, settings))
+    board_hashes.write()

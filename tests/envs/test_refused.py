@@ -11,9 +11,12 @@ from together import Together
 
 import gauge_envs
 from gauge_envs import GaugeEnv
+from gauge_envs.backends import registry
+from gauge_envs.backends.mujoco import BackendMuJoCo
+from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
 from gauge_envs.envs.dm_env import load
 from gauge_envs.envs.vector import GaugeVectorEnv, ScoreEpisodes
-from gauge_envs.errors import ActionError, GaugeError, ParameterError
+from gauge_envs.errors import ActionError, BackendError, GaugeError, ParameterError
 from gauge_envs.runs.request import RunRequest
 
 SLIDE = "SlopeSlider-2-wood"
@@ -229,3 +232,64 @@ def test_a_damaged_task_file_is_named(tmp_path):
     path.write_text("family = ")
     with pytest.raises(gauge_envs.GaugeError, match=r"broken\.toml"):
         gauge_envs.load_task(path)
+
+
+def changed(place, value):
+    def change(states):
+        states[place] = value
+        return states
+
+    return change
+
+
+TWICE = "quaternion .* for 'cube', whose norm is 2, expected 1"
+BROKEN = [
+    ("body_states", lambda states: states.tolist(), "a list, expected an array"),
+    ("body_states", lambda states: states[:, :12], r"shape \[1, 12\].*\[1, 13\]"),
+    ("body_states", lambda states: states[:0], r"shape \[0, 13\]"),
+    ("body_states", lambda states: states[0], r"shape \[13\]"),
+    ("body_states", lambda states: states + 2j, r"complex128 values, as .*\+2j"),
+    ("body_states", lambda states: states.astype(int), "int64 values, as 0"),
+    ("body_states", lambda states: states.astype(object), "object values"),
+    ("body_states", changed((0, slice(3, 7)), 1.0), TWICE),
+    ("body_states", lambda states: {}["x"], "raised an error: KeyError: 'x'"),
+    ("fault", lambda found: 7, "returned 7, expected a text or None"),
+]
+"""A method of an engine, how its result is changed, and what is said."""
+
+
+@pytest.fixture
+def foreign(monkeypatch):
+    """MuJoCo counts as an engine of another package."""
+    monkeypatch.setattr(registry, "is_bundled", lambda name: False)
+    registry.backend.cache_clear()
+    yield
+    registry.backend.cache_clear()
+
+
+@pytest.mark.usefixtures("foreign")
+@pytest.mark.parametrize(("method", "change", "words"), BROKEN)
+def test_a_broken_engine_is_named_with_its_first_wrong_value(
+    method, change, words, monkeypatch
+):
+    right = getattr(SimulationMuJoCo, method)
+    wrong = lambda *arguments: change(right(*arguments))  # noqa: E731
+    monkeypatch.setattr(SimulationMuJoCo, method, wrong)
+    env = gymnasium.make(f"GAUGE/{SLIDE}")
+
+    def first_step():
+        env.reset()
+        env.step(0)
+
+    with pytest.raises(BackendError, match=f"backend 'mujoco': {method} .*{words}"):
+        first_step()
+
+
+@pytest.mark.usefixtures("foreign")
+def test_a_sound_engine_of_another_package_runs_as_ours():
+    env = gymnasium.make(f"GAUGE/{SLIDE}").unwrapped
+    env.reset()
+    ours = BackendMuJoCo().build(env.experiment.scene)
+    names = [body.name for body in env.experiment.scene.dynamic_bodies]
+    assert np.array_equal(env.simulation.body_states(names), ours.body_states(names))
+    assert worlds().reset()

@@ -414,19 +414,25 @@ def test_a_file_that_states_no_experiments_is_refused(gauge, board, text):
 # --- the workflow ---
 
 
+WORKFLOW = yaml.safe_load(
+    (ROOT / ".github" / "workflows" / "leaderboard.yml").read_text(encoding="utf-8")
+)
+
+
 def workflow_step(job, identity):
     """Return the commands of a step of the real workflow."""
-    workflow = (ROOT / ".github" / "workflows" / "leaderboard.yml").read_text()
-    steps = yaml.safe_load(workflow)["jobs"][job]["steps"]
+    steps = WORKFLOW["jobs"][job]["steps"]
     (step,) = (one for one in steps if one.get("id") == identity)
     return step["run"]
 
 
+HASHES = "scripts/board_hashes.py"
 COMMIT = "git add . && git -c user.name=a -c user.email=a@b commit -q -m text"
 
 
 def bash(commands, tree, **environment):
     """Run commands as the workflow does, in a folder."""
+    environment = WORKFLOW["env"] | environment
     path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
     return subprocess.run(
         ["bash", "-e", "-c", commands],
@@ -441,7 +447,10 @@ def bash(commands, tree, **environment):
 def committed(board, tree):
     """Return a repository with a copy of a leaderboard."""
     shutil.copytree(board, tree / "leaderboard", symlinks=True)
-    assert bash(f"git init -q && {COMMIT}", tree).returncode == 0
+    (tree / "scripts").mkdir()
+    shutil.copy(ROOT / HASHES, tree / "scripts")
+    begin = f"python {HASHES} write && git init -q && {COMMIT}"
+    assert bash(begin, tree).returncode == 0
     return tree
 
 
@@ -605,6 +614,59 @@ def fewer(board):
     (board / "board.toml").write_text('experiments = ["SlopeSlider-1-wood"]')
 
 
+def moved(board):
+    (folder_of(board) / ARCHIVE).rename(board / "kept.tar.xz")
+
+
+def twin_link(board):
+    folder_of(board, "link").symlink_to("default")
+
+
+def engine_link(board):
+    (board / "newton").symlink_to("mujoco")
+
+
+def own_hash(board):
+    """The list of hashes has that of the forged results."""
+    edit(folder_of(board) / ARCHIVE, forge_trajectory)
+    bash(f"python {HASHES} write", board.parent)
+
+
+def own_module(board):
+    (board.parent / "tomllib.py").write_text("def load(file): return {}")
+    reported(board)
+
+
+def own_attributes(board):
+    """What is checked out differs from what the pull request shows."""
+    text = "submission.toml working-tree-encoding=UTF-16\n"
+    (board / ".gitattributes").write_text(text)
+
+
+def option_as_package(board):
+    restated('package = "mujoco"', 'package = "-h"')(folder_of(board))
+
+
+def twice_in_archive(board):
+    """A second file of the same experiment has a better score."""
+    file = folder_of(board) / ARCHIVE
+    contents = read_archive(file)
+    result = json.loads(contents[SLIDER])
+    result["trajectory"]["samples"] = [[0.0, 0.0, 0.0]] * 9
+    write_archive(file, contents | {"results/z.json": json.dumps(result).encode()})
+
+
+def endless(board):
+    file = folder_of(board) / "submission.toml"
+    text = file.read_text(encoding="utf-8")
+    file.write_text(text.replace("{}", '{ timestep_s = "1e-9" }'), encoding="utf-8")
+
+
+def older_list(board):
+    (board / "computed.sha256").unlink()
+    edit(folder_of(board) / ARCHIVE, forge_trajectory)
+
+
 FORGERIES = {
     # The eighteen with which a board of submitted trajectories was deceived.
     "one result is the real mean, a frame late": (
@@ -665,6 +727,17 @@ FORGERIES = {
         lambda board: (folder_of(board) / ARCHIVE).unlink(),
         "void",
     ),
+    # Ten more.
+    "results moved away": (moved, "void"),
+    "a link to a submission": (twin_link, "red"),
+    "a link to an engine": (engine_link, "red"),
+    "the hash of forged results": (own_hash, "void"),
+    "a module beside the workflow": (own_module, "unranked"),
+    "another text in the checkout": (own_attributes, "void"),
+    "an option as a package": (option_as_package, "red"),
+    "an experiment twice": (twice_in_archive, "void"),
+    "a step that is a text": (endless, "red"),
+    "no hashes": (older_list, "void"),
 }
 """How a pull request forges a board, and what becomes of it: nothing (`void`), no merge (`red`), or what it states."""
 
@@ -699,6 +772,23 @@ def merged(tree, folders):
 @pytest.fixture(scope="module")
 def honest_rows(honest, tmp_path_factory):
     return ranked_rows(committed(honest, tmp_path_factory.mktemp("tree")))
+
+
+@needs_jq
+@pytest.mark.parametrize("is_reported", [False, True])
+def test_results_that_were_not_computed_here_do_not_count(
+    is_reported, honest, tmp_path
+):
+    """A run may fail after the merge, and a submission that was reported may be ranked by a later change."""
+    tree = committed(honest, tmp_path)
+    edit(folder_of(tree / "leaderboard") / ARCHIVE, forge_trajectory)
+    if is_reported:
+        reported(tree / "leaderboard")
+    assert merged(tree, []) == is_reported
+    assert (folder_of(tree / "leaderboard") / ARCHIVE).exists() == is_reported
+    if is_reported:
+        restated('"reported"', '"ranked"')(folder_of(tree / "leaderboard"))
+    assert not merged(tree, [])
 
 
 @needs_jq
