@@ -1,7 +1,8 @@
 """Measure the rows of `gauge sanity` on robots of makers: `python -m studies.robots.makers LIST.csv` writes robots.csv.
 
-LIST.csv has the columns source, version, model and path (of an MJCF file). Every second model, in the order of the
-list, chooses limits; the others judge them. Without a list the table of the note is printed from robots.csv.
+LIST.csv has the columns source, version, model, half and path (of an MJCF file). The half `chosen` chooses limits, and
+`judged` judges them. Without a list the table of the note
+is printed from robots.csv.
 """
 
 import csv
@@ -40,9 +41,9 @@ def measure(listing: Path) -> None:
     with TABLE.open("w", encoding="utf-8", newline="") as stream:
         writer = csv.DictWriter(stream, columns, lineterminator="\n")
         writer.writeheader()
-        for number, model in enumerate(models):
+        for model in models:
             values = measured(model.pop("path"))
-            writer.writerow(model | {"half": HALVES[number % 2]} | values)
+            writer.writerow(model | values)
             stream.flush()
 
 
