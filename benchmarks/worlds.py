@@ -233,7 +233,7 @@ def stub_engine() -> None:
 def _timed_engine(envs: Any) -> list[float]:
     """Count the time that the worlds of an environment advance in; returns the seconds in a list of one entry."""
     spent, depth = [0.0], [0]
-    separate = isinstance(envs.worlds.worlds[0], Simulation)
+    separate = envs.worlds.are_separate
     for one in envs.worlds.worlds if separate else [envs.worlds]:
         for call in ("advance", "sample_positions"):
             if hasattr(one, call):

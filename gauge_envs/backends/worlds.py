@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,9 +23,11 @@ class Worlds(ABC):
 
     Attributes:
         worlds: The instances, in the order of the scenes.
+        are_separate: Whether environments drive, advance and read each world on its own, and not all of them at once.
     """
 
     worlds: Sequence[World]
+    are_separate: ClassVar[bool] = False
 
     @abstractmethod
     def reset(self, seed: int) -> None:
@@ -145,6 +147,7 @@ class _SeparateWorlds(Worlds):
     """Simulations that run one after another, for engines without batched worlds."""
 
     worlds: Sequence[Simulation]
+    are_separate = True
 
     def __init__(self, simulations: Sequence[Simulation]) -> None:
         self.worlds = simulations

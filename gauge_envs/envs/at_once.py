@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from gauge_envs.backends.device import HOST, DeviceWorlds, HostArrays
 from gauge_envs.backends.registry import backend_for
 from gauge_envs.backends.shared.resampled import worlds_in_intervals
-from gauge_envs.backends.world import Simulation
 from gauge_envs.backends.worlds import Worlds
 from gauge_envs.envs.arguments import EnvArguments
 from gauge_envs.envs.divergence import DeformableBoundsOfWorlds, RigidBoundsOfWorlds
@@ -429,8 +428,7 @@ def episodes_in_lockstep(
         )
         for one, world in zip(experiments, worlds.worlds, strict=True)
     ]
-    shares_model = not any(isinstance(world, Simulation) for world in worlds.worlds)
     # Single-shot trials have a band each.
-    if not shares_model or experiments[0].trial is not None:
+    if worlds.are_separate or experiments[0].trial is not None:
         return EpisodesOneByOne(episodes, worlds)
     return EpisodesAtOnce(episodes, worlds)

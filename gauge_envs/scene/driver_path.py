@@ -9,7 +9,7 @@ import numpy as np
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.geometry import FloatArray, Pose
 from gauge_envs.scene.scene import Scene
-from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S
+from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
 
 PARTS = 8
 """Number of values of a command from which the mean of an interval is."""
@@ -45,15 +45,22 @@ class DriverPath:
         self.motion_count = len(driver.motions)
         self._driver = driver
         start = scene.body(driver.body).pose
-        self._starts = np.array([[*start.position_m, *start.quaternion]] * 2)
+        self._starts = np.array(
+            [[*start.position_m, *start.quaternion]] * (SAMPLES_PER_FRAME + 1)
+        )
         self._scale = np.array([motion.residual_rate for motion in driver.motions])
         self.offsets = np.zeros(self.motion_count)
         count = round((frame_count - 1) / FRAME_RATE_HZ / interval_s)
         self._path = _recorded_path(driver, start, count, interval_s)
+        # Intervals from a sample on in which an action stays the same, and the offsets at their ends.
+        self._first_sample = 0
+        self._action = self.offsets
+        self._ahead: tuple[Interval, ...] = ()
+        self._offsets_ahead: list[FloatArray] = []
 
     def reset(self) -> None:
         """Return to the recorded motion."""
-        self.offsets[:] = 0.0
+        self.offsets = np.zeros(self.motion_count)
 
     def interval(self, sample: int, action: FloatArray) -> Interval:
         """Return pose, velocity and acceleration of an interval for `World.drive`, and add the action's displacement.
@@ -64,17 +71,35 @@ class DriverPath:
         """
         if not self.offsets.any() and not action.any():
             return self._path[sample]
+        index = sample - self._first_sample
+        goes_on = (
+            0 <= index < len(self._ahead)
+            and np.array_equal(action, self._action)
+            and np.array_equal(self.offsets, self._offsets_ahead[index])
+        )
+        if not goes_on:
+            self._look_ahead(sample, action)
+            index = 0
+        self.offsets = self._offsets_ahead[index + 1]
+        return self._ahead[index]
+
+    def _look_ahead(self, sample: int, action: FloatArray) -> None:
+        """Compute the intervals of a frame with one action; one by one they take six times as long."""
         rates = action * self._scale
-        moved = self.offsets + rates * self.interval_s
-        times_s = np.array([sample, sample + 1]) * self.interval_s
+        offsets = [self.offsets]
+        for _ in range(SAMPLES_PER_FRAME):
+            offsets.append(offsets[-1] + rates * self.interval_s)
+        samples = np.arange(sample, sample + len(offsets), dtype=np.float64)
         states = self._driver.states(
             self._starts,
-            times_s,
-            np.array([self.offsets, moved]),
-            np.array([rates, rates]),
+            samples * self.interval_s,
+            np.array(offsets),
+            np.array([rates] * len(offsets)),
         )
-        self.offsets = moved
-        return _intervals(states, self.interval_s)[0]
+        self._first_sample = sample
+        self._action = np.array(action)
+        self._ahead = _intervals(states, self.interval_s)
+        self._offsets_ahead = offsets
 
 
 class DriverPathOfWorlds:
@@ -114,10 +139,12 @@ class DriverPathOfWorlds:
             ]
         )
         self.offsets = np.zeros((len(poses), self.motion_count))
+        self._ended: tuple[int, FloatArray, FloatArray] | None = None
 
     def reset(self) -> None:
         """Return to the recorded motion in all worlds."""
         self.offsets[:] = 0.0
+        self._ended = None
 
     def interval(self, sample: int, actions: FloatArray) -> FloatArray:
         """Return the motions of an interval for `Worlds.drive`, and add the displacements of the actions.
@@ -141,18 +168,29 @@ class DriverPathOfWorlds:
         if not len(moved):
             return rows
         starts, rates = self._starts[moved], actions[moved] * self._scale
-        before = self._driver.states(
-            starts, sample * SAMPLE_INTERVAL_S, self.offsets[moved], rates
-        )
+        before = self._end_of_last(sample, actions)
+        if before is None:
+            before = self._driver.states(
+                starts, sample * SAMPLE_INTERVAL_S, self.offsets[moved], rates
+            )
         self.offsets[moved] += rates * SAMPLE_INTERVAL_S
         after = self._driver.states(
             starts, (sample + 1) * SAMPLE_INTERVAL_S, self.offsets[moved], rates
         )
+        self._ended = (sample + 1, actions.copy(), after)
         rows = rows.copy()
         rows[moved] = np.concatenate(
             [before[:, :7], *_between(before, after, SAMPLE_INTERVAL_S)], axis=1
         )
         return rows
+
+    def _end_of_last(self, sample: int, actions: FloatArray) -> FloatArray | None:
+        """Return the states at the end of the last interval if this one goes on from it with the same actions."""
+        if self._ended is None:
+            return None
+        next_sample, last_actions, states = self._ended
+        goes_on = next_sample == sample and np.array_equal(last_actions, actions)
+        return states if goes_on else None
 
 
 class DriverPathInArrays:

@@ -20,7 +20,6 @@ runpy.run_module(f"studies.{sys.argv[0]}", run_name="__main__", alter_sys=True)
 """
 
 COMMANDS = {
-    "control_steps": "control_steps",
     "cost": "cost results",
     "coverage": "interval_coverage out.csv 'drop, 5 % outliers'",
     "joints": "pendulums",
@@ -34,11 +33,12 @@ COMMANDS = {
     "recipes": "hopping_plates",
     "robots": "makers",
     "scatter": "size_and_power NonsmoothContact-3-wood",
+    "steps": "steps SlopeSlider-1-wood",
     "what_changed": "what_changed models",
     "tosses": "cube_toss run mujoco out --every 400",
 }
-SLOW = {"control_steps", "coverage", "joints", "laws", "models"}
-SLOW |= {"planted_faults", "ranges", "scatter"}
+SLOW = {"coverage", "joints", "laws", "models"}
+SLOW |= {"planted_faults", "ranges", "scatter", "steps"}
 
 
 def test_every_study_has_a_command_of_a_script_and_its_note_names_all_scripts():

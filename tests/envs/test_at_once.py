@@ -4,11 +4,12 @@ import threading
 from dataclasses import replace
 
 import gymnasium
+import mujoco
 import numpy as np
 import pytest
 
 from benchmarks.worlds import measured
-from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
+from gauge_envs.backends.mujoco import worlds
 from gauge_envs.envs import stepper
 from gauge_envs.envs.at_once import EpisodesAtOnce
 from gauge_envs.envs.divergence import RigidBoundsOfWorlds
@@ -28,15 +29,16 @@ def zeros(envs):
 def test_worlds_in_threads_have_the_bits_of_one_thread(name, monkeypatch):
     """And the threads are used."""
     steps, used = {}, set()
-    advance = SimulationMuJoCo._step
+    advance = mujoco.mj_step
 
-    def noted(self, count):
+    def noted(*arguments, **keywords):
         used.add(threading.get_ident())
-        advance(self, count)
+        advance(*arguments, **keywords)
 
-    monkeypatch.setattr(SimulationMuJoCo, "_step", noted)
+    monkeypatch.setattr(mujoco, "mj_step", noted)
     for count in (1, 3):
-        monkeypatch.setattr(stepper, "processors", lambda count=count: count)
+        for module in (stepper, worlds):
+            monkeypatch.setattr(module, "processors", lambda count=count: count)
         used.clear()
         envs = gymnasium.make_vec(name, num_envs=3)
         envs.reset(seed=1)

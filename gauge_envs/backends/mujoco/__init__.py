@@ -1,7 +1,7 @@
 """MuJoCo backend, the default engine."""
 
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -19,9 +19,11 @@ from gauge_envs.backends.mujoco.versions import (
     without_absent,
     without_deformables,
 )
+from gauge_envs.backends.mujoco.worlds import WorldsMuJoCo
 from gauge_envs.backends.settings import check_kept
 from gauge_envs.backends.shared.bundled import BundledBackend
 from gauge_envs.backends.shared.joint_laws import with_joint_laws
+from gauge_envs.backends.worlds import Worlds
 from gauge_envs.errors import ParameterError, UnsupportedSceneError
 from gauge_envs.registry import model_files
 from gauge_envs.scene import Scene
@@ -70,6 +72,14 @@ class BackendMuJoCo(BundledBackend):
         spec, model, parts = build_model(scene, chosen)
         check_kept("MuJoCo", in_force, option_settings(model))
         return SimulationMuJoCo(scene, in_force, spec, model, parts)
+
+    def build_worlds(
+        self, scenes: Sequence[Scene], settings: Mapping[str, Any] | None = None
+    ) -> Worlds:
+        """Build worlds that threads step; those with deformable bodies run alone, since reading them takes long."""
+        if scenes[0].deformables:
+            return super().build_worlds(scenes, settings)
+        return WorldsMuJoCo([self.build(scene, settings) for scene in scenes])
 
     def read_file(self, path: Path, scene: Scene) -> ModelFile:
         """Read an MJCF file, through the instrument that reads them."""

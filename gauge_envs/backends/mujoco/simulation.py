@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from math import cos, hypot, sin
 from typing import Any, Protocol
 
@@ -23,7 +24,6 @@ from gauge_envs.backends.mujoco.line import LinePartMuJoCo
 from gauge_envs.backends.mujoco.model import (
     START_KEY,
     hinge_in_body,
-    rotated_back,
     start_velocities,
 )
 from gauge_envs.backends.mujoco.soft import Grip, SoftPartMuJoCo
@@ -50,6 +50,19 @@ UNIT_LENGTH = 1e-14
 """Largest deviation of an axis from length 1 that MuJoCo's compiler leaves as it is."""
 
 
+def without_clock(step: Callable[[], object]) -> None:
+    """Call a function that steps, without a clock unless a user has set one; see `NO_CLOCK`."""
+    # Of the user, or of another thread that is in this function.
+    has_clock = mujoco.get_mjcb_time() is not None
+    if not has_clock:
+        mujoco.set_mjcb_time(NO_CLOCK)
+    try:
+        step()
+    finally:
+        if not has_clock:
+            mujoco.set_mjcb_time(None)
+
+
 class SimulationMuJoCo(Simulation):
     """A scene in MuJoCo.
 
@@ -63,6 +76,7 @@ class SimulationMuJoCo(Simulation):
 
     Attributes:
         data: MuJoCo's state of the model.
+        timestep_s: Time step [s].
         grips: Nodes of soft bodies that move with driven bodies.
     """
 
@@ -89,13 +103,13 @@ class SimulationMuJoCo(Simulation):
             part.bind(model, self.data)
             if isinstance(part, SoftPartMuJoCo):
                 self.grips += part.grips
-        self._timestep_s = float(settings["timestep_s"])
+        self.timestep_s = float(settings["timestep_s"])
         self._air: list[AirOnCloth] = []
         if scene.air is not None:
             cloth = [
                 part for part in parts.values() if isinstance(part, ClothPartMuJoCo)
             ]
-            check_air_step(scene, cloth, self._timestep_s)
+            check_air_step(scene, cloth, self.timestep_s)
             self._air = [AirOnCloth(scene.air, part, self.data) for part in cloth]
         # A scene in which a cloth touches nothing but itself.
         touching = {
@@ -112,9 +126,9 @@ class SimulationMuJoCo(Simulation):
         self._state_size = mujoco.mj_stateSize(
             model, mujoco.mjtState.mjSTATE_INTEGRATION
         )
-        self._readers: dict[tuple[str, ...], _StateReader] = {}
+        self._readers: dict[tuple[str, ...], StateReader] = {}
         self._grip_reader: GripReader | None = None
-        self._driven: dict[str, tuple[NDArray[np.float64], ...]] = {}
+        self._driven: dict[str, DrivenBody] = {}
         self._scene = scene
         actuators = {
             id(hinge): model.actuator(name).id
@@ -188,29 +202,21 @@ class SimulationMuJoCo(Simulation):
         acceleration: NDArray[np.float64],
     ) -> None:
         """Write the body's pose, its velocity, and the force that gives its large mass the acceleration."""
-        if body not in self._driven:
-            # Views of MuJoCo's arrays with the pose, velocity, force and mass of the body.
-            index = self.model.body(body).id
-            force, mass_kg = (
-                self.data.xfrc_applied[index],
-                self.model.body_mass[index : index + 1],
-            )
-            self._driven[body] = (
-                *free_joint_views(self.model, self.data, body),
-                force,
-                mass_kg,
-            )
-        place, speed, force, mass_kg = self._driven[body]
-        place[:3] = pose.position_m
-        place[3:] = pose.quaternion
-        speed[:3] = velocity[:3]
-        # MuJoCo keeps a free joint's angular velocity in the body frame.
-        speed[3:] = rotated_back(pose.quaternion, velocity[3:])
-        # The mass and all moments of inertia of a driven body are the same number.
-        force[:] = mass_kg * acceleration
+        motion = np.empty(19)
+        motion[:3] = pose.position_m
+        motion[3:7] = pose.quaternion
+        motion[7:13] = velocity
+        motion[13:] = acceleration
+        self.driven_body(body).write(motion)
         for grip in self.grips:
             if grip.body == body:
                 grip.follow()
+
+    def driven_body(self, name: str) -> DrivenBody:
+        """Return what drives a body by its name."""
+        if name not in self._driven:
+            self._driven[name] = DrivenBody(self.model, self.data, name)
+        return self._driven[name]
 
     def apply_wrench(self, body: str, wrench: NDArray[np.float64]) -> None:
         """Apply a force and a torque to a dynamic body; see `World.apply_wrench`."""
@@ -222,10 +228,10 @@ class SimulationMuJoCo(Simulation):
 
     def advance(self, seconds: float) -> None:
         """Step the model."""
-        self._step(round(seconds / self._timestep_s))
+        self._step(round(seconds / self.timestep_s))
 
     def _step(self, count: int) -> None:
-        if self._folds is None or not self._folds.stays_apart(count * self._timestep_s):
+        if self._folds is None or not self._folds.stays_apart(count * self.timestep_s):
             self._steps(count)
             return
         flags = self.model.opt.disableflags
@@ -235,16 +241,7 @@ class SimulationMuJoCo(Simulation):
 
     def _steps(self, count: int) -> None:
         if not self._air:
-            has_clock = (
-                mujoco.get_mjcb_time() is not None
-            )  # of the user, or of another thread that is in this method
-            if not has_clock:
-                mujoco.set_mjcb_time(NO_CLOCK)
-            try:
-                mujoco.mj_step(self.model, self.data, nstep=count)
-            finally:
-                if not has_clock:
-                    mujoco.set_mjcb_time(None)
+            without_clock(partial(mujoco.mj_step, self.model, self.data, nstep=count))
             return
         for _ in range(count):
             for air in self._air:
@@ -261,21 +258,22 @@ class SimulationMuJoCo(Simulation):
 
     def body_states(self, names: Sequence[str]) -> NDArray[np.float64]:
         """Return poses and velocities of bodies, shape [len(names), 13]; see `World.body_states`."""
-        return self._reader(names).states()
+        return self.reader(names).states()
 
     def sample_positions(
         self, names: Sequence[str], count: int, interval_s: float
     ) -> NDArray[np.float64]:
         """Advance and return positions; see `Simulation.sample_positions`."""
         positions = np.empty((count, len(names), 3))
-        read = self._reader(names).read_positions
-        steps = round(interval_s / self._timestep_s)
+        read = self.reader(names).read_positions
+        steps = round(interval_s / self.timestep_s)
         for row in positions:
             self._step(steps)
             read(row)
         return positions
 
-    def _reader(self, names: Sequence[str]) -> _StateReader:
+    def reader(self, names: Sequence[str]) -> StateReader:
+        """Return a reader of the states of some bodies."""
         key = tuple(names)
         if key not in self._readers:
             self._readers[key] = _reader(self._scene, self.model, self.data, key)
@@ -336,20 +334,45 @@ def _origin(settings: Mapping[str, Any], scene: Scene) -> StateOrigin:
     return StateOrigin(f"mujoco {mujoco.__version__}", settings, scene)
 
 
-class _StateReader(Protocol):
+class DrivenBody:
+    """Views of MuJoCo's arrays with the pose, velocity, force and mass of a driven body."""
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, body: str) -> None:
+        index = model.body(body).id
+        self._pose, velocity = free_joint_views(model, data, body)
+        self._linear = velocity[:3]
+        self._angular = velocity[3:]
+        self._force = data.xfrc_applied[index]
+        self._mass_kg = model.body_mass[index : index + 1]
+        self._inverse = np.empty(4)
+
+    def write(self, motion: NDArray[np.float64]) -> None:
+        """Write a row of `Worlds.drive`, shape [19]."""
+        self._pose[:] = motion[:7]
+        self._linear[:] = motion[7:10]
+        # MuJoCo keeps a free joint's angular velocity in the body frame.
+        mujoco.mju_negQuat(self._inverse, motion[3:7])
+        mujoco.mju_rotVecQuat(self._angular, motion[10:13], self._inverse)
+        # The mass and all moments of inertia of a driven body are the same number.
+        np.multiply(self._mass_kg, motion[13:], out=self._force)
+
+
+class StateReader(Protocol):
     """Reader of the states of a fixed list of bodies.
 
     It keeps views of MuJoCo's arrays, because fetching an array costs more than reading from it.
     """
 
-    def states(self) -> NDArray[np.float64]: ...
+    def states(self) -> NDArray[np.float64]:
+        """Return the states of the bodies, shape [body_count, 13]."""
 
-    def read_positions(self, out: NDArray[np.float64]) -> None: ...
+    def read_positions(self, out: NDArray[np.float64]) -> None:
+        """Write the positions of the bodies [m] to `out`, shape [body_count, 3]."""
 
 
 def _reader(
     scene: Scene, model: mujoco.MjModel, data: mujoco.MjData, names: tuple[str, ...]
-) -> _StateReader:
+) -> StateReader:
     hinges = hinges_by_body(scene)
     if all(
         scene.body(name).motion is not Motion.FIXED and name not in hinges

@@ -58,7 +58,7 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
         backend: Name of an installed physics engine.
         parameters: `calibrated`, another parameter set of the task file, or overrides such as
             `{"cube.friction": 0.3}`.
-        settings: Numerical settings of the engine that replace those of the preset; without any, `OWN_SETTINGS` do.
+        settings: Numerical settings of the engine that replace those of the preset, and of `OWN_STEPS_S`.
         render_mode: None; `human` for a window that the mouse turns, drawn by `reset` and `step`; `rgb_array`;
             `depth_array`, the distance from the plane of the camera [m], float32; `rgbd_tuple`, both.
         width: Picture width [pixels]; None is 640.
@@ -74,7 +74,8 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
         LAW: The law, in words and symbols.
         SIGMA_SOURCE: Source of the limit's uncertainty.
         STEPS: Steps of an episode, one for each frame after the first.
-        OWN_SETTINGS: Settings on an engine if none are given, in place of the preset's.
+        OWN_STEPS_S: Time steps of the task [s] by engine and preset, in place of those of the preset; studies/steps
+            has the rule that chose them.
         COMMANDED: Names of the action's entries.
         OBSERVED: Names of the observation's entries, with units.
         experiment: The experiment, with the drivers and the duration of the task.
@@ -89,7 +90,7 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
     LAW: ClassVar[str]
     SIGMA_SOURCE: ClassVar[str]
     STEPS: ClassVar[int]
-    OWN_SETTINGS: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
+    OWN_STEPS_S: ClassVar[Mapping[str, Mapping[str, float]]] = {}
     COMMANDED: ClassVar[tuple[str, ...]]
     OBSERVED: ClassVar[tuple[str, ...]]
 
@@ -118,7 +119,7 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
             experiment,
             pictures,
             backend=backend,
-            settings=settings or self.OWN_SETTINGS.get(backend),
+            settings=self.settings_on(backend, settings),
         )
         # The laws hold for a stage that starts where it is stated.
         self._starts = Starts(experiment, jitter, draw=jittered)
@@ -136,6 +137,17 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
         self.observation_space = spaces.Box(-largest, largest, dtype=np.float64)
         # Learners act in single precision.
         self.action_space = spaces.Box(-1.0, 1.0, (len(self.COMMANDED),), np.float32)
+
+    @classmethod
+    def settings_on(
+        cls, backend: str, settings: Mapping[str, Any] | None
+    ) -> Mapping[str, Any] | None:
+        """Return the settings on an engine: what is given, with the task's own step unless it states one."""
+        preset = (settings or {}).get("preset", "default")
+        step_s = cls.OWN_STEPS_S.get(backend, {}).get(preset)
+        if step_s is None:
+            return settings
+        return {"timestep_s": step_s, **(settings or {})}
 
     @property
     def _label(self) -> str:

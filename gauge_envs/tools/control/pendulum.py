@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -69,10 +69,9 @@ class PendulumLimit(ControlEnv):
 
     STEPS = EPISODE_STEPS["Pendulum"]
     """Time of five full swings; at full torque three are enough."""
-    OWN_SETTINGS: ClassVar[Mapping[str, Mapping[str, Any]]] = {
-        "mujoco": {"timestep_s": 1 / 180}
+    OWN_STEPS_S: ClassVar[Mapping[str, Mapping[str, float]]] = {
+        "mujoco": {"default": 1 / 180, "training": 1 / 180}
     }
-    """The law's policy succeeds up to 0.99995 of the limit with this and shorter steps (studies/control_steps)."""
 
     COMMANDED: ClassVar[tuple[str, ...]] = ("torque",)
     OBSERVED: ClassVar[tuple[str, ...]] = (

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from gauge_envs.tools.control.friction import FrictionLimit
 from gauge_envs.tools.control.tasks import EPISODE_STEPS
@@ -29,10 +29,9 @@ class SlopeSliderLimit(FrictionLimit):
     ACCELERATION_RAD_PER_S2 = 1.0
     """This acceleration reaches the limit in 1.0 s; the real motor takes 1.2 s to 15 degrees."""
 
-    OWN_SETTINGS: ClassVar[Mapping[str, Mapping[str, Any]]] = {
-        "mujoco": {"timestep_s": 1 / 1800}
+    OWN_STEPS_S: ClassVar[Mapping[str, Mapping[str, float]]] = {
+        "mujoco": {"default": 1 / 1800, "training": 1 / 540}
     }
-    """The law's policy holds the cube up to 0.998 to 1.002 of the limit from this step on (studies/control_steps)."""
 
     _RAMP_S = 3.0
     """Time in which the law's policy tilts; its acceleration uses only 0.4 % of the friction."""

@@ -1,7 +1,7 @@
 """Bounce a ball on a plate as high as its restitution allows."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import ClassVar
 
 import numpy as np
@@ -115,6 +115,10 @@ class ThrowLimit(ControlEnv):
 
     STEPS = EPISODE_STEPS["Throw"]
     """Time of an episode; three impacts and the way up take 1.8 s."""
+
+    OWN_STEPS_S: ClassVar[Mapping[str, Mapping[str, float]]] = {
+        "mujoco": {"training": 1 / 180}
+    }
 
     ACCELERATION_M_PER_S2 = 30.0
     """Full speed after one step."""

@@ -1,6 +1,8 @@
 """Turn the turntable as fast as the cube holds."""
 
 import math
+from collections.abc import Mapping
+from typing import ClassVar
 
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.control.friction import FrictionLimit
@@ -28,6 +30,10 @@ class TurntableLimit(FrictionLimit):
 
     STEPS = EPISODE_STEPS["Turntable"]
     """Time of an episode: 1.2 s to the limit at full acceleration, and three times as long to hold it."""
+
+    OWN_STEPS_S: ClassVar[Mapping[str, Mapping[str, float]]] = {
+        "mujoco": {"training": 1 / 540}
+    }
 
     ACCELERATION_RAD_PER_S2 = 6.0
     """This acceleration reaches the limit in 1.2 s. Its own friction used, 0.046, adds less than 1 % to the limit's."""

@@ -225,7 +225,7 @@ class ControlWorlds:
             return env
 
         first = world(parameters)
-        settings = settings or first.OWN_SETTINGS.get(backend)
+        settings = first.settings_on(backend, settings)
         common = dict(first.experiment.overrides)
         self.envs = [
             world(common | dict(one)) if one else world(parameters) for one in constants

@@ -95,7 +95,7 @@ class SimulationMuJoCoWarp(SimulationMuJoCo):
             state.qpos.numpy()[0],
             state.qvel.numpy()[0],
         )
-        self.data.time += count * self._timestep_s
+        self.data.time += count * self.timestep_s
         # mujoco_warp does not count contacts beyond its memory, so full memory is too small.
         if (
             state.nefc.numpy()[0] > state.njmax

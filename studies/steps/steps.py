@@ -1,0 +1,221 @@
+"""Errors of MuJoCo's time steps over the uncertainty of references, as `steps.csv`, and the rule that chooses a step.
+
+python -m studies.steps.steps SlopeSlider-3-wood Turntable-Limit-wood >> studies/steps/steps.csv
+
+The settings are those of preset `training` but for the step.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+import sys
+from collections.abc import Iterable, Iterator
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+import gauge_envs  # noqa: F401  registers the ids
+from gauge_envs.envs.env import GaugeEnv
+from gauge_envs.errors import ParameterError
+from gauge_envs.references.bands import Band
+from gauge_envs.tools.control.env import ControlEnv
+from gauge_envs.tools.control.play import engine_limit, play
+
+FILE = Path(__file__).with_name("steps.csv")
+
+SHARES = {"default": 0.1, "training": 0.5}
+"""Largest error of a step by preset, over the uncertainty that the reference states.
+
+Added in quadrature, 0.1 makes that uncertainty 0.5 % larger and 0.5 makes it 12 % larger.
+"""
+
+RIGID_STEPS_PER_S = (180, 360, 540, 720, 900, 1800, 4500, 9000)
+DEFORMABLE_STEPS_PER_S = (180, 360, 540, 720, 900)
+"""Steps that are tried; each is compared with half of it."""
+
+CHOSEN_ON = "stated start"
+"""Start of the rows on which the rule chooses; the others verify the choice."""
+
+VERIFYING_SEEDS = (1, 2, 3)
+"""Seeds of the random starts, `jitter` in a reset."""
+
+REACHING = ("Carry", "Push", "Throw", "Fling")
+"""Families of control tasks whose error is that of what the law's policy reaches with 0.98 of the limit."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class StepError:
+    """The error of one step.
+
+    Attributes:
+        id: Experiment or control task.
+        start: `stated start`, or the seed of a random start or goal.
+        steps_per_s: One over the step.
+        error: Change of the whole episode with half the step, rms over the frames; of a control task, change of the
+            share of the limit that the law's policy reaches.
+        unit: Unit of `error` and `uncertainty`.
+        uncertainty: What the score divides by: the scatter of real trials, or the uncertainty of a law or of a solved
+            model, rms over the frames; of a control task, that of its limit over the limit.
+    """
+
+    id: str
+    start: str
+    steps_per_s: int
+    error: float
+    unit: str
+    uncertainty: float
+
+
+def read_rows(file: Path = FILE) -> list[StepError]:
+    """Read the table."""
+    with file.open(newline="", encoding="utf-8") as lines:
+        return [
+            StepError(
+                id=row["id"],
+                start=row["start"],
+                steps_per_s=int(row["steps_per_s"]),
+                error=float(row["error"]),
+                unit=row["unit"],
+                uncertainty=float(row["uncertainty"]),
+            )
+            for row in csv.DictReader(lines)
+        ]
+
+
+def longest_step(rows: Iterable[StepError], share: float) -> int | None:
+    """Return one over the longest step that counts, or None if none does; this is the rule.
+
+    A step counts if its error, and that of every shorter step that was tried, is at most the share of the uncertainty.
+
+    Args:
+        rows: Errors of one experiment or control task, of one start.
+        share: One of `SHARES`.
+    """
+    longest = None
+    for row in sorted(rows, key=lambda row: row.steps_per_s, reverse=True):
+        # A comparison with NaN is false.
+        if not row.error <= share * row.uncertainty:
+            break
+        longest = row.steps_per_s
+    return longest
+
+
+def band_uncertainty(band: Band) -> float:
+    """Return what a score against a band divides by, rms over its measured frames."""
+    values = band.sigma
+    if not band.grade.is_real and band.uncertainty is not None:
+        values = band.uncertainty
+    squares = values[band.measured] ** 2
+    known = np.isfinite(squares).any(axis=1)
+    return math.sqrt(float(np.nansum(squares[known], axis=1).mean()))
+
+
+def episode(name: str, steps_per_s: int, seed: int | None) -> NDArray[np.float64]:
+    """Run an episode without actions; return its band coordinates, shape [frame_count, coordinate_count]."""
+    settings = {"preset": "training", "timestep_s": 1.0 / steps_per_s}
+    env = GaugeEnv(name, settings=settings, marker_proxy="material")
+    options = None if seed is None else {"jitter": True}
+    env.reset(seed=seed or 0, options=options)
+    space = env.action_space
+    action: Any = 0
+    if isinstance(space, gymnasium.spaces.Box):
+        action = np.zeros(space.shape)
+    over = False
+    while not over:
+        *_, terminated, truncated, _ = env.step(action)
+        over = terminated or truncated
+    frames = env.trajectory().frames[: env.experiment.frame_count]
+    env.close()
+    assert env.band is not None
+    return env.band.project(frames)
+
+
+def distance(coarse: NDArray[np.float64], fine: NDArray[np.float64]) -> float:
+    """Return the distance of two motions, rms over the frames; infinite if one of them diverged."""
+    if coarse.shape != fine.shape:
+        return math.inf
+    squares = (coarse - fine) ** 2
+    known = np.isfinite(squares).any(axis=1)
+    return math.sqrt(float(np.nansum(squares[known], axis=1).mean()))
+
+
+def experiment_errors(name: str, seed: int | None) -> Iterator[StepError]:
+    """Yield the error of each step of an experiment from one start; nothing without a reference."""
+    env = GaugeEnv(name)
+    band = env.band
+    deformable = bool(env.experiment.scene.deformables)
+    env.close()
+    if band is None:
+        return
+    runs = {}
+    for count in DEFORMABLE_STEPS_PER_S if deformable else RIGID_STEPS_PER_S:
+        for each in (count, 2 * count):
+            if each not in runs:
+                runs[each] = episode(name, each, seed)
+        yield StepError(
+            id=name,
+            start=CHOSEN_ON if seed is None else f"random start {seed}",
+            steps_per_s=count,
+            error=distance(runs[count], runs[2 * count]),
+            unit=band.unit,
+            uncertainty=band_uncertainty(band),
+        )
+
+
+def reached(env: ControlEnv, seed: int | None) -> float:
+    """Return the share of its limit that the law's policy reaches in a control task; NaN where it fails."""
+    if type(env).__name__.startswith(REACHING):
+        share = play(env, lambda _: env.law_action(0.98), seed=seed or 0).ratio
+        return share if share > 0.0 else math.nan
+    try:
+        return engine_limit(env, bounds=(0.8, 1.2), resolution=0.0005)
+    except ParameterError:
+        return math.nan
+
+
+def task_errors(task: str, seed: int | None) -> Iterator[StepError]:
+    """Yield the error of each step of a control task, from one goal."""
+    runs: dict[int, float] = {}
+    for count in RIGID_STEPS_PER_S:
+        for each in (count, 2 * count):
+            if each not in runs:
+                settings = {"preset": "training", "timestep_s": 1.0 / each}
+                env = gymnasium.make(f"GAUGE/{task}", settings=settings).unwrapped
+                assert isinstance(env, ControlEnv)
+                runs[each], limit = reached(env, seed), env.limit
+                env.close()
+        yield StepError(
+            id=task,
+            start=CHOSEN_ON if seed is None else f"goal {seed}",
+            steps_per_s=count,
+            error=abs(runs[count] - runs[2 * count]),
+            unit="1",
+            uncertainty=limit.sigma / limit.value,
+        )
+
+
+def main(names: Iterable[str]) -> None:
+    """Print the rows of some experiments and control tasks."""
+    writer = csv.DictWriter(sys.stdout, [field.name for field in fields(StepError)])
+    for name in names:
+        is_task = "-Limit-" in name
+        errors = task_errors if is_task else experiment_errors
+        # Goals alone scatter in a task; other materials verify those without.
+        has_goals = name.startswith(REACHING[:2])
+        for seed in (None, *(VERIFYING_SEEDS if not is_task or has_goals else ())):
+            for row in errors(name, seed):
+                numbers = {
+                    key: f"{value:.4g}" if isinstance(value, float) else value
+                    for key, value in asdict(row).items()
+                }
+                writer.writerow(numbers)
+                sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
