@@ -2,7 +2,8 @@
 
     python -m studies.planted_faults.sides      two minutes of processor time
 
-Each holds in a part of space, for one sign or from some number on. None was listed or drawn before the check existed.
+Each holds in a part of space, for one sign or from some number on. None was listed or drawn before; some of them
+helped to choose the scene of `copies-alike`.
 """
 
 from __future__ import annotations
