@@ -1,17 +1,19 @@
 """Checks of what an engine of another package returns: the first wrong value is an error that names engine and call.
 
-Values that are not finite pass, as environments count such an episode as diverged.
+Values that are not finite are errors at the start of a scene. Later they pass, as environments count such an episode as
+diverged.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from functools import wraps
 from typing import Any
 
 import numpy as np
 
 from gauge_envs.backends.base import Backend
+from gauge_envs.backends.settings import settings_record
 from gauge_envs.backends.world import Simulation
 from gauge_envs.backends.worlds import Worlds
 from gauge_envs.errors import BackendError, GaugeError
@@ -19,8 +21,11 @@ from gauge_envs.errors import BackendError, GaugeError
 UNIT_NORM = 1e-3
 """Largest deviation of a quaternion's norm from 1."""
 
-ACTIONS = ("reset", "advance", "drive", "command", "apply_wrench")
-"""Methods that return nothing."""
+MOVES = ("advance", "restore")
+"""Methods after which the state is no longer that of the start."""
+
+ACTIONS = ("drive", "command", "apply_wrench")
+"""Other methods that return nothing."""
 
 
 def with_checks(engine: Backend) -> Backend:
@@ -37,29 +42,67 @@ def with_checks(engine: Backend) -> Backend:
     return engine
 
 
+Check = Callable[..., Any]
+"""Function that returns what a method returned with its arguments, or raises ValueError."""
+
+
 def _built(built: Any, kind: type, name: str) -> Any:
     """Return a simulation or worlds that check what they return."""
     if not isinstance(built, kind):
         raise ValueError(f"a {type(built).__name__}, expected a {kind.__name__}")
-    for method in ACTIONS:
-        if hasattr(built, method):
-            _replace(built, method, name, lambda found, *_: found)
-    _replace(built, "body_states", name, _states)
     if kind is Simulation:
-        _replace(built, "nodes", name, lambda found, *_: _numbers(found, (None, 3)))
-        _replace(built, "sample_positions", name, _positions)
-        _replace(built, "fault", name, _fault)
+        _check_settings(name, built)
+    is_at_start = True
+
+    def started(found: Any, *_: Any) -> Any:
+        nonlocal is_at_start
+        is_at_start = True
+        return found
+
+    def moved(found: Any, *_: Any) -> Any:
+        nonlocal is_at_start
+        is_at_start = False
+        return found
+
+    def states(found: Any, names: Sequence[str], *_: Any) -> Any:
+        return _states(found, names, is_start=is_at_start)
+
+    checks: dict[str, Check] = {
+        "reset": started,
+        **dict.fromkeys(MOVES, moved),
+        **dict.fromkeys(ACTIONS, lambda found, *_: found),
+        "body_states": states,
+    }
+    if kind is Simulation:
+        checks |= {
+            "nodes": lambda found, *_: _numbers(found, (None, 3)),
+            "sample_positions": lambda *all_: moved(_positions(*all_)),
+            "fault": _fault,
+        }
+    for method, check in checks.items():
+        if hasattr(built, method):
+            _replace(built, method, name, check)
     return built
 
 
-def _replace(owner: Any, method: str, name: str, check: Callable[..., Any]) -> None:
+def _check_settings(name: str, built: Any) -> None:
+    """Raise an error for settings that a result cannot record."""
+    settings = getattr(built, "settings", None)
+    if not isinstance(settings, Mapping):
+        raise ValueError(
+            f"a simulation whose settings are a {type(settings).__name__}, expected a mapping"
+        )
+    settings_record(name, settings)
+
+
+def _replace(owner: Any, method: str, name: str, check: Check) -> None:
     """Replace a method by one that names the engine in errors, and checks what it returns.
 
     Args:
         owner: Engine, simulation or worlds.
         method: Name of the method.
         name: Name of the engine.
-        check: Function that returns what the method returned with its arguments, or raises ValueError.
+        check: Its check.
     """
     call = getattr(owner, method)
 
@@ -99,12 +142,17 @@ def _numbers(found: Any, shape: tuple[int | None, ...]) -> Any:
     return found
 
 
-def _states(found: Any, names: Any, *_: Any) -> Any:
+def _states(found: Any, names: Sequence[str], *, is_start: bool) -> Any:
     """Return states of bodies, shape [..., body_count, 13]."""
     states = _numbers(found, (len(names), 13))
+    if is_start and not np.isfinite(states).all():
+        place = tuple(np.argwhere(~np.isfinite(states))[0])
+        raise ValueError(
+            f"{states[place]} in column {place[-1]} for {names[place[-2]]!r} at the start, expected a finite number"
+        )
     norms = np.linalg.norm(states[..., 3:7], axis=-1)
-    # A comparison with NaN is false.
-    wrong = np.abs(norms - 1.0) > UNIT_NORM
+    is_finite = np.isfinite(states[..., 3:7]).all(axis=-1)
+    wrong = is_finite & ~(np.abs(norms - 1.0) <= UNIT_NORM)
     if wrong.any():
         place = tuple(np.argwhere(wrong)[0])
         quaternion = states[place][3:7].round(6).tolist()

@@ -252,6 +252,8 @@ BROKEN = [
     ("body_states", lambda states: states.astype(int), "int64 values, as 0"),
     ("body_states", lambda states: states.astype(object), "object values"),
     ("body_states", changed((0, slice(3, 7)), 1.0), TWICE),
+    ("body_states", changed((0, 2), np.nan), "nan in column 2 for 'cube' at the start"),
+    ("body_states", changed((0, 4), np.inf), "inf in column 4 for 'cube' at the start"),
     ("body_states", lambda states: {}["x"], "raised an error: KeyError: 'x'"),
     ("fault", lambda found: 7, "returned 7, expected a text or None"),
 ]
@@ -283,6 +285,40 @@ def test_a_broken_engine_is_named_with_its_first_wrong_value(
 
     with pytest.raises(BackendError, match=f"backend 'mujoco': {method} .*{words}"):
         first_step()
+
+
+@pytest.mark.usefixtures("foreign")
+def test_a_setting_that_no_result_can_record_is_named(monkeypatch):
+    build = BackendMuJoCo.build
+
+    def built(*arguments):
+        simulation = build(*arguments)
+        simulation.settings = {**simulation.settings, "cones": {1, 2}}
+        return simulation
+
+    monkeypatch.setattr(BackendMuJoCo, "build", built)
+    with pytest.raises(
+        BackendError, match="backend 'mujoco': setting 'cones' is a set"
+    ):
+        gymnasium.make(f"GAUGE/{SLIDE}")
+
+
+@pytest.mark.usefixtures("foreign")
+def test_a_quaternion_that_is_not_finite_after_a_step_ends_the_episode(monkeypatch):
+    right = SimulationMuJoCo.body_states
+    places = []
+
+    def wrong(*arguments):
+        states = right(*arguments)
+        for place in places:
+            states[place] = np.inf
+        return states
+
+    monkeypatch.setattr(SimulationMuJoCo, "body_states", wrong)
+    env = gymnasium.make(f"GAUGE/{SLIDE}")
+    env.reset()
+    places.append((0, 4))
+    assert env.step(0)[4]["diverged"] == "the state is not finite"
 
 
 @pytest.mark.usefixtures("foreign")
