@@ -498,11 +498,6 @@ class Row:
         return 100.0 * (shown - self.missed) / shown if shown else 100.0
 
     @property
-    def share_refused(self) -> float:
-        """Percentage of the realities without an interval."""
-        return 100.0 * self.refused / self.realities
-
-    @property
     def part(self) -> str:
         """Whether the method was chosen on the world."""
         return (

@@ -242,11 +242,6 @@ def whitened(residual: FloatArray, white: FloatArray) -> FloatArray:
     return lfilter(white, [1.0], residual, axis=-1)[..., len(white) - 1 :]
 
 
-def coloured(innovations: FloatArray, white: FloatArray) -> FloatArray:
-    """Return the residual that a filter would have whitened."""
-    return lfilter([1.0], white, innovations, axis=-1)
-
-
 def write(name: str, header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
     """Write a table beside the scripts; numbers have four significant digits."""
     with (HERE / name).open("w", encoding="utf-8", newline="") as stream:

@@ -23,7 +23,6 @@ COMMANDS = {
     "cost": "cost results",
     "coverage": "interval_coverage out.csv 'drop, 5 % outliers'",
     "joints": "pendulums",
-    "laws": "laws checks",
     "models": "cantilever",
     "newtons_cradle": "cradle",
     "planted_faults": "planted_faults --only margin",
@@ -37,7 +36,7 @@ COMMANDS = {
     "what_changed": "what_changed models",
     "tosses": "cube_toss run mujoco out --every 400",
 }
-SLOW = {"coverage", "joints", "laws", "models"}
+SLOW = {"coverage", "joints", "models"}
 SLOW |= {"planted_faults", "ranges", "scatter", "steps"}
 
 
