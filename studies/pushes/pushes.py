@@ -4,10 +4,7 @@
     python pushes.py fit                        friction and restitution of the hand on even trials: fits.csv
     python pushes.py run ENGINE                 odd trials, each on its own path: a row of engines.csv
     python pushes.py run mean                   the mean of the even trials from the start of each, without physics
-    python pushes.py bounds                     what is unknown, in MuJoCo: bounds.csv
     python pushes.py start                      travel from starts within 0.1 mm, in MuJoCo: starts.csv
-    python pushes.py point                      push through one point against the limit surface: point.csv
-    python pushes.py picture                    pushes.png and travels.csv
 
 Even trials are for fits, odd trials judge.
 """
@@ -23,7 +20,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares, minimize_scalar
+from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends import backend_for
@@ -32,100 +29,18 @@ from gauge_envs.envs.trial_start import driven_trial
 from gauge_envs.experiments.experiment import TaskExperiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.scene import (
-    Box,
-    Contact,
     ContactMode,
-    ConvexUnion,
-    Motion,
-    Plane,
-    Pose,
-    RigidBody,
     Scene,
-    Sphere,
 )
-from gauge_envs.scene.drivers import Driver, DriverMotion
 from gauge_envs.scene.geometry import vector
-from gauge_envs.scene.profiles import TrapezoidProfile
 from gauge_envs.scene.scene import GRAVITY_M_PER_S2
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 from scripts.build_pushes import (
-    HEIGHTS_M,
     NAME,
     START_S,
     Push,
-    pieces_m,
     read_pushes,
 )
-
-FloatArray = NDArray[np.float64]
-
-
-def turn_rate(
-    point_m: FloatArray,
-    velocity: FloatArray,
-    supports_m: FloatArray,
-    weights: FloatArray,
-) -> float:
-    """Return the rate of rotation [rad/s] of a body that a point pushes.
-
-    Args:
-        point_m: Point of the push in the plane of the table [m], shape [2].
-        velocity: Its velocity, which the body has there [m/s], shape [2].
-        supports_m: Points on which the body rests [m], shape [S, 2].
-        weights: Their shares of the weight, shape [S].
-    """
-    arms_m = supports_m - point_m
-    normals = np.column_stack([-arms_m[:, 1], arms_m[:, 0]])
-
-    def power(rate: float) -> float:
-        return float(weights @ np.linalg.norm(velocity + rate * normals, axis=1))
-
-    # The power is convex in the rate, and least where some support rests or moves slower than the pusher.
-    bound = (
-        4.0 * float(np.linalg.norm(velocity)) / float(np.ptp(supports_m, axis=0).max())
-    )
-    return float(
-        minimize_scalar(
-            power, bounds=(-bound, bound), method="bounded", options={"xatol": 1e-10}
-        ).x
-    )
-
-
-def ellipsoid_turn_rate(
-    point_m: FloatArray, velocity: FloatArray, length_m: float
-) -> float:
-    """Return the rate of the ellipsoidal limit surface (Lynch, Maekawa and Tanie 1992), in closed form.
-
-    Args:
-        point_m: Point of the push from the centre of friction [m], shape [2].
-        velocity: Its velocity [m/s], shape [2].
-        length_m: Largest moment of friction over the largest force [m].
-    """
-    moment = point_m[0] * velocity[1] - point_m[1] * velocity[0]
-    return float(moment / (length_m**2 + point_m @ point_m))
-
-
-def turn_of_push(
-    offset_m: float, path_m: float, half_edge_m: float, *, steps: int = 300
-) -> float:
-    """Return the rotation [rad] of a square on its four corners that a point pushes straight on.
-
-    Args:
-        offset_m: Distance of the point from the middle of the face, to the left.
-        path_m: Path of the point, along the first normal of the face.
-        half_edge_m: Half the edge of the square.
-        steps: Steps of the path.
-    """
-    corners_m = half_edge_m * np.array(
-        [[-1.0, -1.0], [-1.0, 1.0], [1.0, -1.0], [1.0, 1.0]]
-    )
-    point_m, weights, angle = np.array([-half_edge_m, offset_m]), np.full(4, 0.25), 0.0
-    for _ in range(steps):
-        # In the frame of the body, where the point stays, the pusher turns back.
-        push = np.array([np.cos(angle), -np.sin(angle)])
-        angle += turn_rate(point_m, push, corners_m, weights) * path_m / steps
-    return angle
-
 
 HERE = Path(__file__).parent
 EVEN, ODD = range(0, 20, 2), range(1, 20, 2)
@@ -227,7 +142,6 @@ def scored(
     *,
     mode: ContactMode = ContactMode.SUSTAINED,
     copies: int = 1,
-    **changes: Any,
 ) -> list[dict[str, float]]:
     """Return measures and errors of simulated trials, and the measures of the recorded ones as `real_*`.
 
@@ -237,19 +151,15 @@ def scored(
         constants: Constants that replace those of the task.
         mode: Behaviour of the contact of hand and cube.
         copies: Number of simulations of each trial, whose mean counts: all but one start 0.1 um away.
-        changes: Replaced fields of a body, by name of the body.
     """
     pushes = read_pushes()
     experiment = load_experiment(NAME, dict(constants or {}))
     scene = experiment.scene
-    bodies = tuple(replace(body, **changes.get(body.name, {})) for body in scene.bodies)
     contacts = tuple(
         replace(one, mode=mode) if "hand" in one.first + one.second else one
         for one in scene.contacts
     )
-    experiment = replace(
-        experiment, scene=replace(scene, bodies=bodies, contacts=contacts)
-    )
+    experiment = replace(experiment, scene=replace(scene, contacts=contacts))
     times_s = sample_times_s(scene)
     pushing = (times_s > PUSH_S[0]) & (times_s < PUSH_S[1])
     rows = []
@@ -489,67 +399,6 @@ def run(options: argparse.Namespace) -> None:
     print(rows[-2], "correlation of travel", travel)
 
 
-def bounds(options: argparse.Namespace) -> None:
-    """Write what unknown shape, friction and inertia do to odd trials."""
-    front_m = read_pushes().front_m()
-    scene = load_experiment(NAME).scene
-    edge_m, mass_kg = 0.075, scene.body("cube").mass_kg
-
-    def hand(**keywords: Any) -> dict[str, Any]:
-        pieces = pieces_m(keywords.pop("front_m", front_m), **keywords)
-        return {"hand": {"shape": union(pieces)}}
-
-    short, long = HEIGHTS_M[:-1], np.append(HEIGHTS_M, HEIGHTS_M[-1] - 0.0025)
-    cases: dict[str, tuple[dict[str, float], dict[str, Any]]] = {
-        "as stated": ({}, {}),
-        "width 2 mm": ({}, hand(width_m=0.002)),
-        "width 20 mm": ({}, hand(width_m=0.02)),
-        "width 75 mm": ({}, hand(width_m=0.075)),
-        "front 0.3 mm back": ({}, hand(front_m=front_m - 0.0003)),
-        "tip 2.5 mm shorter": ({}, hand(front_m=front_m[:-1], heights_m=short)),
-        "tip 2.5 mm longer": (
-            {},
-            hand(
-                front_m=np.append(front_m, 2 * front_m[-1] - front_m[-2]),
-                heights_m=long,
-            ),
-        ),
-        "no fingers below the joint": (
-            {},
-            {"hand": {"shape": union(pieces_m(front_m)[:1])}},
-        ),
-        "hollow cube": (
-            {},
-            {"cube": {"inertia_kg_m2": 5.0 / 18.0 * mass_kg * edge_m**2}},
-        ),
-        **{
-            f"cube.friction {value}": ({"cube.friction": value}, {})
-            for value in (0.25, 0.29)
-        },
-        **{
-            f"hand.friction {value}": ({"hand.friction": value}, {})
-            for value in (0.05, 0.5, 1.2)
-        },
-        "turned by 1.9 degrees": (
-            {},
-            {
-                name: {"pose": turned(scene.body(name).pose, 1.9)}
-                for name in ("cube", "hand")
-            },
-        ),
-    }
-    rows = []
-    for name, (constants, changes) in cases.items():
-        rows.append(
-            {
-                "case": name,
-                **summary(scored("mujoco", ODD, constants, copies=COPIES, **changes)),
-            }
-        )
-        print(rows[-1])
-    write("bounds.csv", rows)
-
-
 def start(options: argparse.Namespace) -> None:
     """Write the travel of cubes on the mean path that start within 0.1 mm of each other."""
     scene = load_experiment(NAME).scene
@@ -566,178 +415,17 @@ def start(options: argparse.Namespace) -> None:
     print("travel", travels_mm.mean(), "std", travels_mm.std(ddof=1))
 
 
-def turned(pose: Pose, angle_deg: float) -> Pose:
-    """Return a pose that is turned about the vertical."""
-    return Pose.from_rotation(
-        pose.position_m,
-        Rotation.from_euler("z", angle_deg, degrees=True) * pose.rotation,
-    )
-
-
-def union(pieces: Sequence[FloatArray]) -> ConvexUnion:
-    """Return the shape of some convex pieces."""
-    return ConvexUnion(
-        pieces_m=tuple(tuple(vector(point) for point in piece) for piece in pieces)
-    )
-
-
-def point_push_scene(
-    offset_m: float,
-    friction: float,
-    *,
-    half_edge_m: float = 0.0375,
-    path_m: float = 0.02,
-) -> Scene:
-    """Return a scene in which a slow low ball pushes a cube beside the middle of its face, without slip."""
-    radius_m, duration_s = 0.005, 2.0
-    cube = RigidBody(
-        name="cube",
-        shape=Box(size_m=(2.0 * half_edge_m,) * 3),
-        motion=Motion.DYNAMIC,
-        pose=Pose(position_m=(0.0, 0.0, half_edge_m)),
-        mass_kg=0.0884,
-    )
-    table = RigidBody(
-        name="table",
-        shape=Plane(),
-        motion=Motion.FIXED,
-        pose=Pose(position_m=(0.0, 0.0, 0.0)),
-        mass_kg=0.0,
-    )
-    hand = RigidBody(
-        name="hand",
-        shape=Sphere(radius_m=radius_m),
-        motion=Motion.KINEMATIC,
-        pose=Pose(position_m=(-half_edge_m - radius_m, offset_m, radius_m + 0.001)),
-        mass_kg=1.0,
-    )
-    profile = TrapezoidProfile(
-        start_s=0.0, duration_s=duration_s, accelerate_s=0.2, brake_s=0.2, amount=path_m
-    )
-    motion = DriverMotion(kind="translate", axis=(1.0, 0.0, 0.0), profiles=(profile,))
-    return Scene(
-        bodies=(cube, table, hand),
-        duration_s=duration_s,
-        contacts=(
-            Contact(
-                first=("cube",), second=("table",), friction=friction, restitution=0.0
-            ),
-            Contact(first=("cube",), second=("hand",), friction=2.0, restitution=0.0),
-        ),
-        drivers=(Driver(body="hand", motions=(motion,), provenance="nominal"),),
-    )
-
-
-def point(options: argparse.Namespace) -> None:
-    """Write the rotation of a cube that a point pushes, by the law and in an engine."""
-    rows = []
-    for offset_m in (0.005, 0.01, 0.02):
-        law_deg = float(np.degrees(turn_of_push(offset_m, 0.02, 0.0375)))
-        for friction in (0.1, 0.2, 0.4):
-            found = simulated(
-                options.engine, point_push_scene(offset_m, friction)
-            ).turn_deg[-1, 2]
-            rows.append(
-                {
-                    "offset_mm": 1e3 * offset_m,
-                    "friction": friction,
-                    "law_deg": law_deg,
-                    "engine_deg": found,
-                }
-            )
-            print(rows[-1])
-    write("point.csv", rows)
-
-
-def picture(options: argparse.Namespace) -> None:
-    """Draw the front of the hand and the speed of the cube, and write and draw the travel of each trial."""
-    import matplotlib.pyplot as plt
-
-    pushes = read_pushes()
-    times_s = sample_times_s(load_experiment(NAME).scene)
-    figure, (front, speed, travel) = plt.subplots(
-        1, 3, figsize=(11.0, 3.6), layout="constrained"
-    )
-    for push in pushes.trials:
-        front.plot(1e3 * push.front_m(), 1e3 * HEIGHTS_M, color="0.75", linewidth=0.8)
-    for first, color in ((0, "tab:blue"), (1, "tab:red")):
-        front.plot(
-            1e3 * pushes.front_m(first),
-            1e3 * HEIGHTS_M,
-            color=color,
-            label=("even", "odd")[first],
-        )
-    front.set(
-        xlabel="forward [mm]",
-        ylabel="up [mm]",
-        title="Front of the hand, from 20 pushes",
-    )
-    front.legend()
-    task = load_experiment(NAME)
-    found = [
-        simulated("mujoco", own_path(task, trial))
-        for trial in range(len(pushes.trials))
-    ]
-    real = [recorded(push, times_s) for push in pushes.trials]
-    for tracks, color, label in (
-        (real, "tab:red", "real"),
-        (found, "tab:blue", "MuJoCo"),
-    ):
-        speeds = np.gradient(
-            [track.cube_mm[:, 0] for track in tracks], SAMPLE_INTERVAL_S, axis=1
-        )
-        speed.plot(times_s, speeds.mean(axis=0), color=color, label=label)
-        low, high = np.percentile(speeds, [16, 84], axis=0)
-        speed.fill_between(times_s, low, high, color=color, alpha=0.2, linewidth=0)
-    speed.set(
-        xlabel="time [s]",
-        ylabel="speed of the cube [mm/s]",
-        title="Mean and 68 % of 20 trials",
-    )
-    speed.legend()
-    pairs = [
-        [track.measures(times_s)["travel_mm"] for track in tracks]
-        for tracks in (real, found)
-    ]
-    write(
-        "travels.csv",
-        [
-            {"trial": trial, "real_mm": a, "mujoco_mm": b}
-            for trial, (a, b) in enumerate(zip(*pairs, strict=True))
-        ],
-    )
-    draws = np.random.default_rng(0).integers(0, len(real), (10_000, len(real)))
-    correlations = [np.corrcoef(np.array(pairs)[:, one])[0, 1] for one in draws]
-    print(
-        "correlation",
-        np.corrcoef(pairs)[0, 1],
-        np.percentile(correlations, [2.5, 97.5]),
-    )
-    travel.plot(*pairs, "o", color="0.2", markersize=4)
-    travel.axline((97.0, 97.0), slope=1.0, color="0.7", zorder=0)
-    travel.set(
-        xlabel="real travel [mm]",
-        ylabel="travel in MuJoCo [mm]",
-        title="Each trial on its own path",
-    )
-    travel.set_aspect("equal")
-    figure.savefig(HERE / "pushes.png", dpi=110)
-
-
 def main() -> None:
     """Run one command."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     commands = parser.add_subparsers(required=True)
-    for function in (slide, fit, run, bounds, start, point, picture):
+    for function in (slide, fit, run, start):
         command = commands.add_parser(function.__name__)
         command.set_defaults(function=function)
-        if function in (run, point):
-            command.add_argument(
-                "engine",
-                **({} if function is run else {"nargs": "?", "default": "mujoco"}),
-            )
+        if function is run:
+            command.add_argument("engine")
     options = parser.parse_args()
     options.function(options)
 

@@ -1,4 +1,4 @@
-"""Pushes of a cube: facts and band, the front of the hand, friction of the slide, and the law of a push at a point."""
+"""Pushes of a cube: facts and band, the front of the hand, and friction of the slide."""
 
 from dataclasses import replace
 from functools import cache
@@ -24,17 +24,12 @@ from scripts.build_pushes import (
     read_pushes,
 )
 from studies.pushes.pushes import (
-    ellipsoid_turn_rate,
     own_path,
-    point_push_scene,
     recorded,
     sample_times_s,
     scored,
     simulated,
     slide_friction,
-    turn_of_push,
-    turn_rate,
-    union,
 )
 
 
@@ -238,9 +233,10 @@ def test_a_reset_replays_a_trial_with_its_own_start_and_path_and_scores_it():
 def test_a_planted_fault_leaves_the_scatter(constants, has_fingers, travel_mm):
     experiment = load_experiment(NAME, constants)
     if not has_fingers:
-        shape = union(build_pushes.pieces_m(pushes().front_m())[:1])
+        hand = experiment.scene.body("hand")
+        palm = replace(hand.shape, pieces_m=hand.shape.pieces_m[:1])
         bodies = tuple(
-            replace(body, shape=shape) if body.name == "hand" else body
+            replace(body, shape=palm) if body is hand else body
             for body in experiment.scene.bodies
         )
         experiment = replace(experiment, scene=replace(experiment.scene, bodies=bodies))
@@ -253,44 +249,3 @@ def test_a_planted_fault_leaves_the_scatter(constants, has_fingers, travel_mm):
             - recorded(pushes().trials[trial], times_s).measures(times_s)["travel_mm"]
         )
     assert travel_mm[0] < np.mean(errors) < travel_mm[1]
-
-
-def test_a_rod_pushed_at_its_end_turns_about_the_known_point():
-    """A uniform rod turns about a point 1/sqrt(2) of its length away (Mason 1986)."""
-    length_m = 0.3
-    along_m = length_m * (np.arange(3000) + 0.5) / 3000
-    supports_m = np.column_stack([np.zeros_like(along_m), along_m])
-    rate = turn_rate(
-        np.zeros(2), np.array([1.0, 0.0]), supports_m, np.full(3000, 1.0 / 3000)
-    )
-    assert 1.0 / rate == pytest.approx(length_m / np.sqrt(2.0), rel=1e-4)
-
-
-def test_a_rod_on_its_ends_turns_about_the_far_one():
-    supports_m = np.array([[0.0, 0.0], [0.0, 0.3]])
-    rate = turn_rate(
-        np.array([0.0, 0.1]), np.array([1.0, 0.0]), supports_m, np.array([0.5, 0.5])
-    )
-    assert rate == pytest.approx(1.0 / 0.2, rel=1e-6)
-
-
-def test_the_ellipsoid_is_the_motion_of_least_power():
-    """Its power is the root of v^2 + c^2 w^2, whose least value over rates is found on a grid."""
-    point_m, velocity, length_m = np.array([-0.03, 0.012]), np.array([0.8, -0.3]), 0.025
-    rates = np.linspace(-40.0, 40.0, 800_001)
-    centre = velocity[:, None] - rates * np.array([[-point_m[1]], [point_m[0]]])
-    power = np.sqrt((centre**2).sum(axis=0) + (length_m * rates) ** 2)
-    assert ellipsoid_turn_rate(point_m, velocity, length_m) == pytest.approx(
-        rates[power.argmin()], abs=2e-4
-    )
-
-
-def test_friction_of_the_table_cancels_in_a_slow_push():
-    """MuJoCo turns a cube as the law of its four corners, whatever the friction; the ball is 6 mm high, so 5 % off."""
-    law_deg = np.degrees(turn_of_push(0.01, 0.02, HALF_EDGE_M))
-    turns = [
-        simulated("mujoco", point_push_scene(0.01, friction)).turn_deg[-1, 2]
-        for friction in (0.1, 0.4)
-    ]
-    np.testing.assert_allclose(turns, law_deg, rtol=0.06)
-    assert turns[0] == pytest.approx(turns[1], rel=0.04)
