@@ -29,15 +29,13 @@ COMMANDS = {
     "published_scores": "published_scores --backend mujoco --engine isaacsim --only SlopeSlider-2-wood",
     "pushes": "pushes slide",
     "ranges": "ranges",
-    "recipes": "hopping_plates",
     "robots": "makers",
-    "scatter": "size_and_power NonsmoothContact-3-wood",
     "steps": "steps SlopeSlider-1-wood",
     "what_changed": "what_changed models",
     "tosses": "cube_toss run mujoco out --every 400",
 }
 SLOW = {"coverage", "joints", "models"}
-SLOW |= {"planted_faults", "ranges", "scatter", "steps"}
+SLOW |= {"planted_faults", "ranges", "steps"}
 
 
 def test_every_study_has_a_command_of_a_script_and_its_note_names_all_scripts():
