@@ -32,7 +32,6 @@ COMMANDS = {
     "robots": "makers",
     "steps": "steps SlopeSlider-1-wood",
     "what_changed": "what_changed models",
-    "tosses": "cube_toss run mujoco out --every 400",
 }
 SLOW = {"coverage", "joints", "models"}
 SLOW |= {"planted_faults", "ranges", "steps"}

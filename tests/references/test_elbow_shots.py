@@ -8,10 +8,9 @@ import pytest
 from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
 
-from benchmarks.toss_errors import angle_error, perturbed_scene
 from gauge_envs import load_experiment, reference_band
 from gauge_envs.backends import backend_for, backend_names
-from gauge_envs.errors import MissingExtraError, ParameterError, ShapeError
+from gauge_envs.errors import MissingExtraError, ParameterError
 from gauge_envs.experiments.resolve import with_trial
 from gauge_envs.references.single_shot import ShotSidecar, single_shots
 from gauge_envs.scene.hinged import hinge_angle_rad, hinge_frames
@@ -182,47 +181,6 @@ def test_an_episode_is_scored_on_both_bodies(shots):
     )
     assert band.mean.shape == (25, 6)
     env.close()
-
-
-def test_errors_of_a_known_angle(shots):
-    times = np.arange(145) / 180.0
-    records = shots.shot(5, "first"), shots.shot(5, "second")
-    first, second = (shot.poses_at(times)[1] for shot in records)
-    zero = angle_error(records, times, (first, second))
-    assert zero.mean_deg == pytest.approx(0.0, abs=1e-5)
-    # A rotation of both blocks together is no error of the hinge; one of the second block about the axis is.
-    together = Rotation.from_rotvec([0.3, 0.2, 0.1])
-    opened = second * Rotation.from_rotvec([0.0, np.radians(9.0), 0.0])
-    found = angle_error(records, times, (together * first, together * opened))
-    assert [found.early_deg, found.mean_deg, found.rest_deg] == pytest.approx([9.0] * 3)
-    with pytest.raises(ShapeError, match="145 times"):
-        angle_error(records, times, (first[:4], second))
-
-
-def test_perturbed_starts_scatter_and_keep_the_hinge(shots):
-    scene = with_trial(load_experiment(NAME), 3).scene
-    frames = hinge_frames(
-        scene.body_hinges[0], *(scene.body(name).pose for name in BODIES)
-    )
-    angles, rates = [], []
-    for seed in range(300):
-        drawn = perturbed_scene(scene, shots.sidecar, seed=seed)
-        poses = [drawn.body(name).pose for name in BODIES]
-        angles.append(
-            float(hinge_angle_rad(frames, *(pose.rotation for pose in poses)))
-        )
-        spin = np.subtract(
-            *(drawn.body(name).angular_velocity_rad_per_s for name in reversed(BODIES))
-        )
-        rates.append(float(spin @ drawn.body_hinges[0].axis))
-    errors = shots.sidecar.nuisances
-    assert np.degrees(np.std(angles)) == pytest.approx(errors.angle_noise_deg, rel=0.15)
-    assert np.std(rates) == pytest.approx(
-        errors.start_angle_rate_std_rad_per_s, rel=0.15
-    )
-    assert perturbed_scene(scene, shots.sidecar, seed=1) == perturbed_scene(
-        scene, shots.sidecar, seed=1
-    )
 
 
 def test_unknown_bodies_and_wrong_sidecars_are_refused(shots):
