@@ -1,4 +1,6 @@
-"""Files whose text a test changes."""
+"""Files whose text a test changes, and blocks of code on pages."""
+
+import re
 
 
 def changed_text(path, *replacements, to=None, count=1):
@@ -10,3 +12,12 @@ def changed_text(path, *replacements, to=None, count=1):
     target = path if to is None else to
     target.write_text(text, encoding="utf-8")
     return target
+
+
+def fenced(page, language):
+    """Return the code blocks of a page in a language."""
+    return re.findall(
+        rf"^```{language}\n(.*?)^```$",
+        page.read_text(encoding="utf-8"),
+        flags=re.MULTILINE | re.DOTALL,
+    )

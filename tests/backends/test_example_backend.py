@@ -19,6 +19,7 @@ import gymnasium
 import numpy as np
 import pytest
 from places import ROOT
+from texts import fenced
 from typer.testing import CliRunner
 
 import gauge_envs
@@ -492,15 +493,6 @@ def test_the_engine_in_arrays_obeys_the_laws_and_its_worlds_do_not_touch(measure
 # --- guide -----------------------------------------------------------------------------------------------------------
 
 
-def fenced(language):
-    """Code blocks of the guide in a language."""
-    return re.findall(
-        rf"^```{language}\n(.*?)^```$",
-        GUIDE.read_text(),
-        flags=re.MULTILINE | re.DOTALL,
-    )
-
-
 def unquoted():
     """Python blocks of the guide that are not quoted from the example."""
     sources = [
@@ -509,7 +501,7 @@ def unquoted():
     ]
     return [
         block
-        for block in fenced("python")
+        for block in fenced(GUIDE, "python")
         if not any(block in source for source in sources)
     ]
 
@@ -526,21 +518,21 @@ def measure_guide():
 def test_python_blocks_of_the_guide_run_or_are_quoted_from_the_example(measured):
     count = len(unquoted())
     assert count
-    assert len(fenced("python")) - count > 2
+    assert len(fenced(GUIDE, "python")) - count > 2
     assert measured["guide"] == ""
 
 
 def test_toml_of_the_guide_is_that_of_the_example():
     manifest = (PACKAGE / "pyproject.toml").read_text()
-    assert fenced("toml")
-    assert all(block in manifest for block in fenced("toml"))
+    assert fenced(GUIDE, "toml")
+    assert all(block in manifest for block in fenced(GUIDE, "toml"))
 
 
 @pytest.mark.slow
 def test_gauge_commands_of_the_guide_run(environment, tmp_path):
     commands = [
         shlex.split(line)
-        for block in fenced("sh")
+        for block in fenced(GUIDE, "sh")
         for line in block.splitlines()
         if line.startswith("gauge ")
     ]

@@ -19,6 +19,7 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
 from opengl import needs_opengl
 from places import ROOT
+from texts import fenced
 
 from gauge_envs import (
     GaugeEnv,
@@ -355,18 +356,9 @@ def test_an_episode_that_is_cut_short_has_no_score():
 # --- the guide -------------------------------------------------------------------------------------------------------
 
 
-def fenced(language):
-    """Code blocks of the guide in a language."""
-    return re.findall(
-        rf"^```{language}\n(.*?)^```$",
-        GUIDE.read_text(),
-        flags=re.MULTILINE | re.DOTALL,
-    )
-
-
 @pytest.mark.slow
 def test_blocks_of_the_guide_run(tmp_path):
-    blocks = fenced("python")
+    blocks = fenced(GUIDE, "python")
     assert len(blocks) > 6
     if not find_library("EGL") and not find_library("OSMesa"):
         blocks = [block for block in blocks if "RecordVideo" not in block]

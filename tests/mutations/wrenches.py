@@ -32,8 +32,8 @@ class _WrenchInBody(Passed):
         )
 
 
-class _WrenchOnce(Passed):
-    """Applies a wrench during one interval only."""
+class _Pushed(Passed):
+    """Knows the bodies with a wrench."""
 
     def __init__(self, inner, scene):
         super().__init__(inner, scene)
@@ -42,6 +42,10 @@ class _WrenchOnce(Passed):
     def apply_wrench(self, body, wrench):
         super().apply_wrench(body, wrench)
         self._applied.add(body)
+
+
+class _WrenchOnce(_Pushed):
+    """Applies a wrench during one interval only."""
 
     def advance(self, seconds):
         super().advance(seconds)
@@ -77,16 +81,8 @@ class _WrenchKept(Passed):
             super().apply_wrench(body, wrench)
 
 
-class _RestoreForgetsWrench(Passed):
+class _RestoreForgetsWrench(_Pushed):
     """Drops wrenches when a state is restored."""
-
-    def __init__(self, inner, scene):
-        super().__init__(inner, scene)
-        self._applied = set()
-
-    def apply_wrench(self, body, wrench):
-        super().apply_wrench(body, wrench)
-        self._applied.add(body)
 
     def restore(self, state):
         super().restore(state)

@@ -1,14 +1,13 @@
 """Engines that crash, exit or hang cost their own episode, and results are the same in another process."""
 
-import json
 import os
 import subprocess
 import sys
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from sweep_workers import plain
 from typer.testing import CliRunner
 
 from gauge_envs.backends import backend
@@ -29,11 +28,6 @@ WOOD, PLASTIC, METAL = (
     "SlopeSlider-2-plastic",
     "SlopeSlider-2-metal",
 )
-
-
-def plain(result):
-    """A result without the times of its making, to the last bit."""
-    return json.dumps(replace(result, wall_s=None, cpu_s=None, created="").to_dict())
 
 
 def test_results_have_the_same_bits_in_another_process():

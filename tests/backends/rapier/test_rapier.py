@@ -237,12 +237,6 @@ def pendulum_energy_j_per_kg(seconds, **settings):
     return G * rows[:, 2] + 0.5 * speeds + 0.2 * 0.02**2 * spins
 
 
-def test_rapiers_damping_of_hinges_stops_a_pendulum():
-    # Overdamped: 0.1 N m s against 0.004 kg m^2 and 0.2 N m.
-    energy = pendulum_energy_j_per_kg(4.0, hinge_damping_n_m_s=0.1)
-    assert energy[-1] == pytest.approx(-0.2 * G, abs=0.01)
-
-
 def test_impulse_hinges_lose_energy_in_the_stabilization():
     impulse = {"hinge_joint": "impulse", "timestep_s": 1 / 180, "solver_iterations": 4}
     assert pendulum_energy_j_per_kg(20.0, **impulse)[-1] == pytest.approx(

@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import re
 
+import mujoco
+
+from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
+
 LINKS = (
     # Length [m], radius [m], axis, range [deg], kp, kv, largest torque [Nm], friction loss [Nm].
     (0.15, 0.060, "0 0 1", "-170 170", 2000, 200, 150, 4.0),
@@ -161,3 +165,11 @@ LATER = {
     ),
 }
 """Mistakes that were written after the rows and their limits."""
+
+
+def read(xml: str):
+    """Return the training configuration of a model."""
+    spec = mujoco.MjSpec.from_string(xml)
+    return mujoco_configuration(
+        spec.compile(), name="arm.xml", source="test", spec=spec
+    )

@@ -1,21 +1,12 @@
 """An arm on a fixed base: mistakes of people are found and named."""
 
-import mujoco
 import pytest
-from arm_faults import LATER, MISTAKES, good_xml
+from arm_faults import LATER, MISTAKES, good_xml, read
 
 from gauge_envs.tools.sanity.model import Verdict
 from gauge_envs.tools.sanity.phenomena import ROBOT_IDS
-from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
 from gauge_envs.tools.sanity.stacks import dialect
 from gauge_envs.tools.sanity.target_checks import target_rows
-
-
-def read(xml):
-    spec = mujoco.MjSpec.from_string(xml)
-    return mujoco_configuration(
-        spec.compile(), name="arm.xml", source="test", spec=spec
-    )
 
 
 def flags_of(configuration):

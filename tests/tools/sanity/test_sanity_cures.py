@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 import robot_faults
-from arm_faults import LATER, MISTAKES, good_xml
+from arm_faults import LATER, MISTAKES, good_xml, read
 from more_faults import GOOD, LATER as MORE_LATER, MISTAKES as MORE_MISTAKES
 
 from gauge_envs.tools.sanity import check
@@ -19,7 +19,6 @@ from gauge_envs.tools.sanity.mended import write_mended
 from gauge_envs.tools.sanity.model import Verdict
 from gauge_envs.tools.sanity.phenomena import ROBOT_IDS
 from gauge_envs.tools.sanity.robot.mended_model import mended_xml
-from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
 from gauge_envs.tools.sanity.robot.remedies import ORDER, find_remedies
 from gauge_envs.tools.sanity.robot.rows import ROWS
 from gauge_envs.tools.sanity.stacks import dialect
@@ -27,13 +26,6 @@ from gauge_envs.tools.sanity.target_checks import target_rows
 
 NO_REMEDY = {"limits of the wrist alone"}
 """Mistakes that took away what no check can know."""
-
-
-def read(xml):
-    spec = mujoco.MjSpec.from_string(xml)
-    return mujoco_configuration(
-        spec.compile(), name="arm.xml", source="test", spec=spec
-    )
 
 
 def flags_of(configuration):
