@@ -17,8 +17,11 @@ from gauge_envs.tools.identify.logs import Log
 from gauge_envs.tools.identify.rig import DYNAMICS, SERVO
 from gauge_envs.tools.identify.stages import QUADRATIC, Fit, Fitter
 
-LAW_STEPS, LAW_CLOSE = 15, 3e-3
-"""Most steps of the fit of a law to one log, which starts from a fit to all of them, and the change that ends it."""
+LAW_STEPS, LAW_CLOSE = 15, 1e-5
+"""Most steps of the fit of a law to one log, which starts from a fit to all of them, and the change that ends it.
+
+A law that starts from a simpler one goes on where that ended: if that was too early, it seems to predict better.
+"""
 
 AS_GOOD = 1.05
 """Error over that of the law that predicts best, up to which a law with fewer terms is as good."""
