@@ -53,7 +53,7 @@ def test_ctrl_c_keeps_what_is_done_and_resume_goes_on(gauge, monkeypatch, tmp_pa
         interrupt_in_episode(patched, 3)
         stopped = gauge("run", "SlopeSlider-2-*", "--json")
     assert stopped.exit_code == 130
-    assert "2 results kept in results; --resume continues" in stopped.stderr
+    assert "finished episodes are kept in results; --resume" in stopped.stderr
     assert len(lines(stopped)) == 2
     assert len(list((tmp_path / "results").iterdir())) == 2
     resumed = gauge("run", "SlopeSlider-2-*", "--json", "--resume")

@@ -173,9 +173,8 @@ def run(
                     if form is Format.JSON:
                         print_json_lines([result.to_dict(trajectory=False)])
     except KeyboardInterrupt:
-        kept = sum(result.error is None for result in results)
         message(
-            f"interrupted: {counted(kept, 'result')} kept in {out}; --resume continues from there"
+            f"interrupted: finished episodes are kept in {out}; --resume continues from there"
         )
         raise typer.Exit(EXIT_INTERRUPTED) from None
     except ResultFileError:
