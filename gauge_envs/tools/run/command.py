@@ -259,4 +259,5 @@ def _default_jobs(requests: Sequence[RunRequest]) -> int:
 
 def _totals(results: Sequence[Result], out: Path) -> str:
     counts = Counter(result.outcome.value for result in results)
-    return f"{', '.join(f'{number} {outcome}' for outcome, number in counts.items())}; results in {out}"
+    parts = [f"{number} {outcome}" for outcome, number in counts.items()]
+    return f"{', '.join(parts) or 'no episode finished'}; results in {out}"
