@@ -68,7 +68,6 @@ JOINT_M = -0.16
 DRIVER_INTERVAL_S = 0.02
 
 POSITION_UNIT_M = 1e-5
-QUATERNION_UNIT = 1.0 / 32767.0
 
 ALIGN_ERROR_S = 0.0005
 """Standard uncertainty of the common time of a trial [s]: a hand at 0.2 m/s, known to 0.1 mm."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import ast
 import sys
 import tomllib
-from collections.abc import Mapping
 
 import pytest
 from packaging.requirements import Requirement
@@ -49,8 +48,6 @@ NOT_OF_USERS = {"bench", "dev", "docs"}
 
 INSTALLED_LATER = {"bench", "data", "docs", "logs", "onnx", "ray", "rerun", "rl"}
 """Extras that the default tests do without; `scripts/newest_versions.py` adds those with which slow ones ran."""
-
-Files = Mapping[str, tuple[set[str], set[str]]]
 
 
 def canonical(name):

@@ -84,47 +84,6 @@ def trials(name: str) -> list[Trial]:
     return found
 
 
-def rollout(
-    acceleration: Callable[[float, FloatArray, FloatArray], FloatArray],
-    angles: FloatArray,
-    rates: FloatArray,
-    frames: int,
-    interval_s: float,
-    substeps: int,
-) -> FloatArray:
-    """Integrate copies of a smooth system with the classical Runge-Kutta scheme.
-
-    Args:
-        acceleration: Of time, angles and rates, each of the shape of the starts.
-        angles: Angles at the start [rad], shape [copies, J].
-        rates: Rates at the start [rad/s], shape [copies, J].
-        frames: Number of frames to return.
-        interval_s: Time between frames [s].
-        substeps: Steps between frames.
-
-    Returns:
-        Angles [rad], shape [copies, frames, J].
-    """
-    step = interval_s / substeps
-    q, v = np.array(angles), np.array(rates)
-    kept = np.empty((len(q), frames, q.shape[1]))
-    kept[:, 0] = q
-    for frame in range(1, frames):
-        for sub in range(substeps):
-            time = (frame - 1) * interval_s + sub * step
-            a1 = acceleration(time, q, v)
-            v2 = v + 0.5 * step * a1
-            a2 = acceleration(time + 0.5 * step, q + 0.5 * step * v, v2)
-            v3 = v + 0.5 * step * a2
-            a3 = acceleration(time + 0.5 * step, q + 0.5 * step * v2, v3)
-            v4 = v + step * a3
-            a4 = acceleration(time + step, q + step * v3, v4)
-            q = q + step * (v + 2.0 * v2 + 2.0 * v3 + v4) / 6.0
-            v = v + step * (a1 + 2.0 * a2 + 2.0 * a3 + a4) / 6.0
-        kept[:, frame] = q
-    return kept
-
-
 def swing(
     acceleration: Callable[[int, FloatArray], FloatArray],
     starts: FloatArray,
@@ -187,16 +146,14 @@ def fit(
     guess: FloatArray,
     steps: FloatArray,
     rounds: int = 30,
-    least: float = 0.0,
 ) -> Fit:
     """Minimize a sum of squares by Levenberg's and Marquardt's method; the copies of a Jacobian run as one batch.
 
     Args:
         residuals: Of parameters, shape [copies, P]; returns shape [copies, R].
         guess: Parameters at the start, shape [P].
-        steps: Steps of the finite differences, shape [P].
+        steps: Steps of the finite differences, shape [P]; a negative one keeps its parameter at 0 or above.
         rounds: Most iterations.
-        least: Smallest value of a parameter whose step is negative: such a one is no less than this.
     """
     bounded, steps = steps < 0.0, np.abs(steps)
     values, damping = np.array(guess, dtype=float), 1e-3
@@ -211,7 +168,7 @@ def fit(
                 normal + damping * np.diag(np.diag(normal) + 1e-12), -slope
             )
             tried = values + change
-            tried[bounded] = np.maximum(tried[bounded], least)
+            tried[bounded] = np.maximum(tried[bounded], 0.0)
             new = residuals(tried + np.vstack([np.zeros_like(steps), np.diag(steps)]))
             new_cost = float(new[0] @ new[0])
             if np.isfinite(new_cost) and new_cost < cost:

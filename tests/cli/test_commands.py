@@ -3,8 +3,6 @@
 import inspect
 import subprocess
 import sys
-from collections.abc import Callable
-from typing import Any
 
 import pytest
 from places import ROOT
@@ -17,8 +15,6 @@ MOST_HELP_COST = 8.0
 """CPU time of `gauge --help` over that of `import typer`."""
 
 NAMES = list(instruments_by("commands"))
-
-Gauge = Callable[..., Any]
 
 
 def options(command):

@@ -1,8 +1,6 @@
 """What the commands print, in every format, as a person has approved it."""
 
 import shlex
-from collections.abc import Callable
-from typing import Any
 
 import approval
 import numpy as np
@@ -12,9 +10,6 @@ from slide import SLIDE, write_csv
 from gauge_envs import load_experiment
 from gauge_envs.cli.app import load_command
 from gauge_envs.registry import instruments_by
-
-Gauge = Callable[..., Any]
-Approved = Callable[[str, str], None]
 
 STATIC = {
     "list": "list",

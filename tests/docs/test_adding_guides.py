@@ -7,7 +7,6 @@ import re
 import shlex
 import sys
 from pathlib import Path
-from types import ModuleType
 
 import mujoco
 import mutations
@@ -22,9 +21,6 @@ from gauge_envs.errors import TargetError
 from gauge_envs.tools.conformance import Status, model, run_checks
 from gauge_envs.tools.sanity import Verdict, check, configuration, phenomena, stacks
 from gauge_envs.tools.sanity.phenomena import phenomenon
-
-Parts = tuple[ModuleType, dict[str, str]]
-"""New module of a guide, and its other Python blocks by the file that they name; `` for one that names none."""
 
 RUNNER = CliRunner()
 

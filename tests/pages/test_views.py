@@ -1,6 +1,5 @@
 """Every table of the command line at 80 and 120 columns: nothing is cut, nothing is too long."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -36,8 +35,6 @@ SANITY_ROWS = (
     "momentum",
     "seam",
 )
-
-Print = Callable[..., str]
 
 
 @pytest.fixture(scope="module")

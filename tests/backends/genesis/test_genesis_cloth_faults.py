@@ -9,8 +9,6 @@ from gauge_envs.backends.genesis import cloth
 from gauge_envs.backends.genesis.kernels import PBDKernels
 from gauge_envs.tools.conformance import Status, run_checks
 
-Patch = pytest.MonkeyPatch
-
 
 def bending_compliance_halved(patch):
     """Hinges are twice as stiff."""

@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.runs.rollout import Rollout
@@ -42,8 +41,6 @@ from gauge_envs.tools.bench.turning import (
     turning_arm_m,
     turning_scene,
 )
-
-Array = NDArray[np.float64]
 
 
 def rollout_of(scene, times_s, **moved):

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.stats import t as student
 
 from gauge_envs.evaluation.uncertainty import band_errors
@@ -20,8 +19,6 @@ from studies.coverage.interval_coverage import (
     band_of,
     leave_one_out,
 )
-
-FloatArray = NDArray[np.float64]
 
 TRIAL_COUNT = 20
 

@@ -4,7 +4,6 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.stats import t as student, ttest_1samp
 
 from gauge_envs.evaluation.uncertainty import band_errors
@@ -22,8 +21,6 @@ from gauge_envs.tools.compare.significance import (
     p_value,
 )
 from studies.coverage.interval_coverage import band_of
-
-FloatArray = NDArray[np.float64]
 
 # --- p-values --------------------------------------------------------------------------------------------------------
 

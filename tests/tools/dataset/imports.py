@@ -1,17 +1,11 @@
 """Trials that are written, changed and imported."""
 
-from collections.abc import Callable
-from typing import Any
-
 from dataset_writer import write_trial
 
 from gauge_envs.evaluation.reference import load_band
 from gauge_envs.references.user_data import DataSource
 from gauge_envs.tools.dataset.importer import import_trials
 from gauge_envs.tools.dataset.layout import find_trials
-
-Content = dict[str, Any]
-Change = Callable[[Content], Any]
 
 IMPORTED = {"drivers": "imported", "reference": "imported"}
 

@@ -1,12 +1,10 @@
 """Printed lines of each engine, run on a pendulum that only the engine's own interface builds, against the backend."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends import backend
@@ -29,8 +27,6 @@ DRY, VISCOUS, ARMATURE = (
 )
 KP, KV = "kp_n_m_per_rad", "kv_n_m_s_per_rad"
 START_RAD, LIMIT_N_M = 0.5, 0.8
-Angles = NDArray[np.float64]
-Torque = Callable[[float, float], float]
 PASSIVE = {DRY: 0.05, VISCOUS: 0.01, ARMATURE: 0.01}
 SERVO = {KP: 3.0, KV: 0.15, ARMATURE: 0.01}
 

@@ -7,12 +7,10 @@ read friction and restitution from them.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 G = 9.80665
 RADIUS_M, DROP_M = 0.03, 0.2
@@ -20,8 +18,6 @@ DURATION_S = 0.5
 PHASES = 4
 """Drops from heights that differ by less than the fall of a step."""
 PLATE = (0.12, 0.12, 0.03)
-
-Places = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,9 +51,6 @@ class Foot:
     @property
     def steps(self):
         return range(round(DURATION_S / self.step_s))
-
-
-Loop = Callable[[str, Foot], Places]
 
 
 def slide(

@@ -11,7 +11,6 @@ from quadruped import FEET, FOOT_RADIUS_M, GOOD, quadruped_xml
 from sanity_cases import moved
 from scipy.spatial.transform import Rotation
 from straight import fitted_acceleration
-from typer.testing import CliRunner
 
 from gauge_envs.backends import backend
 from gauge_envs.errors import TargetError
@@ -24,7 +23,6 @@ from gauge_envs.tools.sanity.robot.foot import REFERENCE_FOOT
 from gauge_envs.tools.sanity.scenario import Scenario, run_scenario, settings_in_force
 
 MUJOCO = backend("mujoco")
-RUNNER = CliRunner()
 
 GO1 = {
     "timestep_s": 0.004,

@@ -18,8 +18,6 @@ from gauge_envs.tools.sanity import check, configuration, gauge_probe as program
 from gauge_envs.tools.sanity.model import CapacityLimits
 from gauge_envs.tools.sanity.robot.contact_capacity import contact_capacity
 
-OPTIONS = ("timestep_s", "iterations", "ls_iterations", "ccd_iterations")
-
 
 def probe_file(target, folder):
     path = folder / "target.gaugeprobe.json"

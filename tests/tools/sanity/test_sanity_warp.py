@@ -36,10 +36,6 @@ GO1 = {
 }
 """Options of MuJoCo Playground's Go1."""
 
-BALLS = """<mujoco><worldbody><geom name="floor" type="plane" size="1 1 1"/>
-  <body pos="0 0 .099"><freejoint/><geom size=".1"/></body>
-  <body pos="1 0 .099"><freejoint/><geom size=".1"/></body></worldbody></mujoco>"""
-
 
 def on_warp(model, **limits):
     """Return model and data of mujoco_warp after a first look at the contacts."""

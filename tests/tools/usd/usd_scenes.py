@@ -1,9 +1,7 @@
 """Scenes that nobody designed, with all that a USD layer holds of a scene, and edits of what is written of one."""
 
 import math
-from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from hypothesis import strategies as st
@@ -258,8 +256,6 @@ def scenes(draw):
 
 
 # --- edits -----------------------------------------------------------------------------------------------------------
-
-Edit = Mapping[str, Any] | Callable[[Usd.Stage], object]
 
 
 def edited(source, folder, edit):

@@ -123,9 +123,6 @@ def shot(motion, seed, folder, *, fps=30.0):
 Place = Callable[[float], tuple[FloatArray, float]]
 """Place of the object on its plane, from the middle of the board [m], and its rotation [rad], at a time [s]."""
 
-Motion = tuple[Place, str, float, float, FloatArray | None]
-"""Place, name and value of the constant, duration [s], and the pivot of a swing [m]."""
-
 
 def _slide(rng):
     return _descent(rng, "friction", (24.0, 34.0), (0.1, 0.35), 1.0)

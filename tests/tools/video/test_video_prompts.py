@@ -28,7 +28,6 @@ PLASTIC = (
     "restitution for the cube is 0.38. It is kept."
 )
 
-FRAME = "SlopeSlider-2-metal.png"
 FRAME_SOURCE = "input/first frames/832x480/slope slider/frame(metal).png"
 
 
