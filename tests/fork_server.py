@@ -200,11 +200,12 @@ def run(
     env,
     check,
 ):
-    """Run a child to its end, and return its exit code."""
-    assert stderr == subprocess.DEVNULL and not check
-    with tempfile.TemporaryFile() as given, Path(os.devnull).open("wb") as errors:
+    """Run a child to its end, and return its exit code; its errors go to a file, or nowhere."""
+    assert not check
+    with tempfile.TemporaryFile() as given, Path(os.devnull).open("wb") as nowhere:
         given.write(input)
         given.seek(0)
+        errors = nowhere if stderr == subprocess.DEVNULL else stderr
         fork = _forked(command, (given.fileno(), stdout.fileno(), errors.fileno()), env)
         is_late = threading.Event()
 

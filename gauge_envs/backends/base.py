@@ -63,6 +63,8 @@ class Backend(ABC):
         own_defaults: Presets that leave the engine as its makers deliver it.
         worlds_mix_constants: Whether `build_worlds` takes scenes that differ in masses and contact constants too. Such
             scenes are built one by one for other engines.
+        worlds_share_simulation: Whether `build_worlds` makes one simulation of all worlds. A sweep runs the repeats of
+            such an engine together, and those of others one by one, so that an interrupted one loses less.
         worlds_restart_alone: Whether `Worlds.restart` of what `build_worlds` returns starts one world anew while others
             go on.
     """
@@ -77,6 +79,7 @@ class Backend(ABC):
     features: ClassVar[frozenset[Feature]] = frozenset()
     own_defaults: ClassVar[frozenset[str]] = frozenset({"out_of_box"})
     worlds_mix_constants: ClassVar[bool] = False
+    worlds_share_simulation: ClassVar[bool] = True
     worlds_restart_alone: ClassVar[bool] = False
 
     def whose_physics(self, preset: str) -> str:

@@ -63,13 +63,16 @@ def test_a_script_runs_as_its_note_says(study, tmp_path, monkeypatch):
     (tmp_path / "results").mkdir()
     monkeypatch.chdir(tmp_path)
     # A fork where the system has them: see the fixture `forked_children`.
-    done = files.subprocess.run(
-        [sys.executable, "-c", PROGRAM, *shlex.split(f"{study}.{COMMANDS[study]}")],
-        input=b"",
-        env=os.environ | {"PYTHONPATH": f"{tmp_path}:{ROOT}:{ROOT / 'tests'}"},
-        capture_output=True,
-        timeout=TIMEOUT_S,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr.decode()
-    assert done.stdout or study == "joints"
+    printed, wrong = tmp_path / "printed.txt", tmp_path / "wrong.txt"
+    with printed.open("wb") as output, wrong.open("wb") as errors:
+        done = files.subprocess.run(
+            [sys.executable, "-c", PROGRAM, *shlex.split(f"{study}.{COMMANDS[study]}")],
+            input=b"",
+            env=os.environ | {"PYTHONPATH": f"{tmp_path}:{ROOT}:{ROOT / 'tests'}"},
+            stdout=output,
+            stderr=errors,
+            timeout=TIMEOUT_S,
+            check=False,
+        )
+    assert done.returncode == 0, wrong.read_text(encoding="utf-8")
+    assert printed.read_bytes() or study == "joints"

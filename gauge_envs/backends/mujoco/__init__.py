@@ -54,6 +54,7 @@ class BackendMuJoCo(BundledBackend):
         }
     )
     worlds_mix_constants = True
+    worlds_share_simulation = False
 
     def unsupported(self, scene: Scene) -> Iterator[str]:
         """Yield the unsupported features, such as cloth on a dynamic body or, below MuJoCo 4, deformable bodies."""

@@ -241,7 +241,8 @@ def _engine_runs(
                 experiment=experiment.name,
                 sha256=sha256,
                 versions=engine_versions,
-                shares_worlds=type(engine).build_worlds is not Backend.build_worlds,
+                shares_worlds=engine.worlds_share_simulation
+                and type(engine).build_worlds is not Backend.build_worlds,
                 declined=declined,
                 steps=None
                 if timestep_s is None
