@@ -216,6 +216,20 @@ def _loaded(angles_rad):
     return Scene(bodies=tuple(bars), joints=tuple(hinges), duration_s=0.1)
 
 
+@pytest.mark.parametrize("name", ["mujoco", "rapier"])
+def test_worlds_have_the_friction_of_the_world_alone(name):
+    pytest.importorskip(ENGINES[name])
+    scenes = [_loaded([0.8]), _loaded([0.5])]
+    worlds = backend(name).build_worlds(scenes)
+    worlds.reset(0)
+    worlds.advance(0.05)
+    for scene, place in zip(scenes, worlds.body_states(["bar0"]), strict=True):
+        alone = backend(name).build(scene)
+        alone.reset(0)
+        alone.advance(0.05)
+        np.testing.assert_array_equal(place, alone.body_states(["bar0"]))
+
+
 @on_every_engine
 def test_a_share_of_the_load_holds_a_bar_and_brakes_another(name):
     """A weight w breaks away above dry / (1 - share); a fall by the angle a then loses dry a + share of w's work."""

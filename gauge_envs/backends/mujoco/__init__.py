@@ -74,6 +74,7 @@ class BackendMuJoCo(BundledBackend):
         check_kept("MuJoCo", in_force, option_settings(model))
         return SimulationMuJoCo(scene, in_force, spec, model, parts)
 
+    @with_joint_laws(quadratic=False)
     def build_worlds(
         self, scenes: Sequence[Scene], settings: Mapping[str, Any] | None = None
     ) -> Worlds:
