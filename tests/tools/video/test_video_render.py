@@ -167,6 +167,12 @@ def test_films_of_random_episodes(task):
                 seed,
                 result.reasons,
             )
+        elif task == "Pendulum-metal":
+            # With noise, an empty background does not show that the camera stands.
+            assert all("camera moves" in reason for reason in result.reasons), (
+                seed,
+                result.reasons,
+            )
         else:
             assert result.is_sound, (seed, result.reasons)
         for name, truth in truths(one, parameters).items():
