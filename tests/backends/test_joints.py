@@ -6,6 +6,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
+from cloths import fabric
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends import backend
@@ -214,6 +215,18 @@ def _loaded(angles_rad):
         hinge = Hinge(body=f"bar{number}", anchor_m=anchor_m, axis=(0.0, 1.0, 0.0))
         hinges.append(replace(hinge, dynamics=law))
     return Scene(bodies=tuple(bars), joints=tuple(hinges), duration_s=0.1)
+
+
+def test_cloth_beside_a_joint_with_friction_by_load_falls_as_alone():
+    aside = Pose(position_m=(5.0, 0.0, 5.0), quaternion=(1.0, 0.0, 0.0, 0.0))
+    sheet = fabric("satin", (0.1, 0.1), aside)
+    loaded = replace(_loaded([0.8]), deformables=(sheet,))
+    simulation = backend("mujoco").build(loaded)
+    simulation.reset(0)
+    fallen_m = simulation.nodes(sheet.name)[:, 2].copy()
+    simulation.advance(0.1)
+    fallen_m -= simulation.nodes(sheet.name)[:, 2]
+    assert fallen_m == pytest.approx(0.5 * GRAVITY_M_PER_S2 * 0.1**2, rel=0.03)
 
 
 @pytest.mark.parametrize("name", ["mujoco", "rapier"])

@@ -9,7 +9,7 @@ of the step, and at most what the law holds, with the mass matrix M and the torq
 Bodies in contact are not part of the load, and a servo's torque is that of the state before the step.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -140,6 +140,14 @@ class ResistedSimulation(Simulation):
     def body_states(self, names: Sequence[str]) -> Array:
         """Return poses and velocities of bodies, shape [len(names), 13]; see `World.body_states`."""
         return self.inner.body_states(names)
+
+    def nodes(self, name: str) -> Array:
+        """Return the nodes of a deformable body [m], shape [node_count, 3]; see `Simulation.nodes`."""
+        return self.inner.nodes(name)
+
+    def track(self, name: str, points_m: Array) -> Callable[[], Array] | None:
+        """Return a reader of material points of a deformable body; see `Simulation.track`."""
+        return self.inner.track(name, points_m)
 
     def fault(self) -> str | None:
         """Return why the engine gave up the state; see `World.fault`."""

@@ -25,21 +25,18 @@ if TYPE_CHECKING:
     from gauge_envs.tools.video import Track
 
 
-CameraOption = Annotated[
-    Path | None,
-    typer.Option(
-        "--camera",
-        metavar="FILE",
-        rich_help_panel=arguments.SCENE,
-        help="How the camera sees the plane, TOML or JSON; a board in the film.",
-    ),
-]
+CAMERA = typer.Option(
+    "--camera",
+    metavar="FILE",
+    rich_help_panel=arguments.SCENE,
+    help="How the camera sees the plane, TOML or JSON; a board in the film.",
+)
 RateOption = Annotated[
     float | None,
     arguments.measured(
         "--fps",
         "Hz",
-        "Frames per second; needed for a track without times.",
+        "Frames per second of the camera; needed for a track without times.",
         arguments.SCENE,
         is_positive=True,
         show_default="that of the video",
@@ -107,7 +104,7 @@ def video_score(
             help="Task, see gauge list video-tasks; own films: slide, fall, pendulum.",
         ),
     ],
-    camera: CameraOption = None,
+    camera: Annotated[Path | None, CAMERA] = None,
     first_frame: Annotated[
         Path | None,
         typer.Option(
@@ -328,7 +325,7 @@ def _given_track(video: Path, file: Path) -> Track:
 
 def video_check(
     file: Annotated[Path, typer.Argument(metavar="FILM", help="Film of one's own.")],
-    camera: CameraOption = None,
+    camera: Annotated[Path, CAMERA],
     object_box: ObjectOption = None,
     fps: RateOption = None,
     out: Annotated[
@@ -346,10 +343,6 @@ def video_check(
     from gauge_envs.tools.video.frames import FileFrames
     from gauge_envs.tools.video.words import check_table
 
-    if camera is None:
-        raise ParameterError(
-            "--camera is needed: a file with the size of the film and of the board, as on the page World models"
-        )
     box_px = None if object_box is None else _box(object_box)
     findings, picture = check_film(
         FileFrames(file, fps=fps), read_camera(camera), box_px
