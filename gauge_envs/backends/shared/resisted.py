@@ -149,6 +149,10 @@ class ResistedSimulation(Simulation):
         """Return a reader of material points of a deformable body; see `Simulation.track`."""
         return self.inner.track(name, points_m)
 
+    def grip_wrenches(self, names: Sequence[str]) -> Array | None:
+        """Return the wrenches on attached deformable bodies, shape [len(names), 6]; see `Simulation.grip_wrenches`."""
+        return self.inner.grip_wrenches(names)
+
     def fault(self) -> str | None:
         """Return why the engine gave up the state; see `World.fault`."""
         return self.inner.fault()
