@@ -11,6 +11,7 @@ if TYPE_CHECKING:
         ExperimentComparison as ExperimentComparison,
         compare as compare,
     )
+    from gauge_envs.tools.compare.cost_tables import cost_text as cost_text
     from gauge_envs.tools.compare.grades import (
         DIFFERENT as DIFFERENT,
         PUBLISHED as PUBLISHED,
@@ -19,16 +20,17 @@ if TYPE_CHECKING:
         PairComparison as PairComparison,
     )
     from gauge_envs.tools.compare.lines import CompareLine as CompareLine
-    from gauge_envs.tools.compare.words import (
+    from gauge_envs.tools.compare.rank_tables import (
         PAIRED_NOTES as PAIRED_NOTES,
-        comparison_document as comparison_document,
-        cost_text as cost_text,
         deciding_text as deciding_text,
         grades_of as grades_of,
         mean_rank_text as mean_rank_text,
         p_text as p_text,
-        short_tables as short_tables,
         verdict_text as verdict_text,
+    )
+    from gauge_envs.tools.compare.words import (
+        comparison_document as comparison_document,
+        short_tables as short_tables,
     )
     from gauge_envs.tools.compare.yardstick import (
         choose_yardstick as choose_yardstick,
