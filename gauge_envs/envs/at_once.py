@@ -18,13 +18,10 @@ from gauge_envs.backends.shared.resampled import worlds_in_intervals
 from gauge_envs.backends.worlds import Worlds
 from gauge_envs.envs.arguments import EnvArguments
 from gauge_envs.envs.divergence import DeformableBoundsOfWorlds, RigidBoundsOfWorlds
-from gauge_envs.envs.episode import (
-    Episode,
-    Observation,
-    bounded_reward,
-    reward_terms,
-)
+from gauge_envs.envs.episode import Episode
 from gauge_envs.envs.lockstep import AddInfo, EpisodesOneByOne, Numbers
+from gauge_envs.envs.reward import bounded_reward, reward_terms
+from gauge_envs.envs.spaces import Observation
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.observer import MarkersOfWorlds, ObserverMarkers
 from gauge_envs.references.bands import Band

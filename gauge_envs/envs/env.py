@@ -16,8 +16,9 @@ from gauge_envs.envs.arguments import (
     start_of,
 )
 from gauge_envs.envs.base import SimulationEnvironment
-from gauge_envs.envs.episode import Episode, Observation, Trajectory
+from gauge_envs.envs.episode import Episode, Trajectory
 from gauge_envs.envs.pictures import Pictures, Rendered, episode_picture
+from gauge_envs.envs.spaces import Observation
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.variants import Variant
 from gauge_envs.scene.jitter import Jitter

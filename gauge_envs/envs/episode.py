@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from gymnasium import spaces
@@ -19,7 +19,12 @@ from gauge_envs.backends.world import Simulation, World
 from gauge_envs.envs.arguments import checked_action
 from gauge_envs.envs.divergence import DeformableBounds, RigidBounds
 from gauge_envs.envs.driver_paths import DriverPaths
-from gauge_envs.envs.reach import Reach
+from gauge_envs.envs.reward import bounded_reward, is_reward_bounded, reward_terms
+from gauge_envs.envs.spaces import (
+    Observation,
+    action_space_of,
+    observation_space_of,
+)
 from gauge_envs.errors import EpisodeError
 from gauge_envs.evaluation.metrics.trajectory import MAX_RELEASE_OFFSET_S
 from gauge_envs.evaluation.reference import reference_loads
@@ -33,7 +38,6 @@ from gauge_envs.observables.observer import (
 )
 from gauge_envs.references.bands import Band
 from gauge_envs.references.grades import BandGrade
-from gauge_envs.references.models import POINT_SIGMA_MM
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
 
@@ -44,8 +48,6 @@ if TYPE_CHECKING:
 
 LATER_FRAMES = round(MAX_RELEASE_OFFSET_S * FRAME_RATE_HZ)
 """Frames that an aligned episode is simulated on after its last one."""
-
-Observation = dict[str, FloatArray]
 
 View = tuple[dict[str, FloatArray], dict[str, FloatArray]]
 """Poses of rigid bodies and nodes of deformable ones, by name."""
@@ -535,58 +537,6 @@ class Episode:
         return self._rigid_bounds.fault(states)
 
 
-# --- what an environment declares ---
-
-
-def action_space_of(experiment: Experiment) -> spaces.Space[Any]:
-    """Return the action space of an experiment: one entry for each motion of a driver; `Discrete(1)` without any."""
-    motions = sum(len(driver.motions) for driver in experiment.scene.drivers)
-    # Learners act in single precision.
-    return (
-        spaces.Box(-1.0, 1.0, (motions,), np.float32) if motions else spaces.Discrete(1)
-    )
-
-
-STILL_RAD_PER_S = 0.01
-"""Angular speed that a driven body which does not turn may seem to have, by the rounding of engines."""
-
-
-def observation_space_of(experiment: Experiment) -> spaces.Space[Observation]:
-    """Return the observation space of an experiment; `GaugeEnv` says what each entry holds."""
-    scene = experiment.scene
-    reach = Reach(scene)
-
-    def states(names: Sequence[str]) -> spaces.Box:
-        high = np.empty((len(names), 13))
-        high[:, 3:7], high[:, 7:10] = 1.0 + 1e-9, scene.speed_limit_m_per_s
-        for row, name in zip(high, names, strict=True):
-            row[10:] = scene.spin_limit_rad_per_s(scene.body(name)) + STILL_RAD_PER_S
-        low = -high
-        for index, name in enumerate(names):
-            low[index, :3], high[index, :3] = reach.box_m(name)
-        return spaces.Box(low, high, dtype=np.float64)
-
-    low, high = reach.observable(
-        experiment.score.observable, experiment.recorded, len(experiment.coordinates)
-    )
-    entries: dict[str, spaces.Space[Any]] = {
-        "observable": spaces.Box(low, high, dtype=np.float64),
-        "time": spaces.Box(0.0, scene.duration_s + 1e-9, (1,), np.float64),
-    }
-    if experiment.recorded:
-        entries["bodies"] = states(experiment.recorded)
-    else:
-        markers = scene.markers
-        count = 0 if markers is None else len(markers.positions_m)
-        low_m, high_m = reach.box_m(*(() if markers is None else markers.bodies))
-        entries["markers"] = spaces.Box(
-            np.tile(low_m, (count, 1)), np.tile(high_m, (count, 1)), dtype=np.float64
-        )
-    if scene.drivers:
-        entries["driver"] = states([driver.body for driver in scene.drivers])
-    return cast("spaces.Space[Observation]", spaces.Dict(entries))
-
-
 def run_on_together(
     episodes: Sequence[Episode], advance: Callable[[Sequence[int]], None]
 ) -> None:
@@ -604,91 +554,3 @@ def run_on_together(
         advance(running)
         for number in running:
             episodes[number].end_later_frame()
-
-
-def is_reward_bounded(experiment: Experiment) -> bool:
-    """Return whether the reward of a frame lies between -1 and 0, as it does with deformable bodies.
-
-    Their solutions are known to a millimetre, and an action moves them by a metre: without a bound, a frame far off
-    would hide all others.
-    """
-    return bool(experiment.scene.deformables)
-
-
-def bounded_reward(distance: Any) -> Any:
-    """Return -z / (1 + z) of a distance z, or of an array of them: 0 at the reference, -1/2 at z = 1, above -1."""
-    return 1.0 / (1.0 + distance) - 1.0
-
-
-def reward_terms(
-    band: Band | None, *, is_bounded: bool = False
-) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-    """Return projection, mean and weights such that |deviation| @ weight is the mean of |z| over known coordinates.
-
-    z is the deviation over sigma, or over the uncertainty of the mean where that is larger. A bounded reward divides by
-    the size of the motion where that is larger still: actions move a cloth by its whole motion, and with a smaller
-    scale a policy that is far off would not see which way is better.
-
-    They are those of the band's `points` if it has any. None without a band.
-    """
-    if band is None:
-        return None
-    band = band.points or band
-    scale = (
-        band.sigma
-        if band.uncertainty is None
-        else np.fmax(band.sigma, band.uncertainty)
-    )
-    if is_bounded:
-        scale = np.fmax(scale, motion_size(band))
-    usable = band.measured[:, None] & (scale > 0.0) & np.isfinite(band.mean)
-    count = np.maximum(usable.sum(axis=1, keepdims=True), 1)
-    weight = np.where(usable, 1.0, 0.0) / np.where(usable, scale, 1.0) / count
-    return band.projection, np.nan_to_num(band.mean), weight
-
-
-def motion_size(band: Band) -> float:
-    """Return the root mean square of a coordinate of the mean about its first known value, in the band's unit."""
-    known = np.isfinite(band.mean).all(axis=1)
-    if not known.any():
-        return 0.0
-    mean = band.mean[known]
-    return float(np.sqrt(np.square(mean - mean[0]).mean()))
-
-
-def reward_text(band: Band | None, *, is_bounded: bool = False) -> str:
-    """Return what the reward of an environment is made of, one sentence.
-
-    Args:
-        band: Band that rewards are relative to, or None.
-        is_bounded: Whether the reward is bounded, see `is_reward_bounded`.
-    """
-    terms = reward_terms(band, is_bounded=is_bounded)
-    if band is None or terms is None:
-        return "0 at every frame: there is no reference in use"
-    known = np.flatnonzero(terms[2].any(axis=1))
-    if not len(known):
-        return "0 at every frame: the reference has no scatter"
-    span = (
-        f"frames {known[0]} to {known[-1]}" if len(known) > 1 else f"frame {known[0]}"
-    )
-    if known[-1] - known[0] + 1 != len(known):
-        span = f"{len(known)} of the {span}"
-    elsewhere = "" if len(known) == len(band.mean) else "; else 0"
-    compared = band.points or band
-    names = (
-        compared.coordinates
-        if len(compared.coordinates) < 4
-        else (f"{len(compared.coordinates)} coordinates",)
-    )
-    scale = "sigma"
-    sign = "-z / (1 + z) with z =" if is_bounded else "minus"
-    if band.points is not None:
-        names = (f"x, y, z of {len(compared.coordinates) // 3} markers",)
-        scale = f"{POINT_SIGMA_MM:g} mm, or over the uncertainty of the mean where it is larger"
-    if is_bounded and motion_size(compared) > 0.0:
-        scale = f"{motion_size(compared):.3g} {compared.unit}, the size of the motion"
-    return (
-        f"{sign} the mean over {', '.join(names)} of |deviation from the reference's mean| / {scale}, "
-        f"at {span} of {len(band.mean)}{elsewhere}"
-    )

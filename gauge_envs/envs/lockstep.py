@@ -13,7 +13,8 @@ from gymnasium.vector.utils import batch_space, concatenate, create_empty_array
 from numpy.typing import NDArray
 
 from gauge_envs.backends.worlds import Worlds
-from gauge_envs.envs.episode import Episode, Observation, run_on_together
+from gauge_envs.envs.episode import Episode, run_on_together
+from gauge_envs.envs.spaces import Observation
 from gauge_envs.envs.stepper import Stepper
 from gauge_envs.errors import ActionError
 from gauge_envs.scene.geometry import FloatArray

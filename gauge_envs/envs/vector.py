@@ -37,13 +37,14 @@ from gauge_envs.envs.arguments import (
 from gauge_envs.envs.at_once import episodes_in_lockstep
 from gauge_envs.envs.base import WorldsEnvironment, world_constants
 from gauge_envs.envs.device import EpisodesOnDevice, dynamic_states
-from gauge_envs.envs.episode import Episode, Observation
+from gauge_envs.envs.episode import Episode
 from gauge_envs.envs.pictures import (
     WORLDS_RENDER_MODES,
     Pictures,
     Rendered,
     episode_picture,
 )
+from gauge_envs.envs.spaces import Observation
 from gauge_envs.errors import EpisodeError, ParameterError
 from gauge_envs.evaluation.deformation import DeformationScore
 from gauge_envs.evaluation.score import Score

@@ -15,7 +15,7 @@ from gauge_envs.backends import backend_names, is_bundled, support_of
 from gauge_envs.backends.registry import uninstalled_backend
 from gauge_envs.cli.app import app
 from gauge_envs.envs.env import GaugeEnv
-from gauge_envs.envs.episode import reward_text
+from gauge_envs.envs.reward import reward_text
 from gauge_envs.errors import MissingExtraError
 from gauge_envs.experiments.resolve import resolve_experiment
 from gauge_envs.experiments.task_files import task_spec

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from gauge_envs import load_experiment
-from gauge_envs.envs.episode import observation_space_of
 from gauge_envs.envs.reach import GIVE, START_M, Reach
+from gauge_envs.envs.spaces import observation_space_of
 from gauge_envs.experiments.variants import variants
 from gauge_envs.tools.catalog.spaces import observation_rows
 from scripts.build_spaces import seen

@@ -10,7 +10,7 @@ import pytest
 from places import one_of_a_kind
 
 from gauge_envs import load_experiment, reference_band, variants
-from gauge_envs.envs.episode import reward_terms
+from gauge_envs.envs.reward import reward_terms
 from gauge_envs.errors import ReferenceFileError
 from gauge_envs.evaluation.deviation import sampled_frames
 from gauge_envs.evaluation.score import score_trajectory

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from pydantic import Field, PositiveFloat, PositiveInt
 
-from gauge_envs.envs.episode import is_reward_bounded, reward_text
+from gauge_envs.envs.reward import is_reward_bounded, reward_text
 from gauge_envs.evaluation.deformation import deformation_reference, real_statistics
 from gauge_envs.evaluation.power import reference_power
 from gauge_envs.evaluation.reference import (

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
-from gauge_envs.envs.episode import action_space_of, observation_space_of
+from gauge_envs.envs.spaces import action_space_of, observation_space_of
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.pages.text import quantity_text, shortened

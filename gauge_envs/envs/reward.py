@@ -1,0 +1,100 @@
+"""Reward of a frame: how near the motion is to the mean of its reference."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from gauge_envs.experiments.experiment import Experiment
+from gauge_envs.references.bands import Band
+from gauge_envs.references.models import POINT_SIGMA_MM
+from gauge_envs.scene.geometry import FloatArray
+
+
+def is_reward_bounded(experiment: Experiment) -> bool:
+    """Return whether the reward of a frame lies between -1 and 0, as it does with deformable bodies.
+
+    Their solutions are known to a millimetre, and an action moves them by a metre: without a bound, a frame far off
+    would hide all others.
+    """
+    return bool(experiment.scene.deformables)
+
+
+def bounded_reward(distance: Any) -> Any:
+    """Return -z / (1 + z) of a distance z, or of an array of them: 0 at the reference, -1/2 at z = 1, above -1."""
+    return 1.0 / (1.0 + distance) - 1.0
+
+
+def reward_terms(
+    band: Band | None, *, is_bounded: bool = False
+) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+    """Return projection, mean and weights such that |deviation| @ weight is the mean of |z| over known coordinates.
+
+    z is the deviation over sigma, or over the uncertainty of the mean where that is larger. A bounded reward divides by
+    the size of the motion where that is larger still: actions move a cloth by its whole motion, and with a smaller
+    scale a policy that is far off would not see which way is better.
+
+    They are those of the band's `points` if it has any. None without a band.
+    """
+    if band is None:
+        return None
+    band = band.points or band
+    scale = (
+        band.sigma
+        if band.uncertainty is None
+        else np.fmax(band.sigma, band.uncertainty)
+    )
+    if is_bounded:
+        scale = np.fmax(scale, motion_size(band))
+    usable = band.measured[:, None] & (scale > 0.0) & np.isfinite(band.mean)
+    count = np.maximum(usable.sum(axis=1, keepdims=True), 1)
+    weight = np.where(usable, 1.0, 0.0) / np.where(usable, scale, 1.0) / count
+    return band.projection, np.nan_to_num(band.mean), weight
+
+
+def motion_size(band: Band) -> float:
+    """Return the root mean square of a coordinate of the mean about its first known value, in the band's unit."""
+    known = np.isfinite(band.mean).all(axis=1)
+    if not known.any():
+        return 0.0
+    mean = band.mean[known]
+    return float(np.sqrt(np.square(mean - mean[0]).mean()))
+
+
+def reward_text(band: Band | None, *, is_bounded: bool = False) -> str:
+    """Return what the reward of an environment is made of, one sentence.
+
+    Args:
+        band: Band that rewards are relative to, or None.
+        is_bounded: Whether the reward is bounded, see `is_reward_bounded`.
+    """
+    terms = reward_terms(band, is_bounded=is_bounded)
+    if band is None or terms is None:
+        return "0 at every frame: there is no reference in use"
+    known = np.flatnonzero(terms[2].any(axis=1))
+    if not len(known):
+        return "0 at every frame: the reference has no scatter"
+    span = (
+        f"frames {known[0]} to {known[-1]}" if len(known) > 1 else f"frame {known[0]}"
+    )
+    if known[-1] - known[0] + 1 != len(known):
+        span = f"{len(known)} of the {span}"
+    elsewhere = "" if len(known) == len(band.mean) else "; else 0"
+    compared = band.points or band
+    names = (
+        compared.coordinates
+        if len(compared.coordinates) < 4
+        else (f"{len(compared.coordinates)} coordinates",)
+    )
+    scale = "sigma"
+    sign = "-z / (1 + z) with z =" if is_bounded else "minus"
+    if band.points is not None:
+        names = (f"x, y, z of {len(compared.coordinates) // 3} markers",)
+        scale = f"{POINT_SIGMA_MM:g} mm, or over the uncertainty of the mean where it is larger"
+    if is_bounded and motion_size(compared) > 0.0:
+        scale = f"{motion_size(compared):.3g} {compared.unit}, the size of the motion"
+    return (
+        f"{sign} the mean over {', '.join(names)} of |deviation from the reference's mean| / {scale}, "
+        f"at {span} of {len(band.mean)}{elsewhere}"
+    )
