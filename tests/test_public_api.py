@@ -55,7 +55,7 @@ def test_the_import_loads_no_engine_and_nothing_heavy():
     assert run.stdout.strip() == "set()"
 
 
-def test_the_first_environment_imports_no_scipy_and_a_score_nothing_that_draws():
+def test_neither_the_first_environment_nor_its_score_imports_scipy_or_what_draws():
     code = """
 import sys
 import gymnasium
@@ -64,13 +64,14 @@ import gauge_envs
 def loaded(*heavy):
     return sorted(one for one in heavy if one in sys.modules)
 
+gymnasium.make("GAUGE/Turntable-1-wood").reset(seed=0)
 env = gymnasium.make("GAUGE/SlopeSlider-2-wood")
 env.reset(seed=0)
 env.step(0)
 print(loaded("scipy", "pandas", "matplotlib", "rich", "trimesh", "typer", "gauge_envs.evaluation.score"))
 while not env.step(0)[3]:
     pass
-print(loaded("pandas", "matplotlib", "rich", "scipy.interpolate", "scipy.signal", "scipy.stats", "trimesh", "typer"))
+print(loaded("scipy", "pandas", "matplotlib", "rich", "trimesh", "typer"))
 """
     run = subprocess.run(
         [sys.executable, "-c", code], check=True, capture_output=True, text=True

@@ -16,9 +16,9 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import stdtrit
 
 from gauge_envs.errors import ShapeError
+from gauge_envs.evaluation.numerics import student_quantile
 from gauge_envs.evaluation.verification import COVERAGE_FACTOR
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.deformation import DeformationReference, bundled_deformation
@@ -227,7 +227,7 @@ def reach_95(sigma: float, trial_count: int) -> float:
     """
     if trial_count == 1:
         return COVERAGE_FACTOR * sigma
-    return float(stdtrit(trial_count - 1, 0.975)) * sigma / math.sqrt(trial_count)
+    return student_quantile(trial_count - 1, 0.975) * sigma / math.sqrt(trial_count)
 
 
 def real_statistics(reference: DeformationReference) -> tuple[RealStatistic, ...]:

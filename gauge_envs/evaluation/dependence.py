@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.special import stdtrit
 
+from gauge_envs.evaluation.numerics import student_quantile
 from gauge_envs.scene.geometry import FloatArray
 
 LEVEL = 0.95
@@ -54,10 +54,10 @@ def widening(series: FloatArray) -> float:
         return wider
     means = np.array([group.mean() for group in np.array_split(centred, GROUPS)])
     tail = 0.5 * (1.0 + LEVEL)
-    grouped = (
-        float(means.std(ddof=1)) / math.sqrt(GROUPS) * float(stdtrit(GROUPS - 1, tail))
-    )
-    single = math.sqrt(square / (count * (count - 1))) * float(stdtrit(count - 1, tail))
+    grouped = float(means.std(ddof=1)) / math.sqrt(GROUPS)
+    grouped *= student_quantile(GROUPS - 1, tail)
+    single = math.sqrt(square / (count * (count - 1)))
+    single *= student_quantile(count - 1, tail)
     return max(wider, GROUP_SHARE * grouped / single)
 
 

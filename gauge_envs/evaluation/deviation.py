@@ -6,8 +6,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy.optimize import minimize_scalar
-from scipy.special import betaincinv
 
 from gauge_envs.errors import ShapeError
 from gauge_envs.evaluation.dependence import LEVEL, refusal, widening
@@ -16,6 +14,7 @@ from gauge_envs.evaluation.metrics.trajectory import (
     release_offset,
     trajectory_rmse,
 )
+from gauge_envs.evaluation.numerics import beta_quantile, bounded_minimum
 from gauge_envs.evaluation.uncertainty import BandErrors, band_errors
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.bands import Band
@@ -265,26 +264,22 @@ def trial_distances(band: Band) -> TrialDistances | None:
         return None
     seen = np.isfinite(band.trials)
     totals, counts = np.where(seen, band.trials, 0.0).sum(axis=0), seen.sum(axis=0)
-    raw: list[float] = []
-    aligned: list[float] = []
     deviations: list[FloatArray] = []
-    aligned_deviations: list[FloatArray] = []
+    distances: list[FloatArray] = []
     for trial, is_seen in zip(band.trials, seen, strict=True):
         others = counts - is_seen
         mean = (totals - np.where(is_seen, trial, 0.0)) / np.maximum(others, 1)
         mean = np.where((others > 0) & np.isfinite(band.mean), mean, np.nan)
         shift_s = _release_shift_s(trial, mean)
-        for found, distances, late_s in (
-            (deviations, raw, 0.0),
-            (aligned_deviations, aligned, shift_s),
-        ):
-            found.append(_shifted_deviation(trial, mean, late_s))
-            distances.append(_shifted_rmse(trial, mean, late_s))
+        pair = _shifted_deviations(trial, mean, np.array([0.0, shift_s]))
+        deviations.append(pair)
+        distances.append(_mean_distances(pair, mean))
+    both, distance_pairs = np.array(deviations), np.array(distances)
     return TrialDistances(
-        raw=np.array(raw),
-        aligned=np.array(aligned),
-        deviations=np.array(deviations),
-        aligned_deviations=np.array(aligned_deviations),
+        raw=distance_pairs[:, 0],
+        aligned=distance_pairs[:, 1],
+        deviations=both[:, 0],
+        aligned_deviations=both[:, 1],
     )
 
 
@@ -328,12 +323,11 @@ def percentile_interval(
         float(np.mean(distances < end)) for end in (interval[0], distance, interval[1])
     )
     closer = share * count
-    low = float(betaincinv(closer, count - closer + 1.0, tail)) if closer else 0.0
-    high = (
-        float(betaincinv(closer + 1.0, count - closer, 1.0 - tail))
-        if share < 1.0
-        else 1.0
-    )
+    low, high = 0.0, 1.0
+    if closer:
+        low = beta_quantile(closer, count - closer + 1.0, tail)
+    if share < 1.0:
+        high = beta_quantile(closer + 1.0, count - closer, 1.0 - tail)
     below, above = (
         math.hypot(share - low, share - fewest),
         math.hypot(high - share, most - share),
@@ -341,50 +335,55 @@ def percentile_interval(
     return 100.0 * max(share - below, 0.0), 100.0 * min(share + above, 1.0)
 
 
-def _shifted_deviation(
-    trial: FloatArray, mean: FloatArray, shift_s: float
+def _shifted_deviations(
+    trial: FloatArray, mean: FloatArray, shifts_s: FloatArray
 ) -> FloatArray:
-    """Return a trial that is shifted in time minus the mean, shape [T, C]; NaN at frames that it does not reach."""
-    deviation = np.full(mean.shape, np.nan)
+    """Return a trial that is shifted in time minus the mean, shape [shift_count, T, C]; NaN at frames beyond its end.
+
+    Args:
+        trial: The trial, shape [T, C].
+        mean: The mean, shape [T, C].
+        shifts_s: Shifts to later times [s], shape [shift_count].
+    """
     seen = np.isfinite(trial).all(axis=1)
     frames_s = np.arange(len(mean)) / FRAME_RATE_HZ
     known_s = frames_s[: len(trial)][seen]
+    deviations = np.full((len(shifts_s), *mean.shape), np.nan)
     if not len(known_s):
-        return deviation
-    queries_s = frames_s - shift_s
+        return deviations
+    queries_s = frames_s - shifts_s[:, None]
     # Before the release a body rests, so earlier times have the first sample; later ones are not known.
     usable = np.isfinite(mean).any(axis=1) & (queries_s <= known_s[-1] + 1e-9)
-    shifted = np.column_stack(
-        [np.interp(queries_s[usable], known_s, column) for column in trial[seen].T]
-    )
-    deviation[usable] = shifted - mean[usable]
-    return deviation
+    for coordinate, column in enumerate(trial[seen].T):
+        shifted = np.interp(queries_s, known_s, column)
+        difference = shifted - mean[:, coordinate]
+        deviations[:, :, coordinate] = np.where(usable, difference, np.nan)
+    return deviations
 
 
-def _shifted_rmse(trial: FloatArray, mean: FloatArray, shift_s: float) -> float:
-    """Return the RMSE of a trial that is shifted in time, over the common frames; inf where these are too few."""
-    deviation = _shifted_deviation(trial, mean, shift_s)
-    usable = np.isfinite(deviation).any(axis=1)
-    wanted = np.isfinite(mean).any(axis=1)
-    if not usable.any() or usable.sum() < LEAST_OVERLAP * wanted.sum():
-        return math.inf
-    squares = np.nansum(np.square(deviation[usable]), axis=1)
-    return math.sqrt(float(squares.mean()))
+def _mean_distances(deviations: FloatArray, mean: FloatArray) -> FloatArray:
+    """Return the RMSE of deviations over their known frames, shape [shift_count]; inf where these are too few."""
+    counts = np.isfinite(deviations).any(axis=2).sum(axis=1)
+    squares = np.nansum(np.square(deviations), axis=(1, 2))
+    wanted = np.isfinite(mean).any(axis=1).sum()
+    is_enough = (counts > 0) & (counts >= LEAST_OVERLAP * wanted)
+    distances = np.sqrt(squares / np.maximum(counts, 1))
+    return np.where(is_enough, distances, math.inf)
 
 
 def _release_shift_s(trial: FloatArray, mean: FloatArray) -> float:
     """Return the constant time shift [s] that minimises the RMSE of a trial."""
+
+    def distances(shifts_s: FloatArray) -> FloatArray:
+        return _mean_distances(_shifted_deviations(trial, mean, shifts_s), mean)
+
     count = round(MAX_RELEASE_OFFSET_S / SHIFT_STEP_S)
     grid_s: FloatArray = SHIFT_STEP_S * np.arange(-count, count + 1, dtype=np.float64)
-    scores = [_shifted_rmse(trial, mean, float(shift_s)) for shift_s in grid_s]
+    scores = distances(grid_s)
     best = int(np.argmin(scores))
     coarse_s = float(grid_s[best])
     if not np.isfinite(scores[best]):
         return coarse_s
-    refined = minimize_scalar(
-        lambda shift_s: _shifted_rmse(trial, mean, float(shift_s)),
-        bounds=(coarse_s - SHIFT_STEP_S, coarse_s + SHIFT_STEP_S),
-        method="bounded",
-        options={"xatol": 1e-5},
-    )
-    return float(refined.x) if refined.fun < scores[best] else coarse_s
+    low_s, high_s = coarse_s - SHIFT_STEP_S, coarse_s + SHIFT_STEP_S
+    refined_s, least = bounded_minimum(distances, low_s, high_s, 1e-5)
+    return refined_s if least < scores[best] else coarse_s

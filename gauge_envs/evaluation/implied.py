@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from gauge_envs.evaluation.estimators import (
     acceleration_error_m_per_s2,
@@ -466,6 +465,8 @@ def fit_ringing(
     )
     strongest = 1 + int(np.abs(spectrum[1:]).argmax())
     start_hz = strongest / (PADDING * len(signal) * step_s)
+
+    from scipy.optimize import least_squares
 
     def misfit(constants: FloatArray) -> FloatArray:
         hang, cosine, sine, decay, frequency = constants

@@ -4,11 +4,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import linprog
-from scipy.spatial import ConvexHull
 
 from gauge_envs.errors import ShapeError
-from gauge_envs.evaluation.pendulum_laws import chain_motion, swing_motion
 from gauge_envs.observables.functions import face_areas_mm2
 from gauge_envs.references.bands import Band
 from gauge_envs.references.published import (
@@ -67,8 +64,12 @@ def law_motion(
         shape, or None for a law that states none.
     """
     if isinstance(law, SwingLaw):
+        from gauge_envs.evaluation.pendulum_laws import swing_motion
+
         return swing_motion(law, scene, frame_count)
     if isinstance(law, ChainLaw):
+        from gauge_envs.evaluation.pendulum_laws import chain_motion
+
         return chain_motion(
             law, scene, frame_count, published_baselines(variant)["mte"]
         )
@@ -115,6 +116,8 @@ def slide(scene: Scene, body: str, support: str) -> Straight:
         body: Name of the sliding body.
         support: Name of the body on which it slides.
     """
+    from scipy.spatial import ConvexHull
+
     sliding, fixed = scene.body(body), scene.body(support)
     facets = np.unique(ConvexHull(_corners_m(fixed)).equations.round(9), axis=0)
     gaps = (_corners_m(sliding) @ facets[:, :3].T + facets[:, 3]).min(axis=0)
@@ -257,6 +260,8 @@ def _piece_distance_m(
     piece: FloatArray, obstacle: FloatArray, direction: FloatArray
 ) -> float:
     """Return the least d >= 0 for which a point of one hull, moved by d, is a point of the other; infinity without."""
+    from scipy.optimize import linprog
+
     count, other_count = len(piece), len(obstacle)
     points = np.concatenate([piece.T, -obstacle.T, direction[:, None]], axis=1)
     sums = np.zeros((2, count + other_count + 1))

@@ -34,10 +34,10 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from statistics import NormalDist
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtri
 
 from gauge_envs.evaluation.dependence import LEAST_TRIALS, LEVEL, refusal, widening
 from gauge_envs.evaluation.error_sources import (
@@ -65,7 +65,9 @@ BELOW_NOISE = 0.01
 SMEARS = np.array([0.0, 0.5, 0.7, 0.85, 1.0, 1.2, 1.5, 2.0, 3.0, 5.0])
 """Standard deviations of releases, over that of the trials, between which the smear of the mean is interpolated."""
 
-RELEASES = ndtri((np.arange(9) + 0.5) / 9.0) / np.std(ndtri((np.arange(9) + 0.5) / 9.0))
+_QUANTILES = np.array([NormalDist().inv_cdf((i + 0.5) / 9.0) for i in range(9)])
+
+RELEASES = _QUANTILES / np.std(_QUANTILES)
 """Nine releases that stand for normal ones, over their standard deviation."""
 
 NEGLIGIBLE = 1e-5

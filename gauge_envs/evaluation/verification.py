@@ -22,9 +22,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import brentq
-from scipy.special import ndtr
 
+from gauge_envs.evaluation.numerics import normal_probability, rising_root
 from gauge_envs.references.bands import Band
 from gauge_envs.references.grips import GripLoad
 from gauge_envs.scene.geometry import FloatArray
@@ -231,13 +230,15 @@ def inverted_interval(distance: float) -> tuple[float, float]:
 
     def excess(true: float) -> float:
         """Return the chance of a value above the observed one or below the least one of its true distance, less 5 %."""
-        above = ndtr(true - distance) + ndtr(-true - distance)
-        below = ndtr(-COVERAGE_FACTOR) - ndtr(COVERAGE_FACTOR - 2.0 * true)
-        return float(above + max(below, 0.0)) - 0.05
+        above = normal_probability(true - distance)
+        above += normal_probability(-true - distance)
+        below = normal_probability(-COVERAGE_FACTOR)
+        below -= normal_probability(COVERAGE_FACTOR - 2.0 * true)
+        return above + max(below, 0.0) - 0.05
 
     low = 0.0
     if excess(0.0) < 0.0:
-        low = float(brentq(excess, 0.0, distance))
+        low = rising_root(excess, 0.0, distance)
     return low, distance + COVERAGE_FACTOR
 
 

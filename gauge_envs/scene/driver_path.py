@@ -7,7 +7,13 @@ from typing import Any
 import numpy as np
 
 from gauge_envs.scene.drivers import Driver
-from gauge_envs.scene.geometry import FloatArray, Pose
+from gauge_envs.scene.geometry import (
+    FloatArray,
+    Pose,
+    quaternion_products,
+    quaternion_vectors,
+    unit_quaternions,
+)
 from gauge_envs.scene.scene import Scene
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
 
@@ -356,14 +362,10 @@ def _between(
     before: FloatArray, after: FloatArray, interval_s: float
 ) -> tuple[FloatArray, FloatArray]:
     """Return velocity and acceleration of the motions from some states to others, shape [count, 6] each."""
-    from scipy.spatial.transform import Rotation
-
-    turns = Rotation.from_quat(after[:, 3:7], scalar_first=True)
-    turns = turns * Rotation.from_quat(before[:, 3:7], scalar_first=True).inv()
-    linear, angular = (
-        (after[:, :3] - before[:, :3]) / interval_s,
-        turns.as_rotvec() / interval_s,
-    )
+    back = before[:, 3:7] * [1.0, -1.0, -1.0, -1.0]
+    turns = unit_quaternions(quaternion_products(after[:, 3:7], back))
+    linear = (after[:, :3] - before[:, :3]) / interval_s
+    angular = quaternion_vectors(turns) / interval_s
     starts, ends = before[:, 7:], after[:, 7:]
     miss = np.concatenate([linear, angular], axis=1) - 0.5 * (starts + ends)
     return starts + miss, (ends - starts) / interval_s

@@ -9,7 +9,17 @@ from typing import Literal
 import numpy as np
 
 from gauge_envs.scene.bodies import RigidBody
-from gauge_envs.scene.geometry import FloatArray, NonNegative, Pose, Vector, vector
+from gauge_envs.scene.geometry import (
+    FloatArray,
+    NonNegative,
+    Pose,
+    Vector,
+    quaternion_products,
+    rotation_matrices,
+    unit_quaternions,
+    vector,
+    vector_quaternions,
+)
 from gauge_envs.scene.profiles import Profile
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
@@ -133,12 +143,8 @@ class Driver:
             Position, quaternion, linear velocity of the body origin [m/s] (3) and angular velocity [rad/s] (3) in the
             world frame, shape [world_count, 13].
         """
-        from scipy.spatial.transform import Rotation
-
-        position, rotation = (
-            starts[:, :3],
-            Rotation.from_quat(starts[:, 3:], scalar_first=True),
-        )
+        position = starts[:, :3]
+        quaternions = unit_quaternions(starts[:, 3:])
         linear, angular = np.zeros_like(position), np.zeros_like(position)
         times_s = np.atleast_1d(time_s).tolist()
         shift_m, turn_rad = self.shift_m, self.turn_rad
@@ -148,7 +154,8 @@ class Driver:
             share = 0.5 * (1.0 - np.cos(np.pi * frames))
             share_rate = 0.5 * np.pi * FRAME_RATE_HZ * np.sin(np.pi * frames)
             position = position + share * shift_m
-            rotation = Rotation.from_rotvec(share * turn_rad) * rotation
+            turns = vector_quaternions(share * np.asarray(turn_rad))
+            quaternions = quaternion_products(turns, quaternions)
             linear = linear + share_rate * shift_m
             angular = angular + share_rate * turn_rad
         for index, motion in enumerate(self.motions):
@@ -163,18 +170,17 @@ class Driver:
                 position = position + value * axis
                 linear = linear + rate * axis
             else:
-                own_rotation = Rotation.from_rotvec(value * axis)
-                # `Rotation.apply` of one rotation is this product, and of several another one with other last bits.
-                turn = own_rotation.as_matrix()
+                turns = vector_quaternions(value * axis)
+                turn = rotation_matrices(turns)
                 arm = np.matmul(turn, (position - motion.point_m)[:, :, None])[:, :, 0]
                 position = arm + motion.point_m
-                rotation = own_rotation * rotation
+                quaternions = quaternion_products(turns, quaternions)
                 linear = np.matmul(turn, linear[:, :, None])[:, :, 0] + np.cross(
                     rate * axis, arm
                 )
                 angular = np.matmul(turn, angular[:, :, None])[:, :, 0] + rate * axis
         return np.concatenate(
-            [position, rotation.as_quat(scalar_first=True), linear, angular], axis=1
+            [position, unit_quaternions(quaternions), linear, angular], axis=1
         )
 
     @property

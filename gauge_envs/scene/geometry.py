@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -46,13 +45,14 @@ class Pose:
     @classmethod
     def from_euler_deg(cls, position_m: Vector, euler_deg: Vector) -> Pose:
         """Return the pose of rotations about the fixed x, then y, then z axis [deg], as in the trial metadata."""
-        quaternion = (1.0, 0.0, 0.0, 0.0)
+        quaternion = np.array([1.0, 0.0, 0.0, 0.0])
         for axis, angle_deg in enumerate(euler_deg):
             half_rad = 0.5 * math.radians(angle_deg)
-            turn = [math.cos(half_rad), 0.0, 0.0, 0.0]
+            turn = np.array([math.cos(half_rad), 0.0, 0.0, 0.0])
             turn[1 + axis] = math.sin(half_rad)
-            quaternion = _quaternion_product(turn, quaternion)
-        return cls(position_m=position_m, quaternion=quaternion)
+            quaternion = quaternion_products(turn, quaternion)
+        w, x, y, z = quaternion.tolist()
+        return cls(position_m=position_m, quaternion=(w, x, y, z))
 
     @classmethod
     def from_rotation(cls, position_m: Vector, rotation: Rotation) -> Pose:
@@ -69,29 +69,8 @@ class Pose:
 
     @cached_property
     def matrix(self) -> FloatArray:
-        """Rotation matrix, body to world, shape [3, 3]: `rotation.as_matrix()`, without the import of SciPy."""
-        w, x, y, z = self.quaternion
-        length = math.sqrt(x * x + y * y + z * z + w * w)
-        w, x, y, z = w / length, x / length, y / length, z / length
-        return np.array(
-            [
-                [
-                    x * x - y * y - z * z + w * w,
-                    2 * (x * y - z * w),
-                    2 * (x * z + y * w),
-                ],
-                [
-                    2 * (x * y + z * w),
-                    -x * x + y * y - z * z + w * w,
-                    2 * (y * z - x * w),
-                ],
-                [
-                    2 * (x * z - y * w),
-                    2 * (y * z + x * w),
-                    -x * x - y * y + z * z + w * w,
-                ],
-            ]
-        )
+        """Rotation matrix, body to world, shape [3, 3]."""
+        return rotation_matrices(unit_quaternions(np.array(self.quaternion)))
 
     def relative_to(self, other: Pose) -> Pose:
         """Return this pose in the frame of another one."""
@@ -109,18 +88,59 @@ class Pose:
         return (np.asarray(points_m) - np.asarray(self.position_m)) @ self.matrix
 
 
-def _quaternion_product(
-    p: Sequence[float], q: Sequence[float]
-) -> tuple[float, float, float, float]:
-    """Return the rotation q followed by p, each w, x, y, z; terms in the order of SciPy, for the same last bits."""
-    pw, px, py, pz = p
-    qw, qx, qy, qz = q
-    return (
-        pw * qw - px * qx - py * qy - pz * qz,
-        pw * qx + qw * px + (py * qz - pz * qy),
-        pw * qy + qw * py + (pz * qx - px * qz),
-        pw * qz + qw * pz + (px * qy - py * qx),
-    )
+# SciPy's `Rotation` has the same terms in the same order. Its import takes as long as to make an environment.
+
+
+def quaternion_products(p: FloatArray, q: FloatArray) -> FloatArray:
+    """Return the rotations q followed by p, each w, x, y, z, shape [4] or [count, 4]."""
+    pw, px, py, pz = p.T
+    qw, qx, qy, qz = q.T
+    w = pw * qw - px * qx - py * qy - pz * qz
+    x = pw * qx + qw * px + (py * qz - pz * qy)
+    y = pw * qy + qw * py + (pz * qx - px * qz)
+    z = pw * qz + qw * pz + (px * qy - py * qx)
+    return np.array([w, x, y, z]).T
+
+
+def unit_quaternions(quaternions: FloatArray) -> FloatArray:
+    """Return quaternions w, x, y, z over their lengths, shape [4] or [count, 4]."""
+    w, x, y, z = quaternions.T
+    return (quaternions.T / np.sqrt(x * x + y * y + z * z + w * w)).T
+
+
+def vector_quaternions(vectors_rad: FloatArray) -> FloatArray:
+    """Return the quaternions w, x, y, z of rotation vectors [rad], shape [count, 4]."""
+    angles = np.sqrt((vectors_rad * vectors_rad).sum(axis=1))
+    # The sine over a small angle by its series.
+    scales = 0.5 - angles**2 / 48.0 + angles**4 / 3840.0
+    large = angles > 1e-3
+    scales[large] = np.sin(0.5 * angles[large]) / angles[large]
+    return np.column_stack([np.cos(0.5 * angles), scales[:, None] * vectors_rad])
+
+
+def quaternion_vectors(quaternions: FloatArray) -> FloatArray:
+    """Return the rotation vectors [rad] of at most half a turn of unit quaternions w, x, y, z, shape [count, 3]."""
+    shorter = np.where(quaternions[:, :1] < 0.0, -quaternions, quaternions)
+    sines = np.linalg.norm(shorter[:, 1:], axis=1)
+    # NumPy's arc tangent has other last bits on processors with AVX-512.
+    pairs = zip(sines.tolist(), shorter[:, 0].tolist(), strict=True)
+    angles = 2.0 * np.array([math.atan2(sine, cosine) for sine, cosine in pairs])
+    # A small angle over its sine by its series.
+    scales = 2.0 + angles**2 / 12.0 + 7.0 * angles**4 / 2880.0
+    large = angles > 1e-3
+    scales[large] = angles[large] / np.sin(0.5 * angles[large])
+    return np.asarray(scales[:, None] * shorter[:, 1:])
+
+
+def rotation_matrices(quaternions: FloatArray) -> FloatArray:
+    """Return the matrices of unit quaternions w, x, y, z, shape [3, 3] or [count, 3, 3]."""
+    w, x, y, z = quaternions.T
+    rows = [
+        [x * x - y * y - z * z + w * w, 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), -x * x + y * y - z * z + w * w, 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), -x * x - y * y + z * z + w * w],
+    ]
+    return np.ascontiguousarray(np.moveaxis(np.array(rows), (0, 1), (-2, -1)))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.polynomial import Polynomial
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import minimize_scalar
 
 from gauge_envs.errors import ShapeError
+from gauge_envs.evaluation.numerics import bounded_minimum
 from gauge_envs.scene.geometry import FloatArray
 
 # Frames on each side of a turning point that locate it; the polynomial through them has twice that degree. At 30 Hz
@@ -204,14 +204,13 @@ def oscillation_period(signal: ArrayLike, *, frame_rate_hz: float = 30.0) -> flo
     peak = int(np.argmax(np.abs(np.fft.rfft(windowed, padded_count))))
     phase = -2j * np.pi * np.arange(len(signal))
 
-    def negative_power(cycles_per_frame: float) -> float:
-        return -float(np.abs(windowed @ np.exp(phase * cycles_per_frame)))
+    def negative_power(cycles_per_frame: FloatArray) -> FloatArray:
+        waves = np.exp(phase * cycles_per_frame[:, None])
+        return np.asarray(-np.abs(waves @ windowed))
 
-    bounds = ((peak - 1) / padded_count, min((peak + 1) / padded_count, 0.5))
-    found = minimize_scalar(
-        negative_power, bounds=bounds, method="bounded", options={"xatol": 1e-10}
-    )
-    return 1 / (float(found.x) * frame_rate_hz)
+    low, high = (peak - 1) / padded_count, min((peak + 1) / padded_count, 0.5)
+    found, _ = bounded_minimum(negative_power, low, high, 1e-10)
+    return 1 / (found * frame_rate_hz)
 
 
 def spectral_peak_period(signal: ArrayLike, *, frame_rate_hz: float = 30.0) -> float:
@@ -335,10 +334,5 @@ def _apex_height(heights: FloatArray, frame: int) -> float:
     offsets = np.arange(-_APEX_REACH, _APEX_REACH + 1)
     around = heights[frame + offsets]
     polynomial = Polynomial.fit(offsets, around - heights[frame], 2 * _APEX_REACH)
-    apex = minimize_scalar(
-        lambda offset: -polynomial(offset),
-        bounds=(-1, 1),
-        method="bounded",
-        options={"xatol": 1e-9},
-    )
-    return float(heights[frame] - apex.fun)
+    _, least = bounded_minimum(lambda offset: -polynomial(offset), -1.0, 1.0, 1e-9)
+    return float(heights[frame] - least)

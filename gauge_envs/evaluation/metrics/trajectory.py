@@ -11,6 +11,7 @@ from numpy.lib.stride_tricks import as_strided
 from numpy.typing import ArrayLike, NDArray
 
 from gauge_envs.errors import ShapeError
+from gauge_envs.evaluation.numerics import bounded_minimum
 from gauge_envs.scene.geometry import FloatArray
 
 MAX_RELEASE_OFFSET_S = 10 / 30
@@ -123,8 +124,6 @@ def release_offset(
         The offset in s, positive if the real object is released later than the simulated one; and the RMSE after the
         shift in the observable's unit. Of equally good shifts the smallest is chosen, so an object at rest has 0.
     """
-    from scipy.optimize import minimize_scalar
-
     simulated = _trajectory("simulated", simulated)
     real_mean = _trajectory("real_mean", real_mean, allow_missing=True)
     times_s = np.asarray(times_s, dtype=np.float64)
@@ -173,14 +172,9 @@ def release_offset(
         least_s,
         max_offset_s,
     )
-    refined = minimize_scalar(
-        lambda offset_s: float(shifted_rmse(np.array([offset_s]))[0]),
-        bounds=bounds,
-        method="bounded",
-        options={"xatol": 1e-7},
-    )
-    if refined.fun < grid_rmse[best]:
-        return float(refined.x), float(refined.fun)
+    refined_s, least = bounded_minimum(shifted_rmse, *bounds.tolist(), 1e-7)
+    if least < grid_rmse[best]:
+        return refined_s, least
     return float(grid_s[best]), float(grid_rmse[best])
 
 
@@ -340,8 +334,6 @@ def _distances(first: FloatArray, second: FloatArray) -> FloatArray:
 
     |a|^2 + |b|^2 - 2 ab is one matrix product. It loses digits for rows that nearly coincide; these are computed again.
     """
-    from scipy.spatial.distance import cdist
-
     centre = first.mean(axis=0)
     first, second = first - centre, second - centre
     first_squares, second_squares = (
@@ -355,6 +347,8 @@ def _distances(first: FloatArray, second: FloatArray) -> FloatArray:
         squares <= 1e-6 * max(first_squares.max(), second_squares.max())
     )
     if close.size > squares.size // 8:
+        from scipy.spatial.distance import cdist
+
         return cdist(first, second)
     i, j = np.unravel_index(close, squares.shape)
     squares[i, j] = np.square(first[i] - second[j]).sum(axis=1)
