@@ -34,7 +34,7 @@ def test_a_pose_turns_as_a_rotation_of_scipy():
 
 def test_quaternions_of_many_rotations_are_those_of_scipy():
     random = np.random.default_rng(0)
-    sizes_rad = np.array([0.0, 1e-6, 1e-2, 1.0, 1.7])[:, None]
+    sizes_rad = np.array([0.0, 5e-4, 1e-2, 1.0, 1.7])[:, None]
     vectors_rad = sizes_rad * random.uniform(-1.0, 1.0, (5, 3))
     other = Rotation.from_quat([0.3, -0.8, 0.4, -0.2])
     rotations = Rotation.from_rotvec(vectors_rad)
