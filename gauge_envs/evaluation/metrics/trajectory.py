@@ -167,12 +167,9 @@ def release_offset(
     )
     grid_rmse = np.concatenate([shifted_rmse(chunk) for chunk in chunks])
     best = int(np.argmin(grid_rmse))
-    bounds = np.clip(
-        grid_s[best] + np.array([-_OFFSET_GRID_S, _OFFSET_GRID_S]),
-        least_s,
-        max_offset_s,
-    )
-    refined_s, least = bounded_minimum(shifted_rmse, *bounds.tolist(), 1e-7)
+    low_s = max(float(grid_s[best]) - _OFFSET_GRID_S, least_s)
+    high_s = min(float(grid_s[best]) + _OFFSET_GRID_S, max_offset_s)
+    refined_s, least = bounded_minimum(shifted_rmse, low_s, high_s, 1e-7)
     if least < grid_rmse[best]:
         return refined_s, least
     return float(grid_s[best]), float(grid_rmse[best])
