@@ -244,7 +244,6 @@ def _scene(scene: str | None = None, **load: float) -> Scene | MjSpec:
     )
     from gauge_envs.registry import scene_suffixes
     from gauge_envs.tools.identify import one_joint, read_mjcf
-    from gauge_envs.tools.usd import load_experiment_file, read_usd
 
     if scene is not None:
         if load:
@@ -253,8 +252,12 @@ def _scene(scene: str | None = None, **load: float) -> Scene | MjSpec:
             )
         path = Path(scene)
         if is_experiment_file(path):
+            from gauge_envs.tools.usd import load_experiment_file
+
             return load_experiment_file(path).scene
         if path.suffix in scene_suffixes():
+            from gauge_envs.tools.usd import read_usd
+
             return read_usd(path, duration_s=1.0).scene
         if path.suffix.lower() in (".xml", ".mjcf", ".urdf"):
             return read_mjcf(path)

@@ -1,7 +1,7 @@
 """Settings of joints from logs: least squares over an engine's own simulation, with 95 % intervals.
 
-What the last stage leaves open of servos is then set to what the scene states, one number of a joint at a time, and
-the rest is fitted again.
+What the last stage leaves open of servos, and every open armature, is then set to what the scene states, one number of
+a joint at a time, and the rest is fitted again.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -106,8 +106,7 @@ def identify(
         law: [*(one for one in terms if one not in known), *known]
         for law, terms in asked_laws(engine, servo, names).items()
     }
-    # The richest law starts the others; that of a servo ends in minima from a first guess.
-    first = list(laws_names.values())[0 if servo else -1] if laws_names else names
+    first = next(iter(laws_names.values()), names)
     names = [*(one for one in first or SERVO_NAMES if one not in known), *known]
     everything = {one for terms in laws_names.values() for one in terms}
     _check_request(scene, [*logs, *held_out], [*names, *everything])
@@ -136,9 +135,7 @@ def identify(
     joint_words = joint_names(logs[0], count)
     if isinstance(machine, ModelJoints):
         joint_words = machine.joints
-    left_out: list[dict[str, str]] = [{} for _ in range(count)]
-    if servo:
-        left_out, unknowns = _without_open(long, found, unknowns, progress)
+    left_out, unknowns = _without_open(long, found, unknowns, progress)
     values = [
         {name: value + 0.0 for name, value in {**stated, **given}.items()}
         for stated, given in zip(
@@ -284,7 +281,7 @@ def _without_open(
             place = problem.names.index(one.name), one.joint
             problem.fixed[place] = problem.machine.stated[one.joint][one.name]
         progress(f"without {', '.join(sorted({one.name for one in candidates}))}")
-        other, covariance = problem.solved(unknowns, SERVO_CLOSE, REFIT_STEPS)
+        other = problem.solved(unknowns, SERVO_CLOSE, REFIT_STEPS)
         squares = problem.squares(other)
         worse = [
             one
@@ -301,7 +298,8 @@ def _without_open(
             left_out[one.joint][one.name] = one.unknown
             if one.name == DYNAMICS[2]:
                 best[one.joint] = squares[one.joint]
-        unknowns, remaining = other, settings_of(problem, other, covariance)
+        unknowns = other
+        remaining = settings_of(problem, other, problem.covariance(other))
     for one in remaining:
         if one.unknown == ZERO and one.name == SERVO[0]:
             left_out[one.joint][one.name] = one.unknown
@@ -321,6 +319,12 @@ def _to_leave_out(
         is_armature = one.unknown == SCALE and one.name == DYNAMICS[2]
         return is_armature, (one.high - one.low) / max(abs(one.value), 1e-300)
 
+    def may_be_stated(one: Setting) -> bool:
+        if one.name == DYNAMICS[2]:
+            return True
+        away = abs(one.value - problem.machine.stated[one.joint][one.name])
+        return SERVO[0] in problem.names and away < PLAUSIBLE * (one.high - one.value)
+
     found = []
     for joint in sorted({one.joint for one in settings}):
         candidates = [
@@ -330,11 +334,7 @@ def _to_leave_out(
             and one.unknown
             and one.name not in (SERVO[0], *SERVO_FRICTION)
             and (joint, one.name) not in tried
-            and (
-                one.name == DYNAMICS[2]
-                or abs(one.value - problem.machine.stated[joint][one.name])
-                < PLAUSIBLE * (one.high - one.value)
-            )
+            and may_be_stated(one)
         ]
         if candidates:
             found.append(max(candidates, key=openness))

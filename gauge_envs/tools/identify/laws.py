@@ -5,7 +5,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from gauge_envs.backends.base import Backend
 from gauge_envs.backends.features import Feature
@@ -30,13 +30,13 @@ ONE_SIGMA = 0.8413
 """Share of a normal distribution below one standard deviation."""
 
 LAWS = {
-    "dry": (DYNAMICS[0], DYNAMICS[2]),
-    "viscous": (DYNAMICS[1], DYNAMICS[2]),
-    "dry and viscous": DYNAMICS[:3],
-    "dry and quadratic": (DYNAMICS[0], DYNAMICS[2], QUADRATIC),
     "dry, viscous and quadratic": DYNAMICS,
+    "dry and quadratic": (DYNAMICS[0], DYNAMICS[2], QUADRATIC),
+    "dry and viscous": DYNAMICS[:3],
+    "viscous": (DYNAMICS[1], DYNAMICS[2]),
+    "dry": (DYNAMICS[0], DYNAMICS[2]),
 }
-"""Names that are identified in each law of friction of a joint without a servo."""
+"""Names that are identified in each law of friction of a joint without a servo; the first law contains the others."""
 
 SERVO_NAMES = (DYNAMICS[0], DYNAMICS[2], *SERVO)
 """What is identified of a servo unless names are given; kv holds the viscous friction of its joint."""
@@ -76,7 +76,7 @@ def compare_laws(
 ) -> tuple[tuple[Law, ...], list[Fit]]:
     """Fit each law to each log alone, and predict the others from their recorded starts.
 
-    Of one log, the halves stand for logs. A law of servo benches starts from the best fit of a law that it contains.
+    Of one log, the halves stand for logs. A law starts from the best fit of one that it contains, or that contains it.
 
     Returns:
         The laws, the chosen one first, and its fits. It has the fewest terms of those that fit as well as the law that
@@ -89,14 +89,14 @@ def compare_laws(
     compared: dict[str, tuple[Law, list[Fit], FloatArray]] = {}
     for name, names in laws.items():
         progress(f"law {name}")
-        simpler = [
+        related = [
             fits
             for other, (_, fits, _) in compared.items()
-            if _contains(names, laws[other])
+            if _contains(names, laws[other]) or {*names} < {*laws[other]}
         ]
         alone = []
         for row, log in enumerate(parts):
-            starts = [fits[row] for fits in simpler]
+            starts = [fits[row] for fits in related]
             start = min(starts, key=lambda one: one.misfit, default=fit)
             limits: dict[str, Any] = {"tolerance": LAW_CLOSE, "most_steps": LAW_STEPS}
             alone.append(fitter.fit([log], names, first=start, **limits))
@@ -123,7 +123,7 @@ def compare_laws(
         ratio = np.log(missed / compared[best][2])
         standard_error = ratio.std(ddof=1) / np.sqrt(ratio.size)
         # Two predictions scatter by chance: the quantile of Student's t that is 1 of many.
-        standard_error *= student.ppf(ONE_SIGMA, ratio.size - 1)
+        standard_error *= stdtrit(ratio.size - 1, ONE_SIGMA)
         predicts = ratio.mean() <= max(standard_error, np.log(AS_GOOD))
         return bool(
             predicts and law.fitted_rad <= AS_GOOD * compared[best][0].fitted_rad

@@ -7,8 +7,8 @@ Thompson, Biometrika 58, 1971) finds both: it counts out what the unknowns take 
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.linalg import solve_banded
 from scipy.optimize import minimize
-from scipy.signal import lfilter
 from scipy.special import expit
 
 from gauge_envs.scene.geometry import FloatArray
@@ -25,6 +25,15 @@ def _factor(table: FloatArray) -> FloatArray:
         return np.asarray(np.linalg.qr(table, mode="r"))
 
 
+def _shocks(columns: FloatArray, decay: float, forgotten: float) -> FloatArray:
+    """Return e of x[k] - decay x[k-1] = e[k] - forgotten e[k-1] for columns of x; scipy.signal imports in 0.3 s."""
+    right = columns.copy()
+    right[1:] -= decay * columns[:-1]
+    bands = np.ones((2, len(columns)))
+    bands[1] = -forgotten
+    return np.asarray(solve_banded((1, 0), bands, right))
+
+
 def lasting_noise(parts: Sequence[FloatArray]) -> tuple[float, float, float]:
     """Return the noise of residuals by residual maximum likelihood.
 
@@ -39,9 +48,7 @@ def lasting_noise(parts: Sequence[FloatArray]) -> tuple[float, float, float]:
         """Return the two numbers of the process, the sum of its squared shocks, and what is to be minimized."""
         decay = min(float(expit(logits[0])), 1.0 - 1e-6)
         forgotten = decay * float(expit(logits[1]))
-        table = np.concatenate(
-            [lfilter([1.0, -decay], [1.0, -forgotten], part, axis=0) for part in parts]
-        )
+        table = np.concatenate([_shocks(part, decay, forgotten) for part in parts])
         # The factor ends with the length of the residual that the other columns leave.
         diagonal = np.abs(np.diag(_factor(table)))
         power = max(float(diagonal[-1] ** 2), 1e-300)

@@ -5,12 +5,12 @@ In Student's quantile N samples count as N / (1 + 2 sum of the correlation); see
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import matmul_toeplitz
-from scipy.optimize import OptimizeResult, least_squares
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from gauge_envs.runs.rollout import DivergedError
 from gauge_envs.scene.geometry import FloatArray
@@ -24,8 +24,8 @@ NEAR, CLOSE, SERVO_CLOSE, SHORT_STEPS = 1e-2, 1e-4, 1e-3, 8
 STARTS, DEADBAND_RAD = 3, 0.01
 """Number of stiffnesses from which a servo's fit starts; angle within which dry friction holds it in one more start."""
 
-FIRST_DAMPING, EASE, TRIES, MOST_STEPS = 1e-2, 5.0, 4, 40
-"""Damping of the first step of a joint, its factor after a step, trials of a step, and most steps."""
+FIRST_DAMPING, LEAST_DAMPING, EASE, TRIES, MOST_STEPS = 1e-2, 1e-9, 5.0, 4, 40
+"""Damping of the first step of a joint, the least, its factor after a step, trials of a step, and most steps."""
 
 LOST_RAD = 10.0
 """Error of a simulation that diverges [rad], so that the search turns back."""
@@ -33,8 +33,11 @@ LOST_RAD = 10.0
 FEWEST = 10.0
 """Samples that at least count in the quantile: noise that lasts longer is known from its shocks."""
 
-STEP, DELAY_STEP = 1e-3, 0.1
-"""Step of the differences, over the size of a parameter; engines follow commands in intervals of 5.6 ms."""
+STEPS, DELAY_STEP = (1e-2, 1e-3), 0.1
+"""Steps of the differences, over the size of a parameter; engines follow commands in intervals of 5.6 ms.
+
+Where dry friction stops a swing half a period later, errors jump: fits of small steps alone end there.
+"""
 
 SENSELESS, UNBOUNDED = 1e-9, 1e3
 """Change of all angles [rad] per scaled unknown below which logs do not depend on it; its uncertainty then."""
@@ -74,6 +77,14 @@ class Problem:
     def kinds(self) -> int:
         """Number of unknowns of a joint in all parts: its numbers, and the log's angle at rest."""
         return len(self.names) + self.zero
+
+    def has_parts_of(self, other: Self) -> bool:
+        """Return whether another problem has the same parts of the same logs."""
+        ours, theirs = (
+            [(part.name, part.times_s[0], part.times_s[-1]) for part in one.parts]
+            for one in (self, other)
+        )
+        return ours == theirs
 
     @property
     def shifts(self) -> FloatArray:
@@ -125,16 +136,17 @@ class Problem:
 
     def residuals(self, scaled: FloatArray) -> FloatArray:
         """Return simulated less measured angles [rad], those of all samples of a part and joint together."""
+        given = np.append(scaled, self.fixed)
+        if np.array_equal(self._last[0], given, equal_nan=True):
+            return self._last[1]
         errors = self.errors(scaled, may_diverge=True)
         residuals = np.concatenate([one.T.ravel() for one in errors])
-        self._last = scaled.copy(), residuals
+        self._last = given, residuals
         return residuals
 
-    def jacobian(self, scaled: FloatArray) -> FloatArray:
+    def jacobian(self, scaled: FloatArray, step: float = STEPS[-1]) -> FloatArray:
         """Return forward differences. One number of all joints changes at once: that of one moves the others little."""
-        before = self._last[1]
-        if not np.array_equal(self._last[0], scaled):
-            before = self.residuals(scaled)
+        before = self.residuals(scaled)
         jacobian = np.zeros((before.size, scaled.size))
         rows, first_start = self._rows(), self.kinds * self.joints
         for kind in range(self.kinds):
@@ -144,15 +156,17 @@ class Problem:
                 is_free = np.isnan(self.fixed[kind])
             if not is_free.any():
                 continue
-            step = DELAY_STEP if self.names[kind : kind + 1] == ("delay_s",) else STEP
-            change = self._changed(scaled, columns, before, step)
+            is_delay = self.names[kind : kind + 1] == ("delay_s",)
+            change = self._changed(
+                scaled, columns, before, DELAY_STEP if is_delay else step
+            )
             for joint in np.flatnonzero(is_free):
                 inside = rows[:, 1] == joint
                 jacobian[inside, columns[joint]] = change[inside]
         for kind in range(2 if self.free_starts else 0):
             every = np.arange(first_start, scaled.size)
             places = every.reshape(-1, 2, self.joints)[:, kind]
-            change = self._changed(scaled, places.ravel(), before, STEP)
+            change = self._changed(scaled, places.ravel(), before, step)
             for number, joint in np.ndindex(places.shape):
                 inside = (rows == (number, joint)).all(axis=1)
                 jacobian[inside, places[number, joint]] = change[inside]
@@ -202,9 +216,9 @@ class Problem:
         """
         guesses = self._ranked(self.first_guesses())
         if SERVO[0] not in self.names:
-            return self._least_squares(guesses[0], NEAR).x
+            return self._least_squares(guesses[0], NEAR)
         tried = [
-            self._least_squares(one, NEAR, SHORT_STEPS).x for one in guesses[:STARTS]
+            self._least_squares(one, NEAR, SHORT_STEPS) for one in guesses[:STARTS]
         ]
         best = self._ranked(tried)[0]
         if DYNAMICS[0] in self.names:
@@ -212,7 +226,7 @@ class Problem:
             dry, kp = (self.names.index(name) for name in (DYNAMICS[0], SERVO[0]))
             stiffness = rubbing[kp] * self.sizes[kp]
             rubbing[dry] = DEADBAND_RAD * stiffness / self.sizes[dry]
-            other = self._least_squares(rubbing.ravel(), NEAR, SHORT_STEPS).x
+            other = self._least_squares(rubbing.ravel(), NEAR, SHORT_STEPS)
             best = self._ranked([best, other])[0]
         return best
 
@@ -240,90 +254,64 @@ class Problem:
         return [one.ravel() for one in ranked]
 
     def solved(
-        self, first: FloatArray, tolerance: float, most: int | None = None
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return the unknowns of the least squares after at most so many steps, and their covariance."""
+        self, first: FloatArray, tolerance: float, most: int = MOST_STEPS
+    ) -> FloatArray:
+        """Return the unknowns of the least squares after at most so many steps."""
         found = self._least_squares(first, tolerance, most)
-        self._check_margin(found.x)
-        return found.x, self._covariance(found.jac, found.fun)
+        self._check_margin(found)
+        return found
 
     def _least_squares(
-        self, first: FloatArray, tolerance: float, most: int | None = None
-    ) -> OptimizeResult:
-        if self.joints > 1 and SERVO[0] in self.names:
-            return self._joint_by_joint(first, tolerance, most or MOST_STEPS)
-        low = np.full(first.size, -np.inf)
-        low[: len(self.names) * self.joints] = 0.0
-        return least_squares(
-            self.residuals,
-            np.maximum(first, low + 1e-6),
-            self.jacobian,
-            bounds=(low, np.inf),
-            x_scale="jac",
-            xtol=tolerance,
-            ftol=tolerance,
-            max_nfev=most,
-        )
-
-    def _joint_by_joint(
-        self, first: FloatArray, tolerance: float, most: int
-    ) -> OptimizeResult:
-        """Return the least squares of servos that hardly move each other: a step and a damping for each of them.
-
-        The method is that of Levenberg and Marquardt (SIAM J. Appl. Math. 11, 1963). A number that would be negative is
-        0.
-        """
-        joint_of_row = self._rows()[:, 1]
-        table = np.maximum(first, 1e-6).reshape(self.kinds, self.joints)
-        residuals = self.residuals(table.ravel())
-        squares = np.bincount(joint_of_row, residuals**2)
-        damping = np.full(self.joints, FIRST_DAMPING)
-        jacobian = self.jacobian(table.ravel())
-        for _ in range(most):
-            before, waiting = squares, set(range(self.joints))
-            for _ in range(TRIES):
-                moved = table.copy()
-                for joint in waiting:
-                    moved[:, joint] += self._step(
-                        joint, table, jacobian, residuals, damping[joint]
-                    )
-                moved = np.maximum(moved, 0.0)
-                errors = self.residuals(moved.ravel())
-                found = np.bincount(joint_of_row, errors**2)
-                better = {joint for joint in waiting if found[joint] < squares[joint]}
-                for joint in better:
-                    table[:, joint] = moved[:, joint]
-                    damping[joint] /= EASE
-                waiting -= better
-                if not waiting:
-                    break
-                damping[list(waiting)] *= EASE
-            residuals = self.residuals(table.ravel())
-            squares = np.bincount(joint_of_row, residuals**2)
-            jacobian = self.jacobian(table.ravel())
-            if (before - squares <= tolerance * before).all():
-                break
-        return OptimizeResult(x=table.ravel(), jac=jacobian, fun=residuals)
-
-    def _step(
-        self,
-        joint: int,
-        table: FloatArray,
-        jacobian: FloatArray,
-        residuals: FloatArray,
-        damping: float,
+        self, first: FloatArray, tolerance: float, most: int = MOST_STEPS
     ) -> FloatArray:
-        """Return the damped step of the unknowns of a joint, shape [kind_count]."""
-        rows = self._rows()[:, 1] == joint
-        slopes = jacobian[rows][:, np.arange(self.kinds) * self.joints + joint]
-        normal, gradient = slopes.T @ slopes, slopes.T @ residuals[rows]
-        # Numbers that are known, without effect, or 0 and would fall further, stay.
-        free = (np.diag(normal) > 0.0) & ~((table[:, joint] <= 0.0) & (gradient > 0.0))
-        step = np.zeros(self.kinds)
-        inner = normal[np.ix_(free, free)]
-        inner = inner + damping * np.diag(np.diag(inner))
-        step[free] = -np.linalg.solve(inner, gradient[free])
-        return step
+        """Return the unknowns of the least squares after Marquardt (SIAM J. Appl. Math. 11, 1963).
+
+        Servos hardly move each other, so that each has a step and a damping of its own; other joints have one together.
+        """
+        owners = np.arange(self.joints)
+        differences = [STEPS[-1]]
+        if SERVO[0] not in self.names:
+            owners[:] = 0
+            differences = list(STEPS)
+        owner_of_row = owners[self._rows()[:, 1]]
+        owner_of_unknown = np.resize(owners, first.size)
+        lowest = np.full(first.size, -np.inf)
+        lowest[: len(self.names) * self.joints] = 0.0
+        scaled = np.maximum(first, lowest + 1e-6)
+        damping = np.full(owners.max() + 1, FIRST_DAMPING)
+        residuals = self.residuals(scaled)
+        for _ in range(most):
+            jacobian = self.jacobian(scaled, differences[0])
+            before = squares = np.bincount(owner_of_row, residuals**2)
+            waiting = np.full(damping.size, True)
+            for _ in range(TRIES):
+                moved = scaled.copy()
+                for owner in np.flatnonzero(waiting):
+                    rows, columns = owner_of_row == owner, owner_of_unknown == owner
+                    moved[columns] = _damped_step(
+                        scaled[columns],
+                        lowest[columns],
+                        jacobian[np.ix_(rows, columns)],
+                        residuals[rows],
+                        float(damping[owner]),
+                    )
+                found = np.bincount(owner_of_row, self.residuals(moved) ** 2)
+                better = waiting & (found < squares)
+                scaled = np.where(better[owner_of_unknown], moved, scaled)
+                waiting &= ~better
+                damping[better] = np.maximum(damping[better] / EASE, LEAST_DAMPING)
+                damping[waiting] *= EASE
+                if not waiting.any():
+                    break
+            residuals = self.residuals(scaled)
+            squares = np.bincount(owner_of_row, residuals**2)
+            is_coarse = len(differences) > 1
+            least_change = max(tolerance, SERVO_CLOSE) if is_coarse else tolerance
+            if (before - squares <= least_change * before).all():
+                if not is_coarse:
+                    break
+                del differences[0]
+        return scaled
 
     def _check_margin(self, scaled: FloatArray) -> None:
         """Raise `DivergedError` if the engine diverges with numbers that are a tenth larger, and say a shorter step."""
@@ -346,12 +334,13 @@ class Problem:
             f"{self.machine.name} diverges close to the best settings: {advice}"
         )
 
-    def _covariance(self, jacobian: FloatArray, residuals: FloatArray) -> FloatArray:
+    def covariance(self, scaled: FloatArray) -> FloatArray:
         """Return the covariance of the unknowns under lasting noise, shape [unknown_count, unknown_count].
 
         Least squares gives (J'J)^-1 J' C J (J'J)^-1 for residuals of covariance C (Aitken 1935). The noise of a joint
         is stationary in each part of a log, so that C is a Toeplitz matrix there, and 0 between parts.
         """
+        jacobian, residuals = self.jacobian(scaled), self.residuals(scaled)
         rows = self._rows()
         inverse = np.linalg.pinv(jacobian.T @ jacobian)
         middle = np.zeros_like(inverse)
@@ -364,7 +353,7 @@ class Problem:
             # N samples count as N / (1 + 2 sum of the correlation), a geometric series.
             correlation = neighbours / max(variance * (1.0 - decay), 1e-300)
             count = sum(len(part) for part in parts) / (1.0 + 2.0 * correlation)
-            wider = student.ppf(0.975, max(count, FEWEST)) / 1.96
+            wider = stdtrit(max(count, FEWEST), 0.975) / 1.96
             for part in parts:
                 lags = np.arange(len(part) - 1)
                 covariance = np.concatenate([[variance], neighbours * decay**lags])
@@ -392,3 +381,37 @@ class Problem:
         table = np.column_stack([explained, residuals[inside]])
         ends = np.cumsum([len(part) for part in parts])
         return lasting_noise(np.split(table, ends[:-1]))
+
+
+def _damped_step(
+    values: FloatArray,
+    lowest: FloatArray,
+    jacobian: FloatArray,
+    residuals: FloatArray,
+    damping: float,
+) -> FloatArray:
+    """Return unknowns after a damped step, none below its lowest: the rest is solved again beside those that reach it.
+
+    Args:
+        values: The unknowns, shape [unknown_count].
+        lowest: Their lowest values.
+        jacobian: Slopes of the residuals, shape [residual_count, unknown_count].
+        residuals: The residuals.
+        damping: Share of the squared slopes that is added to them.
+    """
+    normal = jacobian.T @ jacobian
+    gradient = jacobian.T @ residuals
+    sizes = np.diag(normal)
+    # Numbers without effect stay.
+    free = sizes > 0.0
+    step = np.zeros(values.size)
+    while free.any():
+        damped = normal[np.ix_(free, free)] + damping * np.diag(sizes[free])
+        others = normal[np.ix_(free, ~free)] @ step[~free]
+        step[free] = -np.linalg.solve(damped, gradient[free] + others)
+        below = free & (values + step < lowest)
+        if not below.any():
+            break
+        step[below] = lowest[below] - values[below]
+        free &= ~below
+    return np.maximum(values + step, lowest)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import minimize_scalar
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from gauge_envs.scene.geometry import FloatArray
 
@@ -66,7 +66,7 @@ def spread_of(
     weights = 1.0 / (between**2 + errors**2 + 1e-12)
     mean = float(weights @ scaled / weights.sum())
     variance = between**2 + 1.0 / weights.sum() + float(np.median(errors**2))
-    scattered = float(student.ppf(0.975, len(values) - 1) * np.sqrt(variance))
+    scattered = float(stdtrit(len(values) - 1, 0.975) * np.sqrt(variance))
     half = float(np.hypot(scattered, NORMAL_95 * common_error * mean))
     return Spread(
         mean=scale * mean,

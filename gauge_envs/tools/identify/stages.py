@@ -6,7 +6,7 @@ Stage 2 goes on with long parts; the starts of joints without servos are then un
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -24,7 +24,13 @@ from gauge_envs.scene.servo_friction import (
     STRIBECK,
 )
 from gauge_envs.tools.identify.logs import Log
-from gauge_envs.tools.identify.problem import CLOSE, LOST_RAD, SERVO_CLOSE, Problem
+from gauge_envs.tools.identify.problem import (
+    CLOSE,
+    LOST_RAD,
+    MOST_STEPS,
+    SERVO_CLOSE,
+    Problem,
+)
 from gauge_envs.tools.identify.rig import DYNAMICS, LIMIT, OFFSET, SERVO, Machine
 
 FREE_PARTS_S, SERVO_PARTS_S = (0.6, np.inf), (5.0, 20.0)
@@ -43,14 +49,17 @@ class Fit:
     Attributes:
         problem: The problem of stage 2.
         unknowns: Its unknowns.
-        covariance: Their covariance.
         simulations: Number of parts of logs that were simulated.
     """
 
     problem: Problem
     unknowns: FloatArray
-    covariance: FloatArray
     simulations: int = 0
+
+    @cached_property
+    def covariance(self) -> FloatArray:
+        """Covariance of the unknowns, shape [unknown_count, unknown_count]."""
+        return self.problem.covariance(self.unknowns)
 
     @property
     def of_joints(self) -> FloatArray:
@@ -95,7 +104,7 @@ class Fitter:
         *,
         first: Fit | None = None,
         tolerance: float | None = None,
-        most_steps: int | None = None,
+        most_steps: int = MOST_STEPS,
         progress: Callable[[str], None] = lambda text: None,
     ) -> Fit:
         """Fit numbers to logs in two stages, or in the second alone from another fit.
@@ -118,11 +127,12 @@ class Fitter:
         progress(f"{len(long.parts)} long parts")
         if long.free_starts:
             starts = np.zeros(2 * len(long.parts) * long.joints)
+            if first is not None and long.has_parts_of(first.problem):
+                starts = first.unknowns[-starts.size :]
             unknowns = np.concatenate([unknowns, starts])
         tolerance = tolerance or (SERVO_CLOSE if servo else CLOSE)
-        unknowns, covariance = long.solved(unknowns, tolerance, most_steps)
-        simulations = short.simulations + long.simulations
-        return Fit(long, unknowns, covariance, simulations)
+        unknowns = long.solved(unknowns, tolerance, most_steps)
+        return Fit(long, unknowns, short.simulations + long.simulations)
 
     def _stages(
         self, logs: Sequence[Log], names: Sequence[str]

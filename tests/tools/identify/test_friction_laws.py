@@ -1,6 +1,7 @@
 """Laws of friction of swings against closed forms, and what several files say about the next one."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,10 +9,10 @@ from scipy.integrate import solve_ivp
 
 from gauge_envs.backends import backend
 from gauge_envs.scene.servo_friction import QUADRATIC_LOAD, TERMS, holding, rule
-from gauge_envs.tools.identify import Identified, Log, identify, one_joint
+from gauge_envs.tools.identify import Identified, Log, identify, one_joint, read_log
 from gauge_envs.tools.identify.fit import machine_of
 from gauge_envs.tools.identify.identified import Law
-from gauge_envs.tools.identify.laws import _contains
+from gauge_envs.tools.identify.laws import LAWS, _contains
 from gauge_envs.tools.identify.rig import DYNAMICS
 from gauge_envs.tools.identify.spread import pattern, sensor_noise_rad, spread_of
 from gauge_envs.tools.identify.stages import QUADRATIC, Fitter
@@ -55,6 +56,23 @@ def test_quadratic_friction_adds_the_same_to_each_inverse_amplitude():
     drag = 1e-4
     grows = np.diff(1.0 / tops_rad(released({QUADRATIC: drag})))
     assert grows == pytest.approx(4.0 * drag / (3.0 * ABOUT_JOINT), rel=0.02)
+
+
+def test_no_dry_friction_a_tenth_away_follows_a_measured_swing_better():
+    """Errors jump where friction stops a swing half a period later; fits of small differences alone end there."""
+    log = read_log(Path("examples/joint_swing.csv")).moving()
+    half = list(log.pieces(0.5 * log.duration_s + 1e-9))[1]
+    names = [DRY, ARMATURE]
+    scene = one_joint(0.147585, 0.147755, 1.09119e-4)
+    machine = machine_of(backend("mujoco"), scene, half, names, {})
+    first = Fitter(machine=machine, known={}).fit(
+        [log], LAWS["dry, viscous and quadratic"], tolerance=1e-2
+    )
+    best = Fitter(machine=machine, known={}).fit([half], names, first=first)
+    friction = best.problem.unknowns(best.unknowns)[0][0][DRY]
+    for factor in (0.9, 1.1):
+        fitter = Fitter(machine=machine, known={DRY: factor * friction})
+        assert fitter.fit([half], names, first=best).misfit > best.misfit
 
 
 @pytest.mark.parametrize("name", ["load_friction", "external_load_friction"])

@@ -456,7 +456,7 @@ def test_an_armature_that_is_not_determined_is_left_out_however_far_it_is_from_t
         joint=0, joint_name="elbow", name="armature_kg_m2", value=5.0, low=4.0, high=6.0, unknown="goes with delay_s"
     )  # fmt: skip
     machine = SimpleNamespace(stated=[dict.fromkeys(NAMES, 0.0)])
-    problem: Any = SimpleNamespace(machine=machine)
+    problem: Any = SimpleNamespace(machine=machine, names=NAMES)
     assert _to_leave_out(problem, [spread], set()) == [spread]
     assert _to_leave_out(problem, [replace(spread, name="delay_s")], set()) == []
 
