@@ -37,7 +37,7 @@ NUMBERS = "biuf"
 MOST_KEY_DOTS = 64
 """Largest count of dots in a key of a TOML file; the parser's time grows with the square of the count."""
 
-CHILD_MEMORY = 1000 * MEGABYTE
+CHILD_MEMORY = 2000 * MEGABYTE
 CHILD_CPU_S = 5
 CHILD_WALL_S = 60
 MOST_OUTPUT_BYTES = 300 * MEGABYTE

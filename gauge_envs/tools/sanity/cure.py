@@ -125,14 +125,14 @@ def find_cure(
             flag_count=len(flags),
             mended={name: after[name][1] for name in mended},
         )
-        new_flags = [
-            name
-            for name, is_flag in counted.items()
-            if not is_flag and outcome_of(cured, name)[0].is_off
-        ]
-        harm = ", ".join(f"{name} is flagged" for name in new_flags)
-        if not harm and harm_of is not None:
-            harm = harm_of(cured, cure.changes)
+        harm = "" if harm_of is None else harm_of(cured, cure.changes)
+        if not harm:
+            new_flags = [
+                name
+                for name, is_flag in counted.items()
+                if not is_flag and outcome_of(cured, name)[0].is_off
+            ]
+            harm = ", ".join(f"{name} is flagged" for name in new_flags)
         if not harm:
             return cure, tuple(tried)
         tried.append(f"{cure.line}, but {harm}")

@@ -18,8 +18,11 @@ from gauge_envs.tools.sanity.cure import _ranked
 from gauge_envs.tools.sanity.mended import write_mended
 from gauge_envs.tools.sanity.model import Verdict
 from gauge_envs.tools.sanity.phenomena import ROBOT_IDS
+from gauge_envs.tools.sanity.robot import behaviour
+from gauge_envs.tools.sanity.robot.behaviour import Behaviour, after_changes, harm
 from gauge_envs.tools.sanity.robot.mended_model import mended_xml
 from gauge_envs.tools.sanity.robot.remedies import ORDER, find_remedies
+from gauge_envs.tools.sanity.robot.remedy import Remedy
 from gauge_envs.tools.sanity.robot.rows import ROWS
 from gauge_envs.tools.sanity.stacks import dialect
 from gauge_envs.tools.sanity.target_checks import target_rows
@@ -289,3 +292,14 @@ def test_a_wall_is_built_only_with_changes_that_could_be_the_best():
     assert walls == ["b", "a"]
     # Of a change that harms, the next best one follows.
     assert [one[0] for one in ranked] == [{"b": 1}, {"c": 1}]
+
+
+def test_a_change_of_contacts_with_which_a_pushed_robot_slips_is_refused(monkeypatch):
+    robot = read(robot_faults.good_xml()).robot
+    changes = {"impratio": 50.0}
+    before, after = Behaviour(robot), after_changes(robot, changes)
+    remedy = Remedy(text="", changes=changes)
+    assert harm(before, after, remedy) == ""
+    slips_m = {id(robot): [0.01, 0.02], id(after.robot): [0.009, 0.1]}
+    monkeypatch.setattr(behaviour, "pushed_m", lambda one: slips_m[id(one)])
+    assert harm(before, after, remedy).startswith("a push of 0.1 of its weight")

@@ -190,3 +190,56 @@ def test_legs_one_behind_the_other_and_a_lying_robot_are_no_biped(name):
     robot = robot_of(file.read_text(encoding="utf-8"))
     for row in ("robot-level", "robot-balance"):
         assert robot_row(row, robot).verdict is Verdict.DECLINED
+
+
+CART = """<body name="cart"><inertial pos="0 0 0" mass="60" diaginertia="0.001 0.001 0.001"/>
+  <joint name="x" type="slide" axis="1 0 0"/><joint name="y" type="slide" axis="0 1 0"/>
+  <joint name="turn" axis="0 0 1" range="-30 30"/><geom type="box" size="0.3 0.2 0.01" contype="0" conaffinity="0"/>"""
+
+
+def on_a_cart(text):
+    """An arm whose base two slides and a hinge place in the world, as makers do instead of wheels."""
+    text = text.replace('<body name="link1"', f'{CART}<body name="link1"')
+    text = text.replace("</worldbody>", "</body></worldbody>").replace(
+        '="0 -.5', '="0 0 0 0 -.5'
+    )
+    servos = '<position joint="turn" kp="50000" kv="1000" ctrlrange="-1 1"/>'
+    for slide in "yx":
+        servos = f'<position joint="{slide}" kp="1e6" kv="50000"/>{servos}'
+    return text.replace("<actuator>", f"<actuator>{servos}")
+
+
+def carried(text):
+    """An arm without friction, whose controller carries its weight."""
+    text = text.replace('<body name="link', '<body gravcomp="1" name="link')
+    text = re.sub(r'damping="1" frictionloss="[^"]*"', "", text)
+    text = re.sub(r'kv="\d+"', 'kv="1"', text)
+    return text.replace("0 -.5 1.2 -.7", "0 1.5 0 0")
+
+
+def with_another_keyframe(text):
+    """A quadruped that starts in the air, and stands in its only keyframe, which is not `home`."""
+    qpos = " ".join(map(str, mujoco.MjModel.from_xml_string(text).qpos0))
+    text = re.sub("<key name=.*/>", f'<key name="walk" qpos="{qpos}"/>', text)
+    return text.replace(
+        '<body name="trunk" pos="0 0 .322">', '<body name="trunk" pos="0 0 1">'
+    )
+
+
+@pytest.mark.parametrize(
+    ("change", "name", "rows"),
+    [
+        (on_a_cart, "arm", ("robot-torque", "robot-inertia", "robot-command")),
+        (carried, "arm", ("robot-energy",)),
+        (with_another_keyframe, "quadruped", ("robot-stands", "robot-level")),
+    ],
+    ids=["a base that slides place", "carried by its controller", "another keyframe"],
+)
+def test_what_makers_do_on_purpose_has_no_flag(change, name, rows):
+    text = GOOD[name]()
+    changed = change(text)
+    assert changed != text
+    robot = robot_of(changed)
+    found = {row: robot_row(row, robot) for row in rows}
+    assert {row: one.configured for row, one in found.items() if one.is_flag} == {}
+    assert any(one.verdict is Verdict.INSIDE for one in found.values())

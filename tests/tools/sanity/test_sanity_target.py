@@ -617,6 +617,6 @@ def test_a_model_that_takes_too_much_is_refused(tmp_path, monkeypatch):
         f"<mujoco><worldbody>{bomb}</worldbody></mujoco>"
     )
     with pytest.raises(
-        TargetError, match=r"loading it (takes more than 2 s|needs more than 1000 MB)"
+        TargetError, match=r"loading it (takes more than 2 s|needs more than \d+ MB)"
     ):
         configuration(tmp_path / "bomb.xml")

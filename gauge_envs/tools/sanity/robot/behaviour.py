@@ -14,7 +14,12 @@ from gauge_envs.tools.sanity.robot.joints import position_servos, servos, start
 from gauge_envs.tools.sanity.robot.mended_model import element_names
 from gauge_envs.tools.sanity.robot.remedy import Remedy
 from gauge_envs.tools.sanity.robot.robot import GEOM_FIELDS, LENGTHS, Robot, once
-from gauge_envs.tools.sanity.robot.rollout import half_step_s, hold_pose
+from gauge_envs.tools.sanity.robot.rollout import (
+    PUSH_SHARES,
+    half_step_s,
+    hold_pose,
+    pushed_m,
+)
 from gauge_envs.tools.sanity.robot.rows import ROWS
 
 ORDER = (
@@ -87,6 +92,9 @@ FAIR_STEP_S = 0.14
 
 FAIR_POSE_RAD = 0.1
 """Error of a held pose that is no merit to fall below: servos of makers' models sag by up to 97 mrad [rad]."""
+
+SLIPS, SAFE_PUSH_M = 1.5, 0.005
+"""Growth of the displacement by a push that counts as slip, and a displacement that is no slip [m]."""
 
 SHAPES = ("body_", "geom_", "compiler_", "jnt_axis", "jnt_range")
 """Starts of the names of changes that move bodies, or decide what touches."""
@@ -192,11 +200,30 @@ def harm(before: Behaviour, after: Behaviour, remedy: Remedy, name: str = "") ->
             continue
         if _is_worse(before.row(other), after.row(other)):
             return f"{other} gets worse, {_change_text(before, after, other)}"
-    if before.is_held:
-        least = 0.0 if remedy.scales_gains else FAIR_POSE_RAD
-        was, now = before.pose_error_rad, after.pose_error_rad
-        if now > max(WORSE * was + 1e-3, least):
-            return f"it holds its pose within {1e3 * now:.3g} mrad instead of {1e3 * was:.3g}"
+    return _moved(before, after, remedy) or _slower(before, after, remedy, name)
+
+
+def _moved(before: Behaviour, after: Behaviour, remedy: Remedy) -> str:
+    """Return by how much a robot keeps its pose less well after a change, or slips where it is pushed."""
+    if not before.is_held:
+        return ""
+    least = 0.0 if remedy.scales_gains else FAIR_POSE_RAD
+    was, now = before.pose_error_rad, after.pose_error_rad
+    if now > max(WORSE * was + 1e-3, least):
+        return (
+            f"it holds its pose within {1e3 * now:.3g} mrad instead of {1e3 * was:.3g}"
+        )
+    if not (before.robot.is_floating and CONTACT_OPTIONS & {*remedy.changes}):
+        return ""
+    pushes_m = (pushed_m(before.robot), pushed_m(after.robot))
+    for share, was, now in zip(PUSH_SHARES, *pushes_m, strict=True):
+        if not now <= max(SLIPS * was, SAFE_PUSH_M):
+            return f"a push of {share:g} of its weight moves it by {1e3 * now:.3g} mm instead of {1e3 * was:.3g}"
+    return ""
+
+
+def _slower(before: Behaviour, after: Behaviour, remedy: Remedy, name: str) -> str:
+    """Return which servo is slower after a change that mends a row."""
     fastest_s = 1e-3 * limits_of("robot-lag")[0]
     for actuator in position_servos(before.robot):
         was, now = step_s(before.robot, actuator), step_s(after.robot, actuator)

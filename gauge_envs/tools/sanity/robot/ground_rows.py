@@ -1,4 +1,4 @@
-"""Judge the contacts of feet and fingers that a model states, and its ground."""
+"""Judge the contacts of feet and fingers that a model states, its ground, and contacts of its parts with each other."""
 
 from dataclasses import replace
 from typing import Any
@@ -10,10 +10,12 @@ from gauge_envs.backends.mujoco.model_settings import COLUMNS, can_move
 from gauge_envs.tools.sanity.robot.finding import (
     NOT_STANDING,
     Finding,
+    body_name,
     limits_of,
     row,
     standing_of,
 )
+from gauge_envs.tools.sanity.robot.joints import start
 from gauge_envs.tools.sanity.robot.mujoco_feet import (
     SOLE_WITHIN,
     geom_name,
@@ -21,7 +23,16 @@ from gauge_envs.tools.sanity.robot.mujoco_feet import (
     shortened,
     support_m,
 )
-from gauge_envs.tools.sanity.robot.robot import Robot, grasp_kinds, joints_of_motors
+from gauge_envs.tools.sanity.robot.robot import (
+    Robot,
+    grasp_kinds,
+    joints_of_motors,
+    once,
+    random_poses,
+)
+
+TRIED = 32
+"""Random poses in which the overlap of two parts is tried."""
 
 
 def limbs_of(robot: Robot) -> list[list[int]]:
@@ -288,4 +299,61 @@ def _floor_tilt(robot: Robot) -> Finding:
         changes={f"geom_quat[{geom}]": np.array([1.0, 0.0, 0.0, 0.0])}
         if not model.geom_bodyid[geom]
         else {},
+    )
+
+
+@once
+def overlaps(robot: Robot) -> dict[tuple[int, int], tuple[float, float]]:
+    """Return depth [m] and normal force [N] of contacts between bodies of a robot in the pose in which it starts."""
+    return _overlaps(robot, start(robot))
+
+
+def _overlaps(
+    robot: Robot, data: mujoco.MjData
+) -> dict[tuple[int, int], tuple[float, float]]:
+    model, force = robot.model, np.zeros(6)
+    found: dict[tuple[int, int], tuple[float, float]] = {}
+    for number in range(data.ncon):
+        contact = data.contact[number]
+        first, second = sorted(int(model.geom_bodyid[geom]) for geom in contact.geom)
+        is_inside = contact.dist < 0.0 and contact.exclude == 0
+        if not {first, second} <= set(robot.bodies) or not is_inside:
+            continue
+        mujoco.mj_contactForce(model, data, number, force)
+        depth_m, push_n = found.get((first, second), (0.0, 0.0))
+        found[first, second] = (
+            max(depth_m, -float(contact.dist)),
+            push_n + float(force[0]),
+        )
+    return found
+
+
+@row("robot-overlap")
+def _overlap(robot: Robot) -> Finding:
+    found = overlaps(robot)
+    names = {
+        pair: " and ".join(body_name(robot, body) for body in pair) for pair in found
+    }
+    parts = {names[pair]: 1e3 * depth_m for pair, (depth_m, _) in found.items()}
+    if not found:
+        return Finding()
+    worst = max(found, key=lambda pair: found[pair][0])
+    depth_m, _ = found[worst]
+    push_n = sum(one for _, one in found.values())
+    advisory = ""
+    if not robot.model.nkey and 1e3 * depth_m > limits_of("robot-overlap")[1]:
+        # A pose of zeros is rarely the one in which code starts.
+        poses = [_overlaps(robot, one) for one in random_poses(robot.model, TRIED)]
+        often = max(sum(pair in one for one in poses) for pair in found)
+        if often < 0.5 * TRIED:
+            advisory = (
+                "no keyframe states where it starts, and no two of these parts overlap in more than "
+                f"{often} of {TRIED} random poses"
+            )
+    return Finding(
+        value=1e3 * depth_m,
+        parts=parts,
+        remark=f"{names[worst]}; {push_n:.3g} N push parts apart at the first step",
+        advice=f"exclude the pair {names[worst]}, make its geoms smaller, or state a keyframe with them apart",
+        advisory=advisory,
     )

@@ -24,10 +24,12 @@ from gauge_envs.tools.sanity.robot.joints import (
     driven_dofs,
     driven_joints,
     growth,
+    joint_inertias,
     largest_weights_nm,
     leg_nm,
     loads_nm,
     one_sided,
+    placed_bodies,
     servo_gains,
     servos,
     speed_servos,
@@ -242,10 +244,14 @@ def _drag(
     shares = {dof: share(dof, limit) for dof, limit in limits.items()}
     fair = {d: float(values[d]) / max(spare * shares[d], 1.0) for d in limits}
     worst = max(shares, key=shares.__getitem__)
+    remark = f"{joint_name(robot, worst)}: {name} {values[worst]:.3g} with {limits[worst]:.3g} Nm"
+    if name == "damping" and values[worst] > 0.0:
+        fastest_rad_per_s = limits[worst] / float(values[worst])
+        remark += f", which turn it by at most {fastest_rad_per_s:.2g} rad/s"
     return Finding(
         value=shares[worst],
         parts=by_joint(robot, shares),
-        remark=f"{joint_name(robot, worst)}: {name} {values[worst]:.3g} with {limits[worst]:.3g} Nm",
+        remark=remark,
         advice=f'{name}="{fair[worst]:.2g}" for {joint_name(robot, worst)} and joints like it, '
         "or its largest torque in Nm",
         changes=of_elements(
@@ -289,14 +295,13 @@ def _frictionloss(robot: Robot) -> Finding:
 
 @row("robot-armature")
 def _armature(robot: Robot) -> Finding:
-    model, data, found, changes = robot.model, start(robot), Finding(), {}
+    model, found, changes = robot.model, Finding(), {}
     ratios: dict[int, float] = {}
-    full = np.zeros((model.nv, model.nv))
-    mujoco.mj_fullM(model, data, full)
+    inertias = joint_inertias(robot)
     loads = loads_nm(robot)
     for dof in driven_dofs(robot):
         armature, limit_nm = float(model.dof_armature[dof]), loads.get(dof, 0.0)
-        limb = max(float(full[dof, dof]) - armature, 1e-9)
+        limb = max(float(inertias[dof]) - armature, 1e-9)
         # Turned about its own axis a wrist has next to no inertia: what counts there is that its motor can turn it.
         if armature * LEAST_RAD_PER_S2 <= limit_nm:
             continue
@@ -307,7 +312,8 @@ def _armature(robot: Robot) -> Finding:
         if armature / limb > found.value:
             found = Finding(
                 value=armature / limb,
-                remark=f"{joint_name(robot, dof)}: {armature:.3g} with a limb of {limb:.3g} kg m^2, {limit_nm:.3g} Nm",
+                remark=f"{joint_name(robot, dof)}: {armature:.3g} kg m^2 with a limb of {limb:.2g}; "
+                f"{limit_nm:.3g} Nm turn it by {limit_nm / armature:.2g} rad/s^2",
                 advice=f'armature="{fair:.2g}" for {joint_name(robot, dof)} and joints like it',
             )
     return replace(found, changes=changes, parts=by_joint(robot, ratios))
@@ -409,11 +415,12 @@ def _command(robot: Robot) -> Finding:
     joints = model.actuator_trnid[:, 0]
     is_servo = is_on_joint & (servos(model) | is_unread)
     found: dict[str, Finding] = {}
+    moved = set(robot.bodies) - set(placed_bodies(model))
     for actuator in np.flatnonzero(is_servo).tolist():
         joint = int(joints[actuator])
         gain = float(model.actuator_gainprm[actuator, 0])
         gear = float(model.actuator_gear[actuator, 0])
-        if int(model.jnt_bodyid[joint]) not in robot.bodies or not gain * gear:
+        if int(model.jnt_bodyid[joint]) not in moved or not gain * gear:
             continue
         name = joint_name(robot, int(model.jnt_dofadr[joint]))
         others = np.flatnonzero(is_servo & (joints == joint)).tolist()

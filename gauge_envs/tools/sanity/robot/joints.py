@@ -99,12 +99,46 @@ def torque_limits(model: mujoco.MjModel) -> FloatArray:
 
 
 def driven_dofs(robot: Robot) -> dict[int, float]:
-    """Return the limits of hinges of a robot that an actuator drives, by degree of freedom [Nm]."""
+    """Return the limits of hinges of a robot that an actuator drives, by degree of freedom [Nm].
+
+    Joints that place the robot in the world are none of its motors.
+    """
     model = robot.model
     is_hinge = joints_of(model, "HINGE")[model.dof_jntid]
     is_driven = is_hinge & np.isin(model.dof_bodyid, robot.bodies)
+    is_driven &= ~np.isin(model.dof_bodyid, placed_bodies(model))
     limits = enumerate(torque_limits(model).tolist())
     return {dof: limit for dof, limit in limits if limit and is_driven[dof]}
+
+
+def placed_bodies(model: mujoco.MjModel) -> list[int]:
+    """Return bodies that slides and hinges place in the world: no part lies between, and at least two slides move them.
+
+    They stand for wheels, or for an arm that is not there.
+    """
+    is_slide = joints_of(model, "SLIDE")
+    slides = np.zeros(model.nbody, int)
+    np.add.at(slides, model.jnt_bodyid[is_slide], 1)
+    is_bare = np.ones(model.nbody, bool)
+    found = []
+    for body in range(1, model.nbody):
+        parent = int(model.body_parentid[body])
+        if not is_bare[parent]:
+            is_bare[body] = False
+            continue
+        slides[body] += slides[parent]
+        is_bare[body] = model.body_geomnum[body] == 0
+        if slides[body] >= 2 and model.body_jntnum[body]:
+            found.append(body)
+    return found
+
+
+@once
+def joint_inertias(robot: Robot) -> FloatArray:
+    """Return the inertia about each degree of freedom where the robot works, all others locked, shape [nv]."""
+    full = np.zeros((robot.model.nv, robot.model.nv))
+    mujoco.mj_fullM(robot.model, start(robot), full)
+    return np.diag(full).copy()
 
 
 def driven_joints(robot: Robot) -> list[int]:
@@ -199,6 +233,15 @@ def springs(model: mujoco.MjModel) -> FloatArray:
 def foot_load_n(robot: Robot) -> float:
     """Return what each foot of a robot carries of its weight [N]."""
     return robot.mass_kg * GRAVITY_M_PER_S2 / len(standing_of(robot).feet)
+
+
+def feet_above_ground_m(robot: Robot) -> float:
+    """Return the height of the lowest foot above the ground in the pose in which a robot starts [m]."""
+    standing = standing_of(robot)
+    feet = {geom for geoms in standing.feet.values() for geom in geoms}
+    ground = set(robot.pairs.geoms[robot.foot_rows].ravel().tolist()) - feet
+    floor_m = max(float(standing.stance.positions_m[geom][2]) for geom in ground)
+    return min(float(point[2]) for point in standing.support_m.values()) - floor_m
 
 
 def leg_nm(robot: Robot) -> float:

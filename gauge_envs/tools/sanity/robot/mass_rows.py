@@ -8,11 +8,12 @@ import mujoco
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from gauge_envs.scene import Vector
+from gauge_envs.scene import GRAVITY_M_PER_S2, Vector
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.robot.finding import Finding, body_name, limits_of, row
 from gauge_envs.tools.sanity.robot.ground_rows import geoms_of
-from gauge_envs.tools.sanity.robot.mujoco_feet import geom_name
+from gauge_envs.tools.sanity.robot.joints import placed_bodies
+from gauge_envs.tools.sanity.robot.mujoco_feet import geom_name, shortened
 from gauge_envs.tools.sanity.robot.robot import Robot, once
 
 SIGNS = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1).T
@@ -162,14 +163,17 @@ def _gravcomp(robot: Robot) -> Finding:
     share = float(
         (model.body_gravcomp * model.body_mass)[robot.bodies].sum() / robot.mass_kg
     )
-    names = ", ".join(body_name(robot, body) for body in lifted)
+    names = ", ".join(shortened([body_name(robot, body) for body in lifted]))
+    weight_n = robot.mass_kg * GRAVITY_M_PER_S2
     return Finding(
         value=abs(share),
         parts={
             body_name(robot, body): abs(float(model.body_gravcomp[body]))
             for body in lifted
         },
-        remark=names,
+        remark=f"{share * weight_n:.3g} N of {weight_n:.3g} N, of {names}"
+        if lifted
+        else "",
         advice=f'gravcomp="0" for {names}',
         changes={f"body_gravcomp[{body}]": 0.0 for body in lifted},
     )
@@ -180,22 +184,24 @@ def _inertia(robot: Robot) -> Finding:
     low, high = limits_of("robot-inertia")
     found, worst, changes = Finding(declined="the shape of no link is known"), 0.0, {}
     shares: dict[str, float] = {}
-    far: list[tuple[float, str]] = []
+    far: list[tuple[float, str, float, float]] = []
     # Of a screen or a frame beside it nothing depends.
     least_kg = 1e-5 * robot.mass_kg
+    placed = placed_bodies(robot.model)
     for body in robot.bodies:
+        if body in placed:
+            continue
         mass_kg, reach_m = float(robot.model.body_mass[body]), extent(robot, body)[2]
         if not (mass_kg > max(MASSLESS_KG, least_kg) and reach_m > 0.0):
             continue
         low_m, high_m = _box(robot, body)
         centre_m, size_m = robot.model.body_ipos[body], high_m - low_m
         beyond_m = np.maximum(np.maximum(low_m - centre_m, centre_m - high_m), 0.0)
-        away = float(np.linalg.norm(beyond_m)) / max(
-            float(np.linalg.norm(size_m)), 1e-9
-        )
+        away_m = float(np.linalg.norm(beyond_m))
+        diagonal_m = max(float(np.linalg.norm(size_m)), 1e-9)
         name = body_name(robot, body)
-        if away > FAR_CENTRE:
-            far.append((away, name))
+        if away_m > FAR_CENTRE * diagonal_m:
+            far.append((away_m / diagonal_m, name, away_m, diagonal_m))
         inertia = robot.model.body_inertia[body]
         # The sum of the principal moments is twice the mass times the square of the polar radius of gyration.
         radius_m = float(np.sqrt(0.5 * inertia.sum() / mass_kg))
@@ -208,15 +214,15 @@ def _inertia(robot: Robot) -> Finding:
             worst = ratio
             found = Finding(
                 value=radius_m / reach_m,
-                remark=f"{name} of {mass_kg:.3g} kg: {radius_m:.3g} m of {reach_m:.3g} m",
+                remark=f"{name} of {mass_kg:.3g} kg: gyrates with {radius_m:.3g} m, and reaches {reach_m:.3g} m",
                 advice=f"give {name} the inertia of its geoms, about {share:.2g} of the stated one",
             )
     if far:
-        away, name = max(far)
+        _, name, away_m, diagonal_m = max(far)
         return Finding(
             value=np.inf,
-            parts=shares | {f"centre of mass of {one}": np.inf for _, one in far},
-            remark=f"the centre of mass of {name} is outside of its shape, by {away:.2g} of its size",
+            parts=shares | {f"centre of mass of {one}": np.inf for _, one, *_ in far},
+            remark=f"centre of mass of {name}: {away_m:.3g} m outside of a link of {diagonal_m:.2g} m",
             advice=f"the centre of mass of {name} in the frame of its body, in metres",
         )
     return replace(found, changes=changes, parts=shares)

@@ -113,7 +113,7 @@ def find_standing(model: mujoco.MjModel, pairs: ContactPairs, up: Vector) -> Sta
 
     A robot can rise and fall: its first joint is free, or a vertical slide that nothing drives or holds. It has an
     actuator, unless the model has none. Its feet are the bodies that can touch the ground and lie lowest in the
-    keyframe `home`, or in the initial pose with joints within their limits.
+    pose of `stance_of`.
 
     Args:
         model: The compiled model.
@@ -229,14 +229,17 @@ def shortened(names: list[str]) -> list[str]:
 
 
 def stance_of(model: mujoco.MjModel, up: FloatArray) -> Stance:
-    """Return the keyframe in which a robot stands; without one, the initial pose with joints within their limits."""
+    """Return the keyframe in which a robot stands, or the first one.
+
+    Without a keyframe it is the initial pose with joints within their limits.
+    """
     data = mujoco.MjData(model)
     label, ctrl = "initial pose", None
-    names = [model.key(index).name for index in range(model.nkey)]
-    known = next((name for name in STANDING if name in names), None)
-    if known is not None:
+    if model.nkey:
+        names = [model.key(index).name for index in range(model.nkey)]
+        known = next((name for name in STANDING if name in names), names[0])
         mujoco.mj_resetDataKeyframe(model, data, names.index(known))
-        label, ctrl = f"keyframe {known}", data.ctrl.copy()
+        label, ctrl = f"keyframe {known}".rstrip(), data.ctrl.copy()
     is_clipped = (model.jnt_limited != 0) & joints_of(model, "HINGE", "SLIDE")
     for joint in np.flatnonzero(is_clipped):
         place = model.jnt_qposadr[joint]

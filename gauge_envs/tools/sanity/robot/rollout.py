@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 import mujoco
 import numpy as np
 
+from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.robot.finding import (
     NOT_STANDING,
@@ -19,10 +20,13 @@ from gauge_envs.tools.sanity.robot.finding import (
     row,
     standing_of,
 )
+from gauge_envs.tools.sanity.robot.ground_rows import overlaps
 from gauge_envs.tools.sanity.robot.joints import (
     dof_of,
     driven_dofs,
     driven_joints,
+    feet_above_ground_m,
+    joint_inertias,
     largest_weights_nm,
     loads_nm,
     position_servos,
@@ -48,8 +52,20 @@ HOLD_S, LATE_S = 2.0, 0.5
 FREE_S = 1.0
 """Time in which energy is read [s]."""
 
+PUSH_SHARES, PUSH_S = (0.05, 0.1), 0.5
+"""Pushes over the weight of the robot, and their time [s]."""
+
+STATE = mujoco.mjtState.mjSTATE_INTEGRATION
+"""All that a step depends on."""
+
 SLOPE_DEG, SLOPE_PUSH = 10.0, 0.7
 """Slope on which feet stand [degrees], and the largest push, over what their friction holds."""
+
+CARRIED_SHARE = 0.9
+"""Share of the weight on the feet of a robot that stands on a slope."""
+
+MOST_DROP_MM = 10.0
+"""Height of feet above the ground from which on a robot falls before it stands [mm]."""
 
 LEAST_FEET = 3
 """Feet on which a robot stands without a policy."""
@@ -152,6 +168,31 @@ def hold_pose(robot: Robot, slope_deg: float = 0.0) -> HoldMotion:
     )
 
 
+@once
+def pushed_m(robot: Robot) -> FloatArray:
+    """Return how far pushes move the body behind the last motor of a robot that holds its pose [m], shape [2].
+
+    Each acts along x for `PUSH_S`, with the shares `PUSH_SHARES` of the robot's weight.
+    """
+    model = robot.without()
+    data = start(robot, model)
+    for _ in range(max(1, round(HOLD_S / model.opt.timestep))):
+        mujoco.mj_step(model, data)
+    held = np.empty(mujoco.mj_stateSize(model, STATE))
+    mujoco.mj_getState(model, data, held, STATE)
+    body = int(model.dof_bodyid[list(driven_dofs(robot))[-1]])
+    begin_m = data.xipos[body].copy()
+    moved_m = []
+    for share in PUSH_SHARES:
+        mujoco.mj_setState(model, data, held, STATE)
+        data.xfrc_applied[body, 0] = share * robot.mass_kg * GRAVITY_M_PER_S2
+        for _ in range(max(1, round(PUSH_S / model.opt.timestep))):
+            mujoco.mj_step(model, data)
+        data.xfrc_applied[:] = 0.0
+        moved_m.append(float(np.linalg.norm(data.xipos[body] - begin_m)))
+    return np.array(moved_m)
+
+
 def _ground_loads_n(robot: Robot, data: mujoco.MjData) -> Iterator[tuple[int, float]]:
     """Yield the body and the normal force [N] of each contact between a robot and the ground."""
     model, force = robot.model, np.zeros(6)
@@ -173,6 +214,11 @@ def _finite_hold(robot: Robot, slope_deg: float = 0.0) -> HoldMotion:
     """Return the motion of a robot that its servos hold; it does not apply without servos."""
     if not servos(robot.model).any():
         raise NotApplicableError(NO_SERVO)
+    pushes_n = sum(push_n for _, push_n in overlaps(robot).values())
+    if pushes_n > robot.mass_kg * GRAVITY_M_PER_S2:
+        raise NotMeasuredError(
+            f"its parts push each other apart with {pushes_n:.3g} N where it starts"
+        )
     motion = hold_pose(robot, slope_deg)
     if np.isfinite(motion.diverged_s):
         raise NotMeasuredError(f"the state diverges at {motion.diverged_s:.3g} s")
@@ -200,7 +246,18 @@ def _stands(robot: Robot) -> Finding:
     standing_of(robot)
     ratio = max(_finite_hold(robot).height_ratio, 1e-3)
     if ratio < 1.0:
-        return Finding(value=ratio, advisory=_advisory(robot))
+        drop_mm = 1e3 * feet_above_ground_m(robot)
+        is_above = ratio < limits_of("robot-stands")[0] and drop_mm > MOST_DROP_MM
+        return Finding(
+            value=ratio,
+            remark=f"its feet start {drop_mm:.3g} mm above the ground"
+            if is_above
+            else "",
+            advice="a place of the first body where the feet touch the ground"
+            if is_above
+            else "",
+            advisory=_advisory(robot),
+        )
     # Without a policy a biped falls, and does not rise.
     return Finding(
         value=ratio,
@@ -250,39 +307,21 @@ def _slip(robot: Robot) -> Finding:
     friction = float(robot.pairs.constants[robot.foot_rows, 1].min())
     slope_deg = min(SLOPE_DEG, float(np.degrees(np.arctan(SLOPE_PUSH * friction))))
     motion = _finite_hold(robot, slope_deg)
-    if not 0.7 < motion.height_ratio < 1.3:
+    feet_share = sum(motion.load_shares.get(b, 0.0) for b in standing_of(robot).feet)
+    if not (0.7 < motion.height_ratio < 1.3 and feet_share > CARRIED_SHARE):
         raise NotMeasuredError("the robot falls on the slope")
+    held_deg = np.degrees(np.arctan(friction))
     return Finding(
         value=motion.slip_mm_per_s,
-        remark=f"{slope_deg:.3g} degrees, friction {friction:.3g}",
-    )
-
-
-@row("robot-overlap")
-def _overlap(robot: Robot) -> Finding:
-    model, data = robot.model, start(robot)
-    depths_mm: dict[str, float] = {}
-    for number in range(data.ncon):
-        contact = data.contact[number]
-        pair = [int(model.geom_bodyid[geom]) for geom in contact.geom]
-        if (
-            set(pair) <= set(robot.bodies)
-            and contact.exclude == 0
-            and contact.dist < 0.0
-        ):
-            parts = " and ".join(body_name(robot, body) for body in pair)
-            depth_mm = -1e3 * float(contact.dist)
-            depths_mm[parts] = max(depths_mm.get(parts, 0.0), depth_mm)
-    names = max(depths_mm, key=depths_mm.__getitem__, default="")
-    advice = f"exclude the pair {names}, or make its geoms smaller" if names else ""
-    return Finding(
-        value=depths_mm.get(names, 0.0), parts=depths_mm, remark=names, advice=advice
+        remark=f"{slope_deg:.3g} degrees, and friction {friction:.3g} holds up to {held_deg:.3g}",
     )
 
 
 @row("robot-energy")
 def _energy(robot: Robot) -> Finding:
     bare = robot.without("contact", "limit", "equality")
+    # MuJoCo's energy has no term for what carries a body against gravity.
+    bare.body_gravcomp[:] = 0.0
     # Of servos the damping is left, without the limit that makes it a switch.
     bare.actuator_gainprm[:], bare.actuator_biasprm[:, :2] = 0.0, 0.0
     bare.actuator_forcerange[:] = [-1e9, 1e9]
@@ -308,7 +347,7 @@ def _energy(robot: Robot) -> Finding:
 SWING_RAD = 0.1
 """Swing of a joint for which dry friction counts as damping [rad]."""
 
-NO_ROTOR = "no joint of the model states the inertia of its rotor"
+NO_ROTOR = "no driven joint of the model states the inertia of its rotor"
 
 STEP_RAD, STEP_S = 0.3, 1.0
 """Step of a servo's command, and the time for which it is watched."""
@@ -321,7 +360,7 @@ def _dry(robot: Robot) -> Finding:
         "contact", "gravity", "limit", "equality", "actuation", "spring"
     )
     bare.opt.density = bare.opt.viscosity = 0.0
-    data, shares, losses = start(robot, bare), {}, {}
+    data, shares, losses, rates = start(robot, bare), {}, {}, {}
     data.qacc[:] = 0.0
     limits_nm = loads_nm(robot)
     for dof in driven_dofs(robot):
@@ -335,6 +374,7 @@ def _dry(robot: Robot) -> Finding:
             max((torques[1] - torques[0]) / 3.0, 0.0),
         )
         shares[dof] = dry / max(dry + viscous, 1e-12)
+        rates[dof] = viscous
         # The least of measured joints: 5 % beside viscous friction, and 0.26 % of the weight of a bare bearing.
         loss_nm = viscous / 19.0 + 0.0026 * max(loads[dof], 0.1 * loads.max(), 0.01)
         # No gear loses more than a tenth of its motor's torque at rest.
@@ -350,20 +390,26 @@ def _dry(robot: Robot) -> Finding:
     worst = min(stated or shares, key=shares.__getitem__)
     name, loss_nm = joint_name(robot, worst), float(model.dof_frictionloss[worst])
     advice = f'{head}frictionloss="{losses[worst]:.2g}" or more for {name} and joints like it: `gauge recipe joint`'
+    advisory = "the joint states no dry friction" if few and not stated else ""
     if not off and loss_nm > losses[worst]:
+        if not model.dof_armature[list(shares)].any():
+            advisory = NO_ROTOR
         # The soft constraint of a light joint never reaches its friction: it is a drag.
-        advice = f"the armature of {name}: so light, its frictionloss of {loss_nm:.2g} Nm acts as a viscous drag"
+        advice = (
+            f"the armature of {name}: so light, its frictionloss of {loss_nm:.2g} Nm acts as a viscous drag, "
+            f"{rates[worst]:.2g} Nm at 1 rad/s and twice as much at 2"
+        )
     return Finding(
         value=shares[worst],
         parts=by_joint(robot, shares),
-        remark=f"{name} and {len(few) - 1} more of {len(shares)}" if few else name,
+        remark=f"{name}, {len(few)} of {len(shares)} joints" if few else name,
         advice=advice,
         changes={
             f"dof_frictionloss[{dof}]": losses[dof]
             for dof in few
             if losses[dof] > model.dof_frictionloss[dof]
         },
-        advisory="" if stated or not few else "the joint states no dry friction",
+        advisory=advisory,
     )
 
 
@@ -371,6 +417,8 @@ def _dry(robot: Robot) -> Finding:
 def _lag(robot: Robot) -> Finding:
     low_ms, high_ms = limits_of("robot-lag")
     found, worst = Finding(declined=f"{NO_SERVO}, or have no room for a step"), 0.0
+    armatures = robot.model.dof_armature[list(driven_dofs(robot))]
+    limits_nm, inertias = loads_nm(robot), joint_inertias(robot)
     halves_ms: dict[int, float] = {}
     for actuator in position_servos(robot):
         dof = dof_of(robot, actuator)
@@ -379,7 +427,7 @@ def _lag(robot: Robot) -> Finding:
             continue
         halves_ms[dof] = half_ms
         ratio = max(low_ms / max(half_ms, 1e-9), half_ms / high_ms)
-        is_bare = half_ms < low_ms and not robot.model.dof_armature.any()
+        is_bare = half_ms < low_ms and not armatures.any()
         if is_bare:
             # Advice hides no servo that is too slow.
             ratio = 1.0
@@ -391,9 +439,12 @@ def _lag(robot: Robot) -> Finding:
             advice = (
                 "the armature of its rotor and gear, its forcerange, and kp in Nm/rad"
             )
+        text = response_text(*servo_responses(robot)[dof])
+        if half_ms < low_ms:
+            text = f"{limits_nm[dof]:.3g} Nm turn {inertias[dof]:.2g} kg m^2"
         found = Finding(
             value=half_ms,
-            remark=f"{name}: {response_text(*servo_responses(robot)[dof])}",
+            remark=f"{name}: {text}",
             advice=f"{advice}, for {name} and servos like it",
             advisory=NO_ROTOR if is_bare else "",
         )
@@ -407,16 +458,14 @@ def servo_responses(robot: Robot) -> dict[int, tuple[float, float]]:
     Dry friction counts by the energy that it takes from a swing of 0.1 rad. The bandwidth is that of the angle at
     -3 dB, in closed form for a linear loop of second order.
     """
-    model, data = robot.model, start(robot)
-    inertia = np.zeros((model.nv, model.nv))
-    mujoco.mj_fullM(model, data, inertia)
+    model, inertias = robot.model, joint_inertias(robot)
     rates = model.dof_damping + servo_gains(model, 2)
     found = {}
     for dof in driven_dofs(robot):
         kp = stiffness(model, dof)
         if kp <= 0.0:
             continue
-        natural_per_s = np.sqrt(kp / inertia[dof, dof])
+        natural_per_s = np.sqrt(kp / inertias[dof])
         dry = 2.0 * float(model.dof_frictionloss[dof]) / (np.pi * kp * SWING_RAD)
         ratio = 0.5 * float(rates[dof]) * natural_per_s / kp + dry
         flat = 1.0 - 2.0 * ratio**2
@@ -531,6 +580,8 @@ def _sag(robot: Robot) -> Finding:
             advice=f'stiffness="0" for {joint_name(robot, dof)} and joints like it',
         )
     low_mrad, high_mrad = limits_of("robot-sag")
+    if sags[dof] > high_mrad:
+        remark += f": a command must be {1e-3 * sags[dof]:.2g} rad beyond the pose that it holds"
     return Finding(
         value=sags[dof],
         parts=by_joint(robot, sags),

@@ -22,6 +22,7 @@ from gauge_envs.tools.sanity.robot.joints import (
     dof_of,
     driven_dofs,
     driven_joints,
+    feet_above_ground_m,
     foot_load_n,
     largest_weights_nm,
     leg_nm,
@@ -236,14 +237,9 @@ def _mirrored_m(robot: Robot, pair: MirrorPair, joint: int, other: int) -> Float
 
 def _meets_ground(robot: Robot) -> bool:
     """Return whether the lowest foot touches the ground in the pose in which the robot starts."""
-    standing = robot.standing
-    if standing is None:
+    if robot.standing is None:
         return False
-    feet = {geom for geoms in standing.feet.values() for geom in geoms}
-    ground = set(robot.pairs.geoms[robot.foot_rows].ravel().tolist()) - feet
-    floor_m = max(float(standing.stance.positions_m[geom][2]) for geom in ground)
-    lowest_m = min(float(point[2]) for point in standing.support_m.values())
-    return abs(lowest_m - floor_m) < TOUCHING * standing.height_m
+    return abs(feet_above_ground_m(robot)) < TOUCHING * robot.standing.height_m
 
 
 @remedies_of("robot-command")

@@ -40,6 +40,12 @@ FEW_COPIES = 2
 SAME = 0.01
 """Difference of two numbers over the larger one up to which they are the same."""
 
+SHARE_OF = {
+    "place": "its distance from the origin of the robot",
+    "centre": "the size of the link",
+}
+"""What the difference of a quantity is a share of, by its first word."""
+
 NOT_SYMMETRIC = (
     "the robot has no two sides that mirror each other, and no copies of a part"
 )
@@ -118,6 +124,9 @@ def mirror_pairs(robot: Robot) -> list[MirrorPair]:
         away_m[depths[:, None] != depths] = NO_IMAGE_M
         itself = np.flatnonzero(is_aside[:, across])
         away_m[itself, itself] = NO_IMAGE_M
+        # Two fingers of a hand on one side are no images of each other.
+        origins_m = (data.xpos - data.xpos[root]) @ frame
+        is_origin_aside = np.abs(origins_m[:, across]) > SAME_PLACE_M
         _, images = linear_sum_assignment(away_m)
         pairs = [
             MirrorPair(
@@ -140,6 +149,10 @@ def mirror_pairs(robot: Robot) -> list[MirrorPair]:
             if one < other
             and images[other] == one
             and is_aside[[one, other], across].all()
+            and not (
+                anchors_m[one, across] * anchors_m[other, across] > 0.0
+                and is_origin_aside[_meeting_body(model, *bodies[[one, other]])]
+            )
             and frozenset(joints[[one, other]].tolist()) not in coupled
         ]
         alike = sum(pair.apart_m <= SAME_PLACE_M for pair in pairs)
@@ -156,6 +169,15 @@ def _depth(model: mujoco.MjModel, joint: int) -> int:
     return count
 
 
+def _meeting_body(model: mujoco.MjModel, one: int, other: int) -> int:
+    """Return the body nearest to two bodies that carries both."""
+    while one != other:
+        # A body comes after its parent.
+        one, other = sorted((one, other))
+        other = int(model.body_parentid[other])
+    return one
+
+
 @row("robot-mirror")
 def _mirror(robot: Robot) -> Finding:
     model = robot.model
@@ -169,31 +191,54 @@ def _mirror(robot: Robot) -> Finding:
     return Finding(
         value=parts[name],
         parts=parts,
-        remark=f"{name}, of {len(pairs)} pairs",
+        remark=_ranges_text(robot, pairs[list(parts).index(name)]),
         advice=f"the axis and range of {name} as on the other side: which way does it bend?",
     )
 
 
+def _ranges_text(robot: Robot, pair: MirrorPair) -> str:
+    """Return the range of a joint, and that of the mirror image of the other one, in words."""
+    stated, mirrored = (
+        " to ".join(f"{end:.3g}" for end in ends)
+        for ends in (pair.ranges_rad[pair.other], pair.range_of(pair.other))
+    )
+    names = [name_of(robot, joint) for joint in (pair.other, pair.joint)]
+    return f"{names[0]} has {stated} rad, the mirror image of {names[1]} {mirrored} rad"
+
+
 @row("robot-sides")
 def _sides(robot: Robot) -> Finding:
+    known = quantities(robot)
+    parts: dict[str, float] = {}
+    texts: dict[str, str] = {}
     mirrored = (
         (one.joint, one.other, *of_pair)
         for one in mirror_pairs(robot)
         for of_pair in differences(robot, one)
     )
-    parts = {
-        f"{quantity} of {name_of(robot, joint)} and {name_of(robot, other)}": difference
-        for joint, other, quantity, difference in (*mirrored, *odd_copies(robot))
-    }
+    for joint, other, quantity, difference in (*mirrored, *odd_copies(robot)):
+        name = f"{quantity} of {name_of(robot, joint)} and {name_of(robot, other)}"
+        parts[name] = difference
+        if quantity in known:
+            values = known[quantity][_places(robot, quantity)[[joint, other]]]
+            texts[name] = " and ".join(f"{value:.3g}" for value in values)
     if not parts:
         return Finding(declined=NOT_SYMMETRIC)
     worst = max(parts, key=parts.__getitem__)
+    base = SHARE_OF.get(worst.partition(" of ")[0], "the larger one")
+    differs = f"{100.0 * parts[worst]:.3g} % of {base}"
     return Finding(
         value=parts[worst],
         parts=parts,
-        remark=worst if parts[worst] > 1e-3 else "",
+        remark=f"{worst}: {texts.get(worst, differs)}" if parts[worst] > 1e-3 else "",
         advice=f"the same for both: {worst}",
     )
+
+
+def _places(robot: Robot, quantity: str) -> FloatArray:
+    """Return the place of the value of each joint in an array of `quantities`, shape [njnt]."""
+    model = robot.model
+    return model.jnt_bodyid if quantity in OF_LINKS else model.jnt_dofadr
 
 
 def odd_copies(robot: Robot) -> Iterator[tuple[int, int, str, float]]:
@@ -258,8 +303,7 @@ def differences(robot: Robot, pair: MirrorPair) -> Iterator[tuple[str, float]]:
     for name, values in quantities(robot).items():
         if follows and name in OF_MOTORS:
             continue
-        places = model.jnt_bodyid if name in OF_LINKS else model.jnt_dofadr
-        both = values[places[[pair.joint, pair.other]]]
+        both = values[_places(robot, name)[[pair.joint, pair.other]]]
         difference = float(apart(both)[0, 1])
         if np.isfinite(difference):
             yield name, difference

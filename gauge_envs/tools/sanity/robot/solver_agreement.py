@@ -39,6 +39,9 @@ MOST_ROWS = 300
 LIMIT = 1e-3
 """Difference of accelerations, over the larger one, that is no rounding."""
 
+AT_REST = 0.01
+"""Accelerations below which a robot rests, and solvers stop [m/s^2 or rad/s^2]."""
+
 RESOLVED = 1e-5
 """Difference below which two solutions are the same: both may stop at an imbalance of 1e-6."""
 
@@ -283,4 +286,4 @@ THREADS = "one thread and two"
 def _relative(one: FloatArray, two: FloatArray, data: mujoco.MjData) -> float:
     """Return the difference of two accelerations over the larger one; at rest, over that without constraints."""
     size = max(float(np.linalg.norm(each)) for each in (one, two, data.qacc_smooth))
-    return float(np.linalg.norm(one - two)) / max(size, 1e-12)
+    return float(np.linalg.norm(one - two)) / max(size, AT_REST)
