@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends import Simulation
 from gauge_envs.envs.driver_paths import DriverPaths
-from gauge_envs.errors import GaugeError
+from gauge_envs.errors import BackendError, GaugeError
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.observables.observer import MarkerProxy, ObserverMarkers
 from gauge_envs.scene import Motion, Scene
@@ -204,6 +204,8 @@ def raised_at(error: BaseException) -> str:
 
     That is the last line of the engine's own folder. A line of a library that it called comes behind.
     """
+    if isinstance(error, BackendError) and error.__cause__ is not None:
+        error = error.__cause__
     frames = traceback.extract_tb(error.__traceback__)
     if isinstance(error, GaugeError) or not frames:
         return ""

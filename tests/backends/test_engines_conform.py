@@ -17,7 +17,7 @@ from gauge_envs.tools.conformance import Status, checks, run_checks
 
 DEFORMABLE = ("cloth", "air", "foam", "rope", "rod")
 TURNING = ("torsion", "rolling")
-MJCF = ("solver-pile", "solver-meshes", "solver-compounds", "solver-cloth")
+MJCF = ("solver-pile", "solver-cloth")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,7 +67,6 @@ CORE = (
         "inertia-union",
         "contact-*",
         "slide",
-        "slide-straight",
     ),
     *("slide-of-pair", "hold", "rebound-0.5", "roll-ball", "restore"),
 )
@@ -81,7 +80,7 @@ LONG = (
         "driven-*",
         "pushed-ball",
     ),
-    *("swing-union", "swing-cylinder", "collision-slow", "rebound-slow", "pile-*"),
+    *("rebound-slow", "pile-*"),
     *(
         "carry-line",
         "carry-turn",
@@ -99,7 +98,11 @@ ENGINES = (
         module="mujoco",
         long=(
             *LONG,
-            *("foam-*", "*-rests-on", "*-strike", "rod-length", "rod-mass"),
+            *(
+                "foam-*",
+                "*-rests-on",
+                "*-strike",
+            ),
             *("rope-mass", "rope-nodes", "rope-pulled-*", "rope-start", "rod-start"),
             *("cloth-clamp", "cloth-held", "air-friction"),
         ),

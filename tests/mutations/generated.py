@@ -46,6 +46,9 @@ KINDS = (
     "stale",
     "kth",
     "side",
+    "rounded",
+    "mixed",
+    "crowd",
 )
 
 # Words, as a regular expression, of which a diagnosis that names the quantity has one.
@@ -477,6 +480,26 @@ def _field_variants(  # noqa: C901  # one branch for each kind of fault
             "",
         )
     yield "stale", "first-for-all", lambda v, p, a, n, s: a[0], ""
+    if not is_turn and not _is_direction(field):
+        for bits in (2, 4):
+            yield (
+                "rounded",
+                f"{bits}-bits",
+                lambda v, p, a, n, s, b=bits: _mapped(v, lambda x: _rounded(x, b)),
+                "",
+            )
+    if not is_tree and not is_turn:
+        yield "mixed", "half", lambda v, p, a, n, s: _mixed(field, v, a), ""
+    for count in (2, 4):
+        for strength in (0.5, 1.25):
+            yield (
+                "crowd",
+                f"above-{count}-bodies-{strength:g}",
+                lambda v, p, a, n, s, m=count, k=strength: (
+                    _off(field, v, k) if len(s.bodies) > m else v
+                ),
+                "",
+            )
     for number, name in ((0, "first"), (1, "second"), (2, "third"), (-1, "last")):
         for strength in (0.5, 1.25):
             yield (
@@ -554,6 +577,21 @@ def _field_variants(  # noqa: C901  # one branch for each kind of fault
                 ),
                 "",
             )
+
+
+def _rounded(values: np.ndarray, bits: int) -> np.ndarray:
+    """Return values with some binary digits behind the first."""
+    mantissa, exponent = np.frexp(values)
+    return np.ldexp(np.round(np.ldexp(mantissa, bits + 1)), exponent - bits - 1)
+
+
+def _mixed(field: str, value: Any, every: list[Any]) -> Any:
+    """Return the mean of a value and of the mean of all values of the field."""
+    middle = np.mean(np.array(every, dtype=float), axis=0)
+    mixed = 0.5 * (np.array(value, dtype=float) + middle)
+    if _is_direction(field):
+        return _unit(mixed)
+    return tuple(mixed.tolist()) if isinstance(value, tuple) else float(mixed)
 
 
 def _motion(group: tuple[str, ...], scene: Scene) -> Motion | None:
@@ -870,6 +908,10 @@ def _call_changes(unit: float) -> Iterator[tuple[str, str, Callable[..., Any]]]:
         )
     yield "side", "negative", lambda v, c: np.where(v < 0.0, 0.5 * v, v)
     yield "side", "positive", lambda v, c: np.where(v > 0.0, 0.5 * v, v)
+    yield "rounded", "4-bits", lambda v, c: _rounded(v, 4)
+    yield "mixed", "half", lambda v, c: 0.5 * (v + v.mean())
+    yield "mixed", "calls", lambda v, c: 0.5 * (v + c["before"])
+    yield "crowd", "above-2", lambda v, c: 0.7 * v if c["count"] > 2 else v
 
 
 class _Calls(Passed):
@@ -1332,7 +1374,7 @@ def generated() -> dict[str, Generated]:  # noqa: C901
         for kind, variant, change in _call_changes(unit):
             add(f"wrench.{part}", kind, variant, simulation=_wrench(part, change))
     for kind, variant, change in _call_changes(0.1):
-        if kind not in ("frame", "kth"):
+        if kind not in ("frame", "kth", "crowd"):
             add("command.value", kind, variant, simulation=_command(change))
     for part, unit in {
         "position": 1.0,
@@ -1343,7 +1385,7 @@ def generated() -> dict[str, Generated]:  # noqa: C901
         for kind, variant, change in _call_changes(unit):
             add(f"report.{part}", kind, variant, simulation=_report(part, change))
     for kind, variant, change in _call_changes(1.0):
-        if kind not in ("frame", "kth"):
+        if kind not in ("frame", "kth", "crowd"):
             add("report.nodes", kind, variant, simulation=_nodes(change))
     for part, unit in {"velocity": 4.0, "spin": 30.0, "hinge_rate": 4.0}.items():
         for kind, variant, change in _engine_changes(unit):

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import mujoco
 import numpy as np
 
@@ -210,24 +208,28 @@ def _limit(vector, most):
 class _Asleep(Passed):
     """Stops free bodies that were slower than 5 mm/s, and did not spin, for 0.5 s."""
 
-    slow_s: Any = 0.0
+    def __init__(self, inner, scene):
+        super().__init__(inner, scene)
+        self.slow_s = {}
 
     def advance(self, seconds):
         super().advance(seconds)
-        if self.inner.model.nq == 7 * len(self.scene.dynamic_bodies):
-            rows = self.inner.data.qvel.reshape(-1, 6)
-            slow = (np.linalg.norm(rows[:, :3], axis=1) < 5e-3) & ~rows[:, 3:].any(
-                axis=1
-            )
-            self.slow_s = np.where(slow, self.slow_s + seconds, 0.0)
-            rows[self.slow_s > 0.5] = 0.0
+        model, rates = self.inner.model, self.inner.data.qvel
+        free = model.jnt_type == mujoco.mjtJoint.mjJNT_FREE
+        for first in model.jnt_dofadr[free].tolist():
+            speed = np.linalg.norm(rates[first : first + 3])
+            is_slow = speed < 5e-3 and not rates[first + 3 : first + 6].any()
+            slow_s = self.slow_s.get(first, 0.0) + seconds if is_slow else 0.0
+            self.slow_s[first] = slow_s
+            if slow_s > 0.5:
+                rates[first : first + 6] = 0.0
 
     def state(self):
-        return super().state(), np.copy(self.slow_s)
+        return super().state(), dict(self.slow_s)
 
     def restore(self, state):
         super().restore(state[0])
-        self.slow_s = np.copy(state[1])
+        self.slow_s = dict(state[1])
 
 
 class _HeavySpin(Passed):
@@ -322,7 +324,7 @@ FAULTS = dict(
         _own(
             "union-centre",
             "centre of a union at the mean of its vertices",
-            "swing-union",
+            "centre-union",
             "at the mean of the vertices",
             simulation=_model(_mean_of_vertices),
         ),
@@ -336,7 +338,7 @@ FAULTS = dict(
         _own(
             "union-unweighted",
             "pieces of a union weighted equally",
-            "swing-union",
+            "centre-union",
             "mean of the pieces' centres",
             simulation=_model(_mean_of_pieces),
         ),
@@ -490,8 +492,8 @@ FAULTS = dict(
         _own(
             "asleep",
             "bodies slower than 5 mm/s sleep",
-            "slow-drift",
-            "puts slow bodies to sleep",
+            "glide-speed",
+            "sleep",
             simulation=_Asleep,
         ),
         _own(

@@ -232,7 +232,7 @@ FAULTS = dict(
         fault(
             "velocity-frame",
             "velocity in the body frame",
-            "start-velocity-reset",
+            "velocity-of-origin",
             "body frame",
             simulation=_reporting(_velocity_in_body),
         ),
@@ -246,7 +246,7 @@ FAULTS = dict(
         fault(
             "spin-frame",
             "angular velocity in the body frame",
-            "start-velocity-reset",
+            "angular-velocity",
             "body frame",
             simulation=_reporting(_spin_in_body),
         ),
@@ -260,7 +260,7 @@ FAULTS = dict(
         fault(
             "spin-sign",
             "angular velocity reversed",
-            "start-velocity-reset",
+            "angular-velocity",
             "wrong sign",
             simulation=_reporting(_spin_reversed),
         ),

@@ -444,12 +444,12 @@ FAULTS = dict(
         fault(
             "mass-of-one",
             "mass of one body 1.5 times too large",
-            "collision-momentum",
-            "masses are not the scene's",
+            "volley-momentum",
+            "the mass of a body is not the scene's",
             scene=change_bodies(
                 lambda one: (
                     replace(one, mass_kg=1.5 * one.mass_kg)
-                    if one.name == "left"
+                    if one.name.startswith("target")
                     else one
                 )
             ),

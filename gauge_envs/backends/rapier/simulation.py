@@ -1,5 +1,6 @@
 """Simulations and batched worlds on top of Rapier worlds: driving, stepping and reading of states."""
 
+import os
 from collections.abc import Sequence
 from importlib.metadata import version
 
@@ -33,12 +34,22 @@ LARGEST_SHARE = 64
 """Number of scenes without contacts in one Rapier world."""
 
 
+CALLING_THREAD_BODIES = 16
+"""Bodies up to which Rapier steps on the thread that calls it, whatever the number of threads of its pool.
+
+A pool of one thread gives the same bits, and costs 13 us a step: more than the step of a pendulum.
+"""
+
+PROCESS = os.getpid()
+"""The process that imported this module. One that is forked from it would wait for threads of a common pool."""
+
+
 class _SceneWorld(PlacedWorld):
     """One scene in a Rapier world, which may hold more of them."""
 
     def __init__(self, scene: Scene, layout: Layout, settings: SettingsRapier) -> None:
         self.settings = settings.model_dump(mode="json")
-        self._layout = layout
+        self.layout = layout
         self.placed = placed_states(scene)
         self._motors = joint_motors(scene)
         self._axes = [
@@ -58,7 +69,7 @@ class _SceneWorld(PlacedWorld):
         """Read, drive and command the bodies of a Rapier world from now on."""
         self._holder, bodies = world, world.rigid_bodies
         self._bodies = {
-            name: bodies[handle] for name, (handle, _) in self._layout.items()
+            name: bodies[handle] for name, (handle, _) in self.layout.items()
         }
         self.motions = dict(motions)
         self.commands = list(commands)
@@ -99,7 +110,7 @@ class _SceneWorld(PlacedWorld):
         self.commands = values.tolist()
         for one, value in zip(self._motors, self.commands, strict=False):
             if one.is_drive:
-                chain, link, _ = link_of(self._holder, self._layout[one.body][0])
+                chain, link, _ = link_of(self._holder, self.layout[one.body][0])
                 kp, kv, _ = (number / MASS_UNIT_KG for number in drive_of(one.hinge))
                 chain.set_link_motor(link, TURN, one.sign * value, 0.0, kp, kv)
 
@@ -110,7 +121,7 @@ class _SceneWorld(PlacedWorld):
         for one, axis, value in zip(self._motors, self._axes, commands, strict=True):
             if one.is_drive:
                 continue
-            chain, _, row = link_of(self._holder, self._layout[one.body][0])
+            chain, _, row = link_of(self._holder, self.layout[one.body][0])
             angle = chain.generalized_position()[row]
             torque = one.torque_n_m(value, angle, chain.generalized_velocity()[row])
             body = self._bodies[one.body]
@@ -142,7 +153,7 @@ class _SceneWorld(PlacedWorld):
         spin = body.angvel.to_tuple()
         x, y, z, w = body.rotation.quaternion
         state = np.array([*position_m, w, x, y, z, *velocity, *spin])
-        _, centre_m = self._layout[name]
+        _, centre_m = self.layout[name]
         if centre_m.any():
             # Rapier's velocity is that of the centre of mass.
             arm_m = body.rotation.transform_vector(tuple(centre_m)).to_tuple()
@@ -164,15 +175,22 @@ def _mean_velocities(
     travel = motion.travel(times_s)
     steps = np.diff(travel, axis=0)
     # Rotation vectors subtract if the axis stays the same.
-    if np.cross(motion.velocity[3:], motion.acceleration[3:]).any():
+    spin, spin_up = motion.velocity[3:], motion.acceleration[3:]
+    if spin.any() and spin_up.any() and np.cross(spin, spin_up).any():
         turned = Rotation.from_rotvec(travel[:, 3:])
         steps[:, 3:] = (turned[1:] * turned[:-1].inv()).as_rotvec()
     return (steps * (step_count / seconds)).tolist()
 
 
-def _restored(snapshot: bytes, threads: int) -> rapier.PhysicsWorld:
+def _restored(
+    snapshot: bytes, threads: int, parts: Sequence[_SceneWorld]
+) -> rapier.PhysicsWorld:
+    """Return the world of a snapshot, which holds the bodies of some scenes."""
     world = rapier.PhysicsWorld.restore(snapshot)
-    world.set_num_threads(threads)
+    body_count = sum(len(part.layout) for part in parts)
+    is_forked = os.getpid() != PROCESS
+    if threads > 1 or body_count > CALLING_THREAD_BODIES or is_forked:
+        world.set_num_threads(threads)
     return world
 
 
@@ -242,7 +260,7 @@ class SimulationRapier(_SceneWorld, Simulation):
         motions: dict[str, DrivenMotion],
         commands: Sequence[float] = (),
     ) -> None:
-        self._world = _restored(world, self._threads)
+        self._world = _restored(world, self._threads, (self,))
         self.hold(self._world, motions, commands)
 
     def close(self) -> None:
@@ -301,7 +319,7 @@ class WorldsRapier(Worlds):
         """Return all worlds to their starts. Rapier draws no random numbers, so the seed has no effect."""
         self._worlds = []
         for start, parts in self._shares:
-            self._worlds.append(_restored(start, self._threads))
+            self._worlds.append(_restored(start, self._threads, parts))
             for part in parts:
                 part.hold(self._worlds[-1], {})
 

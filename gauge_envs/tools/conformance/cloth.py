@@ -42,7 +42,6 @@ from gauge_envs.tools.conformance.laws import (
     bounds_error,
     cantilever_load_over_stiffness,
     coefficient,
-    passive_energy_gain,
     slide_acceleration,
     stiffness,
 )
@@ -309,14 +308,6 @@ _cantilever.check("cloth-bending")(
 )
 
 
-@_cantilever.check("cloth-energy")
-def _cloth_energy(rollout: Rollout) -> Measurement:
-    part = _cantilever_lift.at_rest(rollout)
-    local = local_nodes(part)
-    shares = node_shares(local[0], strip_of(part).size_m)
-    return passive_energy_gain(local, part.times_s, shares, part.scene.gravity_m_per_s2)
-
-
 SLAB_M, FRICTION = (1.0, 0.4, 0.02), 0.3
 SLOPE = Pose.from_euler_deg((0.0, 0.0, 1.0), (0.0, SLIDE_SLOPE_DEG, 0.0))
 
@@ -351,11 +342,3 @@ def _cloth_slide(rollout: Rollout) -> Measurement:
     return slide_acceleration(
         acceleration_m_per_s2(rollout.times_s[window], positions), FRICTION
     )
-
-
-@_sliding.check("cloth-rests")
-def _cloth_rests(rollout: Rollout) -> Measurement:
-    height = (
-        _on_slab(rollout)[rollout.between(0.3, 0.4), :, 2] - 0.5 * SLAB_M[2] - 0.5e-3
-    )
-    return Measurement(measured=1e3 * float(np.abs(height).max()))

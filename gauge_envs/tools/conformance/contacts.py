@@ -94,13 +94,6 @@ _slide_check("slide", "rough", 0.3)
 _slide_check("slide-of-pair", "smooth", 0.1)
 
 
-@_slide.check("slide-straight")
-def _slide_straight(rollout: Rollout) -> Measurement:
-    return Measurement(
-        measured=1e3 * float(np.abs(moved_m(rollout, "rough", "board")[:, 1:]).max())
-    )
-
-
 FRICTION_TOLERANCE = Tolerance(
     "single real slides are 5 to 14 % from the published coefficient; an engine must be well below that",
     relative=0.01,
@@ -239,7 +232,7 @@ def _rebound_check(
         return Measurement(measured=found.restitution, expected=restitution)
 
 
-for _restitution in (0.2, 0.5, 0.75, 0.95):
+for _restitution in (0.2, 0.5, 0.95):
     _rebound_check(
         f"rebound-{_restitution:g}", _dropped({"ball": _restitution}), _restitution
     )
@@ -265,7 +258,6 @@ _rebound_check(
 _rebound_check(
     "rebound-slow", _dropped({"ball": 0.5}, drop_m=LOW_DROP_M, gravity=0.1), 0.5
 )
-_rebound_check("rebound-fast", _dropped({"ball": 0.5}, drop_m=3.26), 0.5)
 
 
 # --- energy ----------------------------------------------------------------------------------------------------------
@@ -307,7 +299,6 @@ def _pile(lab: Lab) -> Rollout:
     )
 
 
-@_pile.check("pile-energy")
 @_tumble.check("drop-energy")
 def _largest_gain(rollout: Rollout) -> Measurement:
     """Measure the gain of kinetic and potential energy of the dynamic boxes above z = 0, over the initial one [%]."""
@@ -323,15 +314,6 @@ def _largest_gain(rollout: Rollout) -> Measurement:
     gain = 100.0 * float((energy - energy[0]).max() / energy[0])
     at = float(rollout.times_s[int(energy.argmax())])
     return Measurement(measured=gain, hint=f"the energy is highest at {at:.3g} s")
-
-
-@_pile.check("pile-bounds")
-def _pile_bounds(rollout: Rollout) -> Measurement:
-    speeds = [
-        np.linalg.norm(rollout.velocity(one.name), axis=1).max()
-        for one in rollout.scene.dynamic_bodies
-    ]
-    return Measurement(measured=float(max(speeds)) / rollout.scene.speed_limit_m_per_s)
 
 
 @_pile.check("pile-sinks")

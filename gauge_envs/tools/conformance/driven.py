@@ -1,6 +1,5 @@
-"""Driven bodies: they follow their drivers, carry what rests on them, and push balls that collide."""
+"""Driven bodies: they follow their drivers, carry what rests on them, and push balls."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -128,16 +127,17 @@ def _carry_slip(lab: Lab) -> Measurement:
     return Measurement(measured=measured, expected=0.05 * G)
 
 
-# The contract has no start velocities, so a driven plate accelerates the first ball, then brakes and loses contact.
+# The driven plate accelerates the first ball, then brakes and loses contact.
 
 LEFT_KG, RIGHT_KG, RESTITUTION = 0.1, 0.2, 0.6
 PUSH_M_PER_S = 0.5
-BEFORE_S, AFTER_S = 0.42, 0.75
+PUSHED_S = 0.42
+"""Time at which the ball flies freely [s]."""
 
 
-def _collide(slowdown: float) -> Scene:
-    """Return two balls, one of which a driven plate pushes; all times are longer by a factor."""
-    stroke = ramp(0.1, start_s=0.0, duration_s=0.3 * slowdown, ramp_s=0.1 * slowdown)
+def _collide() -> Scene:
+    """Return two balls, one of which a driven plate pushes."""
+    stroke = ramp(0.1, start_s=0.0, duration_s=0.3, ramp_s=0.1)
     return Scene(
         bodies=(
             ball("left", (0.0, 0.0, 1.0), radius_m=0.02, mass_kg=LEFT_KG),
@@ -149,58 +149,18 @@ def _collide(slowdown: float) -> Scene:
             contact("left", "right", friction=0.0, restitution=RESTITUTION),
         ),
         drivers=(driver("plate", "translate", (1.0, 0.0, 0.0), stroke),),
-        duration_s=slowdown,
+        duration_s=1.0,
         gravity_m_per_s2=0.0,
     )
 
 
-PUSHED = "a driven plate pushes a ball of 0.1 kg at {} m/s against a resting one of 0.2 kg; no gravity"
-_collision = rollout_of(PUSHED.format(0.5), _collide(1.0))
-_slow_collision = rollout_of(PUSHED.format(0.1), _collide(5.0))
-
-
-def _speeds(rollout: Rollout, time_s: float) -> tuple[float, float]:
-    """Return the speeds of both balls at a time [s] of the fast collision."""
-    sample = rollout.sample_at(time_s * rollout.scene.duration_s)
-    return float(rollout.velocity("left")[sample, 0]), float(
-        rollout.velocity("right")[sample, 0]
-    )
-
-
-def _collided(
-    rollout: Rollout, expected: float, measure: Callable[[float, float, float], float]
-) -> Measurement:
-    """Measure a collision by the first ball's speed before it and both speeds after it, if the second one rested."""
-    push = PUSH_M_PER_S / rollout.scene.duration_s
-    (before, still), (left, right) = (
-        _speeds(rollout, BEFORE_S),
-        _speeds(rollout, AFTER_S),
-    )
-    if abs(before) > 0.2 * push and abs(still) < 0.01 * push:
-        return Measurement(measured=measure(before, left, right), expected=expected)
-    hint = f"before the collision the balls move at {before:.3g} and {still:.3g} m/s instead of {push:g} and 0"
-    return Measurement(measured=float("nan"), expected=expected, hint=hint)
+_collision = rollout_of(
+    "a driven plate pushes a ball of 0.1 kg at 0.5 m/s against a resting one of 0.2 kg; no gravity",
+    _collide(),
+)
 
 
 @_collision.check("pushed-ball")
 def _pushed_ball(rollout: Rollout) -> Measurement:
-    return Measurement(measured=_speeds(rollout, BEFORE_S)[0], expected=PUSH_M_PER_S)
-
-
-@_collision.check("collision-momentum")
-def _collision_momentum(rollout: Rollout) -> Measurement:
-    return _collided(
-        rollout,
-        1.0,
-        lambda before, left, right: (
-            (LEFT_KG * left + RIGHT_KG * right) / (LEFT_KG * before)
-        ),
-    )
-
-
-@_slow_collision.check("collision-slow")
-@_collision.check("collision-rebound")
-def _relative_speed(rollout: Rollout) -> Measurement:
-    return _collided(
-        rollout, RESTITUTION, lambda before, left, right: (right - left) / before
-    )
+    pushed = rollout.velocity("left")[rollout.sample_at(PUSHED_S), 0]
+    return Measurement(measured=float(pushed), expected=PUSH_M_PER_S)

@@ -457,17 +457,17 @@ def chain_angles_rad(times_s: Array, torque_n_m: float) -> Array:
     ).y[:2]
 
 
-def _chain_error(lab: Lab, torque_n_m: float) -> Measurement:
+@Check("joint-between")
+def _joint_between(lab: Lab) -> Measurement:
     upper = _bar("upper", STARTS_RAD[0])
     end_m = 2.0 * np.asarray(upper.pose.position_m) - PIVOT_M
     lower = _bar("lower", STARTS_RAD[1], end_m)
-    motor = TorqueMotor(command=_stays(torque_n_m)) if torque_n_m else None
     hinge = BodyHinge(
         first="lower",
         second="upper",
         anchor_m=vector(end_m),
         axis=vector(AXIS),
-        motor=motor,
+        motor=TorqueMotor(command=_stays(TORQUE_N_M)),
     )
     rollout = lab.rollout(
         replace(
@@ -476,23 +476,11 @@ def _chain_error(lab: Lab, torque_n_m: float) -> Measurement:
             body_hinges=(hinge,),
         )
     )
-    errors = [
-        np.abs(start + _turned_rad(rollout, name) - angles).max() / np.ptp(angles)
-        for name, start, angles in zip(
-            ("upper", "lower"),
-            STARTS_RAD,
-            chain_angles_rad(rollout.times_s, torque_n_m),
-            strict=True,
-        )
-    ]
-    return Measurement(measured=100.0 * float(max(errors)))
-
-
-@Check("joint-chain")
-def _joint_chain(lab: Lab) -> Measurement:
-    return _chain_error(lab, 0.0)
-
-
-@Check("joint-between")
-def _joint_between(lab: Lab) -> Measurement:
-    return _chain_error(lab, TORQUE_N_M)
+    errors = []
+    expected = chain_angles_rad(rollout.times_s, TORQUE_N_M)
+    for name, start, angles in zip(
+        ("upper", "lower"), STARTS_RAD, expected, strict=True
+    ):
+        off_rad = np.abs(start + _turned_rad(rollout, name) - angles).max()
+        errors.append(float(off_rad / np.ptp(angles)))
+    return Measurement(measured=100.0 * max(errors))

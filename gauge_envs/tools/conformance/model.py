@@ -29,7 +29,6 @@ FAMILIES = (
     "continuation",
     "rigid",
     "start",
-    "spin",
     "forces",
     "contacts",
     "shapes",

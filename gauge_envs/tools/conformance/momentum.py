@@ -1,6 +1,6 @@
-"""Conserved motion: torque-free spin, and two free bodies with a hinge between them.
+"""Conserved motion of two free bodies with a hinge between them.
 
-The spin is that of `spin`. Only engines with `Feature.BODY_HINGES` build scenes with such a hinge. Nothing touches the
+Only engines with `Feature.BODY_HINGES` build scenes with such a hinge. Nothing touches the
 hinged bodies, and the hinge does no work, so:
 
 - the centre of mass of both falls as a parabola,
@@ -35,59 +35,8 @@ from gauge_envs.tools.conformance.lab import Lab
 from gauge_envs.tools.conformance.laws import (
     inertia_kg_m2,
     largest_mm,
-    torque_free_orientation,
 )
 from gauge_envs.tools.conformance.model import Check, Measurement, Tolerance, recorded
-from gauge_envs.tools.conformance.spin import (
-    BRICK,
-    SOLID_ORIGIN_M,
-    if_it_spins,
-    spinning_brick,
-    spinning_solid,
-)
-
-# --- torque-free spin ------------------------------------------------------------------------------------------------
-
-
-@spinning_brick.check("spin-momentum")
-@if_it_spins
-def _spin_momentum(rollout: Rollout) -> Measurement:
-    momentum = np.einsum(
-        "tij,tj->ti", inertia_kg_m2(rollout, "brick"), rollout.angular_velocity("brick")
-    )
-    change = np.linalg.norm(momentum - momentum[0], axis=1).max() / np.linalg.norm(
-        momentum[0]
-    )
-    return Measurement(measured=100.0 * float(change))
-
-
-@spinning_brick.check("spin-orientation")
-@if_it_spins
-def _spin_orientation(rollout: Rollout) -> Measurement:
-    rotations = rollout.rotation("brick")
-    expected = torque_free_orientation(
-        start=rotations[0],
-        spin_rad_per_s=rollout.angular_velocity("brick")[0],
-        moments=box_inertia_kg_m2(BRICK),
-        seconds=0.5,
-    )
-    return Measurement(
-        measured=float(np.degrees((rotations[-1] * expected.inv()).magnitude()))
-    )
-
-
-@spinning_solid.check("solid-spin-centre")
-@if_it_spins
-def _solid_spin_centre(rollout: Rollout) -> Measurement:
-    centre, times = (
-        rollout.position("brick") + rollout.rotation("brick").apply(-SOLID_ORIGIN_M),
-        rollout.times_s,
-    )
-    line = np.polynomial.polynomial.polyfit(times, centre, 1)
-    return Measurement(
-        measured=largest_mm(centre - (line[0] + np.outer(times, line[1])))
-    )
-
 
 FLIGHT_S = 0.5
 REACH_M = 0.05

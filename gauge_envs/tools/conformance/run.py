@@ -108,7 +108,7 @@ def _results(
     chosen: Sequence[Check],
     eliminates: bool,
 ) -> Iterator[CheckResult]:
-    reported_by = ""
+    reported_by, is_told = "", False
     run = cache(run)
     for one in chosen:
         started = time.perf_counter()
@@ -122,8 +122,9 @@ def _results(
             reported_by = reported_by or one.id
         elif eliminates and outcome.status in (Status.FAIL, Status.ERROR):
             tried, is_found = _eliminated(one.id, run)
-            outcome = replace(outcome, diagnosis=f"{outcome.diagnosis}. {tried}")
-            eliminates = not is_found
+            if is_found or not is_told:
+                outcome = replace(outcome, diagnosis=f"{outcome.diagnosis}. {tried}")
+            eliminates, is_told = not is_found, True
         fields = vars(outcome) | {"wall_s": time.perf_counter() - started}
         yield CheckResult(
             of=one, backend=name, settings=settings, versions=versions, **fields

@@ -35,7 +35,6 @@ from gauge_envs.tools.conformance.laws import (
     cantilever_load_over_stiffness,
     coefficient,
     largest_mm,
-    passive_energy_gain,
     stiffness,
 )
 from gauge_envs.tools.conformance.lift import Lift
@@ -217,13 +216,6 @@ def _rope_length(rollout: Rollout) -> Measurement:
     if abs(lengths[0] - ROPE_M) > 0.005 * ROPE_M:
         hint = "it is wrong from the start: the rope was built with another length"
     return Measurement(measured=1e3 * measured_m, expected=1e3 * ROPE_M, hint=hint)
-
-
-@_falling_rope.check("rope-energy")
-def _rope_energy(rollout: Rollout) -> Measurement:
-    rollout = rollout.cut(0.0, 0.5)
-    nodes = _along(rollout)
-    return passive_energy_gain(nodes, rollout.times_s, line_shares(nodes[0, :, 0]), G)
 
 
 def line_shares(along_m: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -1,4 +1,4 @@
-"""Start velocities of bodies without gravity and contact: straight flight and free rotation."""
+"""Thrown bodies without gravity and contact: straight flight, free rotation, and what is reported of them."""
 
 from collections.abc import Callable, Mapping
 from contextlib import closing
@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import (
@@ -19,10 +20,22 @@ from gauge_envs.scene import (
     Sphere,
 )
 from gauge_envs.scene.geometry import vector
+from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 from gauge_envs.tools.bench.parts import box_inertia_kg_m2
 from gauge_envs.tools.conformance.lab import Lab
-from gauge_envs.tools.conformance.laws import largest_mm, torque_free_orientation
-from gauge_envs.tools.conformance.model import Check, Measurement, recorded, rollout_of
+from gauge_envs.tools.conformance.laws import (
+    inertia_kg_m2,
+    largest_mm,
+    spin_from_orientations,
+    torque_free_orientation,
+)
+from gauge_envs.tools.conformance.model import (
+    Check,
+    Measurement,
+    Tolerance,
+    recorded,
+    rollout_of,
+)
 
 FLIGHT_S = 0.5
 LINEAR_M_PER_S = (1.2, -0.8, 0.5)
@@ -131,6 +144,95 @@ def _start_velocity_of_origin(rollout: Rollout) -> Measurement:
     return _explained(_off_line_mm(moved, rollout), of_centre, explanations)
 
 
+# --- what is reported while it flies ---------------------------------------------------------------------------------
+
+
+def _vector_error(
+    reported: NDArray[np.float64],
+    actual: NDArray[np.float64],
+    explanations: Mapping[str, NDArray[np.float64]],
+) -> Measurement:
+    """Measure the largest error [%] of vectors over their mean size; explanations are vectors of known faults."""
+    size = np.linalg.norm(actual, axis=1).mean()
+
+    def error(values: NDArray[np.float64]) -> float:
+        return float(np.linalg.norm(values - actual, axis=1).max() / size)
+
+    hint = next(
+        (text for text, values in explanations.items() if error(values) < 0.03), ""
+    )
+    return Measurement(measured=100.0 * error(reported), hint=hint)
+
+
+DERIVATIVE_TOLERANCE = Tolerance(
+    "central differences over 11 ms are 0.01 % off at this spin; a wrong frame or sign gives 10 to 200 %",
+    absolute=2.0,
+)
+
+
+@_thrown_brick.check("angular-velocity", tolerance=DERIVATIVE_TOLERANCE)
+def _angular_velocity(rollout: Rollout) -> Measurement:
+    states = rollout.states["thrown"]
+    rotations = rollout.rotation("thrown")
+    actual = spin_from_orientations(rotations, rollout.interval_s)
+    reported = states[1:-1, 10:]
+    explanations = {
+        "it has the wrong sign": -reported,
+        "it is in the body frame": rotations[1:-1].apply(reported),
+        "it is in degrees": np.radians(reported),
+    }
+    found = _vector_error(reported, actual, explanations)
+    hint = found.hint or _quaternion_hint(states[:, 3:7], reported)
+    return replace(found, hint=hint)
+
+
+def _quaternion_hint(
+    quaternions: NDArray[np.float64], spin: NDArray[np.float64]
+) -> str:
+    """Return the wrong convention of quaternions w, x, y, z, [sample_count, 4], to which a spin [rad/s] fits; or ""."""
+    conventions = {
+        "it fits the quaternion with its scalar first and last exchanged: the engine has another order inside": (
+            np.roll(quaternions, 1, axis=1),
+            np.roll(quaternions, -1, axis=1),
+        ),
+        "it fits the inverse of the quaternion: the engine rotates from the world to the body": (
+            quaternions * [1.0, -1.0, -1.0, -1.0],
+        ),
+    }
+    for text, candidates in conventions.items():
+        for candidate in candidates:
+            actual = spin_from_orientations(
+                Rotation.from_quat(candidate, scalar_first=True), SAMPLE_INTERVAL_S
+            )
+            if _vector_error(spin, actual, {}).measured < 3.0:
+                return text
+    return ""
+
+
+@_thrown_solid.check("velocity-of-origin", tolerance=DERIVATIVE_TOLERANCE)
+def _velocity_of_origin(rollout: Rollout) -> Measurement:
+    states = rollout.states["thrown"]
+    actual = (states[2:, :3] - states[:-2, :3]) / (2.0 * rollout.interval_s)
+    reported = states[1:-1, 7:10]
+    rotations = rollout.rotation("thrown")[1:-1]
+    of_centre = reported - np.cross(states[1:-1, 10:], rotations.apply(CENTRE_M))
+    explanations = {
+        "it is the velocity of the centre of mass": of_centre,
+        "it is in the body frame": rotations.apply(reported),
+        "it has the wrong sign": -reported,
+        "it is in mm/s": 1e-3 * reported,
+    }
+    return _vector_error(reported, actual, explanations)
+
+
+@_thrown_brick.check("spin-momentum")
+def _spin_momentum(rollout: Rollout) -> Measurement:
+    spin = rollout.angular_velocity("thrown")
+    momentum = np.einsum("tij,tj->ti", inertia_kg_m2(rollout, "thrown"), spin)
+    change = np.linalg.norm(momentum - momentum[0], axis=1).max()
+    return Measurement(measured=100.0 * float(change / np.linalg.norm(momentum[0])))
+
+
 @Check("start-velocity-reset")
 def _start_velocity_reset(lab: Lab) -> Measurement:
     with closing(lab.build(BALL)) as simulation:
@@ -139,61 +241,27 @@ def _start_velocity_reset(lab: Lab) -> Measurement:
         simulation.reset(0)
         reported = simulation.body_states(["thrown"])[0, 7:]
         error = float(np.abs(reported - [*LINEAR_M_PER_S, *ANGULAR_RAD_PER_S]).max())
-        return Measurement(measured=error, hint=_reported_hint(reported))
+        hint = "" if reported.any() else "the ball is at rest after the reset"
+        return Measurement(measured=error, hint=hint)
 
 
-def _reported_hint(reported: NDArray[np.float64]) -> str:
-    """Return what is wrong with velocities that should be those of the scene, shape [6]; empty if it is not known."""
-    if not reported.any():
-        return "the ball is at rest after the reset"
-    found = []
-    for what, values, right in (
-        ("linear", reported[:3], np.array(LINEAR_M_PER_S)),
-        ("angular", reported[3:], np.array(ANGULAR_RAD_PER_S)),
-    ):
-        forms = {
-            "": right,
-            "is in the body frame": POSE.rotation.apply(right, inverse=True),
-            "has the wrong sign": -right,
-            "is in degrees": np.degrees(right),
-            "is in mm/s": 1e3 * right,
-        }
-        text = next(
-            (
-                text
-                for text, form in forms.items()
-                if np.allclose(values, form, rtol=1e-3)
-            ),
-            "",
-        )
-        found += [f"the reported {what} velocity {text}"] if text else []
-    return "; ".join(found)
-
-
-SPIN_RAD_PER_S, SLOW_M_PER_S = 200.0, 0.003
+SPIN_RAD_PER_S = 200.0
 
 
 @recorded(
     "a ball thrown with 3 mm/s and a spin of 200 rad/s, without gravity and contacts"
 )
-def _extremes(lab: Lab) -> Rollout:
-    thrown = replace(BALL.bodies[0], linear_velocity_m_per_s=(SLOW_M_PER_S, 0.0, 0.0))
+def _fast_spin(lab: Lab) -> Rollout:
     axis = np.array([1.0, 2.0, 2.0]) / 3.0
-    thrown = replace(thrown, angular_velocity_rad_per_s=vector(SPIN_RAD_PER_S * axis))
-    slow = replace(
-        BALL.bodies[0], name="slow", linear_velocity_m_per_s=(0.0, SLOW_M_PER_S, 0.0)
+    thrown = replace(
+        BALL.bodies[0],
+        linear_velocity_m_per_s=(0.003, 0.0, 0.0),
+        angular_velocity_rad_per_s=vector(SPIN_RAD_PER_S * axis),
     )
-    slow = replace(
-        slow,
-        pose=replace(POSE, position_m=(1.0, 0.0, 1.0)),
-        angular_velocity_rad_per_s=(0.0, 0.0, 0.0),
-    )
-    return lab.rollout(
-        Scene(bodies=(thrown, slow), duration_s=2.0, gravity_m_per_s2=0.0)
-    )
+    return lab.rollout(Scene(bodies=(thrown,), duration_s=2.0, gravity_m_per_s2=0.0))
 
 
-@_extremes.check("spin-fast")
+@_fast_spin.check("spin-fast")
 def _spin_fast(rollout: Rollout) -> Measurement:
     rotations = rollout.rotation("thrown")
     turned = (rotations[1:] * rotations[:-1].inv()).magnitude()
@@ -206,17 +274,9 @@ def _spin_fast(rollout: Rollout) -> Measurement:
     )
 
 
-@_extremes.check("orientation-unit")
+@_fast_spin.check("orientation-unit")
 def _orientation_unit(rollout: Rollout) -> Measurement:
     lengths = np.linalg.norm(rollout.states["thrown"][:, 3:7], axis=1)
     return Measurement(
         measured=float(lengths[np.abs(lengths - 1.0).argmax()]), expected=1.0
-    )
-
-
-@_extremes.check("slow-drift")
-def _slow_drift(rollout: Rollout) -> Measurement:
-    moved = float(rollout.displacement("slow")[-1, 1])
-    return Measurement(
-        measured=1e3 * moved, expected=1e3 * SLOW_M_PER_S * float(rollout.times_s[-1])
     )

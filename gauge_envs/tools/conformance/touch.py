@@ -47,12 +47,16 @@ from gauge_envs.tools.conformance.lab import (
     sheet,
 )
 from gauge_envs.tools.conformance.laws import (
-    ATTACHED,
     PLACE_TOLERANCE_M,
-    largest_mm,
     worst_ratio,
 )
-from gauge_envs.tools.conformance.model import Check, Measurement, Recorded, rollout_of
+from gauge_envs.tools.conformance.model import (
+    Check,
+    Measurement,
+    Recorded,
+    recorded,
+    rollout_of,
+)
 from gauge_envs.tools.conformance.soft import line_shares
 
 Array = NDArray[np.float64]
@@ -318,19 +322,17 @@ PULL_M_PER_S2, BOB_M, PULL_S = 7.0, 0.03, 2.3
 BOBS_KG = (0.01, 0.04, 0.02)
 
 
-def _towed(kind: str) -> Scene:
-    """Return three lines of a kind, each attached to a free bob at its end, without gravity."""
+def _towed() -> Scene:
+    """Return three ropes, each attached to a free bob at its end, without gravity."""
     bobs, lines, attachments = [], [], []
-    axis: Literal["x", "z"] = "x" if kind == "rope" else "z"
-    for number, (one, mass_kg) in enumerate(zip(KINDS[kind](), BOBS_KG, strict=True)):
-        assert isinstance(one, Rope | Rod)
+    for number, (one, mass_kg) in enumerate(zip(_ropes(), BOBS_KG, strict=True)):
         place = np.array([0.0, APART_M * number, LEVEL_M])
         end = np.add(place, (0.5 * one.length_m, 0.0, 0.0))
         bobs.append(
             box(f"bob {number}", vector(end), (BOB_M, BOB_M, BOB_M), mass_kg=mass_kg)
         )
         lines.append(_at(one, place))
-        region = Region(axis=axis, side="high")
+        region = Region(axis="x", side="high")
         attachments.append(
             Attachment(deformable=one.name, region=region, to=f"bob {number}")
         )
@@ -343,20 +345,20 @@ def _towed(kind: str) -> Scene:
     )
 
 
-def _tow(kind: str) -> Recorded[Rollout]:
-    def pulled(lab: Lab) -> Rollout:
-        scene = _towed(kind)
-        with closing(lab.build(scene)) as simulation:
-            simulation.reset(0)
-            for bob, line in zip(scene.bodies, scene.deformables, strict=True):
-                force_n = PULL_M_PER_S2 * (bob.mass_kg + line.mass_kg)
-                push(simulation, bob.name, [force_n, 0.0, 0.0, 0.0, 0.0, 0.0])
-            return record(simulation, scene, scene.duration_s)
+@recorded(
+    "three ropes without gravity, each attached to a free block that a force pulls ahead, up to 16 m/s"
+)
+def _pulled(lab: Lab) -> Rollout:
+    scene = _towed()
+    with closing(lab.build(scene)) as simulation:
+        simulation.reset(0)
+        for bob, line in zip(scene.bodies, scene.deformables, strict=True):
+            force_n = PULL_M_PER_S2 * (bob.mass_kg + line.mass_kg)
+            push(simulation, bob.name, [force_n, 0.0, 0.0, 0.0, 0.0, 0.0])
+        return record(simulation, scene, scene.duration_s)
 
-    text = f"three {kind}s without gravity, each attached to a free block that a force pulls ahead, up to 16 m/s"
-    return Recorded(text, pulled)
 
-
+@_pulled.check("rope-mass")
 def _pulled_mass(rollout: Rollout) -> Measurement:
     ratios = {}
     for line, bob in zip(rollout.scene.deformables, rollout.scene.bodies, strict=True):
@@ -370,11 +372,11 @@ def _pulled_mass(rollout: Rollout) -> Measurement:
     return worst_ratio(ratios, "the mass that the force moves is")
 
 
-def _length(rollout: Rollout) -> Measurement:
-    """Measure the length of straight lines, at its largest error, over that of the scene."""
+@_pulled.check("rope-pulled-length")
+def _pulled_length(rollout: Rollout) -> Measurement:
     ratios = {}
     for line in rollout.scene.deformables:
-        assert isinstance(line, Rope | Rod)
+        assert isinstance(line, Rope), "the scene has ropes alone"
         nodes = rollout.nodes_m[line.name]
         order = np.argsort(nodes[0, :, 0])
         chord = np.linalg.norm(nodes[:, order[-1]] - nodes[:, order[0]], axis=1)
@@ -383,28 +385,9 @@ def _length(rollout: Rollout) -> Measurement:
     return worst_ratio(ratios, "the length is")
 
 
-def _pulled_end(rollout: Rollout) -> Measurement:
-    errors = {}
-    for line, bob in zip(rollout.scene.deformables, rollout.scene.bodies, strict=True):
-        nodes = rollout.nodes_m[line.name]
-        end = nodes[:, int(np.argmax(nodes[0, :, 0]))]
-        errors[line.name] = largest_mm(end - rollout.position(bob.name))
-    worst = max(errors, key=lambda one: errors[one])
-    return Measurement(measured=errors[worst], hint=f"it is furthest for {worst}")
-
-
 for _kind in KINDS:
-    _laid = _on_slabs(_kind)
-    _laid.check(f"{_kind}-rests-on")(_rests(_kind))
-    if _kind == "rod":
-        _laid.check("rod-length")(_length)
+    _on_slabs(_kind).check(f"{_kind}-rests-on")(_rests(_kind))
     Check(f"{_kind}-strike")(_strikes(_kind))
-for _kind in ("rope", "rod"):
-    _pulled = _tow(_kind)
-    _pulled.check(f"{_kind}-mass")(_pulled_mass)
-    if _kind == "rope":
-        _pulled.check("rope-pulled-length")(_length)
-        _pulled.check("rope-pulled-end", **ATTACHED)(_pulled_end)
 
 CARRY_FRICTION, CARRY_S = 0.3, 0.3
 

@@ -1,5 +1,6 @@
 """The Rapier backend against closed forms, and the choices of its default preset."""
 
+import multiprocessing
 from dataclasses import replace
 from itertools import permutations, product
 
@@ -366,7 +367,23 @@ def test_the_engine_has_the_threads_of_the_settings():
     simulation = RAPIER.build(dropped(0.5), {"threads": 2})
     simulation.reset(0)
     assert simulation._world.num_threads == 2
-    assert RAPIER.build(dropped(0.5))._world.num_threads == 1
+
+
+def _falls():
+    simulation = RAPIER.build(dropped(0.5))
+    simulation.reset(0)
+    simulation.advance(0.1)
+
+
+def test_a_forked_process_builds_and_steps_worlds_after_its_parent_did():
+    """Planted: without the pool of its own the child waits for threads that a fork does not copy."""
+    _falls()
+    child = multiprocessing.get_context("fork").Process(target=_falls)
+    child.start()
+    child.join(timeout=20.0)
+    ended = child.exitcode
+    child.kill()
+    assert ended == 0
 
 
 @pytest.mark.parametrize("preset", ["default", "out_of_box"])
