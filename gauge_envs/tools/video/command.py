@@ -266,7 +266,12 @@ def video_report(
     from gauge_envs.tools.video import VideoScore, score_track, video_task
     from gauge_envs.tools.video.frames import FileFrames
     from gauge_envs.tools.video.tracker import track_object
-    from gauge_envs.tools.video.words import find_videos, results_table, video_page
+    from gauge_envs.tools.video.words import (
+        agreement_table,
+        find_videos,
+        results_table,
+        video_page,
+    )
 
     videos, others = find_videos(folder)
     results: dict[tuple[str, str], dict[Path, VideoScore | None]] = {}
@@ -308,6 +313,9 @@ def video_report(
     table = results_table(results)
     save_file(out / "table.csv", table.csv())
     save_file(out / "table.tex", table.latex())
+    agreements = agreement_table(results)
+    if agreements.rows:
+        print_document(agreements, Format.TEXT)
     echo(page)
     return bool(broken)
 

@@ -35,14 +35,8 @@ LEAST_SUPPORT_DISKS, LEAST_SUPPORT_SQUARES = 0.75, 0.68
 CLEAR = 0.04
 """Difference of the supports of two registrations from which one is clearly better."""
 
-CLEAR_PX = 0.5
-"""Difference of their distances to the edges from which one is clearly better [px]."""
-
 LEAST_VISIBLE = 0.5
 """Smallest share of the outline that a crop must leave in the picture."""
-
-HARMLESS_SCALE, HARMLESS_PX = 0.01, 3.0
-"""Differences between two registrations that matter little: of the scale, and of the place of object and pivot [px]."""
 
 LEAST_INLIERS = 12
 """Fewest points of a given first frame that must be found again."""
@@ -86,31 +80,8 @@ def registration_by_outline(
     if best < (LEAST_SUPPORT_SQUARES if is_square else LEAST_SUPPORT_DISKS):
         text = "the object is not seen at its place in the known first frame; give that frame with --first-frame"
         return replace(candidates[0], problem=text)
-    # Equal supports are told apart by the distances of the edges to the outline.
-    equals = [one for one in candidates if best - one.support < CLEAR]
-    distances = [scene.distance_px(one) for one in equals]
-    nearest = equals[int(np.argmin(distances))]
-    open_ones = [
-        one
-        for one, distance in zip(equals, distances, strict=True)
-        if distance - min(distances) < CLEAR_PX
-    ]
-    if len(open_ones) == 1:
-        return nearest
-    # Between equals, the paper's own scaling is kept.
-    chosen = next((one for one in open_ones if one.method == "stretch"), nearest)
-    rivals = [
-        one
-        for one in open_ones
-        if one is not chosen and not _is_harmless(chosen, one, task)
-    ]
-    if not rivals:
-        return chosen
-    names = " or ".join(one.method for one in (chosen, *rivals))
-    return replace(
-        chosen,
-        problem=f"the first frame may be a {names} of the known one; give it with --first-frame",
-    )
+    # The paper scales width and height each on its own: another way must be clearly better.
+    return next(one for one in candidates if best - one.support < CLEAR)
 
 
 def registration_by_first_frame(
@@ -216,25 +187,6 @@ class _Scene:
             inliers=int((share[is_seen] > 0.9).sum()),
         )
 
-    def distance_px(self, one: Registration) -> float:
-        """Return the mean square distance by which the outline must be moved and scaled to meet the edges [px]."""
-        distances, strength, is_seen = self._profiles(one)
-        along = distances[strength.argmax(axis=1)]
-        arms = self.points - self.points.mean(axis=0)
-        basis = np.column_stack([self.normals, self.normals * arms])
-        weights = np.where(is_seen, strength.max(axis=1), 0.0)
-        for _ in range(6):
-            found, *_ = np.linalg.lstsq(
-                basis * np.sqrt(weights)[:, None], along * np.sqrt(weights), rcond=None
-            )
-            # Edges of other things lie far from the common motion.
-            weights = (
-                np.where(is_seen, strength.max(axis=1), 0.0)
-                / (1.0 + ((along - basis @ found) / 1.5) ** 2) ** 2
-            )
-        move = found[:2] + arms * found[2:]
-        return float(np.sqrt((move**2).sum(axis=1).mean()))
-
     def _profiles(
         self, one: Registration
     ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
@@ -284,23 +236,6 @@ def _candidates(size_px: tuple[int, int]) -> list[Registration]:
         if abs(plain.scale_x / plain.scale_y - 1.0) > 1e-3:
             found.append(one)
     return found
-
-
-def _is_harmless(first: Registration, second: Registration, task: VideoTask) -> bool:
-    """Return whether two registrations agree in the scale and in the places of the object and its pivot."""
-    a, b = (np.array([one.scale_x, one.scale_y]) for one in (first, second))
-    if np.abs(b / a - 1.0).max() > HARMLESS_SCALE:
-        return False
-    places = np.array(
-        [
-            place
-            for place in (task.centre_px, task.pivot_px, task.rest_px)
-            if place is not None
-        ]
-    )
-    native = (places - (first.offset_x_px, first.offset_y_px)) / a
-    moved = native * b + (second.offset_x_px, second.offset_y_px)
-    return bool(np.linalg.norm(moved - places, axis=1).max() <= HARMLESS_PX)
 
 
 def _outline(task: VideoTask) -> tuple[FloatArray, FloatArray]:

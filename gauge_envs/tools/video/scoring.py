@@ -1,8 +1,7 @@
 """Score the motion in a video by the law of its task, with the uncertainty of the track carried into the result."""
 
-import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -14,6 +13,7 @@ from gauge_envs.errors import ParameterError, VideoError
 from gauge_envs.files import json_ready
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.video import laws
+from gauge_envs.tools.video.clock import clock_fault
 from gauge_envs.tools.video.frames import ArrayFrames, FileFrames, Frames
 from gauge_envs.tools.video.plane import (
     PlaneView,
@@ -52,8 +52,8 @@ LEAST_PERIODS = 0.5
 """Fewest periods by which both turns of a swing part its period from its damping and equilibrium."""
 
 
-MOST_GRAVITIES = 1.2
-"""Largest acceleration of a slide or fall in that of gravity, beyond which the rate may be wrong."""
+MOST_GRAVITIES, LEAST_SLOPE = 1.2, 0.1
+"""Largest gravity that a motion may need, in that of the Earth, and smallest sine of a slope."""
 
 
 def faults_of(
@@ -95,6 +95,10 @@ def faults_of(
         faults.append(
             f"the track jumps by more than the object's size in frames {_runs(track.frames[jumps])}"
         )
+    clock = (
+        "" if span is None else clock_fault(track, task, span, noise_px(track, span))
+    )
+    faults += [clock] if clock else []
     inside = [one for one in track.events if one.first_frame <= track.frames[last]]
     faults += [one.text for one in inside if not one.is_note]
     return faults, [one.text for one in inside if one.is_note]
@@ -113,11 +117,10 @@ def findings_of(
         found.append(
             f"less than half a period is shown, {shown_s:.2f} s of {period_s:.2f} s: it may be another one"
         )
-    a_m_s2 = metrics.get("acceleration_m_s2", 0.0)
-    if a_m_s2 > MOST_GRAVITIES * laws.GRAVITY_M_PER_S2:
+    gravities = _gravities(task, metrics)
+    if gravities > MOST_GRAVITIES:
         found.append(
-            f"the acceleration is {a_m_s2 / laws.GRAVITY_M_PER_S2:.1f} times gravity: the stated rate may be wrong, "
-            "give --fps"
+            f"it moves as under {gravities:.1f} times gravity: the stated rate may be wrong, give --fps"
         )
     if task.motion is Motion.TURN:
         places = track.points_px[track.is_found]
@@ -133,6 +136,18 @@ def findings_of(
             for one in swings
         ]
     return found
+
+
+def _gravities(task: VideoTask, metrics: Metrics) -> float:
+    """Return the gravity that a motion needs at least, in that of the Earth; 0 where it needs none."""
+    if task.direction is not None:
+        down = max(task.direction[1], LEAST_SLOPE)
+        return metrics.get("acceleration_m_s2", 0.0) / down / laws.GRAVITY_M_PER_S2
+    if "pd" in metrics and task.pivot_px is not None:
+        length_m = math.dist(task.centre_px, task.pivot_px) * task.scale_m_per_px
+        rate_rad_s = 2.0 * math.pi / metrics["pd"]
+        return rate_rad_s**2 * length_m / laws.GRAVITY_M_PER_S2
+    return 0.0
 
 
 def _jumps(track: Track, task: VideoTask, rows: NDArray[np.intp]) -> NDArray[np.intp]:
@@ -413,6 +428,7 @@ def paper_metrics(
         return {"de": error.de_n}, {
             "median_a_m_s2": float(np.median(sizes)),
             "p95_a_m_s2": float(np.percentile(sizes, 95)),
+            "largest_a_m_s2": float(sizes.max()),
             "exceeding_share": float((error.exceedance_n > 0.0).mean()),
         }
     angles = laws.swing_angles_rad(track, task)[rows]
@@ -549,61 +565,3 @@ def _intervals(
             high,
         )
     return intervals
-
-
-# --- published values ------------------------------------------------------------------------------------------------
-
-CLOSE = 0.1
-"""Largest relative difference with which a value agrees with a published one."""
-
-MOST_SHIFT = 24
-"""Frames by which an interval is moved at either end in search of published values."""
-
-
-def agreement(result: VideoScore, task: VideoTask, published: Metrics) -> str:
-    """Return how the metrics of a clip agree with published ones, whose interval of frames is not published.
-
-    Args:
-        result: The result.
-        task: The task.
-        published: Published metrics of the same clip.
-    """
-    if not result.is_sound:
-        return "track not sound"
-    if _is_close(result.metrics, published):
-        return "yes"
-    if result.interval_frames is None:
-        return "no motion"
-    ends = [result.uncertainty[name] or (0.0, -1.0) for name in published]
-    if all(
-        low <= value <= high
-        for (low, high), value in zip(ends, published.values(), strict=True)
-    ):
-        return "within the interval"
-    if task.motion not in (Motion.SLIDE, Motion.FALL, Motion.TURN):
-        return "no"
-    track = result.track
-    start, end = np.searchsorted(track.frames, result.interval_frames)
-    shifts = range(-MOST_SHIFT, MOST_SHIFT + 1)
-    spans = [
-        (start + one, end + other)
-        for one, other in itertools.product(shifts, shifts)
-        if 0 <= start + one < end + other - LEAST_RETAINED
-        and end + other < len(track.frames)
-    ]
-    spans.sort(key=lambda span: abs(span[0] - start) + abs(span[1] - end))
-    for span in spans:
-        try:
-            metrics, _ = paper_metrics(track, task, span, task.scale_m_per_px)
-        except ParameterError:
-            continue
-        if _is_close(metrics, published):
-            return f"in frames {track.frames[span[0]]} to {track.frames[span[1]]}"
-    return "in no frames"
-
-
-def _is_close(metrics: Mapping[str, float | None], published: Metrics) -> bool:
-    return all(
-        abs((metrics.get(name) or 0.0) - value) <= CLOSE * abs(value)
-        for name, value in published.items()
-    )

@@ -40,7 +40,7 @@ def clip(name, rng, *, fps=30.0, noise=3.0, quality=80, calibration_sigma=0.0):
     With `calibration_sigma`, the true size of a pixel differs from the stated one by a random share of that size.
     """
     task = video_task(name)
-    place, truth, duration_s = _motion(task, rng)
+    place, truth, duration_s = motion_on_grid(task, rng)
     share = 1.0 + rng.normal(0.0, calibration_sigma)
     powers = {"acceleration_m_s2": 1.0, "mte": 0.5}
     truth = {
@@ -100,7 +100,7 @@ def struck_rad(times_s, peaks):
     return angle
 
 
-def _motion(task, rng):
+def motion_on_grid(task, rng):
     """Return the place and rotation of the object at a time, the truth, and the duration [s]."""
     start, scale = np.array(task.centre_px), task.scale_m_per_px
     release = float(rng.uniform(0.2, 0.5))

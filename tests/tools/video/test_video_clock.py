@@ -1,0 +1,50 @@
+"""The clock of a motion: missing frames and a changed speed of the film are named, and smooth motions are not."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("cv2")
+
+from clips import motion_on_grid, track_of
+
+from gauge_envs.tools.video import score_track, video_task
+
+FPS = 30.0
+
+
+def judged(name, clock, seed, fps=FPS):
+    """Score the track of a known motion, whose frame numbers a clock changes to those that are shown."""
+    rng = np.random.default_rng(seed)
+    place, truth, duration_s = motion_on_grid(video_task(name), rng)
+    numbers = clock(np.arange(int(duration_s * FPS)))
+    places = np.array([place(number / FPS)[0] for number in numbers])
+    places += rng.normal(0.0, 0.1, places.shape)
+    return score_track(track_of(places, fps), video_task(name)), truth
+
+
+CLOCKS = {
+    "": lambda frames: frames,
+    "frames seem to be missing, 3 ": lambda frames: frames[frames // 3 != 8],
+    "seems to change by 2 ": lambda frames: np.r_[frames[:23], frames[23::2]],
+}
+
+
+@pytest.mark.parametrize("words", CLOCKS)
+@pytest.mark.parametrize(
+    ("name", "seed"), [("SlopeSlider-2-wood", 4), ("Turntable-2-metal", 0)]
+)
+def test_a_clock_that_is_not_that_of_the_motion_is_named(name, seed, words):
+    result, _ = judged(name, CLOCKS[words], seed)
+    assert result.is_sound is (words == ""), result.reasons
+    assert words in " ".join(result.reasons)
+
+
+@pytest.mark.parametrize("name", ["BouncingBall-rubber", "Pendulum-metal"])
+def test_a_rate_that_needs_more_gravity_than_there_is_is_doubted(name):
+    for factor in (1.0, 2.0):
+        result, truth = judged(name, CLOCKS[""], 11, fps=factor * FPS)
+        doubted = [one for one in result.findings if "times gravity" in one]
+        needed = truth.get("acceleration_m_s2", 0.0) / 9.81
+        if name == "Pendulum-metal":
+            needed = (1.1 / truth["pd"]) ** 2
+        assert bool(doubted) is (needed * factor**2 > 1.2)
