@@ -25,6 +25,7 @@ if TYPE_CHECKING:
         score as score,
         score_track as score_track,
     )
+    from gauge_envs.tools.video.submission import law_share as law_share
     from gauge_envs.tools.video.tasks import (
         Motion as Motion,
         VideoTask as VideoTask,

@@ -54,6 +54,7 @@ def clock_fault(
     times = np.arange(2.0 * side) - side
     is_later = times >= 0.0
     clocks = {"": times}
+    clocks["a frame seems to be shown again at frame"] = times - is_later
     for missing in range(1, MOST_MISSING + 1):
         text = f"frames seem to be missing, {missing} before frame"
         clocks[text] = times + missing * is_later

@@ -259,12 +259,14 @@ def video_report(
 ) -> bool:
     """Score the videos of many models, and write a page with a table and pictures.
 
-    The pictures show what was followed; table.csv and table.tex hold the table. Exit code 1 when a video cannot be
-    judged or a file is named otherwise; the others are on the page.
+    The pictures show what was followed; table.csv and table.tex hold the table. Models with a submission.toml are
+    checked and ranked. Exit code 1 when a video cannot be judged, a file is named otherwise, or a submission lacks
+    something; the others are on the page.
     """
     from gauge_envs.pages.document import save_file
     from gauge_envs.tools.video import VideoScore, score_track, video_task
     from gauge_envs.tools.video.frames import FileFrames
+    from gauge_envs.tools.video.submission import FILE, ranking, submission_faults
     from gauge_envs.tools.video.tracker import track_object
     from gauge_envs.tools.video.words import (
         agreement_table,
@@ -300,8 +302,24 @@ def video_report(
             except VideoError as error:
                 broken.append(str(error))
             progress.advance(f"{model}: {task}")
+    submitted = [
+        model
+        for model in sorted({model for model, _ in results})
+        if (folder / model / FILE).exists()
+    ]
+    faults: list[str] = []
+    for model in submitted:
+        clips_of_tasks = {
+            task: list(clips) for (one, task), clips in results.items() if one == model
+        }
+        try:
+            faults += submission_faults(folder / model, clips_of_tasks)
+        except VideoError as error:
+            faults.append(str(error))
     for text in broken:
         message(text, "left out")
+    for text in faults:
+        message(text, "to mend")
     page = save_file(out / "index.html", video_page(results))
     rows = [
         {"model": key[0], **one.to_dict()}
@@ -316,8 +334,12 @@ def video_report(
     agreements = agreement_table(results)
     if agreements.rows:
         print_document(agreements, Format.TEXT)
+    if submitted:
+        ranks = ranking(results, submitted)
+        save_file(out / "ranking.csv", ranks.csv())
+        print_document(ranks, Format.TEXT)
     echo(page)
-    return bool(broken)
+    return bool(broken or faults)
 
 
 def _given_track(video: Path, file: Path) -> Track:

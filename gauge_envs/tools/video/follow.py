@@ -43,12 +43,26 @@ class Background:
 
     def __init__(self, picture: Picture) -> None:
         self.picture: NDArray[np.float32] = picture.astype(np.float32)
+        self.small = _shrunk(picture)
 
-    def follow(self, picture: Picture, still: NDArray[np.bool_]) -> None:
-        """Take over a share of a picture where nothing moves."""
-        cv2.accumulateWeighted(
-            picture, self.picture, ADAPTATION, mask=still.astype(np.uint8)
-        )
+    def follow(
+        self,
+        picture: Picture,
+        small: NDArray[np.float32],
+        still: NDArray[np.uint8],
+    ) -> None:
+        """Take over a share of a picture, and of its small copy, where nothing moves in that copy."""
+        cv2.accumulateWeighted(small, self.small, ADAPTATION, mask=still)
+        whole = cv2.resize(still, REFERENCE_SIZE_PX, interpolation=cv2.INTER_NEAREST)
+        cv2.accumulateWeighted(picture, self.picture, ADAPTATION, mask=whole)
+
+
+def _shrunk(picture: Picture) -> NDArray[np.float32]:
+    """Return a picture at the scale at which it is searched."""
+    small = cv2.resize(
+        picture, None, fx=COARSE, fy=COARSE, interpolation=cv2.INTER_AREA
+    )
+    return np.asarray(small, dtype=np.float32)
 
 
 def background(
@@ -221,18 +235,8 @@ class ShapeFollower:
 
     def candidates(self, picture: Picture) -> list[Sight]:
         """Return the places of a frame that may show the object, the likeliest first, and follow the background."""
-        whole = picture.astype(np.float32)
-        small = cv2.resize(
-            whole, None, fx=COARSE, fy=COARSE, interpolation=cv2.INTER_AREA
-        )
-        bare = cv2.resize(
-            self._scene.picture,
-            None,
-            fx=COARSE,
-            fy=COARSE,
-            interpolation=cv2.INTER_AREA,
-        )
-        covered, known = self._covered(small, bare)
+        small = _shrunk(picture)
+        covered, known = self._covered(small, self._scene.small)
         response, *_ = self._small.response(covered, known)
         reach = 2 * int(0.25 * self._size_px * COARSE) + 3
         is_peak = (
@@ -242,23 +246,22 @@ class ShapeFollower:
         order = np.argsort(-response[rows, columns])[:MOST_CANDIDATES]
         found = [
             self._refined(
-                whole, (columns[i] + 0.5) / COARSE - 0.5, (rows[i] + 0.5) / COARSE - 0.5
+                picture,
+                (columns[i] + 0.5) / COARSE - 0.5,
+                (rows[i] + 0.5) / COARSE - 0.5,
             )
             for i in order
         ]
         moving = cv2.dilate(
             (covered * known > 0.3).astype(np.uint8), np.ones((5, 5), np.uint8)
         )
-        still = (
-            cv2.resize(moving, REFERENCE_SIZE_PX, interpolation=cv2.INTER_NEAREST) == 0
-        )
-        self._scene.follow(picture, still)
+        self._scene.follow(picture, small, 1 - moving)
         return sorted(
             (one for one in found if one.likeness > 0.0), key=lambda one: -one.likeness
         )
 
     def _covered(
-        self, picture: NDArray[np.float32], bare: NDArray[np.float32]
+        self, picture: NDArray[Any], bare: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return which share of each pixel is covered by the object, and whether the pixel says so."""
         span = bare - self._colour
@@ -268,7 +271,7 @@ class ShapeFollower:
         covered = np.clip((covered - NOISE_SHARE) / (1.0 - 2.0 * NOISE_SHARE), 0.0, 1.0)
         return covered.astype(np.float32), (length > LEAST_CONTRAST).astype(np.float32)
 
-    def _refined(self, picture: NDArray[np.float32], x: float, y: float) -> Sight:
+    def _refined(self, picture: Picture, x: float, y: float) -> Sight:
         """Return a candidate with fractions of pixels and its likeness."""
         half = self._full.half + REACH
         window, corner = _cut(picture, x, y, half)

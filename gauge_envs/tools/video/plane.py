@@ -15,7 +15,7 @@ from pydantic import Field, NonNegativeFloat, PositiveFloat, ValidationError
 
 from gauge_envs.errors import VideoError, first_fault
 from gauge_envs.files import MEGABYTE, json_document, read_regular, toml_document
-from gauge_envs.references.tables import FileModel
+from gauge_envs.references.tables import FileModel, Model
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.video.frames import cv2
 from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX, Motion, VideoTask
@@ -328,6 +328,30 @@ class CameraFile(FileModel):
     readout_s: Annotated[float, Field(ge=0.0, le=0.1)] = 0.0
 
 
+def read_model(path: Path, model: type[Model]) -> Model:
+    """Return the content of a file of TOML or, where it ends in `.json`, JSON.
+
+    Raises:
+        VideoError: It cannot be read, or a key is missing, unknown or of another type.
+    """
+    is_json = path.suffix == ".json"
+    try:
+        content = read_regular(path, MEGABYTE).removeprefix(b"\xef\xbb\xbf")
+        return model.model_validate(
+            json_document(content) if is_json else toml_document(content)
+        )
+    except ValidationError as error:
+        raise VideoError("{}: {}: {}".format(path, *first_fault(error))) from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise VideoError(
+            f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}"
+        ) from None
+    except ValueError as error:
+        raise VideoError(
+            f"{path}: is no {'JSON' if is_json else 'TOML'}: {error}"
+        ) from None
+
+
 def read_camera(path: Path | str) -> PlaneView:
     """Return the view that a camera file describes.
 
@@ -342,22 +366,7 @@ def read_camera(path: Path | str) -> PlaneView:
         MissingExtraError: OpenCV is not installed.
     """
     path = Path(path)
-    is_json = path.suffix == ".json"
-    try:
-        content = read_regular(path, MEGABYTE).removeprefix(b"\xef\xbb\xbf")
-        file = CameraFile.model_validate(
-            json_document(content) if is_json else toml_document(content)
-        )
-    except ValidationError as error:
-        raise VideoError("{}: {}: {}".format(path, *first_fault(error))) from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise VideoError(
-            f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}"
-        ) from None
-    except ValueError as error:
-        raise VideoError(
-            f"{path}: is no {'JSON' if is_json else 'TOML'}: {error}"
-        ) from None
+    file = read_model(path, CameraFile)
     motion, lens = file.motion, file.lens
     if (file.points is None) == (file.board is None):
         raise VideoError(f"{path}: give either [points] or [board]")

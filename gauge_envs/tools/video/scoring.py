@@ -123,8 +123,7 @@ def findings_of(
             f"it moves as under {gravities:.1f} times gravity: the stated rate may be wrong, give --fps"
         )
     if task.motion is Motion.TURN:
-        places = track.points_px[track.is_found]
-        way = float(np.linalg.norm(places - places[0], axis=1).max()) / task.size_px
+        way = way_in_sizes(track, task)
         if way < 1.0:
             found.append(
                 f"the object moves by {way:.2f} of its size: a dynamic error of 0 says little"
@@ -136,6 +135,12 @@ def findings_of(
             for one in swings
         ]
     return found
+
+
+def way_in_sizes(track: Track, task: VideoTask) -> float:
+    """Return how far an object gets from its first place, in its sizes."""
+    places = track.points_px[track.is_found]
+    return float(np.linalg.norm(places - places[0], axis=1).max()) / task.size_px
 
 
 def _gravities(task: VideoTask, metrics: Metrics) -> float:

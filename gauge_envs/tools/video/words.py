@@ -3,10 +3,10 @@
 import math
 import re
 from base64 import b64encode
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 from scipy.special import stdtrit
@@ -27,6 +27,7 @@ from gauge_envs.tools.video import (
 from gauge_envs.tools.video.agreement import agreement
 from gauge_envs.tools.video.check import Finding
 from gauge_envs.tools.video.frames import FileFrames, Frames, Picture, cv2, write_mp4
+from gauge_envs.tools.video.submission import FILE, Results
 from gauge_envs.tools.video.tasks import Measured, published_results
 
 TITLES = {
@@ -197,9 +198,6 @@ AGREEMENT_NOTE = (
     "those that are retained here, and not for other clips, say that it took those frames."
 )
 
-Results: TypeAlias = Mapping[tuple[str, str], Mapping[Path, VideoScore | None]]
-"""Results of the clips by model and task; None for a clip that cannot be judged."""
-
 
 def find_videos(folder: Path) -> tuple[list[tuple[str, str, Path]], list[Path]]:
     """Return model, task and file of the videos `MODEL/TASK.mp4` and `MODEL/TASK/seed_1.mp4`, and all other files.
@@ -235,7 +233,7 @@ def find_videos(folder: Path) -> tuple[list[tuple[str, str, Path]], list[Path]]:
         if one[2].suffix != ".csv" or one[2].with_suffix("") not in shown
     ]
     return sorted(found, key=lambda one: (tasks[one[1]], one[0])), [
-        file for file in files if file not in used
+        file for file in files if file not in used and file.name != FILE
     ]
 
 

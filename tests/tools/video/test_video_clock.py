@@ -24,6 +24,7 @@ def judged(name, clock, seed, fps=FPS):
 
 CLOCKS = {
     "": lambda frames: frames,
+    "a frame seems to be shown again ": lambda frames: np.r_[frames[:24], frames[23:]],
     "frames seem to be missing, 3 ": lambda frames: frames[frames // 3 != 8],
     "seems to change by 2 ": lambda frames: np.r_[frames[:23], frames[23::2]],
 }
@@ -31,7 +32,7 @@ CLOCKS = {
 
 @pytest.mark.parametrize("words", CLOCKS)
 @pytest.mark.parametrize(
-    ("name", "seed"), [("SlopeSlider-2-wood", 4), ("Turntable-2-metal", 0)]
+    ("name", "seed"), [("SlopeSlider-2-wood", 4), ("Turntable-2-metal", 3)]
 )
 def test_a_clock_that_is_not_that_of_the_motion_is_named(name, seed, words):
     result, _ = judged(name, CLOCKS[words], seed)

@@ -1,10 +1,7 @@
-"""The inputs of video models, fetched from a local server that is whole, damaged, incomplete or not there."""
+"""The inputs of video models, from a copy of the repository that is whole, damaged, incomplete or not there."""
 
 import hashlib
 import socket
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from threading import Thread
-from urllib.parse import unquote
 
 import pytest
 
@@ -37,37 +34,9 @@ def content(file):
     return texts.get(file.file, f"content of {file.file}, √" * 50).encode()
 
 
-class Server:
-    """A repository on a port of this machine: the answers by path, what was asked for, and what is wrong."""
-
-    def __init__(self):
-        self.answers = {file.source: content(file) for file in TABLE if file.source}
-        self.asked = []
-        self.cut = set()
-        server = self
-
-        class Handler(BaseHTTPRequestHandler):
-            def do_GET(self):  # the base class's name
-                path = unquote(self.path).removeprefix("/commit/")
-                server.asked.append(path)
-                if path not in server.answers:
-                    self.send_error(404)
-                    return
-                body = server.answers[path]
-                self.send_response(200)
-                self.send_header("Content-Length", str(len(body)))
-                self.end_headers()
-                self.wfile.write(body[: len(body) // 2] if path in server.cut else body)
-
-            def log_message(self, *_):
-                pass
-
-        self.http = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
-        self.address = f"http://127.0.0.1:{self.http.server_port}/commit"
-
-
 @pytest.fixture
-def server(monkeypatch):
+def source(tmp_path, monkeypatch):
+    """A stand-in for the repository as a folder, and its table of files."""
     table = tuple(
         InputFile(
             file=file.file,
@@ -78,14 +47,13 @@ def server(monkeypatch):
         for file in TABLE
     )
     monkeypatch.setattr(prompts, "input_files", lambda: table)
-    monkeypatch.setenv("no_proxy", "127.0.0.1")
-    one = Server()
-    thread = Thread(target=one.http.serve_forever, kwargs={"poll_interval": 0.01})
-    thread.start()
-    yield one
-    one.http.shutdown()
-    thread.join()
-    one.http.server_close()
+    folder = tmp_path / "a clone"
+    for file in TABLE:
+        if file.source:
+            path = folder / file.source
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(content(file))
+    return str(folder)
 
 
 def closed_address():
@@ -96,16 +64,6 @@ def closed_address():
 
 def names(folder):
     return {path.name for path in folder.iterdir()} if folder.exists() else set()
-
-
-def repository(folder):
-    """The stand-in as a folder."""
-    for file in TABLE:
-        if file.source:
-            path = folder / file.source
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_bytes(content(file))
-    return folder
 
 
 def test_the_table_has_a_frame_and_a_prompt_of_every_task():
@@ -120,73 +78,53 @@ def test_the_table_has_a_frame_and_a_prompt_of_every_task():
     assert SOURCE.startswith("https://") and SOURCE.endswith(COMMIT)
 
 
-def test_all_files_are_fetched_and_again_with_the_same_command(server, tmp_path):
+def test_all_files_are_fetched_and_again_with_the_same_command(source, tmp_path):
     out, seen = tmp_path / "new" / "inputs", []
     for _ in range(2):
-        written = fetch_inputs(out, source=server.address + "/", advance=seen.append)
+        written = fetch_inputs(out, source=source, advance=seen.append)
         assert set(written) == names(out) == {file.file for file in TABLE} | {NOTE}
     assert seen == [file.file for file in TABLE] * 2
     assert all((out / file.file).read_bytes() == content(file) for file in TABLE)
-    assert set(server.asked) == set(server.answers)
-
-
-def test_the_plastic_prompt_is_made_from_the_wooden_one_and_the_note_says_so(
-    server, tmp_path
-):
-    fetch_inputs(tmp_path, source=server.address)
-    assert (tmp_path / "SlopeSlider-2-plastic.txt").read_text(
-        encoding="utf-8"
-    ) == PLASTIC
-    assert "input/text prompts/slope slider/prompt(plastic).txt" not in server.asked
-    note = " ".join((tmp_path / NOTE).read_text(encoding="utf-8").split())
+    # The repository has a wrong prompt of the plastic cube.
+    plastic = out / "SlopeSlider-2-plastic.txt"
+    assert plastic.read_text(encoding="utf-8") == PLASTIC
+    note = " ".join((out / NOTE).read_text(encoding="utf-8").split())
     assert "`SlopeSlider-2-plastic.txt` is not the file of the repository" in note
     assert REPOSITORY in note and COMMIT in note and "MIT licence" in note
 
 
 def test_a_prompt_that_does_not_become_the_plastic_one_is_refused(
-    server, tmp_path, monkeypatch
+    source, tmp_path, monkeypatch
 ):
     monkeypatch.setattr(prompts, "PLASTIC_CHANGES", prompts.PLASTIC_CHANGES[:2])
     with pytest.raises(
         DatasetError, match=r"SlopeSlider-2-plastic\.txt, made from .* expected"
     ):
-        fetch_inputs(tmp_path, source=server.address)
-    assert not names(tmp_path)
+        fetch_inputs(tmp_path / "out", source=source)
+    assert not names(tmp_path / "out")
 
 
 @pytest.mark.parametrize(
-    ("fault", "message"),
+    ("wrong", "message"),
     [
-        ("missing", "cannot be read: Not Found"),
-        ("altered", "has the SHA-256 hash"),
-        ("shorter", "expected"),
-        ("longer", "expected"),
-        ("cut", "has .* bytes, expected"),
+        (None, "cannot be read: "),
+        (lambda whole: whole[:-1] + b"!", "has the SHA-256 hash"),
+        (lambda whole: whole[:-1], "has .* bytes, expected"),
+        (lambda whole: whole * 100, "has .* bytes, expected"),
     ],
 )
-def test_a_wrong_answer_writes_no_file(server, tmp_path, fault, message):
-    whole = server.answers[FRAME_SOURCE]
-    wrong = {
-        "altered": whole[:-1] + b"!",
-        "shorter": whole[:-1],
-        "longer": whole * 100,
-        "cut": whole,
-    }
-    if fault == "missing":
-        del server.answers[FRAME_SOURCE]
-    else:
-        server.answers[FRAME_SOURCE] = wrong[fault]
-    if fault == "cut":
-        server.cut.add(FRAME_SOURCE)
+def test_a_wrong_file_writes_no_file(source, tmp_path, wrong, message):
+    file = tmp_path / "a clone" / FRAME_SOURCE
+    whole = file.read_bytes()
+    file.unlink()
+    if wrong is not None:
+        file.write_bytes(wrong(whole))
     with pytest.raises(DatasetError, match=message) as caught:
-        fetch_inputs(tmp_path, source=server.address)
+        fetch_inputs(tmp_path / "out", source=source)
     text = str(caught.value)
-    assert (
-        f"{server.address}/input/first%20frames/832x480/slope%20slider/frame%28metal%29.png"
-        in text
-    )
+    assert "/slope%20slider/frame%28metal%29.png" in text
     assert f"git clone {REPOSITORY}" in text and COMMIT in text
-    assert not names(tmp_path)
+    assert not names(tmp_path / "out")
 
 
 def test_a_refused_connection_names_the_address_and_what_to_do(
@@ -225,21 +163,18 @@ def test_an_impossible_source_gets_a_message(tmp_path, source, words):
         fetch_inputs(tmp_path, source=source)
 
 
-def test_the_command_reads_a_folder_and_reports(server, tmp_path, gauge):
-    source, out = repository(tmp_path / "a clone"), tmp_path / "inputs"
-    result = gauge("video", "prompts", source, "--out", out)
-    assert (result.exit_code, result.stdout.strip()) == (0, str(out))
+def test_the_command_reads_a_folder_and_reports(source, tmp_path, gauge):
+    result = gauge("video", "prompts", source, "--out", tmp_path / "inputs")
+    assert (result.exit_code, result.stdout.strip()) == (0, str(tmp_path / "inputs"))
     assert "20 files written" in result.stderr
-    assert server.asked == []
-    (source / FRAME_SOURCE).unlink()
-    with pytest.raises(DatasetError, match=r"frame%28metal%29\.png: cannot be read"):
-        fetch_inputs(tmp_path / "others", source=str(source))
 
 
 @pytest.mark.parametrize("name", ["Pendulum-metal.txt", NOTE])
-def test_a_file_of_the_user_is_never_replaced(server, tmp_path, name):
-    (tmp_path / name).write_text("mine", encoding="utf-8")
+def test_a_file_of_the_user_is_never_replaced(source, tmp_path, name):
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / name).write_text("mine", encoding="utf-8")
     with pytest.raises(DatasetError, match=rf"{name} is another file: move it away"):
-        fetch_inputs(tmp_path, source=server.address)
-    assert names(tmp_path) == {name}
-    assert (tmp_path / name).read_text(encoding="utf-8") == "mine"
+        fetch_inputs(out, source=source)
+    assert names(out) == {name}
+    assert (out / name).read_text(encoding="utf-8") == "mine"

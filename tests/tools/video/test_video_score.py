@@ -393,6 +393,8 @@ def test_the_report_shows_every_model_and_names_broken_files(tmp_path, gauge):
         (videos / model).mkdir(parents=True)
     written(one, videos / "seedance2" / "SlopeSlider-2-metal.mp4")
     (videos / "slow" / "SlopeSlider-2-metal.mp4").write_text("no video")
+    facts = 'model = "a"\nprompts = "b"\nsettings = "c"\nseeds = [1]\n'
+    (videos / "seedance2" / "submission.toml").write_text(facts)
     ignored = (
         "slow/SlopeSlider-2-metal_v2.mp4",
         "seed/a/SlopeSlider-2-metal.mp4",
@@ -406,6 +408,8 @@ def test_the_report_shows_every_model_and_names_broken_files(tmp_path, gauge):
     assert outcome.exit_code == 1
     for other in ignored:
         assert f"{other}: it is named otherwise" in outcome.stderr
+    assert "Pendulum-metal has 0 clips, not 4" in outcome.stderr
+    assert "still picture" in outcome.stdout
     agreed = outcome.stdout.splitlines()
     assert [line.split()[0] for line in agreed if "730.2" in line] == [
         "seedance2/SlopeSlider-2-metal"
