@@ -54,6 +54,9 @@ HALF_TEXT = 80
 MOST_NAMED = 2
 """Largest number of changes, or of rows that were not measured, that the first line names."""
 
+NOT_CHECKED = "not checked: numbers of a usual size that another robot has; a data sheet, a log or --against tells"
+"""What no row on a robot can tell."""
+
 REALITY = Column(
     "", "reality", lambda row: reality_text(row.reality, row.unit), is_number=True
 )
@@ -144,12 +147,14 @@ def top_line(report: Report) -> str:
             f" and {len(missing) - MOST_NAMED} more" * (len(missing) > MOST_NAMED)
         )
         return f"Incomplete: {len(missing)} of {measured + len(missing)} rows were not measured: {named}"
-    return "; ".join(
-        (
-            f"No flags: {counts_text(report)}, nothing to change",
-            *report.notes,
-        )
+    texts = [f"No flags: {counts_text(report)}", *report.notes]
+    has_robot = any(
+        row.phenomenon == "robot-density" and row.verdict is not Verdict.DECLINED
+        for row in report.rows
     )
+    if has_robot:
+        texts.append(NOT_CHECKED)
+    return "; ".join(texts)
 
 
 def counts_text(report: Report) -> str:

@@ -188,16 +188,12 @@ def test_lengths_in_millimetres_become_metres(name, more, tmp_path):
         )
 
 
-def test_nothing_else_is_tried_where_two_units_of_length_fit():
-    """The masses of this arm follow from densities, so that they tell no unit."""
-    change, row = ALL["arm, centimetres"]
-    before = read(change(GOOD["arm"]()))
-    assert len(flags_of(before)) > 1
-    found = find_remedies(before.robot, flags_of(before))
-    assert found.texts == () and set(found.unmended) == {row}
-    assert ["and so does lengths times 0.01" in one.line for one in found.attempts] == [
-        True
-    ]
+def test_motors_tell_the_unit_of_lengths_where_masses_do_not():
+    """The masses of this arm follow from densities; a thousandth of its lengths has motors that are far too strong."""
+    change, _ = ALL["arm, centimetres"]
+    found = remedies(change(GOOD["arm"]()))
+    assert [text.partition(":")[0] for text in found.texts] == ["lengths times 0.01"]
+    assert not found.unmended
 
 
 def test_knees_that_both_bend_the_wrong_way_are_turned():

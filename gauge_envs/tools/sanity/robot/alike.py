@@ -2,15 +2,14 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 
-import mujoco
 import numpy as np
 
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.robot.finding import Finding, body_name, joint_name, row
 from gauge_envs.tools.sanity.robot.joints import (
     driven_dofs,
+    joint_inertias,
     largest_weights_nm,
-    start,
 )
 from gauge_envs.tools.sanity.robot.mass_rows import MASSLESS_KG, extent
 from gauge_envs.tools.sanity.robot.robot import Robot
@@ -20,6 +19,7 @@ FACTORS: Mapping[str, float] = {
     **dict.fromkeys(("mass", "damping", "frictionloss", "armature", "kp"), 6.0),
     "largest torque": 6.0,
     "inertia": 12.0,
+    "spring": 6.0,
 }
 """Largest factor between a joint or a link and the middle one of its robot, by quantity, from makers' models."""
 
@@ -37,6 +37,13 @@ OF_LINKS: Mapping[str, Sequence[str]] = {
     "inertia": ("rod", "cube", "bulk"),
 }
 """Quantities of links, and what they grow with: of the same mass in its reach, in its volume, and of its density."""
+
+MIDDLES: Mapping[str, tuple[float, float]] = {
+    "natural frequency [Hz]": (1.1, 44.0),
+    "damping over kp [s]": (0.001, 0.5),
+    "armature over limb": (0.05, 220.0),
+}
+"""Limits of the middle joint: twice as wide as those of makers' models, of the frequency as its square."""
 
 FEW_PARTS = 4
 """Joints or links from which on a middle one says what the others are."""
@@ -75,15 +82,29 @@ def _drives(robot: Robot) -> tuple[list[str], dict[str, FloatArray]]:
     model = robot.model
     is_limited = model.jnt_limited[model.dof_jntid] != 0
     dofs = [dof for dof in driven_dofs(robot) if is_limited[dof]]
-    inertia = np.zeros((model.nv, model.nv))
-    mujoco.mj_fullM(model, start(robot), inertia)
     known = quantities(robot) | {
-        "limb": np.diag(inertia) - model.dof_armature,
+        "inertia": joint_inertias(robot),
+        "limb": joint_inertias(robot) - model.dof_armature,
         "weight": largest_weights_nm(robot),
     }
     names = [joint_name(robot, dof) for dof in dofs]
-    named = {*OF_DRIVES, "limb", "weight"}
+    named = {*OF_DRIVES, "inertia", "limb", "weight", "spring"}
     return names, {name: known[name][dofs] for name in named}
+
+
+def middles(robot: Robot) -> Iterator[tuple[str, float]]:
+    """Yield numbers of the middle joint whose limits are `MIDDLES`, where enough joints have them."""
+    _, known = _drives(robot)
+    kp = np.where(known["kp"] > 0.0, known["kp"], np.nan)
+    several = {
+        "natural frequency [Hz]": np.sqrt(kp / known["inertia"]) / (2.0 * np.pi),
+        "damping over kp [s]": known["damping"] / kp,
+        "armature over limb": known["armature"] / known["limb"],
+    }
+    for name, values in several.items():
+        stated = values[values > 0.0]
+        if len(stated) >= FEW_PARTS:
+            yield name, float(np.median(stated))
 
 
 def _links(robot: Robot) -> tuple[list[str], dict[str, FloatArray]]:
@@ -127,18 +148,33 @@ def unlike(robot: Robot) -> Iterator[tuple[str, str, float]]:
             for name, factor in zip(names, several.tolist(), strict=True):
                 if np.isfinite(factor):
                     yield quantity, name, factor
+    names, known = _drives(robot)
+    springs = known["spring"]
+    is_rare = 2 * np.count_nonzero(springs) < len(springs)
+    is_odd = (springs > 0.0) & ((known["kp"] > 0.0) | is_rare)
+    for place in np.flatnonzero(is_odd).tolist():
+        yield "spring", names[place], np.inf
 
 
 @row("robot-alike")
 def _alike(robot: Robot) -> Finding:
     parts: dict[str, float] = {}
     words: dict[str, str] = {}
+    advices: dict[str, str] = {}
     for quantity, name, factor in unlike(robot):
         part = f"{quantity} of {name}"
         off = factor if factor > 1.0 else 1.0 / max(factor, 1e-12)
         parts[part] = off / FACTORS[quantity] if factor else np.inf
         side = f"{factor:.2g} times" if factor > 1.0 else f"1/{off:.2g} of"
         words[part] = f"{part} is {side} the middle one" if factor else f"no {part}"
+        if quantity == "spring":
+            words[part] = f"a {part}, beside its motor"
+    for name, value in middles(robot):
+        low, high = MIDDLES[name]
+        part = f"{name} of the middle joint"
+        parts[part] = max(low / value, value / high)
+        words[part] = f"{part} is {value:.2g}, not {low:g} to {high:g}"
+        advices[part] = "kp in Nm/rad, kv in Nm s/rad, armature in kg m^2"
     if not parts:
         return Finding(
             declined=f"fewer than {FEW_PARTS} links, or hinges with a motor and limits"
@@ -149,5 +185,7 @@ def _alike(robot: Robot) -> Finding:
         value=parts[worst],
         parts=parts,
         remark=words[worst] if is_off else "",
-        advice=f"is {worst} in the unit of the others, and that of its part?",
+        advice=advices.get(
+            worst, f"is {worst} in the unit of the others, and that of its part?"
+        ),
     )

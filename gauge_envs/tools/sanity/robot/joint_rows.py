@@ -7,6 +7,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.tools.sanity.robot.finding import (
     Finding,
     by_joint,
@@ -28,6 +29,7 @@ from gauge_envs.tools.sanity.robot.joints import (
     largest_weights_nm,
     leg_nm,
     loads_nm,
+    motor_limits,
     one_sided,
     placed_bodies,
     servo_gains,
@@ -37,6 +39,7 @@ from gauge_envs.tools.sanity.robot.joints import (
     stiffness,
     undriven,
 )
+from gauge_envs.tools.sanity.robot.mass_rows import size_m
 from gauge_envs.tools.sanity.robot.robot import (
     Robot,
     acts_on_joints,
@@ -49,8 +52,14 @@ from gauge_envs.tools.sanity.robot.robot import (
 LEAST_RAD_PER_S2, FAIR_RAD_PER_S2 = 100.0, 1000.0
 """Acceleration that the largest torque gives to the armature alone [rad/s^2]: least and middle of makers' models."""
 
-MOST_RAD_PER_S2 = 2e5
-"""The largest one: four times that of makers' models, and more than the bare rotor of a servo motor [rad/s^2]."""
+MOST_RAD_PER_S2 = 1e5
+"""The largest one: twice that of makers' models, and that of the bare rotor of a servo motor [rad/s^2]."""
+
+LEAST_ROTOR = 0.0025
+"""Armature over the inertia that it turns with, below which a gear is lost: a quarter of the least of makers."""
+
+MOST_TIMES = 10.0
+"""Torque of a motor over the weight of its robot at its size, or over the joint's own limit: makers' are up to 4.2."""
 
 EXCEPTIONS_SHARE = 0.25
 """Share of joints without a largest torque or a rotor up to which they are exceptions: makers leave it out in more."""
@@ -104,6 +113,24 @@ def _torque(robot: Robot) -> Finding:
             parts=by_joint(robot, dict.fromkeys(single, 0.0)),
             remark=f"{names}: {len(single)} motors turn one way only",
             advice=f"a forcerange of both signs for {names}",
+        )
+    lifted_nm = robot.mass_kg * GRAVITY_M_PER_S2 * size_m(robot)
+    of_motors_nm = motor_limits(robot.model)
+    strong = [
+        dof
+        for dof, nm in limits_nm.items()
+        if MOST_TIMES * min(lifted_nm, nm) < of_motors_nm[dof] < np.inf
+    ]
+    if strong:
+        names = first_joints(robot, strong)
+        most_nm = float(of_motors_nm[strong].max())
+        return Finding(
+            value=np.inf,
+            parts=by_joint(robot, dict.fromkeys(strong, np.inf)),
+            remark=f"{names}: {len(strong)} of {len(driven)} driven joints have motors of up to {most_nm:.3g} Nm, "
+            f"which lift {most_nm / lifted_nm:.2g} times the robot by an arm of its size, or "
+            f"{MOST_TIMES:g} times as much as the joint allows",
+            advice=f"the gear and the forcerange of {names} in Nm",
         )
     at_start = robot.is_floating
     bias_nm = np.abs(start(robot).qfrc_bias) if at_start else largest_weights_nm(robot)
@@ -327,11 +354,12 @@ def _rotor(robot: Robot) -> Finding:
     if not armatures:
         return Finding(declined="no hinge of the robot is driven")
     limits_nm = driven_dofs(robot)
-    fast = [
-        dof
-        for dof, armature in armatures.items()
-        if armature > 0.0 and MOST_RAD_PER_S2 * armature < limits_nm[dof] < np.inf
-    ]
+    fast = []
+    for dof, armature in armatures.items():
+        is_fast = MOST_RAD_PER_S2 * armature < limits_nm[dof] < np.inf
+        is_light = armature < LEAST_ROTOR * joint_inertias(robot)[dof]
+        if armature > 0.0 and (is_fast or is_light):
+            fast.append(dof)
     without_rotor = [dof for dof, armature in armatures.items() if armature <= 0.0]
     without_rotor += fast
     stated = sorted(armatures[dof] for dof in armatures if dof not in without_rotor)
@@ -340,8 +368,10 @@ def _rotor(robot: Robot) -> Finding:
     names = first_joints(robot, without_rotor)
     several = f"{names}: {len(without_rotor)} of {len(armatures)} driven joints"
     for dof in fast[:1]:
-        several += f"; {limits_nm[dof]:.3g} Nm would turn the {armatures[dof]:.3g} kg m^2 of {joint_name(robot, dof)} "
-        several += f"by {limits_nm[dof] / armatures[dof]:.2g} rad/s^2"
+        several += f"; {joint_name(robot, dof)} has {armatures[dof]:.3g} kg m^2 of the "
+        several += (
+            f"{joint_inertias(robot)[dof]:.3g} that turn, with {limits_nm[dof]:.3g} Nm"
+        )
     share = len(without_rotor) / len(armatures)
     parts = by_joint(robot, dict.fromkeys(without_rotor, 1.0))
     if share > EXCEPTIONS_SHARE and not fast:
@@ -410,10 +440,12 @@ def _range(robot: Robot) -> Finding:
 def _command(robot: Robot) -> Finding:
     model = robot.model
     is_on_joint = acts_on_joints(model)
+    is_affine = model.actuator_biastype == int(mujoco.mjtBias.mjBIAS_AFFINE)
+    is_away = is_affine & (model.actuator_biasprm[:, 1] > 0.0)
     has_no_bias = model.actuator_biastype == int(mujoco.mjtBias.mjBIAS_NONE)
     is_unread = has_no_bias & (model.actuator_biasprm[:, 1] < 0.0)
     joints = model.actuator_trnid[:, 0]
-    is_servo = is_on_joint & (servos(model) | is_unread)
+    is_servo = is_on_joint & (servos(model) | is_unread | is_away)
     found: dict[str, Finding] = {}
     moved = set(robot.bodies) - set(placed_bodies(model))
     for actuator in np.flatnonzero(is_servo).tolist():
@@ -434,6 +466,15 @@ def _command(robot: Robot) -> Finding:
                 remark=f"the servo of {name} does not read its biasprm",
                 advice=f'biastype="affine" for {name}',
                 changes={f"actuator_biastype[{actuator}]": affine},
+            )
+        elif is_away[actuator]:
+            bias = model.actuator_biasprm[actuator].copy()
+            bias[1] *= -1.0
+            found[name] = Finding(
+                value=-np.inf,
+                remark=f"the servo of {name} pushes it away from its command",
+                advice=f"-kp in biasprm of {name}",
+                changes={f"actuator_biasprm[{actuator}]": bias},
             )
         else:
             found[name] = _reached(robot, actuator, name)
@@ -477,16 +518,18 @@ def _reached(robot: Robot, actuator: int, name: str) -> Finding:
                 f"actuator_gear[{actuator}]": np.abs(model.actuator_gear[actuator])
             },
         )
-    if not (model.actuator_ctrllimited[actuator] and model.jnt_limited[joint]):
-        return Finding(value=1.0, remark=name)
-    zero = -float(bias[0]) / (float(bias[1]) * gear)
-    ends = zero + per_control * model.actuator_ctrlrange[actuator]
-    low, high = model.jnt_range[joint]
-    reached_rad = float(min(ends[1], high) - max(ends[0], low))
-    # Of a range of commands that is far wider than the joint's, nearly all are lost.
     is_angle = abs(per_control - 1.0) < SAME_ANGLE
-    used = LOST_COMMANDS if is_angle else 1.0
-    share = reached_rad / max(high - low, used * float(np.ptp(ends)))
+    zero = -float(bias[0]) / (float(bias[1]) * gear)
+    if model.actuator_ctrllimited[actuator] and model.jnt_limited[joint]:
+        ends = zero + per_control * model.actuator_ctrlrange[actuator]
+        low, high = model.jnt_range[joint]
+        reached_rad = float(min(ends[1], high) - max(ends[0], low))
+        # Of a range of commands that is far wider than the joint's, nearly all are lost.
+        used = LOST_COMMANDS if is_angle else 1.0
+        share = reached_rad / max(high - low, used * float(np.ptp(ends)))
+    else:
+        # Without limits of its command, a servo takes an angle.
+        share = 1.0 if is_angle else min(per_control, 1.0 / per_control)
     found = Finding(value=share if share >= 0.0 else -np.inf, remark=name)
     if share >= limits_of("robot-command")[0]:
         return found

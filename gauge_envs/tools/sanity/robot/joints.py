@@ -66,6 +66,15 @@ def servos(model: mujoco.MjModel) -> NDArray[np.bool_]:
 
 
 def torque_limits(model: mujoco.MjModel) -> FloatArray:
+    """Return the largest force of actuators and joint on each degree of freedom [N or Nm], as `motor_limits` does."""
+    limits = motor_limits(model)
+    for joint in np.flatnonzero(model.jnt_actfrclimited).tolist():
+        dof = int(model.jnt_dofadr[joint])
+        limits[dof] = min(limits[dof], np.abs(model.jnt_actfrcrange[joint]).max())
+    return limits
+
+
+def motor_limits(model: mujoco.MjModel) -> FloatArray:
     """Return the largest force of the actuators on each degree of freedom [N or Nm], shape [nv].
 
     It is infinite where no limit is stated, and 0 where nothing acts.
@@ -91,10 +100,6 @@ def torque_limits(model: mujoco.MjModel) -> FloatArray:
             )
         dof = int(model.jnt_dofadr[joint])
         limits[dof] += abs(float(model.actuator_gear[actuator, 0])) * largest
-        if model.jnt_actfrclimited[joint]:
-            limits[dof] = min(
-                limits[dof], float(np.abs(model.jnt_actfrcrange[joint]).max())
-            )
     return limits
 
 

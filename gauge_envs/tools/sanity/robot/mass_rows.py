@@ -12,7 +12,7 @@ from gauge_envs.scene import GRAVITY_M_PER_S2, Vector
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.robot.finding import Finding, body_name, limits_of, row
 from gauge_envs.tools.sanity.robot.ground_rows import geoms_of
-from gauge_envs.tools.sanity.robot.joints import placed_bodies
+from gauge_envs.tools.sanity.robot.joints import placed_bodies, start
 from gauge_envs.tools.sanity.robot.mujoco_feet import geom_name, shortened
 from gauge_envs.tools.sanity.robot.robot import Robot, once
 
@@ -24,6 +24,9 @@ FAR_CENTRE = 0.5
 
 It is 0 in 36 of 38 models of makers, and 0.26 in the Tiago of robosuite.
 """
+
+AT_ORIGIN = 0.15
+"""Distance of the middle of a link from its origin over its size from which on its centre of mass is elsewhere too."""
 
 UNIT_ERRORS = {
     1e3: "a density in g/cm^3 or a mass in tonnes",
@@ -75,6 +78,18 @@ def _points(robot: Robot, body: int) -> FloatArray:
     joints = model.jnt_pos[model.jnt_bodyid == body]
     corners = box_corners(model, geoms_of(robot, body))
     return np.vstack([corners, model.body_pos[children], joints])
+
+
+@once
+def size_m(robot: Robot) -> float:
+    """Return the diagonal of the box around a robot where it starts [m]; 0 without one."""
+    data = start(robot)
+    places = [np.zeros((0, 3))]
+    for body in robot.bodies:
+        turn = data.xmat[body].reshape(3, 3)
+        places.append(data.xpos[body] + _points(robot, body) @ turn.T)
+    every = np.vstack(places)
+    return float(np.linalg.norm(np.ptp(every, axis=0))) if len(every) else 0.0
 
 
 def _box(robot: Robot, body: int) -> tuple[FloatArray, FloatArray]:
@@ -185,6 +200,7 @@ def _inertia(robot: Robot) -> Finding:
     found, worst, changes = Finding(declined="the shape of no link is known"), 0.0, {}
     shares: dict[str, float] = {}
     far: list[tuple[float, str, float, float]] = []
+    at_origin: list[str] = []
     # Of a screen or a frame beside it nothing depends.
     least_kg = 1e-5 * robot.mass_kg
     placed = placed_bodies(robot.model)
@@ -195,11 +211,14 @@ def _inertia(robot: Robot) -> Finding:
         if not (mass_kg > max(MASSLESS_KG, least_kg) and reach_m > 0.0):
             continue
         low_m, high_m = _box(robot, body)
-        centre_m, size_m = robot.model.body_ipos[body], high_m - low_m
+        centre_m = robot.model.body_ipos[body]
         beyond_m = np.maximum(np.maximum(low_m - centre_m, centre_m - high_m), 0.0)
         away_m = float(np.linalg.norm(beyond_m))
-        diagonal_m = max(float(np.linalg.norm(size_m)), 1e-9)
+        diagonal_m = max(float(np.linalg.norm(high_m - low_m)), 1e-9)
         name = body_name(robot, body)
+        middle_m = float(np.linalg.norm(0.5 * (low_m + high_m)))
+        if middle_m > AT_ORIGIN * diagonal_m and not centre_m.any():
+            at_origin.append(name)
         if away_m > FAR_CENTRE * diagonal_m:
             far.append((away_m / diagonal_m, name, away_m, diagonal_m))
         inertia = robot.model.body_inertia[body]
@@ -224,5 +243,13 @@ def _inertia(robot: Robot) -> Finding:
             parts=shares | {f"centre of mass of {one}": np.inf for _, one, *_ in far},
             remark=f"centre of mass of {name}: {away_m:.3g} m outside of a link of {diagonal_m:.2g} m",
             advice=f"the centre of mass of {name} in the frame of its body, in metres",
+        )
+    if 2 * len(at_origin) > len(shares):
+        return Finding(
+            value=np.inf,
+            parts=shares | {f"centre of mass of {one}": np.inf for one in at_origin},
+            remark=f"the centres of mass of {len(at_origin)} of {len(shares)} links are the origins of their bodies, "
+            "and their shapes lie beside them",
+            advice="the `pos` of each `inertial`, from the data of its part",
         )
     return replace(found, changes=changes, parts=shares)

@@ -185,7 +185,7 @@ def read_foot(
     ]
     return FootGeometry(
         name=model.body(body).name or f"body {body}",
-        geoms=_geoms_text(model, feet[body], body),
+        geoms=_geoms_text(model, feet[body]),
         parts=_parts(
             model, standing.stance, {geom: support[geom] for geom in feet[body]}
         ),
@@ -397,9 +397,8 @@ def _vertices_m(model: mujoco.MjModel, geom: int) -> FloatArray:
     return model.mesh_vert[first : first + model.mesh_vertnum[mesh]].astype(np.float64)
 
 
-def _geoms_text(model: mujoco.MjModel, geoms: Sequence[int], body: int) -> str:
-    owner = model.body(body).name or f"body {body}"
-    names = [model.geom(geom).name or f"geom {geom} of {owner}" for geom in geoms]
+def _geoms_text(model: mujoco.MjModel, geoms: Sequence[int]) -> str:
+    names = [geom_name(model, geom) for geom in geoms]
     known = {"MESH": "hull of a mesh"} | {
         kind: name for kind, (name, _) in SOLIDS.items()
     }

@@ -6,13 +6,11 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from gauge_envs.tools.sanity.phenomena.base import facts
 from gauge_envs.tools.sanity.robot.finding import body_name, joint_name
 from gauge_envs.tools.sanity.robot.joints import servos, start
 from gauge_envs.tools.sanity.robot.mujoco_feet import joints_of
 from gauge_envs.tools.sanity.robot.robot import JOINT_TRANSMISSIONS, Robot
-
-ALIKE = 0.05
-"""Relative difference up to which two values count as the same, but for lengths and angles."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,66 +26,12 @@ class Quantity:
 
     title: str
     unit: str
-    least: float = 0.0
-    ratio: float = ALIKE
+    least: float
+    ratio: float
 
 
 QUANTITIES: Mapping[str, Quantity] = {
-    "mass": Quantity(title="mass of a link", unit="kg", least=1e-3),
-    "inertia": Quantity(
-        title="principal moment of inertia of a link", unit="kg m^2", least=1e-6
-    ),
-    "centre-of-mass": Quantity(
-        title="place of a link's centre of mass", unit="m", least=2e-3, ratio=0.0
-    ),
-    "link-place": Quantity(
-        title="place of a link in the one that carries it",
-        unit="m",
-        least=1e-3,
-        ratio=0.0,
-    ),
-    "joint-axis": Quantity(
-        title="component of a joint's axis, in the pose of the model",
-        unit="1",
-        least=0.02,
-        ratio=0.0,
-    ),
-    "joint-range": Quantity(
-        title="limit of a joint", unit="rad or m", least=0.01, ratio=0.0
-    ),
-    "pose": Quantity(
-        title="place of a joint at the start", unit="rad or m", least=0.01, ratio=0.0
-    ),
-    "kp": Quantity(title="stiffness of a servo (kp)", unit="N m/rad or N/m"),
-    "kv": Quantity(title="damping of a servo (kv)", unit="N m s/rad or N s/m"),
-    "motor-gain": Quantity(
-        title="force of a motor for a control of 1", unit="N m or N"
-    ),
-    "motor-limit": Quantity(title="largest force of a motor", unit="N m or N"),
-    "control-range": Quantity(title="limit of a control", unit="of the control"),
-    "motor-lag": Quantity(title="time constant of a motor", unit="s", least=1e-4),
-    "motor-delay": Quantity(title="delay of a motor", unit="s", least=1e-4),
-    "motor-damping": Quantity(title="damping of a motor", unit="N m s/rad or N s/m"),
-    "motor-armature": Quantity(title="armature of a motor", unit="kg m^2 or kg"),
-    "motor-order": Quantity(
-        title="place of a motor among the controls", unit="1", ratio=0.0
-    ),
-    "damping": Quantity(
-        title="damping of a joint", unit="N m s/rad or N s/m", least=1e-4
-    ),
-    "frictionloss": Quantity(
-        title="dry friction of a joint", unit="N m or N", least=1e-4
-    ),
-    "armature": Quantity(title="armature of a joint", unit="kg m^2 or kg", least=1e-6),
-    "stiffness": Quantity(title="spring of a joint", unit="N m/rad or N/m", least=1e-4),
-    "delay": Quantity(
-        title="longest delay from an observation to the torque",
-        unit="s",
-        least=1e-4,
-    ),
-    "action-scale": Quantity(
-        title="angle of a servo's target for an action of 1", unit="rad"
-    ),
+    name: Quantity(**stated) for name, stated in facts("robot_quantities").items()
 }
 """Quantities by the id of their row in a comparison."""
 

@@ -29,6 +29,7 @@ from gauge_envs.tools.sanity.robot.joints import (
     joint_inertias,
     largest_weights_nm,
     loads_nm,
+    motors_of,
     position_servos,
     servo_gains,
     servos,
@@ -133,10 +134,7 @@ def hold_pose(robot: Robot, slope_deg: float = 0.0) -> HoldMotion:
     share = 1.0 / (steps - first_late)
     for step in range(steps):
         mujoco.mj_step(model, data)
-        if (
-            data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number
-            or not np.isfinite(data.qpos).all()
-        ):
+        if _has_diverged(data):
             return HoldMotion(diverged_s=(step + 1) * float(model.opt.timestep))
         if step == first_late:
             soles_before_m = data.geom_xpos[soles]
@@ -193,6 +191,46 @@ def pushed_m(robot: Robot) -> FloatArray:
     return np.array(moved_m)
 
 
+SINE_RAD, SINES_HZ, SERVO_HZ = 0.2, (0.7, 1.6), 3.0
+"""Amplitude of the sines that joints follow, first and last frequency, and the servo that motors get for it.
+
+The middle servo of makers' models has 1.6 to 31 Hz.
+"""
+
+
+def follow_sines(robot: Robot) -> float:
+    """Return the time at which a robot diverges while its joints follow sines without contact [s]; infinite if not."""
+    model = robot.without("contact", "gravity")
+    data = start(robot, model)
+    motors = motors_of(robot)
+    joints = model.actuator_trnid[motors, 0]
+    places, dofs = model.jnt_qposadr[joints], model.jnt_dofadr[joints]
+    gains, gears = model.actuator_gainprm[motors, 0], model.actuator_gear[motors, 0]
+    per_nm = 1.0 / np.where(gains * gears, gains * gears, np.inf)
+    stiffness_nm = -model.actuator_biasprm[motors, 1] * gears**2
+    is_servo = servos(model)[motors]
+    begin_rad, begin_ctrl = data.qpos[places], data.ctrl[motors]
+    rate_per_s = 2.0 * np.pi * SERVO_HZ
+    phases_per_s = 2.0 * np.pi * np.linspace(*SINES_HZ, len(motors))
+    step_s = float(model.opt.timestep)
+    for step in range(round(FREE_S / step_s)):
+        sines_rad = SINE_RAD * np.sin(phases_per_s * data.time)
+        errors_rad = begin_rad + sines_rad - data.qpos[places]
+        damped = rate_per_s * errors_rad - 1.4 * data.qvel[dofs]
+        torques_nm = joint_inertias(robot)[dofs] * rate_per_s * damped
+        servo_ctrl = begin_ctrl + stiffness_nm * sines_rad * per_nm
+        data.ctrl[motors] = np.where(is_servo, servo_ctrl, torques_nm * per_nm)
+        mujoco.mj_step(model, data)
+        if _has_diverged(data):
+            return (step + 1) * step_s
+    return np.inf
+
+
+def _has_diverged(data: mujoco.MjData) -> bool:
+    is_bad = data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number > 0
+    return is_bad or not np.isfinite(data.qpos).all()
+
+
 def _ground_loads_n(robot: Robot, data: mujoco.MjData) -> Iterator[tuple[int, float]]:
     """Yield the body and the normal force [N] of each contact between a robot and the ground."""
     model, force = robot.model, np.zeros(6)
@@ -235,10 +273,16 @@ def _advisory(robot: Robot) -> str:
 def _finite(robot: Robot) -> Finding:
     if not robot.model.nv:
         return Finding(declined="the model has no joint")
-    diverged_s = hold_pose(robot).diverged_s
+    diverged_s, motion = hold_pose(robot).diverged_s, "it is held"
+    if np.isinf(diverged_s):
+        diverged_s, motion = follow_sines(robot), "its joints follow sines of 0.2 rad"
     if np.isinf(diverged_s):
         return Finding(value=1.0)
-    return Finding(value=diverged_s / HOLD_S, remark=f"diverges at {diverged_s:.3g} s")
+    return Finding(
+        value=min(diverged_s / HOLD_S, 0.5),
+        remark=f"diverges at {diverged_s:.3g} s while {motion}, with a step of {robot.model.opt.timestep:g} s",
+        advice="a shorter step",
+    )
 
 
 @row("robot-stands")

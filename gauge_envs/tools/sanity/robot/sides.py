@@ -14,10 +14,16 @@ from gauge_envs.tools.sanity.robot.joints import (
     driven_dofs,
     driven_joints,
     servo_gains,
+    springs,
     torque_limits,
 )
 from gauge_envs.tools.sanity.robot.mujoco_feet import joints_of
-from gauge_envs.tools.sanity.robot.robot import Robot, couplings_of, once
+from gauge_envs.tools.sanity.robot.robot import (
+    Robot,
+    acts_on_joints,
+    couplings_of,
+    once,
+)
 
 SAME_PLACE_M = 0.01
 """Distance of a joint from the mirror image of another one up to which they are in the same place [m]."""
@@ -259,7 +265,6 @@ def odd_copies(robot: Robot) -> Iterator[tuple[int, int, str, float]]:
     is_copy = np.all([apart(one) <= SAME for one in links], axis=0)
     np.fill_diagonal(is_copy, False)
     driven = {n: one[dofs] for n, one in known.items() if n not in OF_LINKS}
-    driven["range"] = np.ptp(model.jnt_range[joints], axis=1)
     along = np.abs(model.jnt_axis[joints]).max(axis=1)
     driven["obliqueness"] = np.sqrt(np.maximum(1.0 - along**2, 0.0))
     for quantity, values in driven.items():
@@ -301,7 +306,8 @@ def differences(robot: Robot, pair: MirrorPair) -> Iterator[tuple[str, float]]:
     # Of two fingers that a coupling closes, one has the motor.
     follows = bool(followers & {pair.joint, pair.other})
     for name, values in quantities(robot).items():
-        if follows and name in OF_MOTORS:
+        if name == "range" or (follows and name in OF_MOTORS):
+            # The ranges of two sides are a row of their own.
             continue
         both = values[_places(robot, name)[[pair.joint, pair.other]]]
         difference = float(apart(both)[0, 1])
@@ -309,10 +315,12 @@ def differences(robot: Robot, pair: MirrorPair) -> Iterator[tuple[str, float]]:
             yield name, difference
 
 
-OF_LINKS = frozenset({"mass", "inertia", "collisions", "friction"})
+OF_LINKS = frozenset({"mass", "inertia", "collisions", "friction", "size", "softness"})
 """Quantities of links; the others are of joints."""
 
-OF_MOTORS = frozenset({"kp", "damping", "largest torque"})
+OF_MOTORS = frozenset(
+    {"kp", "damping", "largest torque", "torque per control", "command", "filter"}
+)
 """Quantities that a joint has through its motor."""
 
 
@@ -324,6 +332,7 @@ def quantities(robot: Robot) -> dict[str, FloatArray]:
     """
     model = robot.model
     collisions, friction = np.zeros(model.nbody), np.full(model.nbody, np.nan)
+    size_m, softness_s = np.zeros(model.nbody), np.full(model.nbody, np.nan)
     touching = np.unique(robot.pairs.geoms)
     for body in robot.bodies:
         geoms = [geom for geom in geoms_of(robot, body) if geom in touching]
@@ -331,14 +340,35 @@ def quantities(robot: Robot) -> dict[str, FloatArray]:
             collisions[body] = 1.0
             has_friction = model.geom_condim[geoms] > 1
             friction[body] = (model.geom_friction[geoms, 0] * has_friction).min()
+            size_m[body] = np.cbrt(model.geom_aabb[geoms, 3:].prod(axis=1).max())
+            softness_s[body] = model.geom_solref[geoms, 0].max()
+    is_range = model.jnt_limited[model.dof_jntid] != 0
     return {
         "mass": model.body_mass,
         "inertia": model.body_inertia.sum(axis=1),
         "collisions": collisions,
         "friction": friction,
+        "size": size_m,
+        "softness": softness_s,
+        "range": np.ptp(model.jnt_range[model.dof_jntid], axis=1) * is_range,
+        "spring": springs(model)[model.dof_jntid],
+        "torque per control": _of_motors(robot, np.abs(model.actuator_gainprm[:, 0])),
+        "command": _of_motors(robot, np.ptp(model.actuator_ctrlrange, axis=1)),
+        "filter": _of_motors(robot, model.actuator_dynprm[:, 0]),
         "kp": servo_gains(model, 1),
         "damping": model.dof_damping + servo_gains(model, 2),
         "armature": model.dof_armature,
         "frictionloss": model.dof_frictionloss,
         "largest torque": torque_limits(model),
     }
+
+
+def _of_motors(robot: Robot, values: FloatArray) -> FloatArray:
+    """Return a number of the actuators, times their gears, on each degree of freedom, shape [nv]."""
+    model = robot.model
+    found = np.zeros(model.nv)
+    is_on_joint = acts_on_joints(model)
+    scaled = np.abs(model.actuator_gear[:, 0]) * values
+    dofs = model.jnt_dofadr[model.actuator_trnid[is_on_joint, 0]]
+    np.add.at(found, dofs, scaled[is_on_joint])
+    return found

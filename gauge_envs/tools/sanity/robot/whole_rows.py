@@ -30,7 +30,11 @@ from gauge_envs.tools.sanity.robot.ground_rows import (
 )
 from gauge_envs.tools.sanity.robot.joints import driven_dofs, start
 from gauge_envs.tools.sanity.robot.knees import wrong_knees
-from gauge_envs.tools.sanity.robot.mass_rows import SIGNS, box_corners
+from gauge_envs.tools.sanity.robot.mass_rows import (
+    SIGNS,
+    box_corners,
+    size_m,
+)
 from gauge_envs.tools.sanity.robot.mujoco_feet import (
     first_moving_body,
     joints_of,
@@ -53,6 +57,9 @@ GIVE_STEPS = 14
 STOP_RAD_PER_S2 = 100.0
 """Acceleration that a stop takes up at most: that of a strong motor [rad/s^2]."""
 
+LEAST_STEPS, BOUNCING = 0.5, 0.2
+"""Steps in the time constant of a stop, and its damping ratio, below which it throws back; makers have 1 and 1."""
+
 LEAST_TIP_M = 0.0025
 """Size below which a geom is a point of a larger pad; MuJoCo's default torsional friction of 5 mm fits it [m]."""
 
@@ -69,27 +76,14 @@ SAME_LEG_M = 0.01
 # --- size, mass, medium ----------------------------------------------------------------------------------------------
 
 
-def _size_m(robot: Robot) -> float:
-    """Return the diagonal of the box around a robot [m]; 0 without one."""
-    model, data = robot.model, start(robot)
-    points = [data.xpos[robot.bodies]]
-    for body in robot.bodies:
-        for geom in geoms_of(robot, body):
-            turn = data.geom_xmat[geom].reshape(3, 3)
-            box = model.geom_aabb[geom, :3] + SIGNS * model.geom_aabb[geom, 3:]
-            points.append(data.geom_xpos[geom] + box @ turn.T)
-    every = np.vstack(points)
-    return float(np.linalg.norm(np.ptp(every, axis=0))) if len(every) else 0.0
-
-
 @row("robot-size")
 def _size(robot: Robot) -> Finding:
     if not robot.bodies:
         return Finding(declined="the model has no robot")
-    size_m = _size_m(robot)
-    unit = "millimetres" if size_m > 1.0 else "kilometres"
+    diagonal_m = size_m(robot)
+    unit = "millimetres" if diagonal_m > 1.0 else "kilometres"
     return Finding(
-        value=size_m,
+        value=diagonal_m,
         remark=f"{robot.mass_kg:.3g} kg",
         advice=f"lengths in metres, not in {unit}: `pos`, `size`, `fromto` and the `scale` of meshes",
     )
@@ -272,6 +266,10 @@ def _stops(robot: Robot) -> Finding:
         outside_mrad[f"{joint_name(robot, dof)} where it starts"] = 1e3 * outside_rad
         load_nm = STOP_RAD_PER_S2 / max(float(model.dof_invweight0[dof]), 1e-9)
         gives_mrad[dof] = 1e3 * give(model, data, beyond, dof, min(load_nm, limit_nm))
+        time_constant_s, damping_ratio = model.jnt_solref[joint]
+        shortest_s = LEAST_STEPS * model.opt.timestep
+        if 0.0 < time_constant_s < shortest_s or 0.0 < damping_ratio < BOUNCING:
+            gives_mrad[dof] = np.inf
         if gives_mrad[dof] > limits_of("robot-stops")[1]:
             changes[f"jnt_solref[{joint}]"] = np.array([0.02, 1.0])
             changes[f"jnt_solimp[{joint}]"] = np.array([0.9, 0.95, 0.001, 0.5, 2.0])
@@ -450,7 +448,7 @@ def _two_feet(robot: Robot) -> list[list[int]]:
     if distance_m > SAME_LEG_M and along_m < 0.5 * distance_m:
         raise NotApplicableError("one of the two legs stands behind the other")
     ground_m = min(float(point[2]) for point in standing.support_m.values())
-    if standing_centre(robot, data)[2] - ground_m < LYING_SHARE * _size_m(robot):
+    if standing_centre(robot, data)[2] - ground_m < LYING_SHARE * size_m(robot):
         raise NotApplicableError("the robot lies in its initial pose")
     return alike
 
