@@ -23,11 +23,16 @@ from gauge_envs.tools.sanity.robot.joints import (
     driven_dofs,
     joint_inertias,
     servo_gains,
+    servos,
     stiffness,
 )
 from gauge_envs.tools.sanity.robot.mass_rows import size_m
 from gauge_envs.tools.sanity.robot.robot import Robot
-from gauge_envs.tools.sanity.robot.rollout import hold_pose
+from gauge_envs.tools.sanity.robot.rollout import (
+    PUSH_SHARES,
+    hold_pose,
+    pushed_m,
+)
 from gauge_envs.tools.sanity.target_checks import robot_row
 
 EVERY = ("arm", "quadruped", "biped", "hand")
@@ -95,6 +100,16 @@ def of_speed(actuator, scale):
     actuator.biasprm[1], actuator.biasprm[2] = 0.0, -scale * actuator.gainprm[0]
 
 
+def pushing(actuator, _):
+    """Let a servo push its joint away."""
+    actuator.biasprm[1] *= -1.0
+
+
+def geared(actuator, _):
+    """State the ratio of the gear beside a torque of the joint."""
+    actuator.gear[0] *= 100.0
+
+
 def swapped(spec, chance):
     """Let two motors act on the joints of each other."""
     for one in spec.actuators:
@@ -146,6 +161,16 @@ def soft_stop(one, _):
     one.solref_limit, one.solimp_limit = [0.4, 1.0], [0.5, 0.6, 0.01, 0.5, 2.0]
 
 
+def throwing(one, _):
+    """Let the stop of a joint throw it back."""
+    one.solref_limit = [0.02, 0.02]
+
+
+def sprung(one, _):
+    """Leave a spring beside the motor of a joint."""
+    one.stiffness = np.eye(3)[0] * 2.0 if np.ndim(one.stiffness) else 2.0
+
+
 def bare(one, _):
     """Take the class of a joint away."""
     one.armature, one.frictionloss, one.damping = 0.0, 0.0, [0.0, 0.0, 0.0]
@@ -180,6 +205,15 @@ def weight(mass, inertia):
 def away(body):
     """Give the centre of mass in another frame."""
     body.ipos = body.ipos + np.array([0.3, 0.4, 0.5])
+
+
+def at_origins(spec, _):
+    """Put all centres of mass at the origins of their links."""
+    model = spec.copy().compile()
+    for body in spec.bodies[1:]:
+        body.explicitinertial, body.ipos = True, [0.0, 0.0, 0.0]
+        body.mass = float(model.body(body.name).mass[0])
+        body.inertia = model.body(body.name).inertia
 
 
 def weightless(body):
@@ -313,6 +347,11 @@ CLASSES = {
     "a narrow command": fault("command", servo(narrow)),
     "a command of half a range": fault("command", half),
     "a servo of speed": fault("command", servo(of_speed)),
+    "a servo that pushes": fault("command", servo(pushing)),
+    "a gear beside its torque": fault("torque command", servo(geared)),
+    "a spring": fault("sag", joint(sprung)),
+    "a stop that throws back": fault("stops", joint(throwing)),
+    "centres of mass at origins": fault("inertia", at_origins, ("arm", *LEGGED)),
     "two swapped motors": fault("command", swapped),
     "a filter": fault("delay", servo(filtered)),
     "a range of degrees as radians": fault(
@@ -428,10 +467,12 @@ def numbers(robot: Robot) -> Iterator[tuple[str, float]]:
         for name, value in of_joint.items():
             if all(is_stated.get(word, True) for word in name.split()):
                 yield name, float(value)
-    for slope_deg in (0.0, 10.0):
-        motion = hold_pose(robot, slope_deg)
-        yield f"pose on {slope_deg:g} degrees", motion.pose_error_rad
-        yield f"height on {slope_deg:g} degrees", motion.height_ratio
+    motion = hold_pose(robot)
+    yield "error of the held pose", motion.pose_error_rad
+    yield "height of the held pose", motion.height_ratio
+    if servos(model).any():
+        for share, moved_m in zip(PUSH_SHARES, pushed_m(robot), strict=True):
+            yield f"push of {share:g} weights", float(moved_m) / size_m(robot)
 
 
 def outside_makers(robot: Robot) -> tuple[float, str]:

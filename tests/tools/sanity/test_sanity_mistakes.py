@@ -82,6 +82,11 @@ def names(case):
         ("hand, a foot of condim 1", "robot-friction"),
         ("hand, a coupling per degree", "robot-coupling"),
         ("hand, a coupling that is off", "robot-coupling"),
+        ("arm, a servo that pushes", "robot-command"),
+        ("quadruped, a gear beside its torque", "robot-torque"),
+        ("biped, a spring", "robot-alike"),
+        ("arm, a stop that throws back", "robot-stops"),
+        ("quadruped, centres of mass at origins", "robot-inertia"),
     ],
 )
 def test_a_row_is_flagged_for_its_mistake(case, row):
@@ -125,6 +130,15 @@ def test_a_knee_that_bends_towards_the_toes_is_wrong(toes_m, is_wrong):
         spec.body(f"{side}_foot").geoms[0].pos[0] = toes_m
     remark = robot_row("robot-balance", robot_of(spec.to_xml())).remark
     assert remark.startswith("towards the toes bends left_knee") == is_wrong
+
+
+@pytest.mark.parametrize(("step_s", "is_finite"), [(0.054, True), (0.057, False)])
+def test_a_motor_diverges_under_sines_by_the_law_of_its_step(step_s, is_finite):
+    """A servo of w = 6 pi/s and damping 1.4 w in steps h is stable up to w^2 h^2 + 2.8 w h = 4, which is 0.0552 s."""
+    xml = f"""<mujoco><option timestep="{step_s}"/><worldbody><body><joint name="j"/>
+      <geom size=".1" pos=".1 0 0" mass="1"/></body></worldbody>
+      <actuator><motor joint="j" ctrlrange="-1e15 1e15"/></actuator></mujoco>"""
+    assert (robot_row("robot-holds", robot_of(xml)).configured == 1.0) == is_finite
 
 
 def test_an_oblique_axis_is_unlike_those_of_the_copies():

@@ -197,6 +197,9 @@ SINE_RAD, SINES_HZ, SERVO_HZ = 0.2, (0.7, 1.6), 3.0
 The middle servo of makers' models has 1.6 to 31 Hz.
 """
 
+FEW_STEPS = 500
+"""Steps in which a motion shows that it grows."""
+
 
 def follow_sines(robot: Robot) -> float:
     """Return the time at which a robot diverges while its joints follow sines without contact [s]; infinite if not."""
@@ -213,7 +216,7 @@ def follow_sines(robot: Robot) -> float:
     rate_per_s = 2.0 * np.pi * SERVO_HZ
     phases_per_s = 2.0 * np.pi * np.linspace(*SINES_HZ, len(motors))
     step_s = float(model.opt.timestep)
-    for step in range(round(FREE_S / step_s)):
+    for step in range(max(FEW_STEPS, round(FREE_S / step_s))):
         sines_rad = SINE_RAD * np.sin(phases_per_s * data.time)
         errors_rad = begin_rad + sines_rad - data.qpos[places]
         damped = rate_per_s * errors_rad - 1.4 * data.qvel[dofs]
