@@ -8,6 +8,7 @@ from urllib.parse import quote
 from xml.etree import ElementTree
 
 from gauge_envs.files import versions
+from gauge_envs.pages.text import shortened
 from gauge_envs.tools.sanity.comparison import Change, Comparison
 from gauge_envs.tools.sanity.comparison_words import change_text, comparison_line
 from gauge_envs.tools.sanity.model import PhenomenonResult, Report, Verdict
@@ -28,7 +29,9 @@ LEVELS = {Verdict.WRONG: "error", Verdict.VISIBLE: "warning"}
 def _message(row: PhenomenonResult) -> str:
     """Return what a row found, in one line."""
     found = f"{measured_text(row.configured)} instead of {reality_text(row.reality, row.unit)} ({verdict_text(row)})"
-    return f"{row.title}: {found}. {responsible_text(row)}".strip()
+    parts = [one.name for one in row.parts if one.verdict.is_off]
+    several = f"In {shortened(parts)}. " if len(parts) > 1 else ""
+    return f"{row.title}: {found}. {several}{responsible_text(row)}".strip()
 
 
 def _unmeasured_text(row: PhenomenonResult) -> str:

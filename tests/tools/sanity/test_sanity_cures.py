@@ -99,8 +99,6 @@ BY_HAND = {
 
 ALL = MORE_MISTAKES | MORE_LATER
 FIRST = {row: name for name, (_, row) in reversed(ALL.items())}.values()
-ALIKE_IS_LEFT = {"biped, kp per degree": {"robot-alike"}}
-"""Rows that are left after the cure of a mistake: a damping that fits this gain is unlike those of the other joints."""
 LAG_IS_LEFT = {"hand, armature in g cm^2"}
 """Mistakes after whose cure another row is still flagged."""
 
@@ -126,8 +124,7 @@ def test_the_written_robot_has_the_flags_that_are_left(name, tmp_path):
         return
     after = read(mended_xml(before.robot, found.changes, found.texts, tmp_path))
     assert row not in flags_of(after)
-    left = flags_of(after) - ALIKE_IS_LEFT.get(name, set())
-    assert left == set() or name in LAG_IS_LEFT | {
+    assert flags_of(after) == set() or name in LAG_IS_LEFT | {
         other for other in ALL if ALL[other][1] in BY_HAND
     }
 

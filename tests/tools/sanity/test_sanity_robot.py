@@ -8,7 +8,7 @@ import pytest
 from robot_faults import FAULTS, good_xml
 from wobbling import told
 
-from gauge_envs.tools.sanity import check
+from gauge_envs.tools.sanity import check, formats
 from gauge_envs.tools.sanity.cure import applied
 from gauge_envs.tools.sanity.model import Need, Verdict
 from gauge_envs.tools.sanity.phenomena import ROBOT_IDS, phenomenon
@@ -500,3 +500,8 @@ def test_a_change_that_does_not_reach_a_geom_is_no_cure():
     changed, own = robot.changed({"contact_margin_m": 0.0})
     assert own == {"contact_margin_m": [floor]} and not changed.geom_margin.any()
     assert robot.model.geom_margin[floor] == pytest.approx(0.02)
+
+
+def test_a_message_names_all_parts_of_a_row():
+    message = formats._message(row("robot-damping", FAULTS["damping_by_40"].xml()))
+    assert "FL_hip" in message and "RR_knee" in message

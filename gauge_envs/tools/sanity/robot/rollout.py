@@ -10,6 +10,7 @@ from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.robot.finding import (
     NOT_STANDING,
+    ROWS,
     Finding,
     NotApplicableError,
     NotMeasuredError,
@@ -482,6 +483,8 @@ def _lag(robot: Robot) -> Finding:
             continue
         worst, name = ratio, joint_name(robot, dof)
         advice = "less damping or armature, kv in Nm s/rad, or more kp"
+        if has_stiff_servos(robot):
+            advice = "kp in Nm/rad and kv in Nm s/rad, not per degree"
         if half_ms < low_ms:
             advice = (
                 "the armature of its rotor and gear, its forcerange, and kp in Nm/rad"
@@ -496,6 +499,12 @@ def _lag(robot: Robot) -> Finding:
             advisory=NO_ROTOR if is_bare else "",
         )
     return replace(found, parts=by_joint(robot, halves_ms))
+
+
+def has_stiff_servos(robot: Robot) -> bool:
+    """Return whether weights deflect no servo as much as real ones, as with gains per degree."""
+    sag = ROWS["robot-sag"](robot)
+    return not sag.declined and sag.value < limits_of("robot-sag")[0]
 
 
 @once

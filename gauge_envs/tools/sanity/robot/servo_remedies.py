@@ -26,6 +26,7 @@ from gauge_envs.tools.sanity.robot.remedy import (
 from gauge_envs.tools.sanity.robot.robot import Robot
 from gauge_envs.tools.sanity.robot.rollout import (
     deflecting_nm,
+    has_stiff_servos,
     lone_half_step_s,
     servo_responses,
 )
@@ -224,6 +225,8 @@ def _lag(robot: Robot) -> Iterator[Remedy]:
         shares = [rounded(scale**2), *SHARES]
         yield from _scaled(robot, fast, shares, 0.5)
     if slow:
+        if has_stiff_servos(robot):
+            yield from _units(robot, position_servos(robot))
         for unit in (PER_DEGREE, 1e3):
             yield gains(robot, slow, kv=1.0 / unit)
         for dof in (dof_of(robot, a) for a in slow[:1]):
