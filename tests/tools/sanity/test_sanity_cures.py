@@ -3,6 +3,7 @@
 Cures of other robots are written, and read again.
 """
 
+import re
 import xml.etree.ElementTree as ET
 
 import more_faults
@@ -296,3 +297,15 @@ def test_a_change_of_contacts_with_which_a_pushed_robot_slips_is_refused(monkeyp
     slips_m = {id(robot): [0.01, 0.02], id(after.robot): [0.009, 0.1]}
     monkeypatch.setattr(behaviour, "pushed_m", lambda one: slips_m[id(one)])
     assert harm(before, after, remedy).startswith("a push of 0.1 of its weight")
+
+
+def test_a_class_of_one_joint_is_changed_with_it(tmp_path):
+    classes = '<default><default class="one"><joint armature="0.123"/></default>'
+    text = good_xml().replace("<default>", classes, 1)
+    text = re.sub(r'(name="joint1".*) armature="0.1"', r'class="one" \1', text)
+    robot = read(text).robot
+    assert robot.model.dof_armature[0] == pytest.approx(0.123)
+    written = mended_xml(robot, {"dof_armature[0]": 0.5}, [], tmp_path)
+    tree = ET.fromstring(written)
+    stated = [one.get("armature") for one in tree.iter("joint") if one.get("armature")]
+    assert "0.5" in stated and "0.123" not in stated

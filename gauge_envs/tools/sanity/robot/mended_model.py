@@ -270,7 +270,7 @@ def _set_elements(
             for one in members
             if np.array_equal(getattr(one, field), getattr(default, field))
         ]
-        if len(taking) > 1 and {one.id for one in taking} <= set(several):
+        if taking and {one.id for one in taking} <= set(several):
             _set(default, field, value)
     for element in elements:
         if element.id in several:
