@@ -443,6 +443,7 @@ def video_render(
 
     gauge video score judges it.
     """
+    from gauge_envs.tools.video import Motion
     from gauge_envs.tools.video.render import film
 
     filmed = film(
@@ -456,3 +457,7 @@ def video_render(
     track = filmed.save(out)
     echo(out)
     echo(track)
+    if filmed.task.motion is Motion.CRADLE:
+        message(
+            f"gauge video score will not call its track sound, as its balls look alike: score {track} instead"
+        )

@@ -14,6 +14,7 @@ from scipy.special import stdtrit
 from gauge_envs.errors import VideoError
 from gauge_envs.pages.document import Document, Heading, Paragraph, Part, page
 from gauge_envs.pages.html import Html, element, join, listed
+from gauge_envs.pages.svg import CurvePanel, curve_panel
 from gauge_envs.pages.table import Column, Table
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.video import (
@@ -185,6 +186,9 @@ PICTURES = 6
 """Frames of a video that the page shows."""
 
 PICTURE_WIDTH_PX = 416
+
+TRACK_COLOR, LAW_COLOR = "#c46a1b", "#2f7d4f"
+"""Colours of the curves."""
 
 VALUES_NOTE = (
     "Mean over the clips (seeds) of a model whose track is sound, and their share. Interval of 95 %: of the mean by "
@@ -394,8 +398,31 @@ def _clip(model: str, result: VideoScore, file: Path) -> Html:
             element("p", element("b", name), text),
             listed((*result.reasons, *result.findings)),
             pictures,
+            element("figure", _curve(result)),
         ]
     )
+
+
+def _curve(result: VideoScore) -> Html:
+    """Return the way of an object over time, and that of the law where it is released from rest."""
+    track, law = result.track, video_task(result.task).law
+    places_mm = 1e3 * result.scale_m_per_px * track.points_px
+    first_mm = places_mm[track.is_found][:1]
+    way_mm = np.linalg.norm(places_mm - first_mm, axis=1) if len(first_mm) else None
+    curves = []
+    if way_mm is not None:
+        curves.append(((TRACK_COLOR, False), "track", track.times_s, way_mm))
+        release_s = result.details.get("release_s", math.inf)
+        since_s = np.maximum(track.times_s - release_s, 0.0)
+        lawful_mm = 500.0 * law.get("a", math.nan) * since_s**2
+        lawful_mm[lawful_mm > np.nanmax(way_mm)] = np.nan
+        curves.append(((LAW_COLOR, True), "law", track.times_s, lawful_mm))
+    panel = CurvePanel(
+        title="way from the first place [mm], dashed: law",
+        curves=curves,
+        end_s=float(track.times_s[-1]),
+    )
+    return curve_panel(panel)
 
 
 def _pictures(result: VideoScore, file: Path) -> Iterator[Html]:

@@ -77,6 +77,11 @@ def test_a_film_on_disk_comes_with_its_exact_track(tmp_path, gauge):
     words = "video render SlopeSlider-2-wood --out slide.mp4 --fps=15 --duration=0.5"
     outcome = gauge(*words.split())
     assert outcome.exit_code == 0, outcome.output
+    assert "look alike" not in outcome.stderr
+    words = "video render NewtonsCradle-metal --out cradle.mp4 --fps=5 --duration=0.1"
+    assert (
+        "its balls look alike: score cradle.track.csv" in gauge(*words.split()).stderr
+    )
     head, *rows = (tmp_path / "slide.track.csv").read_text().splitlines()
     assert (head[:24], len(rows)) == ("frame,time,x_grid,y_grid", 12)
     for options, fault in (
