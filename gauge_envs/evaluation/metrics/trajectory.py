@@ -17,7 +17,7 @@ from gauge_envs.scene.geometry import FloatArray
 MAX_RELEASE_OFFSET_S = 10 / 30
 """Largest time shift of a release alignment in either direction [s]; recorded bodies are released within 9 frames."""
 
-_OFFSET_GRID_S = 1e-3
+_OFFSET_GRID_S = 1 / 360
 _OFFSET_CHUNK = 1_000_000  # numbers in one batch of shifts, 8 MB per array
 # The order of a sum changes a total by less than this share. Paths whose costs differ by less are tied.
 _TIE = 1e-12
