@@ -42,7 +42,10 @@ UnitVector = Annotated[Vector, AfterValidator(_unit)]
 class FileModel(BaseModel):
     """One table of a file: frozen, without unknown keys, all numbers finite."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    # A validator is built at first use: most files need few of the tables.
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True
+    )
 
 
 class FrameRow(FileModel):
