@@ -35,7 +35,7 @@ Added in quadrature, 0.1 makes that uncertainty 0.5 % larger and 0.5 makes it 12
 """
 
 RIGID_STEPS_PER_S = (180, 360, 540, 720, 900, 1800, 4500, 9000)
-DEFORMABLE_STEPS_PER_S = (180, 360, 540, 720, 900)
+DEFORMABLE_STEPS_PER_S = (180, 360, 540, 900)
 """Steps that are tried; each is compared with half of it."""
 
 CHOSEN_ON = "stated start"

@@ -1,10 +1,13 @@
 """The preset `training` of the engines that build deformable bodies: it exists, follows the scene, and stays near."""
 
+from itertools import groupby
+
 import numpy as np
 import pytest
 
 from gauge_envs import load_experiment
 from gauge_envs.backends import backend
+from studies.steps.steps import CHOSEN_ON, SHARES, longest_step, read_rows
 
 SCENES = (
     "TextileFlinging-satin",
@@ -44,6 +47,20 @@ def test_every_scene_has_a_training_preset_that_is_not_finer(engine, name):
     assert {
         key: value for key, value in stated.items() if key != "timestep_s"
     }.items() <= training.items()
+
+
+@pytest.mark.parametrize("family", ["TextileStretching", "FoamTwisting", "FoamBending"])
+def test_training_has_the_longest_step_that_the_rule_allows(family):
+    """In every material that was measured."""
+    rows = [row for row in read_rows() if row.id.partition("-")[0] == family]
+    shortest = 0
+    for _, group in groupby(rows, key=lambda row: row.id):
+        chosen_on = [row for row in group if row.start == CHOSEN_ON]
+        steps_per_s = longest_step(chosen_on, SHARES["training"])
+        shortest = max(shortest, steps_per_s)
+    scene = load_experiment(rows[0].id).scene
+    settings = backend("mujoco").resolved_settings(scene, {"preset": "training"})
+    assert settings["timestep_s"] == pytest.approx(1 / shortest)
 
 
 @pytest.mark.parametrize(
