@@ -27,12 +27,8 @@ from gauge_envs.tools.sanity.robot.joints import (
     stiffness,
 )
 from gauge_envs.tools.sanity.robot.mass_rows import size_m
+from gauge_envs.tools.sanity.robot.motions import PUSH_SHARES, hold_pose, pushed_m
 from gauge_envs.tools.sanity.robot.robot import Robot
-from gauge_envs.tools.sanity.robot.rollout import (
-    PUSH_SHARES,
-    hold_pose,
-    pushed_m,
-)
 from gauge_envs.tools.sanity.target_checks import robot_row
 
 EVERY = ("arm", "quadruped", "biped", "hand")
@@ -475,20 +471,33 @@ def numbers(robot: Robot) -> Iterator[tuple[str, float]]:
             yield f"push of {share:g} weights", float(moved_m) / size_m(robot)
 
 
-def outside_makers(robot: Robot) -> tuple[float, str]:
+def outside_makers(robot: Robot, right: Robot | None = None) -> tuple[float, str]:
     """Return the largest ratio by which a number of a robot is outside those of makers' robots, and its name.
 
     Only up to 1 does a mistake in it need a data sheet: in all that rows judge and in what it does it is a usual robot.
+    A number of which the robot without the mistake is as far outside does not count.
     """
+    usual = {} if right is None else _ratios(right)
+    ratios = {
+        name: ratio
+        for name, ratio in _ratios(robot).items()
+        if ratio > max(1.0, usual.get(name, 1.0))
+    }
+    worst = max(ratios, key=ratios.__getitem__, default="none")
+    return ratios.get(worst, 1.0), worst
+
+
+def _ratios(robot: Robot) -> dict[str, float]:
+    """Return the largest ratio by which each number is outside those of makers' robots."""
     with POPULATION.open(encoding="utf-8") as stream:
         known = {row["number"]: row for row in csv.DictReader(stream)}
-    ratios = [(1.0, "none")]
+    ratios: dict[str, float] = {}
     for name, value in numbers(robot):
-        if not value or np.isnan(value):
-            continue
-        least, largest = (float(known[name][key]) for key in ("least", "largest"))
-        ratios.append((max(least / value, value / largest), name))
-    return max(ratios)
+        ends = known.get(name, {"least": "inf", "largest": "inf"})
+        if value and not np.isnan(value):
+            ratio = max(float(ends["least"]) / value, value / float(ends["largest"]))
+            ratios[name] = max(ratio, ratios.get(name, 0.0))
+    return ratios
 
 
 def write_population(paths: Sequence[str]) -> None:

@@ -1,10 +1,11 @@
 """Judge whether what a robot states of each joint and link is of the size of its others."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.tools.sanity.phenomena.base import facts
 from gauge_envs.tools.sanity.robot.finding import Finding, body_name, joint_name, row
 from gauge_envs.tools.sanity.robot.joints import (
     driven_dofs,
@@ -15,35 +16,8 @@ from gauge_envs.tools.sanity.robot.mass_rows import MASSLESS_KG, extent
 from gauge_envs.tools.sanity.robot.robot import Robot
 from gauge_envs.tools.sanity.robot.sides import quantities
 
-FACTORS: Mapping[str, float] = {
-    **dict.fromkeys(("mass", "damping", "frictionloss", "armature", "kp"), 6.0),
-    "largest torque": 6.0,
-    "inertia": 12.0,
-    "spring": 6.0,
-}
-"""Largest factor between a joint or a link and the middle one of its robot, by quantity, from makers' models."""
-
-OF_DRIVES: Mapping[str, Sequence[str]] = {
-    "damping": ("largest torque", "kp"),
-    "frictionloss": ("largest torque", "kp", "weight"),
-    "armature": ("largest torque", "kp", "limb"),
-    "kp": ("largest torque", "weight", "limb"),
-    "largest torque": ("weight", "limb", "kp", "armature"),
-}
-"""Quantities of joints, and what they grow with from joint to joint."""
-
-OF_LINKS: Mapping[str, Sequence[str]] = {
-    "mass": ("volume", "geom"),
-    "inertia": ("rod", "cube", "bulk"),
-}
-"""Quantities of links, and what they grow with: of the same mass in its reach, in its volume, and of its density."""
-
-MIDDLES: Mapping[str, tuple[float, float]] = {
-    "natural frequency [Hz]": (1.1, 44.0),
-    "damping over kp [s]": (0.001, 0.5),
-    "armature over limb": (0.05, 220.0),
-}
-"""Limits of the middle joint: twice as wide as those of makers' models, of the frequency as its square."""
+FACTS = facts("robot_alike")
+"""Quantities, what they grow with from part to part, their largest factor, and the limits of the middle joint."""
 
 FEW_PARTS = 4
 """Joints or links from which on a middle one says what the others are."""
@@ -88,12 +62,12 @@ def _drives(robot: Robot) -> tuple[list[str], dict[str, FloatArray]]:
         "weight": largest_weights_nm(robot),
     }
     names = [joint_name(robot, dof) for dof in dofs]
-    named = {*OF_DRIVES, "inertia", "limb", "weight", "spring"}
+    named = {*FACTS["drives"], "inertia", "limb", "weight", "spring"}
     return names, {name: known[name][dofs] for name in named}
 
 
 def middles(robot: Robot) -> Iterator[tuple[str, float]]:
-    """Yield numbers of the middle joint whose limits are `MIDDLES`, where enough joints have them."""
+    """Yield numbers of the middle joint that have limits, where enough joints have them."""
     _, known = _drives(robot)
     kp = np.where(known["kp"] > 0.0, known["kp"], np.nan)
     several = {
@@ -131,29 +105,32 @@ def _links(robot: Robot) -> tuple[list[str], dict[str, FloatArray]]:
     }
 
 
-def unlike(robot: Robot) -> Iterator[tuple[str, str, float]]:
-    """Yield a quantity, a joint or link, and by which factor it is off the middle one; 0 where it alone has none."""
+def unlike(robot: Robot) -> Iterator[tuple[str, str, float, float]]:
+    """Yield a quantity, a joint or link, by which factor it is off the middle one, and the largest one that is usual.
+
+    The factor is 0 where it alone has none.
+    """
     for (names, known), grows in (
-        (_drives(robot), OF_DRIVES),
-        (_links(robot), OF_LINKS),
+        (_drives(robot), FACTS["drives"]),
+        (_links(robot), FACTS["links"]),
     ):
-        for quantity, scales in grows.items():
+        for quantity, stated in grows.items():
             values = known[quantity]
             if len(values) < FEW_PARTS:
                 continue
-            several = factors(values, [known[scale] for scale in scales])
+            several = factors(values, [known[scale] for scale in stated["grows_with"]])
             without = values == 0.0
             if quantity == "damping" and without.mean() <= FEW_WITHOUT:
                 several = np.where(without, 0.0, several)
             for name, factor in zip(names, several.tolist(), strict=True):
                 if np.isfinite(factor):
-                    yield quantity, name, factor
+                    yield quantity, name, factor, stated["factor"]
     names, known = _drives(robot)
     springs = known["spring"]
     is_rare = 2 * np.count_nonzero(springs) < len(springs)
     is_odd = (springs > 0.0) & ((known["kp"] > 0.0) | is_rare)
     for place in np.flatnonzero(is_odd).tolist():
-        yield "spring", names[place], np.inf
+        yield "spring", names[place], np.inf, 1.0
 
 
 @row("robot-alike")
@@ -161,16 +138,16 @@ def _alike(robot: Robot) -> Finding:
     parts: dict[str, float] = {}
     words: dict[str, str] = {}
     advices: dict[str, str] = {}
-    for quantity, name, factor in unlike(robot):
+    for quantity, name, factor, largest in unlike(robot):
         part = f"{quantity} of {name}"
         off = factor if factor > 1.0 else 1.0 / max(factor, 1e-12)
-        parts[part] = off / FACTORS[quantity] if factor else np.inf
+        parts[part] = off / largest if factor else np.inf
         side = f"{factor:.2g} times" if factor > 1.0 else f"1/{off:.2g} of"
         words[part] = f"{part} is {side} the middle one" if factor else f"no {part}"
         if quantity == "spring":
             words[part] = f"a {part}, beside its motor"
     for name, value in middles(robot):
-        low, high = MIDDLES[name]
+        low, high = FACTS["middle"][name]
         part = f"{name} of the middle joint"
         parts[part] = max(low / value, value / high)
         words[part] = f"{part} is {value:.2g}, not {low:g} to {high:g}"

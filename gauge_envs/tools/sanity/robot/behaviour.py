@@ -12,14 +12,10 @@ from gauge_envs.tools.sanity.phenomena.base import facts
 from gauge_envs.tools.sanity.robot.finding import judged_row, limits_of
 from gauge_envs.tools.sanity.robot.joints import position_servos, servos, start
 from gauge_envs.tools.sanity.robot.mended_model import element_names
+from gauge_envs.tools.sanity.robot.motions import PUSH_SHARES, hold_pose, pushed_m
 from gauge_envs.tools.sanity.robot.remedy import Remedy
 from gauge_envs.tools.sanity.robot.robot import GEOM_FIELDS, LENGTHS, Robot, once
-from gauge_envs.tools.sanity.robot.rollout import (
-    PUSH_SHARES,
-    half_step_s,
-    hold_pose,
-    pushed_m,
-)
+from gauge_envs.tools.sanity.robot.rollout import half_step_s
 from gauge_envs.tools.sanity.robot.rows import ROWS
 
 ORDER = (

@@ -1,6 +1,6 @@
 """Judge what drives and brakes the joints of a model."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -439,45 +439,15 @@ def _range(robot: Robot) -> Finding:
 @row("robot-command")
 def _command(robot: Robot) -> Finding:
     model = robot.model
-    is_on_joint = acts_on_joints(model)
-    is_affine = model.actuator_biastype == int(mujoco.mjtBias.mjBIAS_AFFINE)
-    is_away = is_affine & (model.actuator_biasprm[:, 1] > 0.0)
-    has_no_bias = model.actuator_biastype == int(mujoco.mjtBias.mjBIAS_NONE)
-    is_unread = has_no_bias & (model.actuator_biasprm[:, 1] < 0.0)
     joints = model.actuator_trnid[:, 0]
-    is_servo = is_on_joint & (servos(model) | is_unread | is_away)
     found: dict[str, Finding] = {}
     moved = set(robot.bodies) - set(placed_bodies(model))
-    for actuator in np.flatnonzero(is_servo).tolist():
+    has_gain = model.actuator_gaintype == int(mujoco.mjtGain.mjGAIN_FIXED)
+    for actuator in np.flatnonzero(acts_on_joints(model) & has_gain).tolist():
         joint = int(joints[actuator])
-        gain = float(model.actuator_gainprm[actuator, 0])
-        gear = float(model.actuator_gear[actuator, 0])
-        if int(model.jnt_bodyid[joint]) not in moved or not gain * gear:
-            continue
-        name = joint_name(robot, int(model.jnt_dofadr[joint]))
-        others = np.flatnonzero(is_servo & (joints == joint)).tolist()
-        if len(others) > 1:
-            names = [model.actuator(one).name or f"actuator {one}" for one in others]
-            remark = f"{name} has {len(others)} servos: {', '.join(names)}"
-            found[name] = Finding(remark=remark, advice="one servo for each joint")
-        elif is_unread[actuator]:
-            affine = int(mujoco.mjtBias.mjBIAS_AFFINE)
-            found[name] = Finding(
-                remark=f"the servo of {name} does not read its biasprm",
-                advice=f'biastype="affine" for {name}',
-                changes={f"actuator_biastype[{actuator}]": affine},
-            )
-        elif is_away[actuator]:
-            bias = model.actuator_biasprm[actuator].copy()
-            bias[1] *= -1.0
-            found[name] = Finding(
-                value=-np.inf,
-                remark=f"the servo of {name} pushes it away from its command",
-                advice=f"-kp in biasprm of {name}",
-                changes={f"actuator_biasprm[{actuator}]": bias},
-            )
-        else:
-            found[name] = _reached(robot, actuator, name)
+        if int(model.jnt_bodyid[joint]) in moved:
+            name = joint_name(robot, int(model.jnt_dofadr[joint]))
+            found.update((name, one) for one in _commands(robot, actuator, name))
     for motor, joint in swapped_motors(model).items():
         name = model.actuator(motor).name
         found[name] = Finding(
@@ -500,8 +470,54 @@ def _command(robot: Robot) -> Finding:
     return replace(worst, parts=parts, changes=changes)
 
 
+def _commands(robot: Robot, actuator: int, name: str) -> Iterator[Finding]:
+    """Yield what a command does to the joint of an actuator; nothing for a motor with a gain."""
+    model = robot.model
+    gain, bias = model.actuator_gainprm[actuator, 0], model.actuator_biasprm[actuator]
+    kind = int(model.actuator_biastype[actuator])
+    affine = int(mujoco.mjtBias.mjBIAS_AFFINE)
+    is_servo = (model.actuator_biasprm[:, 1] < 0.0) & acts_on_joints(model)
+    is_here = model.actuator_trnid[:, 0] == model.actuator_trnid[actuator, 0]
+    others = np.flatnonzero(is_servo & is_here).tolist()
+    per_control = float(gain * model.actuator_gear[actuator, 0])
+    away = np.array(bias)
+    away[1] = -gain
+    if len(others) > 1 and is_servo[actuator]:
+        names = [model.actuator(one).name or f"actuator {one}" for one in others]
+        remark = f"{name} has {len(others)} servos: {', '.join(names)}"
+        yield Finding(remark=remark, advice="one servo for each joint")
+    elif kind == int(mujoco.mjtBias.mjBIAS_NONE) and bias[1] < 0.0:
+        yield Finding(
+            remark=f"the servo of {name} does not read its biasprm",
+            advice=f'biastype="affine" for {name}',
+            changes={f"actuator_biastype[{actuator}]": affine},
+        )
+    elif kind == affine and (bias[1] > 0.0 or (bias[1] == 0.0 and gain != -bias[2])):
+        yield Finding(
+            value=-np.inf if bias[1] else 0.0,
+            remark=f"the servo of {name} does not pull it to its command",
+            advice=f"-kp in biasprm of {name}",
+            changes={f"actuator_biasprm[{actuator}]": away},
+        )
+    elif per_control == 0.0:
+        yield Finding(
+            remark=f"the motor of {name} has a gain or a gear of 0",
+            advice=f"the gain and the gear of the motor of {name}",
+        )
+    elif per_control < 0.0:
+        gear = np.abs(model.actuator_gear[actuator])
+        yield Finding(
+            value=-np.inf,
+            remark=f"{name} turns against its command",
+            advice=f"a positive gear and gain for {name}",
+            changes={f"actuator_gear[{actuator}]": gear},
+        )
+    elif is_servo[actuator]:
+        yield _reached(robot, actuator, name)
+
+
 def _reached(robot: Robot, actuator: int, name: str) -> Finding:
-    """Return the part of a joint's range that the commands of its servo reach, infinite against its direction."""
+    """Return the part of a joint's range that the commands of its servo reach, infinite for none."""
     model = robot.model
     joint = int(model.actuator_trnid[actuator, 0])
     gain = float(model.actuator_gainprm[actuator, 0])
@@ -509,15 +525,6 @@ def _reached(robot: Robot, actuator: int, name: str) -> Finding:
     gear = float(model.actuator_gear[actuator, 0])
     # Without load, gain * control + bias[0] + bias[1] * gear * angle is 0.
     per_control = -gain / (float(bias[1]) * gear)
-    if per_control < 0.0:
-        return Finding(
-            value=-np.inf,
-            remark=f"{name} turns against its command",
-            advice=f"a positive gear and gain for {name}",
-            changes={
-                f"actuator_gear[{actuator}]": np.abs(model.actuator_gear[actuator])
-            },
-        )
     is_angle = abs(per_control - 1.0) < SAME_ANGLE
     zero = -float(bias[0]) / (float(bias[1]) * gear)
     if model.actuator_ctrllimited[actuator] and model.jnt_limited[joint]:
