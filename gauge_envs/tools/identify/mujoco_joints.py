@@ -29,12 +29,16 @@ if TYPE_CHECKING:
 
 STEP_S = 0.002
 """Step of a scene that states none [s], which is MuJoCo's default."""
+LONGEST_STEP_S = 0.05
+"""Longest step that is taken for one [s]: more is mostly a unit."""
 STIFF_IMPEDANCE = (0.9999, 0.9999, 0.001, 0.5, 2.0)
 """Impedance of dry friction: with MuJoCo's own a joint that friction holds creeps."""
 SHORT_S = 0.001
 """Time constant of dry friction [s]; MuJoCo makes it two steps at least."""
 LOOP_STEPS, LOOP_GAP = 30, 1e-6
 """Most steps to close loops at a start, and the gap that is left at most [m, rad]."""
+FAR_BEYOND = 3.0
+"""Angle of a log over the largest one of the joint's range from which the log is refused."""
 OPTIONS = ("timestep_s", "integrator")
 """Settings that replace those of a model."""
 RK4 = mujoco.mjtIntegrator.mjINT_RK4
@@ -400,6 +404,7 @@ def joints_of_model(
             f"{log.name} has {log.position_rad.shape[1]} joints without names, and the model {len(hinges)} hinges: "
             "name the columns as joints of the model, as position_rad.elbow"
         )
+    _check_ranges(model, names, log)
     changed = _without_motors(spec.copy(), names, settings)
     _weld(changed, model, {*names, *_joints_of_loops(model)})
     return ModelJoints(
@@ -409,6 +414,19 @@ def joints_of_model(
         stated=[_stated(model, one) for one in names],
         has_servos=log.command_rad is not None,
     )
+
+
+def _check_ranges(model: mujoco.MjModel, names: Sequence[str], log: Log) -> None:
+    """Raise `ParameterError` if a log goes far beyond the range of a joint."""
+    for place, name in enumerate(names):
+        joint = model.joint(name)
+        farthest_rad = float(np.abs(joint.range).max())
+        reach_rad = float(np.abs(log.position_rad[:, place]).max())
+        if joint.limited and reach_rad > FAR_BEYOND * farthest_rad:
+            raise ParameterError(
+                f"{log.name}: {name} reaches {reach_rad:.3g} rad, and its range in the model ends at "
+                f"{farthest_rad:.3g}: are the angles in degrees, or their zero or the joint another one?"
+            )
 
 
 def _joints_of_loops(model: mujoco.MjModel) -> set[str]:
@@ -496,7 +514,11 @@ def _without_motors(
                 f"--set {name}: an MJCF takes {' and '.join(OPTIONS)}, and states all else itself"
             )
         if name == "timestep_s":
-            spec.option.timestep = float(value)
+            if not isinstance(value, int | float) or not 0.0 < value <= LONGEST_STEP_S:
+                raise ParameterError(
+                    f"--set timestep_s={value}: a step above 0 and of at most {LONGEST_STEP_S} s is needed"
+                )
+            spec.option.timestep = value
             continue
         kinds = {
             one.removeprefix("mjINT_").lower(): kind

@@ -254,6 +254,14 @@ def test_a_log_of_another_robot_is_refused():
     nameless = Log("one", log.times_s, log.position_rad, log.command_rad)
     with pytest.raises(ParameterError, match="1 joints without names, and the model 2"):
         identify(backend("mujoco"), model, [nameless], NAMES)
+    with pytest.raises(ParameterError, match="a step above 0"):
+        identify(backend("mujoco"), model, [log], NAMES, settings={"timestep_s": 0.5})
+    for joint in model.joints:
+        joint.range = [-0.5, 0.5]
+    degrees = np.degrees(log.position_rad)
+    turned = Log("one", log.times_s, degrees, log.command_rad, joints=log.joints)
+    with pytest.raises(ParameterError, match="are the angles in degrees"):
+        identify(backend("mujoco"), model, [turned], NAMES)
 
 
 def test_an_npz_log_names_its_joints(tmp_path):
