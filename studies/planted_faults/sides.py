@@ -1,4 +1,4 @@
-"""Faults of one side, place in a list or scale, planted in MuJoCo: which checks see them.
+"""Faults of one side, place in a list, mass or length, planted in MuJoCo: which checks see them.
 
     python -m studies.planted_faults.sides      two minutes of processor time
 
@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.backends import backend
-from gauge_envs.scene import Hinge, Motion, Pose, RigidBody, Scene, Tether
+from gauge_envs.scene import Box, Hinge, Motion, Pose, RigidBody, Scene, Tether
 from gauge_envs.scene.bodies import Contact
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.motors import Servo
@@ -68,6 +68,21 @@ def _long_string(one: Joint) -> Joint:
     if not isinstance(one, Tether) or one.anchor_m[0] >= 0.0:
         return one
     return replace(one, length_m=one.length_m + 0.003)
+
+
+def _tired_servo(one: Joint) -> Joint:
+    if not isinstance(one, Hinge) or not isinstance(one.motor, Servo):
+        return one
+    limit = one.motor.torque_limit_n_m
+    return replace(
+        one, motor=replace(one.motor, torque_limit_n_m=min(limit or 1.0, 1.0))
+    )
+
+
+def _short_string(one: Joint) -> Joint:
+    if not isinstance(one, Tether) or one.length_m < 0.4:
+        return one
+    return replace(one, length_m=0.98 * one.length_m)
 
 
 def _bodies(
@@ -122,6 +137,25 @@ def _late_pair(number: int, one: Contact, _: Scene) -> Contact:
     if number < 5:
         return one
     return replace(one, restitution=max(0.0, one.restitution - 0.05))
+
+
+def _slippery_large(_: int, one: Contact, scene: Scene) -> Contact:
+    known = {body.name: body for body in scene.bodies}
+    bodies = [known[name] for name in (*one.first, *one.second) if name in known]
+    is_large = any(
+        body.motion is Motion.DYNAMIC
+        and isinstance(body.shape, Box)
+        and np.prod(body.shape.size_m) > 0.002
+        for body in bodies
+    )
+    return replace(one, friction=0.8 * one.friction) if is_large else one
+
+
+class _FastDriver(Passed):
+    def drive(self, body: str, pose: Pose, velocity: Any, acceleration: Any) -> None:
+        velocity = np.array(velocity)
+        velocity[:3] *= 0.95 if np.linalg.norm(velocity[:3]) > 2.0 else 1.0
+        self.inner.drive(body, pose, velocity, acceleration)
 
 
 class _LateDriver(Passed):
@@ -194,6 +228,10 @@ FAULTS: Mapping[str, Mapping[str, Any]] = {
     "servo gain halved at negative rates": {"simulation": _ServoRate},
     "spin about -y damped": {"simulation": _of_free_bodies(_damped_side)},
     "pull upward at y < -0.6 m": {"simulation": _of_free_bodies(_pulled_side)},
+    "servo torque of at most 1 N m": {"scene": _joints(_tired_servo)},
+    "strings above 0.4 m 2 % short": {"scene": _joints(_short_string)},
+    "friction 20 % low on boxes above 2 litres": {"scene": _contacts(_slippery_large)},
+    "velocity 5 % low of drivers above 2 m/s": {"simulation": _FastDriver},
 }
 
 

@@ -1,9 +1,10 @@
-"""Copies of a small scene that all move alike: turned, mirrored and listed in reverse, and eight times as heavy.
+"""Copies of a small scene that all move alike: turned, mirrored and listed in reverse, and twice as large.
 
-Laws of mechanics prefer no direction, no handedness, no name and no order, and without gravity a common factor of all
-masses and torques changes no motion. So each copy moves as the others, whatever the engine's model of contact is.
+Laws of mechanics prefer no direction, no handedness, no name and no order. Without gravity they have no scale either:
+with all lengths times l, masses times m and torques times m l^2, a scene moves l times as far in the same time. So each
+copy moves as the others, whatever the engine's model of contact is.
 
-A copy is placed by x' = M x + c, M a rotation or a reflection. A reflection turns the orientation R of a body into
+A copy is placed by x' = l M x + c, M a rotation or a reflection. A reflection turns the orientation R of a body into
 M R D, D = diag(1, 1, -1), which fits bodies that are symmetric about the x-y plane of their frame. Axes of rotation
 become det(M) M a.
 """
@@ -25,6 +26,8 @@ from gauge_envs.scene import (
     Pose,
     RigidBody,
     Scene,
+    Shape,
+    Sphere,
     Tether,
 )
 from gauge_envs.scene.drivers import Driver, DriverMotion
@@ -58,22 +61,34 @@ class _Copy:
         centre_m: Its place c [m], shape [3].
         is_reversed: Whether bodies are listed in reverse, pairs with the other body first, hinges with the opposite
             axis, and quaternions with the opposite sign.
-        mass_factor: Factor of all masses and torques.
+        length_factor: Factor l of all lengths.
+        mass_factor: Factor m of all masses.
     """
 
     matrix: Array
     centre_m: Array
     is_reversed: bool = False
+    length_factor: float = 1.0
     mass_factor: float = 1.0
+
+    @property
+    def torque_factor(self) -> float:
+        """Factor of all torques."""
+        return self.mass_factor * self.length_factor**2
 
     @property
     def handedness(self) -> float:
         """Determinant of the matrix, 1 or -1."""
         return float(np.linalg.det(self.matrix))
 
+    @property
+    def inner(self) -> Array:
+        """Map of a body's frame, shape [3, 3]."""
+        return np.eye(3) if self.handedness > 0.0 else FLIPPED
+
     def place(self, point_m: Any) -> Array:
         """Return the place of a point [m]."""
-        return np.asarray(self.matrix @ point_m + self.centre_m)
+        return np.asarray(self.length_factor * self.matrix @ point_m + self.centre_m)
 
     def axis(self, axis: Any) -> Array:
         """Return the direction of an axis of rotation, or an angular velocity."""
@@ -81,8 +96,7 @@ class _Copy:
 
     def rotations(self, rotations: Rotation) -> Rotation:
         """Return orientations of bodies."""
-        inner = np.eye(3) if self.handedness > 0.0 else FLIPPED
-        return Rotation.from_matrix(self.matrix @ rotations.as_matrix() @ inner)
+        return Rotation.from_matrix(self.matrix @ rotations.as_matrix() @ self.inner)
 
 
 LEANING = Rotation.from_euler("xyz", [140.0, 30.0, -70.0], degrees=True).as_matrix()
@@ -92,12 +106,14 @@ COPIES = {
     "upright": _Copy(np.eye(3), np.array([-1.0, -1.0, 1.0])),
     "turned": _Copy(LEANING, np.array([1.0, -1.0, 1.0])),
     "mirrored": _Copy(MIRROR, np.array([1.0, 1.0, 1.0]), is_reversed=True),
-    "heavy": _Copy(np.eye(3), np.array([-1.0, 1.0, 1.0]), mass_factor=8.0),
+    "large": _Copy(
+        np.eye(3), np.array([-1.0, 1.0, 1.0]), length_factor=2.0, mass_factor=8.0
+    ),
 }
 CAUSES = {
     "turned": "a frame or an axis",
     "mirrored": "an axis, a sign, or the order of bodies and pairs",
-    "heavy": "a mass, a limit of force or torque, or what is listed last",
+    "large": "a length, a mass, a limit of force, torque or speed, or what is last",
     "upright": "what is listed first",
 }
 """What sets a copy apart from the others."""
@@ -154,6 +170,17 @@ def _bodies() -> list[RigidBody]:
     return [slab, brick, paddle, struck, bar, bob]
 
 
+def _scaled(shape: Any, copy: _Copy) -> Shape:
+    """Return the shape of a body of a copy."""
+    if isinstance(shape, Box):
+        return Box(size_m=vector(copy.length_factor * np.array(shape.size_m)))
+    if isinstance(shape, Sphere):
+        return Sphere(radius_m=copy.length_factor * shape.radius_m)
+    (piece,) = shape.pieces_m
+    inner = copy.length_factor * copy.inner
+    return ConvexUnion(pieces_m=(tuple(vector(inner @ at) for at in piece),))
+
+
 def _copied(one: RigidBody, name: str, copy: _Copy) -> RigidBody:
     """Return a body of a copy."""
     turn = copy.rotations(one.pose.rotation)
@@ -161,17 +188,15 @@ def _copied(one: RigidBody, name: str, copy: _Copy) -> RigidBody:
     if copy.is_reversed:
         w, x, y, z = pose.quaternion
         pose = replace(pose, quaternion=(-w, -x, -y, -z))
-    shape = one.shape
-    if isinstance(shape, ConvexUnion) and copy.handedness < 0.0:
-        (piece,) = shape.pieces_m
-        shape = ConvexUnion(pieces_m=(tuple(vector(FLIPPED @ at) for at in piece),))
     return replace(
         one,
         name=f"{name} {one.name}",
-        shape=shape,
+        shape=_scaled(one.shape, copy),
         pose=pose,
         mass_kg=copy.mass_factor * one.mass_kg,
-        linear_velocity_m_per_s=vector(copy.matrix @ one.linear_velocity_m_per_s),
+        linear_velocity_m_per_s=vector(
+            copy.length_factor * copy.matrix @ one.linear_velocity_m_per_s
+        ),
         angular_velocity_rad_per_s=vector(copy.axis(one.angular_velocity_rad_per_s)),
     )
 
@@ -181,11 +206,11 @@ def _hinge(name: str, copy: _Copy) -> Hinge:
     sign = -1.0 if copy.is_reversed else 1.0
     servo = Servo(
         command=ramp(sign * 0.9, start_s=0.0, duration_s=0.3, ramp_s=0.1),
-        kp_n_m_per_rad=copy.mass_factor * 0.4,
-        kv_n_m_s_per_rad=copy.mass_factor * 0.01,
-        torque_limit_n_m=copy.mass_factor * 0.04,
+        kp_n_m_per_rad=copy.torque_factor * 0.4,
+        kv_n_m_s_per_rad=copy.torque_factor * 0.01,
+        torque_limit_n_m=copy.torque_factor * 0.04,
     )
-    viscous = copy.mass_factor * 0.002
+    viscous = copy.torque_factor * 0.002
     return Hinge(
         body=f"{name} bar",
         anchor_m=vector(copy.place(ANCHOR_M)),
@@ -206,7 +231,9 @@ def _driver(name: str, copy: _Copy) -> Driver:
     rise = DriverMotion(
         kind="translate",
         axis=vector(copy.matrix @ [0.0, 0.28, 0.96]),
-        profiles=(ramp(0.25, start_s=0.0, duration_s=0.3, ramp_s=0.1),),
+        profiles=(
+            ramp(0.25 * copy.length_factor, start_s=0.0, duration_s=0.3, ramp_s=0.1),
+        ),
     )
     return Driver(body=f"{name} paddle", motions=(turn, rise), provenance="nominal")
 
@@ -226,7 +253,7 @@ def _scene(with_string: bool = True) -> Scene:
         tether = Tether(
             body=f"{name} bob",
             anchor_m=vector(copy.place(STRING_END_M)),
-            length_m=STRING_M,
+            length_m=copy.length_factor * STRING_M,
         )
         joints: list[Hinge | Tether] = [_hinge(name, copy), tether]
         hinges += joints[::order]
@@ -250,16 +277,16 @@ def _moved(rollout: Rollout, name: str, copy: _Copy, part: str) -> tuple[Array, 
     Shapes are [T, 3] and [T - 1, 3].
     """
     one = f"{name} {part}"
-    displacement = rollout.displacement(one) @ copy.matrix
+    displacement = rollout.displacement(one) @ copy.matrix / copy.length_factor
     rotations = rollout.rotation(one)
     steps = (rotations[1:] * rotations[:-1].inv()).as_rotvec()
     return displacement, copy.handedness * steps @ copy.matrix
 
 
 @recorded(
-    "four copies of one scene: upright, turned, mirrored and listed in reverse, eight times as heavy: a brick that "
-    "hits a slab, a ball that a driven paddle hits, a bar on a leaning hinge with a servo, a beam that whirls on a "
-    "string; no gravity"
+    "four copies of one scene: upright, turned, mirrored and listed in reverse, twice as large and eight times as "
+    "heavy: a brick that hits a slab, a ball that a driven paddle hits, a bar on a leaning hinge with a servo, a beam "
+    "that whirls on a string; no gravity"
 )
 def _copies(lab: Lab) -> Rollout:
     # Some engines start strings at rest: they build the scene without.

@@ -266,22 +266,22 @@ def _joint_servo(rollout: Rollout) -> Measurement:
     return Measurement(measured=float(np.degrees(np.abs(error).max())))
 
 
-@rollout_of(
+def _limit_check(id: str, scene: str, step_rad: float) -> None:
+    servo = _servo(step_rad, torque_limit_n_m=LIMIT_N_M)
+
+    @rollout_of(scene, _scene(_bar(), seconds=0.8, motor=servo)).check(id)
+    def measure(rollout: Rollout) -> Measurement:
+        measured = acceleration_m_per_s2(rollout.times_s, _turned_rad(rollout))
+        expected = float(np.copysign(LIMIT_N_M / INERTIA, step_rad))
+        return Measurement(measured=measured, expected=expected)
+
+
+_limit_check(
+    "joint-limit",
     "the same servo with a largest torque of 0.03 N m, whose command steps by 2 rad",
-    _scene(_bar(), seconds=0.8, motor=_servo(2.0, torque_limit_n_m=LIMIT_N_M)),
-).check("joint-limit")
-def _joint_limit(rollout: Rollout) -> Measurement:
-    measured = acceleration_m_per_s2(rollout.times_s, _turned_rad(rollout))
-    return Measurement(measured=measured, expected=LIMIT_N_M / INERTIA)
-
-
-@rollout_of(
-    "the same servo, whose command steps by -2 rad",
-    _scene(_bar(), seconds=0.8, motor=_servo(-2.0, torque_limit_n_m=LIMIT_N_M)),
-).check("joint-limit-back")
-def _joint_limit_back(rollout: Rollout) -> Measurement:
-    measured = acceleration_m_per_s2(rollout.times_s, _turned_rad(rollout))
-    return Measurement(measured=measured, expected=-LIMIT_N_M / INERTIA)
+    2.0,
+)
+_limit_check("joint-limit-back", "the same servo, whose command steps by -2 rad", -2.0)
 
 
 @Check("wrench-hinged")
