@@ -8,7 +8,10 @@ from gauge_envs.tools.identify.identified import Identified
 
 KV_NOTE = "kv belongs to this engine and step: one that is implicit in the angle damps by kp times the step besides."
 
-REPLAY_NOTE = "rms error is that of the lines below in plain MuJoCo, each log as a whole from its recorded start."
+REPLAY_NOTE = (
+    "rms error is that of the lines below in plain MuJoCo, each log as a whole. It starts with the recorded rates, or "
+    "with the angle and rate of a parabola through 0.05 s."
+)
 START_NOTE = "rms error of a fitted log is from its fitted start, of a held out one from its recorded start."
 PLAIN_NOTES = {
     "lag": "Without a model: angle = command; lag has five numbers: gain, offset, delay, time constant, play.",
