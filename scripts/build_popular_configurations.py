@@ -13,6 +13,7 @@ import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import date
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -194,6 +195,7 @@ def row_of(
         "version": packages,
         "targets": list(targets),
         "key": key,
+        "measured": date.today().isoformat(),
         "engine": read.backend,
         "engine_version": report.versions.get(read.backend, ""),
         "step_s": read.settings.get("timestep_s"),
@@ -305,6 +307,7 @@ WORST_COLUMNS = (
 
 SUMMARY = (
     "package",
+    "measured",
     "tasks",
     "sets",
     "wrong or visible",
@@ -356,6 +359,7 @@ def package_cells(data: Mapping[str, Any], name: str) -> list[str]:
         return []
     feet = [row for row in measured if "foot-creep" in row["values"]]
     return [
+        min(row["measured"] for row in rows),
         str(sum(len(row["targets"]) for row in rows)),
         str(len(measured)),
         str(sum(row["flag_count"] > 0 for row in measured)),
