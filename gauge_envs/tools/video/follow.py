@@ -256,6 +256,17 @@ class ShapeFollower:
             (covered * known > 0.3).astype(np.uint8), np.ones((5, 5), np.uint8)
         )
         self._scene.follow(picture, small, 1 - moving)
+        # An object that has outgrown the ring around its outline is one area; a rod that holds it is thinner.
+        whole = (covered * known > 0.5).astype(np.uint8)
+        whole = cv2.morphologyEx(whole, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+        _, labels, areas, _ = cv2.connectedComponentsWithStats(whole)
+        for one in found:
+            if one.likeness > 0.0:
+                column, row = (COARSE * one.place).astype(int)
+                label = _cut(labels, column, row, 0)[0][0, 0]
+                area = areas[label, cv2.CC_STAT_AREA] if label else 0.0
+                grown = math.sqrt(area / self._small.area)
+                one.size_ratio = max(one.size_ratio, grown)
         return sorted(
             (one for one in found if one.likeness > 0.0), key=lambda one: -one.likeness
         )

@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 
 from gauge_envs.tools.video import video_task
-from gauge_envs.tools.video.follow import Sight, best_path
+from gauge_envs.tools.video.follow import (
+    Background,
+    ShapeFollower,
+    Sight,
+    best_path,
+)
 from gauge_envs.tools.video.tracker import _is_neighbour
 
 
@@ -73,3 +78,17 @@ def test_only_balls_of_the_cradle_are_its_balls():
     assert not _is_neighbour(
         Sight(x_px=first_x - 50.0, y_px=task.pivot_px[1] + 150.0, likeness=1.0), task
     )
+
+
+@pytest.mark.parametrize("size", [1.0, 1.4, 1.6])
+def test_an_object_that_outgrows_its_outline_has_its_size(size):
+    pytest.importorskip("cv2")
+    task = video_task("BouncingBall-rubber")
+    rows, columns = np.mgrid[:480, :832]
+    away_px = np.hypot(columns - task.centre_px[0], rows - task.centre_px[1])
+    bare = np.full((480, 832, 3), 200, dtype=np.uint8)
+    first, grown = bare.copy(), bare.copy()
+    first[away_px < 0.5 * task.size_px] = 25
+    grown[away_px < 0.5 * size * task.size_px] = 25
+    sights = ShapeFollower(Background(bare), first, task).candidates(grown)
+    assert sights[0].size_ratio == pytest.approx(size, rel=0.15)
