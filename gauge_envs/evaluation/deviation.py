@@ -14,7 +14,7 @@ from gauge_envs.evaluation.metrics.trajectory import (
     release_offset,
     trajectory_rmse,
 )
-from gauge_envs.evaluation.numerics import beta_quantile, bounded_minimum
+from gauge_envs.evaluation.numerics import bounded_minimum, share_interval
 from gauge_envs.evaluation.uncertainty import BandErrors, band_errors
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.bands import Band
@@ -318,16 +318,11 @@ def percentile_interval(
     """
     if interval is None or refusal(distances) is not None:
         return None
-    count, tail = len(distances) / widening(distances) ** 2, 0.5 * (1.0 - LEVEL)
+    count = len(distances) / widening(distances) ** 2
     fewest, share, most = (
         float(np.mean(distances < end)) for end in (interval[0], distance, interval[1])
     )
-    closer = share * count
-    low, high = 0.0, 1.0
-    if closer:
-        low = beta_quantile(closer, count - closer + 1.0, tail)
-    if share < 1.0:
-        high = beta_quantile(closer + 1.0, count - closer, 1.0 - tail)
+    low, high = share_interval(share * count, count, LEVEL)
     below, above = (
         math.hypot(share - low, share - fewest),
         math.hypot(high - share, most - share),

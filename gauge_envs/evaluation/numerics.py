@@ -73,6 +73,23 @@ def beta_quantile(a: float, b: float, probability: float) -> float:
     return rising_root(lambda x: beta_probability(a, b, x) - probability, 0.0, 1.0)
 
 
+def share_interval(successes: float, count: float, level: float) -> tuple[float, float]:
+    """Return the exact interval of the share of successes in all trials (Clopper and Pearson 1934).
+
+    Args:
+        successes: Number of successes; parts of one where trials depend on each other.
+        count: Number of trials.
+        level: Coverage of the interval.
+    """
+    low, high = 0.0, 1.0
+    tail = 0.5 * (1.0 - level)
+    if successes > 0.0:
+        low = beta_quantile(successes, count - successes + 1.0, tail)
+    if successes < count:
+        high = beta_quantile(successes + 1.0, count - successes, 1.0 - tail)
+    return low, high
+
+
 def student_quantile(freedom: float, probability: float) -> float:
     """Return the value below which a Student variable is with a probability of at least 1/2.
 

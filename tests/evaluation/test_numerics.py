@@ -5,11 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy import special
+from scipy.stats import binomtest
 
 from gauge_envs.evaluation.numerics import (
     beta_quantile,
     bounded_minimum,
     normal_probability,
+    share_interval,
     student_quantile,
 )
 
@@ -22,6 +24,12 @@ def test_beta_quantiles_are_those_of_scipy(a, b):
     found = [beta_quantile(a, b, probability) for probability in PROBABILITIES]
     expected = special.betaincinv(a, b, PROBABILITIES)
     assert found == pytest.approx(expected, rel=1e-11)
+
+
+@pytest.mark.parametrize("successes", [0, 1, 7, 10])
+def test_the_interval_of_a_share_is_that_of_scipy(successes):
+    expected = binomtest(successes, 10).proportion_ci(0.95, "exact")
+    assert share_interval(successes, 10, 0.95) == pytest.approx(expected, abs=1e-12)
 
 
 @pytest.mark.parametrize("freedom", [1, 3, 21, 150])

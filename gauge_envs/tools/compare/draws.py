@@ -17,11 +17,11 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
-from scipy.stats import t as student
 
 from gauge_envs.evaluation.dependence import LEVEL, widening
 from gauge_envs.evaluation.deviation import band_deviations
 from gauge_envs.evaluation.error_sources import DRAW_COUNT, SEED
+from gauge_envs.evaluation.numerics import student_quantile
 from gauge_envs.evaluation.verification import (
     compared_points,
     frame_deviation,
@@ -76,11 +76,8 @@ def repeats_interval(
     low, high = np.mean(intervals, axis=0)
     half = 0.0
     if spread.std:
-        half = (
-            float(student.ppf(0.5 * (1.0 + LEVEL), spread.count - 1))
-            * spread.std
-            / math.sqrt(spread.count)
-        )
+        half = spread.std / math.sqrt(spread.count)
+        half *= student_quantile(spread.count - 1, 0.5 * (1.0 + LEVEL))
     below, above = (
         math.hypot(spread.mean - low, half),
         math.hypot(high - spread.mean, half),

@@ -23,7 +23,7 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtr, ndtri
 
 from gauge_envs.evaluation.dependence import LEVEL
 from gauge_envs.references.grades import BandGrade
@@ -507,8 +507,8 @@ def _mean_interval(value: float, draws: FloatArray) -> Interval:
     percentiles are then the better ones.
     """
     below = float(np.mean(draws < value) + 0.5 * np.mean(draws == value))
-    shift = 2.0 * norm.ppf(np.clip(below, 1.0 / len(draws), 1.0 - 1.0 / len(draws)))
-    corrected = norm.cdf(shift + norm.ppf(TAILS))
+    shift = 2.0 * ndtri(np.clip(below, 1.0 / len(draws), 1.0 - 1.0 / len(draws)))
+    corrected = ndtr(shift + ndtri(TAILS))
     low, high = np.quantile(
         draws, [min(TAILS[0], corrected[0]), max(TAILS[1], corrected[1])]
     )

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import binomtest, t as student
 
 from gauge_envs.errors import ParameterError
 from gauge_envs.evaluation.dependence import LEVEL
+from gauge_envs.evaluation.numerics import share_interval, student_quantile
 from gauge_envs.tools.transfer.estimates import Estimate
 from gauge_envs.tools.transfer.policy_replays import (
     Replay,
@@ -182,10 +182,8 @@ def success_share(values: NDArray[np.float64]) -> Estimate | None:
     """Return the share of successes with the exact interval of Clopper and Pearson."""
     if np.isnan(values).any():
         return None
-    interval = binomtest(int(values.sum()), len(values)).proportion_ci(LEVEL, "exact")
-    return Estimate(
-        value=float(values.mean()), low=float(interval.low), high=float(interval.high)
-    )
+    low, high = share_interval(float(values.sum()), len(values), LEVEL)
+    return Estimate(value=float(values.mean()), low=low, high=high)
 
 
 def _half_width(means: Sequence[NDArray[np.float64]]) -> float:
@@ -204,7 +202,7 @@ def _half_width(means: Sequence[NDArray[np.float64]]) -> float:
     freedom = variance**2 / sum(
         part**2 / (len(one) - 1) for part, one in zip(parts, means, strict=True)
     )
-    return float(student.ppf(0.5 * (1.0 + LEVEL), freedom)) * math.sqrt(variance)
+    return student_quantile(freedom, 0.5 * (1.0 + LEVEL)) * math.sqrt(variance)
 
 
 def _world(

@@ -12,7 +12,6 @@ from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import median_abs_deviation
 
 from gauge_envs.errors import ParameterError, UnknownNameError, VideoError
 from gauge_envs.evaluation.estimators import restitution_of_flights, slide_friction
@@ -56,6 +55,9 @@ LEAST_FALL, REACH = 0.05, 4
 
 DRAWS = 40
 """Simulated tracks from which the interval of a material's constant is taken."""
+
+NORMAL_MEDIAN = 0.6744897501960817
+"""Median of the amount of a standard normal variable."""
 
 MOST_GRAVITY = 0.2
 """Largest share by which the gravity of a fall or a swing differs: a swing of a radian takes 0.12."""
@@ -389,7 +391,9 @@ def _drawn(
     except ParameterError:
         return None, None
     # A few draws in which an impact is missed say nothing of the others: the scatter is that of the middle ones.
-    half = 1.96 * float(median_abs_deviation(values[1:], scale="normal"))
+    drawn = np.array(values[1:])
+    scatter = float(np.median(np.abs(drawn - np.median(drawn)))) / NORMAL_MEDIAN
+    half = 1.96 * scatter
     return values[0], (values[0] - half, values[0] + half)
 
 
