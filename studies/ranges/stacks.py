@@ -177,7 +177,9 @@ def maniskill(file: ModuleType, folder: Path) -> Draws:
     import gymnasium as gym
     import mani_skill.envs  # noqa: F401  Registers the ids.
 
-    env = gym.make("Empty-v1", robot_uids="panda", sim_backend="cpu")
+    env = gym.make(
+        "Empty-v1", robot_uids="panda", sim_backend="cpu", render_backend="none"
+    )
     env.reset(seed=0)
     robot = env.unwrapped.agent.robot
     name, link = "panda_joint1", "panda_hand"
