@@ -19,6 +19,7 @@ from more_faults import GOOD
 
 from gauge_envs.tools.sanity import configuration
 from gauge_envs.tools.sanity.phenomena import ROBOT_IDS
+from gauge_envs.tools.sanity.robot.finding import limits_of
 from gauge_envs.tools.sanity.robot.joints import (
     driven_dofs,
     joint_inertias,
@@ -513,7 +514,9 @@ def write_population(paths: Sequence[str]) -> None:
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(("number", "least", "largest", "count"))
         for name, values in several.items():
-            ends = (f"{min(values):.4g}", f"{max(values):.4g}")
+            is_error = name in ROBOT_IDS and limits_of(name)[0] <= 0.0
+            least = 0.0 if is_error or name.startswith("error") else min(values)
+            ends = (f"{least:.4g}", f"{max(values):.4g}")
             writer.writerow((name, *ends, len(values)))
 
 

@@ -7,7 +7,7 @@ import gymnasium
 import mujoco
 import numpy as np
 import pytest
-from generated_faults import CLASSES, cases, planted
+from generated_faults import CLASSES, cases, outside_makers, planted
 from more_faults import GOOD, LATER, MISTAKES, biped_xml
 
 from gauge_envs.tools.sanity.model import Verdict
@@ -139,6 +139,21 @@ def test_a_motor_diverges_under_sines_by_the_law_of_its_step(step_s, is_finite):
       <geom size=".1" pos=".1 0 0" mass="1"/></body></worldbody>
       <actuator><motor joint="j" ctrlrange="-1e15 1e15"/></actuator></mujoco>"""
     assert (robot_row("robot-holds", robot_of(xml)).configured == 1.0) == is_finite
+
+
+@pytest.mark.slow
+def test_usual_gains_need_a_data_sheet_and_a_spring_or_a_weak_motor_does_not():
+    good = GOOD["arm"]()
+    right = robot_of(good)
+    spec = mujoco.MjSpec.from_string(good)
+    for actuator in spec.actuators:
+        actuator.gainprm[0] *= 1.2
+        actuator.biasprm[1] *= 1.2
+    assert outside_makers(robot_of(spec.to_xml()), right) == (1.0, "none")
+    spring = robot_of(planted("arm, a spring").to_xml())
+    assert outside_makers(spring, right) == (np.inf, "robot-alike")
+    weak = re.sub('forcerange="[^"]*"', 'forcerange="-1e-3 1e-3"', good)
+    assert outside_makers(robot_of(weak), right)[0] > 1.0
 
 
 def test_an_oblique_axis_is_unlike_those_of_the_copies():
