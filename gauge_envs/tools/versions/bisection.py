@@ -32,27 +32,26 @@ def bisect(
     files = [file for _, file in runs]
     first, last = (bench.probe(end, files) for end in ends)
     whole = distance(first, last)
-    tried = {
-        0: Release(
-            release=ends[0].title, from_first=0.0, from_last=whole, like="first"
-        ),
-        len(releases) - 1: Release(
-            release=ends[1].title, from_first=whole, from_last=0.0, like="last"
-        ),
-    }
     low, high = 0, len(releases) - 1
+    gaps = {low: (0.0, whole), high: (whole, 0.0)}
     while whole and high - low > 1:
         middle = (low + high) // 2
         found = bench.probe(releases[middle], files)
-        gaps = (distance(first, found), distance(found, last))
-        like = "first" if gaps[0] <= gaps[1] else "last"
-        tried[middle] = Release(
-            release=releases[middle].title,
-            from_first=gaps[0],
-            from_last=gaps[1],
-            like=like,
+        gaps[middle] = (distance(first, found), distance(found, last))
+        side = _like(*gaps[middle])
+        say(f"{releases[middle].title} is like the {side} release")
+        low, high = (middle, high) if side == "first" else (low, middle)
+    tried = [
+        Release(
+            release=releases[index].title,
+            from_first=from_first,
+            from_last=from_last,
+            like=_like(from_first, from_last),
         )
-        say(f"{releases[middle].title} is like the {like} release")
-        low, high = (middle, high) if like == "first" else (low, middle)
-    ordered = [tried[index] for index in sorted(tried)]
-    return ((releases[low], releases[high]) if whole else None), ordered
+        for index, (from_first, from_last) in sorted(gaps.items())
+    ]
+    return ((releases[low], releases[high]) if whole else None), tried
+
+
+def _like(from_first: float, from_last: float) -> str:
+    return "first" if from_first <= from_last else "last"

@@ -13,6 +13,7 @@ these and the poses of geoms. `OUT.json` has the compiled model in words.
 import json
 import re
 import sys
+from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -380,44 +381,45 @@ def run(model: Any, job: Job) -> tuple[dict[str, Any], list[Job]]:
     """Move the model through its segments; return the states that are probed, and what became of each segment."""
     states, ends = [], []
     motions = driven(model, job)
+    noise = np.random.RandomState(job["run"].get("seed", 0) + 1)
+    change = PERTURBATION * noise.normal(size=model.nv)
     for index, part in enumerate(segments(model, job)):
         every = max(1, -(-part.steps // MOST_PROBES))
-        positions = {}
+        depths, speed = np.zeros(model.nbody), 0.0
+        for step, (state, data) in enumerate(moved(model, part, motions)):
+            pairs, distances = contacts(data)
+            for side in (0, 1):
+                np.maximum.at(depths, model.geom_bodyid[pairs[:, side]], -distances)
+            speed = max(speed, float(np.max(np.abs(data.qvel), initial=0.0)))
+            if step == 0:
+                first = np.array(data.xpos)
+            if step % every == 0:
+                states.append(dict(state, segment=index, step=step))
+        mujoco.mj_forward(model, data)
+        last = np.array(data.xpos)
+        end = {"segment": part.name, "steps": part.steps, "largest_speed": speed}
+        end |= {"speeds": speeds(model, data), "warnings": warnings(data)}
         # A start that differs by less than anyone means shows what chaos makes of nothing.
-        for variant in ("plain", "perturbed"):
-            begin = dict(part.start)
-            if variant == "perturbed":
-                noise = np.random.RandomState(job["run"].get("seed", 0) + 1)
-                velocity = begin.get("qvel", np.zeros(model.nv))
-                begin["qvel"] = velocity + PERTURBATION * noise.normal(size=model.nv)
-            depths, speed = np.zeros(model.nbody), 0.0
-            motion = moved(model, part._replace(start=begin), motions)
-            for step, (state, data) in enumerate(motion):
-                pairs, distances = contacts(data)
-                for side in (0, 1):
-                    np.maximum.at(depths, model.geom_bodyid[pairs[:, side]], -distances)
-                speed = max(speed, float(np.max(np.abs(data.qvel), initial=0.0)))
-                if step == 0:
-                    first = np.array(data.xpos)
-                if variant == "plain" and step % every == 0:
-                    states.append(dict(state, segment=index, step=step))
-            mujoco.mj_forward(model, data)
-            positions[variant] = np.array(data.xpos)
-            if variant == "plain":
-                end = {"segment": part.name, "steps": part.steps}
-                end["depths_m"] = depths.tolist()
-                end["largest_speed"] = speed
-                end["speeds"] = speeds(model, data)
-                end["warnings"] = warnings(data)
-        end["first_positions_m"] = first.tolist()
+        velocity = part.start.get("qvel", np.zeros(model.nv)) + change
+        other = part._replace(start=dict(part.start, qvel=velocity))
+        ((_, data),) = deque(moved(model, other, motions), maxlen=1)
+        mujoco.mj_forward(model, data)
         down = model.opt.gravity / max(float(np.linalg.norm(model.opt.gravity)), 1e-12)
-        end["fallen_m"] = ((positions["plain"] - first) @ down).tolist()
-        end["positions_m"] = positions["plain"].tolist()
-        end["perturbed_positions_m"] = positions["perturbed"].tolist()
-        ends.append(end)
+        places = {
+            "depths_m": depths,
+            "first_positions_m": first,
+            "fallen_m": (last - first) @ down,
+            "positions_m": last,
+            "perturbed_positions_m": data.xpos,
+        }
+        ends.append(end | {name: place.tolist() for name, place in places.items()})
     states.extend(saved_states(model, job, len(ends)))
-    keys = (*STATE, "time", "segment", "step")
-    return {key: np.array([state[key] for state in states]) for key in keys}, ends
+    return stacked(states), ends
+
+
+def stacked(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return the values of all rows, one behind the other, by name."""
+    return {name: np.array([one[name] for one in rows]) for name in rows[0]}
 
 
 def saved_states(model: Any, job: Job, segment: int) -> Iterator[dict[str, Any]]:
@@ -509,38 +511,35 @@ def spins(model: Any, data: Any) -> Any:
     return found if np.any(found) else None
 
 
+def accelerations(model: Any, data: Any, state: Mapping[str, Any]) -> Any:
+    """Put a state into the data of a model, compute it, and return its accelerations."""
+    put(data, state)
+    mujoco.mj_forward(model, data)
+    return np.array(data.qacc)
+
+
 def probe(model: Any, rows: Mapping[str, Any], has_poses: bool) -> dict[str, Any]:
     """Return what one step from each state computes; the state alone decides, with its saved warm start."""
-    count = len(rows["qpos"])
-    found = {}
-    for name in ("qacc", "smooth", "constraint", "step_acc", "perturbed", "cold"):
-        found[name] = np.zeros((count, model.nv))
-    for name in ("iterations", "imbalance", "contacts", "warnings", "solver_error"):
-        found[name] = np.zeros(count)
-    found["spin"] = np.full(count, np.nan)
-    poses = {"geom_xpos": 3, "geom_xmat": 9} if has_poses else {}
-    for name, size in poses.items():
-        found[name] = np.zeros((count, model.ngeom, size))
-    touching, pairs, distances = [], [], []
+    found, touching, pairs, distances = [], [], [], []
     noise = np.random.RandomState(0)
     data = mujoco.MjData(model)
-    for index in range(count):
+    for index in range(len(rows["qpos"])):
         state = row(rows, index)
         velocity = state.get("qvel", np.zeros(model.nv))
         mujoco.mj_resetData(model, data)
-        put(data, state)
-        mujoco.mj_forward(model, data)
-        found["qacc"][index] = data.qacc
-        for name in poses:
-            found[name][index] = getattr(data, name)
-        found["smooth"][index] = data.qacc_smooth
-        found["constraint"][index] = data.qfrc_constraint
-        found["iterations"][index] = iterations(data)
-        found["imbalance"][index] = imbalance(model, data)
-        found["contacts"][index] = data.ncon
-        # The solver stops when its cost, a square of accelerations, falls by less than the tolerance.
-        if data.nefc:
-            found["solver_error"][index] = np.sqrt(model.opt.tolerance)
+        one = {
+            "qacc": accelerations(model, data, state),
+            "smooth": np.array(data.qacc_smooth),
+            "constraint": np.array(data.qfrc_constraint),
+            "iterations": iterations(data),
+            "imbalance": imbalance(model, data),
+            "contacts": data.ncon,
+            # The solver stops when its cost, a square of accelerations, falls by less than the tolerance.
+            "solver_error": np.sqrt(model.opt.tolerance) if data.nefc else 0.0,
+            "spin": float("nan"),
+        }
+        for name in ("geom_xpos", "geom_xmat") if has_poses else ():
+            one[name] = np.array(getattr(data, name))
         pair, distance = contacts(data)
         touching.extend([index] * len(pair))
         pairs.extend(pair.tolist())
@@ -548,26 +547,25 @@ def probe(model: Any, rows: Mapping[str, Any], has_poses: bool) -> dict[str, Any
         before = spins(model, data)
         put(data, state)
         mujoco.mj_step(model, data)
-        found["step_acc"][index] = (data.qvel - velocity) / model.opt.timestep
-        found["warnings"][index] = sum(warnings(data).values())
+        one["step_acc"] = (data.qvel - velocity) / model.opt.timestep
+        one["warnings"] = sum(warnings(data).values())
         if before is not None:
             mujoco.mj_forward(model, data)
             after = spins(model, data)
             if after is not None:
                 change = np.linalg.norm(after - before)
-                found["spin"][index] = change / np.linalg.norm(before)
+                one["spin"] = change / np.linalg.norm(before)
         other = velocity + PERTURBATION * noise.normal(size=model.nv)
-        put(data, dict(state, qvel=other))
-        mujoco.mj_forward(model, data)
-        found["perturbed"][index] = data.qacc
+        one["perturbed"] = accelerations(model, data, dict(state, qvel=other))
         state.pop("qacc_warmstart", None)
-        put(data, state)
-        mujoco.mj_forward(model, data)
-        found["cold"][index] = data.qacc
-    found["contact_state"] = np.array(touching, dtype=int)
-    found["contact_pair"] = np.array(pairs, dtype=int).reshape(-1, 2)
-    found["contact_dist"] = np.array(distances, dtype=float)
-    return found
+        one["cold"] = accelerations(model, data, state)
+        found.append(one)
+    return {
+        **stacked(found),
+        "contact_state": np.array(touching, dtype=int),
+        "contact_pair": np.array(pairs, dtype=int).reshape(-1, 2),
+        "contact_dist": np.array(distances, dtype=float),
+    }
 
 
 def main(file: Path) -> None:
