@@ -172,12 +172,12 @@ def mjlab(file: ModuleType, folder: Path) -> Draws:
     return of_fields(SimpleNamespace(**values))
 
 
-def maniskill(file: ModuleType, folder: Path) -> Draws:
+def maniskill(file: Any, folder: Path) -> Draws:
     """Draw the Panda of ManiSkill's empty scene, whose fingers and hand take the names of the file."""
     import gymnasium as gym
     import mani_skill.envs  # noqa: F401  Registers the ids.
 
-    env = gym.make(
+    env: Any = gym.make(
         "Empty-v1", robot_uids="panda", sim_backend="cpu", render_backend="none"
     )
     env.reset(seed=0)

@@ -56,6 +56,7 @@ def quartiles(errors_m: NDArray[np.float64]) -> str:
 
 
 if __name__ == "__main__":
-    table = [["experiment", "tosses", "ballistic, mm", "linear, mm"], *map(row, REST_HEIGHT_M)]  # fmt: skip
+    table = [row(name) for name in REST_HEIGHT_M]
+    table.insert(0, ["experiment", "tosses", "ballistic, mm", "linear, mm"])
     with Path(__file__).with_name("plain.csv").open("w", encoding="utf-8", newline="") as stream:  # fmt: skip
         csv.writer(stream, lineterminator="\n").writerows(table)
