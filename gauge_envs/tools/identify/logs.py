@@ -133,10 +133,10 @@ def read_log(path: Path) -> Log:
         AssetError: The file cannot be read, a column is missing, numbers are not finite, times do not ascend, or
             the log of a free swing has an unknown column.
     """
-    if not path.is_file():
-        raise AssetError(path, "", "there is no such file")
     try:
         named, named_joints = _npz(path) if path.suffix == ".npz" else (_csv(path), ())
+    except FileNotFoundError:
+        raise AssetError(path, "", "there is no such file") from None
     except (OSError, ValueError, TypeError) as error:
         raise AssetError(
             path, "log", f"cannot be read as CSV or NPZ: {error}"

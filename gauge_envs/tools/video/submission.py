@@ -7,8 +7,10 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from gauge_envs.files import read_regular
 from gauge_envs.pages.table import Column, Table
 from gauge_envs.references.tables import FileModel
+from gauge_envs.tools.video.frames import MOST_BYTES
 from gauge_envs.tools.video.laws import GRAVITY_M_PER_S2
 from gauge_envs.tools.video.plane import read_model
 from gauge_envs.tools.video.prompts import COMMIT
@@ -100,16 +102,17 @@ def submission_faults(folder: Path, clips: Mapping[str, list[Path]]) -> list[str
         )
     if len(set(submission.seeds)) != SEEDS:
         faults.append(f"seeds has {len(set(submission.seeds))} numbers, not {SEEDS}")
-    known: dict[str, Path] = {}
+    file_of_digest: dict[str, Path] = {}
     for task in video_tasks():
         files = clips.get(task.id, [])
         if len(files) != SEEDS:
             faults.append(f"{task.id} has {len(files)} clips, not {SEEDS}")
         for file in files:
-            name = hashlib.sha256(file.read_bytes()).hexdigest()
-            if name in known:
-                faults.append(f"{file.name} of {task.id} is {known[name]} again")
-            known[name] = file.relative_to(folder)
+            digest = hashlib.sha256(read_regular(file, MOST_BYTES)).hexdigest()
+            if digest in file_of_digest:
+                first = file_of_digest[digest]
+                faults.append(f"{file.name} of {task.id} is {first} again")
+            file_of_digest[digest] = file.relative_to(folder)
     return [f"{folder / FILE}: {one}" for one in faults]
 
 
