@@ -29,11 +29,12 @@ def row(name: str) -> list[object]:
     copies = {one["trial"] for one in sidecar.get("copies", [])}
     frames = round(AT_S * sidecar["rate_hz"])
     after_s = frames / sidecar["rate_hz"]
+    lengths = np.diff(data["first"])
     trials = [
         trial
-        for trial, (first, end) in enumerate(zip(data["first"], data["first"][1:], strict=False))
-        if trial not in copies and end - first > frames
-    ]  # fmt: skip
+        for trial, length in enumerate(lengths.tolist())
+        if trial not in copies and length > frames
+    ]
     starts = data["first"][trials]
     positions_m = sidecar["position_unit_m"] * data["position"].astype(float)
     moved_m = positions_m[starts + frames] - positions_m[starts]
@@ -51,12 +52,14 @@ def row(name: str) -> list[object]:
 
 def quartiles(errors_m: NDArray[np.float64]) -> str:
     """Return median and quartiles of distances [mm]."""
-    low, middle, high = np.percentile(1e3 * np.linalg.norm(errors_m, axis=1), (25, 50, 75))  # fmt: skip
+    distances_mm = 1e3 * np.linalg.norm(errors_m, axis=1)
+    low, middle, high = np.percentile(distances_mm, (25, 50, 75))
     return f"{middle:.1f} ({low:.1f} to {high:.1f})"
 
 
 if __name__ == "__main__":
     table = [row(name) for name in REST_HEIGHT_M]
     table.insert(0, ["experiment", "tosses", "ballistic, mm", "linear, mm"])
-    with Path(__file__).with_name("plain.csv").open("w", encoding="utf-8", newline="") as stream:  # fmt: skip
+    file = Path(__file__).with_name("plain.csv")
+    with file.open("w", encoding="utf-8", newline="") as stream:
         csv.writer(stream, lineterminator="\n").writerows(table)

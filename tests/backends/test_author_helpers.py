@@ -61,7 +61,6 @@ class Stateless(Backend):
 STATE_CHECKS = [
     "restore",
     "restore-wrench",
-    "copy",
     "cloth-restore",
     "sample-positions",
     "reset-[!c]*",
@@ -73,7 +72,7 @@ STATE_CHECKS = [
     [
         STATE_CHECKS,
         pytest.param(
-            ["restore-*-rigid", "restore-rest", "cloth-copy"], marks=pytest.mark.slow
+            ["restore-impact", "restore-rest", "restore-edge"], marks=pytest.mark.slow
         ),
     ],
     ids=["short", "long"],

@@ -127,7 +127,7 @@ def test_the_check_passes_and_is_the_only_one_that_its_fault_fails(parts, monkey
                 "start-*",
                 "spin-*",
                 "slide*",
-                "collision-*",
+                "rebound-0*",
                 "fast-flight",
             ],
         )

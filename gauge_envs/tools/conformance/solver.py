@@ -27,6 +27,14 @@ from gauge_envs.tools.sanity import solver_differences
 
 FLOOR = '<geom type="plane" size="5 5 0.1"/>'
 
+CORNERS_M = " ".join(
+    f"{x} {y} {z}"
+    for x in (-0.06, 0.06)
+    for y in (-0.05, 0.05)
+    for z in (-0.03, 0.03 + x / 4.0)
+)
+"""Corners of a wedge [m], whose top leans."""
+
 
 def _arm(x: int, y: int) -> str:
     """Return a capsule on a hinge at a side of a box of 0.12 by 0.1 by 0.08 m."""
@@ -36,19 +44,30 @@ def _arm(x: int, y: int) -> str:
     )
 
 
+def _pile(count: int, geoms: str, more: str = "") -> str:
+    """Return free bodies above a floor, each turned by 137 degrees beside the one below it."""
+    return (
+        f'<mujoco>{more}<worldbody>{FLOOR}<replicate count="{count}" offset="0 0 0.09" euler="0 0 137">'
+        f'<body pos="0.12 0.03 0.12"><freejoint/>{geoms}</body></replicate></worldbody></mujoco>'
+    )
+
+
 BOX = '<geom type="box" size="0.06 0.05 0.04" density="500"/>'
 ARMS = "".join(_arm(x, y) for x, y in ((1, 0), (-1, 0), (0, 1), (0, -1)))
-PILE = (
-    f'<mujoco><worldbody>{FLOOR}<replicate count="20" offset="0 0 0.09" euler="0 0 137">'
-    f'<body pos="0.12 0.03 0.12"><freejoint/>{BOX}{ARMS}</body></replicate></worldbody></mujoco>'
+WEDGE = f'<asset><mesh name="wedge" vertex="{CORNERS_M}"/></asset>'
+TABLE = (
+    '<geom type="box" size="0.1 0.06 0.01" pos="0 0 0.03"/>'
+    '<geom type="box" size="0.01 0.06 0.03" pos="0.08 0 -0.01"/>'
+    '<geom type="box" size="0.01 0.06 0.03" pos="-0.08 0 -0.01"/>'
 )
-"""Free bodies above a floor, each turned by 137 degrees beside the one below it."""
 CLOTH = f"""<mujoco><worldbody>{FLOOR}<geom type="sphere" size="0.1" pos="0 0 0.2"/>
 <flexcomp name="cloth" type="grid" dim="2" count="6 6 1" spacing="0.05 0.05 0.05" pos="0 0 0.32" radius="0.005"
 mass="0.1"><edge equality="true" damping="0.01"/><contact selfcollide="none"/></flexcomp></worldbody></mujoco>"""
 
 SCENES = {
-    "solver-pile": (PILE, 400),
+    "solver-pile": (_pile(20, BOX + ARMS), 400),
+    "solver-meshes": (_pile(8, '<geom type="mesh" mesh="wedge"/>', WEDGE), 150),
+    "solver-compounds": (_pile(8, TABLE), 150),
     "solver-cloth": (CLOTH, 100),
 }
 """Model of each check, and its steps."""
