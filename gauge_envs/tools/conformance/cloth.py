@@ -342,3 +342,11 @@ def _cloth_slide(rollout: Rollout) -> Measurement:
     return slide_acceleration(
         acceleration_m_per_s2(rollout.times_s[window], positions), FRICTION
     )
+
+
+@_sliding.check("cloth-rests")
+def _cloth_rests(rollout: Rollout) -> Measurement:
+    height = (
+        _on_slab(rollout)[rollout.between(0.3, 0.4), :, 2] - 0.5 * SLAB_M[2] - 0.5e-3
+    )
+    return Measurement(measured=1e3 * float(np.abs(height).max()))

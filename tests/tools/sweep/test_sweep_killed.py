@@ -21,10 +21,10 @@ from gauge_envs.tools.sweep.spec import sweep_spec
 VALUES = {
     "backends": ["mujoco", "rapier"],
     "variants": ["SlopeSlider-2-*"],
-    "repeats": 2,
+    "repeats": 8,
     "settings": {"timestep_s": [1 / 360, 1 / 720]},
 }
-COUNT = 24
+COUNT = 96
 COMMAND = [
     *(
         sys.executable,
@@ -34,7 +34,7 @@ COMMAND = [
         "--jobs",
         "2",
     ),
-    *("--backend=mujoco,rapier", "--only=SlopeSlider-2-*", "--repeats=2"),
+    *("--backend=mujoco,rapier", "--only=SlopeSlider-2-*", "--repeats=8"),
     *("--set", f"timestep_s={1 / 360!r},{1 / 720!r}", "--retry-failed", "--out"),
 ]
 
