@@ -22,6 +22,7 @@ carry-line               teleport              must have a velocity
 carry-slip               friction-low          is not the pair's
 carry-turn               teleport              must have a velocity
 cloth-reset              no-reset              positions and velocities of nodes
+cloth-rests              no-contacts           falls through
 cloth-restore            restore-velocity      velocities
 drop-energy              gains-energy          the engine makes energy
 foam-pinned-face         nodes-lag             one interval (1/180 s) late
