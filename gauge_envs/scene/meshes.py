@@ -189,7 +189,7 @@ def mass_properties(shape: Shape, mass_kg: float) -> tuple[FloatArray, FloatArra
 
 
 def _without_last_bits(values: FloatArray, size: float) -> FloatArray:
-    """Return values with `MASS_PROPERTY_BITS` below a size, which are the same on every processor."""
+    """Return values with `MASS_PROPERTY_BITS` below a size: sums in another order give them too, but for rare ties."""
     quantum = math.ldexp(1.0, math.frexp(size)[1] - MASS_PROPERTY_BITS)
     return np.round(values / quantum) * quantum + 0.0
 

@@ -35,6 +35,31 @@ def test_a_robot_without_a_mistake_has_no_flag(name):
     assert [(row.phenomenon, row.configured) for row in rows if row.is_flag] == []
 
 
+LINK = '<geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.03"/>'
+NO_SHAPE = '<inertial pos="0 0 0" mass="1" diaginertia="0.01 0.01 0.01"/>'
+SERVO = '<position joint="j" kp="10" kv="1"/>'
+ODD = {
+    "no shape": (NO_SHAPE, '<motor joint="j" forcerange="-5 5"/>', ""),
+    "no gear": (LINK, '<position joint="j" kp="10" gear="0"/>', ""),
+    "adhesion": (LINK, f'{SERVO}<adhesion body="b" ctrlrange="0 1"/>', ""),
+    "no gravity": (LINK, SERVO, '<option gravity="0 0 0"/>'),
+}
+
+
+@pytest.mark.parametrize("name", ODD)
+def test_no_row_ends_in_an_error_on_an_odd_robot(name):
+    link, actuators, option = ODD[name]
+    robot = robot_of(
+        f"""<mujoco><compiler angle="radian"/>{option}<worldbody><geom type="plane" size="5 5 0.1"/>
+        <body name="b" pos="0 0 0.02"><joint name="j" axis="0 1 0" range="-1 1" armature="0.01"/>{link}</body></worldbody>
+        <actuator>{actuators}</actuator></mujoco>"""
+    )
+    rows = {one: robot_row(one, robot) for one in ROBOT_IDS}
+    # Without a size nothing is too strong for it, and lengths have no unit.
+    assert (rows["robot-size"].verdict is Verdict.DECLINED) == (name == "no shape")
+    assert rows["robot-torque"].configured != 0.0
+
+
 @pytest.mark.parametrize("mistakes", [MISTAKES, LATER], ids=["known", "later"])
 def test_mistakes_are_named(mistakes):
     unnamed = []

@@ -114,24 +114,8 @@ def _torque(robot: Robot) -> Finding:
             remark=f"{names}: {len(single)} motors turn one way only",
             advice=f"a forcerange of both signs for {names}",
         )
-    lifted_nm = robot.mass_kg * GRAVITY_M_PER_S2 * size_m(robot)
-    of_motors_nm = motor_limits(robot.model)
-    strong = [
-        dof
-        for dof, nm in limits_nm.items()
-        if MOST_TIMES * min(lifted_nm, nm) < of_motors_nm[dof] < np.inf
-    ]
-    if strong:
-        names = first_joints(robot, strong)
-        most_nm = float(of_motors_nm[strong].max())
-        return Finding(
-            value=np.inf,
-            parts=by_joint(robot, dict.fromkeys(strong, np.inf)),
-            remark=f"{names}: {len(strong)} of {len(driven)} driven joints have motors of up to {most_nm:.3g} Nm, "
-            f"which lift {most_nm / lifted_nm:.2g} times the robot by an arm of its size, or "
-            f"{MOST_TIMES:g} times as much as the joint allows",
-            advice=f"the gear and the forcerange of {names} in Nm",
-        )
+    if strong := _too_strong(robot, limits_nm):
+        return strong
     at_start = robot.is_floating
     bias_nm = np.abs(start(robot).qfrc_bias) if at_start else largest_weights_nm(robot)
     weights_nm = {dof: float(bias_nm[dof]) for dof in limits_nm}
@@ -164,6 +148,32 @@ def _torque(robot: Robot) -> Finding:
         parts=by_joint(robot, ratios),
         remark=f"{joint}: {limits_nm[weakest]:.3g} Nm against {weights_nm[weakest]:.3g} Nm",
         advice=f"a forcerange of {joint} and joints like it from {fair_nm:.2g} Nm on",
+    )
+
+
+def _too_strong(robot: Robot, limits_nm: Mapping[int, float]) -> Finding | None:
+    """Return the motors that are far stronger than their robot or their joint needs; None without any."""
+    motors_nm = motor_limits(robot.model)
+    # A robot without a shape has no size to compare with.
+    lifts_nm = robot.mass_kg * GRAVITY_M_PER_S2 * size_m(robot) or np.inf
+    times: dict[int, float] = {}
+    for dof, limit_nm in limits_nm.items():
+        ratio = float(motors_nm[dof]) / min(lifts_nm, limit_nm)
+        if MOST_TIMES < ratio < np.inf:
+            times[dof] = ratio
+    if not times:
+        return None
+    worst = max(times, key=times.__getitem__)
+    needed = "what lifts the robot by an arm of its size"
+    if limits_nm[worst] < lifts_nm:
+        needed = "the torque that the joint allows"
+    names = first_joints(robot, list(times))
+    return Finding(
+        value=np.inf,
+        parts=by_joint(robot, dict.fromkeys(times, np.inf)),
+        remark=f"{names}: motors of {len(times)} of {len(driven_dofs(robot))} driven joints have up to "
+        f"{times[worst]:.2g} times {needed}, {motors_nm[worst]:.3g} Nm",
+        advice=f"the gear and the forcerange of {names} in Nm",
     )
 
 
@@ -505,12 +515,16 @@ def _commands(robot: Robot, actuator: int, name: str) -> Iterator[Finding]:
             advice=f"the gain and the gear of the motor of {name}",
         )
     elif per_control < 0.0:
-        gear = np.abs(model.actuator_gear[actuator])
+        gains = np.array(model.actuator_gainprm[actuator])
+        gains[0] = abs(gain)
         yield Finding(
             value=-np.inf,
             remark=f"{name} turns against its command",
             advice=f"a positive gear and gain for {name}",
-            changes={f"actuator_gear[{actuator}]": gear},
+            changes={
+                f"actuator_gear[{actuator}]": np.abs(model.actuator_gear[actuator]),
+                f"actuator_gainprm[{actuator}]": gains,
+            },
         )
     elif is_servo[actuator]:
         yield _reached(robot, actuator, name)

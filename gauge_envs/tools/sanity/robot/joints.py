@@ -221,11 +221,10 @@ def one_sided(robot: Robot) -> dict[int, int]:
     is_muscle = model.actuator_gaintype == int(mujoco.mjtGain.mjGAIN_MUSCLE)
     is_one = model.actuator_forcelimited.astype(bool) & (low * high >= 0.0)
     is_one &= acts_on_joints(model) & ~is_muscle
-    driven = set(driven_dofs(robot))
-    dofs = model.jnt_dofadr[model.actuator_trnid[:, 0]]
-    return {
-        int(dofs[a]): a for a in np.flatnonzero(is_one).tolist() if dofs[a] in driven
-    }
+    driven = driven_dofs(robot)
+    actuators = np.flatnonzero(is_one).tolist()
+    found = {dof_of(robot, actuator): actuator for actuator in actuators}
+    return {dof: actuator for dof, actuator in found.items() if dof in driven}
 
 
 def springs(model: mujoco.MjModel) -> FloatArray:
@@ -309,5 +308,8 @@ def speed_servos(robot: Robot) -> list[int]:
     gains, (_, angle, rate) = model.actuator_gainprm[:, 0], model.actuator_biasprm.T[:3]
     is_speed = acts_on_joints(model) & (angle == 0.0) & servos(model).any()
     is_speed &= (rate < 0.0) & np.isclose(gains, -rate)
-    is_speed &= model.jnt_limited[model.actuator_trnid[:, 0]] > 0
-    return np.flatnonzero(is_speed).tolist()
+    return [
+        actuator
+        for actuator in np.flatnonzero(is_speed).tolist()
+        if model.jnt_limited[model.actuator_trnid[actuator, 0]]
+    ]

@@ -105,7 +105,8 @@ def hold_pose(robot: Robot, slope_deg: float = 0.0) -> HoldMotion:
         int(dof): float(torques_nm[dof] / limits_nm[dof])
         for dof in np.flatnonzero(is_limited)
     }
-    weight_n = robot.mass_kg * gravity_m_per_s2
+    # Without gravity nothing carries a share of the weight.
+    weight_n = robot.mass_kg * gravity_m_per_s2 or np.inf
     height_ratio, slip_m = np.nan, 0.0
     if standing is not None:
         end_height_m = float(data.subtree_com[standing.body] @ up) - ground_m

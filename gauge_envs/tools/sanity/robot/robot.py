@@ -65,7 +65,8 @@ LENGTHS_OF = (
 """Attributes of a spec that are lengths, behind the kind of their element."""
 
 CHANGED_ARRAYS = (
-    *("dof_armature", "body_gravcomp"),
+    "dof_armature",
+    "body_gravcomp",
     *("actuator_gainprm", "actuator_biasprm", "actuator_forcerange"),
 )
 """Arrays of the model that a row may change in a copy."""

@@ -288,6 +288,10 @@ def _lag(robot: Robot) -> Finding:
         half_ms = 1e3 * lone_half_step_s(robot, actuator, dof)
         if not np.isfinite(half_ms):
             continue
+        response = servo_responses(robot).get(dof)
+        if response is None:
+            # A gear of 0 leaves a servo without stiffness, which is a row of its own.
+            continue
         halves_ms[dof] = half_ms
         ratio = max(low_ms / max(half_ms, 1e-9), half_ms / high_ms)
         is_bare = half_ms < low_ms and not armatures.any()
@@ -304,7 +308,7 @@ def _lag(robot: Robot) -> Finding:
             advice = (
                 "the armature of its rotor and gear, its forcerange, and kp in Nm/rad"
             )
-        text = response_text(*servo_responses(robot)[dof])
+        text = response_text(*response)
         if half_ms < low_ms:
             text = f"{limits_nm[dof]:.3g} Nm turn {inertias[dof]:.2g} kg m^2"
         found = Finding(

@@ -30,11 +30,7 @@ from gauge_envs.tools.sanity.robot.ground_rows import (
 )
 from gauge_envs.tools.sanity.robot.joints import driven_dofs, start
 from gauge_envs.tools.sanity.robot.knees import wrong_knees
-from gauge_envs.tools.sanity.robot.mass_rows import (
-    SIGNS,
-    box_corners,
-    size_m,
-)
+from gauge_envs.tools.sanity.robot.mass_rows import SIGNS, box_corners, size_m
 from gauge_envs.tools.sanity.robot.mujoco_feet import (
     first_moving_body,
     joints_of,
@@ -81,6 +77,8 @@ def _size(robot: Robot) -> Finding:
     if not robot.bodies:
         return Finding(declined="the model has no robot")
     diagonal_m = size_m(robot)
+    if not diagonal_m:
+        return Finding(declined="the robot has no shape")
     unit = "millimetres" if diagonal_m > 1.0 else "kilometres"
     return Finding(
         value=diagonal_m,
