@@ -302,11 +302,7 @@ def video_report(
             except VideoError as error:
                 broken.append(str(error))
             progress.advance(f"{model}: {task}")
-    submitted = [
-        model
-        for model in sorted({model for model, _ in results})
-        if (folder / model / FILE).exists()
-    ]
+    submitted = sorted(file.parent.name for file in folder.glob(f"*/{FILE}"))
     faults: list[str] = []
     for model in submitted:
         clips_of_tasks = {

@@ -51,8 +51,8 @@ def test_no_row_ends_in_an_error_on_an_odd_robot(name):
     link, actuators, option = ODD[name]
     robot = robot_of(
         f"""<mujoco><compiler angle="radian"/>{option}<worldbody><geom type="plane" size="5 5 0.1"/>
-        <body name="b" pos="0 0 0.02"><joint name="j" axis="0 1 0" range="-1 1" armature="0.01"/>{link}</body></worldbody>
-        <actuator>{actuators}</actuator></mujoco>"""
+        <body name="b" pos="0 0 0.02"><joint name="j" axis="0 1 0" range="-1 1" armature="0.01"/>{link}</body>
+        </worldbody><actuator>{actuators}</actuator></mujoco>"""
     )
     rows = {one: robot_row(one, robot) for one in ROBOT_IDS}
     # Without a size nothing is too strong for it, and lengths have no unit.
