@@ -306,6 +306,14 @@ LATER = {
         ),
         "robot-torque",
     ),
+    "quadruped, a trunk whose centre is far ahead": (
+        replaced('(name="trunk" type="box")', r'\1 pos=".12 0 0"'),
+        "robot-sides",
+    ),
+    "biped, knees with a twentieth of their torque": (
+        replaced('(_knee".*?forcerange=)"-120 120"', r'\1"-6 6"'),
+        "robot-torque",
+    ),
     "biped, a start in the ground": (
         replaced("[.]7287", ".5"),
         "robot-stands",

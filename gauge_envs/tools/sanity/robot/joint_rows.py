@@ -1,8 +1,7 @@
 """Judge what drives and brakes the joints of a model."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -17,9 +16,7 @@ from gauge_envs.tools.sanity.robot.finding import (
     name_of,
     of_elements,
     row,
-    standing_of,
 )
-from gauge_envs.tools.sanity.robot.ground_rows import limbs_of
 from gauge_envs.tools.sanity.robot.joints import (
     FEW_JOINTS,
     driven_dofs,
@@ -27,25 +24,21 @@ from gauge_envs.tools.sanity.robot.joints import (
     growth,
     joint_inertias,
     largest_weights_nm,
-    leg_nm,
     loads_nm,
     motor_limits,
     one_sided,
-    placed_bodies,
     servo_gains,
     servos,
-    speed_servos,
     start,
     stiffness,
     undriven,
 )
+from gauge_envs.tools.sanity.robot.legs import bent_legs_nm
 from gauge_envs.tools.sanity.robot.mass_rows import size_m
 from gauge_envs.tools.sanity.robot.robot import (
     Robot,
-    acts_on_joints,
     couplings_of,
     enabling,
-    swapped_motors,
     switched_off,
 )
 
@@ -63,12 +56,6 @@ MOST_TIMES = 10.0
 
 EXCEPTIONS_SHARE = 0.25
 """Share of joints without a largest torque or a rotor up to which they are exceptions: makers leave it out in more."""
-
-SAME_ANGLE = 0.05
-"""Difference from 1 up to which a command counts as the angle of its joint."""
-
-LOST_COMMANDS = 0.1
-"""Part of the commands of a servo that must lie in the range of its joint, for the whole range to count as reached."""
 
 FULL_ACTION_RAD_PER_S = 3.0
 """Speed of a joint below which a leg cannot step: half a radian in a swing of 0.2 s is 2.5 rad/s."""
@@ -101,7 +88,7 @@ def _torque(robot: Robot) -> Finding:
         return Finding(declined="no hinge of the robot is driven")
     if idle := undriven(robot):
         names = first_joints(robot, idle)
-        several = f"{names}: {len(idle)} of {len(driven) + len(idle)} hinges"
+        several = f"{names}: {len(idle)} of {len(driven) + len(idle)} joints"
         return Finding(
             parts=by_joint(robot, dict.fromkeys(idle, 0.0)),
             remark=f"{several} have no actuator",
@@ -118,9 +105,9 @@ def _torque(robot: Robot) -> Finding:
         return strong
     at_start = robot.is_floating
     bias_nm = np.abs(start(robot).qfrc_bias) if at_start else largest_weights_nm(robot)
-    weights_nm = {dof: float(bias_nm[dof]) for dof in limits_nm}
     if at_start:
-        weights_nm |= _leg_weights_nm(robot, limits_nm)
+        bias_nm = np.maximum(bias_nm, bent_legs_nm(robot))
+    weights_nm = {dof: float(bias_nm[dof]) for dof in limits_nm}
     ratios = {
         dof: min(limit / max(weights_nm[dof], 1e-3), 1e6)
         for dof, limit in limits_nm.items()
@@ -140,8 +127,6 @@ def _torque(robot: Robot) -> Finding:
         )
     weakest = min(ratios, key=ratios.__getitem__)
     fair_nm = 2.0 * weights_nm[weakest]
-    if robot.is_floating:
-        fair_nm = leg_nm(robot)
     joint = joint_name(robot, weakest)
     return Finding(
         value=ratios[weakest],
@@ -175,15 +160,6 @@ def _too_strong(robot: Robot, limits_nm: Mapping[int, float]) -> Finding | None:
         f"{times[worst]:.2g} times {needed}, {motors_nm[worst]:.3g} Nm",
         advice=f"the gear and the forcerange of {names} in Nm",
     )
-
-
-def _leg_weights_nm(robot: Robot, limits_nm: Mapping[int, float]) -> dict[int, float]:
-    """Return what the strongest joint of each leg must hold: the load of a foot at a quarter of the height [Nm]."""
-    standing, dofs_body = standing_of(robot), robot.model.dof_bodyid
-    feet, needed_nm = set(standing.feet), 0.125 * leg_nm(robot)
-    legs = [set(limb) for limb in limbs_of(robot) if feet & set(limb)]
-    several = [[dof for dof in limits_nm if int(dofs_body[dof]) in leg] for leg in legs]
-    return {max(leg, key=limits_nm.__getitem__): needed_nm for leg in several if leg}
 
 
 @row("robot-stiffness")
@@ -443,135 +419,6 @@ def _range(robot: Robot) -> Finding:
         remark=f"{name}, {len(off)} of {len(ranges_rad)}: {unit}?" if off else "",
         advice=advice,
         changes=changes,
-    )
-
-
-@row("robot-command")
-def _command(robot: Robot) -> Finding:
-    model = robot.model
-    joints = model.actuator_trnid[:, 0]
-    found: dict[str, Finding] = {}
-    moved = set(robot.bodies) - set(placed_bodies(model))
-    has_gain = model.actuator_gaintype == int(mujoco.mjtGain.mjGAIN_FIXED)
-    for actuator in np.flatnonzero(acts_on_joints(model) & has_gain).tolist():
-        joint = int(joints[actuator])
-        if int(model.jnt_bodyid[joint]) in moved:
-            name = joint_name(robot, int(model.jnt_dofadr[joint]))
-            found.update((name, one) for one in _commands(robot, actuator, name))
-    for motor, joint in swapped_motors(model).items():
-        name = model.actuator(motor).name
-        found[name] = Finding(
-            remark=f"{name} turns {name_of(robot, int(joints[motor]))}",
-            advice=f"joint {name_of(robot, joint)} for {name}",
-        )
-    for motor in speed_servos(robot):
-        name = name_of(robot, int(joints[motor]))
-        found[name] = Finding(
-            remark=f"the servo of {name} takes a speed, and is commanded an angle",
-            advice=f"a servo of position for {name}: -kp and -kv in biasprm",
-        )
-    if not found:
-        return Finding(declined="no servo of the robot takes a position")
-    worst = min(found.values(), key=lambda one: one.value)
-    changes: dict[str, Any] = {}
-    for one in found.values():
-        changes |= one.changes
-    parts = {name: one.value for name, one in found.items()}
-    return replace(worst, parts=parts, changes=changes)
-
-
-def _commands(robot: Robot, actuator: int, name: str) -> Iterator[Finding]:
-    """Yield what a command does to the joint of an actuator; nothing for a motor with a gain."""
-    model = robot.model
-    gain, bias = model.actuator_gainprm[actuator, 0], model.actuator_biasprm[actuator]
-    kind = int(model.actuator_biastype[actuator])
-    affine = int(mujoco.mjtBias.mjBIAS_AFFINE)
-    is_servo = (model.actuator_biasprm[:, 1] < 0.0) & acts_on_joints(model)
-    is_here = model.actuator_trnid[:, 0] == model.actuator_trnid[actuator, 0]
-    others = np.flatnonzero(is_servo & is_here).tolist()
-    per_control = float(gain * model.actuator_gear[actuator, 0])
-    away = np.array(bias)
-    away[1] = -gain
-    if len(others) > 1 and is_servo[actuator]:
-        names = [model.actuator(one).name or f"actuator {one}" for one in others]
-        remark = f"{name} has {len(others)} servos: {', '.join(names)}"
-        yield Finding(remark=remark, advice="one servo for each joint")
-    elif kind == int(mujoco.mjtBias.mjBIAS_NONE) and bias[1] < 0.0:
-        yield Finding(
-            remark=f"the servo of {name} does not read its biasprm",
-            advice=f'biastype="affine" for {name}',
-            changes={f"actuator_biastype[{actuator}]": affine},
-        )
-    elif kind == affine and (bias[1] > 0.0 or (bias[1] == 0.0 and gain != -bias[2])):
-        yield Finding(
-            value=-np.inf if bias[1] else 0.0,
-            remark=f"the servo of {name} does not pull it to its command",
-            advice=f"-kp in biasprm of {name}",
-            changes={f"actuator_biasprm[{actuator}]": away},
-        )
-    elif per_control == 0.0:
-        yield Finding(
-            remark=f"the motor of {name} has a gain or a gear of 0",
-            advice=f"the gain and the gear of the motor of {name}",
-        )
-    elif per_control < 0.0:
-        gains = np.array(model.actuator_gainprm[actuator])
-        gains[0] = abs(gain)
-        yield Finding(
-            value=-np.inf,
-            remark=f"{name} turns against its command",
-            advice=f"a positive gear and gain for {name}",
-            changes={
-                f"actuator_gear[{actuator}]": np.abs(model.actuator_gear[actuator]),
-                f"actuator_gainprm[{actuator}]": gains,
-            },
-        )
-    elif is_servo[actuator]:
-        yield _reached(robot, actuator, name)
-
-
-def _reached(robot: Robot, actuator: int, name: str) -> Finding:
-    """Return the part of a joint's range that the commands of its servo reach, infinite for none."""
-    model = robot.model
-    joint = int(model.actuator_trnid[actuator, 0])
-    gain = float(model.actuator_gainprm[actuator, 0])
-    bias = model.actuator_biasprm[actuator]
-    gear = float(model.actuator_gear[actuator, 0])
-    # Without load, gain * control + bias[0] + bias[1] * gear * angle is 0.
-    per_control = -gain / (float(bias[1]) * gear)
-    is_angle = abs(per_control - 1.0) < SAME_ANGLE
-    zero = -float(bias[0]) / (float(bias[1]) * gear)
-    if model.actuator_ctrllimited[actuator] and model.jnt_limited[joint]:
-        ends = zero + per_control * model.actuator_ctrlrange[actuator]
-        low, high = model.jnt_range[joint]
-        reached_rad = float(min(ends[1], high) - max(ends[0], low))
-        # Of a range of commands that is far wider than the joint's, nearly all are lost.
-        used = LOST_COMMANDS if is_angle else 1.0
-        share = reached_rad / max(high - low, used * float(np.ptp(ends)))
-    else:
-        # Without limits of its command, a servo takes an angle.
-        share = 1.0 if is_angle else min(per_control, 1.0 / per_control)
-    found = Finding(value=share if share >= 0.0 else -np.inf, remark=name)
-    if share >= limits_of("robot-command")[0]:
-        return found
-    if is_angle or zero != 0.0:
-        ends = (model.jnt_range[joint] - zero) / per_control
-        return replace(
-            found,
-            advice=f"the ctrlrange of {name} in the unit of its joint, or inheritrange",
-            changes={f"actuator_ctrlrange[{actuator}]": ends},
-        )
-    key, advice = "biasprm", f"{gain:g} and {-gain:g} in gainprm and biasprm of {name}"
-    row = np.array(bias)
-    row[1] = -gain
-    if abs(gear) != 1.0:
-        key, advice = "gear", f"gear 1 for {name}, which its command passes too"
-        row = np.sign(gear) * np.eye(6)[0]
-    return replace(
-        found,
-        remark=f"a command of 1 turns {name} by {per_control:.3g} rad",
-        advice=advice,
-        changes={f"actuator_{key}[{actuator}]": row},
     )
 
 

@@ -24,6 +24,9 @@ SERVO_ERROR_RAD = 0.5
 LIGHT = 1e-3
 """Torque of a weight, over the largest one of the robot, up to which a joint turns about a balanced part."""
 
+SAME_MASS = 0.01
+"""Difference of the masses of two fingers over the larger one up to which they are the same."""
+
 FEW_JOINTS = 3
 """Driven hinges from which on a robot as a whole is judged."""
 
@@ -190,7 +193,10 @@ def largest_weights_nm(robot: Robot) -> FloatArray:
 
 
 def undriven(robot: Robot) -> list[int]:
-    """Return hinges of a driven robot that carry a weight and that nothing drives, springs or couples."""
+    """Return joints of a driven robot that nothing drives, springs or couples: hinges with a weight, and fingers.
+
+    A finger is a slide beside another one on the same body, whose link has the same mass and which something moves.
+    """
     model = robot.model
     drives_joints = acts_on_joints(model).all()
     is_joint = couplings_of(model)
@@ -201,17 +207,21 @@ def undriven(robot: Robot) -> list[int]:
     moved |= {*model.eq_obj1id.tolist(), *model.eq_obj2id.tolist()}
     moved |= {*np.flatnonzero(springs(model)).tolist()}
     weights_nm = largest_weights_nm(robot)
-    is_hinge = joints_of(model, "HINGE")
-    return [
-        dof
-        for dof, joint in enumerate(model.dof_jntid.tolist())
-        if is_hinge[joint]
-        and joint not in moved
-        and int(model.dof_bodyid[dof]) in robot.bodies
+    is_hinge, is_slide = joints_of(model, "HINGE"), joints_of(model, "SLIDE")
+    bodies, parents = model.jnt_bodyid, model.body_parentid[model.jnt_bodyid]
+    masses_kg = model.body_subtreemass[bodies]
+    found = []
+    for dof, joint in enumerate(model.dof_jntid.tolist()):
         # Joints of the first body place the robot in the world.
-        and model.body_parentid[model.dof_bodyid[dof]]
-        and weights_nm[dof] > LIGHT * weights_nm.max()
-    ]
+        if joint in moved or not parents[joint] or bodies[joint] not in robot.bodies:
+            continue
+        is_twin = is_slide & (parents == parents[joint])
+        is_twin &= np.isclose(masses_kg, masses_kg[joint], rtol=SAME_MASS)
+        is_finger = is_slide[joint] and moved & {*np.flatnonzero(is_twin).tolist()}
+        is_heavy = weights_nm[dof] > LIGHT * weights_nm.max()
+        if is_finger or (is_hinge[joint] and is_heavy):
+            found.append(dof)
+    return found
 
 
 def one_sided(robot: Robot) -> dict[int, int]:
@@ -246,11 +256,6 @@ def feet_above_ground_m(robot: Robot) -> float:
     ground = set(robot.pairs.geoms[robot.foot_rows].ravel().tolist()) - feet
     floor_m = max(float(standing.stance.positions_m[geom][2]) for geom in ground)
     return min(float(point[2]) for point in standing.support_m.values()) - floor_m
-
-
-def leg_nm(robot: Robot) -> float:
-    """Return twice the torque of the load of a foot at the height of a robot that stands [Nm]."""
-    return 2.0 * foot_load_n(robot) * standing_of(robot).height_m
 
 
 def dof_of(robot: Robot, actuator: int) -> int:

@@ -476,7 +476,10 @@ def swapped_motors(model: mujoco.MjModel) -> dict[int, int]:
         one and other and (one <= other or other <= one) for one, other in several
     ):
         best = np.argsort(joints)
-        if len(joints) < FEW_MOTORS or (best != np.arange(len(joints))).sum() != 2:
+        # A joint with two motors has two places in the order.
+        is_shared = len(joints) > len(set(joints))
+        out_of_order = int((best != np.arange(len(joints))).sum())
+        if len(joints) < FEW_MOTORS or is_shared or out_of_order != 2:
             return {}
     moved = np.flatnonzero(best != np.arange(len(joints))).tolist()
     if 2 * len(moved) > len(joints):
@@ -519,8 +522,13 @@ def never_touches(robot: Robot, poses: int = 200) -> bool:
     return not any(data.ncon for data in random_poses(robot.model, poses))
 
 
-def random_poses(model: mujoco.MjModel, poses: int) -> Iterator[mujoco.MjData]:
-    """Yield a model in random poses within its joint limits, at rest; free and ball joints stay."""
+def random_poses(
+    model: mujoco.MjModel, poses: int, *, with_contact: bool = True
+) -> Iterator[mujoco.MjData]:
+    """Yield a model in random poses within its joint limits, at rest; free and ball joints stay.
+
+    Without contact only places and axes are up to date.
+    """
     data, generator = mujoco.MjData(model), np.random.default_rng(0)
     is_hinge = joints_of(model, "HINGE")
     for _ in range(poses):
@@ -528,5 +536,9 @@ def random_poses(model: mujoco.MjModel, poses: int) -> Iterator[mujoco.MjData]:
             free = (-np.pi, np.pi) if is_hinge[joint] else (-1.0, 1.0)
             low, high = model.jnt_range[joint] if model.jnt_limited[joint] else free
             data.qpos[model.jnt_qposadr[joint]] = generator.uniform(low, high)
-        mujoco.mj_forward(model, data)
+        if with_contact:
+            mujoco.mj_forward(model, data)
+        else:
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_comPos(model, data)
         yield data

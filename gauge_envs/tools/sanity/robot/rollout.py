@@ -44,6 +44,7 @@ from gauge_envs.tools.sanity.robot.motions import (
 )
 from gauge_envs.tools.sanity.robot.robot import (
     Robot,
+    acts_on_joints,
     couplings_of,
     enabling,
     once,
@@ -378,8 +379,13 @@ def lone_half_step_s(robot: Robot, actuator: int, dof: int) -> float:
     of_joints = couplings_of(robot.model)
     pairs = np.column_stack([alone.eq_obj1id, alone.eq_obj2id])[of_joints]
     moving = pairs[(pairs == alone.dof_jntid[dof]).any(axis=1)]
-    moves = np.isin(alone.dof_jntid, [alone.dof_jntid[dof], *moving.ravel()])
+    joints = [alone.dof_jntid[dof], *moving.ravel()]
+    moves = np.isin(alone.dof_jntid, joints)
     alone.dof_armature[:] = np.where(moves, robot.model.dof_armature, 1e6)
+    # Another servo of these joints would hold its own command.
+    others = acts_on_joints(alone) & np.isin(alone.actuator_trnid[:, 0], joints)
+    others[actuator] = False
+    alone.actuator_gainprm[others] = alone.actuator_biasprm[others] = 0.0
     return min(half_step_s(alone, start(robot, alone), actuator), STEP_S)
 
 

@@ -25,7 +25,6 @@ from gauge_envs.tools.sanity.robot.joints import (
     feet_above_ground_m,
     foot_load_n,
     largest_weights_nm,
-    leg_nm,
     loads_nm,
     motors_of,
     one_sided,
@@ -33,6 +32,7 @@ from gauge_envs.tools.sanity.robot.joints import (
     start,
     stiffness,
 )
+from gauge_envs.tools.sanity.robot.legs import bent_legs_nm
 from gauge_envs.tools.sanity.robot.mended_model import element_names, listed
 from gauge_envs.tools.sanity.robot.remedy import (
     Remedy,
@@ -375,7 +375,9 @@ def _torque(robot: Robot) -> Iterator[Remedy]:
     ):
         ranges = {a: 1e3 * model.actuator_forcerange[a] for a in limited}
         yield from elements_remedy(robot, of_elements("actuator_forcerange", ranges))
-    changes, least_nm = {}, leg_nm(robot) if robot.is_floating else 0.0
+    changes = {}
+    if robot.is_floating:
+        weights = np.maximum(weights, bent_legs_nm(robot))
     for actuator in limited:
         dof = dof_of(robot, actuator)
         loss_nm, drag_nm = (
@@ -383,7 +385,7 @@ def _torque(robot: Robot) -> Iterator[Remedy]:
             6.0 * float(model.dof_damping[dof]),
         )
         fair_nm = 2.0 * float(weights[dof]) + max(10.0 * loss_nm, drag_nm)
-        fair_nm = rounded(max(fair_nm, least_nm))
+        fair_nm = rounded(fair_nm)
         if fair_nm > limits[dof]:
             fair = fair_nm / abs(float(model.actuator_gear[actuator, 0]) or 1.0)
             changes[f"actuator_forcerange[{actuator}]"] = np.array([-fair, fair])

@@ -2,6 +2,7 @@
 
 from gauge_envs.tools.sanity.robot import (
     alike,
+    command_rows,
     ground_rows,
     joint_rows,
     mass_rows,
@@ -15,6 +16,7 @@ from gauge_envs.tools.sanity.robot.finding import ROWS
 __all__ = [
     "ROWS",
     "alike",
+    "command_rows",
     "ground_rows",
     "joint_rows",
     "mass_rows",

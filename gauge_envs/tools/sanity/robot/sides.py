@@ -8,13 +8,14 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.tools.sanity.robot.finding import Finding, name_of, row
-from gauge_envs.tools.sanity.robot.ground_rows import geoms_of
+from gauge_envs.tools.sanity.robot.finding import Finding, body_name, name_of, row
+from gauge_envs.tools.sanity.robot.ground_rows import geoms_of, limbs_of
 from gauge_envs.tools.sanity.robot.joints import (
     driven_dofs,
     driven_joints,
     servo_gains,
     springs,
+    start,
     torque_limits,
 )
 from gauge_envs.tools.sanity.robot.mujoco_feet import joints_of
@@ -222,6 +223,7 @@ def _sides(robot: Robot) -> Finding:
         for one in mirror_pairs(robot)
         for of_pair in differences(robot, one)
     )
+    parts.update(_trunk_shares(robot))
     for joint, other, quantity, difference in (*mirrored, *odd_copies(robot)):
         name = f"{quantity} of {name_of(robot, joint)} and {name_of(robot, other)}"
         parts[name] = difference
@@ -232,13 +234,45 @@ def _sides(robot: Robot) -> Finding:
         return Finding(declined=NOT_SYMMETRIC)
     worst = max(parts, key=parts.__getitem__)
     base = SHARE_OF.get(worst.partition(" of ")[0], "the larger one")
+    advice = f"the same for both: {worst}"
+    if worst.endswith((" ahead", " aside")):
+        base, advice = "the distance of its hips", f"the {worst}, between its hips"
     differs = f"{100.0 * parts[worst]:.3g} % of {base}"
     return Finding(
         value=parts[worst],
         parts=parts,
         remark=f"{worst}: {texts.get(worst, differs)}" if parts[worst] > 1e-3 else "",
-        advice=f"the same for both: {worst}",
+        advice=advice,
     )
+
+
+def _trunk_shares(robot: Robot) -> Iterator[tuple[str, float]]:
+    """Yield how far the centre of mass of a trunk is from the middle between its hips, over the distance of these.
+
+    The trunk is all that lies behind no joint with a mirror image. Two hips tell it aside, four ahead too.
+    """
+    standing, pairs, model = robot.standing, mirror_pairs(robot), robot.model
+    if standing is None or not pairs:
+        return
+    aside = {int(model.jnt_bodyid[j]) for one in pairs for j in (one.joint, one.other)}
+    is_aside = np.zeros(model.nbody, bool)
+    for body in robot.bodies:
+        is_aside[body] = body in aside or is_aside[model.body_parentid[body]]
+    trunk = [body for body in robot.bodies if not is_aside[body]]
+    mass_kg = model.body_mass[trunk]
+    legs = [limb for limb in limbs_of(robot) if set(limb) & set(standing.feet)]
+    if len(legs) < 2 or not mass_kg.any():
+        return
+    data = start(robot)
+    frame = data.xmat[standing.body].reshape(3, 3)
+    hips_m = data.xpos[[limb[-1] for limb in legs]] @ frame
+    centre_m = mass_kg @ data.xipos[trunk] / mass_kg.sum() @ frame
+    for axis, word in enumerate(("ahead", "aside")):
+        low_m, high_m = hips_m[:, axis].min(), hips_m[:, axis].max()
+        if high_m - low_m > 2.0 * SAME_PLACE_M:
+            off_m = abs(float(centre_m[axis] - 0.5 * (low_m + high_m)))
+            name = f"centre of mass of {body_name(robot, standing.body)} {word}"
+            yield name, off_m / float(high_m - low_m)
 
 
 def _places(robot: Robot, quantity: str) -> FloatArray:

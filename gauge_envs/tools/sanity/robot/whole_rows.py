@@ -29,7 +29,7 @@ from gauge_envs.tools.sanity.robot.ground_rows import (
     pair_name,
 )
 from gauge_envs.tools.sanity.robot.joints import driven_dofs, start
-from gauge_envs.tools.sanity.robot.knees import wrong_knees
+from gauge_envs.tools.sanity.robot.legs import wrong_knees
 from gauge_envs.tools.sanity.robot.mass_rows import SIGNS, box_corners, size_m
 from gauge_envs.tools.sanity.robot.mujoco_feet import (
     first_moving_body,
