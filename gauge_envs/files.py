@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic_core import from_json
 
 MEGABYTE = 10**6
 
@@ -155,8 +156,12 @@ def json_document(content: bytes) -> Any:
     check_json_size(content)
     if not content.strip():
         raise ValueError("it is empty")
+    text = content.removeprefix(b"\xef\xbb\xbf")
+    # A quarter of the time of `json`, which says better what is wrong, and reads UTF-16.
+    with suppress(ValueError):
+        return from_json(text)
     try:
-        return json.loads(content.removeprefix(b"\xef\xbb\xbf"))
+        return json.loads(text)
     except RecursionError:
         raise ValueError("its objects and lists are nested too deeply") from None
 

@@ -33,11 +33,14 @@ def loaded_results(
         for file in _result_files(Path(source))
     )
     results: dict[Path, Result] = {}
+    built: set[str] = set()
     for file in files:
         try:
             result = load_result(file)
-            if with_scene:
+            scene = f"{result.id} {result.revision} {result.parameters} {result.dataset} {result.asset}"
+            if with_scene and scene not in built:
                 recorded_experiment(result)
+                built.add(scene)
             results[file] = result
         except GaugeError as error:
             message(f"{file}: {str(error).removeprefix(f'{file}: ')}", "skipped")

@@ -338,11 +338,12 @@ def find_variant(name: str) -> Variant:
         UnknownNameError: There is no such variant.
         TaskFileError: The task file of its family cannot be read.
     """
-    by_name = {variant.name: variant for variant in (*variants(), *beyond_variants())}
-    try:
-        return by_name[name.removeprefix("GAUGE/")]
-    except KeyError:
-        raise _unknown("experiment", name, by_name) from None
+    wanted = name.removeprefix("GAUGE/")
+    every = (*variants(), *beyond_variants())
+    for variant in every:
+        if wanted.startswith(variant.family) and variant.name == wanted:
+            return variant
+    raise _unknown("experiment", name, [variant.name for variant in every])
 
 
 # --- names and patterns -----------------------------------------------------------------------------------------------

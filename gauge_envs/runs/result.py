@@ -6,10 +6,10 @@ from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from enum import StrEnum
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from gauge_envs.evaluation.deformation import DeformationScore
 from gauge_envs.evaluation.scatter import Scatter
@@ -40,15 +40,32 @@ class Outcome(StrEnum):
     """An error ended the episode or prevented it."""
 
 
-@dataclass(frozen=True, kw_only=True)
+FloatArray = NDArray[np.float64]
+
+# Of 10,000 results lists take half a gigabyte, and arrays a sixth of that. Readers of files and the JSON Schema go by
+# the types at run time.
+if TYPE_CHECKING:
+    Times = FloatArray
+    Rows = FloatArray
+else:
+    Times = list[float]
+    Rows = list[list[float | None]]
+
+_NO_ROWS = np.empty((0, 0))
+_NO_ROWS.flags.writeable = False
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class RecordedTrajectory:
     """Generalized trajectory of an episode, dense enough to plot and to score again.
+
+    Values that are not finite are NaN; in a file they are null.
 
     Attributes:
         unit: Unit of the samples.
         coordinates: Names of the coordinates, as `cube.x`.
         times_s: Times [s], 180 a second, shape [sample_count].
-        samples: g(t) at those times, shape [sample_count, coordinate_count]; None for a value that is not finite.
+        samples: g(t) at those times, shape [sample_count, coordinate_count].
         later_times_s: Times after the last frame [s], which the release alignment needs; shape [later_count].
         later_samples: g(t) at those times, shape [later_count, coordinate_count].
         markers_mm: x, y, z of each marker at the 30 Hz frames [mm], shape [frame_count, 3 marker_count]; empty without
@@ -59,27 +76,46 @@ class RecordedTrajectory:
 
     unit: str
     coordinates: list[str]
-    times_s: list[float]
-    samples: list[list[float | None]]
-    later_times_s: list[float] = field(default_factory=list)
-    later_samples: list[list[float | None]] = field(default_factory=list)
-    markers_mm: list[list[float | None]] = field(default_factory=list)
-    wrenches: list[list[float | None]] = field(default_factory=list)
+    times_s: Times
+    samples: Rows
+    later_times_s: Times = field(default_factory=lambda: np.empty(0))
+    later_samples: Rows = field(default_factory=lambda: _NO_ROWS)
+    markers_mm: Rows = field(default_factory=lambda: _NO_ROWS)
+    wrenches: Rows = field(default_factory=lambda: _NO_ROWS)
 
     def __post_init__(self) -> None:
-        for times_s, samples in (
-            (self.times_s, self.samples),
-            (self.later_times_s, self.later_samples),
+        width = len(self.coordinates)
+        for times, samples in (
+            ("times_s", "samples"),
+            ("later_times_s", "later_samples"),
         ):
-            if len(samples) != len(times_s):
-                raise ValueError(f"{len(times_s)} times but {len(samples)} samples")
-        if any(
-            len(row) != len(self.coordinates)
-            for row in (*self.samples, *self.later_samples)
+            times_s = np.asarray(getattr(self, times), dtype=np.float64)
+            rows = _rows(getattr(self, samples), width)
+            if len(rows) != len(times_s):
+                raise ValueError(f"{len(times_s)} times but {len(rows)} samples")
+            object.__setattr__(self, times, times_s)
+            object.__setattr__(self, samples, rows)
+        for name in ("markers_mm", "wrenches"):
+            object.__setattr__(self, name, _rows(getattr(self, name)))
+
+    def __eq__(self, other: object) -> bool:
+        """Return whether all values are the same, also those that are not known."""
+        if not isinstance(other, RecordedTrajectory):
+            return NotImplemented
+        if (self.unit, self.coordinates) != (other.unit, other.coordinates):
+            return False
+        for name in (
+            "times_s",
+            "samples",
+            "later_times_s",
+            "later_samples",
+            "markers_mm",
+            "wrenches",
         ):
-            raise ValueError(
-                f"a sample does not have {len(self.coordinates)} coordinates"
-            )
+            values, others = getattr(self, name), getattr(other, name)
+            if not np.array_equal(values, others, equal_nan=True):
+                return False
+        return True
 
     @classmethod
     def of(
@@ -105,16 +141,15 @@ class RecordedTrajectory:
                 times_s, (experiment.frame_count - 1) / FRAME_RATE_HZ + 1e-6
             )
         )
-        rows = json_ready(np.asarray(samples))
         return cls(
             unit=experiment.score.observable.unit,
             coordinates=list(experiment.coordinates),
-            times_s=times_s[:count].tolist(),
-            samples=rows[:count],
-            later_times_s=times_s[count:].tolist(),
-            later_samples=rows[count:],
-            markers_mm=json_ready(_rounded_mm(markers_m)) if has_markers else [],
-            wrenches=json_ready(_rounded_n(wrenches)),
+            times_s=times_s[:count],
+            samples=samples[:count],
+            later_times_s=times_s[count:],
+            later_samples=samples[count:],
+            markers_mm=_rounded_mm(markers_m) if has_markers else _NO_ROWS,
+            wrenches=_rounded_n(wrenches),
         )
 
     @cached_property
@@ -124,32 +159,48 @@ class RecordedTrajectory:
 
     def markers_m(self) -> NDArray[np.float64] | None:
         """Return the markers at the frames [m], shape [frame_count, marker_count, 3]; None if they are not recorded."""
-        if not self.markers_mm:
+        if not self.markers_mm.size:
             return None
-        rows = np.array(self.markers_mm, dtype=np.float64)
-        return 1e-3 * rows.reshape(len(rows), -1, 3)
+        return 1e-3 * self.markers_mm.reshape(len(self.markers_mm), -1, 3)
 
     def recorded_wrenches(self) -> NDArray[np.float64] | None:
         """Return the wrenches of the holders, shape [frame_count, holder_count, 6]; None if they are not recorded."""
-        if not self.wrenches:
+        if not self.wrenches.size:
             return None
-        rows = np.array(self.wrenches, dtype=np.float64)
-        return rows.reshape(len(rows), -1, 6)
+        return self.wrenches.reshape(len(self.wrenches), -1, 6)
 
     def arrays(
         self, *, later: bool = False
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return times [s], shape [sample_count], and g(t), shape [sample_count, coordinate_count], NaN for None.
+        """Return times [s], shape [sample_count], and g(t), shape [sample_count, coordinate_count].
 
         Args:
             later: Whether to add the samples after the last frame.
         """
-        times_s = [*self.times_s, *self.later_times_s] if later else self.times_s
-        samples = np.array(
-            [*self.samples, *self.later_samples] if later else self.samples,
-            dtype=np.float64,
+        if not later:
+            return self.times_s, self.samples
+        return (
+            np.concatenate([self.times_s, self.later_times_s]),
+            np.concatenate([self.samples, self.later_samples]),
         )
-        return np.array(times_s), samples.reshape(len(times_s), len(self.coordinates))
+
+
+def _rows(values: ArrayLike, width: int | None = None) -> FloatArray:
+    """Return rows of numbers, with NaN for what is not finite.
+
+    Raises:
+        ValueError: Rows differ in length, or do not have the width.
+    """
+    try:
+        rows = np.array(values, dtype=np.float64)
+    except ValueError:
+        raise ValueError("rows of a trajectory differ in length") from None
+    if len(rows) == 0:
+        return np.empty((0, width or 0))
+    if width is not None and rows.shape != (len(rows), width):
+        raise ValueError(f"a sample does not have {width} coordinates")
+    rows[~np.isfinite(rows)] = np.nan
+    return rows
 
 
 def recorded_frames(

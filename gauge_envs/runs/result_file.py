@@ -8,7 +8,6 @@ import re
 from collections.abc import Mapping
 from dataclasses import fields, replace
 from functools import cache
-from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated, Any
@@ -191,12 +190,12 @@ def _check_trajectory(result: Result) -> None:
     trajectory = result.trajectory
     if trajectory is None:
         raise ValueError("it has no trajectory")
-    if not (trajectory.times_s and trajectory.coordinates):
+    if not trajectory.samples.size:
         raise ValueError("trajectory: it has no samples")
-    times_s = [*trajectory.times_s, *trajectory.later_times_s]
-    if any(later <= earlier for earlier, later in pairwise(times_s)):
+    times_s, samples = trajectory.arrays(later=True)
+    if (np.diff(times_s) <= 0.0).any():
         raise ValueError("trajectory.times_s: increasing times are expected")
-    largest = np.nanmax(np.abs(trajectory.arrays(later=True)[1]), initial=0.0)
+    largest = np.nanmax(np.abs(samples), initial=0.0)
     if result.outcome is Outcome.FINISHED and largest > LARGEST:
         raise ValueError(
             f"trajectory.samples: amounts of at most {LARGEST:g} are expected"

@@ -83,8 +83,8 @@ MODEL = {
 
 
 def one_bit(slide):
-    samples = [list(row) for row in slide.trajectory.samples]
-    samples[40][0] = float(np.nextafter(samples[40][0], np.inf))
+    samples = slide.trajectory.samples.copy()
+    samples[40, 0] = np.nextafter(samples[40, 0], np.inf)
     return {"trajectory": replace(slide.trajectory, samples=samples)}
 
 

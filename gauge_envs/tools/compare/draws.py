@@ -34,6 +34,12 @@ from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import SAMPLES_PER_FRAME
 
+DRAWN_REPEATS = 20
+"""Largest number of repeats whose scores are drawn. The errors of a reference move each repeat nearly alike."""
+
+GROUPED_REPEATS = 200
+"""Largest number of values of which a mean is drawn; of more repeats, means of as many groups."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class ScoreSpread:
@@ -94,8 +100,8 @@ class ScoreDraws:
         raw: E_RMSE of the paper over that of real trials, or the distance from the solution over its scale (see
             `Verification.scale`), shape [repeat_count].
         primary: The score that reports show first, aligned if the experiment starts with a release, same shape.
-        draws: Draws of it, shape [repeat_count, draw_count].
-        influences: Effect of each real trial on it, shape [repeat_count, trial_count]; no columns without trials.
+        draws: Draws of it for the first repeats, at most `DRAWN_REPEATS`, shape [drawn_count, draw_count].
+        influences: Effect of each real trial on them, shape [drawn_count, trial_count]; no columns without trials.
         deviations: Deviation of each repeat from the solution over the scale, as a vector whose norm is `primary`,
             shape [repeat_count, entry_count]; None for scores over real trials.
         errors: Length of the error of the solution in each draw, over the scale, shape [draw_count]; None as above.
@@ -128,7 +134,7 @@ def score_draws(
     if band.grade.is_solution:
         return _solution_draws(results, experiment, band)
     raw, primary = np.empty(len(results)), np.empty(len(results))
-    draws = np.empty((len(results), DRAW_COUNT))
+    draws = np.empty((min(len(results), DRAWN_REPEATS), DRAW_COUNT))
     influences = []
     # The random numbers of a source depend on its name alone. Another order makes those of experiments independent.
     order = _random(experiment).permutation(DRAW_COUNT)
@@ -136,6 +142,10 @@ def score_draws(
         found = result.score.validation
         if result.trajectory is None or found is None or found.rmse_normalized is None:
             return None
+        if index >= len(draws):
+            raw[index] = found.rmse_normalized
+            primary[index] = result.score.primary_normalized
+            continue
         times_s, values = result.trajectory.arrays(later=True)
         deviations = band_deviations(experiment, band, times_s=times_s, values=values)
         first = deviations.first
@@ -187,8 +197,8 @@ def _solution_draws(
         seeds=tuple(result.seed for result in results),
         raw=distances,
         primary=distances,
-        draws=np.maximum(distances[:, None] + errors, 0.0),
-        influences=np.zeros((len(results), 0)),
+        draws=np.maximum(distances[:DRAWN_REPEATS, None] + errors, 0.0),
+        influences=np.zeros((min(len(results), DRAWN_REPEATS), 0)),
         deviations=deviations,
         errors=errors,
     )
@@ -209,8 +219,9 @@ def _along_difference(
     moved = []
     for one, deviations in ((first, first.deviations), (second, second.deviations)):
         assert one.errors is not None
-        along = 2.0 * np.outer(deviations @ direction, one.errors)
-        squares = np.square(one.primary)[:, None] + along + np.square(one.errors)
+        drawn = len(one.draws)
+        along = 2.0 * np.outer(deviations[:drawn] @ direction, one.errors)
+        squares = np.square(one.primary[:drawn, None]) + along + np.square(one.errors)
         moved.append(replace(one, draws=np.sqrt(np.maximum(squares, 0.0))))
     return moved[0], moved[1]
 
@@ -240,24 +251,35 @@ def _common_repeats(
     return common, [places[first.seeds[place]] for place in common]
 
 
+def _drawn(scores: ScoreDraws, chosen: Sequence[int]) -> list[int]:
+    """Return the places of chosen repeats that are drawn; those of all that are, if none is chosen."""
+    count = len(scores.draws)
+    return [place for place in chosen if place < count] or [*range(count)]
+
+
 def _influence(scores: ScoreDraws, chosen: Sequence[int]) -> FloatArray:
-    return np.asarray(scores.influences[list(chosen)].mean(axis=0))
+    return np.asarray(scores.influences[_drawn(scores, chosen)].mean(axis=0))
 
 
 def _mean(
     scores: ScoreDraws, chosen: Sequence[int], *, wider: float
 ) -> tuple[float, FloatArray]:
     """Return the mean over repeats and its draws, which also scatter as the mean of so few repeats does."""
-    index = list(chosen)
-    values, draws = scores.primary, scores.draws
-    if index != [*range(len(values))]:
-        values, draws = values[index], draws[index]
-    weights = _repeat_weights(len(index), draws.shape[1])
-    # Of thousands of repeats a copy of the draws takes hundreds of megabytes.
-    spread = np.einsum("kn,nk->k", weights, draws)
-    if wider != 1.0:
-        spread = wider * spread + (1.0 - wider) * (weights @ values)
-    return float(values.mean()), spread
+    values = scores.primary[list(chosen)]
+    mean = float(values.mean())
+    drawn = _drawn(scores, chosen)
+    draw_count = scores.draws.shape[1]
+    if len(drawn) == len(values):
+        weights = _repeat_weights(len(values), draw_count)
+        spread = np.einsum("kn,nk->k", weights, scores.draws[drawn])
+        if wider != 1.0:
+            spread = wider * spread + (1.0 - wider) * (weights @ values)
+        return mean, spread
+    of_reference = (scores.draws[drawn] - scores.primary[drawn, None]).mean(axis=0)
+    groups = np.array_split(values, min(len(values), GROUPED_REPEATS))
+    means = np.array([group.mean() for group in groups])
+    scatter = _repeat_weights(len(means), draw_count) @ (means - means.mean())
+    return mean, mean + scatter + wider * of_reference
 
 
 @cache

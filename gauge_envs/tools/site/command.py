@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from gauge_envs.cli import arguments
 from gauge_envs.cli.output import Progress, echo, message
 from gauge_envs.cli.results import loaded_results
-from gauge_envs.errors import GaugeError, ResultFileError
+from gauge_envs.errors import ResultFileError
 from gauge_envs.pages.text import counted, shortened
-
-if TYPE_CHECKING:
-    from gauge_envs.runs.result import Result
 
 
 def report(
@@ -44,8 +41,6 @@ def report(
     # Before the runs, which may take minutes.
     check_replaceable(out)
     results, skipped = loaded_results(sources, with_scene=True, corrected=corrected)
-    old = {file: one for file, one in results.items() if not _is_current(file, one)}
-    results = {file: one for file, one in results.items() if file not in old}
     if not results:
         raise ResultFileError("no result is left to report; gauge run writes them")
     words = [
@@ -75,16 +70,4 @@ def report(
     size = sum(file.stat().st_size for file in out.rglob("*") if file.is_file())
     message(f"{counted(len(results), 'result')}, {size / 1e6:.1f} MB")
     echo(out / "index.html")
-    return bool(skipped or old)
-
-
-def _is_current(file: Path, result: Result) -> bool:
-    """Return whether the experiment of a result is there in its revision; a message says why not."""
-    from gauge_envs.runs.result_file import recorded_experiment
-
-    try:
-        recorded_experiment(result)
-    except GaugeError as error:
-        message(f"{file}: {error}", "skipped")
-        return False
-    return True
+    return bool(skipped)

@@ -63,9 +63,7 @@ def recorded(motion, *, seconds=1.0):
         unit="mm",
         coordinates=["cube.x", "cube.y", "cube.z"],
         times_s=times.tolist(),
-        samples=[
-            [v if np.isfinite(v) else None for v in row] for row in samples.tolist()
-        ],
+        samples=samples,
     )
 
 
@@ -361,19 +359,11 @@ def real():
 def altered(result, scale, **changes):
     """A result whose displacements are scaled, scored again."""
     trajectory = result.trajectory
-    start = np.array(trajectory.samples[0])
-
-    def scaled(rows):
-        return (
-            (start + scale * (np.array(rows).reshape(len(rows), -1) - start)).tolist()
-            if rows
-            else []
-        )
-
+    start = trajectory.samples[0]
     moved = replace(
         trajectory,
-        samples=scaled(trajectory.samples),
-        later_samples=scaled(trajectory.later_samples),
+        samples=start + scale * (trajectory.samples - start),
+        later_samples=start + scale * (trajectory.later_samples - start),
     )
     experiment = recorded_experiment(result)
     times_s, values = moved.arrays(later=True)

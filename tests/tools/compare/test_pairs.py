@@ -5,7 +5,11 @@ import pytest
 from scipy.stats import t as student
 
 from gauge_envs.evaluation.uncertainty import band_errors
-from gauge_envs.tools.compare.draws import ScoreDraws, repeats_interval
+from gauge_envs.tools.compare.draws import (
+    ScoreDraws,
+    paired_scores,
+    repeats_interval,
+)
 from gauge_envs.tools.compare.grades import (
     GradedExperiment,
     compare_grade,
@@ -153,6 +157,27 @@ def test_engines_that_do_not_differ_are_told_apart_as_often_as_stated_from_few_r
     # Of 400, a true 95 % gives 0.92 or more in 99 of 100 runs.
     assert alike >= 0.92 * 400
     assert held >= 0.92 * 400
+
+
+def test_many_repeats_scatter_as_their_mean_does():
+    """500 repeats of which 20 are drawn: an error of the reference of 0.2, and a scatter of 3 over the root of 500."""
+    random = np.random.default_rng(7)
+    values = 5.0 + 3.0 * random.standard_normal(500)
+    error = 0.2 * random.standard_normal(4000)
+    none = np.zeros((20, 0))
+
+    def scores(values):
+        drawn = values[:20, None] + error
+        return ScoreDraws(tuple(range(500)), values, values, drawn, none)
+
+    mean, draws = scores(values).mean()
+    assert mean == pytest.approx(values.mean())
+    assert draws.mean() == pytest.approx(mean, abs=0.02)
+    expected = np.hypot(0.2, values.std(ddof=1) / np.sqrt(500))
+    assert draws.std() == pytest.approx(expected, rel=0.04)
+    # The same starts and the same reference: neither scatters in a difference.
+    (_, first), (_, second) = paired_scores(scores(values), scores(values + 0.1))
+    assert second - first == pytest.approx(0.1, abs=1e-9)
 
 
 @pytest.mark.slow
