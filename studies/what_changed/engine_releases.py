@@ -38,6 +38,10 @@ DRAKE_OF_NUMPY_2 = (1, 34)
 """First release of Drake that is run with NumPy 2, which crashes 1.30 and earlier."""
 
 
+FROM_SOURCE = ("--only-binary", ":all:", "--no-binary", "pygltflib")
+"""Only wheels are installed, but for a package of Genesis that has none: it is one file of Python."""
+
+
 def beside(requirement: str) -> list[str]:
     """Return the packages that are installed with a release of an engine, which does not state them or their limits."""
     engine, _, version = requirement.partition("==")
@@ -87,7 +91,7 @@ def measure_engines(*words: str) -> None:
             venv.create(folder, with_pip=uv is None)
             for requirement in releases:
                 packages = [requirement, *beside(requirement)]
-                command = [*install, "--only-binary", ":all:", *packages]
+                command = [*install, *FROM_SOURCE, *packages]
                 made = subprocess.run(
                     command, capture_output=True, text=True, check=False
                 )

@@ -175,7 +175,7 @@ def _steps(
             releases = releases_between(first, last, message)
             used |= {side.requirement: None for side in releases}
             neighbours, tried = bisect(at, releases, message)
-            first, last = neighbours or sides
+            first, last = neighbours or (releases[0], releases[-1])
         found = compare(at, first, last)
     return found.verdict, comparison_document(found, tried)
 

@@ -12,7 +12,6 @@ import venv
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from difflib import get_close_matches
 from pathlib import Path
 from secrets import token_hex
 
@@ -20,6 +19,7 @@ from platformdirs import user_cache_path
 
 from gauge_envs.errors import GaugeError
 from gauge_envs.files import locked, write_whole
+from gauge_envs.tools.versions.causes import cause, unreached
 
 RECORD = "environment.json"
 """File of a complete environment."""
@@ -29,6 +29,9 @@ ABOUT_MB = 160
 
 NUMPY_2_SINCE = (3, 2)
 """First release of MuJoCo whose wheels were built for NumPy 2: those before crash or refuse arrays with it."""
+
+LOOKING = ("-vv", "--no-input", "--retries", "2")
+"""Options of pip, which names an index that does not answer only in its details."""
 
 INSTALL_LIMIT_S = 1800.0
 """Time of an installation [s]."""
@@ -68,8 +71,9 @@ def environment_folder(requirement: str) -> Path:
 
 
 def is_made(requirement: str) -> bool:
-    """Return whether the environment of a requirement is complete."""
-    return (environment_folder(requirement) / RECORD).is_file()
+    """Return whether the environment of a requirement is complete, and its Python is still there."""
+    folder = environment_folder(requirement)
+    return (folder / RECORD).is_file() and _python(folder).exists()
 
 
 def made_environment(
@@ -124,14 +128,15 @@ def released_versions(
     Raises:
         ReleaseError: The index does not answer.
     """
-    command = [str(environment.python), "-m", "pip", "index", "versions", package]
-    done = _run([*command, "--pre"] if has_candidates else command)
+    command = [str(environment.python), "-m", "pip", "index", "versions", *LOOKING]
+    if has_candidates:
+        command.append("--pre")
+    done = _run([*command, package])
+    text = done.stdout + done.stderr
     found = re.search(r"Available versions: (.*)", done.stdout)
-    if done.returncode != 0 or found is None:
-        raise ReleaseError(
-            f"{package}: the package index gives no list of versions: {_last_line(done.stderr)}. "
-            "Name the versions one by one."
-        )
+    # Without the index, pip lists what it finds in folders.
+    if done.returncode != 0 or found is None or unreached(text):
+        raise ReleaseError(f"{package}: {cause(text, package)}")
     return sorted(found[1].split(", "), key=version_key)
 
 
@@ -163,7 +168,7 @@ def _make(requirement: str, folder: Path, say: Callable[[str], object]) -> None:
             pip = [str(_python(part)), "-m", "ensurepip", "--default-pip"]
             _check(_run(pip), requirement)
             install = [str(_python(part)), "-m", "pip", "install", "--no-compile"]
-            install += ["--no-input", "--progress-bar", "off"]
+            install += ["--progress-bar", "off", *LOOKING]
         _check(_run([*install, "--only-binary", ":all:", *packages]), requirement)
         _check(_run([str(_python(part)), "-c", f"import {package}"]), requirement)
         size = sum(
@@ -210,6 +215,7 @@ def _run(command: Sequence[str]) -> subprocess.CompletedProcess[str]:
     environment = os.environ | {
         "PIP_DISABLE_PIP_VERSION_CHECK": "1",
         "PYTHONNOUSERSITE": "1",
+        "LC_ALL": "C.UTF-8",
     }
     # Paths of the user's environment do not belong to this one.
     for name in ("PYTHONPATH", "PYTHONHOME", "PIP_TARGET", "PIP_USER"):
@@ -235,47 +241,18 @@ def _check(done: subprocess.CompletedProcess[str], requirement: str) -> None:
     if done.returncode == 0:
         return
     text = done.stdout + done.stderr
-    version = requirement.partition("==")[2]
-    if re.search(r"No space left|os error 28|Errno 28|Errno 122", text):
-        raise ReleaseError(
-            f"{requirement}: the disk is full. It needs about {2 * ABOUT_MB} MB; free space, or set GAUGE_CACHE_DIR "
-            "to a folder on another disk."
-        )
-    offered = re.search(r"from versions: ([^)]*)\)", text)
-    versions = offered[1].split(", ") if offered else []
-    if versions and versions != ["none"]:
-        near = get_close_matches(version, versions, n=3) or versions[-3:]
-        raise ReleaseError(
-            f"{requirement}: there is no such version for this Python and platform; the nearest are "
-            f"{', '.join(near)}"
-        )
-    if re.search(
-        r"connection|resolution|resolve host|network|timed out|offline|dns|from versions: none",
-        text,
-        flags=re.I,
-    ):
+    why = f"{requirement}: {cause(text, requirement)}"
+    if unreached(text):
         cached = ", ".join(made_requirements()) or "none"
-        raise ReleaseError(
-            f"{requirement}: the package index does not answer ({_last_line(text)}). Environments that can be used "
-            f"without it: {cached}; --python PATH names an interpreter that has the engine."
-        )
-    if "there is no version of" in text:  # The words of uv.
-        package = requirement.partition("==")[0]
-        raise ReleaseError(
-            f"{requirement}: there is no such version for this Python and platform; pip index versions {package} lists "
-            "those that there are"
-        )
-    raise ReleaseError(f"{requirement}: {_last_line(text)}")
+        why += f". Environments that can be used without it: {cached}; --python FILE names one that has MuJoCo"
+    raise ReleaseError(why)
 
 
 def made_requirements() -> list[str]:
-    """Return the requirements of the environments in the cache."""
+    """Return the requirements of the environments in the cache that this Python can use."""
     found = []
     for record in sorted(cache_folder().glob(f"*/{RECORD}")):
-        found.append(json.loads(record.read_text(encoding="utf-8"))["requirement"])
+        requirement = json.loads(record.read_text(encoding="utf-8"))["requirement"]
+        if environment_folder(requirement) == record.parent and is_made(requirement):
+            found.append(requirement)
     return found
-
-
-def _last_line(text: str) -> str:
-    lines = [line.strip() for line in text.splitlines() if line.strip()]
-    return lines[-1] if lines else "no message"

@@ -147,16 +147,25 @@ class Bench:
         python = side.python
         if python is None:
             python = str(made_environment(side.requirement, self._say).python)
-        done = subprocess.run(
-            [python, *worker, str(job)],
-            capture_output=True,
-            text=True,
-            errors="replace",
-            check=False,
-            timeout=WORKER_LIMIT_S,
-            stdin=subprocess.DEVNULL,
-            env=os.environ | {"OMP_NUM_THREADS": "1", "MUJOCO_GL": "disable"},
-        )
+        try:
+            done = subprocess.run(
+                [python, *worker, str(job)],
+                capture_output=True,
+                text=True,
+                errors="replace",
+                check=False,
+                timeout=WORKER_LIMIT_S,
+                stdin=subprocess.DEVNULL,
+                env=os.environ | {"OMP_NUM_THREADS": "1", "MUJOCO_GL": "disable"},
+            )
+        except OSError as error:
+            raise VersionsError(
+                f"{side.title} cannot be started as a Python: {error.strerror or error}"
+            ) from error
+        except subprocess.TimeoutExpired:
+            raise VersionsError(
+                f"{side.title} does not end on {self.title} within {WORKER_LIMIT_S:g} s"
+            ) from None
         if done.returncode != 0:
             # A traceback ends with the exception, whose message may have several lines.
             *_, last = re.split(r"^(?=\w[\w.]*: )", done.stderr, flags=re.M)

@@ -14,13 +14,15 @@ from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.variants import find_variant, variants
 from gauge_envs.registry import engine_points
 from gauge_envs.tools.versions.environments import (
+    ReleaseError,
     made_environment,
+    made_requirements,
     released_versions,
     version_key,
 )
 from gauge_envs.tools.versions.model import Side
 
-RELEASES = re.compile(r"mujoco==(?P<first>[\w.]+?)(\.\.(?P<last>[\w.]+))?")
+RELEASES = re.compile(r"mujoco==(?P<first>\d[\w.]*?)(\.\.(?P<last>\d[\w.]*))?")
 
 FORMS = (
     "mujoco==3.3.0, mujoco==3.1.0..4.0.0, mujoco for what is installed here, another engine of this package, a result "
@@ -52,9 +54,8 @@ def read_side(text: str, settings: dict[str, object] | None = None) -> tuple[Sid
     engines = [point.name for point in engine_points()]
     name, equals, _ = head.partition("=")
     # Settings alone are those of what is installed here.
-    engine = (
-        "mujoco" if equals and name.isidentifier() and name not in engines else head
-    )
+    is_setting = equals and name.isidentifier() and "==" not in head
+    engine = "mujoco" if is_setting and name not in engines else head
     if engine not in engines:
         raise ParameterError(
             f"{text!r} is no side: expected {FORMS}; engines: {', '.join(engines)}"
@@ -87,7 +88,8 @@ def are_motions(subject: str, sides: Sequence[Side]) -> bool:
         return bool(reasons or (scene.deformables and not releases))
     if reasons:
         raise ParameterError(
-            f"{subject} and {reasons[0]}: engines, their settings and result files are compared on an id of this suite"
+            f"{subject} and {reasons[0]}: on a model, settings are options of MuJoCo, as iterations=4; other "
+            "engines, their settings and result files are compared on an id of this suite"
         )
     return False
 
@@ -105,8 +107,10 @@ def releases_between(
 ) -> list[Side]:
     """Return the releases from one version to another, both with it, as the package index lists them.
 
+    Without the index they are those of the cache.
+
     Raises:
-        ReleaseError: The index gives no list.
+        ParameterError: There are fewer than two.
     """
     environment = made_environment(first.requirement, say)
     ends = [version_key(side.requirement.partition("==")[2]) for side in (first, last)]
@@ -114,8 +118,19 @@ def releases_between(
         raise ParameterError(f"{first.title}: the range ends before it begins")
     behind = first.title[len(first.requirement) :]
     found = []
-    for version in released_versions("mujoco", environment):
+    try:
+        versions = released_versions("mujoco", environment)
+    except ReleaseError as error:
+        made = [one.partition("==")[2] for one in made_requirements()]
+        versions = sorted(made, key=version_key)
+        say(f"{error}; releases in the cache: {', '.join(versions)}")
+    for version in versions:
         if ends[0] <= version_key(version) <= ends[1]:
             name = f"mujoco=={version}"
             found.append(replace(first, title=name + behind, requirement=name))
+    if len(found) < 2:
+        known = ", ".join(versions[-8:])
+        raise ParameterError(
+            f"{first.title} to {last.title}: there are no two releases in this range; the newest are {known}"
+        )
     return found

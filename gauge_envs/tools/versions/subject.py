@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import importlib
 import sys
+from collections.abc import Mapping
+from contextlib import redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -162,8 +164,10 @@ def _called(module: str, function: str) -> Any:
     if "" not in sys.path:
         sys.path.insert(0, "")
     try:
-        return getattr(importlib.import_module(module), function)()
-    except Exception as error:  # The user's function raises exceptions of any kind.
+        # What it prints is no output of the command.
+        with redirect_stdout(sys.stderr):
+            return getattr(importlib.import_module(module), function)()
+    except (Exception, SystemExit) as error:  # The user's function raises any kind.
         cause = f"{type(error).__name__}: {' '.join(str(error).split())}"
         raise ParameterError(f"{module}:{function}: {cause}") from error
 
@@ -239,13 +243,36 @@ def read_states(path: Path, folder: Path) -> Path:
     if not _is_hdf5(path):
         content = _content(path)
         try:
-            npz_arrays(content, npz_names(content), MOST_STATE_BYTES)
+            rows = npz_arrays(content, npz_names(content), MOST_STATE_BYTES)
         except ValueError as error:
             raise ParameterError(f"{path}: not an NPZ of states: {error}") from None
+        _check_rows(path, rows)
         return path
     file = folder / "states.npz"
-    np.savez(file, flat=_demonstration(path)[0])
+    rows = {"flat": _demonstration(path)[0]}
+    _check_rows(path, rows)
+    np.savez(file, allow_pickle=False, **rows)
     return file
+
+
+def _check_rows(path: Path, rows: Mapping[str, np.ndarray]) -> None:
+    """Check that arrays of states have finite numbers, and a row for each state."""
+    states = rows.get("flat", rows.get("qpos"))
+    if states is None:
+        raise ParameterError(
+            f"{path} has no qpos, a row for each state; it has {', '.join(rows) or 'nothing'}"
+        )
+    if states.ndim != 2 or not len(states):
+        raise ParameterError(
+            f"{path}: qpos has the shape {states.shape}; expected a row for each state"
+        )
+    for name, values in rows.items():
+        if values.shape[:1] != states.shape[:1]:
+            raise ParameterError(
+                f"{path}: {name} has the shape {values.shape}; expected {len(states)} rows, as of the other arrays"
+            )
+        if not np.all(np.isfinite(values)):
+            raise ParameterError(f"{path}: {name} has numbers that are not finite")
 
 
 def _content(path: Path) -> bytes:

@@ -156,11 +156,19 @@ def set_options(model: Any, settings: Job) -> None:
     for name, value in settings.items():
         if not hasattr(model.opt, name):
             raise SystemExit("unknown setting: " + name)
-        if isinstance(value, str):
-            kind = getattr(mujoco, ENUMS[name])
-            prefix = next(iter(kind.__members__)).partition("_")[0]
-            value = int(kind.__members__[f"{prefix}_{value.upper()}"])
-        setattr(model.opt, name, value)
+        stated = f"{name}={value}"
+        if isinstance(value, str) and name in ENUMS:
+            kind = getattr(mujoco, ENUMS[name]).__members__
+            words = {key.partition("_")[2].lower(): int(kind[key]) for key in kind}
+            value = words.get(value.lower())
+            if value is None:
+                raise SystemExit(f"{stated}: expected one of {', '.join(words)}")
+        try:
+            setattr(model.opt, name, value)
+        except (TypeError, ValueError) as error:
+            raise SystemExit(f"{stated}: {error}") from None
+    if not model.opt.timestep > 0.0:
+        raise SystemExit(f"timestep={model.opt.timestep}: expected a positive number")
 
 
 # --- the compiled model ----------------------------------------------------------------------------------------------

@@ -23,7 +23,7 @@ from gauge_envs.errors import MissingExtraError, ParameterError
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result_file import write_result
-from gauge_envs.tools.versions import bisection, environments, worker
+from gauge_envs.tools.versions import bisection, environments, sides, worker
 from gauge_envs.tools.versions.comparison import compare
 from gauge_envs.tools.versions.environments import ReleaseError
 from gauge_envs.tools.versions.fields import field_changes
@@ -433,19 +433,54 @@ def test_versions_are_read():
         "mujoco==4.0.0",
     ]
     assert read_side("mujoco")[0].python == sys.executable
-    for wrong in ("newton==1.0", "mujoco=3.3.0", "mujoco>=3"):
+    for wrong in (
+        "newton==1.0",
+        "mujco==3.3.0",
+        "mujoco==new",
+        "mujoco=3.3.0",
+        "mujoco>=3",
+    ):
         with pytest.raises(ParameterError, match="expected mujoco=="):
             read_side(wrong)
+
+
+LACKS = "ERROR: Could not find a version that satisfies the requirement mujoco==9.9.0"
+UNFETCHED = "Could not fetch URL i/simple/: connection error: (Caused by E('[Errno"
 
 
 @pytest.mark.parametrize(
     ("said", "told"),
     [
-        ("ERROR: Could not find a version (from versions: 3.3.0, 3.9.0)", "3.9.0"),
-        ("WARNING: Retrying: Failed to establish a new connection", "does not answer"),
-        ("(from versions: none)", "does not answer"),
+        (f"{LACKS} (from versions: 3.3.0, 3.9.0)", "no such version .*has 3.9.0"),
+        (f"{LACKS} (from versions: none)", "no package mujoco"),
+        (
+            f"{UNFETCHED} -3] No name')) - skipping\n{LACKS} (from versions: 3.3.0)",
+            "i/simple/ does not answer: No name",
+        ),
+        (f"{UNFETCHED} 5] No'), ProxyError)) - skipping\n", "the proxy"),
+        (
+            f"Could not fetch URL i: 404 No - skipping\n{LACKS} (from versions: none)",
+            "no package mujoco",
+        ),
+        (
+            f"  Skipping link: none: i/mujoco-9.9.0-cp39.whl\n{LACKS} (from versions: 3.3.0)",
+            "no wheel",
+        ),
+        (
+            f"{LACKS.replace('mujoco==9.9.0', 'gltf==1.0 (from mujoco)')} (from versions: none)",
+            "needs gltf",
+        ),
         ("OSError: [Errno 28] No space left on device", "disk is full"),
+        ("[Errno 30] Read-only file system", "cannot be written"),
         ("cause: Because there is no version of mujoco==9.9.0 and", "no such version"),
+        (
+            "cause: Because mujoco==9.9.0 has no usable wheels and",
+            "no wheel of mujoco==9.9.0",
+        ),
+        (
+            "cause: Failed to fetch: `i/`\n  cause: error\n  cause: dns",
+            "i/ does not answer: dns",
+        ),
         ("hint: unavailable because the network was disabled", "does not answer"),
         ("error: something else", "something else"),
     ],
@@ -467,8 +502,8 @@ def test_nothing_half_made_is_used(tmp_path, monkeypatch):
     monkeypatch.setattr(environments.shutil, "which", lambda name: None)
 
     def create(self, at):
-        at.mkdir()
-        (at / "half").touch()
+        (at / "bin").mkdir(parents=True)
+        (at / "bin" / "python").touch()
 
     def interrupted(command):
         raise KeyboardInterrupt
@@ -491,6 +526,11 @@ def test_nothing_half_made_is_used(tmp_path, monkeypatch):
     assert "MB" in said[0]
     environments.made_environment("mujoco==3.3.0", said.append)
     assert len(said) == 2
+    # A Python that is gone takes its environments with it.
+    (environments.environment_folder("mujoco==3.3.0") / "bin" / "python").unlink()
+    assert not environments.is_made("mujoco==3.3.0")
+    environments.made_environment("mujoco==3.3.0", said.append)
+    assert environments.is_made("mujoco==3.3.0")
     environments.remove_environment("mujoco==3.3.0")
     assert not environments.is_made("mujoco==3.3.0")
 
@@ -532,6 +572,47 @@ def test_an_interrupted_installation_leaves_nothing_and_two_at_once_make_one(tmp
     made = [one.name for one in (tmp_path / "versions").iterdir()]
     assert len(made) == 2
     assert not [name for name in made if name.startswith(".mujoco")]
+
+
+def test_a_range_without_two_releases_and_one_without_the_index(tmp_path, monkeypatch):
+    python = environments.Environment("mujoco==3.3.0", Path(sys.executable))
+    monkeypatch.setattr(sides, "made_environment", lambda *words: python)
+    monkeypatch.setattr(sides, "released_versions", lambda *words: ["3.3.0", "3.9.0"])
+    with pytest.raises(ParameterError, match=r"no two releases .*3\.3\.0, 3\.9\.0"):
+        sides.releases_between(*read_side("mujoco==3.3.0..3.3.9"), print)
+
+    def without_index(*words):
+        raise ReleaseError("i does not answer")
+
+    monkeypatch.setattr(sides, "released_versions", without_index)
+    made = ["mujoco==3.10.0", "mujoco==3.3.0", "mujoco==3.9.0"]
+    monkeypatch.setattr(sides, "made_requirements", lambda: made)
+    said = []
+    found = sides.releases_between(*read_side("mujoco==3.3.0..4.0.0"), said.append)
+    assert [one.title for one in found] == [made[1], made[2], made[0]]
+    assert "does not answer" in said[0]
+
+
+@pytest.mark.parametrize(
+    ("settings", "told"),
+    [
+        ({"jacobian": "densest"}, "jacobian=densest: expected one of dense, sparse"),
+        ({"iterations": "many"}, "iterations=many"),
+        ({"gravity": [0, 0]}, "gravity="),
+        ({"timestep": 0.0}, "positive"),
+    ],
+)
+def test_a_setting_that_is_none_says_what_would_be_one(settings, told):
+    with pytest.raises(SystemExit, match=told):
+        worker.set_options(mujoco.MjModel.from_xml_string("<mujoco/>"), settings)
+
+
+def test_a_file_that_is_no_python_is_named(tmp_path):
+    file = tmp_path / "python"
+    file.touch()
+    bench = Bench(tmp_path / "scene.xml", tmp_path, steps=1, seed=0)
+    with pytest.raises(VersionsError, match="cannot be started as a Python"):
+        bench.run(sides.of_interpreter(file))
 
 
 def test_a_worker_that_fails_says_why(tmp_path):
@@ -607,6 +688,11 @@ def made_model():
     return mujoco.MjSpec.from_string(SCENE)
 
 
+def leaves():
+    print("not for the output")
+    sys.exit(3)
+
+
 class Made:
     """An environment that holds a compiled model."""
 
@@ -644,6 +730,7 @@ def test_a_function_that_makes_a_model_is_a_subject(tmp_path, name, mass_kg):
         (f"{__name__}:Other", "incompatible models"),
         (f"{__name__}:Bench", "argument"),
         (f"{__name__}:nothing", "nothing"),
+        (f"{__name__}:leaves", "SystemExit: 3"),
         ("absent.xml", "no such file"),
         ("Absent-v0", "no environment of Gymnasium"),
         ("FoamShearing-soft", "are not compared"),
@@ -698,6 +785,22 @@ def test_demonstrations_without_h5py_name_its_extra(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "h5py", None)
     with pytest.raises(MissingExtraError, match=r"pip install 'gauge-envs\[logs\]'"):
         read_states(tmp_path / "demo.hdf5", tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("arrays", "told"),
+    [
+        ({"qvel": np.zeros((2, 6))}, "no qpos.*it has qvel"),
+        ({"qpos": np.zeros(7)}, r"shape \(7,\)"),
+        ({"qpos": np.zeros((0, 7))}, r"shape \(0, 7\)"),
+        ({"qpos": np.zeros((2, 7)), "qvel": np.zeros((3, 6))}, "expected 2 rows"),
+        ({"flat": np.full((2, 14), np.nan)}, "not finite"),
+    ],
+)
+def test_an_npz_that_holds_no_states_is_refused(tmp_path, arrays, told):
+    np.savez(tmp_path / "states.npz", **arrays)
+    with pytest.raises(ParameterError, match=told):
+        read_states(tmp_path / "states.npz", tmp_path)
 
 
 def test_states_of_another_model_are_refused(tmp_path):
