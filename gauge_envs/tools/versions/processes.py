@@ -172,6 +172,8 @@ class Bench:
             cause = " ".join(last.split()) or f"it ended with code {done.returncode}"
             if done.returncode < 0:
                 cause = f"this release crashes on it ({signal.Signals(-done.returncode).name})"
+            if "package:/" in cause:
+                cause += ". MuJoCo knows no ROS packages: state paths beside the file"
             raise VersionsError(f"{side.title} cannot run {self.title}: {cause}")
 
 

@@ -13,6 +13,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from numpy.typing import NDArray
 
+from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.variants import find_variant, variants
 from gauge_envs.tools.transfer import Estimate, estimate, success_share
 from gauge_envs.tools.versions.environments import (
@@ -49,8 +50,16 @@ def compare_returns(
         say: Prints what is installed.
 
     Raises:
+        ParameterError: The policy is neither.
         VersionsError: A side cannot play the episodes.
     """
+    is_file = policy.endswith(".npy")
+    if not is_file and ":" not in policy:
+        raise ParameterError(
+            f"--policy {policy}: expected module:function that returns a policy, or a file .npy of actions"
+        )
+    if is_file and not Path(policy).is_file():
+        raise ParameterError(f"--policy {policy}: there is no such file")
     title = subject
     if subject in {name for one in variants() for name in (one.name, one.id)}:
         subject = f"gauge_envs:{find_variant(subject).id}"

@@ -115,7 +115,9 @@ def releases_between(
     environment = made_environment(first.requirement, say)
     ends = [version_key(side.requirement.partition("==")[2]) for side in (first, last)]
     if ends[0] >= ends[1]:
-        raise ParameterError(f"{first.title}: the range ends before it begins")
+        raise ParameterError(
+            f"{first.title} to {last.title}: a range goes from an older release to a newer one"
+        )
     behind = first.title[len(first.requirement) :]
     found = []
     try:

@@ -84,9 +84,6 @@ DRIVEN_INTERVAL_S = 1.0 / 180.0
 MOST_PROBES = 600
 """Most states of a segment that are probed; of a longer one, every n-th step."""
 
-MOST_DROPPED = 40
-"""Attributes of a model file that a release may lack."""
-
 UNKNOWN = re.compile(
     r"(unrecognized attribute|invalid keyword): '(\w+)'\s+Element '(\w*)', line (\d+)"
 )
@@ -110,9 +107,11 @@ def without_unknown(path: Path, folder: Path) -> tuple[Any, list[str]]:
         except ValueError as error:
             unknown = UNKNOWN.search(MISPLACED.sub(UNNAMED, str(error)))
             text = file.read_text(encoding="utf-8")
-            # An included file has lines of its own.
-            if unknown is None or "<include" in text or len(dropped) >= MOST_DROPPED:
+            if unknown is None:
                 raise
+            # An included file has lines of its own.
+            if "<include" in text:
+                raise SystemExit(f"{error}: put the <include> into this file") from None
             kind, word, element, line = unknown.groups()
         lines = text.splitlines(keepends=True)
         begin = text.index("<" + element, sum(map(len, lines[: int(line) - 1])))
@@ -144,13 +143,6 @@ def with_absolute_folders(text: str, path: Path) -> str:
     return text[:end] + f"<compiler {words}/>" + text[end:]
 
 
-def load(job: Job) -> tuple[Any, list[str]]:
-    """Return the compiled model with the settings of the side, and the attributes that the release lacks."""
-    model, dropped = without_unknown(Path(job["model"]), Path(job["out"]).parent)
-    set_options(model, job.get("settings", {}))
-    return model, dropped
-
-
 def set_options(model: Any, settings: Job) -> None:
     """Write options into a model; a word stands for the number of its enumeration."""
     for name, value in settings.items():
@@ -165,8 +157,9 @@ def set_options(model: Any, settings: Job) -> None:
                 raise SystemExit(f"{stated}: expected one of {', '.join(words)}")
         try:
             setattr(model.opt, name, value)
-        except (TypeError, ValueError) as error:
-            raise SystemExit(f"{stated}: {error}") from None
+        except (TypeError, ValueError):
+            known = getattr(model.opt, name)
+            raise SystemExit(f"{stated}: expected a value as {known}") from None
     if not model.opt.timestep > 0.0:
         raise SystemExit(f"timestep={model.opt.timestep}: expected a positive number")
 
@@ -579,7 +572,8 @@ def probe(model: Any, rows: Mapping[str, Any], has_poses: bool) -> dict[str, Any
 def main(file: Path) -> None:
     """Do the job of a file."""
     job = json.loads(file.read_text(encoding="utf-8"))
-    model, dropped = load(job)
+    model, dropped = without_unknown(Path(job["model"]), file.parent)
+    set_options(model, job.get("settings", {}))
     words = {
         "version": mujoco.__version__,
         "nq": model.nq,

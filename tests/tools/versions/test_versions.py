@@ -401,6 +401,13 @@ def test_returns_of_a_policy_are_compared_seed_by_seed(
     assert again.verdict is Verdict.IDENTICAL
 
 
+@pytest.mark.parametrize("policy", ["word", "absent.npy"])
+def test_what_is_no_policy(policy):
+    wanted = {"policy": policy, "seeds": 1, "seed": 0, "say": print}
+    with pytest.raises(ParameterError, match=rf"--policy {policy}"):
+        compare_returns("Hopper-v5", side("old"), side("new"), **wanted)
+
+
 def test_a_release_is_imported_in_place_of_the_installed_one(tmp_path):
     """The folder of a release has precedence for MuJoCo alone."""
     for name in ("mujoco", "typer"):
@@ -597,8 +604,8 @@ def test_a_range_without_two_releases_and_one_without_the_index(tmp_path, monkey
     ("settings", "told"),
     [
         ({"jacobian": "densest"}, "jacobian=densest: expected one of dense, sparse"),
-        ({"iterations": "many"}, "iterations=many"),
-        ({"gravity": [0, 0]}, "gravity="),
+        ({"iterations": "many"}, "iterations=many: expected a value as 100"),
+        ({"gravity": [0, 0]}, "gravity=.* -9.81"),
         ({"timestep": 0.0}, "positive"),
     ],
 )
