@@ -28,7 +28,7 @@ from typing import Any
 
 import numpy as np
 
-from gauge_envs.backends import backend
+from gauge_envs.backends import Backend, backend
 from gauge_envs.backends.base import scene_support
 from gauge_envs.errors import GaugeError
 from gauge_envs.evaluation.power import reference_power
@@ -51,7 +51,9 @@ from scripts import build_power
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
 from mutations import FAILS_ITSELF, Mutant
+from mutations.episodes import PLACES, Again, OneOfMany
 from mutations.generated import Generated, generated
+from mutations.generated_fields import leaves
 
 TABLE = Path(__file__).with_name("random_faults.csv")
 COLUMNS = (
@@ -67,11 +69,11 @@ COLUMNS = (
     "id",
 )
 SEED = 58
-MOST_FRAMES = 120
-"""Frames of an id that are run: a fault shows within 4 s, or is not counted."""
+MOST_FRAMES = {"rigid": 120, "deformable": 45, "batches": 60}
+"""Frames of an id that are run: a fault shows within 1.5 to 4 s, or is not counted."""
 SOFT = re.compile(r"^(cloth|air|foam|rope|rod|soft)-")
 """Checks of scenes with deformable bodies."""
-PARTS = ["rigid", "deformable"]
+PARTS = ["rigid", "deformable", "batches"]
 KINDS = {
     "Cloth": "cloth",
     "Air": "air",
@@ -192,10 +194,9 @@ def draw(engine: str, part: str, count: int) -> None:
     drawn = {fault for fault, _ in rows}
     classes: dict[tuple[str, str], list[Generated]] = {}
     for one in _faults().values():
-        is_of_part = one.is_deformable == (part == "deformable")
-        if is_of_part and one.fault.engine in ("", engine):
+        if one.part == part and one.fault.engine in ("", engine):
             classes.setdefault((one.quantity, one.kind), []).append(one)
-    draw = np.random.default_rng(SEED)
+    draw = np.random.default_rng([SEED, len(rows)])
     orders = [draw.permutation(len(faults)) for faults in classes.values()]
     for turn in range(max(len(order) for order in orders)):
         for number in draw.permutation(len(classes)):
@@ -226,6 +227,8 @@ def _counts(row: dict[str, Any]) -> bool:
 
 def _wanted(one: Generated, name: str) -> bool:
     """Return whether a check can show a fault: scenes without the parts that it changes are left out."""
+    if one.part == "batches":
+        return name.startswith("worlds-")
     kind = KINDS.get(one.quantity.split(".")[0])
     if kind is not None:
         return name.startswith(f"{kind}-") or (kind == "cloth" and name[:4] == "air-")
@@ -313,9 +316,13 @@ def _ids_of(one: Generated, engine: str, most: int) -> Iterator[str]:
         ):
             continue
         calls = {"drive": scene.drivers, "command": scene.motors, "wrench": ()}
-        owner = one.quantity.split(".")[0]
+        quantity = one.quantity.removeprefix("batch.")
+        owner, _, field = quantity.partition(".")
         if owner in calls:
             shows = bool(calls[owner])
+        elif one.part == "batches":
+            is_small = not scene.deformables and len(scene.bodies) < 6
+            shows = is_small and (not field or any(leaves(scene, owner, field)))
         elif one.quantity[0].islower():
             shows = bool(scene.deformables) == one.is_deformable
         elif one.kind == "threshold":
@@ -339,18 +346,26 @@ def _change_u(one: Generated, name: str, engine: str) -> float:
     )
     found = reference_power(experiment, band)
     assert found is not None, name
-    last_frame = min(experiment.frame_count, MOST_FRAMES)
+    last_frame = min(experiment.frame_count, MOST_FRAMES[one.part])
     nominal = _nominal(name, engine, last_frame)
-    mutant = Mutant(backend(engine), one.fault)
-    try:
-        changed = _motion(name, mutant, last_frame)
-    except (GaugeError, IndexError, ValueError):
-        # No episode can be made of nodes that are missing or elsewhere.
-        return np.inf
-    return (
-        build_power.distance(band, nominal, changed, is_aligned=is_aligned)
-        / found.scale
-    )
+    mutant: Backend = Mutant(backend(engine), one.fault)
+    engines = [mutant]
+    if one.part == "batches":
+        engines = [OneOfMany(mutant, number) for number in PLACES]
+    elif one.quantity.split(".")[0] in ("reset", "restore"):
+        engines = [Again(mutant, is_restored=one.quantity.startswith("restore"))]
+    most = 0.0
+    for each in engines:
+        try:
+            changed = _motion(name, each, last_frame)
+        except (GaugeError, IndexError, ValueError):
+            # No episode can be made of nodes that are missing or elsewhere.
+            return np.inf
+        off = build_power.distance(band, nominal, changed, is_aligned=is_aligned)
+        most = max(most, off / found.scale)
+        if most > 1.0:
+            break
+    return most
 
 
 @cache

@@ -9,8 +9,12 @@ from gauge_envs.backends.worlds import Worlds, separate_worlds
 from mutations.mutant import fault
 
 
-class _Batch(Worlds):
-    """Healthy worlds, passed through."""
+class Batch(Worlds):
+    """Healthy worlds, passed through.
+
+    Args:
+        inner: The worlds.
+    """
 
     def __init__(self, inner):
         self.inner = inner
@@ -29,7 +33,7 @@ class _Batch(Worlds):
         self.inner.close()
 
 
-class _ResetsButLast(_Batch):
+class _ResetsButLast(Batch):
     """Leaves the last world as it is at a reset, but for the first one."""
 
     is_fresh = True
@@ -40,14 +44,14 @@ class _ResetsButLast(_Batch):
         self.is_fresh = False
 
 
-class _RestartsAll(_Batch):
+class _RestartsAll(Batch):
     """Restarts all worlds instead of one."""
 
     def restart(self, number):
         self.inner.reset(0)
 
 
-class _RestartsNext(_Batch):
+class _RestartsNext(Batch):
     """Restarts the next world too."""
 
     def restart(self, number):
@@ -55,7 +59,7 @@ class _RestartsNext(_Batch):
         self.inner.restart((number + 1) % len(self.worlds))
 
 
-class _Swaps(_Batch):
+class _Swaps(Batch):
     """Reads world 2 for world 3, and world 3 for world 2."""
 
     def body_states(self, names):
@@ -64,7 +68,7 @@ class _Swaps(_Batch):
         return states
 
 
-class _PushesOthersNoMore(_Batch):
+class _PushesOthersNoMore(Batch):
     """Removes the wrenches of all worlds before it applies those of some."""
 
     def apply_wrench(self, body, wrenches, numbers):
@@ -73,7 +77,7 @@ class _PushesOthersNoMore(_Batch):
         self.inner.apply_wrench(body, wrenches, numbers)
 
 
-class _CommandsAll(_Batch):
+class _CommandsAll(Batch):
     """Gives all worlds the first of the commands."""
 
     def command(self, values, numbers):
@@ -100,7 +104,7 @@ class _OnHost(HostArrays, DeviceWorlds):
         return self._worlds.body_states(names)
 
 
-class _BeginsAsBuilt(_Batch):
+class _BeginsAsBuilt(Batch):
     """Has a device that ignores given starts."""
 
     def on_device(self):

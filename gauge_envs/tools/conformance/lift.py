@@ -12,18 +12,26 @@ from typing import Any
 import numpy as np
 
 from gauge_envs.runs.rollout import Rollout
-from gauge_envs.scene import Motion, Scene
+from gauge_envs.scene import Motion, Region, Scene
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.profiles import TrapezoidProfile
-from gauge_envs.tools.bench.parts import driver
+from gauge_envs.tools.bench.parts import driver, fixed_box
 from gauge_envs.tools.conformance.lab import FRAME
 from gauge_envs.tools.conformance.laws import PLACE_TOLERANCE_M, largest_mm, worst_ratio
 from gauge_envs.tools.conformance.model import Measurement, Recorded, rollout_of
+
+HELD_M = 1e-7
+"""Displacement below which a node is held [m]; single precision at 1 m."""
 
 APART_M = 1.0
 RAMP_S = 0.8
 BRAKE_S = 0.1
 """The frame brakes after the end of the scene."""
+BYSTANDERS = tuple(
+    fixed_box(f"bystander {number}", (2.0, 0.3 * number, 0.5), (0.02, 0.02, 0.02))
+    for number in range(5)
+)
+"""Bodies that touch nothing. What hangs beside them hangs as without them."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +76,7 @@ class Lift:
             attachments += [replace(one, deformable=name) for one in scene.attachments]
         return replace(
             first,
-            bodies=(replace(FRAME, motion=Motion.KINEMATIC),),
+            bodies=(replace(FRAME, motion=Motion.KINEMATIC), *BYSTANDERS),
             deformables=tuple(bodies),
             attachments=tuple(attachments),
             drivers=(driver(FRAME.name, "translate", (0.0, 0.0, 1.0), rise),),
@@ -146,11 +154,8 @@ class Lift:
             (body,) = scene.deformables
             local = body.pose.to_body(nodes[0])
             for attachment in scene.attachments:
-                region = attachment.region
-                axis = "xyz".index(region.axis)
-                along = local[:, axis] * (1.0 if region.side == "low" else -1.0)
-                depth_m = along - _lowest_m(body, axis)
-                inside = depth_m < region.depth_m + PLACE_TOLERANCE_M
+                depths_m = _depths_m(local, body, attachment.region)
+                inside = depths_m < attachment.region.depth_m + PLACE_TOLERANCE_M
                 moved = nodes[:, inside] - nodes[0, inside]
                 # Nodes that are elsewhere at the start are not in the clamp.
                 furthest_mm = largest_mm(moved) if inside.any() else np.inf
@@ -159,6 +164,30 @@ class Lift:
         return Measurement(
             measured=errors[worst], hint=f"it is furthest for the {worst}"
         )
+
+    def clamp_excess(self, rollout: Rollout) -> Measurement:
+        """Measure how far beyond its clamp a node of a body is still while the frame stands still [mm]."""
+        excesses: dict[str, float] = {}
+        for name, scene in self.scenes.items():
+            (nodes,) = self.at_rest(rollout, name).nodes_m.values()
+            (body,) = scene.deformables
+            (attachment,) = scene.attachments
+            still = np.linalg.norm(nodes - nodes[0], axis=2).max(axis=0) < HELD_M
+            local = body.pose.to_body(nodes[0, still])
+            depths_m = _depths_m(local, body, attachment.region)
+            deepest_m = float(depths_m.max(initial=0.0))
+            excesses[name] = 1e3 * max(0.0, deepest_m - attachment.region.depth_m)
+        worst = max(excesses, key=lambda one: excesses[one])
+        return Measurement(
+            measured=excesses[worst], hint=f"it is furthest for the {worst}"
+        )
+
+
+def _depths_m(local_m: Any, body: Any, region: Region) -> Any:
+    """Return the distance of points in the frame of a body from the side of a region [m]."""
+    axis = "xyz".index(region.axis)
+    along = local_m[:, axis] * (1.0 if region.side == "low" else -1.0)
+    return along - _lowest_m(body, axis)
 
 
 def _lowest_m(body: Any, axis: int) -> float:
