@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 
-from gauge_envs.scene import Hinge, Scene
+from gauge_envs.scene import Hinge, Scene, Slider
 from gauge_envs.scene.motors import Servo, TorqueMotor
 
 
@@ -55,6 +55,12 @@ class Feature(StrEnum):
     """`Contact.torsion_m`."""
     ROLLING = "rolling friction"
     """`Contact.rolling_m`."""
+    SLIDERS = "sliders"
+    """`Slider` in `Scene.guides`."""
+    BALL_JOINTS = "ball joints"
+    """`BallJoint` in `Scene.guides`."""
+    JOINT_LIMITS = "joint limits"
+    """`Hinge.limits_rad`; those of sliders belong to these."""
 
 
 JOINT_FEATURES = frozenset(
@@ -70,6 +76,9 @@ JOINT_FEATURES = frozenset(
     }
 )
 """Features of joints."""
+
+GUIDES = frozenset({Feature.SLIDERS, Feature.BALL_JOINTS, Feature.JOINT_LIMITS})
+"""Features of joints that robots need beside hinges."""
 
 
 def needed_features(scene: Scene) -> Iterator[tuple[Feature, str]]:
@@ -105,11 +114,29 @@ def needed_features(scene: Scene) -> Iterator[tuple[Feature, str]]:
                     feature,
                     f"{bodies} touch with {feature.value}, which this backend does not build",
                 )
+    yield from _needed_guides(scene)
     for body in scene.dynamic_bodies:
         if body.inertia_kg_m2 is not None:
             yield (
                 Feature.STATED_INERTIA,
                 f"{body.name!r} states its inertia, which this backend does not read",
+            )
+
+
+def _needed_guides(scene: Scene) -> Iterator[tuple[Feature, str]]:
+    for guide in scene.guides:
+        is_slider = isinstance(guide, Slider)
+        feature = Feature.SLIDERS if is_slider else Feature.BALL_JOINTS
+        noun = "slider" if is_slider else "ball joint"
+        yield (
+            feature,
+            f"{guide.body!r} is on a {noun}, which this backend does not build",
+        )
+    for joint in scene.joints:
+        if isinstance(joint, Hinge) and joint.limits_rad is not None:
+            yield (
+                Feature.JOINT_LIMITS,
+                f"the joint of {joint.body!r} has limits, which this backend does not build",
             )
 
 

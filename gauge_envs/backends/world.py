@@ -131,6 +131,21 @@ class World(ABC):
         """
         return None
 
+    def contact_forces(
+        self, pairs: Sequence[tuple[str, str]]
+    ) -> Callable[[], NDArray[np.float64]] | None:
+        """Return a reader of contact forces between rigid bodies, if the engine has them.
+
+        Args:
+            pairs: Names of two bodies each.
+
+        Returns:
+            Function that returns the forces [N] of the second bodies on the first, friction included, in the world
+            frame, in the mean over the last `advance`, a new array of shape [len(pairs), 3]. None where the engine
+            does not read them.
+        """
+        return None
+
 
 class Simulation(World):
     """A world that advances on its own.

@@ -3,6 +3,7 @@
 from gauge_envs.scene.air import Air
 from gauge_envs.scene.bodies import (
     Attachment,
+    BallJoint,
     BodyHinge,
     Cloth,
     Contact,
@@ -16,6 +17,7 @@ from gauge_envs.scene.bodies import (
     RigidBody,
     Rod,
     Rope,
+    Slider,
     SoftBody,
     Tether,
 )
@@ -40,6 +42,7 @@ __all__ = [
     "GRAVITY_M_PER_S2",
     "Air",
     "Attachment",
+    "BallJoint",
     "BodyHinge",
     "Box",
     "Capsule",
@@ -64,6 +67,7 @@ __all__ = [
     "Rope",
     "Scene",
     "Shape",
+    "Slider",
     "SoftBody",
     "Sphere",
     "Tether",

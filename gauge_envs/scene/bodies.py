@@ -32,6 +32,10 @@ class ContactMode(StrEnum):
     """The bodies collide and rebound with the restitution of the pair."""
 
 
+InertiaTensor = tuple[float, float, float, float, float, float]
+"""Entries Ixx, Iyy, Izz, Ixy, Ixz, Iyz of a symmetric tensor."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class RigidBody:
     """Rigid body of uniform density, unless it states its moment of inertia.
@@ -45,8 +49,8 @@ class RigidBody:
         linear_velocity_m_per_s: Velocity of the body origin at the start [m/s], in the world frame. Only dynamic bodies
             have one.
         angular_velocity_rad_per_s: Angular velocity at the start [rad/s], in the world frame.
-        inertia_kg_m2: Moment of inertia about every axis through the centre of mass [kg m^2], of a body whose three
-            moments are equal, as those of a hollow cube; None is that of uniform density.
+        inertia_kg_m2: Inertia about the centre of mass [kg m^2]: one moment about every axis, as that of a hollow cube,
+            or the tensor in the axes of the body: Ixx, Iyy, Izz, Ixy, Ixz, Iyz. None is that of uniform density.
     """
 
     name: str
@@ -56,7 +60,7 @@ class RigidBody:
     mass_kg: float
     linear_velocity_m_per_s: Vector = (0.0, 0.0, 0.0)
     angular_velocity_rad_per_s: Vector = (0.0, 0.0, 0.0)
-    inertia_kg_m2: float | None = None
+    inertia_kg_m2: float | InertiaTensor | None = None
 
     @property
     def starts_at_rest(self) -> bool:
@@ -169,6 +173,7 @@ class Hinge:
         axis: World direction of the axis, a unit vector. A positive angle rotates the body about it.
         dynamics: Friction and inertia of the joint.
         motor: Motor of the joint, if any.
+        limits_rad: Smallest and largest angle from the start, where the joint stops [rad]; None for none.
     """
 
     body: str
@@ -177,6 +182,7 @@ class Hinge:
     # Hashes of scenes whose joints have none stay.
     dynamics: JointDynamics = field(default=JointDynamics(), repr=False)
     motor: Motor | None = field(default=None, repr=False)
+    limits_rad: tuple[float, float] | None = field(default=None, repr=False)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -209,6 +215,34 @@ class Tether:
     body: str
     anchor_m: Vector
     length_m: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Slider:
+    """Joint with which a body moves along a world axis, without rotation and friction.
+
+    Attributes:
+        body: Name of a dynamic body.
+        axis: World direction of the axis, a unit vector.
+        limits_m: Smallest and largest displacement from the start, where the joint stops [m]; None for none.
+    """
+
+    body: str
+    axis: Vector
+    limits_m: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class BallJoint:
+    """Joint with which a body rotates freely about a world point, without friction.
+
+    Attributes:
+        body: Name of a dynamic body.
+        anchor_m: The point [m].
+    """
+
+    body: str
+    anchor_m: Vector
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -225,8 +225,8 @@ def joint_sign(hinge: Hinge | BodyHinge, child: str) -> float:
 
 
 def joint_fields(joint: Hinge | BodyHinge | Tether) -> dict[str, Any]:
-    """Return the fields of a joint, without friction, armature and motor if it has none."""
-    without = {"dynamics": asdict(JointDynamics()), "motor": None}
+    """Return the fields of a joint, without friction, armature, motor and limits if it has none."""
+    without = {"dynamics": asdict(JointDynamics()), "motor": None, "limits_rad": None}
     return {
         name: value
         for name, value in asdict(joint).items()

@@ -63,6 +63,13 @@ class Jitter:
         }
 
 
+def _refuse_guides(scene: Scene) -> None:
+    if scene.guides:
+        raise ParameterError(
+            "the scene has sliders or ball joints, along which no start is scattered: leave out the jitter"
+        )
+
+
 def jittered(scene: Scene, jitter: Jitter, *, seed: int) -> Scene:
     """Return the scene with random start poses and velocities that keep the contacts of the start.
 
@@ -88,6 +95,7 @@ def jittered(scene: Scene, jitter: Jitter, *, seed: int) -> Scene:
     """
     from scipy.spatial.transform import Rotation
 
+    _refuse_guides(scene)
     random, random_velocity = (
         np.random.default_rng(seed),
         np.random.default_rng((seed, 1)),

@@ -206,13 +206,16 @@ def _tetrahedra(points_m: FloatArray) -> FloatArray:
 def body_mass_properties(body: RigidBody) -> tuple[FloatArray, FloatArray]:
     """Return the centre of mass and the inertia of a rigid body, as `mass_properties` does of a uniform solid.
 
-    A body that states `inertia_kg_m2` has this moment about every axis through its centre.
+    A body that states `inertia_kg_m2` has this inertia about the centre of the uniform solid.
     """
     centre, inertia = mass_properties(body.shape, body.mass_kg)
-    return (
-        centre,
-        inertia if body.inertia_kg_m2 is None else body.inertia_kg_m2 * np.eye(3),
-    )
+    stated = body.inertia_kg_m2
+    if stated is None:
+        return centre, inertia
+    if not isinstance(stated, tuple):
+        return centre, stated * np.eye(3)
+    xx, yy, zz, xy, xz, yz = stated
+    return centre, np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
 def _compound_properties(

@@ -18,6 +18,7 @@ from gauge_envs.errors import ParameterError
 from gauge_envs.scene.air import Air
 from gauge_envs.scene.bodies import (
     Attachment,
+    BallJoint,
     BodyHinge,
     Cloth,
     Contact,
@@ -27,11 +28,12 @@ from gauge_envs.scene.bodies import (
     Markers,
     Motion,
     RigidBody,
+    Slider,
     Tether,
 )
 from gauge_envs.scene.contact_faces import ContactFaces
 from gauge_envs.scene.geometry import FloatArray, Plane
-from gauge_envs.scene.hinged import hinge_fault
+from gauge_envs.scene.hinged import UNIT, hinge_fault
 from gauge_envs.scene.meshes import body_mass_properties
 
 if TYPE_CHECKING:
@@ -58,6 +60,7 @@ class Scene:
         duration_s: Duration of the experiment [s], from which bounds on speed and distance follow.
         deformables: Cloth, soft bodies, ropes and rods.
         joints: Hinges and tethers to the world.
+        guides: Sliders and ball joints to the world. Task files state none.
         body_hinges: Hinges between two dynamic bodies, which join them to trees.
         attachments: Attachments of deformable bodies.
         contacts: Groups of bodies that collide, and their contact constants.
@@ -72,6 +75,9 @@ class Scene:
         ParameterError: A hinge joins bodies that are unknown or not dynamic, closes a loop, has no unit axis, or joins
             a body that has a string or an attachment; its bodies start with velocities that tear it, or hang on the
             world by two hinges.
+        ParameterError: A guide is of a body that is unknown, not dynamic, or on another joint, string or attachment;
+            its axis has no unit length, or its body starts with a velocity that the guide does not allow.
+        ParameterError: The limits of a joint do not enclose its start, or a stated inertia is none of any body.
         ParameterError: A contact lists the two bodies of a hinge.
         ParameterError: Two contacts list the same pair, or one has torsional or rolling friction without friction.
         ParameterError: There is air and no cloth.
@@ -81,6 +87,7 @@ class Scene:
     duration_s: float
     deformables: tuple[Deformable, ...] = ()
     joints: tuple[Hinge | Tether, ...] = ()
+    guides: tuple[Slider | BallJoint, ...] = ()
     body_hinges: tuple[BodyHinge, ...] = ()
     attachments: tuple[Attachment, ...] = ()
     contacts: tuple[Contact, ...] = ()
@@ -102,6 +109,9 @@ class Scene:
         for body in self.bodies:
             if not body.starts_at_rest:
                 self._check_start_velocity(body)
+        self._check_limits()
+        for guide in self.guides:
+            self._check_guide(guide)
         if self.body_hinges:
             suspended = {
                 joint.body for joint in self.joints if isinstance(joint, Tether)
@@ -165,6 +175,63 @@ class Scene:
                         f"angular velocity along the axis {joint.axis}, and the linear velocity "
                         f"{tuple((expected + 0.0).tolist())} m/s."
                     )
+
+    def _check_limits(self) -> None:
+        """Raise an error for limits that exclude the start, and for tensors that no body can have."""
+        limits = [
+            (one.body, one.limits_rad) for one in self.joints if isinstance(one, Hinge)
+        ]
+        limits += [
+            (one.body, one.limits_m) for one in self.guides if isinstance(one, Slider)
+        ]
+        for name, pair in limits:
+            if pair is not None and not pair[0] <= 0.0 <= pair[1]:
+                raise ParameterError(
+                    f"the joint of {name!r} has the limits {pair}, which do not enclose its start: give a smallest "
+                    "value of at most 0 and a largest of at least 0"
+                )
+        for body in self.bodies:
+            if isinstance(body.inertia_kg_m2, tuple):
+                moments = np.linalg.eigvalsh(body_mass_properties(body)[1])
+                if not 0.0 < moments[2] <= (1.0 + 1e-9) * (moments[0] + moments[1]):
+                    raise ParameterError(
+                        f"{body.name!r} has the principal moments {moments.tolist()} kg m^2, which no body has: each "
+                        "is above 0 and at most the sum of the others"
+                    )
+
+    def _check_guide(self, guide: Slider | BallJoint) -> None:
+        """Raise an error for a guide that its body cannot have."""
+        name = guide.body
+        body = self._by_name.get(name)
+        if body is None or body.motion is not Motion.DYNAMIC:
+            raise ParameterError(
+                f"a slider or ball joint is of {name!r}, which is no dynamic body: name one"
+            )
+        joined = [one.body for one in (*self.joints, *self.guides)]
+        joined += [end for one in self.body_hinges for end in (one.first, one.second)]
+        joined += [one.to for one in self.attachments]
+        if joined.count(name) > 1:
+            raise ParameterError(
+                f"{name!r} has a slider or ball joint and another joint, string or attachment: remove one of them"
+            )
+        linear = np.array(body.linear_velocity_m_per_s)
+        angular = np.array(body.angular_velocity_rad_per_s)
+        if isinstance(guide, Slider):
+            length = float(np.linalg.norm(guide.axis))
+            if abs(length - 1.0) > UNIT:
+                raise ParameterError(
+                    f"the slider of {name!r} has an axis of length {length:.6g}: normalize it"
+                )
+            allowed = (guide.axis @ linear * np.array(guide.axis), np.zeros(3))
+        else:
+            arm_m = np.subtract(body.pose.position_m, guide.anchor_m)
+            allowed = (np.cross(angular, arm_m), angular)
+        off = np.abs([linear - allowed[0], angular - allowed[1]]).max()
+        if off > SAME_VELOCITY * np.abs([linear, angular]).max():
+            raise ParameterError(
+                f"the start velocity of {name!r} is none that its slider or ball joint allows: give the linear "
+                f"velocity {tuple(allowed[0].tolist())} m/s and the angular velocity {tuple(allowed[1].tolist())} rad/s"
+            )
 
     def _check_pairs(self) -> None:
         """Raise an error if two contacts list the same pair."""

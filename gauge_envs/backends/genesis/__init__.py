@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
-from gauge_envs.backends.features import Feature
+from gauge_envs.backends.features import GUIDES, Feature
 from gauge_envs.backends.genesis.fabrics import pbd_constants
 from gauge_envs.backends.genesis.presets import settings_for, unsupported_features
 from gauge_envs.backends.genesis.settings import SettingsGenesis
@@ -40,7 +40,7 @@ class BackendGenesis(BundledBackend):
         "a string is a spring that this package computes",
         "its cache of geoms, whose key lacks torsional and rolling friction, is emptied",
     )
-    features = frozenset(Feature) - {Feature.AIR}
+    features = frozenset(Feature) - GUIDES - {Feature.AIR}
     own_defaults = frozenset({"out_of_box", "paper"})
     settings_for = staticmethod(settings_for)
     fabric_constants = staticmethod(pbd_constants)

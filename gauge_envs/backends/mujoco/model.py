@@ -16,9 +16,10 @@ from gauge_envs.backends.mujoco.deformables import (
 from gauge_envs.backends.mujoco.flex import FlexPart
 from gauge_envs.backends.mujoco.settings import SettingsMuJoCo
 from gauge_envs.backends.mujoco.versions import constants_of
-from gauge_envs.backends.shared.rigid import hinges_by_body
+from gauge_envs.backends.shared.rigid import hinges_by_body, joints_by_body
 from gauge_envs.errors import ParameterError
 from gauge_envs.scene import (
+    BallJoint,
     BodyHinge,
     Box,
     Capsule,
@@ -32,6 +33,7 @@ from gauge_envs.scene import (
     RigidBody,
     Scene,
     Shape,
+    Slider,
     Sphere,
     Tether,
 )
@@ -184,9 +186,10 @@ def build_model(
     spec.option.gravity = [0.0, 0.0, -scene.gravity_m_per_s2]
 
     hinges = hinges_by_body(scene)
+    joints = joints_by_body(scene)
     geoms: dict[str, list[mujoco.MjsGeom]] = {}
     for body in parents_first(scene):
-        geoms[body.name] = _add_body(spec, scene, body, hinges.get(body.name), settings)
+        geoms[body.name] = _add_body(spec, scene, body, joints.get(body.name), settings)
     for joint in scene.joints:
         if isinstance(joint, Tether):
             _add_tether(spec, joint, settings)
@@ -219,9 +222,9 @@ def build_model(
 def start_velocities(scene: Scene, model: mujoco.MjModel) -> NDArray[np.float64]:
     """Return the velocities of a model's joints at the start of a scene, shape [nv]; see `start_rates`."""
     velocities = np.zeros(model.nv)
-    hinges = hinges_by_body(scene)
+    joints = joints_by_body(scene)
     for body in scene.dynamic_bodies:
-        rates = start_rates(scene, body, hinges.get(body.name))
+        rates = start_rates(scene, body, joints.get(body.name))
         if rates.any():
             first = int(model.joint(body.name).dofadr[0])
             velocities[first : first + len(rates)] = rates
@@ -236,24 +239,27 @@ def parents_first(scene: Scene) -> list[RigidBody]:
 
 
 def start_rates(
-    scene: Scene, body: RigidBody, hinge: Hinge | BodyHinge | None
+    scene: Scene, body: RigidBody, hinge: Hinge | BodyHinge | Slider | BallJoint | None
 ) -> NDArray[np.float64]:
     """Return the velocity of a body's joint at the start.
 
     Returns:
-        The rate of a hinge [rad/s], shape [1]. For a free joint, the linear velocity of the body origin in the world
-        frame [m/s] and the angular velocity in the body frame [rad/s], shape [6].
+        The rate of a hinge [rad/s] or a slider [m/s], shape [1]; of a ball joint [rad/s], in the body frame,
+        shape [3]. For a free joint, the linear velocity of the body origin in the world frame [m/s] and the angular
+        velocity in the body frame [rad/s], shape [6].
     """
     angular = np.array(body.angular_velocity_rad_per_s)
     if isinstance(hinge, BodyHinge):
         return np.array(
             [start_rate_rad_per_s(hinge, body, scene.body(other_end(hinge, body.name)))]
         )
-    if hinge is not None:
+    linear = np.array(body.linear_velocity_m_per_s)
+    if isinstance(hinge, Slider):
+        return np.array([linear @ hinge.axis])
+    if isinstance(hinge, Hinge):
         return np.array([angular @ hinge.axis])
-    return np.concatenate(
-        [body.linear_velocity_m_per_s, rotated_back(body.pose.quaternion, angular)]
-    )
+    turning = rotated_back(body.pose.quaternion, angular)
+    return turning if hinge is not None else np.concatenate([linear, turning])
 
 
 def rotated_back(
@@ -295,7 +301,7 @@ def _add_body(
     spec: mujoco.MjSpec,
     scene: Scene,
     body: RigidBody,
-    hinge: Hinge | BodyHinge | None,
+    hinge: Hinge | BodyHinge | Slider | BallJoint | None,
     settings: SettingsMuJoCo,
 ) -> list[mujoco.MjsGeom]:
     if isinstance(hinge, BodyHinge):
@@ -311,7 +317,9 @@ def _add_body(
     geoms = add_geoms(spec, frame, body.name, _collision_shape(body))
     if body.motion is Motion.FIXED:
         return geoms
-    if hinge is not None:
+    if isinstance(hinge, Slider | BallJoint):
+        _add_guide(frame, body, hinge, settings)
+    elif hinge is not None:
         _add_hinge(frame, body, hinge, settings)
     else:
         frame.add_freejoint(name=body.name)
@@ -332,8 +340,38 @@ def _add_body(
         frame.explicitinertial = True
         frame.mass = body.mass_kg
         frame.ipos = body_mass_properties(body)[0]
-        frame.inertia = [body.inertia_kg_m2] * 3
+        if isinstance(body.inertia_kg_m2, tuple):
+            frame.fullinertia = body.inertia_kg_m2
+        else:
+            frame.inertia = [body.inertia_kg_m2] * 3
     return geoms
+
+
+def _add_guide(
+    frame: mujoco.MjsBody,
+    body: RigidBody,
+    guide: Slider | BallJoint,
+    settings: SettingsMuJoCo,
+) -> None:
+    """Add a slider or a ball joint, which has the name of its body."""
+    if isinstance(guide, BallJoint):
+        anchor_m = body.pose.to_body(np.asarray(guide.anchor_m))
+        joint = frame.add_joint(name=body.name, pos=anchor_m)
+        joint.type = mujoco.mjtJoint.mjJNT_BALL
+        return
+    joint = frame.add_joint(name=body.name, axis=guide.axis @ body.pose.matrix)
+    joint.type = mujoco.mjtJoint.mjJNT_SLIDE
+    _limit(joint, guide.limits_m, settings)
+
+
+def _limit(
+    joint: mujoco.MjsJoint, limits: tuple[float, float] | None, settings: SettingsMuJoCo
+) -> None:
+    """Let a joint stop at its limits [rad or m] as stiffly as the step allows."""
+    if limits is not None:
+        joint.range, joint.limited = limits, mujoco.mjtLimited.mjLIMITED_TRUE
+        joint.solimp_limit = STIFF_IMPEDANCE
+        joint.solref_limit = [max(2.0 * settings.timestep_s, 1e-3), 1.0]
 
 
 def _add_hinge(
@@ -357,6 +395,8 @@ def _add_hinge(
         ],
         armature=hinge.dynamics.armature_kg_m2,
     )
+    if isinstance(hinge, Hinge):
+        _limit(joint, hinge.limits_rad, settings)
     if hinge.dynamics.dry_friction_n_m:
         # With MuJoCo's own impedance of 0.9 a joint that dry friction holds creeps by a degree in a second, and
         # with its own time constant of 20 ms one that stops is 0.2 degrees off after three swings.
@@ -368,13 +408,9 @@ def _add_hinge(
             name=f"{body.name}/play",
             pos=joint.pos,
             axis=joint.axis,
-            range=[-stop, stop],
         )
-        play.type, play.limited = joint.type, mujoco.mjtLimited.mjLIMITED_TRUE
-        play.solimp_limit, play.solref_limit = (
-            STIFF_IMPEDANCE,
-            [max(2.0 * settings.timestep_s, 1e-3), 1.0],
-        )
+        play.type = joint.type
+        _limit(play, (-stop, stop), settings)
 
 
 def hinge_in_body(

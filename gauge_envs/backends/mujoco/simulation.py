@@ -27,7 +27,11 @@ from gauge_envs.backends.mujoco.model import (
     start_velocities,
 )
 from gauge_envs.backends.mujoco.soft import Grip, SoftPartMuJoCo
-from gauge_envs.backends.shared.rigid import bodies_elsewhere, hinges_by_body
+from gauge_envs.backends.shared.rigid import (
+    bodies_elsewhere,
+    hinges_by_body,
+    joints_by_body,
+)
 from gauge_envs.backends.shared.states import Snapshot, StateOrigin
 from gauge_envs.backends.world import Simulation
 from gauge_envs.scene import Hinge, Motion, Pose, Scene
@@ -78,6 +82,7 @@ class SimulationMuJoCo(Simulation):
         data: MuJoCo's state of the model.
         timestep_s: Time step [s].
         grips: Nodes of soft bodies that move with driven bodies.
+        contact_readers: Readers of contact forces.
     """
 
     frees_python = True
@@ -128,6 +133,7 @@ class SimulationMuJoCo(Simulation):
         )
         self._readers: dict[tuple[str, ...], StateReader] = {}
         self._grip_reader: GripReader | None = None
+        self.contact_readers: list[_ContactForces] = []
         self._driven: dict[str, DrivenBody] = {}
         self._scene = scene
         actuators = {
@@ -159,7 +165,9 @@ class SimulationMuJoCo(Simulation):
         is_rounded = any(
             abs(hypot(*hinge.axis) - 1.0) > UNIT_LENGTH for hinge in scene.hinges
         )
-        is_built_anew = scene.body_hinges or scene.deformables or is_rounded
+        is_built_anew = (
+            scene.body_hinges or scene.guides or scene.deformables or is_rounded
+        )
         if self._fixes_start or is_scaled or is_built_anew:
             return False
         moved = bodies_elsewhere(self._scene, scene)
@@ -240,13 +248,17 @@ class SimulationMuJoCo(Simulation):
         self.model.opt.disableflags = flags
 
     def _steps(self, count: int) -> None:
-        if not self._air:
+        for reader in self.contact_readers:
+            reader.clear()
+        if not self._air and not self.contact_readers:
             without_clock(partial(mujoco.mj_step, self.model, self.data, nstep=count))
             return
         for _ in range(count):
             for air in self._air:
                 air.apply()
             mujoco.mj_step(self.model, self.data)
+            for reader in self.contact_readers:
+                reader.add()
 
     def fault(self) -> str | None:
         """Return why MuJoCo put the state back to its start since the last reset, or None; see `World.fault`."""
@@ -310,6 +322,14 @@ class SimulationMuJoCo(Simulation):
         found = self._grip_reader.wrenches()
         return np.array([found[name] for name in names])
 
+    def contact_forces(
+        self, pairs: Sequence[tuple[str, str]]
+    ) -> Callable[[], NDArray[np.float64]]:
+        """Return a reader of contact forces, for which steps are taken one by one; see `World.contact_forces`."""
+        reader = _ContactForces(self.model, self.data, pairs)
+        self.contact_readers.append(reader)
+        return reader.mean
+
     def state(self) -> Snapshot:
         """Return MuJoCo's integration state, shape [state_size], with its origin."""
         state = np.empty(self._state_size)
@@ -332,6 +352,47 @@ class SimulationMuJoCo(Simulation):
 
 def _origin(settings: Mapping[str, Any], scene: Scene) -> StateOrigin:
     return StateOrigin(f"mujoco {mujoco.__version__}", settings, scene)
+
+
+class _ContactForces:
+    """Mean contact forces of pairs of rigid bodies over the steps of an interval."""
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        pairs: Sequence[tuple[str, str]],
+    ) -> None:
+        self._model, self._data = model, data
+        self._pairs = [tuple(model.body(name).id for name in pair) for pair in pairs]
+        self._wrench = np.empty(6)
+        self.clear()
+
+    def clear(self) -> None:
+        """Begin an interval."""
+        self._sums_n = np.zeros((len(self._pairs), 3))
+        self._count = 0
+
+    def add(self) -> None:
+        """Add the forces of a step."""
+        self._count += 1
+        for index in range(self._data.ncon):
+            touch = self._data.contact[index]
+            if min(touch.geom) < 0:
+                continue
+            first, second = self._model.geom_bodyid[touch.geom].tolist()
+            mujoco.mj_contactForce(self._model, self._data, index, self._wrench)
+            # The first row of the frame points from the first geom to the second, which the force pushes.
+            on_second_n = touch.frame.reshape(3, 3).T @ self._wrench[:3]
+            for sum_n, pair in zip(self._sums_n, self._pairs, strict=True):
+                if pair == (second, first):
+                    sum_n += on_second_n
+                elif pair == (first, second):
+                    sum_n -= on_second_n
+
+    def mean(self) -> NDArray[np.float64]:
+        """Return the mean force on the first body of each pair [N], shape [pair_count, 3]."""
+        return self._sums_n / max(self._count, 1)
 
 
 class DrivenBody:
@@ -373,9 +434,9 @@ class StateReader(Protocol):
 def _reader(
     scene: Scene, model: mujoco.MjModel, data: mujoco.MjData, names: tuple[str, ...]
 ) -> StateReader:
-    hinges = hinges_by_body(scene)
+    joints = joints_by_body(scene)
     if all(
-        scene.body(name).motion is not Motion.FIXED and name not in hinges
+        scene.body(name).motion is not Motion.FIXED and name not in joints
         for name in names
     ):
         return (
@@ -383,7 +444,7 @@ def _reader(
             if len(names) == 1
             else _FreeBodies(model, data, names)
         )
-    hinge = hinges.get(names[0]) if len(names) == 1 else None
+    hinge = joints.get(names[0]) if len(names) == 1 else None
     if isinstance(hinge, Hinge) and not hinge.dynamics.backlash_rad:
         return _OneHingedBody(scene, model, data, hinge)
     return _AnyBodies(model, data, names)

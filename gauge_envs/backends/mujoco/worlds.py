@@ -64,6 +64,9 @@ class WorldsMuJoCo(Worlds):
 
         def step(worlds: Sequence[SimulationMuJoCo]) -> None:
             for world in worlds:
+                if world.contact_readers:
+                    world.advance(seconds)
+                    continue
                 mujoco.mj_step(world.model, world.data, nstep=steps)
 
         threads = self._threads

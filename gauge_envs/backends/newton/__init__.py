@@ -10,7 +10,7 @@ from functools import cache
 from types import MappingProxyType
 from typing import Any
 
-from gauge_envs.backends.features import Feature
+from gauge_envs.backends.features import GUIDES, Feature
 from gauge_envs.backends.newton.contacts import unsupported_surface_contacts
 from gauge_envs.backends.newton.fabrics import vbd_constants
 from gauge_envs.backends.newton.settings import (
@@ -59,7 +59,7 @@ class BackendNewton(BundledBackend):
         "the damping of a contact is derived from the restitution, whose coefficient the MuJoCo solver ignores",
         "a step of cloth starts from the last acceleration, by a subclass of SolverVBD",
     )
-    features = frozenset(Feature) - {Feature.AIR}
+    features = frozenset(Feature) - GUIDES - {Feature.AIR}
     own_defaults = frozenset({"out_of_box", "paper"})
     worlds_mix_constants = True
     worlds_restart_alone = True

@@ -164,6 +164,12 @@ class ResampledSimulation(Simulation):
         self._readers.append(read)
         return lambda: self._between(key, read())
 
+    def contact_forces(
+        self, pairs: Sequence[tuple[str, str]]
+    ) -> Callable[[], Array] | None:
+        """Return contact forces; see `World.contact_forces`."""
+        return self._inner.contact_forces(pairs)
+
     def grip_wrenches(self, names: Sequence[str]) -> Array | None:
         """Return the wrenches at the time now; those of other bodies than the scene's holders at the last step."""
         now = self._inner.grip_wrenches(names)

@@ -149,6 +149,12 @@ class ResistedSimulation(Simulation):
         """Return a reader of material points of a deformable body; see `Simulation.track`."""
         return self.inner.track(name, points_m)
 
+    def contact_forces(
+        self, pairs: Sequence[tuple[str, str]]
+    ) -> Callable[[], Array] | None:
+        """Return contact forces; see `World.contact_forces`."""
+        return self.inner.contact_forces(pairs)
+
     def grip_wrenches(self, names: Sequence[str]) -> Array | None:
         """Return the wrenches on attached deformable bodies, shape [len(names), 6]; see `Simulation.grip_wrenches`."""
         return self.inner.grip_wrenches(names)

@@ -11,7 +11,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gauge_envs.backends.world import World
-from gauge_envs.scene import BodyHinge, Hinge, Motion, Pose, RigidBody, Scene, Tether
+from gauge_envs.scene import (
+    BallJoint,
+    BodyHinge,
+    Hinge,
+    Motion,
+    Pose,
+    RigidBody,
+    Scene,
+    Slider,
+    Tether,
+)
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.hinged import parent_hinges
 from gauge_envs.scene.meshes import body_mass_properties
@@ -107,6 +117,11 @@ def world_hinges(scene: Scene) -> dict[str, Hinge]:
 def hinges_by_body(scene: Scene) -> dict[str, Hinge | BodyHinge]:
     """Return the hinge of each body that hangs on the world or on another body, by its name."""
     return world_hinges(scene) | parent_hinges(scene.body_hinges, scene.hung)
+
+
+def joints_by_body(scene: Scene) -> dict[str, Hinge | BodyHinge | Slider | BallJoint]:
+    """Return the hinge, slider or ball joint of each body that has one, by its name."""
+    return {**hinges_by_body(scene), **{one.body: one for one in scene.guides}}
 
 
 def hinge_frame(hinge: Hinge | BodyHinge, along_m: float = 0.0) -> Pose:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from gauge_envs.backends.world import Simulation
 from gauge_envs.errors import BackendError
-from gauge_envs.scene import JointDynamics, Pose, Scene
+from gauge_envs.scene import Hinge, JointDynamics, Pose, Scene
 
 
 @dataclass(frozen=True)
@@ -89,6 +89,12 @@ class ReplayedSimulation(Simulation):
     def nodes(self, name: str) -> NDArray[np.float64]:
         """Return the positions of a deformable body's nodes [m], shape [node_count, 3]."""
         return self._inner.nodes(name)
+
+    def contact_forces(
+        self, pairs: Sequence[tuple[str, str]]
+    ) -> Callable[[], NDArray[np.float64]] | None:
+        """Return contact forces; see `World.contact_forces`."""
+        return self._inner.contact_forces(pairs)
 
     def grip_wrenches(self, names: Sequence[str]) -> NDArray[np.float64] | None:
         """Return the wrenches of attachments; see `World.grip_wrenches`."""
@@ -224,6 +230,12 @@ class StateOrigin:
             few = (
                 *(one.air, one.body_hinges, dynamics, one.motors, turned, plays, drags),
                 servos,
+                one.guides,
+                [
+                    (at, joint.limits_rad)
+                    for at, joint in enumerate(one.joints)
+                    if isinstance(joint, Hinge) and joint.limits_rad
+                ],
             )
             self._hash = hashlib.sha256(
                 "".join(map(repr, (parts, *filter(None, few)))).encode()

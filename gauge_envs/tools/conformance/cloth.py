@@ -199,7 +199,9 @@ _cantilever = _cantilever_lift.recorded(
 )
 
 
-_cantilever.check("cloth-clamp")(_cantilever_lift.clamp_excess)
+@_cantilever.check("cloth-clamp")
+def _cloth_clamp(rollout: Rollout) -> Measurement:
+    return _cantilever_lift.clamp_excess(rollout)
 
 
 @_cantilever.check("cloth-held", **ATTACHED)

@@ -34,6 +34,7 @@ FAMILIES = (
     "shapes",
     "momentum",
     "joints",
+    "guides",
     "driven",
     "grasp",
     "rich",

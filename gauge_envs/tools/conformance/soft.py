@@ -131,7 +131,9 @@ def _young(rollout: Rollout) -> Measurement:
 _hanging.check("foam-tension")(_foam_lift.ratio(_young, "Young's modulus is"))
 
 
-_hanging.check("foam-clamp")(_foam_lift.clamp_excess)
+@_hanging.check("foam-clamp")
+def _foam_clamp(rollout: Rollout) -> Measurement:
+    return _foam_lift.clamp_excess(rollout)
 
 
 @_hanging.check("foam-held", **ATTACHED)
