@@ -451,9 +451,11 @@ def _late_variants(  # noqa: C901  # one branch for each kind of fault
 def _name_of(part: Any) -> str:
     """Return the name of the body that a part belongs to; empty for a part of none."""
     for attribute in ("name", "body", "deformable", "first"):
-        found = getattr(part, attribute, None)
-        if found:
-            return found if isinstance(found, str) else found[0]
+        found = getattr(part, attribute, "")
+        if isinstance(found, str) and found:
+            return found
+        if isinstance(found, tuple) and found:
+            return str(found[0])
     return ""
 
 
