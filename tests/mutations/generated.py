@@ -94,6 +94,11 @@ WORDS: Mapping[str, str] = {
     "Servo.torque_limit_n_m": r"limit",
     "Servo.delay_s": r"delay|late",
     "TorqueMotor.delay_s": r"delay|late",
+    "Hinge.limits_rad": r"limit",
+    "Slider.axis": r"axis|slider",
+    "Slider.limits_m": r"limit",
+    "Slider.joint": r"line|slider",
+    "BallJoint.anchor_m": r"anchor|joint",
     "Tether.anchor_m": r"anchor|string",
     "Tether.length_m": r"string|length",
     "Tether.joint": r"string|missing",
@@ -240,6 +245,8 @@ def _fields() -> Iterator[tuple[str, str, Any]]:
             "wind_m_per_s",
         ):
             example = vector3
+        elif field.startswith("limits_"):
+            example = (-0.1, 0.2)
         elif field == "quaternion":
             example = (1.0, 0.0, 0.0, 0.0)
         elif field == "pieces_m":

@@ -74,7 +74,7 @@ def scene_edit(owner: str, field: str, edit: Edit) -> Callable[[Scene], Scene]:
                 field,
                 lambda part, value: edit(value, part, values, next(numbers), scene),
             )
-        except (GaugeError, ValueError, KeyError, IndexError):
+        except (GaugeError, TypeError, ValueError, KeyError, IndexError):
             return scene
 
     return changed

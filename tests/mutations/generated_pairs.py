@@ -14,6 +14,7 @@ from gauge_envs.scene import (
     Contact,
     Hinge,
     Scene,
+    Slider,
     Tether,
 )
 
@@ -132,6 +133,7 @@ def pair_faults() -> Iterator[tuple[str, str, str, Callable[[Scene], Scene]]]:  
         ("joints", Hinge, "Hinge.joint"),
         ("joints", Tether, "Tether.joint"),
         ("body_hinges", BodyHinge, "BodyHinge.joint"),
+        ("guides", Slider, "Slider.joint"),
         ("attachments", Attachment, "Attachment.pair"),
     ):
         for number, variant, how in (

@@ -67,6 +67,10 @@ class Passed(Simulation):
         found = self.inner.track(name, points_m)
         return found
 
+    def contact_forces(self, pairs):
+        """Pass on."""
+        return self.inner.contact_forces(pairs)
+
     def state(self):
         """Pass on."""
         return self.inner.state()

@@ -206,8 +206,33 @@ class _NodesInMillimetres(Passed):
         return 1e3 * super().nodes(name)
 
 
+def _forces(change):
+    """Return a simulation that reports other contact forces, of shape [pair_count, 3]."""
+
+    class Forces(Passed):
+        def contact_forces(self, pairs):
+            read = self.inner.contact_forces(pairs)
+            return lambda: change(read())
+
+    return Forces
+
+
 FAULTS = dict(
     (
+        fault(
+            "force-of-half-the-points",
+            "contact forces of half of the points",
+            "force-rest",
+            "all points of a pair add up",
+            simulation=_forces(lambda forces: 0.5 * forces),
+        ),
+        fault(
+            "force-without-friction",
+            "normal forces alone",
+            "force-slide",
+            "the friction is left out",
+            simulation=_forces(lambda forces: forces * (0.0, 0.0, 1.0)),
+        ),
         fault(
             "quaternion-order",
             "quaternion x, y, z, w",

@@ -286,8 +286,26 @@ def _turning(change):
     return lambda scene: replace(scene, contacts=tuple(map(change, scene.contacts)))
 
 
+def _without_products(scene):
+    """Return the scene with the diagonals of stated tensors."""
+    bodies = [
+        replace(one, inertia_kg_m2=(*one.inertia_kg_m2[:3], 0.0, 0.0, 0.0))
+        if isinstance(one.inertia_kg_m2, tuple)
+        else one
+        for one in scene.bodies
+    ]
+    return replace(scene, bodies=tuple(bodies))
+
+
 FAULTS = dict(
     (
+        fault(
+            "tensor-diagonal",
+            "products of inertia are left out",
+            "stated-tensor",
+            "the products of inertia are left out",
+            scene=_without_products,
+        ),
         fault(
             "torsion-share",
             "torsional friction times friction",

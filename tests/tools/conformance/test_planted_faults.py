@@ -104,6 +104,12 @@ rope-pulled-length     Rope.length_m:kth:second-1.25                right: rope 
 cloth-held             Region.depth_m:scale:0.5                     not attached over its depth
 foam-held              attachments-drift                            an attachment drifts
 rod-held               attachments-drift                            an attachment drifts
+foam-clamp             Region.depth_m:kth:second-1.25               furthest for the second bar
+slider-fall            Scene.gravity_m_per_s2:scale:0.8             acceleration along the axis
+slider-line            Slider.joint:drop:all                        leaves its line
+slider-limit           Slider.limits_m:scale:1.25                   goes as far as
+hinge-limit            Hinge.limits_rad:scale:1.25                  goes as far as
+ball-joint-cone        BallJoint.anchor_m:offset:2-True             its height changes
 """
 """Further checks that see a fault: check, fault (of the table, or a generated one), and words of the diagnosis."""
 ALL = FAULTS | {name: one.fault for name, one in generated().items()}
