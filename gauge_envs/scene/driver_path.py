@@ -384,11 +384,13 @@ def motor_commands(
     Returns:
         Shape [count, motor_count], in the order of `Scene.motors`.
     """
+    if not scene.motors:
+        return np.zeros((count, 0))
     times_s = interval_s * (
         np.arange(count)[:, None] + (np.arange(PARTS) + 0.5) / PARTS
     )
-    columns = [
-        motor.command.values_at(times_s - motor.delay_s).mean(axis=1)
-        for _, motor in scene.motors
-    ]
-    return np.stack(columns, axis=1) if columns else np.zeros((count, 0))
+    columns = []
+    for _, motor in scene.motors:
+        values = motor.command.values_at(times_s - motor.delay_s)
+        columns.append(values.mean(axis=1))
+    return np.stack(columns, axis=1)

@@ -143,6 +143,10 @@ def rotation_matrices(quaternions: FloatArray) -> FloatArray:
     return np.ascontiguousarray(np.moveaxis(np.array(rows), (0, 1), (-2, -1)))
 
 
+CORNER_SIGNS = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
+"""Sides of a box on which its corners lie, shape [8, 3]."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Box:
     """Box centred on the body origin; edge lengths [m] along body x, y, z."""
@@ -158,8 +162,7 @@ class Box:
     @property
     def corners_m(self) -> FloatArray:
         """Corners in the body frame [m], shape [8, 3]."""
-        signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
-        return 0.5 * signs * np.asarray(self.size_m)
+        return 0.5 * CORNER_SIGNS * np.asarray(self.size_m)
 
     def mesh(self) -> trimesh.Trimesh:
         """Return a closed mesh for pictures, in the body frame."""

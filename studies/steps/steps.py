@@ -2,7 +2,7 @@
 
 python -m studies.steps.steps SlopeSlider-3-wood Turntable-Limit-wood >> studies/steps/steps.csv
 
-The settings are those of preset `training` but for the step.
+The settings are those of preset `training` but for the step; foam of `DEFAULT_TOLERANCE` has the default's.
 """
 
 from __future__ import annotations
@@ -21,7 +21,10 @@ from numpy.typing import NDArray
 
 import gauge_envs  # noqa: F401  registers the ids
 from gauge_envs.envs.env import GaugeEnv
+from gauge_envs.envs.episode import Trajectory
 from gauge_envs.errors import ParameterError
+from gauge_envs.evaluation.reference import reference_loads
+from gauge_envs.evaluation.verification import load_length
 from gauge_envs.references.bands import Band
 from gauge_envs.tools.control.env import ControlEnv
 from gauge_envs.tools.control.play import engine_limit, play
@@ -48,9 +51,18 @@ REACHING = ("Carry", "Push", "Throw", "Fling")
 """Families of control tasks whose error is that of what the law's policy reaches with 0.98 of the limit."""
 
 
+DEFAULT_TOLERANCE = (
+    "FoamCompressing",
+    "FoamShearing",
+    "FoamStretching",
+    "FoamTwisting",
+)
+"""Families whose rows choose both presets, which differ in the tolerance alone."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class StepError:
-    """The error of one step.
+    """The error of one step in one quantity: the observable, a load of grips, or what a task reaches.
 
     Attributes:
         id: Experiment or control task.
@@ -90,19 +102,23 @@ def read_rows(file: Path = FILE) -> list[StepError]:
 def longest_step(rows: Iterable[StepError], share: float) -> int | None:
     """Return one over the longest step that counts, or None if none does; this is the rule.
 
-    A step counts if its error, and that of every shorter step that was tried, is at most the share of the uncertainty.
+    A step counts if its error in every quantity, and that of every shorter step that was tried, is at most the share of
+    the uncertainty.
 
     Args:
         rows: Errors of one experiment or control task, of one start.
         share: One of `SHARES`.
     """
-    longest = None
-    for row in sorted(rows, key=lambda row: row.steps_per_s, reverse=True):
-        # A comparison with NaN is false.
-        if not row.error <= share * row.uncertainty:
-            break
-        longest = row.steps_per_s
-    return longest
+    rows = list(rows)
+    # A comparison with NaN is false.
+    failing = [
+        row.steps_per_s for row in rows if not row.error <= share * row.uncertainty
+    ]
+    shortest_failing = max(failing, default=0)
+    return min(
+        (row.steps_per_s for row in rows if row.steps_per_s > shortest_failing),
+        default=None,
+    )
 
 
 def band_uncertainty(band: Band) -> float:
@@ -115,9 +131,11 @@ def band_uncertainty(band: Band) -> float:
     return math.sqrt(float(np.nansum(squares[known], axis=1).mean()))
 
 
-def episode(name: str, steps_per_s: int, seed: int | None) -> NDArray[np.float64]:
-    """Run an episode without actions; return its band coordinates, shape [frame_count, coordinate_count]."""
-    settings = {"preset": "training", "timestep_s": 1.0 / steps_per_s}
+def episode(name: str, steps_per_s: int, seed: int | None) -> Trajectory:
+    """Run an episode without actions."""
+    settings: dict[str, Any] = {"timestep_s": 1.0 / steps_per_s}
+    if not name.startswith(DEFAULT_TOLERANCE):
+        settings["preset"] = "training"
     env = GaugeEnv(name, settings=settings, marker_proxy="material")
     options = None if seed is None else {"jitter": True}
     env.reset(seed=seed or 0, options=options)
@@ -129,10 +147,8 @@ def episode(name: str, steps_per_s: int, seed: int | None) -> NDArray[np.float64
     while not over:
         *_, terminated, truncated, _ = env.step(action)
         over = terminated or truncated
-    frames = env.trajectory().frames[: env.experiment.frame_count]
     env.close()
-    assert env.band is not None
-    return env.band.project(frames)
+    return env.trajectory()
 
 
 def distance(coarse: NDArray[np.float64], fine: NDArray[np.float64]) -> float:
@@ -148,23 +164,41 @@ def experiment_errors(name: str, seed: int | None) -> Iterator[StepError]:
     """Yield the error of each step of an experiment from one start; nothing without a reference."""
     env = GaugeEnv(name)
     band = env.band
-    deformable = bool(env.experiment.scene.deformables)
+    experiment = env.experiment
     env.close()
     if band is None:
         return
-    runs = {}
-    for count in DEFORMABLE_STEPS_PER_S if deformable else RIGID_STEPS_PER_S:
+    start = CHOSEN_ON if seed is None else f"random start {seed}"
+    holders = experiment.scene.holders
+    runs: dict[int, Trajectory] = {}
+    is_deformable = bool(experiment.scene.deformables)
+    for count in DEFORMABLE_STEPS_PER_S if is_deformable else RIGID_STEPS_PER_S:
         for each in (count, 2 * count):
             if each not in runs:
                 runs[each] = episode(name, each, seed)
+        coarse, fine = runs[count], runs[2 * count]
         yield StepError(
             id=name,
-            start=CHOSEN_ON if seed is None else f"random start {seed}",
+            start=start,
             steps_per_s=count,
-            error=distance(runs[count], runs[2 * count]),
+            error=distance(
+                band.project(coarse.frames[: experiment.frame_count]),
+                band.project(fine.frames[: experiment.frame_count]),
+            ),
             unit=band.unit,
             uncertainty=band_uncertainty(band),
         )
+        for load in reference_loads(experiment, band):
+            values = load.values(holders, coarse.wrenches)
+            half = load.values(holders, fine.wrenches)
+            yield StepError(
+                id=name,
+                start=start,
+                steps_per_s=count,
+                error=load_length(values - half),
+                unit=load.unit,
+                uncertainty=load_length(load.uncertainty),
+            )
 
 
 def reached(env: ControlEnv, seed: int | None) -> float:

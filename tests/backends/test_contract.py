@@ -350,7 +350,7 @@ def test_settings_in_force_are_those_of_the_preset(engine):
         ("mujoco", "TextileStretching-satin", {"preset": "cloth_probed"}),
         ("mujoco", "TableclothPulling-wood", {"preset": "cloth_loaded"}),
         ("mujoco", "TableclothPulling-wood", {"solver": "Newton"}),
-        ("mujoco", "FoamTwisting-soft", {"preset": "soft", "solver": "Newton"}),
+        ("mujoco", "FoamTwisting-soft", {"preset": "soft_driven", "solver": "Newton"}),
         ("mujoco", "WallBreaking-wood", {"preset": "stack"}),
         ("newton", "FoamStretching-soft", {"preset": "soft", "solver": "SolverVBD"}),
         ("newton", "CantileverBeam-soft", {"preset": "soft_row"}),

@@ -210,7 +210,8 @@ def _preset_name(scene: Scene) -> str:
                 return "cloth_loaded"
             return "cloth_probed" if bodies else "cloth"
         if any(isinstance(body, SoftBody) for body in scene.deformables):
-            return "soft"
+            is_led = not (scene.contacts or scene.dynamic_bodies) and scene.drivers
+            return "soft_driven" if is_led else "soft"
         # A rope is a chain of constraints without elasticity, so it needs the short time step of contacts.
         return (
             "rod"
