@@ -133,9 +133,10 @@ class Bench:
         file = Path(f"{out}.job.json")
         file.write_text(json.dumps(whole), encoding="utf-8")
         self.execute(side, file, worker)
-        found: dict[str, Any] = json.loads(
-            Path(f"{out}.json").read_text(encoding="utf-8")
-        )
+        results = Path(f"{out}.json")
+        if not results.is_file():
+            raise VersionsError(f"{side.title} ends without a result: it is no Python")
+        found: dict[str, Any] = json.loads(results.read_text(encoding="utf-8"))
         return found | {"out": str(out)}
 
     def execute(self, side: Side, job: Path, worker: Sequence[str]) -> None:

@@ -614,11 +614,15 @@ def test_a_setting_that_is_none_says_what_would_be_one(settings, told):
         worker.set_options(mujoco.MjModel.from_xml_string("<mujoco/>"), settings)
 
 
-def test_a_file_that_is_no_python_is_named(tmp_path):
+@pytest.mark.parametrize(
+    ("text", "told"), [("", "cannot be started"), ("#!/bin/sh\n", "it is no Python")]
+)
+def test_a_file_that_is_no_python_is_named(tmp_path, text, told):
     file = tmp_path / "python"
-    file.touch()
+    file.write_text(text, encoding="utf-8")
+    file.chmod(0o755 if text else 0o644)
     bench = Bench(tmp_path / "scene.xml", tmp_path, steps=1, seed=0)
-    with pytest.raises(VersionsError, match="cannot be started as a Python"):
+    with pytest.raises(VersionsError, match=told):
         bench.run(sides.of_interpreter(file))
 
 
