@@ -38,6 +38,9 @@ DRAKE_OF_NUMPY_2 = (1, 34)
 """First release of Drake that is run with NumPy 2, which crashes 1.30 and earlier."""
 
 
+GENESIS_OF_LIBIGL_2_6 = (1, 4, 5)
+"""First release of Genesis that is run with libigl 2.6, whose signed distances stop 0.2.1."""
+
 FROM_SOURCE = ("--only-binary", ":all:", "--no-binary", "pygltflib")
 """Only wheels are installed, but for a package of Genesis that has none: it is one file of Python."""
 
@@ -51,6 +54,8 @@ def beside(requirement: str) -> list[str]:
         packages[0] = "numpy<2"
     if engine == "genesis-world":
         packages.append("torch==2.13.0")
+        if version_key(version) < GENESIS_OF_LIBIGL_2_6:
+            packages.append("libigl<2.6")
     if engine == "mujoco-warp":
         first, second = version.split(".")[:2]
         packages.append(f"mujoco=={first}.{second}.*")

@@ -298,8 +298,11 @@ def genesis(bodies: Bodies, gravity: Any) -> World:
 
     if not getattr(gs, "_initialized", False):
         gs.init(backend=gs.cpu, logging_level="error")
-    options = gs.options.SimOptions(dt=STEP_S, gravity=tuple(map(float, gravity)))
-    scene = gs.Scene(sim_options=options, show_viewer=False)
+    pull = tuple(map(float, gravity))
+    options = gs.options.SimOptions(dt=STEP_S, gravity=pull)
+    # In 0.2.1 the gravity of the first scene stays in the default of these.
+    rigid = gs.options.RigidOptions(dt=STEP_S, gravity=pull)
+    scene = gs.Scene(sim_options=options, rigid_options=rigid, show_viewer=False)
     made = []
     for one in bodies:
         material = gs.materials.Rigid(rho=density(one), friction=one.friction)
