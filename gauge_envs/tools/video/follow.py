@@ -1,4 +1,4 @@
-"""Find an object in all frames of a video: candidates of each frame, then the best path through the whole clip.
+"""Find an object in the frames of a video: candidates of each frame, of which `path` chooses.
 
 No learned model is used, so a text prompt is not needed: the first frame of each task is known.
 """
@@ -256,31 +256,18 @@ class ShapeFollower:
             (covered * known > 0.3).astype(np.uint8), np.ones((5, 5), np.uint8)
         )
         self._scene.follow(picture, small, 1 - moving)
-        # An object that has outgrown the ring around its outline is one area; a rod that holds it is thinner.
-        whole = (covered * known > 0.5).astype(np.uint8)
-        whole = cv2.morphologyEx(whole, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
-        _, labels, areas, _ = cv2.connectedComponentsWithStats(whole)
+        found = [one for one in found if one.likeness > 0.0]
+        # An object that has outgrown the ring around its outline is one area.
+        areas = _areas(covered * known)
         for one in found:
-            if one.likeness > 0.0:
-                column, row = (COARSE * one.place).astype(int)
-                label = _cut(labels, column, row, 0)[0][0, 0]
-                area = areas[label, cv2.CC_STAT_AREA] if label else 0.0
-                grown = math.sqrt(area / self._small.area)
-                one.size_ratio = max(one.size_ratio, grown)
-        return sorted(
-            (one for one in found if one.likeness > 0.0), key=lambda one: -one.likeness
-        )
+            grown = math.sqrt(_area_at(areas, one.place) / self._small.area)
+            one.size_ratio = max(one.size_ratio, grown)
+        return sorted(found, key=lambda one: -one.likeness)
 
     def _covered(
         self, picture: NDArray[Any], bare: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return which share of each pixel is covered by the object, and whether the pixel says so."""
-        span = bare - self._colour
-        length = np.sqrt((span * span).sum(axis=2))
-        change = bare - picture
-        covered = (change * span).sum(axis=2) / np.maximum(length**2, 1.0)
-        covered = np.clip((covered - NOISE_SHARE) / (1.0 - 2.0 * NOISE_SHARE), 0.0, 1.0)
-        return covered.astype(np.float32), (length > LEAST_CONTRAST).astype(np.float32)
+        return _covered(picture, bare, self._colour)
 
     def _refined(self, picture: Picture, x: float, y: float) -> Sight:
         """Return a candidate with fractions of pixels and its likeness."""
@@ -314,6 +301,37 @@ class ShapeFollower:
             * _likeness(_look(picture, place, self._size_px), self._colour),
             size_ratio=math.sqrt(float(inside[row, column]) + grown),
         )
+
+
+def _covered(
+    picture: NDArray[Any], bare: NDArray[np.float32], colour: FloatArray
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return which share of each pixel is covered by an object of a colour, and whether the pixel says so."""
+    span = bare - colour
+    length = np.sqrt((span * span).sum(axis=2))
+    change = bare - picture
+    covered = (change * span).sum(axis=2) / np.maximum(length**2, 1.0)
+    covered = np.clip((covered - NOISE_SHARE) / (1.0 - 2.0 * NOISE_SHARE), 0.0, 1.0)
+    return covered.astype(np.float32), (length > LEAST_CONTRAST).astype(np.float32)
+
+
+Areas: TypeAlias = tuple[NDArray[np.int32], NDArray[np.int32], FloatArray]
+"""Labels of connected areas in a small picture, their sizes and their middles."""
+
+
+def _areas(covered: NDArray[np.float32]) -> Areas:
+    """Return the connected areas of a small picture that are covered, without what is thin."""
+    whole = (covered > 0.5).astype(np.uint8)
+    whole = cv2.morphologyEx(whole, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    _, labels, stats, middles = cv2.connectedComponentsWithStats(whole)
+    return labels, stats[:, cv2.CC_STAT_AREA], middles
+
+
+def _area_at(areas: Areas, place: FloatArray) -> float:
+    """Return the size of the covered area around a place of the whole picture; 0 where there is none."""
+    column, row = (COARSE * place).astype(int)
+    label = _cut(areas[0], column, row, 0)[0][0, 0]
+    return float(areas[1][label]) if label else 0.0
 
 
 def _look(picture: NDArray[Any], place: FloatArray, size_px: float) -> FloatArray:
@@ -363,6 +381,21 @@ RENEWAL = 0.2
 LEAST_CORRELATION = 0.5
 """Smallest correlation with the template that shows the object."""
 
+RIM = 0.05
+"""Half of the width of the plate's rim, in its radius."""
+
+CLEAR_CONTRAST = 80.0
+"""Distance of the colours of plate and object from which its area is known: a plate of wood has veins."""
+
+TWIN_SHARE = 0.4
+"""Smallest area of a second object, in that of the first."""
+
+LEAST_OUTLINE = 0.75
+"""Smallest strength of the edges at the object's sides, in that of the strongest around: a plate has its own."""
+
+SIDE, NEAR, EDGE_PX = 0.3, 0.1, 1.5
+"""Half of the part of a side whose edge counts, and distance in which it lies, in sizes; blur of its profile [px]."""
+
 SMOOTH_PX = 3.0
 """Width of the grain that a pattern leaves out [px]."""
 
@@ -392,6 +425,19 @@ class FaceFollower:
         self._size_px = task.size_px
         self._colour = _look(first, self._pose[1:], task.size_px)
         self._pattern = None if task.is_shiny else _pattern(self._face)
+        width, height = REFERENCE_SIZE_PX
+        rows, columns = np.mgrid[0:height, 0:width]
+        away = np.hypot(*np.subtract([columns, rows], self._pivot[:, None, None]))
+        away = away / PLATE_RADIUS_PX
+        # The plate turns, and what is on it; its rim is left out.
+        plate = np.median(first[away < 1.0 - RIM], axis=0)
+        bare = np.where((away < 1.0)[..., None], plate, first).astype(np.uint8)
+        self._bare = _shrunk(bare)
+        self._counted = cv2.resize(
+            (abs(away - 1.0) > RIM).astype(np.float32), self._bare.shape[1::-1]
+        )
+        is_clear = np.linalg.norm(plate - self._colour) > CLEAR_CONTRAST
+        self._area = _area_at(self._areas(first), self._pose[1:]) if is_clear else 0.0
 
     def candidates(self, picture: Picture) -> list[Sight]:
         """Return the place in the next frame; none where it is lost."""
@@ -411,7 +457,44 @@ class FaceFollower:
         if self._pattern is not None:
             # The renewed template would follow a cube that melts; its square has the threshold of all likenesses.
             value = max(0.0, float((_pattern(face) * self._pattern).mean())) ** 2
-        return [Sight(x_px=pose[1], y_px=pose[2], likeness=min(1.0, value))]
+            if self._outline(picture) < LEAST_OUTLINE:
+                return []
+        sight = Sight(x_px=pose[1], y_px=pose[2], likeness=min(1.0, value))
+        return [sight] if self._area == 0.0 else [sight, *self._others(picture, sight)]
+
+    def _others(self, picture: Picture, found: Sight) -> list[Sight]:
+        """Return what else looks like the object, and by how much the area around it has grown."""
+        areas = self._areas(picture)
+        grown = _area_at(areas, found.place) / self._area
+        # Metal that turns away from the lamp has another colour, and a smaller area.
+        found.size_ratio = math.sqrt(max(1.0, grown))
+        _, sizes, middles = areas
+        is_large = sizes > TWIN_SHARE * self._area
+        # The first area is all that is not covered.
+        is_large[0] = False
+        return [
+            Sight(x_px=x, y_px=y, likeness=1.0) for x, y in middles[is_large] / COARSE
+        ]
+
+    def _areas(self, picture: Picture) -> Areas:
+        """Return the areas that have got the object's colour."""
+        covered, known = _covered(_shrunk(picture), self._bare, self._colour)
+        return _areas(covered * known * self._counted)
+
+    def _outline(self, picture: Picture) -> float:
+        """Return how strong the edges are at the object's sides, against the strongest ones around each of them."""
+        half = int(self._size_px)
+        around = _turned(_grey(picture), self._pose, half)
+        side = int(SIDE * self._size_px)
+        shares = []
+        for quarter in range(4):
+            strip = np.rot90(around, quarter)[half - side : half + side + 1, half:]
+            mean = cv2.GaussianBlur(strip.mean(axis=0)[None], (0, 0), EDGE_PX)[0]
+            edges = np.abs(np.diff(mean))[side:]
+            place, reach = half // 2 - side, int(NEAR * self._size_px)
+            near = edges[place - reach : place + reach + 1]
+            shares.append(float(near.max() / max(edges.max(), 1e-3)))
+        return float(np.mean(shares))
 
     def _matched(self, picture: Picture, pose: FloatArray) -> tuple[FloatArray, float]:
         """Return the pose near another one at which the picture is most like the template, and how much it is."""
@@ -470,83 +553,3 @@ def _turned(
             grey, matrix, (side, side), flags=flags, borderMode=cv2.BORDER_REPLICATE
         )
     )
-
-
-# --- path -------------------------------------------------------------------------------------------------------------
-
-MOST_GAP = 40
-"""Most frames after which the object is still looked for as itself."""
-
-BEND, BEND_COST, MOST_COST = 0.5, 0.4, 1.5
-"""Change of the velocity from frame to frame, in sizes, that costs `BEND_COST` of a likeness; a jump costs
-`MOST_COST`."""
-
-MOST_STEP = 4.0
-"""Largest step from frame to frame, in sizes or in changes by gravity."""
-
-FIRST_STEP, FIRST_FRAMES = 0.4, 3
-"""Distance from the known place, in sizes, and frames, in which a path begins."""
-
-
-def best_path(
-    candidates: Sequence[Sequence[Sight]],
-    start_px: FloatArray,
-    size_px: float,
-    lawful_px: float = 0.0,
-    is_struck: bool = False,
-) -> list[Sight]:
-    """Return the places of the whole clip with the largest sum of likenesses, less what changes of the velocity cost.
-
-    Dynamic programming over all candidates; a frame may have none. The path begins at rest at a known place.
-
-    Args:
-        candidates: Candidates by frame.
-        start_px: Place before the first frame [px], shape [2].
-        size_px: Size of the object [px].
-        lawful_px: Largest change of the step from frame to frame that the law makes [px].
-        is_struck: Whether it may return to that place, where impacts change its velocity at no cost.
-    """
-    usual_px = max(BEND * size_px, lawful_px)
-    nodes = [(-1, Sight(x_px=float(start_px[0]), y_px=float(start_px[1])))]
-    for frame, ones in enumerate(candidates):
-        nodes += [(frame, nodes[0][1])] * is_struck + [(frame, one) for one in ones]
-    hangs = np.array([is_struck and one is nodes[0][1] for _, one in nodes])
-    frames = np.array([frame for frame, _ in nodes])
-    places = np.array([one.place for _, one in nodes])
-    totals, speeds, before = (
-        np.zeros(len(nodes)),
-        np.zeros((len(nodes), 2)),
-        np.full(len(nodes), -1),
-    )
-    # Where the known place shows the object in one of the first frames, the path begins there.
-    near = (frames < FIRST_FRAMES) & (
-        np.linalg.norm(places - start_px, axis=1) <= FIRST_STEP * size_px
-    )
-    at_start = set(np.flatnonzero(near).tolist()) - {0}
-    for node in range(1, len(nodes)):
-        gap = frames[node] - frames[:node]
-        steps = (places[node] - places[:node]) / np.maximum(gap, 1)[:, None]
-        # When it was struck between two frames is unknown, and so is the velocity of its first step.
-        bend = (
-            np.linalg.norm(steps - speeds[:node], axis=1)
-            / usual_px
-            * ~(hangs[:node] | hangs[before[:node]])
-        )
-        value = totals[:node] - np.minimum(BEND_COST * bend**2, MOST_COST)
-        is_possible = (gap > 0) & ((gap <= MOST_GAP) | (frames[:node] < 0))
-        is_possible &= np.linalg.norm(steps, axis=1) <= MOST_STEP * max(
-            size_px, lawful_px
-        )
-        is_possible[0] &= not at_start or node in at_start
-        if not is_possible.any():
-            totals[node] = -math.inf
-            continue
-        best = int(np.argmax(np.where(is_possible, value, -math.inf)))
-        before[node], totals[node] = best, value[best] + nodes[node][1].likeness
-        speeds[node] = steps[best]
-    path = [Sight() for _ in candidates]
-    node = int(totals.argmax())
-    while node > 0:
-        path[frames[node]] = Sight() if hangs[node] else nodes[node][1]
-        node = int(before[node])
-    return path

@@ -10,15 +10,12 @@ from numpy.typing import NDArray
 from gauge_envs.errors import VideoError
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.video.follow import (
-    FIRST_FRAMES,
-    FIRST_STEP,
     Background,
     FaceFollower,
     Region,
     ShapeFollower,
     Sight,
     background,
-    best_path,
 )
 from gauge_envs.tools.video.frames import (
     LEAST_FRAMES,
@@ -32,6 +29,7 @@ from gauge_envs.tools.video.frames import (
     stretched,
 )
 from gauge_envs.tools.video.laws import GRAVITY_M_PER_S2
+from gauge_envs.tools.video.path import FIRST_FRAMES, FIRST_STEP, best_path
 from gauge_envs.tools.video.registration import (
     registration_by_first_frame,
     registration_by_outline,

@@ -2,16 +2,18 @@
 
 import math
 
+import cv2
 import numpy as np
 import pytest
 
 from gauge_envs.tools.video import video_task
 from gauge_envs.tools.video.follow import (
     Background,
+    FaceFollower,
     ShapeFollower,
     Sight,
-    best_path,
 )
+from gauge_envs.tools.video.path import best_path
 from gauge_envs.tools.video.tracker import _is_neighbour
 
 
@@ -92,3 +94,34 @@ def test_an_object_that_outgrows_its_outline_has_its_size(size):
     grown[away_px < 0.5 * size * task.size_px] = 25
     sights = ShapeFollower(Background(bare), first, task).candidates(grown)
     assert sights[0].size_ratio == pytest.approx(size, rel=0.15)
+
+
+@pytest.mark.parametrize("change", ["none", "grows", "second", "spreads"])
+def test_a_cube_on_a_turntable_keeps_its_area_and_outline(change):
+    """Correlation with a template alone follows a cube that grows, and does not see a second one."""
+    task = video_task("Turntable-2-wood")
+    # Where the plate has nearly the colour of the cube, the edges of its sides are left.
+    plate = (150, 185, 205) if change == "spreads" else (210, 220, 225)
+    pictures = []
+    for is_later in (False, True):
+        picture = np.full((480, 832, 3), 40, np.uint8)
+        pivot = [round(value) for value in task.pivot_px]
+        cv2.circle(picture, pivot, 225, plate, -1)
+        half = 0.5 * task.size_px
+        centre = np.array(task.centre_px)
+        if is_later and change in ("grows", "spreads"):
+            half *= 1.3 if change == "spreads" else 1.5
+        places = [centre, np.add(centre, [200.0, 90.0])]
+        for place in places[: 1 + (is_later and change == "second")]:
+            low, high = (place - half).astype(int), (place + half).astype(int)
+            cv2.rectangle(picture, low.tolist(), high.tolist(), (105, 150, 195), -1)
+        for x, y in ((-20, -8), (14, 18), (16, -16)):
+            spot = np.add(centre, [x, y]).astype(int).tolist()
+            cv2.circle(picture, spot, 9, (60, 90, 120), -1)
+        pictures.append(picture)
+    follower = FaceFollower(pictures[0], task)
+    chosen, *others = follower.candidates(pictures[1]) or [Sight()]
+    far = [one for one in others if one.x_px > centre[0] + task.size_px]
+    assert len(far) == (change == "second")
+    is_whole = chosen.likeness > 0.0 and not chosen.size_ratio > 1.3
+    assert is_whole is (change in ("none", "second"))
