@@ -1,6 +1,6 @@
 """Physics engines behind one interface, one folder per engine."""
 
-from gauge_envs.backends.base import Backend, FileBackend, ModelFile
+from gauge_envs.backends.base import Backend, FileBackend, ModelFile, Repeatability
 from gauge_envs.backends.device import DeviceWorlds
 from gauge_envs.backends.features import Feature, Support
 from gauge_envs.backends.registry import (
@@ -25,6 +25,7 @@ __all__ = [
     "Feature",
     "FileBackend",
     "ModelFile",
+    "Repeatability",
     "ReplayedSimulation",
     "Simulation",
     "Support",

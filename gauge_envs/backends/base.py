@@ -21,13 +21,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 from gauge_envs.backends.fabric_constants import FabricConstants
 from gauge_envs.backends.features import Feature, Support, needed_features
 from gauge_envs.backends.world import Simulation
 from gauge_envs.backends.worlds import Worlds, separate_worlds
-from gauge_envs.errors import UnsupportedSceneError
+from gauge_envs.errors import ParameterError, UnsupportedSceneError
 from gauge_envs.scene import Pose, Scene
 from gauge_envs.scene.fabrics import Fabric
 
@@ -43,6 +43,35 @@ class ModelFile:
 
     scene: Scene
     changes: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Repeatability:
+    """How far runs of one scene part, with the same settings and seed.
+
+    Attributes:
+        kind: `bits`: every run has the same bits on one kind of processor. `run`: a simulation repeats its bits after
+            `reset` and `restore`, and another simulation of the scene does not. `statistical`: no run repeats another.
+        start_error: Limit for runs that do not repeat bits: they part by at most this number in any state [m, 1, m/s,
+            rad/s], and ten times as far as runs whose free bodies start this far apart [m, rad] under a gravity that
+            differs by this share.
+
+    Raises:
+        ParameterError: `start_error` is not 0 for `bits`, or is not between 0 and 1e-4 otherwise.
+    """
+
+    kind: Literal["bits", "run", "statistical"] = "bits"
+    start_error: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Check the error."""
+        is_exact = self.start_error == 0.0
+        is_small = 0.0 < self.start_error <= 1e-4
+        if not (is_exact if self.kind == "bits" else is_small):
+            raise ParameterError(
+                f"start_error of repeatability {self.kind!r} is {self.start_error}: it must be 0 for 'bits', and above "
+                "0 and at most 1e-4 otherwise"
+            )
 
 
 class Backend(ABC):
@@ -109,6 +138,10 @@ class Backend(ABC):
         Raises:
             ParameterError: A setting does not exist or has an invalid value.
         """
+
+    def repeatability(self, settings: Mapping[str, Any] | None = None) -> Repeatability:
+        """Return how far runs of one scene part, with settings as in `build`; kernels on a GPU may not repeat bits."""
+        return Repeatability()
 
     def build_worlds(
         self, scenes: Sequence[Scene], settings: Mapping[str, Any] | None = None

@@ -10,6 +10,7 @@ from functools import cache
 from types import MappingProxyType
 from typing import Any
 
+from gauge_envs.backends.base import Repeatability
 from gauge_envs.backends.features import GUIDES, Feature
 from gauge_envs.backends.newton.contacts import unsupported_surface_contacts
 from gauge_envs.backends.newton.fabrics import vbd_constants
@@ -67,6 +68,12 @@ class BackendNewton(BundledBackend):
     def unsupported(self, scene: Scene) -> Iterator[str]:
         """Yield one sentence for each feature of a scene that Newton's solvers do not support."""
         return _unsupported_features(scene, settings_for(scene))
+
+    def repeatability(self, settings: Mapping[str, Any] | None = None) -> Repeatability:
+        """Return that runs on a GPU part by single precision: its kernels add in any order."""
+        if (settings or {}).get("device", "cpu") == "cpu":
+            return Repeatability()
+        return Repeatability(kind="statistical", start_error=1e-6)
 
     @with_joint_laws()
     def build(

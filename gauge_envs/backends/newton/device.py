@@ -56,7 +56,11 @@ class NewtonOnDevice(DeviceWorlds):
         self._centres_m = wp.to_torch(stepper.model.body_com)
         self._origins_m = self.asarray(np.array([one.origin_m for one in layouts]))
         self._sent = wp.to_torch(stepper.sent)
-        self._rows = {name: stepper.rows_of(index) for name, index in bodies.items()}
+        # An index in NumPy would be copied to the device at each use.
+        self._rows = {
+            name: self.asarray(stepper.rows_of(index)) for name, index in bodies.items()
+        }
+        self._marks = self.asarray(np.ones((len(layouts), 1)))
         self._has_drives = False
         self._motors = self._motor_entries(layouts)
         joints = stepper.free_joints([*self._dynamic.reshape(-1).tolist()])
@@ -135,10 +139,9 @@ class NewtonOnDevice(DeviceWorlds):
 
     def drive(self, body: str, motions: Any) -> None:
         """Prescribe a kinematic body in all worlds."""
-        rows = self._rows[body]
-        self._sent[rows, :3] = motions[:, :3] - self._origins_m
-        self._sent[rows, 3:19] = motions[:, 3:]
-        self._sent[rows, 19] = 1.0
+        places = motions[:, :3] - self._origins_m
+        sent = self._torch.concat([places, motions[:, 3:], self._marks], axis=1)
+        self._sent[self._rows[body]] = sent
         self._has_drives = True
 
     def command(self, values: Any) -> None:

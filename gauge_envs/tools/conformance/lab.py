@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from contextlib import closing
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
 
-from gauge_envs.backends import Backend, Simulation
+from gauge_envs.backends import Backend, ReplayedSimulation, Simulation
 from gauge_envs.backends.base import scene_support
 from gauge_envs.backends.settings import settings_record
 from gauge_envs.backends.shared.resampled import in_intervals
@@ -26,6 +27,7 @@ from gauge_envs.scene import (
     Attachment,
     Cloth,
     Deformable,
+    Motion,
     Pose,
     Region,
     Scene,
@@ -101,6 +103,10 @@ class Lab:
         self.settings_in_force = dict(simulation.settings)
         return simulation
 
+    def started(self, scene: Scene) -> Scene:
+        """Return a scene as a batch of worlds starts it."""
+        return scene
+
     def first_supported(self, *scenes: Scene) -> Scene:
         """Return the first scene that the backend can build, or the last one when it can build none."""
         return next(
@@ -144,6 +150,65 @@ class Lab:
             return function(self), None, self.settings_in_force
         except Exception as error:
             return None, error, self.settings_in_force
+
+
+class DisturbedLab(Lab):
+    """A lab in which no run repeats another one: each build, reset and restore starts a disturbed scene.
+
+    Args:
+        lab: The lab whose backend and settings it has.
+        start_error: Size of the disturbance; see `Repeatability`.
+    """
+
+    def __init__(self, lab: Lab, start_error: float) -> None:
+        super().__init__(lab.backend, lab.settings)
+        self._start_error = start_error
+        self._random = np.random.default_rng(0)
+
+    def build(self, scene: Scene, **changes: Any) -> Simulation:
+        """Build a scene; see `Lab.build`."""
+        build = super().build
+        return _DisturbedSimulation(lambda: build(self.started(scene), **changes))
+
+    def started(self, scene: Scene) -> Scene:
+        """Return a scene with other starts of its free bodies and another gravity."""
+        joined = {joint.body for joint in scene.joints}
+        for hinge in scene.body_hinges:
+            joined |= {hinge.first, hinge.second}
+        bodies = []
+        for body in scene.bodies:
+            if body.motion is Motion.DYNAMIC and body.name not in joined:
+                body = replace(body, pose=self._moved(body.pose))
+            bodies.append(body)
+        gravity = scene.gravity_m_per_s2 * (1.0 + self._errors()[0])
+        return replace(scene, bodies=tuple(bodies), gravity_m_per_s2=gravity)
+
+    def _moved(self, pose: Pose) -> Pose:
+        turn = Rotation.from_rotvec(self._errors())
+        position = np.array(pose.position_m) + self._errors()
+        return Pose.from_rotation(tuple(position.tolist()), turn * pose.rotation)
+
+    def _errors(self) -> NDArray[np.float64]:
+        signs = self._random.choice([-1.0, 1.0], 3)
+        return self._start_error * signs
+
+
+class _DisturbedSimulation(ReplayedSimulation):
+    """A simulation that is built anew at each reset and restore.
+
+    Args:
+        build: Function that builds the simulation.
+    """
+
+    def __init__(self, build: Callable[[], Simulation]) -> None:
+        super().__init__(build())
+        self._build = build
+
+    def reset(self, seed: int) -> None:
+        """Build the simulation anew and reset it."""
+        self._inner.close()
+        self._inner = self._build()
+        super().reset(seed)
 
 
 def push(simulation: Simulation, body: str, wrench: ArrayLike) -> None:

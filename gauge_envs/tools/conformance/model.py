@@ -12,7 +12,7 @@ from fnmatch import fnmatchcase
 from functools import cache, wraps
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar
 
 from gauge_envs.errors import ParameterError, UnknownNameError
 from gauge_envs.files import json_ready, versions
@@ -73,12 +73,15 @@ class Tolerance:
         rationale: Reason for the width, from physics or from the benchmark, never from an engine.
         absolute: Part in the unit of the measured value.
         relative: Part as a share of the expected value.
+        again: What the check runs again: `simulation` after a reset or a restore, or `scene`, built anew. Runs may then
+            part as `Backend.repeatability` declares. Empty where nothing runs again.
     """
 
     rationale: str
     _: KW_ONLY
     absolute: float = 0.0
     relative: float = 0.0
+    again: Literal["", "simulation", "scene"] = ""
 
     def width(self, expected: float) -> float:
         """Return the largest admissible distance from an expected value, in its unit."""
@@ -86,6 +89,9 @@ class Tolerance:
 
 
 EXACT = Tolerance("the contract requires equality bit for bit")
+_DECLARED = "bit for bit, or as the engine declares in Backend.repeatability"
+REPEATED = Tolerance(_DECLARED, again="simulation")
+REBUILT = Tolerance(_DECLARED, again="scene")
 COUNT = Tolerance("it is a count")
 
 
@@ -97,11 +103,14 @@ class Measurement:
         measured: The measured value.
         expected: The value that the law gives, in the same unit.
         hint: Likely cause of this particular value, for the diagnosis; may be empty.
+        parts: Differences whose largest is measured, by name, such as "velocity of the brick". Where an engine does
+            not repeat bits, each is judged by its own scatter: that of velocities in impacts is large.
     """
 
     measured: float
     expected: float = 0.0
     hint: str = ""
+    parts: Mapping[str, float] | None = None
 
 
 def _unknown(_: Lab) -> Measurement:

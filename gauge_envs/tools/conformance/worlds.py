@@ -33,7 +33,7 @@ from gauge_envs.tools.bench.parts import (
     ramp,
 )
 from gauge_envs.tools.conformance import joints
-from gauge_envs.tools.conformance.contract import one_sign
+from gauge_envs.tools.conformance.contract import one_sign, parts_apart
 from gauge_envs.tools.conformance.lab import Lab
 from gauge_envs.tools.conformance.model import Check, Measurement, Recorded
 
@@ -109,7 +109,8 @@ def _built(lab: Lab, scenes: list[Scene], **how: Any) -> Worlds:
     support = scene_support(lab.backend, scenes[0])
     if not support:
         raise DeclinedError(support.missing)
-    return worlds_in_intervals(lab.backend, scenes, lab.settings, **how)
+    started = [*map(lab.started, scenes)]
+    return worlds_in_intervals(lab.backend, started, lab.settings, **how)
 
 
 def _scenes(numbers: Numbers) -> list[Scene]:
@@ -177,16 +178,19 @@ def _difference(
 ) -> Measurement:
     """Measure the largest difference of states, shape [T, world_count, body_count, 13], and name its world and body."""
     apart = np.abs(found - expected)
-    _, world, body, column = np.unravel_index(int(apart.argmax()), apart.shape)
-    part = "position" if column < 3 else "orientation" if column < 7 else "velocity"
+    parts: dict[str, float] = {}
+    for column, name in enumerate(NAMES):
+        parts |= parts_apart(apart[:, :, column], name)
+    largest = max(parts, key=lambda name: parts[name])
+    world = int(apart.max(axis=(0, 2, 3)).argmax())
     label = f"world {world}"
     if restarted is not None:
         label += ", which restarts," if world in restarted else ", which goes on,"
-    hint = f"{label} differs most, in the {part} of the {NAMES[body]}"
+    hint = f"{label} differs most, in the {largest}"
     near = np.abs(found[:, [world]] - expected).max(axis=(0, 2, 3)) < 0.1 * apart.max()
     if near.any():
         hint += f": it has the values of world {near.argmax()}"
-    return Measurement(measured=float(apart.max()), hint=hint)
+    return Measurement(measured=float(apart.max()), hint=hint, parts=parts)
 
 
 def _twice(lab: Lab) -> tuple[Array, Array]:

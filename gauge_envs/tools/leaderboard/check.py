@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from gauge_envs.backends.registry import versions_of
+from gauge_envs.backends.registry import backend as find_backend, versions_of
 from gauge_envs.errors import GaugeError, ResultFileError
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.evaluation.score import Score
@@ -177,10 +177,13 @@ def run_submission(
         for name in names
     ]
     check_requests(requests, isolate=None)
-    contents = {}
-    left_out = {}
+    _check_repeatability(statement)
+    contents: dict[str, bytes] = {}
+    left_out: dict[str, str] = {}
     for result in run_many(requests, isolate=None):
         advance(f"{short_id(result.id)} on {statement.engine}")
+        if result.error is None and not contents and statement.standing == "ranked":
+            _check_repeated(result, requests[names.index(short_id(result.id))])
         if result.error is not None:
             left_out[short_id(result.id)] = result.outcome.value
             continue
@@ -188,6 +191,27 @@ def run_submission(
         contents[f"results/{result_file_name(result)}"] = text.encode()
     contents[LEFT_OUT] = json.dumps(left_out).encode()
     write_archive(folder / ARCHIVE, contents)
+
+
+def _check_repeatability(statement: Statement) -> None:
+    """Raise `ResultFileError` if an engine is to be ranked whose runs differ: its rank would be that of one run."""
+    declared = find_backend(statement.engine).repeatability(statement.settings)
+    if statement.standing == "ranked" and declared.kind != "bits":
+        raise ResultFileError(
+            f"{statement.engine} declares that its runs do not repeat bits (repeatability {declared.kind!r}), and a "
+            'rank is that of one run: state standing = "shown"'
+        )
+
+
+def _check_repeated(result: Result, request: RunRequest) -> None:
+    """Run an experiment again; raise `ResultFileError` if its trajectory has other bits."""
+    (again,) = run_many([request], isolate=None)
+    first, second = (one.to_dict()["trajectory"] for one in (result, again))
+    if first != second:
+        raise ResultFileError(
+            f"{result.id}: two runs have different trajectories, but a ranked engine repeats bits: mend it, or declare "
+            'it in Backend.repeatability and state standing = "shown"'
+        )
 
 
 def _checked_result(

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 from wobbling import WobblingBackend, told
 
-from gauge_envs.backends import Support, backend, registry
+from gauge_envs.backends import Repeatability, Support, backend, registry
 from gauge_envs.cli.app import app
 from gauge_envs.errors import ParameterError, UnknownNameError
 from gauge_envs.evaluation.estimators import hann_mean
@@ -137,6 +137,57 @@ def test_repeatability_is_checked_on_an_engine_that_knows_little():
     assert {one.status for one in findings} == {Status.PASS}
     (reset,) = run_checks(KnowsBallsOnly(FAULTS["no-reset"]), only=["reset-start"])
     assert reset.status is Status.FAIL
+
+
+class AddsInAnyOrder(Passed):
+    """Its steps end in random last digits, as those of kernels that add in any order."""
+
+    noise_m_per_s = 1e-9
+    random = np.random.default_rng(0)
+
+    def advance(self, seconds):
+        super().advance(seconds)
+        velocities = self.inner.data.qvel
+        velocities += self.noise_m_per_s * self.random.standard_normal(len(velocities))
+
+
+class AddsMuch(AddsInAnyOrder):
+    noise_m_per_s = 1e-4
+
+
+class ForgetsVelocities(AddsInAnyOrder):
+    def restore(self, state):
+        super().restore(state)
+        self.inner.data.qvel[:] *= 0.99
+
+
+@pytest.mark.parametrize(
+    ("simulation", "kind", "failed"),
+    [
+        (Passed, "statistical", set()),
+        (AddsInAnyOrder, "bits", {"reset-course", "determinism", "restore"}),
+        (AddsInAnyOrder, "run", {"reset-course"}),
+        (AddsInAnyOrder, "statistical", set()),
+        (AddsMuch, "statistical", {"reset-course", "determinism", "restore"}),
+        (ForgetsVelocities, "statistical", {"restore"}),
+    ],
+)
+def test_runs_may_part_as_an_engine_declares(simulation, kind, failed):
+    engine = simulated_by(simulation)
+    start_error = 0.0 if kind == "bits" else 1e-6
+    declared = Repeatability(kind=kind, start_error=start_error)
+    engine.repeatability = lambda settings=None: declared
+    only = ["reset-start", "reset-course", "determinism", "restore"]
+    findings = run_checks(engine, only=only)
+    assert {one.check for one in findings if one.status is Status.FAIL} == failed
+
+
+@pytest.mark.parametrize(
+    ("kind", "start_error"), [("bits", 1e-6), ("statistical", 0.0), ("run", 1e-3)]
+)
+def test_a_repeatability_that_says_nothing_is_refused(kind, start_error):
+    with pytest.raises(ParameterError, match=f"start_error of repeatability '{kind}'"):
+        Repeatability(kind=kind, start_error=start_error)
 
 
 class PanicException(BaseException):

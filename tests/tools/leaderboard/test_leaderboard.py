@@ -1,5 +1,6 @@
 """Leaderboard: its own runs count alone, planted faults are found, and the table compares what can be compared."""
 
+import itertools
 import json
 import os
 import re
@@ -7,6 +8,7 @@ import shutil
 import subprocess
 import sys
 import tarfile
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 
@@ -16,6 +18,8 @@ import yaml
 from places import ROOT
 
 from gauge_envs import files, load_experiment
+from gauge_envs.backends import Repeatability
+from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.files import MEGABYTE
 from gauge_envs.pages.text import markdown_text
@@ -259,6 +263,26 @@ def test_a_submission_that_cannot_run_here_has_no_results(changes, words, tmp_pa
     (one,) = check_leaderboard(tmp_path, run=True)
     assert words in one.faults[0]
     assert not one.results
+
+
+def test_an_engine_whose_runs_differ_has_no_rank(board, monkeypatch):
+    folder = folder_of(board)
+    declared = Repeatability(kind="statistical", start_error=1e-6)
+    with monkeypatch.context() as patch:
+        patch.setattr(BackendMuJoCo, "repeatability", lambda self, settings: declared)
+        (fault,) = faults(folder, run=True)
+        assert 'state standing = "shown"' in fault
+        assert not faults(folder_of(board, "coarse"), run=True)
+    runs = itertools.count()
+
+    def build(self, scene, settings=None):
+        gravity = scene.gravity_m_per_s2 + 1e-9 * next(runs)
+        return build_alike(self, replace(scene, gravity_m_per_s2=gravity), settings)
+
+    build_alike = BackendMuJoCo.build
+    monkeypatch.setattr(BackendMuJoCo, "build", build)
+    (fault,) = faults(folder, run=True)
+    assert "two runs have different trajectories" in fault
 
 
 # --- the table ---
