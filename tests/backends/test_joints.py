@@ -276,7 +276,7 @@ def test_friction_by_load_takes_a_share_of_the_work_of_a_falling_bar(name):
 
 
 def _motored(cases, *, gravity_m_per_s2, rate=0.0, scale=0.1):
-    """Return level bars that turn at a rate, each with a law of a rate r [rad/s] and a motor of constant torque [N m]."""
+    """Return level bars that turn at a rate, each with a law of a rate r [rad/s] and a motor of a torque [N m]."""
     scene = _loaded([0.5 * np.pi] * len(cases))
     bars, hinges = [], []
     for bar, hinge, (law, torque) in zip(

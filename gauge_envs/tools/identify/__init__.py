@@ -11,7 +11,7 @@ if TYPE_CHECKING:
         Setting as Setting,
     )
     from gauge_envs.tools.identify.logs import Log as Log, read_log as read_log
-    from gauge_envs.tools.identify.mujoco_joints import read_mjcf as read_mjcf
+    from gauge_envs.tools.identify.model_files import read_mjcf as read_mjcf
     from gauge_envs.tools.identify.rig import one_joint as one_joint
 else:
     __getattr__, __all__ = door(__name__)

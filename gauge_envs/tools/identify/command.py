@@ -112,8 +112,8 @@ def recipe_joint(
         typer.Option(
             metavar="rad|deg",
             rich_help_panel=arguments.SELECTION,
-            show_default="that of the file",
-            help="Unit of the angles of a LeRobot dataset, which states none.",
+            show_default="rad, within a turn",
+            help="Unit of the angles: LeRobot states none; others have it to say when they reach beyond a turn.",
         ),
     ] = None,
     load_error: Annotated[
@@ -178,11 +178,6 @@ def recipe_joint(
     )
     if joints:
         read, tests = ([log.only(joints) for log in some] for some in (read, tests))
-    for log in (*read, *tests):
-        if (reach_rad := float(abs(log.position_rad).max())) > 6.2832:
-            note(
-                f"{log.name}: angles reach {reach_rad:.3g} rad, {reach_rad / 6.2832:.2g} turns: are they in degrees?"
-            )
     given = _bench(known, source)
     with Progress("simulations", None) as bar:
         found = identify(
@@ -258,7 +253,8 @@ def _scene(scene: str | None = None, **load: float) -> Scene | MjSpec:
         if path.suffix in scene_suffixes():
             from gauge_envs.tools.usd import read_usd
 
-            return read_usd(path, duration_s=1.0).scene
+            # Joints of a log move freely, and robots often have colliders without a material.
+            return read_usd(path, duration_s=1.0, contacts=None).scene
         if path.suffix.lower() in (".xml", ".mjcf", ".urdf"):
             return read_mjcf(path)
         if path.suffix:

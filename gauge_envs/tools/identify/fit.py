@@ -35,12 +35,12 @@ from gauge_envs.tools.identify.intervals import (
 )
 from gauge_envs.tools.identify.laws import SERVO_NAMES, asked_laws, compare_laws
 from gauge_envs.tools.identify.logs import Log
-from gauge_envs.tools.identify.mujoco_joints import (
-    ModelJoints,
+from gauge_envs.tools.identify.model_files import (
     joint_names,
     joints_of_model,
     joints_of_scene,
 )
+from gauge_envs.tools.identify.mujoco_joints import ModelJoints
 from gauge_envs.tools.identify.problem import NEAR, SERVO_CLOSE, Problem
 from gauge_envs.tools.identify.rig import (
     DYNAMICS,

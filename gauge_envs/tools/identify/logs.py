@@ -108,6 +108,14 @@ class Log:
         some = {key: values[:, places] for key, values in self.columns.items()}
         return replace(self, joints=tuple(names), **some)
 
+    def times(self, factor: float) -> Log:
+        """Return the log with all angles and rates times a factor."""
+        angles = {
+            key: values if key == TORQUE else factor * values
+            for key, values in self.columns.items()
+        }
+        return replace(self, **angles)
+
     def start(self) -> tuple[FloatArray, FloatArray]:
         """Return angles [rad] and rates [rad/s] at the first sample, shape [J] each.
 

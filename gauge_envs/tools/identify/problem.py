@@ -16,7 +16,7 @@ from gauge_envs.runs.rollout import DivergedError
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.identify.logs import Log
 from gauge_envs.tools.identify.noise import lasting_noise
-from gauge_envs.tools.identify.rig import DYNAMICS, OFFSET, SERVO, Machine, Terms
+from gauge_envs.tools.identify.rig import DYNAMICS, LIMIT, OFFSET, SERVO, Machine, Terms
 
 NEAR, CLOSE, SERVO_CLOSE, SHORT_STEPS = 1e-2, 1e-4, 1e-3, 8
 """Relative change at which a stage ends: the first, the second, that of servos; most steps of the first."""
@@ -24,8 +24,11 @@ NEAR, CLOSE, SERVO_CLOSE, SHORT_STEPS = 1e-2, 1e-4, 1e-3, 8
 STARTS, DEADBAND_RAD = 3, 0.01
 """Number of stiffnesses from which a servo's fit starts; angle within which dry friction holds it in one more start."""
 
-FIRST_DAMPING, LEAST_DAMPING, EASE, TRIES, MOST_STEPS = 1e-2, 1e-9, 5.0, 4, 40
+FIRST_DAMPING, LEAST_DAMPING, EASE, TRIES, MOST_STEPS = 1e-2, 1e-9, 5.0, 10, 40
 """Damping of the first step of a joint, the least, its factor after a step, trials of a step, and most steps."""
+
+LEAST_LIMIT = 0.5
+"""Least torque limit of a servo after a step, over that before it."""
 
 LOST_RAD = 10.0
 """Error of a simulation that diverges [rad], so that the search turns back."""
@@ -280,7 +283,11 @@ class Problem:
         scaled = np.maximum(first, lowest + 1e-6)
         damping = np.full(owners.max() + 1, FIRST_DAMPING)
         residuals = self.residuals(scaled)
+        is_limit = np.repeat([name == LIMIT for name in self.names], self.joints)
+        limits = np.flatnonzero(is_limit)
         for _ in range(most):
+            # Below a limit that holds a servo still, no other number tells anything: a step stays near.
+            lowest[limits] = LEAST_LIMIT * scaled[limits]
             jacobian = self.jacobian(scaled, differences[0])
             before = squares = np.bincount(owner_of_row, residuals**2)
             waiting = np.full(damping.size, True)

@@ -37,7 +37,9 @@ from gauge_envs.tools.identify.logs import (
 )
 
 UNITS = {"rad": 1.0, "deg": float(np.pi / 180.0)}
-"""Units of angles in datasets that state none, in rad."""
+"""Units of angles, in rad."""
+TURN_RAD = float(2.0 * np.pi)
+"""Largest angle without a unit."""
 CONTROL = "_ctrl"
 """What `mujoco.sysid` adds to the name of an actuator."""
 MOST_VALUES = 5_000_000
@@ -62,16 +64,29 @@ def read_logs(
         path: A log as `logs.read_log` reads it; the folder of a LeRobot dataset, version 3, each of whose episodes is a
             log; a bag of ROS 2 (its folder, or an MCAP file); or an NPZ file of `mujoco.sysid.SystemTrajectory`.
         model: Model of the robot, whose sensors and actuators tell which columns of `mujoco.sysid` are which joint.
-        unit: Unit of the angles of a LeRobot dataset, `rad` or `deg`.
+        unit: Unit of the angles, `rad` or `deg`: LeRobot states none, and other files that of their columns.
 
     Raises:
-        AssetError: The file is none of these, or lacks what a log needs.
+        AssetError: The file is none of these, or lacks what a log needs, or its angles reach beyond a turn, as degrees
+            do, and no unit is given.
         MissingExtraError: What reads it is not installed.
     """
+    logs = _logs_in(path, model, unit)
+    for log in logs:
+        reach_rad = float(np.abs(log.position_rad).max())
+        if unit is None and reach_rad > TURN_RAD:
+            raise AssetError(
+                path,
+                POSITION,
+                f"it reaches {reach_rad:.3g} rad, {reach_rad / TURN_RAD:.2g} turns: give --angle-unit deg if these are "
+                "degrees, or rad if the joint turns so far",
+            )
+    return [log.times(UNITS[unit]) for log in logs] if unit else logs
+
+
+def _logs_in(path: Path, model: mujoco.MjSpec | None, unit: str | None) -> list[Log]:
     if (path / "meta" / "info.json").is_file():
         return list(_lerobot(path, unit))
-    if unit is not None:
-        raise AssetError(path, "--angle-unit", "only a LeRobot dataset states no unit")
     if (path / "metadata.yaml").is_file() or path.suffix in BAG_SUFFIXES:
         return [_bag(path)]
     if path.suffix == ".parquet":
@@ -136,8 +151,8 @@ def _lerobot(path: Path, unit: str | None) -> Iterator[Log]:
             Log(
                 f"{path}, episode {episode:.0f}",
                 whole["timestamp"][rows],
-                UNITS[unit] * whole[state][rows],
-                UNITS[unit] * whole[action][rows],
+                whole[state][rows],
+                whole[action][rows],
                 joints=tuple(names[0]),
             ),
         )

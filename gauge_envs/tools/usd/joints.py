@@ -150,17 +150,32 @@ def joint_prims(source: Source) -> list[Usd.Prim]:
 def is_welded(source: Source, joint: Usd.Prim, body: Usd.Prim) -> bool:
     """Return whether a joint fixes a body to the world."""
     return (
-        joint.IsA(UsdPhysics.FixedJoint) and _world_joint(source, joint)[1].body == body
+        joint.IsA(UsdPhysics.FixedJoint)
+        and _world_joint(source, joint, {})[1].body == body
     )
 
 
-def joins_bodies(source: Source, joint: Usd.Prim) -> bool:
-    """Return whether a joint connects two moving bodies."""
-    return all(end.body for end in _ends(source, joint))
+def joins_bodies(
+    source: Source, joint: Usd.Prim, bodies: Mapping[Sdf.Path, RigidBody]
+) -> bool:
+    """Return whether a joint connects two bodies, none of which is fixed."""
+    return all(_is_loose(end, bodies) for end in _ends(source, joint))
+
+
+def _is_loose(end: _End, bodies: Mapping[Sdf.Path, RigidBody]) -> bool:
+    """Return whether an end of a joint is in a body that is not fixed; bodies that are not given are not."""
+    if end.body is None:
+        return False
+    body = bodies.get(end.body.GetPath())
+    return body is None or body.motion is not Motion.FIXED
 
 
 def read_body_hinge(
-    source: Source, prim: Usd.Prim, bodies: Mapping[Sdf.Path, RigidBody]
+    source: Source,
+    prim: Usd.Prim,
+    bodies: Mapping[Sdf.Path, RigidBody],
+    *,
+    has_limits: bool = False,
 ) -> BodyHinge:
     """Return the hinge of a revolute joint between two bodies.
 
@@ -171,6 +186,7 @@ def read_body_hinge(
         source: The stage.
         prim: The joint.
         bodies: Rigid bodies, by path of the prim.
+        has_limits: Whether it may have limits, which do not count.
     """
     kind = str(prim.GetTypeName())
     if kind != "PhysicsRevoluteJoint":
@@ -178,7 +194,7 @@ def read_body_hinge(
             prim,
             f"unsupported joint: a {kind} of two bodies; revolute joints of two bodies are read",
         )
-    _check_plain(source, prim)
+    _check_plain(source, prim, has_limits=has_limits)
     ends, letter = _ends(source, prim), _letter(source, prim)
     places, axes = [end.place() for end in ends], [end.axis(letter) for end in ends]
     edited = any(
@@ -210,7 +226,11 @@ def read_body_hinge(
 
 
 def read_joint(
-    source: Source, prim: Usd.Prim, bodies: Mapping[Sdf.Path, RigidBody]
+    source: Source,
+    prim: Usd.Prim,
+    bodies: Mapping[Sdf.Path, RigidBody],
+    *,
+    has_limits: bool = False,
 ) -> Hinge | Tether | None:
     """Return a hinge for a revolute joint, a tether for a distance joint, and None for a fixed joint.
 
@@ -221,11 +241,13 @@ def read_joint(
         source: The stage.
         prim: The joint.
         bodies: Rigid bodies, by path of the prim.
+        has_limits: Whether it may have limits, which do not count.
     """
-    world, moving = _world_joint(source, prim)
     kind = str(prim.GetTypeName())
     if kind == "PhysicsFixedJoint":
+        _world_joint(source, prim, {})
         return None
+    world, moving = _world_joint(source, prim, bodies)
     if kind not in ("PhysicsRevoluteJoint", "PhysicsDistanceJoint"):
         raise source.fault(
             prim,
@@ -235,7 +257,7 @@ def read_joint(
     body = bodies[moving.body.GetPath()]
     if body.motion is not Motion.DYNAMIC:
         raise source.fault(prim, f"unsupported joint: a {kind} of a {body.motion} body")
-    _check_plain(source, prim)
+    _check_plain(source, prim, has_limits=has_limits)
     double = prim.GetAttribute("gauge:anchor_m")
     anchor = source.counted(double, [world.reading()], (3,))
     if anchor is None:
@@ -249,10 +271,12 @@ def read_joint(
     return _hinge(source, prim, body, anchor, world, moving, is_free=is_free)
 
 
-def _world_joint(source: Source, prim: Usd.Prim) -> tuple[_End, _End]:
-    """Return the ends of a joint in the world and in its moving body."""
-    ends = sorted(_ends(source, prim), key=lambda end: end.body is not None)
-    moving = [end.body for end in ends if end.body]
+def _world_joint(
+    source: Source, prim: Usd.Prim, bodies: Mapping[Sdf.Path, RigidBody]
+) -> tuple[_End, _End]:
+    """Return the ends of a joint in the world, or a fixed body, and in its moving body."""
+    ends = sorted(_ends(source, prim), key=lambda end: _is_loose(end, bodies))
+    moving = [end.body for end in ends if end.body and _is_loose(end, bodies)]
     if len(moving) != 1:
         joined = ", ".join(str(body.GetPath()) for body in moving) or "no moving body"
         raise source.fault(
@@ -280,7 +304,7 @@ def _is_edited(attribute: Usd.Attribute) -> bool:
     return bool(attribute) and attribute.Get() != attribute.GetCustomDataByKey(WRITTEN)
 
 
-def _check_plain(source: Source, prim: Usd.Prim) -> None:
+def _check_plain(source: Source, prim: Usd.Prim, *, has_limits: bool) -> None:
     """Check that a joint has no limit, no drive but that of a revolute joint, and no breaking strength."""
     applied = [
         name
@@ -297,12 +321,9 @@ def _check_plain(source: Source, prim: Usd.Prim) -> None:
             prim,
             f"unsupported joint: it has {applied[0]}, and joints of a scene move freely",
         )
-    for name in (
-        "physics:lowerLimit",
-        "physics:upperLimit",
-        "physics:breakForce",
-        "physics:breakTorque",
-    ):
+    limits = ("physics:lowerLimit", "physics:upperLimit")
+    strengths = ("physics:breakForce", "physics:breakTorque")
+    for name in strengths if has_limits else (*limits, *strengths):
         attribute = prim.GetAttribute(name)
         value = attribute.Get() if attribute else None
         if value is not None and np.isfinite(value):
@@ -380,7 +401,8 @@ def _hinge(
                 prim,
                 f"its two frames lie {1e3 * gap:.3g} mm apart and {askew:.3g} rad askew at the start: they must meet",
             )
-    terms = _terms(source, prim, 1.0 if _ends(source, prim)[1].body else -1.0)
+    second = _ends(source, prim)[1].body
+    terms = _terms(source, prim, 1.0 if second == moving.body else -1.0)
     return Hinge(body=body.name, anchor_m=vector(anchor), axis=vector(axis), **terms)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, product
 from typing import Any, Literal
 
 from pxr import Sdf, Usd, UsdPhysics
@@ -59,12 +59,12 @@ class PairOptions:
     Attributes:
         friction: The coefficient that counts if static and dynamic friction of a material differ; None raises an error.
         mode: Mode of contacts without `gauge:mode`: one for all, or one per pair of names and sustained for others.
-        contacts: Contacts that replace those of the file for their pairs.
+        contacts: Contacts that replace those of the file for their pairs; None leaves all contacts out.
     """
 
     friction: Literal["dynamic", "static"] | None = None
     mode: ContactMode | Mapping[tuple[str, str], ContactMode] = ContactMode.SUSTAINED
-    contacts: Sequence[Contact] = ()
+    contacts: Sequence[Contact] | None = ()
 
     def mode_of(self, pair: Pair) -> ContactMode:
         """Return the contact mode of a pair of bodies."""
@@ -84,6 +84,8 @@ def contacts_of(
     `gauge:first` and `gauge:second` define the pairs. If the pairs of UsdPhysics were edited, the edits add or remove
     pairs. A file without `gauge:first` has the pairs of UsdPhysics: all enabled colliders except filtered pairs.
     """
+    if options.contacts is None:
+        return ()
     prims = [prim for prim in source.prims() if prim.HasRelationship("gauge:first")]
     kept = [_gauge_contact(source, prim, parties) for prim in prims]
     _check_bindings(source, prims, kept, parties)
@@ -272,6 +274,21 @@ def _filtered(source: Source, parties: Sequence[Party]) -> set[Pair]:
                 for one in ones
                 for other in _named(source, prim, target, parties)
             }
+    for prim in source.prims():
+        joint = UsdPhysics.Joint(prim)
+        # Bodies of a joint pass through each other unless it says otherwise.
+        if not joint or joint.GetCollisionEnabledAttr().Get():
+            continue
+        ends = (joint.GetBody0Rel(), joint.GetBody1Rel())
+        first, second = (
+            [
+                name
+                for target in end.GetTargets()
+                for name in _named(source, prim, target, parties)
+            ]
+            for end in ends
+        )
+        filtered |= {frozenset(pair) for pair in product(first, second)}
     return filtered
 
 

@@ -73,14 +73,15 @@ def read_usd(
     duration_s: float | None = None,
     friction: Literal["dynamic", "static"] | None = None,
     mode: ContactMode | Mapping[tuple[str, str], ContactMode] = ContactMode.SUSTAINED,
-    contacts: Sequence[Contact] = (),
+    contacts: Sequence[Contact] | None = (),
     has_markers: bool = True,
 ) -> UsdScene:
     """Read the whole content of a USD file; arguments and errors as in `from_usd`.
 
-    If `has_markers` is false, the markers of the file are ignored.
+    If `has_markers` is false, the markers of the file are ignored, and if `contacts` is None, its contacts
+    and the limits of its joints.
     """
-    options = PairOptions(friction=friction, mode=mode, contacts=tuple(contacts))
+    options = PairOptions(friction=friction, mode=mode, contacts=contacts)
     with _opened(Path(path)) as source:
         return _Reader(source, options, duration_s, has_markers=has_markers).read()
 
@@ -203,9 +204,11 @@ class _Reader:
             self._party(prim, (prim,) if prim.HasAPI(UsdPhysics.CollisionAPI) else ())
             for prim in deformable
         ]
-        between = [prim for prim in self.joints if joins_bodies(source, prim)]
+        # Joints alone are read where contacts do not count.
+        has_limits = self.options.contacts is None
+        between = [prim for prim in self.joints if joins_bodies(source, prim, bodies)]
         joints = [
-            read_joint(source, prim, bodies)
+            read_joint(source, prim, bodies, has_limits=has_limits)
             for prim in self.joints
             if prim not in between
         ]
@@ -217,7 +220,8 @@ class _Reader:
             ),
             joints=tuple(joint for joint in joints if joint is not None),
             body_hinges=tuple(
-                read_body_hinge(source, prim, bodies) for prim in between
+                read_body_hinge(source, prim, bodies, has_limits=has_limits)
+                for prim in between
             ),
             attachments=tuple(read_attachments(source, self.names)),
             contacts=contacts_of(source, self.physics.GetPrim(), parties, self.options),

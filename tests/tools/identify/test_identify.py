@@ -525,6 +525,7 @@ def test_wrong_requests_are_refused(gauge, approved, tmp_path):
         )
     commands = (
         "recipe joint units.csv --mass=1 --length=0.2",
+        "recipe joint units.csv --mass=1 --length=0.2 --angle-unit=deg",
         "recipe joint log.csv",
         "recipe joint log.csv --mass=1 --length=0.2 --fit=kp_n_m_per_rad",
         "recipe joint log.csv --mass=1 --length=0.2 --fit=backlash_rad",

@@ -23,7 +23,8 @@ from gauge_envs.tools.identify import (
 )
 from gauge_envs.tools.identify.baselines import baselines, lagged
 from gauge_envs.tools.identify.fit import AS_WELL, _to_leave_out, machine_of
-from gauge_envs.tools.identify.mujoco_joints import joints_of_model, start_at
+from gauge_envs.tools.identify.model_files import joints_of_model
+from gauge_envs.tools.identify.mujoco_joints import start_at
 from gauge_envs.tools.identify.rig import SceneJoints
 
 ARM = """<mujoco><option timestep="{step}" integrator="implicitfast"/><worldbody><body>

@@ -1,4 +1,4 @@
-"""Logs that the libraries of other programs write, against what was written."""
+"""Logs and scenes that the libraries of other programs write, against what was written."""
 
 import json
 from dataclasses import replace
@@ -7,13 +7,18 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from pxr import Usd, UsdGeom, UsdPhysics
 from ros_bags import ANGLES, COMMANDS, COUNT, TIMES_S, bag_of
 
+from gauge_envs.backends import backend
 from gauge_envs.errors import AssetError, ParameterError
 from gauge_envs.tools.identify import Identified, Log
 from gauge_envs.tools.identify.bag_child import JOINT_STATE, TRAJECTORY
+from gauge_envs.tools.identify.command import _scene
+from gauge_envs.tools.identify.fit import machine_of
 from gauge_envs.tools.identify.mended import mended_urdf, write_files
 from gauge_envs.tools.identify.stack_logs import read_logs
+from gauge_envs.tools.usd import read_usd
 
 MODEL = """<mujoco><worldbody><body><joint name="a" axis="0 1 0"/><geom size=".1"/><body><joint name="b" axis="0 1 0"/>
 <geom size=".1"/></body></body></worldbody><actuator><position name="to b" joint="b" kp="5"/>
@@ -201,3 +206,71 @@ def test_a_dataset_without_unit_or_of_another_version_is_refused(tmp_path):
         read_logs(dataset(tmp_path / "old", "v2.1"), unit="rad")
     with pytest.raises(AssetError, match="folder of the dataset"):
         read_logs(tmp_path / "set" / "data" / "chunk-000" / "file-000.parquet")
+
+
+# --- USD ---
+
+
+def articulation(path):
+    """Write an arm of two joints by usd-core: a fixed base, drives per degree, limits, and no physics material."""
+    stage = Usd.Stage.CreateNew(str(path))
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    UsdPhysics.Scene.Define(stage, "/scene").CreateGravityMagnitudeAttr(9.81)
+    heights_m = {"base": 1.0, "upper": 0.9, "fore": 0.7}
+    for name, height_m in heights_m.items():
+        link = UsdGeom.Cube.Define(stage, f"/{name}")
+        link.CreateSizeAttr(1.0)
+        link.AddTranslateOp().Set((0.0, 0.0, height_m))
+        link.AddScaleOp().Set((0.02, 0.02, 0.2))
+        UsdPhysics.RigidBodyAPI.Apply(link.GetPrim())
+        UsdPhysics.CollisionAPI.Apply(link.GetPrim())
+        UsdPhysics.MassAPI.Apply(link.GetPrim()).CreateMassAttr(0.2)
+    root = UsdPhysics.FixedJoint.Define(stage, "/root")
+    root.CreateBody1Rel().SetTargets(["/base"])
+    root.CreateLocalPos0Attr((0.0, 0.0, heights_m["base"]))
+    for name, parent, child, place in (
+        ("shoulder", "base", "upper", 0.0),
+        ("elbow", "upper", "fore", -0.5),
+    ):
+        joint = UsdPhysics.RevoluteJoint.Define(stage, f"/{name}")
+        joint.CreateBody0Rel().SetTargets([f"/{parent}"])
+        joint.CreateBody1Rel().SetTargets([f"/{child}"])
+        joint.CreateAxisAttr("Y")
+        # In the cube's own units, of which the height is one.
+        joint.CreateLocalPos0Attr((0.0, 0.0, place))
+        joint.CreateLocalPos1Attr((0.0, 0.0, 0.5))
+        joint.CreateLowerLimitAttr(-90.0)
+        joint.CreateUpperLimitAttr(90.0)
+        drive = UsdPhysics.DriveAPI.Apply(joint.GetPrim(), "angular")
+        drive.CreateStiffnessAttr(5.0 * np.pi / 180.0)
+        drive.CreateDampingAttr(0.3 * np.pi / 180.0)
+        drive.CreateMaxForceAttr(4.0)
+    stage.GetRootLayer().Save()
+
+
+TWIN = """<mujoco><option timestep="0.002" gravity="0 0 -9.81" integrator="implicitfast"/><worldbody>
+  <body pos="0 0 1"><joint name="shoulder" axis="0 1 0"/><geom type="box" size=".01 .01 .1" pos="0 0 -.1" mass=".2"/>
+  <body pos="0 0 -.2"><joint name="elbow" axis="0 1 0"/>
+  <geom type="box" size=".01 .01 .1" pos="0 0 -.1" mass=".2"/></body>
+  </body></worldbody><actuator><position joint="shoulder" kp="5" kv=".3" forcerange="-4 4"/>
+  <position joint="elbow" kp="5" kv=".3" forcerange="-4 4"/></actuator></mujoco>"""
+
+
+def test_an_articulation_of_usd_core_moves_as_the_same_arm_in_mjcf(tmp_path):
+    articulation(tmp_path / "arm.usda")
+    times_s = np.arange(0.0, 1.0, 0.02)
+    steps = np.where(times_s < 0.5, 0.3, -0.2)
+    command = np.stack([steps, 2.0 * steps], axis=1)
+    log = Log("", times_s, np.zeros((times_s.size, 2)), command)
+    scene = _scene(str(tmp_path / "arm.usda"))
+    machine = machine_of(backend("mujoco"), scene, log, [], {})
+    angles = machine.angles(log, [{}, {}], (np.zeros(2), np.zeros(2)))
+    named = replace(log, joints=("shoulder", "elbow"))
+    spec = mujoco.MjSpec.from_string(TWIN)
+    twin = machine_of(backend("mujoco"), spec, named, [], {})
+    expected = twin.angles(named, [{}, {}], (np.zeros(2), np.zeros(2)))
+    assert np.ptp(expected) > 0.5
+    assert angles == pytest.approx(expected, abs=1e-4)
+    with pytest.raises(AssetError, match="no limits"):
+        read_usd(tmp_path / "arm.usda", duration_s=1.0)
