@@ -24,8 +24,11 @@ NEAR, CLOSE, SERVO_CLOSE, SHORT_STEPS = 1e-2, 1e-4, 1e-3, 8
 STARTS, DEADBAND_RAD = 3, 0.01
 """Number of stiffnesses from which a servo's fit starts; angle within which dry friction holds it in one more start."""
 
-FIRST_DAMPING, LEAST_DAMPING, EASE, TRIES, MOST_STEPS = 1e-2, 1e-9, 5.0, 10, 40
-"""Damping of the first step of a joint, the least, its factor after a step, trials of a step, and most steps."""
+FIRST_DAMPING, LEAST_DAMPING, EASE, MOST_STEPS = 1e-2, 1e-9, 5.0, 40
+"""Damping of the first step of a joint, the least, its factor after a step, and most steps."""
+
+TRIES, SERVO_TRIES = 4, 10
+"""Trials of a step, each with more damping: small steps of swings end where errors jump."""
 
 LEAST_LIMIT = 0.5
 """Least torque limit of a servo after a step, over that before it."""
@@ -273,8 +276,10 @@ class Problem:
         """
         owners = np.arange(self.joints)
         differences = [STEPS[-1]]
+        tries = SERVO_TRIES
         if SERVO[0] not in self.names:
             owners[:] = 0
+            tries = TRIES
             differences = list(STEPS)
         owner_of_row = owners[self._rows()[:, 1]]
         owner_of_unknown = np.resize(owners, first.size)
@@ -291,7 +296,7 @@ class Problem:
             jacobian = self.jacobian(scaled, differences[0])
             before = squares = np.bincount(owner_of_row, residuals**2)
             waiting = np.full(damping.size, True)
-            for _ in range(TRIES):
+            for _ in range(tries):
                 moved = scaled.copy()
                 for owner in np.flatnonzero(waiting):
                     rows, columns = owner_of_row == owner, owner_of_unknown == owner
