@@ -194,7 +194,12 @@ class _Search:
         return math.copysign(1.0, configured - default) * (alone.value - default)
 
     def _completed(self, name: str) -> list[str]:
-        """Return text about a second setting that completes the change; empty when there is none."""
+        """Return text about a second setting that completes the change; empty when there is none.
+
+        In a scene of many bodies the change that mends most, which is measured anyway, says it.
+        """
+        if self._is_slow:
+            return []
         pairs = {
             other: self._with_put_back((name, other))
             for other in self._put_back

@@ -314,6 +314,10 @@ LATER = {
         replaced('(_knee".*?forcerange=)"-120 120"', r'\1"-6 6"'),
         "robot-torque",
     ),
+    "quadruped, a floor that is 10 cm higher": (
+        replaced('(name="floor" type="plane")', r'\1 pos="0 0 .1"'),
+        "robot-stands",
+    ),
     "biped, a start in the ground": (
         replaced("[.]7287", ".5"),
         "robot-stands",

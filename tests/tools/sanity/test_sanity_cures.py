@@ -14,7 +14,7 @@ import robot_faults
 from arm_faults import LATER, MISTAKES, good_xml, read
 from more_faults import GOOD, LATER as MORE_LATER, MISTAKES as MORE_MISTAKES
 
-from gauge_envs.tools.sanity import check
+from gauge_envs.tools.sanity import check, configuration
 from gauge_envs.tools.sanity.cure import _ranked
 from gauge_envs.tools.sanity.mended import write_mended
 from gauge_envs.tools.sanity.model import Verdict
@@ -303,9 +303,15 @@ def test_a_class_of_one_joint_is_changed_with_it(tmp_path):
     classes = '<default><default class="one"><joint armature="0.123"/></default>'
     text = good_xml().replace("<default>", classes, 1)
     text = re.sub(r'(name="joint1".*) armature="0.1"', r'class="one" \1', text)
-    robot = read(text).robot
+    # A picture that nobody sees is no reason to refuse a model, and stays in its file.
+    picture = '<texture name="one" type="2d" file="absent.png"/>'
+    text = text.replace("<worldbody>", f"<asset>{picture}</asset><worldbody>")
+    file = tmp_path / "robot.xml"
+    file.write_text(text)
+    robot = configuration(str(file)).robot
     assert robot.model.dof_armature[0] == pytest.approx(0.123)
     written = mended_xml(robot, {"dof_armature[0]": 0.5}, [], tmp_path)
     tree = ET.fromstring(written)
+    assert [one.get("file") for one in tree.iter("texture")] == ["absent.png"]
     stated = [one.get("armature") for one in tree.iter("joint") if one.get("armature")]
     assert "0.5" in stated and "0.123" not in stated

@@ -249,13 +249,20 @@ def foot_load_n(robot: Robot) -> float:
     return robot.mass_kg * GRAVITY_M_PER_S2 / len(standing_of(robot).feet)
 
 
+def floor_m(robot: Robot) -> float:
+    """Return the height of the highest plane under the feet [m]; that of the lowest foot over other ground."""
+    standing, model = standing_of(robot), robot.model
+    is_plane = model.geom_type == int(mujoco.mjtGeom.mjGEOM_PLANE)
+    touched = np.unique(robot.pairs.geoms[robot.foot_rows])
+    heights_m = standing.stance.positions_m[touched[is_plane[touched]], 2]
+    lowest_m = min(float(point[2]) for point in standing.support_m.values())
+    return float(heights_m.max()) if len(heights_m) else lowest_m
+
+
 def feet_above_ground_m(robot: Robot) -> float:
     """Return the height of the lowest foot above the ground in the pose in which a robot starts [m]."""
-    standing = standing_of(robot)
-    feet = {geom for geoms in standing.feet.values() for geom in geoms}
-    ground = set(robot.pairs.geoms[robot.foot_rows].ravel().tolist()) - feet
-    floor_m = max(float(standing.stance.positions_m[geom][2]) for geom in ground)
-    return min(float(point[2]) for point in standing.support_m.values()) - floor_m
+    support_m = standing_of(robot).support_m
+    return min(float(point[2]) for point in support_m.values()) - floor_m(robot)
 
 
 def dof_of(robot: Robot, actuator: int) -> int:

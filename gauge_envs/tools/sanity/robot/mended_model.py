@@ -192,7 +192,10 @@ def mended_xml(
     # Two passes, since ids of a copy are known only after it was compiled.
     _write(robot, after, changes, model, geoms)
     after.compile()
-    trees = [ET.fromstring(spec.to_xml()) for spec in (before, after)]
+    trees = []
+    for spec in (before, after):
+        trees.append(ET.fromstring(spec.to_xml()))
+        _restore_pictures(trees[-1], spec)
     _add_comments(*trees)
     _set_folders(trees[1], robot.spec, folder)
     head = ET.Comment(
@@ -201,6 +204,30 @@ def mended_xml(
     trees[1].insert(0, head)
     ET.indent(trees[1])
     return ET.tostring(trees[1], encoding="unicode") + "\n"
+
+
+PICTURE = "picture "
+"""Begin of the note of a texture whose file was dropped."""
+
+
+def drop_pictures(spec: mujoco.MjSpec) -> None:
+    """Replace the pictures of textures by one pixel, which no row reads: they can be 30 times as large as the model."""
+    for texture in spec.textures:
+        if texture.file:
+            texture.info, texture.file = f"{PICTURE}{texture.file}", ""
+            texture.builtin = mujoco.mjtBuiltin.mjBUILTIN_FLAT
+            texture.width = texture.height = 1
+
+
+def _restore_pictures(tree: ET.Element, spec: mujoco.MjSpec) -> None:
+    """Give the textures of the elements of a model their files again."""
+    for element, texture in zip(
+        tree.findall("asset/texture"), spec.textures, strict=True
+    ):
+        if texture.info.startswith(PICTURE):
+            for name in ("builtin", "width", "height"):
+                element.attrib.pop(name, None)
+            element.set("file", texture.info.removeprefix(PICTURE))
 
 
 def _compiled(spec: mujoco.MjSpec) -> mujoco.MjSpec:

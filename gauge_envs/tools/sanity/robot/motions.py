@@ -11,6 +11,7 @@ from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.robot.joints import (
     driven_dofs,
     driven_joints,
+    floor_m,
     joint_inertias,
     motors_of,
     servos,
@@ -81,7 +82,7 @@ def hold_pose(robot: Robot, slope_deg: float = 0.0) -> HoldMotion:
     ground_m, start_height_m = 0.0, np.nan
     if standing is not None:
         soles = [geoms[0] for geoms in standing.feet.values()]
-        ground_m = min(float(point[2]) for point in standing.support_m.values())
+        ground_m = floor_m(robot)
         start_height_m = float(data.subtree_com[standing.body] @ up) - ground_m
     soles_before_m = np.zeros((len(soles), 3))
     torques_nm = np.zeros(model.nv)

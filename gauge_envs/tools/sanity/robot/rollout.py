@@ -25,6 +25,7 @@ from gauge_envs.tools.sanity.robot.joints import (
     dof_of,
     driven_dofs,
     feet_above_ground_m,
+    floor_m,
     joint_inertias,
     largest_weights_nm,
     loads_nm,
@@ -107,10 +108,15 @@ def _finite(robot: Robot) -> Finding:
 
 @row("robot-stands")
 def _stands(robot: Robot) -> Finding:
-    standing_of(robot)
+    body, above_m = standing_of(robot).body, feet_above_ground_m(robot)
     ratio = max(_finite_hold(robot).height_ratio, 1e-3)
+    # Out of the ground, its centre of mass is higher by the depth of its feet.
+    centre_m = float(start(robot).subtree_com[body] @ np.asarray(robot.up))
+    on_ground = 1.0 - above_m / max(centre_m - floor_m(robot), 1e-3)
+    if on_ground > limits_of("robot-stands")[1]:
+        ratio = max(ratio, on_ground)
     if ratio < 1.0:
-        drop_mm = 1e3 * feet_above_ground_m(robot)
+        drop_mm = 1e3 * above_m
         is_above = ratio < limits_of("robot-stands")[0] and drop_mm > MOST_DROP_MM
         return Finding(
             value=ratio,
@@ -123,9 +129,10 @@ def _stands(robot: Robot) -> Finding:
             advisory=_advisory(robot),
         )
     # Without a policy a biped falls, and does not rise.
+    rises = ratio > limits_of("robot-stands")[1]
     return Finding(
         value=ratio,
-        remark="it rises: it starts in the ground, or in a spring",
+        remark="it rises: it starts in the ground, or in a spring" if rises else "",
         advice="a place of the first body where the feet touch the ground",
     )
 

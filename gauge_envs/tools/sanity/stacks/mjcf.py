@@ -19,6 +19,7 @@ from gauge_envs.errors import TargetError
 from gauge_envs.files import MEGABYTE, child_refusal
 from gauge_envs.tools.mjcf import PROBE
 from gauge_envs.tools.sanity.model import Settings, TrainingConfiguration
+from gauge_envs.tools.sanity.robot.mended_model import drop_pictures
 from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
 from gauge_envs.tools.sanity.stacks.dialect import (
     NUMBER,
@@ -118,6 +119,7 @@ def read_model_file(path: Path, pair: GeomPair | None = None) -> TrainingConfigu
         raise TargetError(f"{path}: {refusal}: simplify the model")
     try:
         spec = mujoco.MjSpec.from_file(str(path))
+        drop_pictures(spec)
         model = spec.compile()
     except ValueError as error:
         hint = (
