@@ -38,6 +38,9 @@ SYMMETRIC_SHARE = 0.5
 FEW_PAIRS = 2
 """Other pairs along an axis from which on they say how the two sides turn."""
 
+DIRECTION, ODD_DIRECTION = "direction of command", 0.3
+"""What two joints count that turn alike where all others mirror each other: visible, as some makers choose it."""
+
 LEAST_SIZE_M = 0.01
 """Radius of a link without geoms [m]."""
 
@@ -227,7 +230,9 @@ def _sides(robot: Robot) -> Finding:
     for joint, other, quantity, difference in (*mirrored, *odd_copies(robot)):
         name = f"{quantity} of {name_of(robot, joint)} and {name_of(robot, other)}"
         parts[name] = difference
-        if quantity in known:
+        if quantity == DIRECTION:
+            texts[name] = "not as in the other joints about this axis"
+        elif quantity in known:
             values = known[quantity][_places(robot, quantity)[[joint, other]]]
             texts[name] = " and ".join(f"{value:.3g}" for value in values)
     if not parts:
@@ -333,7 +338,7 @@ def differences(robot: Robot, pair: MirrorPair) -> Iterator[tuple[str, float]]:
         if one.along == pair.along and one.joint != pair.joint
     ]
     is_odd = len(others) >= FEW_PAIRS and others.count(pair.cosine > 0.0) == 0
-    yield "direction of command", float(is_odd)
+    yield DIRECTION, ODD_DIRECTION * is_odd
     yield "centre of mass", float(np.linalg.norm(pair.centres_apart_m)) / size_m
     couplings = couplings_of(model)
     followers = {*model.eq_obj1id[couplings], *model.eq_obj2id[couplings]}
