@@ -94,7 +94,7 @@ BY_HAND = {
         "robot-command",
         "robot-unlimited",
     ),
-    *("robot-torque", "robot-stands"),
+    *("robot-torque", "robot-stands", "robot-sides"),
 }
 """Rows that a change mends for certain only where no other one does as well, or where the model states a range."""
 
