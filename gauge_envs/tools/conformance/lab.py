@@ -172,7 +172,7 @@ class DisturbedLab(Lab):
 
     def started(self, scene: Scene) -> Scene:
         """Return a scene with other starts of its free bodies and another gravity."""
-        joined = {joint.body for joint in scene.joints}
+        joined = {joint.body for joint in (*scene.joints, *scene.guides)}
         for hinge in scene.body_hinges:
             joined |= {hinge.first, hinge.second}
         bodies = []

@@ -94,9 +94,11 @@ BY_HAND = {
         "robot-command",
         "robot-unlimited",
     ),
-    *("robot-torque", "robot-stands", "robot-sides"),
+    *("robot-torque", "robot-stands"),
 }
 """Rows that a change mends for certain only where no other one does as well, or where the model states a range."""
+TRUNK = "quadruped, a trunk whose centre is far ahead"
+"""A mistake for which no change is certain, though its row has some for others: where the trunk's mass is, none says."""
 
 ALL = MORE_MISTAKES | MORE_LATER
 FIRST = {row: name for name, (_, row) in reversed(ALL.items())}.values()
@@ -120,7 +122,7 @@ def test_the_written_robot_has_the_flags_that_are_left(name, tmp_path):
     before = read(change(GOOD[name.partition(",")[0]]()))
     found = find_remedies(before.robot, flags_of(before))
     if not found.texts:
-        assert row in BY_HAND
+        assert row in BY_HAND or name == TRUNK
         assert all(found.unmended.values()) and found.unmended
         return
     after = read(mended_xml(before.robot, found.changes, found.texts, tmp_path))
