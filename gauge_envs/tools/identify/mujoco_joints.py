@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
@@ -18,9 +17,6 @@ from gauge_envs.scene.servo_friction import Holding, holding
 from gauge_envs.tools.identify.logs import Log
 from gauge_envs.tools.identify.paste import JOINT, paste
 from gauge_envs.tools.identify.rig import DYNAMICS, LIMIT, OFFSET, SERVO, Terms
-
-if TYPE_CHECKING:
-    pass
 
 STIFF_IMPEDANCE = (0.9999, 0.9999, 0.001, 0.5, 2.0)
 """Impedance of dry friction: with MuJoCo's own a joint that friction holds creeps."""
