@@ -98,7 +98,7 @@ BY_HAND = {
 }
 """Rows that a change mends for certain only where no other one does as well, or where the model states a range."""
 TRUNK = "quadruped, a trunk whose centre is far ahead"
-"""A mistake for which no change is certain, though its row has some for others: where the trunk's mass is, none says."""
+"""A mistake that no change mends for certain, though its row has some for others: none says where the mass is."""
 
 ALL = MORE_MISTAKES | MORE_LATER
 FIRST = {row: name for name, (_, row) in reversed(ALL.items())}.values()
