@@ -41,6 +41,12 @@ DRAKE_OF_NUMPY_2 = (1, 34)
 GENESIS_OF_LIBIGL_2_6 = (1, 4, 5)
 """First release of Genesis that is run with libigl 2.6, whose signed distances stop 0.2.1."""
 
+WARP_OF_ITS_TIME = {
+    "newton": ((1, 2, 1), "warp-lang<1.13"),
+    "mujoco-warp": ((3, 9), "warp-lang<1.14"),
+}
+"""Releases before which a later Warp, which their metadata allow, fails; and the Warp that they have here."""
+
 FROM_SOURCE = ("--only-binary", ":all:", "--no-binary", "pygltflib")
 """Only wheels are installed, but for a package of Genesis that has none: it is one file of Python."""
 
@@ -56,6 +62,10 @@ def beside(requirement: str) -> list[str]:
         packages.append("torch==2.13.0")
         if version_key(version) < GENESIS_OF_LIBIGL_2_6:
             packages.append("libigl<2.6")
+    if engine in WARP_OF_ITS_TIME:
+        first_of_later, warp = WARP_OF_ITS_TIME[engine]
+        if version_key(version) < first_of_later:
+            packages.append(warp)
     if engine == "mujoco-warp":
         first, second = version.split(".")[:2]
         packages.append(f"mujoco=={first}.{second}.*")
