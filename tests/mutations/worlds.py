@@ -148,7 +148,7 @@ FAULTS = dict(
             "worlds-reset",
             "reset leaves the last world as it is",
             "worlds-reset",
-            "world 5 differs most",
+            "world 63 differs most",
             worlds=_wrapped(_ResetsButLast),
         ),
         fault(
@@ -168,8 +168,8 @@ FAULTS = dict(
         fault(
             "worlds-mass",
             "one world has other masses",
-            "worlds-wrench",
-            "in world 5; 1 of 6",
+            "worlds-single",
+            "world 5 differs most",
             worlds=_heavy_world,
         ),
         fault(
