@@ -148,7 +148,7 @@ FAULTS = dict(
             "worlds-reset",
             "reset leaves the last world as it is",
             "worlds-reset",
-            "world 63 differs most",
+            "reset must return all worlds",
             worlds=_wrapped(_ResetsButLast),
         ),
         fault(
