@@ -52,9 +52,9 @@ class Repeatability:
     Attributes:
         kind: `bits`: every run has the same bits on one kind of processor. `run`: a simulation repeats its bits after
             `reset` and `restore`, and another simulation of the scene does not. `statistical`: no run repeats another.
-        start_error: Limit for runs that do not repeat bits: they part by at most this number in any state [m, 1, m/s,
-            rad/s], and ten times as far as runs whose free bodies start this far apart [m, rad] under a gravity that
-            differs by this share.
+        start_error: Error e by which checks judge runs that do not repeat bits. Other runs are disturbed by it: their
+            free bodies start e apart [m, rad], and their gravity differs by the share e. Any state [m, 1, m/s, rad/s]
+            may differ by e and ten times what it differs between disturbed runs; the median one by half of that.
 
     Raises:
         ParameterError: `start_error` is not 0 for `bits`, or is not between 0 and 1e-4 otherwise.

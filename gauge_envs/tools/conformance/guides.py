@@ -13,7 +13,6 @@ from gauge_envs.scene import (
     GRAVITY_M_PER_S2 as G,
     BallJoint,
     Box,
-    ConvexUnion,
     Hinge,
     Pose,
     RigidBody,
@@ -29,7 +28,7 @@ from gauge_envs.tools.conformance.laws import (
     worst_ratio,
 )
 from gauge_envs.tools.conformance.model import Measurement, recorded, rollout_of
-from gauge_envs.tools.conformance.rich import thrown
+from gauge_envs.tools.conformance.rich import OFF_CENTRE, thrown
 
 # --- a stated tensor -------------------------------------------------------------------------------------------------
 
@@ -84,17 +83,7 @@ def _stated_tensor(rollout: Rollout) -> Measurement:
 
 SLIDE_AXIS = np.array([0.6, -0.48, -0.64])
 STOP_M = 0.05
-OFF_CENTRE = ConvexUnion(
-    pieces_m=(
-        tuple(
-            vector((x, y, z))
-            for x in (0.0, 0.12)
-            for y in (-0.02, 0.03)
-            for z in (-0.02, 0.02)
-        ),
-    )
-)
-"""Block whose weight would turn it about its origin."""
+"""Limit of a slider."""
 
 
 def _sliding_scene() -> Scene:

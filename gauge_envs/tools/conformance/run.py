@@ -196,6 +196,7 @@ def _run(lab: Lab, one: Check) -> _Run:
     is_finite = True
     try:
         found = one.measure(lab)
+        width = _width(lab, one, found)
     except DeclinedError as declined:
         outcome = Outcome(status=Status.DECLINED, missing=declined.missing)
     except RefusedSettingsError as error:
@@ -210,7 +211,7 @@ def _run(lab: Lab, one: Check) -> _Run:
             diagnosis=f"{type(error).__name__}: {error}{raised_at(error)}",
         )
     else:
-        outcome = _judged(one, found, _width(lab, one, found))
+        outcome = _judged(one, found, width)
         is_finite = not (math.isnan(found.measured) and not found.hint)
         is_finite &= one.id != FINITE or outcome.status is Status.PASS
     outcome = replace(outcome, cpu_s=time.process_time() - started_s)
@@ -242,7 +243,8 @@ def _width(lab: Lab, one: Check, found: Measurement) -> float:
         if value > 0.0 and limits[name] > 0.0
     ]
     share = max(*shares, median(sizes) if sizes else 0.0)
-    return max(width, found.measured / share)
+    # Disturbed runs that diverge allow nothing.
+    return max(width, found.measured / share) if share > 0.0 else width
 
 
 def _judged(one: Check, found: Measurement, width: float) -> Outcome:

@@ -21,7 +21,7 @@ from gauge_envs.runs.rollout import DeclinedError, Rollout
 from gauge_envs.scene import Box, Scene
 from gauge_envs.tools.conformance import CheckResult, Status, checks, run_checks
 from gauge_envs.tools.conformance.forces import EULER_DEG, _frame_hint
-from gauge_envs.tools.conformance.lab import Lab
+from gauge_envs.tools.conformance.lab import DisturbedLab, Lab
 from gauge_envs.tools.conformance.laws import torque_free_orientation
 from gauge_envs.tools.conformance.rigid import _hinge_radius, _pendulum_energy
 from gauge_envs.tools.conformance.words import findings_document
@@ -180,6 +180,18 @@ def test_runs_may_part_as_an_engine_declares(simulation, kind, failed):
     only = ["reset-start", "reset-course", "determinism", "restore"]
     findings = run_checks(engine, only=only)
     assert {one.check for one in findings if one.status is Status.FAIL} == failed
+
+
+def test_an_engine_that_fails_in_disturbed_runs_costs_one_check(monkeypatch):
+    engine = simulated_by(AddsInAnyOrder)
+    declared = Repeatability(kind="statistical", start_error=1e-6)
+    engine.repeatability = lambda settings=None: declared
+    monkeypatch.setattr(DisturbedLab, "build", RaisesInAdvance.advance)
+    found = list(run_checks(engine, only=["determinism", "free-fall"]))
+    assert {one.check: one.status for one in found} == {
+        "determinism": Status.ERROR,
+        "free-fall": Status.PASS,
+    }
 
 
 @pytest.mark.parametrize(
