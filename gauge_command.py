@@ -4,6 +4,7 @@ The module is outside the package because `import gauge_envs` itself takes a thi
 that Python has not loaded already: a Ctrl-C that comes before the handler is in place would end in a traceback.
 """
 
+import gc
 import os
 
 EXIT_INTERRUPTED = 130
@@ -19,7 +20,11 @@ def main() -> None:
         from gauge_envs.cli.app import main as run_command
     except KeyboardInterrupt:  # It came before the handler was there.
         _end()
-    run_command()
+    try:
+        run_command()
+    finally:
+        # Python would look for cycles among all objects before it ends: a fifth of the time of a short command.
+        gc.freeze()
 
 
 def _end(*_: object) -> None:

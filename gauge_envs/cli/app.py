@@ -7,7 +7,6 @@ import functools
 import inspect
 import os
 import re
-import sys
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any
@@ -322,13 +321,14 @@ def _root(
 def _name_glfw_library() -> None:
     """State where the library of glfw is, which MuJoCo imports.
 
-    glfw would look for it with a program that reads paths as text: in the C locale it ends at a path beyond ASCII.
+    glfw would look for it with a second Python, which ends at a path beyond ASCII in the C locale.
     """
-    if sys.getfilesystemencoding() != "ascii":
-        return
+    session = os.environ.get("XDG_SESSION_TYPE")
+    windows = "wayland" if session == "wayland" else "x11"
+    windows = os.environ.get("PYGLFW_LIBRARY_VARIANT", windows)
     spec = find_spec("glfw")
     for folder in [] if spec is None else spec.submodule_search_locations or []:
-        for file in Path(folder).glob("x11/libglfw.so*"):
+        for file in Path(folder).glob(f"{windows}/libglfw.so*"):
             os.environ.setdefault("PYGLFW_LIBRARY", str(file))
 
 

@@ -4,8 +4,6 @@ import os
 from enum import StrEnum
 from pathlib import Path
 
-from platformdirs import user_data_path
-
 from gauge_envs.errors import DatasetError
 
 
@@ -31,6 +29,8 @@ def user_data_folder() -> Path:
     """Return the folder of imported data, which need not exist."""
     given = os.environ.get("GAUGE_DATA_DIR")
     if not given:
+        from platformdirs import user_data_path
+
         return user_data_path("gauge-envs", appauthor=False)
     try:
         return Path(given).expanduser()

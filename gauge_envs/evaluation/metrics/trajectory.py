@@ -158,7 +158,7 @@ def release_offset(
     last_s = frame_times_s[np.flatnonzero(measured.any(axis=1))[-1]]
     least_s = -min(max(float(times_s[-1] - last_s), 0.0), max_offset_s)
     grid_s = np.linspace(-max_offset_s, max_offset_s, 2 * steps + 1)
-    grid_s = np.unique(np.concatenate([[least_s, 0.0], grid_s[grid_s >= least_s]]))
+    grid_s = np.sort(np.concatenate([[least_s, 0.0], grid_s[grid_s >= least_s]]))
     grid_s = grid_s[
         np.argsort(np.abs(grid_s), kind="stable")
     ]  # argmin takes the first, hence smallest, of equals
