@@ -64,7 +64,8 @@ import gauge_envs
 def loaded(*heavy):
     return sorted(one for one in heavy if one in sys.modules)
 
-gymnasium.make("GAUGE/Turntable-1-wood").reset(seed=0)
+for name in ("Turntable-1-wood", "Turntable-Limit-wood"):
+    gymnasium.make(f"GAUGE/{name}").reset(seed=0)
 env = gymnasium.make("GAUGE/SlopeSlider-2-wood")
 env.reset(seed=0)
 env.step(0)

@@ -20,6 +20,7 @@ from gauge_envs.references.published import (
 from gauge_envs.references.single_shot import single_shots
 from gauge_envs.references.user_data import DataSource
 from gauge_envs.scene import Scene
+from gauge_envs.scene.geometry import rotation_matrices
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 
@@ -111,12 +112,14 @@ def _carried_positions_mm(
     """Return the positions [mm] of a body that keeps its place on a carrier, shape [frame_count, 3]."""
     start = scene.body(carrier).pose
     place = start.to_body(np.asarray(scene.body(body).pose.position_m))
-    driver = next((d for d in scene.drivers if d.body == carrier), None)
-    poses = [
-        start if driver is None else driver.pose(start, k / FRAME_RATE_HZ)
-        for k in range(frame_count)
-    ]
-    return 1e3 * np.array([pose.to_world(place) for pose in poses])
+    poses = np.tile([*start.position_m, *start.quaternion], (frame_count, 1))
+    times_s = np.arange(frame_count) / FRAME_RATE_HZ
+    for driver in scene.drivers:
+        if driver.body == carrier:
+            undisturbed = np.zeros((frame_count, len(driver.motions)))
+            poses = driver.states(poses, times_s, undisturbed, undisturbed)
+    turned_m = rotation_matrices(poses[:, 3:7]) @ place
+    return 1e3 * (poses[:, :3] + turned_m)
 
 
 def load_band(variant: str, source: DataSource = DataSource.BUNDLED) -> Band | None:

@@ -125,7 +125,7 @@ class FrictionLimit(ControlEnv):
         self._place = _Turned(
             self._axis, np.asarray(self._start.position_m) - self._point_m
         )
-        self._normal = _Turned(self._axis, self._start.rotation.apply((0.0, 0.0, 1.0)))
+        self._normal = _Turned(self._axis, self._start.matrix[:, 2])
         quaternion = np.array(self._start.quaternion)
         # After half a turn: the product of the quaternion (0, axis) and that of the start.
         real, imaginary = quaternion[0], quaternion[1:]
