@@ -21,7 +21,6 @@ from typing import Any
 
 import numpy as np
 
-from gauge_envs import load_experiment
 from gauge_envs.backends.registry import backend_title, uninstalled_backend
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.files import json_ready, write_whole
@@ -179,33 +178,6 @@ def run_timed(engine: str, preset: str, folder: Path, variants: Sequence[str]) -
         )
 
 
-def implied(result: Result, parameter: str) -> float | None:
-    """Return a parameter that the trajectory implies, or None."""
-    return next(
-        (one.value for one in result.score.implied if one.parameter == parameter), None
-    )
-
-
-def acceleration_ratio(result: Result) -> float | None:
-    """Return the acceleration of a slide at 30 degrees over g (sin - mu cos) of the friction in the scene."""
-    friction = implied(result, "friction")
-    if friction is None:
-        return None
-    contact = load_experiment(result.id).scene.contacts[0]
-    slope = np.radians(30.0)
-    measured, expected = (
-        np.sin(slope) - mu * np.cos(slope) for mu in (friction, contact.friction)
-    )
-    return float(measured / expected)
-
-
-def rebound_ratio(result: Result) -> float | None:
-    """Return the restitution of the ball's first rebound over that of the scene."""
-    value = implied(result, "restitution")
-    contact = load_experiment(result.id).scene.contacts[0]
-    return None if value is None else value / contact.restitution
-
-
 def record(engine: str, preset: str, folder: Path) -> dict[str, Any]:
     """Return what the page states about one configuration, JSON-ready."""
     results = {
@@ -218,11 +190,6 @@ def record(engine: str, preset: str, folder: Path) -> dict[str, Any]:
         "engine": engine,
         "preset": preset,
         "versions": engine_versions(results.values()),
-        "laws": {
-            f"slide {name.rsplit('-', 1)[1]}": acceleration_ratio(results[name])
-            for name in SLIDES
-        }
-        | {"rebound": rebound_ratio(results[BALL])},
         "episodes": {name: episode_record(one) for name, one in results.items()}
         | not_run(folder),
         "wall_ratios": ratios,

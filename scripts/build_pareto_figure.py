@@ -37,7 +37,7 @@ def draw_pareto(tradeoff: Tradeoff) -> Figure:
     grid = figure.subplots(count, 2, squeeze=False, sharex="row")
     for (left, right), phenomenon in zip(grid, tradeoff.phenomena, strict=True):
         _panel(left, phenomenon, "numerical", "numerical error")
-        if phenomenon.best("to_reality") is not None:
+        if phenomenon.has_trials:
             _panel(right, phenomenon, "to_reality", "error against reality")
         else:
             _panel(

@@ -38,7 +38,7 @@ from gauge_envs.tools.compare.cost import (
     cost_curves,
     other_settings,
 )
-from scripts.pareto_model import ERRORS, Family, Phenomenon, Point, Tradeoff
+from scripts.pareto_model import Family, Phenomenon, Point, Tradeoff
 
 INPUT_KINDS = ("constant", "start", "tilt")
 """Kinds of uncertain inputs that make up the parametric error; the discretization is numerical error."""
@@ -146,10 +146,8 @@ def _rebounds(scene: Scene, ball: RigidBody, frame_count: int) -> FloatArray | N
     return 1e3 * (start + np.outer(heights_m - drop_m, [0.0, 0.0, 1.0]))
 
 
-def parametric_floor(
-    measure: ErrorMeasure, backend: str | None
-) -> tuple[float, str] | None:
-    """Return the parametric floor and its origin; None without stored sensitivities, or with other constants.
+def parametric_floor(measure: ErrorMeasure, backend: str | None) -> float | None:
+    """Return the parametric floor; None without stored sensitivities, or with other constants.
 
     It is the root sum of squares, over the uncertain inputs, of the distance by which one standard uncertainty of the
     input moves the simulated motion: the root mean square of up and down, where these differ.
@@ -179,9 +177,7 @@ def parametric_floor(
         for pair in pairs
         for side in pair
     ]
-    return math.sqrt(
-        sum(squares) / 2.0
-    ), f"{len(inputs)} inputs, sensitivities of {table.backend}"
+    return math.sqrt(sum(squares) / 2.0)
 
 
 @dataclass
@@ -290,11 +286,8 @@ def _phenomenon(name: str, members: Sequence[Member], notes: list[str]) -> Pheno
         unit="scatter" if over_scatter else first.unit,
         scatter=scatter if over_scatter else {},
         families=tuple(
-            _with_fronts(
-                sorted(
-                    families,
-                    key=lambda one: (one.backend, not one.is_default, one.name),
-                )
+            sorted(
+                families, key=lambda one: (one.backend, not one.is_default, one.name)
             )
         ),
     )
@@ -376,7 +369,7 @@ def with_floor(
     found = [parametric_floor(measure, family.backend) for measure in measures]
     units = [one.scatter or 1.0 if over_scatter else 1.0 for one in measures]
     floors = [
-        floor[0] / unit
+        floor / unit
         for floor, unit in zip(found, units, strict=True)
         if floor is not None
     ]
@@ -388,9 +381,6 @@ def with_floor(
     return replace(
         family,
         floor=min(floors) if len(floors) == len(found) else None,
-        floor_source="; ".join(
-            dict.fromkeys(floor[1] for floor in found if floor is not None)
-        ),
         sufficient_step_s=_sufficient_step_s(family, min(limits)) if limits else None,
     )
 
@@ -450,38 +440,3 @@ def _sufficient_step_s(family: Family, limit: float) -> float | None:
         lambda one: one.numerical is not None and one.numerical <= limit, line
     )
     return max((one.step_s or 0.0 for one in enough), default=None)
-
-
-def _with_fronts(families: Sequence[Family]) -> list[Family]:
-    """Return the families with their points marked that lie on a front."""
-    every = [
-        (family, point)
-        for family in families
-        for point in family.points
-        if not point.diverged
-    ]
-    fronts: dict[int, list[str]] = {}
-    for error in ERRORS:
-        lowest = float("inf")
-        # A numerical error is at least the resolution, as the converged motion has 0 itself.
-        known = [
-            (
-                max(value, family.resolution or 0.0) if error == "numerical" else value,
-                point,
-            )
-            for family, point in every
-            if (value := getattr(point, error)) is not None
-        ]
-        for value, point in sorted(known, key=lambda one: (one[1].cost, one[0])):
-            if value < lowest:
-                lowest = value
-                fronts.setdefault(id(point), []).append(error)
-    return [
-        replace(
-            one,
-            points=tuple(
-                replace(p, fronts=tuple(fronts.get(id(p), ()))) for p in one.points
-            ),
-        )
-        for one in families
-    ]

@@ -25,9 +25,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-ERRORS = ("numerical", "to_closed_form", "to_reality")
-"""Errors of a point, each of which has a front."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class Point:
@@ -49,8 +46,6 @@ class Point:
         to_reality: Error against reality; None without trials.
         is_reference: Whether it is the converged motion of its family.
         is_on_main_line: Whether only the step differs from the family's usual settings.
-        fronts: Errors, as `to_reality`, of which no cheaper setting of any family has a smaller or equal one. A
-            numerical error counts as the family's resolution if it is smaller.
     """
 
     effort: Mapping[str, float]
@@ -66,7 +61,6 @@ class Point:
     to_reality: float | None = None
     is_reference: bool = False
     is_on_main_line: bool = True
-    fronts: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,7 +78,6 @@ class Family:
             a finer run diverged, None with less than two steps.
         model: Model error; None without a closed form or a converged motion.
         floor: Parametric floor, the smallest of the experiments; None without sensitivities.
-        floor_source: Origin of the floor.
         sufficient_step_s: Sufficient step; None if there is none.
     """
 
@@ -97,7 +90,6 @@ class Family:
     resolution: float | None
     model: float | None
     floor: float | None = None
-    floor_source: str = ""
     sufficient_step_s: float | None = None
 
     @property
@@ -110,11 +102,6 @@ class Family:
             if key != "drive_interval_s"
         ]
         return " ".join([self.backend, *extra])
-
-    @property
-    def converged(self) -> Point | None:
-        """The setting of the converged motion."""
-        return next((point for point in self.points if point.is_reference), None)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,15 +124,11 @@ class Phenomenon:
     scatter: Mapping[str, float]
     families: tuple[Family, ...]
 
-    def best(self, error: str) -> tuple[Family, Point] | None:
-        """Return the setting with the smallest error."""
-        known = [
-            (f, p)
-            for f in self.families
-            for p in f.points
-            if getattr(p, error) is not None
-        ]
-        return min(known, key=lambda pair: getattr(pair[1], error), default=None)
+    @property
+    def has_trials(self) -> bool:
+        """Whether an error against reality is known."""
+        points = [point for family in self.families for point in family.points]
+        return any(point.to_reality is not None for point in points)
 
 
 @dataclass(frozen=True, kw_only=True)
