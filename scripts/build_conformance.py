@@ -22,7 +22,7 @@ from gauge_envs.tools.conformance.words import (
     measured_text,
     tally,
 )
-from scripts.generated import ROOT, SCORING, markdown_table, stale_note, with_part
+from scripts.generated import ROOT, SCORING, markdown_table, page_part, stale_note
 
 PAGE = ROOT / "docs" / "engines" / "conformance.md"
 SCRIPT = f"scripts/{Path(__file__).name}"
@@ -114,8 +114,4 @@ def contents(scoring: Path = SCORING) -> dict[Path, str]:
         "",
         *check_table(columns),
     ]
-    return {
-        PAGE: with_part(
-            PAGE.read_text(encoding="utf-8"), "matrix", SCRIPT, "\n".join(lines)
-        ),
-    }
+    return page_part(PAGE, "matrix", SCRIPT, "\n".join(lines))

@@ -50,7 +50,7 @@ from gauge_envs.references.scatter import (
     scatter_rows,
 )
 from gauge_envs.tools.catalog.words import deformation_text
-from scripts.generated import ROOT, SCORING, markdown_table, with_part
+from scripts.generated import ROOT, SCORING, markdown_table, page_part
 
 SCRIPT = f"scripts/{Path(__file__).name}"
 PAGE = ROOT / "docs" / "coverage.md"
@@ -452,13 +452,11 @@ def deformation_lines() -> Iterator[str]:
 def contents(scoring: Path = SCORING) -> dict[Path, str]:
     """Return the pages with their generated parts replaced."""
     rows = [coverage(variant) for variant in variants()]
-    page = PAGE.read_text(encoding="utf-8")
-    pages = {PAGE: with_part(page, "coverage", SCRIPT, coverage_markdown(rows))}
-    parts = {
+    shorter = {
         ROOT / "README.md": "\n".join(short_table(rows)),
         ROOT / "docs" / "scores.md": "\n".join(sum_table(rows)),
     }
-    for file, part in parts.items():
-        text = file.read_text(encoding="utf-8")
-        pages[file] = with_part(text, SUM_NAME, SCRIPT, part)
+    pages = page_part(PAGE, "coverage", SCRIPT, coverage_markdown(rows))
+    for file, part in shorter.items():
+        pages |= page_part(file, SUM_NAME, SCRIPT, part)
     return pages

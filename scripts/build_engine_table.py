@@ -44,8 +44,8 @@ from scripts.generated import (
     SCORING,
     Request,
     markdown_table,
+    page_part,
     stale_note,
-    with_part,
 )
 
 DATA = SCORING / "engines.json"
@@ -632,8 +632,7 @@ def primary(episode: Mapping[str, Any]) -> str:
 def contents(scoring: Path = SCORING) -> dict[Path, str]:
     """Return the page with its generated part replaced."""
     data = json.loads(DATA.read_text(encoding="utf-8"))
-    text = PAGE.read_text(encoding="utf-8")
-    return {PAGE: with_part(text, "engines", SCRIPT, page(data))}
+    return page_part(PAGE, "engines", SCRIPT, page(data))
 
 
 def measure(request: Request) -> None:

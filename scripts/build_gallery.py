@@ -31,7 +31,7 @@ from gauge_envs.tools.film import (
     save_still,
     strip_picture,
 )
-from scripts.generated import ROOT, Request, with_part
+from scripts.generated import ROOT, Request, page_part
 from scripts.pictures import shrink
 
 PAGE = ROOT / "docs" / "gallery.md"
@@ -253,7 +253,6 @@ def report(file: Path) -> None:
 def measure(request: Request) -> None:
     """Run what has no result yet, draw everything, and write the list."""
     texts = draw(request.results, PAGE.parent / "images" / "gallery")
-    page = PAGE.read_text(encoding="utf-8")
     part = "\n".join(page_lines(texts))
-    text = with_part(page, "gallery", SCRIPT, part)
-    PAGE.write_text(text, encoding="utf-8", newline="\n")
+    for file, text in page_part(PAGE, "gallery", SCRIPT, part).items():
+        file.write_text(text, encoding="utf-8", newline="\n")

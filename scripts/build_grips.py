@@ -349,7 +349,7 @@ def measure(request: Request) -> None:
     table = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
     for variant in variants():
         name = variant.name
-        if loads_of(name) and any(fnmatchcase(name, one) for one in request.ids):
+        if loads_of(name) and request.wants(name):
             table[name] = rows_of(name, request.results)
             content = json.dumps(table, indent=1, sort_keys=True) + "\n"
             write_whole(file, content.encode())

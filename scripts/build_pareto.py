@@ -38,8 +38,8 @@ from scripts.generated import (
     SCORING,
     Request,
     markdown_table,
+    page_part,
     stale_note,
-    with_part,
 )
 from scripts.pareto import tradeoff, with_floor
 from scripts.pareto_model import Family, Tradeoff
@@ -342,10 +342,10 @@ def contents(scoring: Path = SCORING) -> dict[Path, str]:
     """Return the data with the floors of today, and the page with its generated part replaced."""
     values, found = stored()
     data = values | {"tradeoff": json_ready(asdict(found))}
-    text = PAGE.read_text(encoding="utf-8")
+    text = page(values["provenance"], found)
     return {
         DATA: json.dumps(data, separators=(",", ":")) + "\n",
-        PAGE: with_part(text, "pareto", SCRIPT, page(values["provenance"], found)),
+        **page_part(PAGE, "pareto", SCRIPT, text),
     }
 
 

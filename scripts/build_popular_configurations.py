@@ -35,8 +35,8 @@ from scripts.generated import (
     SCORING,
     Request,
     markdown_table,
+    page_part,
     stale_note,
-    with_part,
 )
 
 DATA = SCORING / "popular_configurations.json"
@@ -463,8 +463,7 @@ def stored() -> dict[str, Any]:
 
 def contents(scoring: Path = SCORING) -> dict[Path, str]:
     """Return the page with its generated part replaced."""
-    page = PAGE.read_text(encoding="utf-8")
-    return {PAGE: with_part(page, "configurations", SCRIPT, summary(stored()))}
+    return page_part(PAGE, "configurations", SCRIPT, summary(stored()))
 
 
 def measure(request: Request) -> None:

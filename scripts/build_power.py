@@ -7,12 +7,10 @@ on the error of the reference. `scoring/power.csv` holds the distances, in the u
 
 from __future__ import annotations
 
-import csv
 import sys
 from collections import defaultdict
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
-from fnmatch import fnmatchcase
 from typing import Any
 
 import numpy as np
@@ -36,7 +34,7 @@ from gauge_envs.references.power import POWER_COLUMNS, power_file
 from gauge_envs.scene import Cloth, Scene, SoftBody
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-from scripts.generated import Request
+from scripts.generated import Request, append_rows, read_rows
 
 LOW = 0.8
 """Factor of a constant that is off by 20 %."""
@@ -265,23 +263,11 @@ def measure(request: Request) -> None:
     """Measure the changes that the table lacks; a stopped run goes on."""
     file = power_file()
     done: dict[str, set[tuple[str, str]]] = defaultdict(set)
-    if file.is_file():
-        with file.open(encoding="utf-8") as text:
-            for row in csv.DictReader(text):
-                done[row["variant"]].add((row["change"], row["quantity"]))
+    for row in read_rows(file):
+        done[row["variant"]].add((row["change"], row["quantity"]))
     for variant in variants():
         name = variant.name
-        is_wanted = any(fnmatchcase(name, pattern) for pattern in request.ids)
         experiment = load_experiment(name)
         band = reference_band(experiment)
-        if band is None or not is_wanted:
-            continue
-        is_new = not file.is_file()
-        with file.open("a", newline="", encoding="utf-8") as text:
-            writer = csv.DictWriter(text, POWER_COLUMNS, lineterminator="\n")
-            if is_new:
-                writer.writeheader()
-            for row in rows_of(experiment, band, done[name]):
-                writer.writerow(row)
-                text.flush()
-                print(*row.values(), flush=True)
+        if band is not None and request.wants(name):
+            append_rows(file, POWER_COLUMNS, rows_of(experiment, band, done[name]))

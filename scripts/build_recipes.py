@@ -26,8 +26,9 @@ from scripts.generated import (
     SCORING,
     Request,
     markdown_table,
+    page_part,
+    read_rows,
     stale_note,
-    with_part,
 )
 
 PAGE = ROOT / "docs" / "recipes.md"
@@ -217,8 +218,7 @@ def rows_of(kind: str, engine: str) -> list[list[str]]:
 
 def table(kind: str) -> list[dict[str, str]]:
     """Return the rows of a table of the study."""
-    with (STUDY / f"{kind}.csv").open(encoding="utf-8", newline="") as file:
-        return list(csv.DictReader(file))
+    return read_rows(STUDY / f"{kind}.csv")
 
 
 def with_rows(kind: str, engine: str) -> str:
@@ -318,8 +318,7 @@ def measure_engine(engine: str) -> None:
 
 def contents(scoring: Path = SCORING) -> dict[Path, str]:
     """Return the page with its generated part replaced."""
-    page = PAGE.read_text(encoding="utf-8")
-    return {PAGE: with_part(page, "recipes", SCRIPT, summary())}
+    return page_part(PAGE, "recipes", SCRIPT, summary())
 
 
 def measure(request: Request) -> None:

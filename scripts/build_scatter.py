@@ -17,10 +17,8 @@ What misplacements add to g(t) is measured in each coordinate alone, and added.
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from fnmatch import fnmatchcase
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -63,7 +61,7 @@ from gauge_envs.scene import Scene
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.jitter import Jitter, jittered, misplaced
 from scripts.build_power import LOW, _with_contacts, motion
-from scripts.generated import Request
+from scripts.generated import Request, append_rows, read_rows
 
 RUN_COUNT = 40
 REALITY_RUNS = 100
@@ -84,9 +82,8 @@ def measure(request: Request) -> None:
     """Measure the variants that the tables lack; a stopped run goes on."""
     for name in published_variants():
         experiment = load_experiment(name)
-        is_wanted = any(fnmatchcase(name, pattern) for pattern in request.ids)
         is_known = published_numbers(experiment.baselines) is not None
-        if not (is_wanted and is_known) or experiment.impossible_scores:
+        if not (request.wants(name) and is_known) or experiment.impossible_scores:
             continue
         if is_held(experiment):
             add_row(held_file(), HELD_COLUMNS, name, held_row)
@@ -101,18 +98,8 @@ def add_row(
     made: Callable[[str], Mapping[str, Any]],
 ) -> None:
     """Add the row of a variant to a table that lacks it."""
-    is_new = not file.is_file()
-    if not is_new:
-        with file.open(encoding="utf-8") as text:
-            if any(row["variant"] == name for row in csv.DictReader(text)):
-                return
-    row = made(name)
-    with file.open("a", newline="", encoding="utf-8") as text:
-        writer = csv.DictWriter(text, columns, lineterminator="\n")
-        if is_new:
-            writer.writeheader()
-        writer.writerow(row)
-    print(name, row, flush=True)
+    if all(row["variant"] != name for row in read_rows(file)):
+        append_rows(file, columns, [made(name)])
 
 
 def row_of(name: str) -> dict[str, Any]:

@@ -6,8 +6,6 @@ scores use it. It belongs to the default preset of the engine.
 
 from __future__ import annotations
 
-from fnmatch import fnmatchcase
-
 from gauge_envs import load_experiment, reference_band, variants
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.sensitivities import sensitivities_text
@@ -28,9 +26,7 @@ def measure(request: Request) -> None:
                 and band.grade is not BandGrade.MODEL
                 and band.normalized_by_baseline
             )
-            if not (
-                is_scored and any(fnmatchcase(variant.name, one) for one in request.ids)
-            ):
+            if not (is_scored and request.wants(variant.name)):
                 continue
             file = SCORING / "sensitivities" / engine / f"{variant.name}.json"
             file.parent.mkdir(parents=True, exist_ok=True)

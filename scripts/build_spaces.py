@@ -5,9 +5,7 @@ Episodes have zero actions. With deformable bodies on MuJoCo they end after a se
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Iterator, Mapping, Sequence
-from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +20,15 @@ from gauge_envs.experiments.variants import variants
 from gauge_envs.pages.text import quantity_text
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.catalog.spaces import observation_rows
-from scripts.generated import ROOT, SCORING, Request, markdown_table, with_part
+from scripts.generated import (
+    ROOT,
+    SCORING,
+    Request,
+    append_rows,
+    markdown_table,
+    page_part,
+    read_rows,
+)
 
 SCRIPT = f"scripts/{Path(__file__).name}"
 PAGE = ROOT / "docs" / "spaces.md"
@@ -89,39 +95,22 @@ def seen_in(name: str, engine: str) -> Iterator[dict[str, Any]]:
         }
 
 
-def seen(file: Path = SEEN) -> list[dict[str, str]]:
-    """Return what was measured."""
-    if not file.is_file():
-        return []
-    with file.open(encoding="utf-8") as text:
-        return list(csv.DictReader(text))
-
-
 def measure(request: Request) -> None:
     """Measure the variants that the table lacks; a stopped run goes on."""
-    done = {(row["engine"], row["variant"]) for row in seen()}
+    done = {(row["engine"], row["variant"]) for row in read_rows(SEEN)}
     for engine in request.engines or ENGINES:
         for variant in variants():
-            is_wanted = any(fnmatchcase(variant.name, one) for one in request.ids)
-            if not is_wanted or (engine, variant.name) in done:
+            if not request.wants(variant.name) or (engine, variant.name) in done:
                 continue
             experiment = load_experiment(variant)
             if scene_support(uninstalled_backend(engine), experiment.scene).missing:
                 continue
-            rows = list(seen_in(variant.name, engine))
-            is_new = not SEEN.is_file()
-            with SEEN.open("a", newline="", encoding="utf-8") as text:
-                writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
-                if is_new:
-                    writer.writeheader()
-                writer.writerows(rows)
-            print(engine, variant.name, flush=True)
+            append_rows(SEEN, COLUMNS, list(seen_in(variant.name, engine)))
 
 
 def contents(scoring: Path = SCORING) -> dict[Path, str]:
     """Return the page with its text."""
-    text = PAGE.read_text(encoding="utf-8")
-    return {PAGE: with_part(text, "table", SCRIPT, "\n".join(table(seen())))}
+    return page_part(PAGE, "table", SCRIPT, "\n".join(table(read_rows(SEEN))))
 
 
 def table(rows: Sequence[Mapping[str, str]]) -> Iterator[str]:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import csv
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from pathlib import Path
+from typing import Any
 
 from scripts.inputs import changed, rows, several
 
@@ -35,6 +38,38 @@ class Request:
     results: Path
     engines: tuple[str, ...] = ()
     ids: tuple[str, ...] = ("*",)
+
+    def wants(self, name: str) -> bool:
+        """Return whether a variant is one of those that are measured."""
+        return any(fnmatchcase(name, pattern) for pattern in self.ids)
+
+
+def read_rows(file: Path) -> list[dict[str, str]]:
+    """Return the rows of a CSV file; none where there is no file."""
+    if not file.is_file():
+        return []
+    with file.open(encoding="utf-8", newline="") as text:
+        return list(csv.DictReader(text))
+
+
+def append_rows(
+    file: Path, columns: Sequence[str], rows: Iterable[Mapping[str, Any]]
+) -> None:
+    """Add rows to a CSV file, which may be new, and print each; those before an interruption are there."""
+    is_new = not file.is_file()
+    with file.open("a", newline="", encoding="utf-8") as text:
+        writer = csv.DictWriter(text, columns, lineterminator="\n")
+        if is_new:
+            writer.writeheader()
+        for row in rows:
+            writer.writerow(row)
+            text.flush()
+            print(*row.values(), flush=True)
+
+
+def page_part(file: Path, name: str, script: str, part: str) -> dict[Path, str]:
+    """Return a page by its file, with the generated part of a name replaced as `with_part` does it."""
+    return {file: with_part(file.read_text(encoding="utf-8"), name, script, part)}
 
 
 def with_part(page: str, name: str, script: str, part: str) -> str:

@@ -30,7 +30,13 @@ from gauge_envs.references.grades import BandGrade
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.compare.draws import ScoreDraws
 from gauge_envs.tools.compare.grades import GradedExperiment, compare_pairs
-from scripts.generated import SCORING, Request, markdown_table, with_part
+from scripts.generated import (
+    SCORING,
+    Request,
+    markdown_table,
+    page_part,
+    read_rows,
+)
 
 FloatArray = NDArray[np.float64]
 Scatter = Callable[[np.random.Generator, int, int], FloatArray]
@@ -647,17 +653,16 @@ def _write(file: Path, rows: Iterable[Row]) -> None:
 
 def read(file: Path = TABLE) -> list[Row]:
     """Return the measured table, worst first."""
-    with file.open(newline="") as stream:
-        return [
-            Row(
-                one["world"],
-                int(one["trials"]),
-                one["quantity"],
-                one["engines"],
-                *(int(one[key]) for key in COUNTED),
-            )
-            for one in csv.DictReader(stream)
-        ]
+    return [
+        Row(
+            one["world"],
+            int(one["trials"]),
+            one["quantity"],
+            one["engines"],
+            *(int(one[key]) for key in COUNTED),
+        )
+        for one in read_rows(file)
+    ]
 
 
 COUNTED = ("realities", "refused", "missed")
@@ -707,12 +712,8 @@ def tables(rows: Sequence[Row]) -> str:
 
 def contents(scoring: Path = SCORING) -> dict[Path, str]:
     """Return the note with the tables of the measured rows."""
-    note = NOTE.read_text(encoding="utf-8")
-    return {
-        NOTE: with_part(
-            note, "tables", "studies/coverage/interval_coverage.py", tables(read())
-        )
-    }
+    script = "studies/coverage/interval_coverage.py"
+    return page_part(NOTE, "tables", script, tables(read()))
 
 
 def measure(request: Request) -> None:

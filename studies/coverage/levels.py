@@ -5,11 +5,10 @@ python -m studies.coverage.levels TABLE [WORLD ...]    10 minutes for all worlds
 
 from __future__ import annotations
 
-import csv
 import sys
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
 
@@ -18,6 +17,7 @@ from scipy.optimize import brentq
 
 from gauge_envs.evaluation.uncertainty import band_errors
 from gauge_envs.scene.timing import FRAME_RATE_HZ
+from scripts.generated import append_rows
 from studies.coverage.interval_coverage import (
     MISSED,
     REFUSED,
@@ -303,14 +303,7 @@ def measure_worlds(file: Path, names: Sequence[str]) -> None:
     for name in names:
         for count in COUNTS:
             rows = [asdict(row) for row in coverage(name, count)]
-            is_new = not file.is_file()
-            with file.open("a", newline="") as stream:
-                writer = csv.DictWriter(
-                    stream, [one.name for one in fields(LevelRow)], lineterminator="\n"
-                )
-                if is_new:
-                    writer.writeheader()
-                writer.writerows(rows)
+            append_rows(file, list(rows[0]), rows)
 
 
 if __name__ == "__main__":

@@ -10,9 +10,7 @@ two directions.
 
 from __future__ import annotations
 
-import csv
 import itertools
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -31,6 +29,7 @@ from gauge_envs.evaluation.verification import (
     verify,
 )
 from gauge_envs.experiments.resolve import load_experiment
+from scripts.generated import append_rows
 from studies.coverage.levels import LEVELS
 
 VARIANTS = (
@@ -154,12 +153,8 @@ def main() -> None:
     """Write the table beside this file."""
     file = Path(__file__).with_suffix(".csv")
     names = [f"{key}.{level:g}" for key in ("holds", "width") for level in LEVELS]
-    with file.open("w", newline="", encoding="utf-8") as text:
-        writer = csv.DictWriter(text, [*COLUMNS, *names], lineterminator="\n")
-        writer.writeheader()
-        for row in rows():
-            writer.writerow(row)
-            print(*row.values(), file=sys.stderr, flush=True)
+    file.unlink(missing_ok=True)
+    append_rows(file, [*COLUMNS, *names], rows())
 
 
 if __name__ == "__main__":

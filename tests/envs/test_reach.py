@@ -10,7 +10,8 @@ from gauge_envs.envs.reach import GIVE, START_M, Reach
 from gauge_envs.envs.spaces import observation_space_of
 from gauge_envs.experiments.variants import variants
 from gauge_envs.tools.catalog.spaces import observation_rows
-from scripts.build_spaces import seen
+from scripts.build_spaces import SEEN
+from scripts.generated import read_rows
 
 
 def test_a_pendulum_stays_within_its_length_of_the_anchor():
@@ -55,7 +56,7 @@ def test_a_cloth_goes_with_its_holder_and_actions_widen_the_bound():
 def test_no_measured_episode_leaves_its_bounds(variant):
     experiment = load_experiment(variant)
     bounds = {row["name"]: row for row in observation_rows(experiment)}
-    measured = [row for row in seen() if row["variant"] == variant.name]
+    measured = [row for row in read_rows(SEEN) if row["variant"] == variant.name]
     for row in measured:
         bound = bounds[row["entry"]]
         assert row["unit"] == bound["unit"]
