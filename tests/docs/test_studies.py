@@ -23,7 +23,6 @@ COMMANDS = {
     "cost": "cost results",
     "coverage": "interval_coverage out.csv 'drop, 5 % outliers'",
     "joints": "pendulums",
-    "models": "cantilever",
     "newtons_cradle": "cradle",
     "planted_faults": "planted_faults --only margin",
     "published_scores": "published_scores --backend mujoco --engine isaacsim --only SlopeSlider-2-wood",
@@ -34,8 +33,7 @@ COMMANDS = {
     "tosses": "plain",
     "what_changed": "what_changed models",
 }
-SLOW = {"coverage", "joints", "models"}
-SLOW |= {"planted_faults", "ranges", "steps"}
+SLOW = {"coverage", "joints", "planted_faults", "ranges", "steps"}
 
 
 def test_every_study_has_a_command_of_a_script_and_its_note_names_all_scripts():

@@ -26,7 +26,7 @@ STANDARD_LOAD = 8.0
 """Weight over bending stiffness, times the overhang cubed, at the angle of ASTM D1388 (Peirce 1930)."""
 
 FREE_M, CELL_M = 0.15, 0.025
-"""Overhang and cell of the strip of `studies.models.cantilever` [m]."""
+"""Overhang and cell of the strip of `studies/models/cantilever.csv` [m]."""
 
 
 def elastica_tip(load: float) -> tuple[float, float]:
