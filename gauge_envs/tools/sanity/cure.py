@@ -389,8 +389,9 @@ def _pasted(
     """Return changes as text to paste: the default of all, what it does not reach, and further texts."""
     robot, default = configuration.robot, {}
     for name, value in changes.items():
-        if "[" in name or name.startswith("compiler_") or name == "gravity":
-            # A row of an array, the compiler or gravity: the texts say it.
+        is_of_dialect = robot is None or dialect.setting(name, value).place
+        if name == "gravity" or not is_of_dialect:
+            # Gravity, a row of an array, the compiler or the medium: the texts say it.
             continue
         if name in geoms_by_setting:
             is_default = robot is None or robot.needs_default(name, value)

@@ -317,3 +317,10 @@ def test_a_class_of_one_joint_is_changed_with_it(tmp_path):
     assert [one.get("file") for one in tree.iter("texture")] == ["absent.png"]
     stated = [one.get("armature") for one in tree.iter("joint") if one.get("armature")]
     assert "0.5" in stated and "0.123" not in stated
+
+
+def test_a_change_that_is_said_in_words_is_pasted_once():
+    change, row = ALL["arm, under water"]
+    cure = check(read(change(GOOD["arm"]())), only=[row]).cure
+    medium = '<option density="0" viscosity="0" wind="0 0 0"/>'
+    assert cure.line.startswith(medium) and cure.line.count("density") == 1
