@@ -70,6 +70,7 @@ SIMPLE_EXPRESSION = re.compile(
 MOST_STARS = 4
 
 NO_MODEL = "the target's own model is not read"
+NO_ACTION = "the target does not state how many steps an action takes"
 
 FRICTION_SLIDES = {"slide-wood": "straight", "slide-turned": "turned by 45 degrees"}
 """Slides that show the friction that a foot meets, and their direction."""
@@ -156,19 +157,13 @@ class Comparison:
     @property
     def changed(self) -> tuple[ChangeRow, ...]:
         """The rows that change: large changes first, of these what is stated, then by half-widths, to two digits."""
-        changed = (
-            row for row in self.rows if row.change in (Change.VISIBLE, Change.LARGE)
-        )
-        return tuple(
-            sorted(
-                changed,
-                key=lambda row: (
-                    row.change is not Change.LARGE,
-                    row.id not in (STEP_ID, GRAVITY_ID, CONTROL_ID, *QUANTITIES),
-                    -float(f"{_size(row):.2g}"),
-                ),
-            )
-        )
+        order = {Change.LARGE: 0, Change.VISIBLE: 1}
+        stated = (STEP_ID, GRAVITY_ID, CONTROL_ID, *QUANTITIES)
+
+        def key(row: ChangeRow) -> tuple[int, bool, float]:
+            return order[row.change], row.id not in stated, -float(f"{_size(row):.2g}")
+
+        return tuple(sorted((r for r in self.rows if r.change in order), key=key))
 
     def to_dict(self) -> dict[str, Any]:
         """Return all attributes, JSON-ready."""
@@ -295,12 +290,10 @@ class _Side:
         """Return the sliding friction of a foot on the ground; None when the target states none."""
         if self.configuration.foot_contact is not None:
             return self.configuration.foot_contact.mean_friction
-        used = [
-            group.constants
-            for group in self.configuration.contact_groups
-            if group.is_used
-        ]
-        return float(used[0]["friction"][0]) if used else None
+        for group in self.configuration.contact_groups:
+            if group.is_used:
+                return float(group.constants["friction"][0])
+        return None
 
     def restitution(self, rebound: float | None, real: float) -> float | None:
         """Return the restitution that a foot meets, by the rebounds of a ball and of a real one; None if unknown."""
@@ -363,16 +356,11 @@ def _step_row(sides: Sequence[_Side]) -> ChangeRow:
 def _gravity_row(sides: Sequence[_Side]) -> ChangeRow:
     """Return the row on gravity, by the length of the difference of both."""
     (trained, first), (deployed, second) = (side.gravity() for side in sides)
-    apart, tolerance = (
-        float(np.linalg.norm(first - second)),
-        GRAVITY_ROW.reality.tolerance,
-    )
-    remark = (
-        "the directions differ" if apart > abs(trained - deployed) + tolerance else ""
-    )
-    row = _row(
-        GRAVITY_ID, GRAVITY_ROW.title, GRAVITY_ROW.unit, (trained, deployed), tolerance
-    )
+    apart = float(np.linalg.norm(first - second))
+    tolerance, both = GRAVITY_ROW.reality.tolerance, (trained, deployed)
+    differs = apart > abs(trained - deployed) + tolerance
+    remark = "the directions differ" if differs else ""
+    row = _row(GRAVITY_ID, GRAVITY_ROW.title, GRAVITY_ROW.unit, both, tolerance)
     return replace(row, change=_change(0.0, apart, tolerance), remark=remark)
 
 
@@ -380,12 +368,7 @@ def _control_row(targets: Sequence[TrainingConfiguration]) -> ChangeRow:
     """Return the row on the time of one action, of which policies learn how far the robot moves."""
     actions_s = [control_s(target) for target in targets]
     values_ms = [None if one is None else 1e3 * one for one in actions_s]
-    remarks = [
-        "the target does not state how many steps an action takes"
-        if one is None
-        else ""
-        for one in values_ms
-    ]
+    remarks = [NO_ACTION if one is None else "" for one in values_ms]
     tolerance_ms = STEP_RATIO * max(one or 0.0 for one in values_ms)
     row = _row(CONTROL_ID, CONTROL_ROW.title, "ms", values_ms, tolerance_ms, remarks)
     return row if any(values_ms) else _not_compared(row, remarks)
@@ -418,13 +401,10 @@ def _quantity_rows(
     rows = []
     for name in names:
         quantity = QUANTITIES[name]
+        reasons = [NO_MODEL if one is None else "" for one in known]
+        neither = (None, None)
         row = _row(
-            name,
-            quantity.title,
-            quantity.unit,
-            (None, None),
-            quantity.least,
-            [NO_MODEL if one is None else "" for one in known],
+            name, quantity.title, quantity.unit, neither, quantity.least, reasons
         )
         stating = [one is not None and name in one for one in known]
         if all(stating):
@@ -502,20 +482,21 @@ def _parts_row(
     order = sorted(sizes, key=lambda part: -sizes[part])
     worst = order[0]
     changed = [part for part in order if sizes[part] > 1.0]
+    values = {
+        part: PartChange(
+            name=part,
+            trained=_finite(trained.get(part)),
+            deployed=_finite(deployed.get(part)),
+        )
+        for part in (worst, *changed)
+    }
     return replace(
         row,
-        trained=_finite(trained.get(worst)),
-        deployed=_finite(deployed.get(worst)),
+        trained=values[worst].trained,
+        deployed=values[worst].deployed,
         tolerance=tolerances[worst],
         change=_change(0.0, sizes[worst], 1.0),
-        parts=tuple(
-            PartChange(
-                name=part,
-                trained=_finite(trained.get(part)),
-                deployed=_finite(deployed.get(part)),
-            )
-            for part in changed
-        ),
+        parts=tuple(values[part] for part in changed),
     )
 
 
@@ -548,12 +529,8 @@ def _friction_rows(
             None if a is None else _friction(a) / real * mu
             for a, mu in zip(measured, known, strict=True)
         ]
-        tolerance = (
-            slide.reality.tolerance
-            / (GRAVITY_M_PER_S2 * math.cos(math.radians(SLOPE_DEG)))
-            / real
-            * max(known)
-        )
+        width = slide.reality.tolerance / _normal_m_per_s2()
+        tolerance = width / real * max(known)
         title = f"friction that a {'foot' if has_both else 'cube'} meets, {direction}"
         title += "" if has_both else ", over the stated one"
         remarks = (
@@ -561,16 +538,8 @@ def _friction_rows(
             if has_both and not found
             else []
         )
-        found.append(
-            _row(
-                f"foot-{direction.split(' ')[0]}",
-                title,
-                "1",
-                values,
-                tolerance,
-                remarks,
-            )
-        )
+        name = f"foot-{direction.split(' ')[0]}"
+        found.append(_row(name, title, "1", values, tolerance, remarks))
     return found
 
 
@@ -588,15 +557,8 @@ def _restitution_rows(
     ]
     if None in values:
         return []
-    return [
-        _row(
-            "foot-restitution",
-            "restitution that a foot meets",
-            "1",
-            values,
-            reality.tolerance,
-        )
-    ]
+    title = "restitution that a foot meets"
+    return [_row("foot-restitution", title, "1", values, reality.tolerance)]
 
 
 def _change(trained: float | None, deployed: float | None, tolerance: float) -> Change:
@@ -616,7 +578,10 @@ def _size(row: ChangeRow) -> float:
 
 def _friction(acceleration_m_per_s2: float) -> float:
     """Return the friction with which a cube slides with an acceleration on the slope."""
-    slope = math.radians(SLOPE_DEG)
-    return math.tan(slope) - acceleration_m_per_s2 / (
-        GRAVITY_M_PER_S2 * math.cos(slope)
-    )
+    slope = math.tan(math.radians(SLOPE_DEG))
+    return slope - acceleration_m_per_s2 / _normal_m_per_s2()
+
+
+def _normal_m_per_s2() -> float:
+    """Return the part of gravity that presses a cube on the slope."""
+    return GRAVITY_M_PER_S2 * math.cos(math.radians(SLOPE_DEG))

@@ -147,14 +147,9 @@ FLAGS = {"disableflags": "mjtDisableBit", "enableflags": "mjtEnableBit"}
 
 WIDTHS = {
     "body": {
-        "parentid": 1,
-        "pos": 3,
-        "quat": 4,
-        "mass": 1,
-        "ipos": 3,
-        "iquat": 4,
-        "inertia": 3,
-        "mocapid": 1,
+        **dict.fromkeys(("parentid", "mass", "mocapid"), 1),
+        **dict.fromkeys(("pos", "ipos", "inertia"), 3),
+        **dict.fromkeys(("quat", "iquat"), 4),
     },
     "jnt": {"type": 1, "bodyid": 1, "pos": 3, "axis": 3, "limited": 1, "range": 2},
     "geom": {
@@ -193,19 +188,14 @@ PLAYGROUND_PACKAGE, MJLAB_PACKAGE = "mujoco_playground", "mjlab"
 """Packages whose environments and task configurations hold more than a model."""
 
 MODEL_PLACES = (
-    *(
-        "mj_model",
-        "_mj_model",
-        "model",
-        "_model",
-        "sim.mj_model",
-        "sim.model",
-        "physics.model.ptr",
-        "physics.model",
-    ),
-    *("physics.model._model", "env.mj_model", "_env.mj_model"),
+    *("mj_model", "_mj_model", "model", "_model", "sim.mj_model", "sim.model"),
+    *("physics.model.ptr", "physics.model", "physics.model._model"),
+    *("env.mj_model", "_env.mj_model"),
 )
 """Attributes that hold the compiled model of an environment."""
+
+SKIPS = ("frame_skip", "n_substeps", "_n_substeps", "cfg.decimation", "decimation")
+"""Attributes that hold the steps of the engine for one action."""
 
 LIMIT_PLACES = ("", "cfg.sim", "sim.cfg", "_config", "config", "sim")
 """Attributes that hold the limits of contacts and constraints of MJX and MuJoCo Warp."""
@@ -280,11 +270,8 @@ def capture_mujoco(target: Any) -> dict[str, Any]:
     title = bytes(model.names).split(b"\0")[0].decode()
     starts = [int(start) for start in flat(model.jnt_qposadr)]
     firsts = [int(first) for first in flat(model.jnt_dofadr)]
-    qpos0, armature, damping = (
-        flat(model.qpos0),
-        flat(model.dof_armature),
-        flat(model.dof_damping),
-    )
+    qpos0 = flat(model.qpos0)
+    armature, damping = flat(model.dof_armature), flat(model.dof_damping)
     driven_joints, driven_bodies = driven(model)
     runs_on = implementation(target, model)
     data = {
@@ -319,11 +306,8 @@ def capture_mujoco(target: Any) -> dict[str, Any]:
 def hulls(model: Any, types: list[str]) -> tuple[dict[str, list[float]], list[int]]:
     """Return the hull of each mesh that collides, by number, and the hull of each geom; -1 where it has none."""
     paired = {int(geom) for geom in flat(model.pair_geom1) + flat(model.pair_geom2)}
-    offers, accepts, meshes = (
-        flat(model.geom_contype),
-        flat(model.geom_conaffinity),
-        flat(model.geom_dataid),
-    )
+    offers, accepts = flat(model.geom_contype), flat(model.geom_conaffinity)
+    meshes = flat(model.geom_dataid)
     chosen = [
         int(mesh)
         if types[geom] in MESHES and (geom in paired or offers[geom] or accepts[geom])
@@ -332,18 +316,13 @@ def hulls(model: Any, types: list[str]) -> tuple[dict[str, list[float]], list[in
     ]
     vertices, graph, found_hulls = flat(model.mesh_vert), flat(model.mesh_graph), {}
     for mesh in sorted(set(chosen) - {-1}):
-        first, count = (
-            int(flat(model.mesh_vertadr)[mesh]),
-            int(flat(model.mesh_vertnum)[mesh]),
-        )
+        first = int(flat(model.mesh_vertadr)[mesh])
+        corners = list(range(int(flat(model.mesh_vertnum)[mesh])))
         start = int(flat(model.mesh_graphadr)[mesh])
-        # The table of a hull holds its numbers of vertices and faces, an address for each vertex, and the vertices.
-        size = graph[start] if start >= 0 else 0
-        corners = (
-            graph[start + 2 + size : start + 2 + 2 * size]
-            if start >= 0
-            else range(count)
-        )
+        if start >= 0:
+            # The table of a hull holds its numbers of vertices and faces, an address for each vertex, and the vertices.
+            size = graph[start]
+            corners = graph[start + 2 + size : start + 2 + 2 * size]
         rows = [3 * (first + int(corner)) for corner in corners]
         found_hulls[str(mesh)] = [
             number for row in rows for number in vertices[row : row + 3]
@@ -355,10 +334,8 @@ def driven(model: Any) -> tuple[set[int], set[int]]:
     """Return the joints on which actuators act, and the bodies on which they act by tendons, at sites or directly."""
     import mujoco
 
-    kinds, targets = (
-        flat(model.actuator_trntype),
-        [int(target) for target in flat(model.actuator_trnid)[::2]],
-    )
+    kinds = flat(model.actuator_trntype)
+    targets = [int(target) for target in flat(model.actuator_trnid)[::2]]
     joints, bodies = set(), set()
     for number, target in enumerate(targets):
         kind = mujoco.mjtTrn(int(kinds[number])).name
@@ -371,20 +348,15 @@ def driven(model: Any) -> tuple[set[int], set[int]]:
         elif kind in ("mjTRN_SITE", "mjTRN_SLIDERCRANK"):
             bodies.add(int(flat(model.site_bodyid)[target]))
         elif kind == "mjTRN_TENDON":
-            first, count = (
-                int(flat(model.tendon_adr)[target]),
-                int(flat(model.tendon_num)[target]),
-            )
+            first = int(flat(model.tendon_adr)[target])
+            count = int(flat(model.tendon_num)[target])
             for wrap in range(first, first + count):
-                owners = {
-                    "mjWRAP_JOINT": model.jnt_bodyid,
-                    "mjWRAP_SITE": model.site_bodyid,
-                }
-                owner = owners.get(
-                    mujoco.mjtWrap(int(flat(model.wrap_type)[wrap])).name
-                )
-                if owner is not None:
-                    bodies.add(int(flat(owner)[int(flat(model.wrap_objid)[wrap])]))
+                part = int(flat(model.wrap_objid)[wrap])
+                wrapped = mujoco.mjtWrap(int(flat(model.wrap_type)[wrap])).name
+                if wrapped == "mjWRAP_JOINT":
+                    bodies.add(int(flat(model.jnt_bodyid)[part]))
+                elif wrapped == "mjWRAP_SITE":
+                    bodies.add(int(flat(model.site_bodyid)[part]))
     return joints, bodies
 
 
@@ -449,13 +421,7 @@ def limits(target: Any) -> dict[str, int]:
 def frame_skip(target: Any) -> int | None:
     """Return the steps of the engine for one action; None where the target does not state it."""
     for holder in (target, found(target, "unwrapped")):
-        for place in (
-            "frame_skip",
-            "n_substeps",
-            "_n_substeps",
-            "cfg.decimation",
-            "decimation",
-        ):
+        for place in SKIPS:
             value = found(holder, place)
             if isinstance(value, int) and not isinstance(value, bool):
                 return value
@@ -469,27 +435,9 @@ SUFFIX = ".gaugeprobe.json"
 MOST_BYTES = 16 * 10**6
 
 PACKAGES = (
-    *(
-        "numpy",
-        "mujoco",
-        "mujoco-mjx",
-        "mujoco-warp",
-        "warp-lang",
-        "jax",
-        "torch",
-        "gymnasium",
-        "dm_control",
-    ),
-    *(
-        "playground",
-        "mjlab",
-        "isaaclab",
-        "isaacsim",
-        "mani_skill",
-        "sapien",
-        "newton",
-        "genesis-world",
-    ),
+    *("numpy", "mujoco", "mujoco-mjx", "mujoco-warp", "warp-lang", "jax", "torch"),
+    *("gymnasium", "dm_control", "playground", "mjlab", "isaaclab", "isaacsim"),
+    *("mani_skill", "sapien", "newton", "genesis-world"),
 )
 """Packages whose versions are written if they are installed."""
 
@@ -509,20 +457,15 @@ def capture_isaaclab(target: Any) -> dict[str, Any]:
     """Return the configuration as Isaac Lab writes it to `env.yaml`; IsaacGym's has other keys."""
     cfg = isaaclab_cfg(target)
     if found(cfg, "sim.physx.num_position_iterations") is not None:
-        return {
-            "kind": "isaacgym-cfg",
-            "engine": "physx",
-            "source": "IsaacGym",
-            "data": {"cfg": plain(cfg)},
-        }
+        return of_physx("isaacgym-cfg", "IsaacGym", {"cfg": plain(cfg)})
     entries = cfg.to_dict() if callable(getattr(cfg, "to_dict", None)) else cfg
     source = f"Isaac Lab, {type(cfg).__name__}"
-    return {
-        "kind": "isaaclab-cfg",
-        "engine": "physx",
-        "source": source,
-        "data": {"cfg": plain(entries)},
-    }
+    return of_physx("isaaclab-cfg", source, {"cfg": plain(entries)})
+
+
+def of_physx(kind: str, source: str, data: dict[str, Any]) -> dict[str, Any]:
+    """Return the entries of the file for a configuration of PhysX."""
+    return {"kind": kind, "engine": "physx", "source": source, "data": data}
 
 
 def maniskill_config(target: Any) -> Any:
@@ -542,12 +485,7 @@ def maniskill_config(target: Any) -> Any:
 def capture_maniskill(target: Any) -> dict[str, Any]:
     """Return the fields of ManiSkill's SimConfig."""
     data = {"sim_config": plain(maniskill_config(target))}
-    return {
-        "kind": "maniskill-sim-config",
-        "engine": "physx",
-        "source": "ManiSkill, SimConfig",
-        "data": data,
-    }
+    return of_physx("maniskill-sim-config", "ManiSkill, SimConfig", data)
 
 
 CAPTURES: Any = (
@@ -568,13 +506,7 @@ def document(target: Any, name: str = "") -> dict[str, Any]:
     }
     if isinstance(target, str):
         data = {"env_yaml": target}
-        return {
-            **head,
-            "kind": "isaaclab-cfg",
-            "engine": "physx",
-            "source": "Isaac Lab, env.yaml",
-            "data": data,
-        }
+        return {**head, **of_physx("isaaclab-cfg", "Isaac Lab, env.yaml", data)}
     capture = next((capture for matches, capture in CAPTURES if matches(target)), None)
     if capture is None:
         kind = f"{type(target).__module__}.{type(target).__qualname__}"
@@ -617,21 +549,16 @@ def resolve(text: str) -> Any:
     if suffix in (".xml", ".mjcf", ".urdf", ".mjb"):
         import mujoco
 
-        return (
-            mujoco.MjModel.from_binary_path
-            if suffix == ".mjb"
-            else mujoco.MjModel.from_xml_path
-        )(text)
+        if suffix == ".mjb":
+            return mujoco.MjModel.from_binary_path(text)
+        return mujoco.MjModel.from_xml_path(text)
     module, colon, expression = text.partition(":")
     if colon and not re.search(r"-v\d+$", text):
         value = eval(expression, dict(vars(importlib.import_module(module))))
         is_plain_class = isinstance(value, type) and maniskill_config(value) is None
-        return (
-            value()
-            if is_plain_class
-            or type(value).__name__ in ("function", "method", "partial")
-            else value
-        )
+        kind = type(value).__name__
+        is_called = is_plain_class or kind in ("function", "method", "partial")
+        return value() if is_called else value
     import gymnasium
 
     return gymnasium.make(text)
