@@ -148,11 +148,10 @@ def top_line(report: Report) -> str:
         )
         return f"Incomplete: {len(missing)} of {measured + len(missing)} rows were not measured: {named}"
     texts = [f"No flags: {counts_text(report)}", *report.notes]
-    has_robot = any(
-        row.phenomenon == "robot-density" and row.verdict is not Verdict.DECLINED
-        for row in report.rows
-    )
-    if has_robot:
+    off = [row.phenomenon for row in report.rows if row.verdict.is_off]
+    if off:
+        texts.append(f"advice that does not count: {', '.join(off)}")
+    if any(row.phenomenon == "robot-density" and row.parts for row in report.rows):
         texts.append(NOT_CHECKED)
     return "; ".join(texts)
 
