@@ -68,6 +68,8 @@ STANCE_S = 0.2
 STILL_S = 0.05
 """Time at the end in which a landed foot must be at rest [s]."""
 
+STAYS = "a foot that steps stays on the ground"
+
 AT_REST_M_PER_S = 0.01
 """Speed below which a landed foot is at rest [m/s]."""
 
@@ -240,11 +242,24 @@ def _sliding(own: FootGeometry, kind: str, title: str, slope_deg: float) -> Phen
 # --- landing ---------------------------------------------------------------------------------------------------------
 
 
-def _landed(foot: FootGeometry, **attributes: Any) -> Phenomenon:
-    """Return a row on a foot that was dropped."""
+def _landed(
+    foot: FootGeometry,
+    title: str,
+    law: str,
+    tolerance: float,
+    rationale: str,
+    **attributes: Any,
+) -> Phenomenon:
+    """Return a row on a foot that was dropped, whose value is 0 by a law."""
+    scenario = _scenario(
+        "landing", foot, seconds=LANDING_S, slope_deg=0.0, lift_m=DROP_M
+    )
+    source = _source(law, foot)
     return Phenomenon(
-        scenario=_scenario(
-            "landing", foot, seconds=LANDING_S, slope_deg=0.0, lift_m=DROP_M
+        title=f"foot of the robot: {title}",
+        scenario=scenario,
+        reality=Reality.law(
+            0.0, tolerance=tolerance, source=source, rationale=rationale
         ),
         needs_foot=True,
         trace=Trace(
@@ -259,15 +274,12 @@ def depth(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
     """Return the depth of a foot in the ground after a drop."""
     return _landed(
         foot,
-        title=f"foot of the robot: depth in the ground after a drop of {1e3 * DROP_M:.0f} mm",
+        f"depth in the ground after a drop of {1e3 * DROP_M:.0f} mm",
+        "rigid bodies do not overlap",
+        DEPTH_MM,
+        "a rubber ball of 20 mm radius (2 MPa) that lands with 3 kg is compressed as much (Hertz)",
         quantity="depth",
         unit="mm",
-        reality=Reality.law(
-            0.0,
-            tolerance=DEPTH_MM,
-            source=_source("rigid bodies do not overlap", foot),
-            rationale="a rubber ball of 20 mm radius (2 MPa) that lands with 3 kg is compressed as much (Hertz)",
-        ),
         value=lambda rollout: -_lowest_mm(rollout, foot).min(),
     )
 
@@ -282,15 +294,12 @@ def rebound(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
 
     return _landed(
         foot,
-        title="foot of the robot: speed after a landing over that before",
+        "speed after a landing over that before",
+        STAYS,
+        HOP,
+        f"a hop of {1e3 * HOP**2 * DROP_M:.0f} mm, which the eye sees",
         quantity="rebound",
         unit="1",
-        reality=Reality.law(
-            0.0,
-            tolerance=HOP,
-            source=_source("a foot that steps stays on the ground", foot),
-            rationale=f"a hop of {1e3 * HOP**2 * DROP_M:.0f} mm, which the eye sees",
-        ),
         is_impact=True,
         value=ratio,
     )
@@ -313,15 +322,12 @@ def rest(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
 
     return _landed(
         foot,
-        title="foot of the robot: time from a landing to rest",
+        "time from a landing to rest",
+        STAYS,
+        STANCE_S,
+        "the stance of a trot; a foot that lands longer never rests before the next step",
         quantity="time",
         unit="s",
-        reality=Reality.law(
-            0.0,
-            tolerance=STANCE_S,
-            source=_source("a foot that steps stays on the ground", foot),
-            rationale="the stance of a trot; a foot that lands longer never rests before the next step",
-        ),
         value=lambda rollout: max(
             last_s(rollout) - float(np.sqrt(2.0 * DROP_M / GRAVITY_M_PER_S2)), 0.0
         ),

@@ -38,25 +38,12 @@ WIDTHS = ARRAYS | dict.fromkeys(
 )
 """Columns of each array."""
 
+_DEFAULTS = mujoco.MjSpec().compile()
 INTEGERS = frozenset(
-    {
-        "body_parentid",
-        "body_mocapid",
-        "body_driven",
-        "jnt_driven",
-        "jnt_type",
-        "jnt_bodyid",
-        "jnt_limited",
-    }
-    | {
-        "geom_bodyid",
-        "geom_contype",
-        "geom_conaffinity",
-        "geom_condim",
-        "geom_priority",
-    }
-    | {"pair_dim", "pair_geom1", "pair_geom2", "exclude_signature"}
+    {"body_driven", "jnt_driven"}
+    | {n for n in ARRAYS if getattr(_DEFAULTS, n).dtype.kind in "biu"}
 )
+"""Arrays of whole numbers."""
 
 GEOM_FIELDS = (
     *("contype", "conaffinity", "condim", "priority", "solmix"),
