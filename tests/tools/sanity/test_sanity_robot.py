@@ -335,6 +335,9 @@ def test_dry_friction_of_a_joint_that_is_too_light_for_it_is_a_drag():
     assert moved_rad[0] == pytest.approx(2.0 * 0.05 / drag_n_m_s_per_rad, rel=0.02)
     assert moved_rad[1] < 0.01
     assert row("robot-dry", text).configured == pytest.approx(1.0, abs=1e-6)
+    # What does not hold a joint takes no part of its torque.
+    lost = [row("robot-frictionloss", one).configured for one in (xml, text)]
+    assert lost == pytest.approx([0.0, 1.0 / (0.5 * KP)], abs=1e-9)
 
 
 def test_friction_that_the_engine_switches_off_is_none():

@@ -19,6 +19,7 @@ from gauge_envs.tools.sanity.robot.finding import (
 )
 from gauge_envs.tools.sanity.robot.joints import (
     FEW_JOINTS,
+    drags_nm,
     driven_dofs,
     driven_joints,
     growth,
@@ -300,10 +301,8 @@ def _damping(robot: Robot) -> Finding:
 
 @row("robot-frictionloss")
 def _frictionloss(robot: Robot) -> Finding:
-    loss = robot.model.dof_frictionloss
-    return _drag(
-        robot, "frictionloss", lambda dof, limit: float(loss[dof]) / limit, 20.0
-    )
+    drags = drags_nm(robot)
+    return _drag(robot, "frictionloss", lambda dof, limit: drags[dof][0] / limit, 20.0)
 
 
 @row("robot-armature")

@@ -184,6 +184,30 @@ def growth(robot: Robot) -> float:
 
 
 @once
+def drags_nm(robot: Robot) -> dict[int, tuple[float, float]]:
+    """Return the dry and the viscous part of the torque that turns each driven hinge without power, in the engine.
+
+    The viscous part is that at 1 rad/s [Nm]. Where a link is light, the engine makes its dry friction a drag.
+    """
+    bare = robot.without(
+        "contact", "gravity", "limit", "equality", "actuation", "spring"
+    )
+    bare.opt.density = bare.opt.viscosity = 0.0
+    data, found = start(robot, bare), {}
+    data.qacc[:] = 0.0
+    for dof in driven_dofs(robot):
+        torques_nm = []
+        for rate_rad_per_s in (3.0, 6.0):
+            data.qvel[:] = rate_rad_per_s * (np.arange(bare.nv) == dof)
+            mujoco.mj_inverse(bare, data)
+            torques_nm.append(float(data.qfrc_inverse[dof]))
+        slow_nm, fast_nm = torques_nm
+        dry_nm = max(2.0 * slow_nm - fast_nm, 0.0)
+        found[dof] = dry_nm, max((fast_nm - slow_nm) / 3.0, 0.0)
+    return found
+
+
+@once
 def largest_weights_nm(robot: Robot) -> FloatArray:
     """Return the largest torque of gravity on each degree of freedom in random poses [Nm], shape [nv]."""
     poses = random_poses(robot.model, 64)

@@ -23,6 +23,7 @@ from gauge_envs.tools.sanity.robot.finding import (
 from gauge_envs.tools.sanity.robot.ground_rows import overlaps
 from gauge_envs.tools.sanity.robot.joints import (
     dof_of,
+    drags_nm,
     driven_dofs,
     feet_above_ground_m,
     floor_m,
@@ -226,24 +227,9 @@ STEP_RAD, STEP_S = 0.3, 1.0
 
 @row("robot-dry")
 def _dry(robot: Robot) -> Finding:
-    loads = largest_weights_nm(robot)
-    bare = robot.without(
-        "contact", "gravity", "limit", "equality", "actuation", "spring"
-    )
-    bare.opt.density = bare.opt.viscosity = 0.0
-    data, shares, losses, rates = start(robot, bare), {}, {}, {}
-    data.qacc[:] = 0.0
-    limits_nm = loads_nm(robot)
-    for dof in driven_dofs(robot):
-        torques = []
-        for rate in (3.0, 6.0):
-            data.qvel[:] = rate * (np.arange(bare.nv) == dof)
-            mujoco.mj_inverse(bare, data)
-            torques.append(float(data.qfrc_inverse[dof]))
-        dry, viscous = (
-            max(2.0 * torques[0] - torques[1], 0.0),
-            max((torques[1] - torques[0]) / 3.0, 0.0),
-        )
+    loads, limits_nm = largest_weights_nm(robot), loads_nm(robot)
+    shares, losses, rates = {}, {}, {}
+    for dof, (dry, viscous) in drags_nm(robot).items():
         shares[dof] = dry / max(dry + viscous, 1e-12)
         rates[dof] = viscous
         # The least of measured joints: 5 % beside viscous friction, and 0.26 % of the weight of a bare bearing.
