@@ -48,6 +48,10 @@ NOT_SET: Mapping[str, Mapping[str, str]] = {
 }
 """Constants that the file of a stack does not set, with the reason."""
 
+ISAAC_FRICTION = (
+    "Isaac Lab draws the viscous friction from the same range (randomize_joint_parameters): state the friction in the "
+    "asset, and draw a factor"
+)
 FACTOR_OF = "dry_friction_n_m"
 """Constant of joints of which a factor on the value of the file may be known."""
 
@@ -169,12 +173,16 @@ def for_stack(justified: Justified, stack: str) -> Justified:
     gone = NOT_SET.get(stack, {})
     if stack == "gymnasium" and is_robot_file(justified.subject):
         gone = NOT_SET["mujoco"]
-    kept = [one for one in justified.ranges if one.constant not in gone]
-    without = [
-        LeftOut(name=one.name, reason=gone[one.constant])
-        for one in justified.ranges
-        if one.constant in gone
-    ]
+    kept = []
+    without = []
+    for one in justified.ranges:
+        reason = gone.get(one.constant, "")
+        if stack == "isaaclab" and one.constant == FACTOR_OF and one.operation == "abs":
+            reason = ISAAC_FRICTION
+        if reason:
+            without.append(LeftOut(name=one.name, reason=reason))
+        else:
+            kept.append(one)
     return Justified(
         subject=justified.subject,
         ranges=tuple(kept),

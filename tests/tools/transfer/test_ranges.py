@@ -345,16 +345,19 @@ def test_maniskill_draws_from_what_the_robot_states_at_each_call(arm_ranges):
     assert 0.3 / 1.75 <= min(frictions) < max(frictions) <= 0.3 * 1.75
 
 
-# isaaclab.envs.mdp.events of isaac-sim/IsaacLab, main of November 2026: parameters after env and env_ids.
+# isaaclab.envs.mdp of isaac-sim/IsaacLab, wheel 2.3.2 and 3308ee75 of November 2026: parameters after env and env_ids,
+# optional ones in brackets. The terms read `operation` before they are called, so that it is required.
 SIGNATURES = {
-    "randomize_actuator_gains": "asset_cfg stiffness_distribution_params damping_distribution_params operation "
-    "distribution",
-    "randomize_joint_parameters": "asset_cfg friction_distribution_params armature_distribution_params "
-    "lower_limit_distribution_params upper_limit_distribution_params operation distribution",
+    "randomize_actuator_gains": "asset_cfg operation [stiffness_distribution_params] [damping_distribution_params] "
+    "[distribution]",
+    "randomize_joint_parameters": "asset_cfg operation [friction_distribution_params] [armature_distribution_params] "
+    "[lower_limit_distribution_params] [upper_limit_distribution_params] [distribution]",
     "randomize_rigid_body_material": "static_friction_range dynamic_friction_range restitution_range num_buckets "
-    "asset_cfg make_consistent",
-    "randomize_rigid_body_mass": "asset_cfg mass_distribution_params operation distribution recompute_inertia",
+    "asset_cfg [make_consistent]",
+    "randomize_rigid_body_mass": "asset_cfg mass_distribution_params operation [distribution] [recompute_inertia]",
 }
+POSITIVE = {"stiffness_distribution_params", "mass_distribution_params"}
+"""Ranges of factors whose lower end must be above 0; that of others is at least 0."""
 
 
 def module(name, **values):
@@ -363,7 +366,7 @@ def module(name, **values):
     return made
 
 
-def test_isaac_lab_gets_terms_that_its_functions_take(arm_ranges):
+def isaac_file(text):
     mdp = module("isaaclab.envs.mdp", **{name: name for name in SIGNATURES})
     envs = module("isaaclab.envs", mdp=mdp)
     managers = module(
@@ -371,8 +374,8 @@ def test_isaac_lab_gets_terms_that_its_functions_take(arm_ranges):
         EventTermCfg=SimpleNamespace,
         SceneEntityCfg=lambda name, **names: (name, names),
     )
-    found = load(
-        stack_file(arm_ranges, "isaaclab"),
+    return load(
+        text,
         **{
             "isaaclab": module("isaaclab", envs=envs),
             "isaaclab.envs": envs,
@@ -380,13 +383,37 @@ def test_isaac_lab_gets_terms_that_its_functions_take(arm_ranges):
             "isaaclab.managers": managers,
         },
     )
+
+
+def test_isaac_lab_gets_terms_that_its_functions_take(arm_ranges):
+    found = isaac_file(stack_file(arm_ranges, "isaaclab"))
     terms = found.event_terms()
     for term in terms.values():
-        assert set(term.params) <= set(SIGNATURES[term.func].split())
+        words = SIGNATURES[term.func].split()
+        required = {word for word in words if not word.startswith("[")}
+        assert required <= set(term.params) <= {word.strip("[]") for word in words}
+        assert term.mode == "startup"
+        operation = term.params.get("operation", "abs")
+        assert operation in ("add", "scale", "abs")
+        assert term.params.get("distribution", "uniform") == "uniform"
+        for name, ends in term.params.items():
+            if name.endswith(("_params", "_range")):
+                low, high = ends
+                assert low <= high
+                is_positive = name in POSITIVE and operation == "scale"
+                assert low > 0.0 if is_positive else low >= 0.0
     assert len(terms) == 6
     assert terms["contact_friction"].params["static_friction_range"][0] == pytest.approx(0.2475, abs=1e-4)  # fmt: skip
     # 1 to 26 ms, in steps of 5 ms.
     assert found.delay_steps(0.005) == {"min_delay": 0, "max_delay": 5}
+
+
+def test_isaac_lab_draws_no_viscous_friction_from_a_range_in_n_m(arm_ranges):
+    """Its function draws both from one range, where a factor leaves a viscous friction of 0."""
+    terms = isaac_file(stack_file(arm_ranges, "isaaclab")).event_terms()
+    assert terms["joints_dry_friction_n_m"].params["operation"] == "scale"
+    with pytest.raises(ParameterError, match="viscous friction from the same range"):
+        stack_file(justified_ranges("JointPendulum-viscous"), "isaaclab")
 
 
 # --- command ---
