@@ -1,4 +1,4 @@
-"""SO-101 by `gauge recipe joint`, with the armature of a bench.
+"""SO-101 by `gauge recipe joint`, with the armature of a bench, and one kp of the joints that no weight turns.
 
     python -m studies.joints.arm
 
@@ -29,6 +29,9 @@ NAMES = {
 }
 BENCH_KG_M2 = 0.0236
 """Mean of six laws of one servo on a bench (Rhoban/bam, commit 31e5b97, params/feetech_sts3215_7_4V)."""
+KP_N_M_PER_RAD = 12.7
+"""Mean of the joints that carry weight (arm_constants.csv). The others tell ratios of torques alone."""
+WEIGHTLESS = ("Rotation", "Wrist_Roll", "Jaw")
 SWEEP_S = 100.0
 """The sweep is used up to here: beyond, the jaw loses cycles."""
 STEP_S = 0.005
@@ -59,6 +62,7 @@ def fitted() -> Identified:
     """Fit even motions and predict odd ones from their recorded starts."""
     motions = logs()
     known = {NAMES["armature"]: BENCH_KG_M2}
+    known |= {f"{joint}.{NAMES['kp']}": KP_N_M_PER_RAD for joint in WEIGHTLESS}
     return identify(
         backend("mujoco"),
         read_mjcf(HERE / "so101.xml"),

@@ -15,6 +15,9 @@ FIRST_LAG = (1.0, 0.0, 0.02, 0.05, 0.01)
 LAG_STEPS = (0.05, 0.05, 0.05, 0.05, 0.02)
 """First steps of the search, in the units of the numbers."""
 
+LAG_SAMPLE_S = 0.005
+"""Time between the samples to which a lag is fitted, where logs have more [s]."""
+
 
 def lagged(
     times_s: FloatArray, command_rad: FloatArray, start_rad: float, lag: Sequence[float]
@@ -84,7 +87,8 @@ def _command(_: Sequence[Log], joint: int) -> Predicted:
 
 
 def _lag(logs: Sequence[Log], joint: int) -> Predicted:
-    """Fit a lag to a joint of logs."""
+    """Fit a lag to a joint of logs, at samples up to `LAG_SAMPLE_S` apart."""
+    thin = [log.thinned(LAG_SAMPLE_S) for log in logs]
 
     def angle(log: Log, lag: Sequence[float]) -> FloatArray:
         assert log.command_rad is not None
@@ -95,7 +99,7 @@ def _lag(logs: Sequence[Log], joint: int) -> Predicted:
         if lag[2:].min() < 0.0:
             return float("inf")
         numbers = lag.tolist()
-        left = (angle(log, numbers) - log.position_rad[:, joint] for log in logs)
+        left = (angle(log, numbers) - log.position_rad[:, joint] for log in thin)
         return float(sum((one**2).sum() for one in left))
 
     first = np.array(FIRST_LAG)

@@ -87,7 +87,7 @@ def recipe_joint(
         typer.Option(
             metavar="NAME=VALUE",
             rich_help_panel=arguments.SELECTION,
-            help="Number of all joints that a bench measured; --source says where.",
+            help="Number that a bench measured, of all joints or of one as elbow.kp_n_m_per_rad; --source says where.",
         ),
     ] = None,
     source: Annotated[

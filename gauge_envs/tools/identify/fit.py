@@ -27,6 +27,7 @@ from gauge_envs.tools.identify.intervals import (
     ZERO,
     between_files,
     errors_of_logs,
+    errors_of_step,
     patterns_of,
     sensor_noise_of,
     settings_of,
@@ -85,7 +86,7 @@ def identify(
         logs: Logs to fit.
         names: Numbers to identify, fields of `JointDynamics` and `Servo`, and laws of `TERMS` to compare; None
             compares the laws of friction of a swing.
-        known: Numbers of all joints that are not identified, as from a bench.
+        known: Numbers that are not identified, as from a bench: of all joints, or of one as `elbow.kp_n_m_per_rad`.
         held_out: Logs that are only predicted, with the identified numbers.
         load_error: Standard uncertainty of the loads, over their masses and inertias. Torques are known in proportion
             to them, so that each interval of one is wider by as much.
@@ -102,14 +103,16 @@ def identify(
     servo = logs[0].command_rad is not None
     known = known or {}
     logs = [log.moving() for log in logs]
+    of_all = [one for one in known if "." not in one]
     laws_names = {
-        law: [*(one for one in terms if one not in known), *known]
+        law: [*(one for one in terms if one not in of_all), *of_all]
         for law, terms in asked_laws(engine, servo, names).items()
     }
     first = next(iter(laws_names.values()), names)
-    names = [*(one for one in first or SERVO_NAMES if one not in known), *known]
+    names = [*(one for one in first or SERVO_NAMES if one not in of_all), *of_all]
     everything = {one for terms in laws_names.values() for one in terms}
     _check_request(scene, [*logs, *held_out], [*names, *everything])
+    _check_known(known, logs[0], names)
     machine = machine_of(engine, scene, logs[0], names, settings or {})
     fitter = Fitter(machine=machine, known=known, part_s=part_s)
     laws: tuple[Law, ...] = ()
@@ -190,6 +193,7 @@ def identify(
         noise_rad=sensor_noise_of(long, unknowns),
         patterns=patterns_of(long, unknowns),
         trades=trades_of(long, fit.covariance, joint_words),
+        step_rad=errors_of_step(long, unknowns),
         laws=laws,
         files=len(logs),
         is_replayed=is_replayed,
@@ -219,6 +223,21 @@ def _check_request(
         if name not in (*known, *SERVO_FRICTION):
             raise ParameterError(
                 f"{name}: no number of such a joint; known: {', '.join(known)}, and the laws {', '.join(TERMS)}"
+            )
+
+
+def _check_known(known: Mapping[str, float], log: Log, names: Sequence[str]) -> None:
+    """Raise `ParameterError` unless known numbers of single joints are of joints of the log, and of fitted names."""
+    joints = joint_names(log, log.position_rad.shape[1])
+    for key in known:
+        joint, _, name = key.rpartition(".")
+        if joint and joint not in joints:
+            raise ParameterError(
+                f"{key}: the log has no joint {joint}; it has {', '.join(joints)}"
+            )
+        if name not in names:
+            raise ParameterError(
+                f"{key}: {name} of the other joints is not fitted; state it of all joints, or name it in --fit"
             )
 
 

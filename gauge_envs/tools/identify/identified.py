@@ -81,6 +81,7 @@ class Identified:
         patterns: What is left of each fitted log looks like: words by joint.
         trades: Sentences about numbers that the logs hardly tell apart.
         laws: Laws of friction that were compared, the chosen one first.
+        step_rad: By what the fitted logs move with half the step of the engine, root mean square [rad], shape [J].
         files: Number of logs that were fitted.
         is_replayed: Whether the errors are those of the pasted lines in plain MuJoCo, each log from its recorded start.
         simulations: Number of simulated parts of logs.
@@ -99,6 +100,7 @@ class Identified:
     noise_rad: FloatArray = field(default_factory=lambda: np.zeros(0))
     patterns: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     trades: tuple[str, ...] = ()
+    step_rad: FloatArray = field(default_factory=lambda: np.zeros(0))
     laws: tuple[Law, ...] = ()
     files: int = 1
     is_replayed: bool = False

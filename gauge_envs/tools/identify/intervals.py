@@ -19,7 +19,10 @@ from gauge_envs.tools.identify.stages import Fit
 
 ZERO = "0 is in the interval"
 
-SCALE = "only ratios of torques are told: a weight or a known armature would tell their scale"
+SCALE = "only ratios of torques are told: a weight, a known armature or a known kp would tell their scale"
+
+UNTOLD = 10.0
+"""Standard error of a file's number, over its value in all files, from which the file tells nothing about it."""
 
 FEWEST_FILES = 2
 """Number of files whose spread is too uncertain to leave a number out."""
@@ -41,7 +44,11 @@ def settings_of(
     found = []
     for joint in range(problem.joints):
         alike = _correlations(problem, covariance, joint)
-        torques = [kind for kind, name in enumerate(problem.names) if name != SERVO[2]]
+        torques = [
+            kind
+            for kind, name in enumerate(problem.names)
+            if name not in (SERVO[2], OFFSET) and np.isnan(problem.fixed[kind, joint])
+        ]
         is_scale = len(torques) > 2 and bool(
             (alike[np.ix_(torques, torques)] > ALIKE).all()
         )
@@ -121,6 +128,9 @@ def between_files(
     for row, one in enumerate(settings):
         values = np.array([file[row].value for file in files])
         stds = np.array([file[row].std for file in files])
+        tells = stds < UNTOLD * abs(one.value)
+        if tells.sum() > 1:
+            values, stds = values[tells], stds[tells]
         if one.is_known or not np.isfinite(stds).all():
             found.append(one)
             continue
@@ -181,6 +191,16 @@ def trades_of(
                     f"{word}: {pair} trade, correlation {alike[first, second]:.2f}"
                 )
     return tuple(found)
+
+
+def errors_of_step(problem: Problem, unknowns: FloatArray) -> FloatArray:
+    """Return by what the logs move with half the step of the engine, root mean square [rad], shape [J]."""
+    half = problem.machine.with_step(0.5 * problem.machine.timestep_s)
+    errors, finer = (
+        np.concatenate(replace(problem, machine=one).errors(unknowns, may_diverge=True))
+        for one in (problem.machine, half)
+    )
+    return np.sqrt(((finer - errors) ** 2).mean(axis=0))
 
 
 def errors_of_logs(problem: Problem, unknowns: FloatArray) -> dict[str, FloatArray]:

@@ -97,6 +97,12 @@ class Log:
         rows = {key: values[:count] for key, values in self.columns.items()}
         return replace(self, times_s=self.times_s[:count], **rows)
 
+    def thinned(self, apart_s: float) -> Log:
+        """Return the log with samples at most this far apart, or as it is if they are further [s]."""
+        every = max(int(apart_s / np.median(np.diff(self.times_s)) + 1e-9), 1)
+        rows = {key: values[::every] for key, values in self.columns.items()}
+        return replace(self, times_s=self.times_s[::every], **rows)
+
     def only(self, names: Sequence[str]) -> Log:
         """Return the log of some of its joints."""
         if strange := [one for one in names if one not in self.joints]:

@@ -30,8 +30,8 @@ FIRST_DAMPING, LEAST_DAMPING, EASE, MOST_STEPS = 1e-2, 1e-9, 5.0, 40
 TRIES, SERVO_TRIES = 4, 10
 """Trials of a step, each with more damping: small steps of swings end where errors jump."""
 
-LEAST_LIMIT = 0.5
-"""Least torque limit of a servo after a step, over that before it."""
+LEAST_LIMIT, MOST_GROWTH = 0.5, 4.0
+"""Least torque limit of a servo after a step, and most of any number, over that before it."""
 
 LOST_RAD = 10.0
 """Error of a simulation that diverges [rad], so that the search turns back."""
@@ -293,6 +293,9 @@ class Problem:
         for _ in range(most):
             # Below a limit that holds a servo still, no other number tells anything: a step stays near.
             lowest[limits] = LEAST_LIMIT * scaled[limits]
+            highest = np.where(
+                np.isfinite(lowest), MOST_GROWTH * np.maximum(scaled, 1.0), np.inf
+            )
             jacobian = self.jacobian(scaled, differences[0])
             before = squares = np.bincount(owner_of_row, residuals**2)
             waiting = np.full(damping.size, True)
@@ -303,6 +306,7 @@ class Problem:
                     moved[columns] = _damped_step(
                         scaled[columns],
                         lowest[columns],
+                        highest[columns],
                         jacobian[np.ix_(rows, columns)],
                         residuals[rows],
                         float(damping[owner]),
@@ -398,6 +402,7 @@ class Problem:
 def _damped_step(
     values: FloatArray,
     lowest: FloatArray,
+    highest: FloatArray,
     jacobian: FloatArray,
     residuals: FloatArray,
     damping: float,
@@ -407,6 +412,7 @@ def _damped_step(
     Args:
         values: The unknowns, shape [unknown_count].
         lowest: Their lowest values.
+        highest: Their highest values, at which a step is cut.
         jacobian: Slopes of the residuals, shape [residual_count, unknown_count].
         residuals: The residuals.
         damping: Share of the squared slopes that is added to them.
@@ -426,4 +432,4 @@ def _damped_step(
             break
         step[below] = lowest[below] - values[below]
         free &= ~below
-    return np.maximum(values + step, lowest)
+    return np.clip(values + step, lowest, highest)

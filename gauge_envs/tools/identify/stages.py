@@ -5,7 +5,7 @@ Stage 2 goes on with long parts; the starts of joints without servos are then un
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
 import numpy as np
@@ -24,6 +24,7 @@ from gauge_envs.scene.servo_friction import (
     STRIBECK,
 )
 from gauge_envs.tools.identify.logs import Log
+from gauge_envs.tools.identify.model_files import joint_names
 from gauge_envs.tools.identify.problem import (
     CLOSE,
     LOST_RAD,
@@ -38,6 +39,9 @@ FREE_PARTS_S, SERVO_PARTS_S = (0.6, np.inf), (5.0, 20.0)
 
 FIRST_STAGE_S = 15.0
 """About how much of the logs stage 1 uses, evenly spread [s]: it seeks the neighbourhood alone."""
+
+COARSE_S = 0.002
+"""Step up to which stage 1 multiplies a shorter one, and least time between its samples [s]."""
 
 QUADRATIC = DYNAMICS[3]
 
@@ -89,7 +93,7 @@ class Fitter:
 
     Attributes:
         machine: The joints on an engine.
-        known: Numbers of all joints that stay, as from a bench.
+        known: Numbers that stay, as from a bench: of all joints, or of one as `elbow.kp_n_m_per_rad`.
         part_s: Longest part of a log in stage 2 [s]; None is 20 s for servos and the whole log for others.
     """
 
@@ -121,7 +125,7 @@ class Fitter:
         short, long = self._stages(logs, names)
         if first is None:
             progress(f"{len(short.parts)} short parts of {len(logs)} logs")
-            unknowns = short.neighbourhood()
+            unknowns = _neighbourhood(short)
         else:
             unknowns = self._from(first, long)
         progress(f"{len(long.parts)} long parts")
@@ -142,8 +146,11 @@ class Fitter:
         terms = guessed(self.machine, names, self.known)
         sizes = np.array([[one[name] for one in terms] for name in names])
         fixed = np.full(sizes.shape, np.nan)
-        for name, value in self.known.items():
-            fixed[names.index(name)] = value
+        joints = joint_names(logs[0], len(terms))
+        for key, value in self.known.items():
+            joint, _, name = key.rpartition(".")
+            columns = [joints.index(joint)] if joint else range(len(joints))
+            fixed[names.index(name), columns] = value
         first_s, long_s = SERVO_PARTS_S if servo else FREE_PARTS_S
         short, long = parts_of(logs, first_s, self.part_s or long_s)
         problem = partial(
@@ -172,6 +179,23 @@ class Fitter:
         terms_of_law = {*SERVO_FRICTION} - {*STRIBECK[1:]}
         new = [name in terms_of_law and name not in rows for name in problem.names]
         return problem.shared_out(unknowns, np.array(new)) if any(new) else unknowns
+
+
+def _neighbourhood(problem: Problem) -> FloatArray:
+    """Return the unknowns of stage 1, by steps of up to `COARSE_S` unless the engine diverges with these."""
+    step_s = problem.machine.timestep_s
+    factor = int(COARSE_S / step_s + 1e-9)
+    if factor > 1:
+        coarse = replace(
+            problem,
+            machine=problem.machine.with_step(factor * step_s),
+            parts=[part.thinned(COARSE_S) for part in problem.parts],
+        )
+        unknowns = coarse.neighbourhood()
+        problem.simulations = coarse.simulations
+        if not coarse.diverges(unknowns):
+            return unknowns
+    return problem.neighbourhood()
 
 
 def parts_of(

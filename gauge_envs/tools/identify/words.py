@@ -13,6 +13,7 @@ REPLAY_NOTE = (
     "with the angle and rate of a parabola through 0.05 s."
 )
 START_NOTE = "rms error of a fitted log is from its fitted start, of a held out one from its recorded start."
+STEP_NOTE = "{joint}: half the step moves the fitted logs by {step:.2g} mrad: the numbers hold at this step alone."
 PLAIN_NOTES = {
     "lag": "Without a model: angle = command; lag has five numbers: gain, offset, delay, time constant, play.",
     "cosine": "Without a model: a decaying cosine of three numbers: angle at rest, decay, frequency.",
@@ -77,9 +78,21 @@ def _numbers(found: Identified) -> Table:
             f"{FIT_NOTE} What has no pasted value stays as the scene states it.",
             *found.trades,
             *([KV_NOTE] if has_kv else []),
+            *_coarse(found),
             "",
         ),
     )
+
+
+def _coarse(found: Identified) -> list[str]:
+    """Return the joints that the step of the engine moves by more than their sensor's noise."""
+    return [
+        STEP_NOTE.format(joint=joint, step=1e3 * step_rad)
+        for joint, step_rad, noise_rad in zip(
+            found.names, found.step_rad, found.noise_rad, strict=False
+        )
+        if step_rad > noise_rad
+    ]
 
 
 def _laws(found: Identified) -> Table:

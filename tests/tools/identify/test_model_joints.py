@@ -23,9 +23,12 @@ from gauge_envs.tools.identify import (
 )
 from gauge_envs.tools.identify.baselines import baselines, lagged
 from gauge_envs.tools.identify.fit import AS_WELL, _to_leave_out, machine_of
+from gauge_envs.tools.identify.intervals import SCALE
 from gauge_envs.tools.identify.model_files import joints_of_model
-from gauge_envs.tools.identify.mujoco_joints import start_at
+from gauge_envs.tools.identify.mujoco_joints import ModelJoints, start_at
 from gauge_envs.tools.identify.rig import SceneJoints
+from gauge_envs.tools.identify.stages import Fitter
+from gauge_envs.tools.identify.words import identified_document
 
 ARM = """<mujoco><option timestep="{step}" integrator="implicitfast"/><worldbody><body>
   <SHOULDER/><inertial pos="0 0 -.1" mass=".2" diaginertia="1e-3 1e-3 1e-3"/>
@@ -170,6 +173,48 @@ def test_a_bench_value_is_kept_and_pasted():
     assert bench.error_rad["one"][0] > 3.0 * NOISE_RAD
 
 
+def test_a_bench_value_of_one_joint_stays_beside_fitted_ones():
+    log = servo_log("one", 1)
+    angles = np.hstack([log.position_rad, log.position_rad])
+    both = Log("both", log.times_s, angles, angles, joints=("shoulder", "elbow"))
+    machine = joints_of_model(mujoco.MjSpec.from_string(arm()), both, {})
+    fitter = Fitter(machine=machine, known={"elbow.kp_n_m_per_rad": 7.0})
+    problem = fitter._stages([both], NAMES)[1]
+    of_shoulder, of_elbow = problem.unknowns(np.ones(2 * len(NAMES)))[0]
+    assert of_elbow["kp_n_m_per_rad"] == 7.0 != of_shoulder["kp_n_m_per_rad"]
+
+
+@pytest.mark.parametrize(
+    ("known", "words"),
+    [
+        ({"wrist.kp_n_m_per_rad": 7.0}, "no joint wrist; it has elbow"),
+        ({"elbow.offset_rad": 0.1}, "name it in --fit"),
+    ],
+)
+def test_a_bench_value_of_no_fitted_joint_is_refused(known, words):
+    spec = mujoco.MjSpec.from_string(arm())
+    with pytest.raises(ParameterError, match=words):
+        identify(backend("mujoco"), spec, [servo_log("one", 1)], NAMES, known=known)
+
+
+@pytest.mark.slow
+def test_a_lag_with_play_tells_ratios_of_torques_alone():
+    """Nothing of it is an inertia or a weight: kp, kv and friction go together, also beside a known armature."""
+    times_s = 0.02 * np.arange(200)
+    command = np.repeat([0.0, 0.4, -0.3, 0.2], 50)
+    angles = lagged(times_s, command, 0.0, (1.0, 0.0, 0.02, 0.08, 0.01))
+    angles += NOISE_RAD * np.random.default_rng(4).standard_normal(200)
+    log = Log("lag", times_s, angles[:, None], command[:, None], joints=("elbow",))
+    spec = mujoco.MjSpec.from_string(arm(rest='<option gravity="0 0 0"/>', shoulder=""))
+    found = identify(backend("mujoco"), spec, [log], NAMES, known={"armature_kg_m2": 0.001})  # fmt: skip
+    unknown = {one.name: one.unknown for one in found.settings}
+    assert unknown["kp_n_m_per_rad"] == unknown["kv_n_m_s_per_rad"] == SCALE
+    found = identify(
+        backend("mujoco"), spec, [log], NAMES, known={"armature_kg_m2": 0.001, "elbow.kp_n_m_per_rad": 6.0}
+    )  # fmt: skip
+    assert not any(one.unknown for one in found.settings)
+
+
 def test_an_armature_that_is_not_determined_is_not_pasted_though_it_follows_the_log_better():
     """Of 40 noisy samples 0 is in its interval; only a bench value may stand in the lines."""
     log = servo_log("one", 2, armature=5e-4, noise_rad=0.012)
@@ -203,10 +248,45 @@ def test_the_torque_limit_of_a_servo_is_found():
     xml = arm(step=0.0005, rest=rest, shoulder="")
     angles = played(xml, lambda time_s: steps[int(time_s / 0.02 + 1e-9)], times_s)
     log = Log("one", times_s, angles[:, None], steps[:, None], joints=("elbow",))
-    model = mujoco.MjSpec.from_string(arm(rest='<option gravity="0 0 0"/>'))
-    names = ("kp_n_m_per_rad", "kv_n_m_s_per_rad", "torque_limit_n_m")
-    found = identify(backend("mujoco"), model, [log], names).settings
-    assert found[2].value == pytest.approx(limit, rel=0.02)
+    found = {}
+    for step_s in (0.0005, STEP_S):
+        free = '<option gravity="0 0 0"/>'
+        model = mujoco.MjSpec.from_string(arm(step=step_s, rest=free))
+        names = ("kp_n_m_per_rad", "kv_n_m_s_per_rad", "torque_limit_n_m")
+        found[step_s] = identify(backend("mujoco"), model, [log], names)
+    values = [one.value for one in found[0.0005].settings]
+    assert values == pytest.approx([KP, 0.5, limit], rel=0.01)
+    # With four times the step the engine needs another kp, and the output says so.
+    coarse = found[STEP_S]
+    assert coarse.settings[2].value == pytest.approx(limit, rel=0.02)
+    assert coarse.settings[0].value == pytest.approx(1.17 * KP, rel=0.02)
+    notes = identified_document(coarse).parts[0].notes
+    assert any("the numbers hold at this step alone" in line for line in notes)
+
+
+@pytest.mark.parametrize("stiffness", [0.0, 20_000.0], ids=["follows", "diverges"])
+def test_the_first_stage_takes_longer_steps_unless_these_diverge(
+    monkeypatch, stiffness
+):
+    """A step h of a spring k of inertia I diverges where k h^2 > 4 I: with 2 ms, and not with 0.5 ms."""
+    log = servo_log("one", 1)
+    assert log.command_rad is not None
+    rows = {name: values[:40] for name, values in log.columns.items()}
+    short = replace(log, times_s=log.times_s[:40], **rows)
+    spec = mujoco.MjSpec.from_string(arm(step=0.0005))
+    spec.joint("elbow").stiffness[0] = stiffness
+    steps = []
+    inner = ModelJoints.angles
+
+    def seen(self, *given):
+        steps.append(self.timestep_s)
+        return inner(self, *given)
+
+    monkeypatch.setattr(ModelJoints, "angles", seen)
+    fitter = Fitter(machine=joints_of_model(spec, short, {}), known={})
+    fitter.fit([short], ["kp_n_m_per_rad"], most_steps=1)
+    assert steps.count(0.002) > 10
+    assert (steps.count(0.0005) > 10) == bool(stiffness)
 
 
 def test_plain_laws_are_beside_the_errors(found):
