@@ -54,3 +54,12 @@ def coasting_rate(law, weight_n_m, motor_n_m, inertia_kg_m2, scale, rate, times_
     start = np.exp(rate / scale)
     decay = np.exp(-steady * times_s / (inertia_kg_m2 * scale))
     return scale * np.log(((steady * start + slow) * decay - slow) / steady)
+
+
+JOINT = (
+    '<mujoco><option timestep="{step}" integrator="implicitfast"/><worldbody><body><joint name="elbow" axis="{axis}" '
+    'armature="{armature}" frictionloss="{dry}" solimpfriction="0.9999 0.9999 0.001" solreffriction="0.001 1"/>'
+    '<inertial pos="{pos}" mass="{mass}" diaginertia="{inertia}"/></body></worldbody>{rest}</mujoco>'
+)
+"""An arm of one joint in MJCF."""
+LEVEL = {"axis": "0 1 0", "pos": "0.2 0 0", "mass": 0.5, "inertia": "1e-3 1e-3 1e-3", "armature": 0.005}  # fmt: skip

@@ -34,7 +34,12 @@ from gauge_envs.tools.identify.intervals import (
     trades_of,
     with_load_error,
 )
-from gauge_envs.tools.identify.laws import SERVO_NAMES, asked_laws, compare_laws
+from gauge_envs.tools.identify.laws import (
+    PLAY_LAW,
+    SERVO_NAMES,
+    asked_laws,
+    compare_laws,
+)
 from gauge_envs.tools.identify.logs import Log
 from gauge_envs.tools.identify.model_files import (
     joint_names,
@@ -44,6 +49,7 @@ from gauge_envs.tools.identify.model_files import (
 from gauge_envs.tools.identify.mujoco_joints import ModelJoints
 from gauge_envs.tools.identify.problem import NEAR, SERVO_CLOSE, Problem
 from gauge_envs.tools.identify.rig import (
+    BACKLASH,
     DYNAMICS,
     LIMIT,
     OFFSET,
@@ -113,6 +119,10 @@ def identify(
     everything = {one for terms in laws_names.values() for one in terms}
     _check_request(scene, [*logs, *held_out], [*names, *everything])
     _check_known(known, logs[0], names)
+    if BACKLASH in everything | {*names} and not known.get(DYNAMICS[2]):
+        raise ParameterError(
+            "backlash needs the inertia of the rotor, which a log hardly tells: state it, --known armature_kg_m2=VALUE"
+        )
     machine = machine_of(engine, scene, logs[0], names, settings or {})
     fitter = Fitter(machine=machine, known=known, part_s=part_s)
     laws: tuple[Law, ...] = ()
@@ -219,10 +229,13 @@ def _check_request(
                 f"{log.name}: all logs must state commands of servos, or none"
             )
     for name in names:
-        known = [*DYNAMICS, *SERVO, LIMIT, OFFSET] if servo else [*DYNAMICS, "delay_s"]
+        known = [*DYNAMICS, BACKLASH, "delay_s"]
+        if servo:
+            known += [*SERVO[:2], LIMIT, OFFSET]
         if name not in (*known, *SERVO_FRICTION):
+            laws = ", ".join((*TERMS, PLAY_LAW))
             raise ParameterError(
-                f"{name}: no number of such a joint; known: {', '.join(known)}, and the laws {', '.join(TERMS)}"
+                f"{name}: no number of such a joint; known: {', '.join(known)}, and the laws {laws}"
             )
 
 
@@ -258,7 +271,8 @@ def machine_of(
     check_joints(scene, log)
     hinges = len(scene.hinges)
     known = SceneJoints(engine, scene, settings)
-    built = with_terms(scene, guessed(known, names, {}), log, np.zeros(hinges))
+    guesses = guessed(known, names, {})
+    built = with_terms(scene, guesses, log, np.zeros(hinges))
     support = scene_support(engine, built)
     if not support:
         raise UnsupportedSceneError(
@@ -267,7 +281,9 @@ def machine_of(
     if engine.name != "mujoco":
         return known
     given = with_drive_interval(settings, DRIVE_INTERVAL_S)
-    # Plain MuJoCo gets laws of friction by its own dry friction.
+    # Plain MuJoCo gets laws of friction by its own dry friction, and a play by a hinge that is added later.
+    rigid = [{**one, BACKLASH: 0.0} for one in guesses]
+    built = with_terms(scene, rigid, log, np.zeros(hinges))
     simulation = engine.build(without_laws(built, quadratic=False), given or None)
     try:
         spec = simulation.spec  # type: ignore[attr-defined]

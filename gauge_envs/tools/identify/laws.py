@@ -14,7 +14,7 @@ from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.servo_friction import IN_ONE, SERVO_FRICTION, TERMS
 from gauge_envs.tools.identify.identified import Law
 from gauge_envs.tools.identify.logs import Log
-from gauge_envs.tools.identify.rig import DYNAMICS, SERVO
+from gauge_envs.tools.identify.rig import BACKLASH, DYNAMICS, SERVO
 from gauge_envs.tools.identify.stages import QUADRATIC, Fit, Fitter
 
 LAW_STEPS, LAW_CLOSE = 15, 1e-5
@@ -38,6 +38,9 @@ LAWS = {
 }
 """Names that are identified in each law of friction of a joint without a servo; the first law contains the others."""
 
+PLAY_LAW = "backlash"
+"""M1 with a play between rotor and link."""
+
 SERVO_NAMES = (DYNAMICS[0], DYNAMICS[2], *SERVO)
 """What is identified of a servo unless names are given; kv holds the viscous friction of its joint."""
 
@@ -56,15 +59,16 @@ def asked_laws(
             for law, terms in LAWS.items()
             if QUADRATIC not in terms or Feature.QUADRATIC_FRICTION in engine.features
         }
-    asked = [one for one in names or () if one in TERMS]
+    laws = {**TERMS, PLAY_LAW: (BACKLASH,)}
+    asked = [one for one in names or () if one in laws]
     changing = [one for one in names or () if one in (*SERVO_FRICTION, *TERMS)]
     if changing and Feature.SERVO_FRICTION not in engine.features:
         raise UnsupportedSceneError(
             f"backend {engine.name!r}: {', '.join(changing)}: this engine does not build friction by rate and load"
         )
-    rest = [one for one in names or () if one not in TERMS]
+    rest = [one for one in names or () if one not in laws]
     base = SERVO_NAMES if servo else DYNAMICS[:3]
-    return {law: tuple(dict.fromkeys([*base, *TERMS[law], *rest])) for law in asked}
+    return {law: tuple(dict.fromkeys([*base, *laws[law], *rest])) for law in asked}
 
 
 def compare_laws(

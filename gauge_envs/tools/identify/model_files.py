@@ -16,7 +16,14 @@ from gauge_envs.scene.servo_friction import SERVO_FRICTION
 from gauge_envs.tools.identify.logs import Log
 from gauge_envs.tools.identify.mujoco_joints import ModelJoints
 from gauge_envs.tools.identify.paste import JOINT
-from gauge_envs.tools.identify.rig import DYNAMICS, LIMIT, OFFSET, SERVO, Terms
+from gauge_envs.tools.identify.rig import (
+    BACKLASH,
+    DYNAMICS,
+    LIMIT,
+    OFFSET,
+    SERVO,
+    Terms,
+)
 from gauge_envs.tools.mjcf import PROBE
 
 if TYPE_CHECKING:
@@ -253,7 +260,8 @@ def _stated(model: mujoco.MjModel, name: str) -> dict[str, float]:
     """Return the numbers that a model states for a joint."""
     joint = model.joint(name)
     dof = int(joint.dofadr[0])
-    numbers = dict.fromkeys((*DYNAMICS, *SERVO, LIMIT, OFFSET, *SERVO_FRICTION), 0.0)
+    names = (*DYNAMICS, BACKLASH, *SERVO, LIMIT, OFFSET, *SERVO_FRICTION)
+    numbers = dict.fromkeys(names, 0.0)
     numbers[DYNAMICS[0]] = float(model.dof_frictionloss[dof])
     numbers[DYNAMICS[1]] = float(np.ravel(model.dof_damping[dof])[0])
     numbers[DYNAMICS[2]] = float(model.dof_armature[dof])

@@ -16,7 +16,14 @@ from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.servo_friction import Holding, holding
 from gauge_envs.tools.identify.logs import Log
 from gauge_envs.tools.identify.paste import JOINT, paste
-from gauge_envs.tools.identify.rig import DYNAMICS, LIMIT, OFFSET, SERVO, Terms
+from gauge_envs.tools.identify.rig import (
+    BACKLASH,
+    DYNAMICS,
+    LIMIT,
+    OFFSET,
+    SERVO,
+    Terms,
+)
 
 STIFF_IMPEDANCE = (0.9999, 0.9999, 0.001, 0.5, 2.0)
 """Impedance of dry friction: with MuJoCo's own a joint that friction holds creeps."""
@@ -24,6 +31,8 @@ SHORT_S = 0.001
 """Time constant of dry friction [s]; MuJoCo makes it two steps at least."""
 LOOP_STEPS, LOOP_GAP = 30, 1e-6
 """Most steps to close loops at a start, and the gap that is left at most [m, rad]."""
+STOP_IMPEDANCE = (0.99, 0.999, 1e-4, 0.5, 2.0)
+"""Impedance of the stops of a play."""
 RK4 = mujoco.mjtIntegrator.mjINT_RK4
 STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 
@@ -61,7 +70,14 @@ class ModelJoints:
     @cached_property
     def _motored(self) -> tuple[mujoco.MjModel, mujoco.MjData]:
         """A compiled model with a motor at each joint, and its state."""
-        spec = self.spec.copy()
+        return self._compiled(self.spec.copy())
+
+    @cached_property
+    def _played(self) -> tuple[mujoco.MjModel, mujoco.MjData]:
+        """The same with a play behind each joint."""
+        return self._compiled(with_play(self.spec.copy(), self.joints))
+
+    def _compiled(self, spec: mujoco.MjSpec) -> tuple[mujoco.MjModel, mujoco.MjData]:
         for joint, numbers in zip(self.joints, self.stated, strict=True):
             motor = spec.add_actuator(name=motor_name(joint), target=joint)
             motor.trntype = JOINT
@@ -105,7 +121,8 @@ class ModelJoints:
         self, log: Log, terms: Sequence[Terms], start: tuple[FloatArray, FloatArray]
     ) -> FloatArray:
         """Return the angles of the joints at the times of a log [rad], shape [N, J]; see `rig.Machine`."""
-        model, data = self._motored
+        has_play = any(one.get(BACKLASH) for one in terms)
+        model, data = self._played if has_play else self._motored
         self._set(model, data, terms)
         start_at(model, data, self, *start)
         if not self.has_servos and model.opt.integrator != RK4:
@@ -124,8 +141,6 @@ class ModelJoints:
             values = _controls(log, place, delay_s, count, self.timestep_s)
             values += float(terms[place].get(OFFSET, 0.0))
             control[0, :, motor] = self.signs[place] * values
-        # A state begins with its time, and the positions follow.
-        columns = [1 + int(model.joint(one).qposadr[0]) for one in self.joints]
         if laws := self._laws(model, terms):
             states = np.zeros((1, count, state.size))
             mujoco.mj_forward(model, data)
@@ -137,8 +152,22 @@ class ModelJoints:
             states, _ = rollout.rollout(model, data, state[None], control)
         if np.any(data.warning.number):
             raise DivergedError(f"{log.name}: plain MuJoCo diverges")
-        moved = np.vstack([state[columns], states[0][:, columns]]) * self.signs
+        # A state begins with its time, and the positions follow.
+        positions = np.vstack([state, states[0]])[:, 1 : 1 + model.nq]
+        moved = self._links(model, positions)
         return _at_times(moved, (log.times_s - log.times_s[0]) / self.timestep_s)
+
+    def _links(self, model: mujoco.MjModel, positions: FloatArray) -> FloatArray:
+        """Return the angles of the links [rad], shape [..., J], from positions of a model, shape [..., nq]."""
+        rotors = [int(model.joint(one).qposadr[0]) for one in self.joints]
+        angles = positions[..., rotors]
+        plays = [play_name(one) for one in self.joints]
+        if has_joint(model, plays[0]):
+            angles = (
+                angles
+                + positions[..., [int(model.joint(one).qposadr[0]) for one in plays]]
+            )
+        return np.asarray(self.signs * angles)
 
     def _laws(
         self, model: mujoco.MjModel, terms: Sequence[Terms]
@@ -170,6 +199,7 @@ class ModelJoints:
                 if limit := given.get(LIMIT):
                     model.actuator_forcelimited[motor] = True
                     model.actuator_forcerange[motor] = -limit, limit
+        _set_plays(model, self.joints, terms)
         # The softness of dry friction is in proportion to the inertia that a joint has at rest.
         mujoco.mj_setConst(model, data)
 
@@ -185,10 +215,12 @@ class ModelJoints:
             terms: Numbers of each joint; friction of servo benches and offsets, which no element states, are used.
             logs: The logs.
         """
-        model = paste(self.spec.copy(), lines).compile()
+        spec = paste(self.spec.copy(), lines)
+        has_play = any(one.get(BACKLASH) for one in terms)
+        model = (with_play(spec, self.joints) if has_play else spec).compile()
+        _set_plays(model, self.joints, terms)
         laws = self._laws(model, terms)
         data = mujoco.MjData(model)
-        placed = [int(model.joint(one).qposadr[0]) for one in self.joints]
         motors = {
             model.actuator(index).id: self.joints.index(model.joint(joint).name)
             for index, joint in enumerate(model.actuator_trnid[:, 0].tolist())
@@ -213,7 +245,7 @@ class ModelJoints:
             for row, count in enumerate(np.diff(steps, prepend=0.0).astype(int)):
                 if count:
                     _step(model, data, count, laws)
-                simulated[row] = data.qpos[placed] * self.signs
+                simulated[row] = self._links(model, data.qpos)
                 for motor, joint in motors.items():
                     data.ctrl[motor] = commands[row, joint]
             if any(warning.number for warning in data.warning):
@@ -255,6 +287,40 @@ def _at_times(angles: FloatArray, steps: FloatArray) -> FloatArray:
         - at[0] * at[1] * at[3] / 2.0 * angles[first + 2]
         + at[0] * at[1] * at[2] / 6.0 * angles[first + 3]
     )
+
+
+def with_play(spec: mujoco.MjSpec, joints: Sequence[str]) -> mujoco.MjSpec:
+    """Return a model with a second hinge behind each joint, between rotor and link: it turns up to two stops."""
+    for name in joints:
+        joint = spec.joint(name)
+        play = joint.parent.add_joint(
+            name=play_name(name), pos=joint.pos, axis=joint.axis
+        )
+        play.limited = mujoco.mjtLimited.mjLIMITED_TRUE
+        play.range = [-1.0, 1.0]
+        play.solimp_limit = STOP_IMPEDANCE
+        play.solref_limit = [SHORT_S, 1.0]
+    return spec
+
+
+def _set_plays(
+    model: mujoco.MjModel, joints: Sequence[str], terms: Sequence[Terms]
+) -> None:
+    """Put the stops of plays at half of the backlash to either side, if the model has any."""
+    for joint, numbers in zip(joints, terms, strict=True):
+        if has_joint(model, play_name(joint)):
+            half_rad = 0.5 * numbers[BACKLASH]
+            model.joint(play_name(joint)).range = -half_rad, half_rad
+
+
+def has_joint(model: mujoco.MjModel, name: str) -> bool:
+    """Return whether a model has a joint of this name."""
+    return mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name) >= 0
+
+
+def play_name(joint: str) -> str:
+    """Return the name of the hinge behind a joint that is its play."""
+    return f"{joint}/play"
 
 
 def motor_name(joint: str) -> str:

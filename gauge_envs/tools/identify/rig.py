@@ -39,10 +39,9 @@ from gauge_envs.scene.servo_friction import SERVO_FRICTION, ServoFriction
 from gauge_envs.scene.timing import DRIVE_INTERVAL_S
 from gauge_envs.tools.identify.logs import Log
 
+BACKLASH = "backlash_rad"
 DYNAMICS = tuple(
-    one.name
-    for one in fields(JointDynamics)
-    if one.name not in ("backlash_rad", "servo")
+    one.name for one in fields(JointDynamics) if one.name not in (BACKLASH, "servo")
 )
 SERVO = ("kp_n_m_per_rad", "kv_n_m_s_per_rad", "delay_s")
 LIMIT = "torque_limit_n_m"
@@ -248,7 +247,7 @@ def with_terms(
     def changed(place: int, hinge: AnyHinge) -> AnyHinge:
         given = terms[place]
         terms_given: dict[str, Any] = {
-            name: given[name] for name in DYNAMICS if name in given
+            name: given[name] for name in (*DYNAMICS, BACKLASH) if name in given
         }
         servo = {name: given[name] for name in SERVO_FRICTION if name in given}
         if servo:
@@ -367,7 +366,7 @@ def numbers(scene: Scene) -> list[dict[str, float]]:
     return [
         {
             name: float(one.get(name) or 0.0)
-            for name in (*DYNAMICS, *SERVO, LIMIT, OFFSET, *SERVO_FRICTION)
+            for name in (*DYNAMICS, BACKLASH, *SERVO, LIMIT, OFFSET, *SERVO_FRICTION)
         }
         for one in known
     ]
@@ -377,7 +376,7 @@ def check_joints(scene: Scene, log: Log) -> None:
     """Raise `ParameterError` unless a log has as many joints as a scene has hinges, which have no play."""
     if any(hinge.dynamics.backlash_rad for hinge in scene.hinges):
         raise ParameterError(
-            "the scene has joints with backlash_rad, which is not identified: set it to 0"
+            "the scene has joints with backlash_rad: set it to 0, and fit it (--fit M1,backlash)"
         )
     if log.position_rad.shape[1] != len(scene.hinges):
         raise ParameterError(

@@ -7,6 +7,7 @@ from pathlib import Path
 from string import Formatter
 
 from gauge_envs.scene.servo_friction import SERVO_FRICTION, rule
+from gauge_envs.tools.identify.rig import BACKLASH
 
 LAW = (
     'before each mj_step: i = model.joint("{name}").dofadr[0]; '
@@ -14,6 +15,12 @@ LAW = (
     "model.dof_frictionloss[i] = {law}"
 )
 """Python that sets what friction of a joint can hold in MuJoCo."""
+PLAYED = ("mujoco", "playground")
+PLAY = (
+    'behind {name}, in the same body with its pos and axis: <joint name="{name}/play" limited="true" '
+    'range="-{half} {half}" solimplimit="0.99 0.999 0.0001" solreflimit="0.001 1"/>, in radians'
+)
+"""Backlash of a joint in MuJoCo, whose armature is the rotor's."""
 STEPS = {"delay_samples": "delay_s", "delay_steps": "delay_s"}
 """Fields that state a number in steps of the simulation."""
 
@@ -76,6 +83,10 @@ def snippet_lines(
         if law := rule(terms, terms["dry_friction_n_m"]):
             lines.append(comment.format(LAW.format(name=name, law=law)))
             said |= {*SERVO_FRICTION}
+        if engine in PLAYED and terms[BACKLASH]:
+            half = f"{0.5 * terms[BACKLASH]:.5g}"
+            lines.append(comment.format(PLAY.format(name=name, half=half)))
+            said.add(BACKLASH)
         lines += [
             comment.format(
                 f"{label}: {term} is not determined ({reason}), "

@@ -32,7 +32,14 @@ from gauge_envs.tools.identify.problem import (
     SERVO_CLOSE,
     Problem,
 )
-from gauge_envs.tools.identify.rig import DYNAMICS, LIMIT, OFFSET, SERVO, Machine
+from gauge_envs.tools.identify.rig import (
+    BACKLASH,
+    DYNAMICS,
+    LIMIT,
+    OFFSET,
+    SERVO,
+    Machine,
+)
 
 FREE_PARTS_S, SERVO_PARTS_S = (0.6, np.inf), (5.0, 20.0)
 """Longest part of a log in both stages [s]; a servo forgets its start."""
@@ -247,6 +254,7 @@ def guessed(
         "delay_s": 0.02,
         LIMIT: weight,
         OFFSET: 0.5,
+        BACKLASH: 0.01,
         **dict(zip(STRIBECK, (0.01 * weight, 0.2, 1.0), strict=True)),
         **dict.fromkeys((LOAD, *DIRECTED), 0.05),
         **dict.fromkeys((LOAD_STRIBECK, *DIRECTED_STRIBECK), 0.05),

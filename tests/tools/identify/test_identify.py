@@ -438,7 +438,7 @@ def test_a_log_of_two_joints_has_two_columns(tmp_path):
     play = replace(
         scene.hinges[0], dynamics=JointDynamics(armature_kg_m2=0.01, backlash_rad=0.01)
     )
-    with pytest.raises(ParameterError, match="backlash_rad, which is not identified"):
+    with pytest.raises(ParameterError, match="backlash_rad: set it to 0, and fit it"):
         identify(backend("mujoco"), replace(scene, joints=(play,)), [log], [DRY])
 
 
@@ -528,7 +528,7 @@ def test_wrong_requests_are_refused(gauge, approved, tmp_path):
         "recipe joint units.csv --mass=1 --length=0.2 --angle-unit=deg",
         "recipe joint log.csv",
         "recipe joint log.csv --mass=1 --length=0.2 --fit=kp_n_m_per_rad",
-        "recipe joint log.csv --mass=1 --length=0.2 --fit=backlash_rad",
+        "recipe joint log.csv --mass=1 --length=0.2 --fit=stiffness",
         "recipe joint log.csv --mass=1 --scene=Pendulum-metal",
     )
     approved("identify/refused", approval.refused_commands(gauge, *commands))

@@ -8,11 +8,11 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from servo_laws import JOINT
 
 from gauge_envs.backends import backend
 from gauge_envs.errors import ParameterError
 from gauge_envs.runs.rollout import DivergedError
-from gauge_envs.scene.servo_friction import STRIBECK
 from gauge_envs.tools.identify import (
     Log,
     Setting,
@@ -402,13 +402,6 @@ def test_angles_that_no_loop_has_are_an_error():
         start_at(*machine._motored, machine, np.array([2.5]))
 
 
-JOINT = (
-    '<mujoco><option timestep="{step}" integrator="implicitfast"/><worldbody><body><joint name="elbow" axis="{axis}" '
-    'armature="{armature}" frictionloss="{dry}" solimpfriction="0.9999 0.9999 0.001" solreffriction="0.001 1"/>'
-    '<inertial pos="{pos}" mass="{mass}" diaginertia="{inertia}"/></body></worldbody>{rest}</mujoco>'
-)
-
-
 TILT = {"axis": "0 1 0", "pos": ".02 0 .03", "mass": 0.25, "inertia": "2e-4 2e-4 2e-4", "armature": 6.4e-4}  # fmt: skip
 FINGER = {"axis": "1 0 0", "pos": "0 0 -.03", "mass": 0.04, "inertia": "2e-5 2e-5 5e-6", "armature": 2e-4}  # fmt: skip
 
@@ -450,93 +443,6 @@ def test_a_fit_leaves_the_minima_beside_the_best(
     # A servo that is solved implicitly with four times the step has slightly larger numbers.
     assert values["kp_n_m_per_rad"] == pytest.approx(kp, rel=0.1)
     assert values["dry_friction_n_m"] == pytest.approx(dry, rel=0.15)
-
-
-def loaded_log(name, seed):
-    """A log of a servo that holds a level arm, of which friction grows with the load: M3 in plain MuJoCo."""
-    random = np.random.default_rng(seed)
-    times_s = 0.02 * np.arange(400)
-    command = np.repeat(random.uniform(-1.2, 1.2, 20), 20)
-    command[:20] = 0.0
-    servo = '<actuator><position joint="elbow" kp="8" kv="0.4"/></actuator>'
-    model = mujoco.MjModel.from_xml_string(JOINT.format(step=0.0005, dry=DRY_N_M, rest=servo, **LEVEL))  # fmt: skip
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    angles = []
-    for step in range(-4000, 16000):
-        if step >= 0 and step % 40 == 0:
-            angles.append(float(data.qpos[0]))
-        # The servo is 20 ms late, and comes to rest at the first command before the log.
-        data.ctrl[0] = command[max((step - 40) // 40, 0)]
-        load = abs(data.qfrc_actuator[0] + data.qfrc_bias[0])
-        model.dof_frictionloss[0] = DRY_N_M + SHARE * load
-        mujoco.mj_step(model, data)
-    measured = np.array(angles) + NOISE_RAD * random.standard_normal(400)
-    return Log(name, times_s, measured[:, None], command[:, None], joints=("elbow",))
-
-
-DRY_N_M, SHARE = 0.05, 0.15
-LEVEL = {"axis": "0 1 0", "pos": "0.2 0 0", "mass": 0.5, "inertia": "1e-3 1e-3 1e-3", "armature": 0.005}  # fmt: skip
-
-
-@pytest.mark.slow
-def test_the_law_of_a_servo_is_chosen_by_prediction_and_pasted():
-    """The pasted text of the law, run by hand before each step, misses the held-out log by the printed error."""
-    spec = mujoco.MjSpec.from_string(JOINT.format(step=STEP_S, dry=0.0, rest="", **LEVEL))  # fmt: skip
-    logs, other = [loaded_log(f"{seed}", seed) for seed in range(3)], loaded_log("o", 9)
-    known = {"armature_kg_m2": LEVEL["armature"]}
-    found = identify(
-        backend("mujoco"), spec, logs, ["M1", "M2", "M3"], known=known, held_out=[other]
-    )  # fmt: skip
-    best, *rest = found.laws
-    assert best.name == "M3"
-    assert min(one.held_out_rad for one in rest) > 3.0 * best.held_out_rad
-    values = {one.name: one.value for one in found.settings}
-    assert values["load_friction"] == pytest.approx(SHARE, rel=0.1)
-    assert values["kp_n_m_per_rad"] == pytest.approx(8.0, rel=0.03)
-
-    joint, servo = [one for one in found.lines.splitlines() if "<!--" not in one]
-    place = '<joint axis="0 1 0"'
-    xml = JOINT.format(step=STEP_S, dry=0.0, rest=f"<actuator>{servo}</actuator>", **LEVEL)  # fmt: skip
-    xml = re.sub("<joint .*?/>", joint.replace("<joint", place), xml)
-    law = re.search("before each mj_step: (.*) -->", found.lines)
-    assert law is not None and other.command_rad is not None
-    model = mujoco.MjModel.from_xml_string(xml)
-    data = mujoco.MjData(model)
-    (angle,), (rate,) = other.start()
-    data.qpos[:], data.qvel[:] = angle, rate
-    slots = int(model.actuator_history[0, 0])
-    before_s = STEP_S * (np.arange(slots) - slots)
-    mujoco.mj_initCtrlHistory(
-        model, data, 0, before_s, np.full(slots, other.command_rad[0, 0])
-    )
-    data.ctrl[:] = other.command_rad[0]
-    mujoco.mj_forward(model, data)
-    angles = [angle]
-    for command in other.command_rad[:-1]:
-        data.ctrl[:] = command
-        for _ in range(10):
-            exec(law[1], {"model": model, "data": data, "exp": np.exp})
-            mujoco.mj_step(model, data)
-        angles.append(float(data.qpos[0]))
-    error = np.sqrt(((np.array(angles) - other.position_rad[:, 0]) ** 2).mean())
-    assert found.held_out_rad["o"][0] == pytest.approx(error, rel=0.02)
-
-
-def test_friction_by_load_is_that_of_mujoco_in_an_engine_without_such_a_term():
-    """Plain MuJoCo sets its dry friction before each step, Rapier gets a torque."""
-    pytest.importorskip("rapier3d")
-    times_s = np.arange(0.0, 0.6, 0.02)
-    log = Log("swing", times_s, np.zeros((times_s.size, 1)))
-    by_rate = dict(zip(STRIBECK, (0.05, 0.5, 1.0), strict=True))
-    numbers = {"dry_friction_n_m": 0.05, "load_friction": 0.2, **by_rate}
-    step = {"timestep_s": 1.0 / 3600.0}
-    swings = []
-    for name in ("mujoco", "rapier"):
-        machine = machine_of(backend(name), one_joint(1.0, 0.2), log, [*numbers], step)
-        swings.append(machine.angles(log, [numbers], (np.ones(1), np.zeros(1))))
-    assert swings[0].min() < -0.1
-    assert swings[1] == pytest.approx(swings[0], abs=0.002)
 
 
 def test_an_armature_that_is_not_determined_is_left_out_however_far_it_is_from_the_model():
