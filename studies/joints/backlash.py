@@ -24,9 +24,7 @@ PLAY = (
     '<joint name="play" axis="{axis}" limited="true" range="{low} {high}" solimplimit="0.99 0.999 0.0001" '
     'solreflimit="0.001 1"/><inertial'
 )
-HEADER = (
-    "robot encoder backlash_deg M1_mrad with_play_mrad chosen found_deg lag_mrad noise_mrad"
-)
+HEADER = "robot encoder backlash_deg M1_mrad with_play_mrad chosen found_deg lag_mrad noise_mrad"
 
 
 def logged(robot: str, play_deg: float, at_rotor: bool, seed: int) -> Log:
