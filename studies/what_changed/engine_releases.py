@@ -6,11 +6,11 @@ import re
 import shutil
 import subprocess
 import sys
-import venv
 from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from gauge_envs.tools.versions.causes import unreached
 from gauge_envs.tools.versions.environments import (
     Environment,
     released_versions,
@@ -50,6 +50,12 @@ WARP_OF_ITS_TIME = {
 FROM_SOURCE = ("--only-binary", ":all:", "--no-binary", "pygltflib")
 """Only wheels are installed, but for a package of Genesis that has none: it is one file of Python."""
 
+PYTHONS = (sys.executable, "python3.9", "python3.8")
+"""Interpreters that a release is tried in, in turn: old releases have wheels for old ones alone."""
+
+COMPONENTS_OF_SAPIEN = (3,)
+"""First release of SAPIEN that states all packages that it imports."""
+
 
 def beside(requirement: str) -> list[str]:
     """Return the packages that are installed with a release of an engine, which does not state them or their limits."""
@@ -58,6 +64,8 @@ def beside(requirement: str) -> list[str]:
     packages = ["numpy", "setuptools<81"]
     if engine == "drake" and version_key(version) < DRAKE_OF_NUMPY_2:
         packages[0] = "numpy<2"
+    if engine == "sapien" and version_key(version) < COMPONENTS_OF_SAPIEN:
+        packages += ["scipy", "transforms3d"]
     if engine == "genesis-world":
         packages.append("torch==2.13.0")
         if version_key(version) < GENESIS_OF_LIBIGL_2_6:
@@ -72,48 +80,71 @@ def beside(requirement: str) -> list[str]:
     return packages
 
 
-def new_releases(*, has_candidates: bool) -> list[str]:
-    """Return the newest release of each engine, where it has no numbers yet."""
+def indexed_releases(*, newest: bool, has_candidates: bool) -> list[str]:
+    """Return the releases of each engine that the package index has, or the newest of each."""
     here = Environment("", Path(sys.executable))
-    done = {row["release"] for row in results()}
-    newest = []
+    found = []
     for engine in TITLES:
         versions = released_versions(engine, here, has_candidates=has_candidates)
-        newest.append(f"{engine}=={versions[-1]}")
-    return [requirement for requirement in newest if requirement not in done]
+        if newest:
+            versions = versions[-1:]
+        found += [f"{engine}=={version}" for version in versions]
+    return found
 
 
 def measure_engines(*words: str) -> None:
-    """Run the scenes in releases that `engines.csv` lacks, as `drake==1.37.0`; `--new`: the newest of each engine.
+    """Run the scenes in releases that `engines.csv` lacks, as `drake==1.37.0`.
 
-    An engine has one environment, which is removed afterwards; the file is written after each release, so that the
-    command goes on where it was stopped.
+    `--all` stands for all that the package index has, and `--new` for the newest of each engine. The file is written
+    after each release, so that the command goes on where it was stopped. A release without a wheel is printed alone.
     """
     requirements = [word for word in words if "==" in word]
-    if "--new" in words:
-        requirements += new_releases(has_candidates="--pre" in words)
-    done = {row["release"] for row in results()}
-    wanted: dict[str, list[str]] = {}
-    for requirement in requirements:
-        if requirement not in done:
-            wanted.setdefault(requirement.partition("==")[0], []).append(requirement)
-    for engine, releases in wanted.items():
-        with TemporaryDirectory() as folder:
-            python = str(Path(folder) / "bin" / "python")
-            install = [python, "-m", "pip", "install", "-q", "--no-input"]
-            if uv := shutil.which("uv"):
-                install = [uv, "pip", "install", "-q", "--python", python]
-            venv.create(folder, with_pip=uv is None)
-            for requirement in releases:
-                packages = [requirement, *beside(requirement)]
-                command = [*install, *FROM_SOURCE, *packages]
-                made = subprocess.run(
-                    command, capture_output=True, text=True, check=False
-                )
-                if made.returncode:
-                    print(f"{requirement}: {made.stderr.splitlines()[-1]}")
-                    continue
+    if "--all" in words or "--new" in words:
+        requirements += indexed_releases(
+            newest="--all" not in words, has_candidates="--pre" in words
+        )
+    with TemporaryDirectory() as folder:
+        for requirement in requirements:
+            if requirement in {row["release"] for row in results()}:
+                continue
+            engine = requirement.partition("==")[0]
+            python = installed(requirement, Path(folder) / engine)
+            if python is not None:
                 store(requirement, scene_numbers(python, engine))
+
+
+def installed(requirement: str, folder: Path) -> str | None:
+    """Return the interpreter of an environment with a release, in the first Python that has its wheels, if any.
+
+    Args:
+        requirement: The release.
+        folder: Folder of the environments of its engine, one for each Python.
+    """
+    why = "no interpreter"
+    for base in PYTHONS:
+        if shutil.which(base) is None:
+            continue
+        place = folder / Path(base).name
+        python = str(place / "bin" / "python")
+        make = [base, "-m", "venv", str(place)]
+        install = [python, "-m", "pip", "install", "-q", "--no-input"]
+        if uv := shutil.which("uv"):
+            make = [uv, "venv", "-q", "--python", base, str(place)]
+            install = [uv, "pip", "install", "-q", "--python", python]
+        commands = [[*install, *FROM_SOURCE, requirement, *beside(requirement)]]
+        if not place.exists():
+            commands.insert(0, make)
+        for command in commands:
+            done = subprocess.run(command, capture_output=True, text=True, check=False)
+            if done.returncode:
+                break
+        if done.returncode == 0:
+            return python
+        why = done.stderr.strip().splitlines()[-1]
+        if unreached(done.stderr):
+            break
+    print(f"{requirement}: {why}", flush=True)
+    return None
 
 
 def scene_numbers(python: str, engine: str) -> dict[str, str]:

@@ -4,6 +4,8 @@ It runs in the environment of a release, and prints a JSON object: the number of
 release cannot run, why. An engine has its own defaults, but for damping, which is off, and the step of 1/480 s.
 """
 
+from __future__ import annotations
+
 import json
 import sys
 from collections.abc import Callable
@@ -41,9 +43,6 @@ class World(NamedTuple):
     state: Callable[[int], tuple[Any, Any, Any, Any]]
 
 
-Bodies = list[Body]
-
-
 def matrix(w: float, x: float, y: float, z: float) -> Any:
     """Return the rotation matrix of a quaternion."""
     u, v = np.array([x, y, z]), w
@@ -62,7 +61,7 @@ def density(one: Body) -> float:
 # --- engines ---------------------------------------------------------------------------------------------------------
 
 
-def pybullet(bodies: Bodies, gravity: Any) -> World:
+def pybullet(bodies: list[Body], gravity: Any) -> World:
     import pybullet as p
 
     p.connect(p.DIRECT)
@@ -94,9 +93,12 @@ def pybullet(bodies: Bodies, gravity: Any) -> World:
     return World(p.stepSimulation, state)
 
 
-def sapien(bodies: Bodies, gravity: Any) -> World:
+def sapien(bodies: list[Body], gravity: Any) -> World:
+    try:
+        from sapien import physx
+    except ImportError:
+        return sapien_2(bodies, gravity)
     import sapien
-    from sapien import physx
 
     physx.set_scene_config(gravity=[*gravity], bounce_threshold=0.2)
     scene = sapien.Scene([physx.PhysxCpuSystem()])
@@ -131,7 +133,40 @@ def sapien(bodies: Bodies, gravity: Any) -> World:
     return World(scene.step, state)
 
 
-def rapier3d(bodies: Bodies, gravity: Any) -> World:
+def sapien_2(bodies: list[Body], gravity: Any) -> World:
+    """Return a scene of SAPIEN before 3.0, whose bodies have no components."""
+    import sapien.core as sapien
+
+    config = sapien.SceneConfig()
+    config.gravity, config.bounce_threshold = [*gravity], 0.2
+    scene = sapien.Engine().create_scene(config)
+    scene.set_timestep(STEP_S)
+    made = []
+    for one in bodies:
+        builder = scene.create_actor_builder()
+        constants = (one.friction, one.friction, one.restitution)
+        material = scene.create_physical_material(*constants)
+        if len(one.size_m) == 1:
+            add, size = builder.add_sphere_collision, {"radius": one.size_m[0]}
+        else:
+            add, size = builder.add_box_collision, {"half_size": one.size_m}
+        add(material=material, density=density(one), **size)
+        body = builder.build() if one.mass_kg else builder.build_static()
+        body.set_pose(sapien.Pose(one.place_m))
+        if one.mass_kg:
+            body.set_damping(0.0, 0.0)
+            body.set_angular_velocity(one.spin_rad_per_s)
+        made.append(body)
+
+    def state(index: int) -> tuple[Any, Any, Any, Any]:
+        body = made[index]
+        turned = matrix(*body.pose.q)
+        return body.pose.p, body.velocity, body.angular_velocity, turned
+
+    return World(scene.step, state)
+
+
+def rapier3d(bodies: list[Body], gravity: Any) -> World:
     import rapier3d as rapier
 
     world = rapier.PhysicsWorld(gravity=tuple(gravity))
@@ -160,7 +195,7 @@ def rapier3d(bodies: Bodies, gravity: Any) -> World:
     return World(world.step, state)
 
 
-def mujoco_warp(bodies: Bodies, gravity: Any) -> World:
+def mujoco_warp(bodies: list[Body], gravity: Any) -> World:
     import mujoco
     import mujoco_warp as mjw
 
@@ -191,7 +226,7 @@ def mujoco_warp(bodies: Bodies, gravity: Any) -> World:
     return World(lambda: mjw.step(there, state_there), state)
 
 
-def newton(bodies: Bodies, gravity: Any) -> World:
+def newton(bodies: list[Body], gravity: Any) -> World:
     """Return a scene of Newton with its own solver, XPBD."""
     import newton as engine
     import warp as wp
@@ -211,16 +246,16 @@ def newton(bodies: Bodies, gravity: Any) -> World:
         if len(one.size_m) == 1:
             builder.add_shape_sphere(body, xform=at, radius=one.size_m[0], cfg=shape)
         else:
-            size = dict(zip(("hx", "hy", "hz"), one.size_m, strict=True))
-            builder.add_shape_box(body, xform=at, cfg=shape, **size)
+            hx, hy, hz = one.size_m
+            builder.add_shape_box(body, at, hx=hx, hy=hy, hz=hz, cfg=shape)
     model = builder.finalize(device="cpu")
     model.set_gravity(tuple(map(float, gravity)))
     solver = engine.solvers.SolverXPBD(model, enable_restitution=True)
     states, control = [model.state(), model.state()], model.control()
     rates = states[0].body_qd.numpy()
-    for one, body in zip(bodies, made, strict=True):
-        if body >= 0:
-            rates[body, 3:] = one.spin_rad_per_s
+    for index, one in enumerate(bodies):
+        if one.mass_kg:
+            rates[made[index], 3:] = one.spin_rad_per_s
     states[0].body_qd.assign(rates)
 
     def step() -> None:
@@ -238,7 +273,7 @@ def newton(bodies: Bodies, gravity: Any) -> World:
     return World(step, state)
 
 
-def drake(bodies: Bodies, gravity: Any) -> World:
+def drake(bodies: list[Body], gravity: Any) -> World:
     """Return a scene of Drake with compliant hydroelastic contact."""
     from pydrake import geometry, math
     from pydrake.multibody import math as spatial, plant as plants, tree
@@ -274,8 +309,9 @@ def drake(bodies: Bodies, gravity: Any) -> World:
     plant.Finalize()
     simulator = analysis.Simulator(builder.Build())
     context = plant.GetMyContextFromRoot(simulator.get_mutable_context())
-    for one, body in zip(bodies, made, strict=True):
+    for index, one in enumerate(bodies):
         if one.mass_kg:
+            body = made[index]
             plant.SetFreeBodyPose(context, body, math.RigidTransform(one.place_m))
             speed = spatial.SpatialVelocity(one.spin_rad_per_s, np.zeros(3))
             plant.SetFreeBodySpatialVelocity(body, speed, context)
@@ -293,7 +329,7 @@ def drake(bodies: Bodies, gravity: Any) -> World:
     return World(step, state)
 
 
-def genesis(bodies: Bodies, gravity: Any) -> World:
+def genesis(bodies: list[Body], gravity: Any) -> World:
     import genesis as gs
 
     if not getattr(gs, "_initialized", False):
@@ -313,9 +349,10 @@ def genesis(bodies: Bodies, gravity: Any) -> World:
             shape = gs.morphs.Box(size=tuple(2 * half for half in one.size_m), **place)
         made.append(scene.add_entity(shape, material=material))
     scene.build()
-    for one, body in zip(bodies, made, strict=True):
+    for index, one in enumerate(bodies):
         if one.mass_kg:
-            body.set_dofs_velocity(np.array([0.0, 0.0, 0.0, *one.spin_rad_per_s]))
+            speed = np.array([0.0, 0.0, 0.0, *one.spin_rad_per_s])
+            made[index].set_dofs_velocity(speed)
 
     def state(index: int) -> tuple[Any, Any, Any, Any]:
         body = made[index]
@@ -350,7 +387,7 @@ def tilted(degrees: float) -> Any:
     return G * np.array([np.sin(angle), 0.0, -np.cos(angle)])
 
 
-def run(build: Any, bodies: Bodies, gravity: Any, seconds: float) -> World:
+def run(build: Any, bodies: list[Body], gravity: Any, seconds: float) -> World:
     """Return a scene after a time."""
     world: World = build(bodies, gravity)
     for _ in range(round(seconds / STEP_S)):

@@ -48,7 +48,8 @@ def cases(only: str = "") -> Iterator[dict[str, str]]:
 
 def subject(name: str) -> str:
     """Return the model of a case: a file here, one of Gymnasium, or an id of the suite."""
-    files = [folder / f"{name}.xml" for folder in (HERE, GYMNASIUM)]
+    files = [HERE / f"{name}.urdf"]
+    files += [folder / f"{name}.xml" for folder in (HERE, GYMNASIUM)]
     return next((str(file) for file in files if file.is_file()), name)
 
 
@@ -57,7 +58,7 @@ def show_models() -> None:
     for row in cases():
         found = subject(row["model"])
         size = ""
-        if found.endswith(".xml"):
+        if Path(found).is_file():
             size = str(mujoco.MjModel.from_xml_path(found).nv)
         print(row["model"], size, row["first"], row["last"], row["named"] or "same")
 

@@ -75,15 +75,18 @@ def read_usd(
     mode: ContactMode | Mapping[tuple[str, str], ContactMode] = ContactMode.SUSTAINED,
     contacts: Sequence[Contact] | None = (),
     has_markers: bool = True,
+    unstated_duration_s: float | None = None,
 ) -> UsdScene:
     """Read the whole content of a USD file; arguments and errors as in `from_usd`.
 
     If `has_markers` is false, the markers of the file are ignored, and if `contacts` is None, its contacts
-    and the limits of its joints.
+    and the limits of its joints. `unstated_duration_s` is the duration of a file that states none [s].
     """
     options = PairOptions(friction=friction, mode=mode, contacts=contacts)
     with _opened(Path(path)) as source:
-        return _Reader(source, options, duration_s, has_markers=has_markers).read()
+        reader = _Reader(source, options, duration_s, has_markers=has_markers)
+        reader.unstated_duration_s = unstated_duration_s
+        return reader.read()
 
 
 def from_usd(
@@ -160,6 +163,7 @@ class _Reader:
         self.has_markers = has_markers
         self.options = options
         self.duration_s = duration_s
+        self.unstated_duration_s: float | None = None
         self.start = Usd.TimeCode(source.start)
 
     def read(self) -> UsdScene:
@@ -291,6 +295,8 @@ class _Reader:
             rounded=lambda t: np.round(t * source.rate) / source.rate,
         )
         duration = float(value) if value is not None else self.duration_s
+        if duration is None:
+            duration = self.unstated_duration_s
         if duration is None:
             raise source.fault(
                 "",

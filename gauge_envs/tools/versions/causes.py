@@ -21,6 +21,9 @@ UNREACHED = (
 )
 """Words of pip and uv where an index does not answer."""
 
+NO_INDEX = r"Ignoring indexes:|provided package locations"
+"""Words of pip and uv where the option no-index leaves the folders of find-links alone."""
+
 UNSATISFIED = (
     r"satisfies the requirement (?P<name>\S+)( \(from (?!versions).*?\))? \(from versions: (?P<versions>[^)]*)\)",
     r"there is no version of (?P<name>\S+)",
@@ -80,6 +83,8 @@ def _missing(name: str, offered: str, text: str) -> str:
         return f"there is no wheel of {name} for {python}"
     places = re.search(r"Looking in indexes: (.*)", text)
     where = places[1] if places else "the package index"
+    if re.search(NO_INDEX, text):
+        where = "the folders of find-links, and no-index switches the package index off"
     versions = [one for one in offered.split(", ") if one not in ("", "none")]
     if versions:
         near = get_close_matches(version, versions, n=3)

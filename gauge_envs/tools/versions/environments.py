@@ -8,6 +8,7 @@ import re
 import shutil
 import subprocess
 import sys
+import time
 import venv
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -19,7 +20,7 @@ from platformdirs import user_cache_path
 
 from gauge_envs.errors import GaugeError
 from gauge_envs.files import locked, write_whole
-from gauge_envs.tools.versions.causes import cause, unreached
+from gauge_envs.tools.versions.causes import NO_INDEX, cause, unreached
 
 RECORD = "environment.json"
 """File of a complete environment."""
@@ -35,6 +36,9 @@ LOOKING = ("-vv", "--no-input", "--retries", "2")
 
 INSTALL_LIMIT_S = 1800.0
 """Time of an installation [s]."""
+
+REMOVAL_LIMIT_S = 5.0
+"""Time in which children of an interrupted installation still write [s]."""
 
 
 class ReleaseError(GaugeError, RuntimeError):
@@ -207,7 +211,10 @@ def _removed_on_error(part: Path) -> Iterator[Path]:
     try:
         yield part
     except BaseException:  # Ctrl-C too.
-        shutil.rmtree(part, ignore_errors=True)
+        deadline_s = time.monotonic() + REMOVAL_LIMIT_S
+        while part.exists() and time.monotonic() < deadline_s:
+            shutil.rmtree(part, ignore_errors=True)
+            time.sleep(0.05)
         raise
 
 
@@ -242,7 +249,7 @@ def _check(done: subprocess.CompletedProcess[str], requirement: str) -> None:
         return
     text = done.stdout + done.stderr
     why = f"{requirement}: {cause(text, requirement)}"
-    if unreached(text):
+    if unreached(text) or re.search(NO_INDEX, text):
         cached = ", ".join(made_requirements()) or "none"
         why += f". Environments that can be used without it: {cached}; --python FILE names one that has MuJoCo"
     raise ReleaseError(why)

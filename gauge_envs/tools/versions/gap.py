@@ -157,9 +157,8 @@ class Visit:
             change = np.abs(np.subtract(one, two))
             if np.max(change) > DEPTH_TOLERANCE_M:
                 at = int(np.argmax(change))
-                return Quantity.DEPTH, (
-                    f"{names}: {-1e3 * one[at]:.4g} and {-1e3 * two[at]:.4g} mm"
-                )
+                depths_mm = pair_text(-1e3 * one[at], -1e3 * two[at], digits=4)
+                return Quantity.DEPTH, f"{names}: {depths_mm} mm"
         if self._differs(index, "smooth"):
             return Quantity.SMOOTH, "without contacts and limits the accelerations part"
         if self._differs(index, "qacc"):
@@ -172,6 +171,18 @@ class Visit:
                 f"{iterations[0]} and {iterations[1]} iterations"
             )
         return Quantity.STEP, "the same accelerations; the velocities after it part"
+
+
+EXACT_DIGITS = 17
+"""Digits that tell any two numbers apart."""
+
+
+def pair_text(one: float, two: float, digits: int = 3) -> str:
+    """Return two numbers with the digits that tell them apart, and at least as many as stated."""
+    if one != two:
+        while digits < EXACT_DIGITS and f"{one:.{digits}g}" == f"{two:.{digits}g}":
+            digits += 1
+    return f"{one:.{digits}g} and {two:.{digits}g}"
 
 
 def depths_m(side: Arrays, index: int) -> dict[tuple[int, int], list[float]]:

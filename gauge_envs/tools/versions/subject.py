@@ -118,9 +118,10 @@ def _scene_of(text: str) -> Scene:
 
         return load_experiment(find_variant(text).id).scene
     with needs_extra("a USD layer", "usd"):
-        from gauge_envs.tools.usd import from_usd
+        from gauge_envs.tools.usd import read_usd
 
-        return from_usd(text)
+        # A file that states no duration has no driven bodies, for whose motion alone it counts.
+        return read_usd(text, unstated_duration_s=1.0).scene
 
 
 def _of_scene(title: str, folder: Path, states: Path | None) -> Subject:

@@ -14,6 +14,7 @@ from gauge_envs.pages.text import (
     quantity_text,
     value_text,
 )
+from gauge_envs.tools.versions.gap import pair_text
 from gauge_envs.tools.versions.model import (
     Comparison,
     MotionComparison,
@@ -157,12 +158,11 @@ def _estimate(value: Estimate | None) -> str:
 
 
 def _parting_lines(parting: Parting, found: Comparison) -> list[str]:
+    both = pair_text(parting.acceleration_before, parting.acceleration_after)
     lines = [
         f"step {parting.step} of {parting.segment}, a state of {parting.of}",
         f"{parting.quantity}: {parting.detail}",
-        f"{parting.where}: {quantity_text(parting.acceleration_before)} and "
-        f"{quantity_text(parting.acceleration_after)} (m/s^2 or rad/s^2); all accelerations part by "
-        f"{_percent(parting.acceleration)}",
+        f"{parting.where}: {both} (m/s^2 or rad/s^2); all accelerations part by {_percent(parting.acceleration)}",
     ]
     for name in ("contacts", "iterations", "warnings"):
         one, two = getattr(parting, f"{name}_before"), getattr(parting, f"{name}_after")

@@ -27,6 +27,7 @@ from gauge_envs.tools.versions import bisection, environments, sides, worker
 from gauge_envs.tools.versions.comparison import compare
 from gauge_envs.tools.versions.environments import ReleaseError
 from gauge_envs.tools.versions.fields import field_changes
+from gauge_envs.tools.versions.gap import pair_text
 from gauge_envs.tools.versions.model import Quantity, Side, Verdict
 from gauge_envs.tools.versions.motions import compare_motions
 from gauge_envs.tools.versions.overlap import Solid, depth_m
@@ -489,6 +490,10 @@ UNFETCHED = "Could not fetch URL i/simple/: connection error: (Caused by E('[Err
             "i/ does not answer: dns",
         ),
         ("hint: unavailable because the network was disabled", "does not answer"),
+        (
+            f"Ignoring indexes: i/simple\n{LACKS} (from versions: 3.3.0)",
+            "no-index .*it has 3.3.0. Environments that can be used without it: none",
+        ),
         ("error: something else", "something else"),
     ],
 )
@@ -512,9 +517,20 @@ def test_nothing_half_made_is_used(tmp_path, monkeypatch):
         (at / "bin").mkdir(parents=True)
         (at / "bin" / "python").touch()
 
+    def write_on(folder):
+        # A child of pip that was interrupted too ends a moment later.
+        for index in range(30):
+            folder.mkdir(parents=True, exist_ok=True)
+            (folder / f"{index}.py").touch()
+            time.sleep(0.01)
+
     def interrupted(command):
+        child = threading.Thread(target=write_on, args=(Path(command[0]).parent,))
+        child.start()
+        children.append(child)
         raise KeyboardInterrupt
 
+    children = []
     monkeypatch.setattr(environments.venv.EnvBuilder, "create", create)
     monkeypatch.setattr(environments, "_run", interrupted)
     place = environments.environment_folder("mujoco==3.3.0")
@@ -522,6 +538,7 @@ def test_nothing_half_made_is_used(tmp_path, monkeypatch):
     killed.mkdir(parents=True)
     with pytest.raises(KeyboardInterrupt):
         environments.made_environment("mujoco==3.3.0", lambda text: None)
+    children[0].join()
     assert [one.name for one in (tmp_path / "versions").iterdir()] == [".locks"]
     assert not environments.is_made("mujoco==3.3.0")
     done = subprocess.CompletedProcess([], 0, "", "")
@@ -752,6 +769,33 @@ def test_what_is_no_subject(tmp_path, text, told):
         read_subject(text, tmp_path)
 
 
+LAYER = """#usda 1.0
+(
+    metersPerUnit = 1
+    upAxis = "Z"
+)
+def PhysicsScene "scene" {}
+def Material "wood" (prepend apiSchemas = ["PhysicsMaterialAPI"])
+{
+    float physics:dynamicFriction = 0.5
+    float physics:staticFriction = 0.5
+    float physics:restitution = 0
+}
+def Cube "block" (prepend apiSchemas = ["PhysicsRigidBodyAPI", "PhysicsCollisionAPI", "PhysicsMassAPI", "MaterialBindingAPI"])
+{
+    float physics:mass = 3
+    rel material:binding:physics = </wood>
+}
+"""
+
+
+def test_a_usd_layer_without_a_duration_is_a_subject(tmp_path):
+    layer = tmp_path / "block.usda"
+    layer.write_text(LAYER, encoding="utf-8")
+    found = read_subject(str(layer), tmp_path)
+    assert mujoco.MjModel.from_xml_path(str(found.file)).body_mass[-1] == 3.0
+
+
 def test_a_driven_body_of_an_id_moves_as_its_driver(tmp_path):
     """The plate of a turntable is at the poses of its motion, one every 1/180 s; the XML has none of them."""
     read = read_subject("Turntable-1-wood", tmp_path)
@@ -824,6 +868,12 @@ def test_states_of_another_model_are_refused(tmp_path):
         np.savez(file, **arrays)
         with pytest.raises(SystemExit, match=told):
             worker.saved(model, str(file))
+
+
+def test_numbers_have_the_digits_that_tell_them_apart():
+    assert pair_text(7.39512, 7.39548, digits=4) == "7.3951 and 7.3955"
+    assert pair_text(0.1, 0.1) == "0.1 and 0.1"
+    assert pair_text(float("nan"), float("nan")) == "nan and nan"
 
 
 # --- depths ----------------------------------------------------------------------------------------------------------
