@@ -4,6 +4,7 @@ import csv
 import json
 import re
 import shutil
+import signal
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -34,9 +35,8 @@ TITLES = {
 MOVED = 0.02
 """Difference of a number, over the larger one, that is a move; numbers below `small` in `scenes.csv` are 0."""
 
-DRAKE_OF_NUMPY_2 = (1, 34)
-"""First release of Drake that is run with NumPy 2, which crashes 1.30 and earlier."""
-
+NUMPY_2_SINCE = {"drake": (1, 34), "pybullet": (3, 2, 7), "sapien": (3,)}
+"""First release of an engine that is run with NumPy 2, which earlier ones crash or refuse with."""
 
 GENESIS_OF_LIBIGL_2_6 = (1, 4, 5)
 """First release of Genesis that is run with libigl 2.6, whose signed distances stop 0.2.1."""
@@ -53,7 +53,7 @@ FROM_SOURCE = ("--only-binary", ":all:", "--no-binary", "pygltflib")
 PYTHONS = (sys.executable, "python3.9", "python3.8")
 """Interpreters that a release is tried in, in turn: old releases have wheels for old ones alone."""
 
-COMPONENTS_OF_SAPIEN = (3,)
+STATED_BY_SAPIEN = (3,)
 """First release of SAPIEN that states all packages that it imports."""
 
 
@@ -62,9 +62,9 @@ def beside(requirement: str) -> list[str]:
     engine, _, version = requirement.partition("==")
     # SAPIEN imports a module that later setuptools lack.
     packages = ["numpy", "setuptools<81"]
-    if engine == "drake" and version_key(version) < DRAKE_OF_NUMPY_2:
+    if version_key(version) < NUMPY_2_SINCE.get(engine, ()):
         packages[0] = "numpy<2"
-    if engine == "sapien" and version_key(version) < COMPONENTS_OF_SAPIEN:
+    if engine == "sapien" and version_key(version) < STATED_BY_SAPIEN:
         packages += ["scipy", "transforms3d"]
     if engine == "genesis-world":
         packages.append("torch==2.13.0")
@@ -74,7 +74,8 @@ def beside(requirement: str) -> list[str]:
         first_of_later, warp = WARP_OF_ITS_TIME[engine]
         if version_key(version) < first_of_later:
             packages.append(warp)
-    if engine == "mujoco-warp":
+    # Before it had the numbers of MuJoCo it was 0.0.
+    if engine == "mujoco-warp" and not version.startswith("0."):
         first, second = version.split(".")[:2]
         packages.append(f"mujoco=={first}.{second}.*")
     return packages
@@ -152,7 +153,9 @@ def scene_numbers(python: str, engine: str) -> dict[str, str]:
     command = [python, str(HERE / "engines.py"), engine]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
-        lines = done.stderr.splitlines() or [f"exit code {done.returncode}"]
+        lines = done.stderr.splitlines() or ["no message"]
+        if done.returncode < 0:
+            lines.append(f"it crashes ({signal.Signals(-done.returncode).name})")
         names = [scene["scene"] for scene in scenes()]
         return dict.fromkeys(names, lines[-1][:200])
     found = json.loads(done.stdout.splitlines()[-1])
