@@ -59,6 +59,8 @@ class WorldPyBullet(BulletWorld):
 
     def __init__(self, scene: Scene, settings: SettingsPyBullet) -> None:
         super().__init__(scene, settings)
+        self._surfaces = surfaces(scene)
+        self._coned = pushing_bodies(scene) if settings.cone_friction else set()
         self.rebuild()
 
     def rebuild(self) -> None:
@@ -74,10 +76,6 @@ class WorldPyBullet(BulletWorld):
         self._set_parameters()
         self.handles.clear()
         self.copies.clear()
-        self._surfaces = surfaces(self.scene)
-        self._coned = (
-            pushing_bodies(self.scene) if self.settings.cone_friction else set()
-        )
         self.ropes = {
             rope.name: add_rope(self, rope, cell_m=self.settings.cell_m)
             for rope in self.scene.deformables

@@ -5,13 +5,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.pybullet.model import WorldPyBullet
 from gauge_envs.backends.pybullet.settings import SettingsPyBullet
 from gauge_envs.backends.pybullet.world import PLANE_REACH_M, Handle, pybullet
 from gauge_envs.backends.shared.joints import joint_motors
 from gauge_envs.backends.shared.rigid import (
+    CONJUGATE,
     DrivenMotion,
     PlacedWorld,
     body_state,
@@ -19,6 +19,11 @@ from gauge_envs.backends.shared.rigid import (
 )
 from gauge_envs.backends.world import Simulation
 from gauge_envs.scene import Motion, Plane, Pose, Scene
+from gauge_envs.scene.geometry import (
+    quaternion_products,
+    rotation_matrices,
+    unit_quaternions,
+)
 
 Rows = list[list[float]]
 
@@ -53,11 +58,13 @@ class SimulationPyBullet(PlacedWorld, Simulation):
         self._driven: dict[str, DrivenMotion] = {}
         self._wrenches: dict[str, NDArray[np.float64]] = {}
         self._commands: list[float] = []
+        self._has_moved = False
         self.placed = placed_states(self._scene)
 
     def reset(self, seed: int) -> None:
         """Return to the scene's start in a new world. Bullet draws no random numbers, so the seed has no effect."""
-        self.world.rebuild()
+        if self._has_moved:
+            self.world.rebuild()
         self._start()
 
     def drive(
@@ -83,6 +90,7 @@ class SimulationPyBullet(PlacedWorld, Simulation):
     def advance(self, seconds: float) -> None:
         """Step the world. A driven body that was not driven since the last call stays where it is."""
         count = round(seconds / self._timestep_s)
+        self._has_moved = True
         motions = {name: self._motion(name) for name in self._kinematic}
         paths = [
             self._path(handle, motion, count)
@@ -100,7 +108,8 @@ class SimulationPyBullet(PlacedWorld, Simulation):
                 )
             for name, wrench in self._wrenches.items():
                 self._push(name, wrench)
-            self._turn_joints()
+            if self._motors:
+                self._turn_joints()
             pybullet.stepSimulation(physicsClientId=client)
         for name in self._driven:
             self.placed.pop(name, None)
@@ -111,7 +120,9 @@ class SimulationPyBullet(PlacedWorld, Simulation):
         names = [body.name for body in self._scene.dynamic_bodies]
         if not names or not self._planes:
             return None
-        positions = self.body_states(names)[:, :3]
+        handles = [self.world.handles[name] for name in names]
+        places = [self._read(handle.body, handle.link)[0] for handle in handles]
+        positions = np.array(places) / self._scale
         for plane in self._planes:
             across = np.abs((positions - plane.position_m) @ plane.matrix[:, :2]).max(
                 axis=1
@@ -138,21 +149,19 @@ class SimulationPyBullet(PlacedWorld, Simulation):
             angular velocities [rad/s] of the steps, one row for each step.
         """
         step_s = self._timestep_s
-        times = step_s * np.arange(count + 1)[:, None]
-        travel = motion.velocity * times + 0.5 * motion.acceleration * times**2
-        turned = Rotation.from_rotvec(travel[:, 3:])
-        rotations = turned[:-1] * motion.start.rotation
-        arms = rotations.apply(handle.offset_m)
-        spins = (turned[1:] * turned[:-1].inv()).as_rotvec() / step_s
-        speeds = np.diff(travel[:, :3], axis=0) / step_s + np.cross(spins, arms)
+        poses, velocities = motion.steps(step_s, count)
+        quaternions = poses[:, 3:]
+        arms = rotation_matrices(quaternions) @ handle.offset_m
+        speeds, spins = velocities[:, :3], velocities[:, 3:]
+        if arms.any():
+            speeds = speeds + np.cross(spins, arms)
         # Bullet adds gravity to the velocity of every body that can move.
         speeds[:, 2] += self._scene.gravity_m_per_s2 * step_s
-        positions = np.asarray(motion.start.position_m) + travel[:-1, :3] + arms
-        quaternions = (rotations * handle.turn.inv()).as_quat()
+        frames = quaternion_products(quaternions, CONJUGATE * handle.quaternion)
         return (
             handle.body,
-            (self._scale * positions).tolist(),
-            quaternions.tolist(),
+            (self._scale * (poses[:, :3] + arms)).tolist(),
+            frames[:, [1, 2, 3, 0]].tolist(),
             (self._scale * speeds).tolist(),
             spins.tolist(),
         )
@@ -225,17 +234,22 @@ class SimulationPyBullet(PlacedWorld, Simulation):
 
     def moving_states(self, names: Sequence[str]) -> NDArray[np.float64]:
         """Return poses and velocities of dynamic and driven bodies in Bullet, shape [len(names), 13]."""
-        states = np.empty((len(names), 13))
-        for state, name in zip(states, names, strict=True):
-            handle = self.world.handles[name]
-            place, quaternion, speed, spin = self._read(handle.body, handle.link)
-            rotation = Rotation.from_quat(quaternion) * handle.turn
-            arm = rotation.apply(handle.offset_m)
-            state[:3] = np.asarray(place) / self._scale - arm
-            state[3:7] = rotation.as_quat(scalar_first=True)
-            state[7:10] = np.asarray(speed) / self._scale - np.cross(spin, arm)
-            state[10:] = spin
-        return states
+        handles = [self.world.handles[name] for name in names]
+        read = [
+            np.concatenate(self._read(handle.body, handle.link)) for handle in handles
+        ]
+        places, frames, speeds, spins = np.split(np.array(read), [3, 7, 10], axis=1)
+        turns = np.array([handle.quaternion for handle in handles])
+        offsets_m = np.array([handle.offset_m for handle in handles])
+        quaternions = quaternion_products(
+            unit_quaternions(frames[:, [3, 0, 1, 2]]), turns
+        )
+        positions_m, speeds = places / self._scale, speeds / self._scale
+        if offsets_m.any():
+            # Bullet's frame is at the centre of mass.
+            arms_m = np.einsum("nij,nj->ni", rotation_matrices(quaternions), offsets_m)
+            positions_m, speeds = positions_m - arms_m, speeds - np.cross(spins, arms_m)
+        return np.hstack([positions_m, quaternions, speeds, spins])
 
     def close(self) -> None:
         """Free the world. A second call does nothing."""

@@ -10,6 +10,7 @@ import weakref
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -107,6 +108,11 @@ class Handle:
     link: int
     offset_m: NDArray[np.float64]
     turn: Rotation
+
+    @cached_property
+    def quaternion(self) -> NDArray[np.float64]:
+        """The rotation `turn` as a quaternion w, x, y, z, shape [4]."""
+        return np.asarray(self.turn.as_quat(scalar_first=True))
 
 
 @dataclass(frozen=True, kw_only=True)

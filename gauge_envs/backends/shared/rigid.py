@@ -22,12 +22,22 @@ from gauge_envs.scene import (
     Slider,
     Tether,
 )
-from gauge_envs.scene.geometry import vector
+from gauge_envs.scene.geometry import (
+    quaternion_products,
+    quaternion_vectors,
+    unit_quaternions,
+    vector,
+    vector_quaternions,
+)
 from gauge_envs.scene.hinged import parent_hinges
 from gauge_envs.scene.meshes import body_mass_properties
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
+
+
+CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])
+"""Factors of a unit quaternion w, x, y, z that give the inverse rotation."""
 
 
 def body_state(
@@ -180,6 +190,8 @@ class TetherSpring:
             rotation: Rotation of the body.
             direction: Direction n of the force in the world, a unit vector, shape [3].
         """
+        if not self.centre_m.any():
+            return self.mass_kg
         along = rotation.apply(direction, inverse=True)
         lever = np.cross(-self.centre_m, along)
         return 1.0 / (1.0 / self.mass_kg + float(lever @ self.inverse_inertia @ lever))
@@ -271,24 +283,28 @@ class DrivenMotion:
         """Return the state of the body at a time since the start [s], shape [13]; see `World.body_states`."""
         return body_state(self.pose(time_s), self.velocity_at(time_s))
 
-    def mean_velocity(self, start_s: float, end_s: float) -> NDArray[np.float64]:
-        """Return the constant velocity that takes the body from its pose at one time to that at another.
+    def steps(
+        self, step_s: float, count: int
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the motion cut into steps, each at the constant velocity that takes the body to the start of the next.
 
         A semi-implicit engine moves a body by its new velocity times the step, and so follows the motion exactly.
 
         Args:
-            start_s: Start of the step since the start of the interval [s].
-            end_s: End of the step [s].
+            step_s: Length of a step [s].
+            count: Number of steps.
 
         Returns:
-            Linear [m/s] and angular [rad/s] velocity in the world frame, shape [6].
+            Pose at the start of each step, position [m] and quaternion w, x, y, z, shape [count, 7]; and linear [m/s]
+            and angular [rad/s] velocity in it, world frame, shape [count, 6].
         """
-        from scipy.spatial.transform import Rotation
-
-        before, after = self.travel(start_s), self.travel(end_s)
-        turned = (
-            Rotation.from_rotvec(after[3:]) * Rotation.from_rotvec(before[3:]).inv()
-        )
-        return np.concatenate([after[:3] - before[:3], turned.as_rotvec()]) / (
-            end_s - start_s
-        )
+        times_s = step_s * np.arange(count + 1)[:, None]
+        travel = self.travel(times_s)
+        turned = vector_quaternions(travel[:, 3:])
+        start = unit_quaternions(np.array(self.start.quaternion))
+        quaternions = quaternion_products(turned[:-1], start)
+        positions_m = np.asarray(self.start.position_m) + travel[:-1, :3]
+        back = turned[:-1] * CONJUGATE
+        steps = np.diff(travel, axis=0)
+        steps[:, 3:] = quaternion_vectors(quaternion_products(turned[1:], back))
+        return np.hstack([positions_m, quaternions]), steps / step_s

@@ -210,9 +210,9 @@ _continuation(
 _continuation(
     "restore-rest",
     title="restore continues at rest",
-    scene="three stacked boxes, a cylinder and a ball at rest on a plane; the state is saved after 0.4 s",
+    scene="three stacked boxes, a cylinder and a ball at rest on a plane; the state is saved after 0.1 s",
     build=_stack,
-    before=72,
+    before=18,
 )
 _continuation(
     "restore-edge",
