@@ -298,7 +298,7 @@ class DrivenMotion:
             Pose at the start of each step, position [m] and quaternion w, x, y, z, shape [count, 7]; and linear [m/s]
             and angular [rad/s] velocity in it, world frame, shape [count, 6].
         """
-        times_s = step_s * np.arange(count + 1)[:, None]
+        times_s = step_s * np.arange(count + 1, dtype=np.float64)[:, None]
         travel = self.travel(times_s)
         turned = vector_quaternions(travel[:, 3:])
         start = unit_quaternions(np.array(self.start.quaternion))
