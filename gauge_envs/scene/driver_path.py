@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from gauge_envs.scene.drivers import Driver
+from gauge_envs.scene.drivers import Driver, DriverMotion
 from gauge_envs.scene.geometry import (
     FloatArray,
     Pose,
@@ -21,6 +21,36 @@ PARTS = 8
 """Number of values of a command from which the mean of an interval is."""
 
 Interval = tuple[Pose, FloatArray, FloatArray]
+
+
+class Intervals:
+    """Uniformly accelerated motions between states, with velocities closest to the given ones.
+
+    The pose of an interval is made at its first use: those of minutes of motion take longer than the reset of a cloth.
+
+    Args:
+        states: Position, quaternion and velocity at the ends of the intervals, shape [interval_count + 1, 13]; each
+            motion ends at the next pose.
+        interval_s: Length of an interval [s].
+
+    Attributes:
+        rows: Position, quaternion, velocity and acceleration of each interval, shape [interval_count, 19].
+    """
+
+    def __init__(self, states: FloatArray, interval_s: float) -> None:
+        motions = _between(states[:-1], states[1:], interval_s)
+        self.rows = np.concatenate([states[:-1, :7], *motions], axis=1)
+        self.rows.flags.writeable = False
+        self._made: dict[int, Interval] = {}
+
+    def __getitem__(self, index: int) -> Interval:
+        made = self._made.get(index)
+        if made is None:
+            row = self.rows[index]
+            x, y, z, a, b, c, d = row[:7].tolist()
+            pose = Pose(position_m=(x, y, z), quaternion=(a, b, c, d))
+            made = self._made[index] = pose, row[7:13], row[13:]
+        return made
 
 
 class DriverPath:
@@ -61,7 +91,7 @@ class DriverPath:
         # Intervals from a sample on in which an action stays the same, and the offsets at their ends.
         self._first_sample = 0
         self._action = self.offsets
-        self._ahead: tuple[Interval, ...] = ()
+        self._ahead = self._path
         self._offsets_ahead: list[FloatArray] = []
 
     def reset(self) -> None:
@@ -79,7 +109,7 @@ class DriverPath:
             return self._path[sample]
         index = sample - self._first_sample
         goes_on = (
-            0 <= index < len(self._ahead)
+            0 <= index < len(self._offsets_ahead) - 1
             and np.array_equal(action, self._action)
             and np.array_equal(self.offsets, self._offsets_ahead[index])
         )
@@ -104,7 +134,7 @@ class DriverPath:
         )
         self._first_sample = sample
         self._action = np.array(action)
-        self._ahead = _intervals(states, self.interval_s)
+        self._ahead = Intervals(states, self.interval_s)
         self._offsets_ahead = offsets
 
 
@@ -132,16 +162,10 @@ class DriverPathOfWorlds:
             [[*pose.position_m, *pose.quaternion] for pose in poses]
         )
         count = round((frame_count - 1) / FRAME_RATE_HZ / SAMPLE_INTERVAL_S)
-        paths = [
-            _recorded_path(driver, pose, count, SAMPLE_INTERVAL_S) for pose in kinds
-        ]
         self._paths = np.array(
             [
-                [
-                    [*pose.position_m, *pose.quaternion, *at, *by]
-                    for pose, at, by in path
-                ]
-                for path in paths
+                _recorded_path(driver, pose, count, SAMPLE_INTERVAL_S).rows
+                for pose in kinds
             ]
         )
         self.offsets = np.zeros((len(poses), self.motion_count))
@@ -332,30 +356,26 @@ class DriverPathInArrays:
 @lru_cache(maxsize=32)
 def _recorded_path(
     driver: Driver, start: Pose, count: int, interval_s: float
-) -> tuple[Interval, ...]:
+) -> Intervals:
     """Return the motion without actions; for minutes of motion it takes longer than the build of most scenes."""
     starts = np.tile([*start.position_m, *start.quaternion], (count + 1, 1))
-    still = np.zeros((count + 1, len(driver.motions)))
     times_s = interval_s * np.arange(count + 1, dtype=np.float64)
-    return _intervals(driver.states(starts, times_s, still, still), interval_s)
+    coordinates = np.zeros((count + 1, len(driver.motions)))
+    rates = np.zeros_like(coordinates)
+    for index, motion in enumerate(driver.motions):
+        values = _recorded_coordinate(motion, count, interval_s)
+        coordinates[:, index], rates[:, index] = values
+    return Intervals(driver.moved(starts, times_s, coordinates, rates), interval_s)
 
 
-def _intervals(states: FloatArray, interval_s: float) -> tuple[Interval, ...]:
-    """Return the uniformly accelerated motions between states, with velocities closest to the given ones.
-
-    Args:
-        states: Position, quaternion and velocity at the ends of the intervals, shape [interval_count + 1, 13]; each
-            motion ends at the next pose.
-        interval_s: Length of an interval [s].
-    """
-    motions = _between(states[:-1], states[1:], interval_s)
-    for motion in motions:
-        motion.flags.writeable = False
-    poses = [
-        Pose(position_m=(x, y, z), quaternion=(a, b, c, d))
-        for x, y, z, a, b, c, d in states[:-1, :7].tolist()
-    ]
-    return tuple(zip(poses, *motions, strict=True))
+@lru_cache(maxsize=32)
+def _recorded_coordinate(
+    motion: DriverMotion, count: int, interval_s: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return a coordinate [m or rad] and its rate, shape [count + 1] each; that of a misplaced body is the same."""
+    times_s = (interval_s * np.arange(count + 1, dtype=np.float64)).tolist()
+    values = np.array([motion.value(time_s) for time_s in times_s])
+    return values, np.array([motion.rate(time_s) for time_s in times_s])
 
 
 def _between(

@@ -143,14 +143,35 @@ class Driver:
             Position, quaternion, linear velocity of the body origin [m/s] (3) and angular velocity [rad/s] (3) in the
             world frame, shape [world_count, 13].
         """
+        times_s = np.atleast_1d(time_s)
+        coordinates, all_rates = offsets.copy(), rates.copy()
+        for index, motion in enumerate(self.motions):
+            coordinates[:, index] += [motion.value(one) for one in times_s.tolist()]
+            all_rates[:, index] += [motion.rate(one) for one in times_s.tolist()]
+        return self.moved(starts, times_s, coordinates, all_rates)
+
+    def moved(
+        self,
+        starts: FloatArray,
+        times_s: FloatArray,
+        coordinates: FloatArray,
+        rates: FloatArray,
+    ) -> FloatArray:
+        """Return poses and velocities where the coordinates of the motions are known; see `states`.
+
+        Args:
+            starts: Position [m] (3) and quaternion w x y z (4) before anything moves, shape [world_count, 7].
+            times_s: Time since the start of the episode [s], shape [1] or [world_count].
+            coordinates: Coordinate of each motion [m or rad], shape [world_count, motion_count].
+            rates: Rate of each motion [m/s or rad/s], shape [world_count, motion_count].
+        """
         position = starts[:, :3]
         quaternions = unit_quaternions(starts[:, 3:])
         linear, angular = np.zeros_like(position), np.zeros_like(position)
-        times_s = np.atleast_1d(time_s).tolist()
         shift_m, turn_rad = self.shift_m, self.turn_rad
         if shift_m is not None and turn_rad is not None:
             # It goes there in the first frame, as what it holds starts without strain.
-            frames = np.minimum(FRAME_RATE_HZ * np.array(times_s), 1.0)[:, None]
+            frames = np.minimum(FRAME_RATE_HZ * times_s, 1.0)[:, None]
             share = 0.5 * (1.0 - np.cos(np.pi * frames))
             share_rate = 0.5 * np.pi * FRAME_RATE_HZ * np.sin(np.pi * frames)
             position = position + share * shift_m
@@ -159,12 +180,7 @@ class Driver:
             linear = linear + share_rate * shift_m
             angular = angular + share_rate * turn_rad
         for index, motion in enumerate(self.motions):
-            value = (
-                np.array([motion.value(one) for one in times_s]) + offsets[:, index]
-            )[:, None]
-            rate = (np.array([motion.rate(one) for one in times_s]) + rates[:, index])[
-                :, None
-            ]
+            value, rate = coordinates[:, index, None], rates[:, index, None]
             axis = np.asarray(motion.axis)
             if motion.kind == "translate":
                 position = position + value * axis

@@ -96,6 +96,8 @@ def test_worlds_start_as_single_environments_do():
         ("Turntable-1-wood", True),
         pytest.param("WallBreaking-wood", True, marks=pytest.mark.slow),
         ("Pendulum-metal", True),
+        ("StickStack-soft", True),
+        pytest.param("TableclothPulling-wood", True, marks=pytest.mark.slow),
     ],
 )
 @pytest.mark.parametrize("speed", [0.0, 0.01], ids=["still", "pushed"])

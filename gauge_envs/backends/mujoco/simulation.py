@@ -156,9 +156,15 @@ class SimulationMuJoCo(Simulation):
     def start_at(self, scene: Scene) -> bool:
         """Place free bodies elsewhere in the compiled model; see `Simulation.start_at`.
 
-        Scenes with hinges between bodies or with deformable bodies are built anew.
+        A scene is built anew if hinges join its bodies, or if it has deformable bodies and more than the motion of its
+        driven bodies differs.
         The editable model, and the centre and extent of MuJoCo's own pictures, stay those of the first start.
         """
+        moved = bodies_elsewhere(self._scene, scene)
+        if moved == []:
+            self._scene = scene
+            self.reset(0)
+            return True
         model = self.model
         is_scaled = self.settings.get("inverse_weight_scale", 1.0) != 1.0
         # The compiler normalizes an axis of another length, with bits of its own.
@@ -166,13 +172,12 @@ class SimulationMuJoCo(Simulation):
             abs(hypot(*hinge.axis) - 1.0) > UNIT_LENGTH for hinge in scene.hinges
         )
         is_built_anew = (
-            scene.body_hinges or scene.guides or scene.deformables or is_rounded
+            scene.body_hinges or scene.guides or is_rounded
         )
-        if self._fixes_start or is_scaled or is_built_anew:
+        if moved is None or self._fixes_start or is_scaled or is_built_anew:
             return False
-        moved = bodies_elsewhere(self._scene, scene)
         velocities = start_velocities(scene, model)
-        if moved is None or velocities.any() != bool(model.nkey):
+        if velocities.any() != bool(model.nkey):
             return False
         hinges = hinges_by_body(scene)
         for body in moved:

@@ -86,10 +86,10 @@ class PlacedWorld(World):
 def bodies_elsewhere(built: Scene, scene: Scene) -> list[RigidBody] | None:
     """Return the dynamic bodies of a scene that start otherwise than in the one that was built.
 
-    None if anything else may differ: other parts are the same objects, as `dataclasses.replace` keeps them.
+    None if anything but the motion of driven bodies differs too.
     """
-    names = {one.name for one in fields(Scene) if one.init} - {"bodies"}
-    if any(getattr(scene, name) is not getattr(built, name) for name in names):
+    names = {one.name for one in fields(Scene) if one.init} - {"bodies", "drivers"}
+    if any(getattr(scene, name) != getattr(built, name) for name in names):
         return None
     moved = []
     for old, new in zip(built.bodies, scene.bodies, strict=True):
