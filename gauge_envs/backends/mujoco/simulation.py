@@ -171,9 +171,7 @@ class SimulationMuJoCo(Simulation):
         is_rounded = any(
             abs(hypot(*hinge.axis) - 1.0) > UNIT_LENGTH for hinge in scene.hinges
         )
-        is_built_anew = (
-            scene.body_hinges or scene.guides or is_rounded
-        )
+        is_built_anew = scene.body_hinges or scene.guides or is_rounded
         if moved is None or self._fixes_start or is_scaled or is_built_anew:
             return False
         velocities = start_velocities(scene, model)
