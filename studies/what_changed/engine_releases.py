@@ -7,7 +7,7 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -41,11 +41,12 @@ NUMPY_2_SINCE = {"drake": (1, 34), "pybullet": (3, 2, 7), "sapien": (3,)}
 GENESIS_OF_LIBIGL_2_6 = (1, 4, 5)
 """First release of Genesis that is run with libigl 2.6, whose signed distances stop 0.2.1."""
 
-WARP_OF_ITS_TIME = {
-    "newton": ((1, 2, 1), "warp-lang<1.13"),
-    "mujoco-warp": ((3, 9), "warp-lang<1.14"),
-}
-"""Releases before which a later Warp, which their metadata allow, fails; and the Warp that they have here."""
+WARP_OF_ITS_TIME = (
+    ("newton", (1, 2), "warp-lang<1.13"),
+    ("newton", (1, 2, 1), "warp-lang<1.14"),
+    ("mujoco-warp", (3, 9), "warp-lang<1.14"),
+)
+"""Releases of engines before which a later Warp, which their metadata allow, fails; and the Warp that they have."""
 
 FROM_SOURCE = ("--only-binary", ":all:", "--no-binary", "pygltflib")
 """Only wheels are installed, but for a package of Genesis that has none: it is one file of Python."""
@@ -70,10 +71,10 @@ def beside(requirement: str) -> list[str]:
         packages.append("torch==2.13.0")
         if version_key(version) < GENESIS_OF_LIBIGL_2_6:
             packages.append("libigl<2.6")
-    if engine in WARP_OF_ITS_TIME:
-        first_of_later, warp = WARP_OF_ITS_TIME[engine]
-        if version_key(version) < first_of_later:
+    for name, first_of_later, warp in WARP_OF_ITS_TIME:
+        if engine == name and version_key(version) < first_of_later:
             packages.append(warp)
+            break
     # Before it had the numbers of MuJoCo it was 0.0.
     if engine == "mujoco-warp" and not version.startswith("0."):
         first, second = version.split(".")[:2]
@@ -210,18 +211,21 @@ def is_same(one: str, two: str, small: float) -> bool:
     return largest < small or abs(first - second) <= MOVED * largest
 
 
-def ranges(engine: str, scene: dict[str, str]) -> list[tuple[str, str, str]]:
-    """Return the releases between which a scene does not move: first, last, and the number at the last."""
+def ranges(
+    values: Iterable[tuple[str, str]], small: float
+) -> list[tuple[str, str, str]]:
+    """Return the releases between which a number does not move: first, last, and the number at the last.
+
+    Args:
+        values: Release and number, the oldest first.
+        small: Size below which a number is 0.
+    """
     found: list[tuple[str, str, str]] = []
-    for row in results():
-        name, _, version = row["release"].partition("==")
-        if name != engine:
-            continue
-        value = row[scene["scene"]]
-        if found and is_same(found[-1][2], value, float(scene["small"])):
-            found[-1] = (found[-1][0], version, value)
-        else:
-            found.append((version, version, value))
+    for version, value in values:
+        first = version
+        if found and is_same(found[-1][2], value, small):
+            first = found.pop()[0]
+        found.append((first, version, value))
     return found
 
 
@@ -233,7 +237,12 @@ def table() -> str:
         start = f"| {scene['title']} | {scene['truth']} |"
         for engine, title in TITLES.items():
             cells = []
-            for first, last, value in ranges(engine, scene):
+            numbers = []
+            for row in results():
+                name, _, version = row["release"].partition("==")
+                if name == engine:
+                    numbers.append((version, row[scene["scene"]]))
+            for first, last, value in ranges(numbers, float(scene["small"])):
                 releases = first if first == last else f"{first} to {last}"
                 mark = f"**{releases}**" if cells else releases
                 here = (engine, scene["scene"], first)

@@ -32,6 +32,7 @@ from gauge_envs.tools.versions.environments import (
     version_key,
 )
 from studies.what_changed import engine_releases
+from studies.what_changed.engine_releases import is_same, ranges, rows_of
 
 HERE = Path(__file__).parent
 
@@ -40,10 +41,9 @@ GYMNASIUM = Path(gymnasium.__file__).parent / "envs" / "mujoco" / "assets"
 
 def cases(only: str = "") -> Iterator[dict[str, str]]:
     """Yield the rows of `cases.csv`, of one model or of all."""
-    with (HERE / "cases.csv").open(encoding="utf-8", newline="") as stream:
-        for row in csv.DictReader(stream):
-            if only in ("", row["model"]):
-                yield row
+    for row in rows_of(HERE / "cases.csv"):
+        if only in ("", row["model"]):
+            yield row
 
 
 def subject(name: str) -> str:
@@ -112,10 +112,8 @@ COMMITS = "https://github.com/google-deepmind/mujoco/commit/"
 
 RESULTS, BADGE = HERE / "checks.csv", HERE / "badge.json"
 
-MOVED = 0.02
-"""Difference of a check, over the larger number, that is a move; numbers below `SMALL` are 0."""
-
 SMALL = {"mesh_tilt_deg": 0.05, "spin_energy_percent": 0.01, "grip_slip_mm": 0.02}
+"""Size below which a number of a check is 0."""
 
 
 def measure(*versions: str) -> None:
@@ -142,59 +140,46 @@ def measure(*versions: str) -> None:
         if done.returncode:
             print(f"{version}: the checks end with code {done.returncode}")
             continue
-        rows[version] = json.loads(done.stdout)
+        rows[version] = {
+            name: f"{value:.6g}" if isinstance(value, float) else value
+            for name, value in json.loads(done.stdout).items()
+        }
         write_results(rows)
 
 
-def results() -> dict[str, dict[str, float | str]]:
+def results() -> dict[str, dict[str, str]]:
     """Return the stored number of each check, or why it has none, by release, the oldest first."""
-    found: dict[str, dict[str, float | str]] = {}
-    if RESULTS.is_file():
-        with RESULTS.open(encoding="utf-8", newline="") as stream:
-            for row in csv.DictReader(stream):
-                version = row.pop("release")
-                found[version] = {
-                    name: number_or_text(text) for name, text in row.items()
-                }
-    return found
+    rows = rows_of(RESULTS) if RESULTS.is_file() else []
+    return {row.pop("release"): row for row in rows}
 
 
-def number_or_text(text: str) -> float | str:
-    """Return a number, or the text that is none."""
-    try:
-        return float(text)
-    except ValueError:
-        return text
-
-
-def write_results(rows: dict[str, dict[str, float | str]]) -> None:
-    """Write the number of each check with six digits, a line for each release."""
+def write_results(rows: dict[str, dict[str, str]]) -> None:
+    """Write the number of each check, a line for each release."""
     names = list(next(iter(rows.values())))
     with RESULTS.open("w", encoding="utf-8", newline="") as stream:
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(["release", *names])
         for version in sorted(rows, key=version_key):
-            values = []
-            for name in names:
-                value = rows[version][name]
-                values.append(f"{value:.6g}" if isinstance(value, float) else value)
-            writer.writerow([version, *values])
+            writer.writerow([version, *(rows[version][name] for name in names)])
 
 
 def truths() -> list[dict[str, str]]:
     """Return the checks with their truths, in the order of the table."""
-    with (HERE / "truths.csv").open(encoding="utf-8", newline="") as stream:
-        return list(csv.DictReader(stream))
+    return rows_of(HERE / "truths.csv")
+
+
+def has_truth(row: dict[str, str]) -> bool:
+    """Return whether the truth of a check is a number."""
+    return row["truth"].replace(".", "").isdigit()
 
 
 def badge() -> dict[str, int | str]:
     """Return the badge of the newest release, as shields.io reads it: how many checks give their truth."""
     release, values = list(results().items())[-1]
     met = []
-    for row in truths():
-        truth = number_or_text(row["truth"])
-        if isinstance(truth, float):
-            met.append(is_same(row["check"], values[row["check"]], truth))
+    for row in filter(has_truth, truths()):
+        name = row["check"]
+        met.append(is_same(values[name], row["truth"], SMALL.get(name, 0.0)))
     return {
         "schemaVersion": 1,
         "label": f"MuJoCo {release}",
@@ -225,35 +210,19 @@ def write_page() -> None:
     BADGE.write_text(json.dumps(badge()) + "\n", encoding="utf-8")
 
 
-def ranges(name: str) -> list[tuple[str, str, float | str]]:
-    """Return the releases between which a check does not move: first, last, and the number at the first."""
-    found: list[tuple[str, str, float | str]] = []
-    for version, values in results().items():
-        value = values[name]
-        if found and is_same(name, found[-1][2], value):
-            found[-1] = (found[-1][0], version, found[-1][2])
-        else:
-            found.append((version, version, value))
-    return found
-
-
-def is_same(name: str, one: float | str, two: float | str) -> bool:
-    """Return whether a check did not move."""
-    if isinstance(one, str) or isinstance(two, str):
-        return one == two
-    largest = max(abs(one), abs(two))
-    return largest < SMALL.get(name, 0.0) or abs(one - two) <= MOVED * largest
-
-
 def table() -> str:
     """Return the checks by release as a table of a page: a range of releases for each number."""
     lines = ["| check | truth | found, by release | changelog |", "|---|---|---|---|"]
     for row in truths():
         cells = []
-        for first, last, value in ranges(row["check"]):
-            if isinstance(value, float):
-                small = abs(value) < SMALL.get(row["check"], 0.0)
-                value = "0" if small else f"{value:.3g}"
+        name = row["check"]
+        small = SMALL.get(name, 0.0)
+        numbers = [(version, found[name]) for version, found in results().items()]
+        for first, last, value in ranges(numbers, small):
+            if is_same(value, "0", small):
+                value = "0"
+            elif value[-1].isdigit():
+                value = f"{float(value):.3g}"
             releases = first if first == last else f"{first} to {last}"
             cells.append(f"{releases}: {value}")
         changelog = re.sub(r"\((\w{8,9})\)", rf"([\1]({COMMITS}\1))", row["changelog"])
