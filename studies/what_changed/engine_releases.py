@@ -61,8 +61,8 @@ STATED_BY_SAPIEN = (3,)
 def beside(requirement: str) -> list[str]:
     """Return the packages that are installed with a release of an engine, which does not state them or their limits."""
     engine, _, version = requirement.partition("==")
-    # SAPIEN imports a module that later setuptools lack.
-    packages = ["numpy", "setuptools<81"]
+    # SAPIEN imports a module that later setuptools lack, and Newton 0.1.3 one that it does not state.
+    packages = ["numpy", "setuptools<81", "typing_extensions"]
     if version_key(version) < NUMPY_2_SINCE.get(engine, ()):
         packages[0] = "numpy<2"
     if engine == "sapien" and version_key(version) < STATED_BY_SAPIEN:
