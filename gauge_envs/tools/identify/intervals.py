@@ -7,7 +7,7 @@ import numpy as np
 
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.identify.identified import Setting
-from gauge_envs.tools.identify.problem import Problem
+from gauge_envs.tools.identify.problem import UNBOUNDED, Problem
 from gauge_envs.tools.identify.rig import OFFSET, SERVO
 from gauge_envs.tools.identify.spread import (
     NORMAL_95,
@@ -20,6 +20,8 @@ from gauge_envs.tools.identify.stages import Fit
 ZERO = "0 is in the interval"
 
 SCALE = "only ratios of torques are told: a weight, a known armature or a known kp would tell their scale"
+
+NOTHING = "no angle depends on it"
 
 UNTOLD = 10.0
 """Standard error of a file's number, over its value in all files, from which the file tells nothing about it."""
@@ -72,6 +74,8 @@ def settings_of(
             if is_known:
                 unknown, half = "", 0.0
                 value = problem.fixed[kind, joint] / problem.sizes[kind, joint]
+            elif std[column] >= UNBOUNDED:
+                unknown, half = NOTHING, max(half, abs(value))
             elif not unknown and half >= abs(value):
                 unknown = ZERO
             size = problem.sizes[kind, joint]
@@ -129,6 +133,7 @@ def between_files(
         values = np.array([file[row].value for file in files])
         stds = np.array([file[row].std for file in files])
         tells = stds < UNTOLD * abs(one.value)
+        tells &= [file[row].unknown != NOTHING for file in files]
         if tells.sum() > 1:
             values, stds = values[tells], stds[tells]
         if one.is_known or not np.isfinite(stds).all():

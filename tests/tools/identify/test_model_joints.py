@@ -23,7 +23,7 @@ from gauge_envs.tools.identify import (
 )
 from gauge_envs.tools.identify.baselines import baselines, lagged
 from gauge_envs.tools.identify.fit import AS_WELL, _to_leave_out, machine_of
-from gauge_envs.tools.identify.intervals import SCALE
+from gauge_envs.tools.identify.intervals import SCALE, settings_of
 from gauge_envs.tools.identify.model_files import joints_of_model
 from gauge_envs.tools.identify.mujoco_joints import ModelJoints, start_at
 from gauge_envs.tools.identify.rig import SceneJoints
@@ -443,6 +443,19 @@ def test_a_fit_leaves_the_minima_beside_the_best(
     # A servo that is solved implicitly with four times the step has slightly larger numbers.
     assert values["kp_n_m_per_rad"] == pytest.approx(kp, rel=0.1)
     assert values["dry_friction_n_m"] == pytest.approx(dry, rel=0.15)
+
+
+def test_a_number_without_effect_is_not_determined_however_large():
+    """A servo never reaches 50 times the torque limit that its weight suggests, nor 5,000 times it."""
+    log = servo_log("one", 1)
+    machine = joints_of_model(mujoco.MjSpec.from_string(arm()), log, {})
+    names = ("kp_n_m_per_rad", "torque_limit_n_m")
+    problem = Fitter(machine=machine, known={})._stages([log], names)[1]
+    for limit in (50.0, 5000.0):
+        unknowns = np.array([1.0, limit])
+        found = settings_of(problem, unknowns, problem.covariance(unknowns))
+        assert [bool(one.unknown) for one in found] == [False, True]
+        assert found[1].low == 0.0
 
 
 def test_an_armature_that_is_not_determined_is_left_out_however_far_it_is_from_the_model():
