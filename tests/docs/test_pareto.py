@@ -7,7 +7,6 @@ import pytest
 from cost_results import STEPS_S, WOOD, made, rounding, sticking, sweep, wrong_step
 
 from gauge_envs import load_experiment
-from gauge_envs.errors import ShapeError
 from gauge_envs.runs.result import Outcome
 from gauge_envs.tools.compare.cost import ErrorMeasure
 from scripts.pareto import closed_form, parametric_floor, tradeoff
@@ -113,13 +112,6 @@ def test_a_diverged_setting_has_a_cost_and_no_error():
     _, family = only([broken, *sweep(steps_s=STEPS_S[1:])])
     (point,) = [point for point in family.points if point.diverged]
     assert (point.numerical, point.to_closed_form) == (None, None)
-
-
-def test_jittered_results_are_left_out():
-    jittered = sweep(jitter={"position_m": 1e-3})
-    with pytest.raises(ShapeError, match="no result"):
-        tradeoff(jittered)
-    assert any("jittered" in note for note in tradeoff([*sweep(), *jittered]).notes)
 
 
 def test_the_floor_of_a_slide_is_that_of_its_closed_form():

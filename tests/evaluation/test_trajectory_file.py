@@ -1,6 +1,5 @@
 """Trajectory files of users: three formats give one score; each flaw is named with file, place and expectation."""
 
-import io
 import json
 
 import numpy as np
@@ -319,15 +318,6 @@ def test_coordinates_of_every_observable_have_names(name, first, unit):
     assert experiment.spec.score.observable.unit == unit
 
 
-def valid_npz():
-    buffer = io.BytesIO()
-    np.savez_compressed(buffer, g=SLIDE, time_s=TIMES)
-    return buffer.getvalue()
-
-
-NPZ = valid_npz()
-
-
 def only_a_trajectory_file_error(folder, suffix, content):
     file = folder / f"random.{suffix}"
     file.write_bytes(content)
@@ -342,20 +332,6 @@ def only_a_trajectory_file_error(folder, suffix, content):
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("random")
-
-
-@settings(max_examples=150, deadline=None)
-@given(suffix=st.sampled_from(["csv", "npz", "json"]), content=st.binary(max_size=300))
-def test_random_bytes_are_only_ever_a_trajectory_file_error(folder, suffix, content):
-    only_a_trajectory_file_error(folder, suffix, content)
-
-
-@settings(max_examples=150, deadline=None)
-@given(at=st.integers(0, len(NPZ) - 1), byte=st.integers(0, 255), cut=st.booleans())
-def test_damaged_archives_are_only_ever_a_trajectory_file_error(folder, at, byte, cut):
-    only_a_trajectory_file_error(
-        folder, "npz", NPZ[:at] if cut else NPZ[:at] + bytes([byte]) + NPZ[at + 1 :]
-    )
 
 
 CELL = st.sampled_from(

@@ -201,25 +201,6 @@ def test_the_interval_of_a_mean_of_resolved_scores_holds_the_true_one():
     assert held >= 0.91 * 200
 
 
-def test_identical_engines_are_never_distinguishable_and_a_large_difference_is():
-    random = np.random.default_rng(11)
-    for _ in range(20):
-        same, apart = (
-            paired([observed(slides(errors), aligned=True, random=random)])
-            for errors in ((0.02, 0.02), (0.0, 0.2))
-        )
-        (alike,), (far,) = same.experiments, apart.experiments
-        assert (alike.difference, alike.difference_95, same.distinguishable) == (
-            0.0,
-            (0.0, 0.0),
-            False,
-        )
-        assert (same.probability_of_improvement, same.p) == (0.5, 1.0)
-        assert apart.distinguishable
-        assert far.difference_95[1] < 0.0
-        assert apart.probability_of_improvement > 0.99
-
-
 def test_the_sign_of_a_difference_is_that_of_students_test():
     """The difference of two squared distances is linear in the mean, so its test is exact for normal trials."""
     random = np.random.default_rng(2)

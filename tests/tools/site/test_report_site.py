@@ -11,7 +11,7 @@ import pytest
 from gauge_envs.errors import ResultFileError
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.experiments.resolve import load_experiment
-from gauge_envs.pages.svg import ForestRow, forest, simplified
+from gauge_envs.pages.svg import ForestRow, forest
 from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.replay import replay
 from gauge_envs.runs.request import RunRequest
@@ -314,14 +314,6 @@ def test_the_ghost_has_the_real_values_along_the_measured_directions(results):
     # Across the slope nothing was measured, so that the ghost stays in the plane of the start.
     across = np.linalg.svd(band.projection)[2][1:]
     np.testing.assert_allclose((places_mm - places_mm[0]) @ across.T, 0.0, atol=0.02)
-
-
-def test_a_simplified_curve_is_near_all_samples():
-    x = np.linspace(0.0, 300.0, 1000)
-    points = np.column_stack([x, 80.0 * np.abs(np.sin(x / 20.0))])
-    few = simplified(points, 0.2)
-    assert len(few) < 400
-    assert np.abs(np.interp(x, few[:, 0], few[:, 1]) - points[:, 1]).max() < 1.0
 
 
 def requests():
