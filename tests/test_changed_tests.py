@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
 
 import pytest
 from places import ROOT
+from programs import run_python
 
 from scripts.changed_tests import importers, near_tests
 
@@ -43,13 +42,10 @@ def test_a_file_that_nothing_reads_has_no_tests() -> None:
 
 def test_a_test_that_would_begin_too_late_is_named_and_not_run() -> None:
     words = ["-p", "scripts.changed_tests", "tests/test_layers.py"]
-    done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", *words],
+    done = run_python(
+        *("-m", "pytest", "-p", "no:cacheprovider", *words),
         cwd=ROOT,
         env=os.environ | {"GAUGE_CHECK_END": "0"},
-        capture_output=True,
-        text=True,
-        check=False,
     )
     assert "the time is over; not run:" in done.stdout, done.stderr
     assert "passed" not in done.stdout

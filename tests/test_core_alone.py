@@ -5,11 +5,10 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 from types import SimpleNamespace
 
+import programs
 import pytest
 from places import ROOT
 
@@ -89,17 +88,9 @@ def core(tmp_path_factory):
 
 def python(core, *arguments):
     """What a program that sees only the core prints."""
-    environment = {**os.environ, "PYTHONPATH": str(core)}
-    done = subprocess.run(
-        [sys.executable, *arguments],
-        cwd=core,
-        env=environment,
-        capture_output=True,
-        text=True,
-        check=False,
+    return programs.printed(
+        *arguments, cwd=core, env={**os.environ, "PYTHONPATH": str(core)}
     )
-    assert done.returncode == 0, done.stderr
-    return done.stdout
 
 
 COMMANDS = """

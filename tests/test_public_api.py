@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import copy
 import pickle
-import subprocess
-import sys
 
 import pytest
+from programs import printed
 
 import gauge_envs
 
@@ -49,10 +48,7 @@ pydantic scipy stable_baselines3 torch warp
 
 def test_the_import_loads_no_engine_and_nothing_heavy():
     code = f"import sys, gauge_envs; print(sys.modules.keys() & {set(HEAVY.split())})"
-    run = subprocess.run(
-        [sys.executable, "-c", code], check=True, capture_output=True, text=True
-    )
-    assert run.stdout.strip() == "set()"
+    assert printed("-c", code).strip() == "set()"
 
 
 def test_the_first_environment_imports_no_scipy_and_its_score_quantiles_alone():
@@ -74,7 +70,4 @@ while not env.step(0)[3]:
     pass
 print(loaded("pandas", "matplotlib", "rich", "scipy.optimize", "scipy.spatial", "scipy.stats", "trimesh", "typer"))
 """
-    run = subprocess.run(
-        [sys.executable, "-c", code], check=True, capture_output=True, text=True
-    )
-    assert run.stdout.splitlines() == ["[]", "[]"]
+    assert printed("-c", code).splitlines() == ["[]", "[]"]

@@ -2,13 +2,12 @@
 
 import gc
 import pickle
-import subprocess
-import sys
 from contextlib import closing
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from programs import run_python
 from scipy.spatial.transform import Rotation
 
 from gauge_envs import Jitter, load_experiment
@@ -414,8 +413,7 @@ def of_another_process(names):
             simulation.reset(0)
             simulation.advance(0.1)
             expected += f"\n{everything(simulation, scene).tobytes().hex()}\n"
-    command = [sys.executable, "-c", PROGRAM, *names]
-    run = subprocess.run(command, capture_output=True, text=True, check=False)
+    run = run_python("-c", PROGRAM, *names)
     # An engine is imported at its first build.
     assert run.stdout == expected, run.stderr
     return run.stderr

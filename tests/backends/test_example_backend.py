@@ -19,6 +19,7 @@ import gymnasium
 import numpy as np
 import pytest
 from places import ROOT
+from programs import printed
 from texts import fenced
 from typer.testing import CliRunner
 
@@ -100,29 +101,18 @@ def test_pip_installs_the_example(tmp_path):
         capture_output=True,
     )
     code = "from gauge_envs.backends import backend; print(backend('point').versions(), backend.__module__)"
-    assert "{'point-engine': '1.0.0'}" in run_python(
-        process_environment(tmp_path), code, cwd=tmp_path
+    assert "{'point-engine': '1.0.0'}" in printed(
+        "-c", code, cwd=tmp_path, env=process_environment(tmp_path)
     )
-
-
-def run_python(environment, code, *, cwd=None):
-    run = subprocess.run(
-        [sys.executable, "-c", code],
-        env=environment,
-        cwd=cwd,
-        capture_output=True,
-        text=True,
-    )
-    assert run.returncode == 0, run.stderr
-    return run.stdout
 
 
 @pytest.fixture(scope="module")
 def measured(environment):
     """What each `measure_*` function of this module returns in a process that has the example installed, by name."""
     return json.loads(
-        run_python(
-            environment, f"import {Path(__file__).stem} as m; m.print_measured()"
+        printed(
+            *("-c", f"import {Path(__file__).stem} as m; m.print_measured()"),
+            env=environment,
         )
     )
 

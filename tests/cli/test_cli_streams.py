@@ -16,6 +16,7 @@ import pytest
 from forks import Case, run_forks
 from hostile import install
 from places import ROOT
+from programs import run_python
 
 from gauge_envs.errors import ResultFileError
 from gauge_envs.runs import batch
@@ -204,12 +205,8 @@ def test_ctrl_c_in_the_imports_of_the_command_is_quiet(tmp_path):
         "from gauge_command import main\n"
         "main()\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        capture_output=True,
-        text=True,
-        cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    done = run_python(
+        "-c", code, cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)}
     )
     assert done.returncode == 128 + signal.SIGINT
     assert done.stderr == "interrupted\n"
@@ -257,10 +254,8 @@ finally:
 
 def test_ctrl_c_is_quiet_at_every_moment(tmp_path):
     """Until the first line of the command runs, Python itself handles the signal."""
-    done = subprocess.run(
-        [sys.executable, "-W", "ignore", "-c", MOMENTS],
-        capture_output=True,
-        text=True,
+    done = run_python(
+        *("-W", "ignore", "-c", MOMENTS),
         cwd=tmp_path,
         env=environment(),
         timeout=300,

@@ -1,11 +1,10 @@
 """The command line as a whole: its size, its help, and what it answers to old and wrong spellings."""
 
 import inspect
-import subprocess
-import sys
 
 import pytest
 from places import ROOT
+from programs import run_python
 from rich.text import Text
 
 from gauge_envs.cli.app import load_command
@@ -98,13 +97,7 @@ sys.setprofile(counted)
 
 def calls(code):
     """Return how many calls and returns a new process that runs code has."""
-    done = subprocess.run(
-        [sys.executable, "-c", COUNTED + code],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    done = run_python("-c", COUNTED + code, cwd=ROOT)
     return int(done.stderr.splitlines()[-1])
 
 
@@ -124,13 +117,8 @@ def test_the_help_loads_no_tool():
         "atexit.register(lambda: print([one for one in sys.modules if one.startswith(heavy)], file=sys.stderr))\n"
         "main()"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
+    done = run_python("-c", code, cwd=ROOT)
+    assert done.returncode == 0
     assert done.stderr == "[]\n"
 
 

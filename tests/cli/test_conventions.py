@@ -3,11 +3,10 @@
 import os
 import re
 import shlex
-import subprocess
-import sys
 
 import pytest
 from places import ROOT
+from programs import run_python
 
 from gauge_envs.cli.app import load_command
 from gauge_envs.cli.arguments import (
@@ -261,8 +260,8 @@ PROGRAM = "import sys; sys.argv = ['gauge']; from gauge_command import main; mai
 
 def test_a_shell_completes_options_and_ids():
     def completed(words):
-        done = subprocess.run(
-            [sys.executable, "-c", PROGRAM],
+        done = run_python(
+            *("-c", PROGRAM),
             cwd=ROOT,
             env=os.environ
             | {
@@ -270,9 +269,6 @@ def test_a_shell_completes_options_and_ids():
                 "COMP_WORDS": words,
                 "COMP_CWORD": str(len(words.split()) - 1),
             },
-            capture_output=True,
-            text=True,
-            check=False,
         )
         return done.stdout.split()
 

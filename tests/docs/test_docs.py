@@ -5,13 +5,12 @@ import importlib
 import inspect
 import re
 import shlex
-import subprocess
-import sys
 from collections import Counter
 from importlib.util import find_spec
 
 import pytest
 from places import ROOT
+from programs import printed
 
 from gauge_envs.cli.app import load_command
 from gauge_envs.registry import command_lines, instruments_by
@@ -381,21 +380,5 @@ def test_the_page_of_an_engine_lists_its_presets(engine):
 def test_the_site_builds_without_a_warning(tmp_path):
     for package in ("sphinx", "myst_parser", "furo"):
         pytest.importorskip(package, reason="extra 'docs' is not installed")
-    run = subprocess.run(
-        [
-            sys.executable,
-            "-m",
-            "sphinx",
-            "-q",
-            "-W",
-            "--keep-going",
-            "-b",
-            "html",
-            str(DOCS),
-            str(tmp_path),
-        ],
-        capture_output=True,
-        text=True,
-    )
-    assert run.returncode == 0, run.stderr
+    printed("-m", "sphinx", "-q", "-W", "--keep-going", "-b", "html", DOCS, tmp_path)
     assert (tmp_path / "index.html").is_file()

@@ -6,8 +6,8 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import gymnasium
-import numpy as np
 import pytest
+from episodes import run_to_end
 
 import gauge_envs
 from gauge_envs import GaugeEnv
@@ -45,13 +45,7 @@ def test_a_copy_of_a_closed_environment_is_closed():
 def rollout(name):
     """Frames of an episode."""
     env = gymnasium.make(f"GAUGE/{name}", disable_env_checker=True)
-    env.reset(seed=0)
-    space = env.action_space
-    zero = np.zeros(space.shape) if isinstance(space, gymnasium.spaces.Box) else 0
-    over = False
-    while not over:
-        *_, terminated, truncated, _ = env.step(zero)
-        over = terminated or truncated
+    run_to_end(env)
     frames = env.unwrapped.trajectory().samples.tolist()
     env.close()
     return frames

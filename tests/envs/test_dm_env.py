@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-
 import gymnasium
 import numpy as np
 import pytest
 from gymnasium.wrappers import FlattenObservation, TimeLimit
+from programs import run_python
 
 from gauge_envs import GaugeEnv
 from gauge_envs.errors import ParameterError, UnknownNameError
@@ -159,7 +157,7 @@ def test_wrapped_environments_keep_what_the_wrapper_does():
 
 def test_without_dm_env_the_extra_is_named():
     code = "import sys; sys.modules['dm_env'] = None; import gauge_envs; import gauge_envs.envs.dm_env"
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    run = run_python("-c", code)
     assert run.returncode != 0
     assert "gauge_envs.errors.MissingExtraError" in run.stderr
     assert "pip install 'gauge-envs[dm]'" in run.stderr

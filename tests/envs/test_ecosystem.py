@@ -4,8 +4,6 @@ import copy
 import json
 import pickle
 import re
-import subprocess
-import sys
 import warnings
 from ctypes.util import find_library
 from functools import cache
@@ -14,11 +12,13 @@ from types import MappingProxyType
 import gymnasium
 import numpy as np
 import pytest
+from episodes import run_to_end
 from gymnasium import wrappers
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
 from opengl import needs_opengl
 from places import ROOT
+from programs import printed
 from texts import fenced
 
 from gauge_envs import (
@@ -45,17 +45,6 @@ def step_on(env, count, *, seed=0):
     space = copy.deepcopy(env.action_space)
     space.seed(seed)
     return [env.step(space.sample()) for _ in range(count)]
-
-
-def run_to_end(env):
-    """Sum of rewards and last info of an episode with zero actions."""
-    env.reset(seed=0)
-    total, over, info = 0.0, False, {}
-    zero = np.zeros(env.action_space.shape, dtype=env.action_space.dtype)
-    while not over:
-        _, reward, terminated, truncated, info = env.step(zero)
-        total, over = total + float(reward), terminated or truncated
-    return total, info
 
 
 def pickled(env):
@@ -150,7 +139,7 @@ def test_a_pickle_goes_on_in_another_process(name, tmp_path):
         "for _ in range(5): env.step(np.zeros(env.action_space.shape, dtype=env.action_space.dtype))\n"
         "np.save('samples', env.unwrapped.trajectory().samples)"
     )
-    subprocess.run([sys.executable, "-c", code], cwd=tmp_path, check=True)
+    printed("-c", code, cwd=tmp_path)
     for _ in range(5):
         env.step(np.zeros(env.action_space.shape, dtype=env.action_space.dtype))
     assert np.array_equal(
@@ -363,12 +352,9 @@ def test_blocks_of_the_guide_run(tmp_path):
     if not find_library("EGL") and not find_library("OSMesa"):
         blocks = [block for block in blocks if "RecordVideo" not in block]
     code = "\n".join(blocks)
-    run = subprocess.run(
-        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True
-    )
-    assert run.returncode == 0, run.stderr
+    shown = printed("-c", code, cwd=tmp_path)
     stated = re.findall(r"^ *print\(.*\)  # (.*)", code, re.MULTILINE)
-    assert run.stdout.splitlines() == stated
+    assert shown.splitlines() == stated
 
 
 class Writer:
@@ -387,10 +373,7 @@ def test_scores_are_sent_to_tensorboard_and_to_functions_like_that_of_wandb():
     env = LogScore(env, writer)
     env = LogScore(env, lambda values, step: calls.append((step, values)))
     for episode in (1, 2):
-        env.reset(seed=0)
-        over = False
-        while not over:
-            *_, over, info = env.step(0)
+        _, info = run_to_end(env)
         assert calls[-1][0] == 18 * episode
     score = info["score"]
     assert calls[0][1] == calls[1][1]

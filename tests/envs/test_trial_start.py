@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from approval import refused_calls
 from dataset_writer import body_asset, trial_content, write_trial
+from episodes import run_to_end
 from scipy.spatial.transform import Rotation
 
 from gauge_envs import load_experiment
@@ -92,11 +93,7 @@ def test_a_reset_without_the_option_returns_to_the_calibrated_start(imported):
 def test_a_result_states_the_trial(imported):
     imported(BALL, thrown)
     env = gymnasium.make(f"GAUGE/{BALL}")
-    env.reset(seed=0, options={"trial": 1})
-    over = False
-    while not over:
-        *_, terminated, truncated, info = env.step(0)
-        over = terminated or truncated
+    _, info = run_to_end(env, options={"trial": 1})
     assert episode_result(env, info).jitter == {"trial": 1}
 
 

@@ -10,6 +10,7 @@ from functools import partial
 import gymnasium
 import numpy as np
 import pytest
+from episodes import run_to_end
 from scipy.special import betaincinv, stdtrit
 from scipy.stats import binomtest, chi2, sem, t as student
 
@@ -736,20 +737,11 @@ def test_the_interval_of_a_percentile_of_independent_trials_is_wider_than_that_o
 # --- past the end ----------------------------------------------------------------------------------------------------
 
 
-def run_to_end(env):
-    env.reset(seed=0)
-    over = False
-    while not over:
-        *_, terminated, truncated, info = env.step(0)
-        over = terminated or truncated
-    return info
-
-
 def test_an_episode_runs_on_after_its_last_frame_for_the_alignment_alone():
     env = gymnasium.make(
         f"GAUGE/{SLIDES[1]}", render_mode="rgb_array", width=64, height=48
     )
-    info = run_to_end(env)
+    _, info = run_to_end(env)
     inner = env.unwrapped
     trajectory = inner.trajectory()
     assert info["frame"] == 16 == len(trajectory.frames) - 1
@@ -776,13 +768,13 @@ def test_an_episode_runs_on_after_its_last_frame_for_the_alignment_alone():
 
 def test_a_copy_of_an_ended_episode_scores_the_same():
     env = gymnasium.make(f"GAUGE/{SLIDES[1]}")
-    score = run_to_end(env)["score"]
+    score = run_to_end(env)[1]["score"]
     assert pickle.loads(pickle.dumps(env.unwrapped)).score() == score
-    assert run_to_end(env)["score"] == score
+    assert run_to_end(env)[1]["score"] == score
 
 
 def test_worlds_of_a_vector_environment_score_as_one_alone():
-    alone = run_to_end(gymnasium.make(f"GAUGE/{SLIDES[1]}"))["score"]
+    alone = run_to_end(gymnasium.make(f"GAUGE/{SLIDES[1]}"))[1]["score"]
     envs = gymnasium.make_vec(f"GAUGE/{SLIDES[1]}", num_envs=2)
     envs.reset(seed=0)
     for _ in range(16):

@@ -2,12 +2,11 @@
 
 import os
 import re
-import subprocess
-import sys
 
 import gymnasium as gym
 import pytest
 from places import ROOT
+from programs import printed
 
 import gauge_envs
 from gauge_envs import GaugeEnv, beyond_variants, variants
@@ -85,18 +84,9 @@ def test_another_process_knows_the_file(own, tmp_path, gauge, real_children):
     done = gauge("run", "puck.toml", "--isolate")
     assert not done.exit_code, done.stdout + done.stderr
     env = os.environ | {"GAUGE_TASKS": "puck.toml", "PYTHONPATH": str(ROOT)}
-    made = subprocess.run(
-        [
-            sys.executable,
-            "-c",
-            f"import gymnasium, gauge_envs; gymnasium.make('GAUGE/{NAME}')",
-        ],
-        env=env,
-        capture_output=True,
-        text=True,
-        check=False,
+    printed(
+        "-c", f"import gymnasium, gauge_envs; gymnasium.make('GAUGE/{NAME}')", env=env
     )
-    assert made.returncode == 0, made.stderr
 
 
 def test_what_is_wrong_is_said(own, tmp_path, approved):

@@ -7,6 +7,7 @@ import json
 import gymnasium
 import numpy as np
 import pytest
+from episodes import run_to_end
 from places import one_of_a_kind
 
 from gauge_envs import load_experiment, reference_band, variants
@@ -256,13 +257,7 @@ def test_damage_is_named(tmp_path):
 
 def played(name, *, backend="mujoco", moved_mm=0.0):
     env = gymnasium.make(f"GAUGE/{name}", backend=backend)
-    env.reset(seed=0)
-    zero = np.zeros(env.action_space.shape) if env.action_space.shape else 0
-    rewards, over = [], False
-    while not over:
-        *_, reward, terminated, truncated, info = env.step(zero)
-        rewards.append(reward)
-        over = terminated or truncated
+    rewards, info = run_to_end(env)
     trajectory = env.unwrapped.trajectory()
     env.close()
     return info, np.array(rewards), trajectory

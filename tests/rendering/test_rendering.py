@@ -1,7 +1,5 @@
 """Pictures, on machines with and without OpenGL."""
 
-import subprocess
-import sys
 from dataclasses import replace
 
 import gymnasium
@@ -9,6 +7,7 @@ import numpy as np
 import pytest
 from opengl import needs_opengl
 from places import RIGID, ROOT
+from programs import printed
 
 from gauge_envs import load_experiment
 from gauge_envs.errors import EpisodeError, RenderError
@@ -67,7 +66,7 @@ def test_triton_is_loaded_before_the_first_picture(tmp_path, monkeypatch):
         "env.reset()\nassert 'triton' not in sys.modules\nenv.render()\nassert 'triton' in sys.modules\n"
     )
     monkeypatch.setenv("PYTHONPATH", f"{tmp_path}:{ROOT}")
-    subprocess.run([sys.executable, "-c", code], check=True)
+    printed("-c", code)
 
 
 @needs_opengl
@@ -99,15 +98,9 @@ def test_missing_opengl_names_the_packages():
         "try:\n    env.render()\n"
         "except gauge_envs.GaugeError as error:\n    print(type(error).__name__, error)\n"
     )
-    run = subprocess.run(
-        [sys.executable, "-c", script],
-        capture_output=True,
-        text=True,
-        check=True,
-        env={},
-    )
-    assert run.stdout.startswith("RenderError")
-    assert DEBIAN_PACKAGES in run.stdout
+    shown = printed("-c", script, env={})
+    assert shown.startswith("RenderError")
+    assert DEBIAN_PACKAGES in shown
 
 
 @needs_opengl

@@ -3,8 +3,8 @@
 from dataclasses import replace
 
 import gymnasium
-import numpy as np
 import pytest
+from episodes import run_to_end
 from places import ROOT
 
 from gauge_envs import GaugeEnv, Jitter, ScoreEpisode, find_variant
@@ -67,14 +67,7 @@ def test_a_run_is_the_episode_of_the_environment_with_its_arguments(name):
         }
     # `gymnasium.make` refuses arguments that change nothing, which a run of many ids may have.
     env = ScoreEpisode(GaugeEnv(name, **changes))
-    env.reset(seed=3)
-    zero, over = (
-        np.zeros(env.action_space.shape, dtype=int) if env.action_space.shape else 0,
-        False,
-    )
-    while not over:
-        *_, terminated, truncated, info = env.step(zero)
-        over = terminated or truncated
+    _, info = run_to_end(env, seed=3)
     mine, its = (
         one.to_dict()
         for one in (

@@ -5,7 +5,7 @@ import json
 import shutil
 import textwrap
 from dataclasses import fields, is_dataclass, replace
-from itertools import combinations, pairwise
+from itertools import pairwise
 
 import mujoco
 import numpy as np
@@ -21,21 +21,16 @@ from gauge_envs.errors import ParameterError, ResultFileError
 from gauge_envs.experiments.variants import task_path, variants
 from gauge_envs.scene import Box, Cloth, ConvexUnion, Motion, Plane, Region, SoftBody
 from gauge_envs.scene.driver_path import DriverPath
-from gauge_envs.scene.fabrics import Fabric
 from gauge_envs.scene.geometry import pose_distance
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.assets import build as assets
 from gauge_envs.tools.assets.build import assets_folder, shape_to_obj, solid_shapes
 from gauge_envs.tools.assets.export import (
-    experiment_stage,
     mjcf_text,
-    usd_layer_text,
     write_mjcf,
 )
-from gauge_envs.tools.usd.isaac_fabric import surface_constants
 from gauge_envs.tools.usd.layer import WRITTEN
 from gauge_envs.tools.usd.reader import from_usd
-from gauge_envs.tools.usd.writer import export_stage
 
 ALL = tuple(variant.name for variant in variants())
 DRIVEN = ("SlopeSlider-3-metal", "Turntable-3-metal")
@@ -297,64 +292,6 @@ def test_bodies_have_the_material_of_their_first_contact(pair):
             assert value(material.GetPrim(), attribute) == np.float32(expected)
 
 
-def test_only_pairs_of_a_contact_collide(pair):
-    stage, experiment = pair
-    scene, prims = experiment.scene, by_name(stage)
-    allowed = {
-        frozenset((a, b)) for c in scene.contacts for a in c.first for b in c.second
-    }
-    movers = {body.name for body in (*scene.dynamic_bodies, *scene.deformables)}
-    filtered = {
-        frozenset((prim.GetPath(), target))
-        for prim in prims.values()
-        for target in UsdPhysics.FilteredPairsAPI(prim)
-        .GetFilteredPairsRel()
-        .GetTargets()
-    }
-
-    def enabled(prim):
-        geometry = colliders(prim) or [prim]
-        return all(value(one, "physics:collisionEnabled") for one in geometry)
-
-    for one, other in combinations(prims, 2):
-        if not {one, other} & movers:
-            continue
-        apart = frozenset((prims[one].GetPath(), prims[other].GetPath())) in filtered
-        solid = all(prims[name].GetTypeName() != "BasisCurves" for name in (one, other))
-        if solid:
-            collides = enabled(prims[one]) and enabled(prims[other]) and not apart
-            assert collides is (frozenset((one, other)) in allowed), (one, other)
-
-
-def test_fabrics_carry_the_constants_for_isaac(pair):
-    stage, experiment = pair
-    for body in experiment.scene.deformables:
-        if not isinstance(body, Cloth):
-            continue
-        mapped = surface_constants(Fabric.of(body))
-        material = (
-            UsdShade.MaterialBindingAPI(by_name(stage)[body.name])
-            .ComputeBoundMaterial("physics")[0]
-            .GetPrim()
-        )
-        for name, attribute in (
-            ("youngs_modulus", "youngsModulus"),
-            ("poissons_ratio", "poissonsRatio"),
-            ("surfaceBendStiffness", "surfaceBendStiffness"),
-        ):
-            assert value(material, f"gauge:isaac:{name}") == mapped.constants[name]
-            assert value(material, f"omniphysics:{attribute}") == np.float32(
-                mapped.constants[name]
-            )
-        assert list(value(material, "gauge:isaac:notes")) == [
-            *mapped.fallbacks,
-            *mapped.lost,
-        ]
-        assert value(material, "omniphysics:surfaceThickness") == np.float32(
-            body.thickness_m
-        )
-
-
 def test_attachments_are_the_scenes(pair):
     stage, experiment = pair
     prims = by_name(stage)
@@ -441,15 +378,6 @@ def test_usd_physics_reads_bodies_shapes_and_joints(pair):
     assert joints == len(experiment.scene.joints)
     boxes = sum(isinstance(body.shape, Box) for body in experiment.scene.bodies)
     assert len(read.get(kinds.CubeShape, ([], []))[0]) == boxes
-
-
-def test_binary_layers_say_the_same(tmp_path):
-    experiment = load_experiment("Pendulum-metal")
-    export_stage(experiment_stage(experiment), tmp_path / "a.usda")
-    assert (tmp_path / "a.usda").read_text() == usd_layer_text(experiment)
-    export_stage(experiment_stage(experiment), tmp_path / "a.usdc")
-    binary = Usd.Stage.Open(str(tmp_path / "a.usdc"))
-    assert binary.GetRootLayer().ExportToString() == usd_layer_text(experiment)
 
 
 # --- MJCF ------------------------------------------------------------------------------------------------------------

@@ -4,8 +4,6 @@ import copy
 import csv
 import math
 import pickle
-import subprocess
-import sys
 from itertools import groupby
 
 import approval
@@ -16,6 +14,7 @@ import pytest
 from gymnasium.envs.registration import EnvSpec
 from opengl import needs_opengl
 from places import ROOT
+from programs import printed
 from scipy.integrate import solve_ivp
 
 from gauge_envs import load_experiment, variants
@@ -505,21 +504,9 @@ def test_the_guide_states_a_limit_of_two_tasks_once(task, other):
 def test_example_runs(tmp_path):
     pytest.importorskip("stable_baselines3", reason="extra 'rl' is not installed")
     script = ROOT / "examples" / "rl_sanity.py"
-    ran = subprocess.run(
-        [
-            sys.executable,
-            str(script),
-            "--steps",
-            "1200",
-            "--out",
-            str(tmp_path / "run.png"),
-        ],
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    assert "MuJoCo, half the step" in ran.stdout
-    assert "The policy" in ran.stdout
+    shown = printed(script, "--steps", 1200, "--out", tmp_path / "run.png")
+    assert "MuJoCo, half the step" in shown
+    assert "The policy" in shown
     assert (tmp_path / "run.png").stat().st_size > 20_000
 
 
