@@ -17,6 +17,13 @@ from gauge_envs.tools.conformance import Status, checks, run_checks
 
 DEFORMABLE = ("cloth", "air", "foam", "rope", "rod")
 TURNING = ("torsion", "rolling")
+GUIDES = (
+    "slider-fall",
+    "slider-line",
+    "slider-limit",
+    "hinge-limit",
+    "ball-joint-cone",
+)
 MJCF = ("solver-pile", "solver-cloth")
 
 
@@ -110,15 +117,15 @@ ENGINES = (
     Engine(
         name="rapier",
         module="rapier3d",
-        lacks=(*DEFORMABLE, *TURNING),
-        quick=(*CORE, "joint-*", "tether-*"),
+        lacks=(*DEFORMABLE, *TURNING, "force-"),
+        quick=(*CORE, *GUIDES, "joint-*", "tether-*"),
         long=LONG,
     ),
     Engine(
         name="physx",
         module="sapien",
-        lacks=(*DEFORMABLE, *TURNING, "solver-heap"),
-        quick=(*CORE, "joint-*"),
+        lacks=(*DEFORMABLE, *TURNING, "solver-heap", "force-"),
+        quick=(*CORE, *GUIDES, "joint-*"),
         long=LONG,
     ),
     Engine(
@@ -128,24 +135,24 @@ ENGINES = (
             *("cloth", "air", "rod", "joint-armature", "joint-backlash"),
             *("foam-rests-on", "foam-strike", "rope-rests-on", "rope-strike"),
         ),
-        quick=(*CORE, "rope-period", "torsion", "rolling"),
+        quick=(*CORE, *GUIDES, "force-*", "rope-period", "torsion", "rolling"),
     ),
     Engine(
         name="newton",
         module="newton",
-        lacks=("air",),
+        lacks=("air", *GUIDES, "force-"),
         quick=(*CORE, "cloth-slide", "foam-pinned-face"),
     ),
     Engine(
         name="drake",
         module="pydrake",
-        lacks=(*DEFORMABLE, *TURNING, "solver-heap"),
+        lacks=(*DEFORMABLE, *TURNING, "solver-heap", "ball-joint"),
         quick=(*CORE, "carry-line"),
     ),
     Engine(
         name="genesis",
         module="genesis.version",
-        lacks=("air", "hinged", "rope", "rod"),
+        lacks=("air", "hinged", "rope", "rod", *GUIDES, "force-"),
         quick=(
             "free-fall",
             "slide",

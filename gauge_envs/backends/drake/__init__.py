@@ -54,6 +54,8 @@ class BackendDrake(BundledBackend):
         Feature.BODY_HINGES,
         Feature.STATED_INERTIA,
         Feature.BACKLASH,
+        Feature.SLIDERS,
+        Feature.JOINT_LIMITS,
     }
 
     def unsupported(self, scene: Scene) -> Iterator[str]:

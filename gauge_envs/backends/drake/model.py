@@ -26,6 +26,7 @@ from pydrake.multibody.plant import (
 from pydrake.multibody.tree import (
     FixedOffsetFrame,
     PdControllerGains,
+    PrismaticJoint,
     RevoluteJoint,
     RotationalInertia,
     SpatialInertia,
@@ -39,11 +40,11 @@ from gauge_envs.backends.drake.settings import SettingsDrake
 from gauge_envs.backends.settings import check_kept
 from gauge_envs.backends.shared.joints import (
     BRAKE_RATE_RAD_PER_S,
-    PlayHinge,
     joint_motors,
     joint_rate_rad_per_s,
+    stops_rad,
 )
-from gauge_envs.backends.shared.rigid import hinges_by_body
+from gauge_envs.backends.shared.rigid import guide_frame, hinges_by_body
 from gauge_envs.errors import ParameterError, UnsupportedSceneError
 from gauge_envs.scene import (
     BodyHinge,
@@ -58,6 +59,7 @@ from gauge_envs.scene import (
     RigidBody,
     Scene,
     Shape,
+    Slider,
     Sphere,
 )
 from gauge_envs.scene.hinged import other_end
@@ -103,6 +105,7 @@ class Model:
         free: Drake's instance of the bodies that move freely or on hinges.
         motors: Drake's actuator of each motor of the scene, with the sign of its joint.
         start: Discrete state at the start: positions, then velocities.
+        names: Name of the body of each geometry.
     """
 
     diagram: Any
@@ -111,6 +114,7 @@ class Model:
     free: Any
     motors: list[tuple[Any, float]]
     start: NDArray[np.float64]
+    names: dict[GeometryId, str]
 
 
 def rigid_transform(pose: Pose) -> RigidTransform:
@@ -186,6 +190,9 @@ def build_model(scene: Scene, settings: SettingsDrake) -> Model:
         name: _add_hinge(plant, scene, bodies, name, hinge)
         for name, hinge in hinges.items()
     }
+    for guide in scene.guides:
+        if isinstance(guide, Slider):
+            _add_slider(plant, scene, bodies[guide.body], guide)
     if settings.approximation == "tamsi" and any(
         plant.get_joint_actuator(index).has_controller()
         for index in plant.GetJointActuatorIndices()
@@ -207,6 +214,12 @@ def build_model(scene: Scene, settings: SettingsDrake) -> Model:
         free=free,
         motors=motors,
         start=start,
+        names={
+            one: name
+            for _, shapes in geometries
+            for name, ids in shapes.items()
+            for one in ids
+        },
     )
 
 
@@ -254,9 +267,8 @@ def _add_hinge(
             )
         )
     damping = hinge.dynamics.viscous_friction_n_m_s_per_rad
-    stop = hinge.stop_rad if isinstance(hinge, PlayHinge) else np.inf
     joint = plant.AddJoint(
-        RevoluteJoint(name, *frames, [0, 0, 1], -stop, stop, damping)
+        RevoluteJoint(name, *frames, [0, 0, 1], *stops_rad(hinge), damping)
     )
     dry, armature, motor = (
         hinge.dynamics.dry_friction_n_m,
@@ -278,6 +290,23 @@ def _add_hinge(
         )
         actuator.set_effort_limit(motor.torque_limit_n_m or np.inf)
     return actuator
+
+
+def _add_slider(plant: Any, scene: Scene, body: Any, slider: Slider) -> None:
+    """Add the slider of a body to the world, along the x axes of two frames."""
+    frame = guide_frame(scene, slider)
+    in_body = frame.relative_to(scene.body(slider.body).pose)
+    frames = [
+        plant.AddFrame(
+            FixedOffsetFrame(f"{slider.body}/{end}", at, rigid_transform(place))
+        )
+        for end, at, place in (
+            ("world", plant.world_frame(), frame),
+            ("body", body.body_frame(), in_body),
+        )
+    ]
+    limits = slider.limits_m or (-np.inf, np.inf)
+    plant.AddJoint(PrismaticJoint(slider.body, *frames, [1, 0, 0], *limits))
 
 
 def _add_geometries(
@@ -350,12 +379,17 @@ def _start(
 ) -> NDArray[np.float64]:
     state = np.zeros(plant.num_multibody_states())
     offset = plant.num_positions()
+    axes = {one.body: one.axis for one in scene.guides if isinstance(one, Slider)}
     for body in scene.bodies:
         if body.motion is Motion.FIXED:
             continue
         if body.name in hinges:
             row = offset + plant.GetJointByName(body.name).velocity_start()
             state[row] = joint_rate_rad_per_s(scene, body.name, hinges[body.name])
+            continue
+        if body.name in axes:
+            row = offset + plant.GetJointByName(body.name).velocity_start()
+            state[row] = np.dot(body.linear_velocity_m_per_s, axes[body.name])
             continue
         added = bodies[body.name]
         first = added.floating_positions_start()

@@ -1,6 +1,6 @@
 """A scene in Drake, advanced step by step."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,10 +13,11 @@ from gauge_envs.backends.drake.model import build_model
 from gauge_envs.backends.drake.settings import SettingsDrake
 from gauge_envs.backends.shared.rigid import (
     DrivenMotion,
+    MeanForces,
     PlacedWorld,
     TetherSpring,
     body_state,
-    hinges_by_body,
+    joints_by_body,
     placed_states,
 )
 from gauge_envs.backends.world import Simulation
@@ -39,14 +40,15 @@ class SimulationDrake(PlacedWorld, Simulation):
         self._plant_context = plant.GetMyMutableContextFromRoot(self._context)
         self._forces = plant.get_applied_spatial_force_input_port()
         self._tethers = TetherSpring.of(scene)
-        # Where the state has the pose and the velocity of bodies without hinges.
+        self._force_readers: list[MeanForces] = []
+        # Where the state has the pose and the velocity of bodies without joints.
         self._rows = {
             name: (
                 body.floating_positions_start(),
                 plant.num_positions() + body.floating_velocities_start_in_v(),
             )
             for name, body in self._model.bodies.items()
-            if name not in hinges_by_body(scene)
+            if name not in joints_by_body(scene)
         }
         self._centres = {
             body.name: body_mass_properties(body)[0] for body in scene.dynamic_bodies
@@ -116,7 +118,9 @@ class SimulationDrake(PlacedWorld, Simulation):
     def advance(self, seconds: float) -> None:
         """Step the plant; driven bodies start each step at their pose, with their mean velocity in the step."""
         count = round(seconds / self._step_s)
-        if self._motions or self._tethers:
+        for reader in self._force_readers:
+            reader.clear()
+        if self._motions or self._tethers or self._force_readers:
             self._advance_with(self._motions, count)
         else:
             # In one call, which costs half of as many single steps and gives the same bits.
@@ -148,6 +152,9 @@ class SimulationDrake(PlacedWorld, Simulation):
                 self._context.SetDiscreteState(self._state)
             if self._tethers:
                 self._apply_forces()
+            # The contact results are those of the step that is taken now.
+            for reader in self._force_readers:
+                reader.add()
             after = self._model.diagram.EvalUniquePeriodicDiscreteUpdate(self._context)
             self._state = _plant_state(after)
             self._context.SetDiscreteState(self._state)
@@ -205,6 +212,40 @@ class SimulationDrake(PlacedWorld, Simulation):
                 velocity.rotational(),
             ]
         )
+
+    def contact_forces(
+        self, pairs: Sequence[tuple[str, str]]
+    ) -> Callable[[], NDArray[np.float64]]:
+        """Return a reader of contact forces; see `World.contact_forces`."""
+        reader = MeanForces(len(pairs), lambda: self._contact_forces_n(pairs))
+        self._force_readers.append(reader)
+        return reader.mean
+
+    def _contact_forces_n(
+        self, pairs: Sequence[tuple[str, str]]
+    ) -> NDArray[np.float64]:
+        """Return the forces on the first bodies of pairs in the next step [N], shape [pair_count, 3]."""
+        names, plant = self._model.names, self._model.plant
+        results = plant.get_contact_results_output_port().Eval(self._plant_context)
+        touches = []
+        for index in range(results.num_point_pair_contacts()):
+            point = results.point_pair_contact_info(index)
+            ends = point.point_pair()
+            on_first_n = -np.array(point.contact_force())
+            touches.append((names[ends.id_A], names[ends.id_B], on_first_n))
+        for index in range(results.num_hydroelastic_contacts()):
+            patch = results.hydroelastic_contact_info(index)
+            surface = patch.contact_surface()
+            on_first_n = np.array(patch.F_Ac_W().translational())
+            touches.append((names[surface.id_M()], names[surface.id_N()], on_first_n))
+        sums_n = np.zeros((len(pairs), 3))
+        for first, second, force_n in touches:
+            for sum_n, pair in zip(sums_n, pairs, strict=True):
+                if pair == (first, second):
+                    sum_n += force_n
+                elif pair == (second, first):
+                    sum_n -= force_n
+        return sums_n
 
     def state(self) -> Any:
         """Return the plant's state, driven motions, states of placed bodies, applied wrenches and the command."""

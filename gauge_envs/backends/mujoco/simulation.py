@@ -28,6 +28,7 @@ from gauge_envs.backends.mujoco.model import (
 )
 from gauge_envs.backends.mujoco.soft import Grip, SoftPartMuJoCo
 from gauge_envs.backends.shared.rigid import (
+    MeanForces,
     bodies_elsewhere,
     hinges_by_body,
     joints_by_body,
@@ -133,7 +134,7 @@ class SimulationMuJoCo(Simulation):
         )
         self._readers: dict[tuple[str, ...], StateReader] = {}
         self._grip_reader: GripReader | None = None
-        self.contact_readers: list[_ContactForces] = []
+        self.contact_readers: list[MeanForces] = []
         self._driven: dict[str, DrivenBody] = {}
         self._scene = scene
         actuators = {
@@ -329,7 +330,9 @@ class SimulationMuJoCo(Simulation):
         self, pairs: Sequence[tuple[str, str]]
     ) -> Callable[[], NDArray[np.float64]]:
         """Return a reader of contact forces, for which steps are taken one by one; see `World.contact_forces`."""
-        reader = _ContactForces(self.model, self.data, pairs)
+        model, data = self.model, self.data
+        bodies = [(model.body(one).id, model.body(other).id) for one, other in pairs]
+        reader = MeanForces(len(pairs), lambda: _contact_forces_n(model, data, bodies))
         self.contact_readers.append(reader)
         return reader.mean
 
@@ -357,45 +360,26 @@ def _origin(settings: Mapping[str, Any], scene: Scene) -> StateOrigin:
     return StateOrigin(f"mujoco {mujoco.__version__}", settings, scene)
 
 
-class _ContactForces:
-    """Mean contact forces of pairs of rigid bodies over the steps of an interval."""
-
-    def __init__(
-        self,
-        model: mujoco.MjModel,
-        data: mujoco.MjData,
-        pairs: Sequence[tuple[str, str]],
-    ) -> None:
-        self._model, self._data = model, data
-        self._pairs = [tuple(model.body(name).id for name in pair) for pair in pairs]
-        self._wrench = np.empty(6)
-        self.clear()
-
-    def clear(self) -> None:
-        """Begin an interval."""
-        self._sums_n = np.zeros((len(self._pairs), 3))
-        self._count = 0
-
-    def add(self) -> None:
-        """Add the forces of a step."""
-        self._count += 1
-        for index in range(self._data.ncon):
-            touch = self._data.contact[index]
-            if min(touch.geom) < 0:
-                continue
-            first, second = self._model.geom_bodyid[touch.geom].tolist()
-            mujoco.mj_contactForce(self._model, self._data, index, self._wrench)
-            # The first row of the frame points from the first geom to the second, which the force pushes.
-            on_second_n = touch.frame.reshape(3, 3).T @ self._wrench[:3]
-            for sum_n, pair in zip(self._sums_n, self._pairs, strict=True):
-                if pair == (second, first):
-                    sum_n += on_second_n
-                elif pair == (first, second):
-                    sum_n -= on_second_n
-
-    def mean(self) -> NDArray[np.float64]:
-        """Return the mean force on the first body of each pair [N], shape [pair_count, 3]."""
-        return self._sums_n / max(self._count, 1)
+def _contact_forces_n(
+    model: mujoco.MjModel, data: mujoco.MjData, pairs: Sequence[tuple[int, int]]
+) -> NDArray[np.float64]:
+    """Return the contact forces of the last step on the first bodies of pairs [N], shape [pair_count, 3]."""
+    sums_n = np.zeros((len(pairs), 3))
+    wrench = np.empty(6)
+    for index in range(data.ncon):
+        touch = data.contact[index]
+        if min(touch.geom) < 0:
+            continue
+        first, second = model.geom_bodyid[touch.geom].tolist()
+        mujoco.mj_contactForce(model, data, index, wrench)
+        # The first row of the frame points from the first geom to the second, which the force pushes.
+        on_second_n = touch.frame.reshape(3, 3).T @ wrench[:3]
+        for sum_n, pair in zip(sums_n, pairs, strict=True):
+            if pair == (second, first):
+                sum_n += on_second_n
+            elif pair == (first, second):
+                sum_n -= on_second_n
+    return sums_n
 
 
 class DrivenBody:

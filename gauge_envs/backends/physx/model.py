@@ -17,15 +17,21 @@ from gauge_envs.backends.physx.contacts import Constants, Groups, groups_of_bodi
 from gauge_envs.backends.physx.settings import SettingsPhysX
 from gauge_envs.backends.settings import check_kept, put
 from gauge_envs.backends.shared.joints import (
-    PlayHinge,
     drive_of,
     has_terms,
     joint_rate_rad_per_s,
     linked_hinges,
+    stops_rad,
 )
-from gauge_envs.backends.shared.rigid import centre_velocity, hinge_frame, world_hinges
+from gauge_envs.backends.shared.rigid import (
+    centre_velocity,
+    guide_frame,
+    hinge_frame,
+    world_hinges,
+)
 from gauge_envs.errors import BackendError, UnsupportedSceneError
 from gauge_envs.scene import (
+    BallJoint,
     BodyHinge,
     Box,
     Capsule,
@@ -40,6 +46,7 @@ from gauge_envs.scene import (
     RigidBody,
     Scene,
     Shape,
+    Slider,
     Sphere,
     Tether,
 )
@@ -196,6 +203,8 @@ def build_model(scene: Scene, settings: SettingsPhysX) -> Model:
     hinges = world_hinges(scene)
     linked = linked_hinges(scene, settings.hinges == "articulation")
     below = [name for name, joined in linked.items() if isinstance(joined, BodyHinge)]
+    sliders = {one.body: one for one in scene.guides if isinstance(one, Slider)}
+    joined = {**linked, **sliders}
     parts: dict[str, Part] = {}
     for body in (
         *(one for one in scene.bodies if one.name not in below),
@@ -203,8 +212,8 @@ def build_model(scene: Scene, settings: SettingsPhysX) -> Model:
     ):
         hinge = hinges.get(body.name)
         component = (
-            _link(world, scene, body, linked[body.name], parts)
-            if body.name in linked
+            _link(world, scene, body, joined[body.name], parts)
+            if body.name in joined
             else _component(body)
         )
         for shape in _shapes(body.shape, groups.get(body.name, {}), materials):
@@ -236,7 +245,7 @@ def build_model(scene: Scene, settings: SettingsPhysX) -> Model:
         elif hinge is not None:
             _add_hinge(component, body, hinge)
         if body.motion is Motion.DYNAMIC and not body.starts_at_rest:
-            _set_velocity(component, scene, body, centre_m, linked.get(body.name))
+            _set_velocity(component, scene, body, centre_m, joined.get(body.name))
     return Model(lease, system, world, parts, _add_joints(scene, parts, linked))
 
 
@@ -249,6 +258,12 @@ def _add_joints(
     for joint in scene.joints:
         if isinstance(joint, Tether):
             _add_tether(parts[joint.body].component, joint)
+    for guide in scene.guides:
+        if isinstance(guide, BallJoint):
+            body, component = scene.body(guide.body), parts[guide.body].component
+            frame = guide_frame(scene, guide)
+            joint = _point_joint(component, frame, frame.relative_to(body.pose))
+            component.entity.add_component(joint)
     for joined in scene.body_hinges:
         if joined not in linked.values():
             _add_body_hinge(parts, scene, joined)
@@ -296,13 +311,18 @@ def _link(
     world: pysapien.Scene,
     scene: Scene,
     body: RigidBody,
-    hinge: Hinge | BodyHinge | None,
+    hinge: Hinge | BodyHinge | Slider | None,
     parts: Mapping[str, Part],
 ) -> physx.PhysxArticulationLinkComponent:
-    """Return a link without shapes, which a hinge connects to a fixed base or to its parent, unless it is a root."""
+    """Return a link without shapes, which a joint connects to a fixed base or to its parent, unless it is a root."""
     if hinge is None:
         return physx.PhysxArticulationLinkComponent()
-    frame = hinge_frame(hinge)
+    if isinstance(hinge, Slider):
+        frame = guide_frame(scene, hinge)
+        limits = hinge.limits_m or (-np.inf, np.inf)
+    else:
+        frame = hinge_frame(hinge)
+        limits = stops_rad(hinge)
     in_parent = pysapien.Pose()
     if isinstance(hinge, BodyHinge):
         parent = other_end(hinge, body.name)
@@ -317,11 +337,11 @@ def _link(
     link = physx.PhysxArticulationLinkComponent(base)
     if not isinstance(hinge, BodyHinge):
         base.joint.type = "fixed"
-    link.joint.type = "revolute_unwrapped"
+    is_slider = isinstance(hinge, Slider)
+    link.joint.type = "prismatic" if is_slider else "revolute_unwrapped"
     link.joint.pose_in_parent = in_parent
     link.joint.pose_in_child = physx_pose(frame.relative_to(body.pose))
-    stop = hinge.stop_rad if isinstance(hinge, PlayHinge) else np.inf
-    link.joint.limit = np.array([[-stop, stop]])
+    link.joint.limit = np.array([limits])
     link.joint.friction = 0.0
     link.joint.set_drive_properties(0.0, 0.0)
     return link
@@ -525,13 +545,17 @@ def _set_velocity(
     scene: Scene,
     body: RigidBody,
     centre_m: ArrayLike,
-    hinge: Hinge | BodyHinge | None,
+    hinge: Hinge | BodyHinge | Slider | None,
 ) -> None:
     """Write the start velocity; PhysX's linear velocity is that of the centre of mass."""
     angular = np.array(body.angular_velocity_rad_per_s)
     if hinge is not None:
         rates = component.articulation.qvel
-        rates[row_of(component)] = joint_rate_rad_per_s(scene, body.name, hinge)
+        rates[row_of(component)] = (
+            np.dot(body.linear_velocity_m_per_s, hinge.axis)
+            if isinstance(hinge, Slider)
+            else joint_rate_rad_per_s(scene, body.name, hinge)
+        )
         component.articulation.set_qvel(rates)
     elif isinstance(component, physx.PhysxArticulationLinkComponent):
         component.articulation.root_angular_velocity = angular

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from types import MappingProxyType
 from typing import Any
 
-from gauge_envs.backends.features import GUIDES, Feature
+from gauge_envs.backends.features import Feature
 from gauge_envs.backends.pybullet.contacts import surfaces, turning_shares
 from gauge_envs.backends.pybullet.settings import settings_for
 from gauge_envs.backends.shared.attachments import (
@@ -65,9 +65,7 @@ class BackendPyBullet(BundledBackend):
         "a servo is a torque that this package computes in each step, because Bullet's gains are not in SI units",
     )
     # Bullet's joints have no inertia of their own.
-    features = (
-        frozenset(Feature) - GUIDES - {Feature.AIR, Feature.ARMATURE, Feature.BACKLASH}
-    )
+    features = frozenset(Feature) - {Feature.AIR, Feature.ARMATURE, Feature.BACKLASH}
 
     def failed_import(self, module: str) -> ImportError:
         """Return the failed import, with the way to PyBullet on this version of Python."""

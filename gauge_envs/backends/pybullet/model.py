@@ -29,14 +29,20 @@ from gauge_envs.backends.pybullet.world import (
 )
 from gauge_envs.backends.settings import check_kept
 from gauge_envs.backends.shared.joints import joint_rate_rad_per_s
-from gauge_envs.backends.shared.rigid import centre_velocity, world_hinges
+from gauge_envs.backends.shared.rigid import (
+    centre_velocity,
+    guide_frame,
+    world_hinges,
+)
 from gauge_envs.scene import (
+    BallJoint,
     BodyHinge,
     Hinge,
     Motion,
     RigidBody,
     Rope,
     Scene,
+    Slider,
     SoftBody,
     Tether,
 )
@@ -85,6 +91,7 @@ class WorldPyBullet(BulletWorld):
             world_hinges(self.scene),
             {joint.body: joint for joint in self.scene.joints},
         )
+        guides = {guide.body: guide for guide in self.scene.guides}
         for tree in hinge_trees(self.scene.body_hinges):
             below = parent_hinges(tree, self.scene.hung)
             name, hinge = next(iter(below.items()))
@@ -99,6 +106,8 @@ class WorldPyBullet(BulletWorld):
                 self._joined({body.name: joint})
             elif isinstance(joint, Tether):
                 self._tethered(body, joint)
+            elif body.name in guides:
+                self._guided(body, guides[body.name])
             else:
                 # Without a contact, a body still has a place.
                 for _ in self._surfaces.get(body.name, [None]):
@@ -251,6 +260,8 @@ class WorldPyBullet(BulletWorld):
         """Write the start rate and the friction of the joint of a body on a hinge."""
         rate = joint_rate_rad_per_s(self.scene, name, hinge)
         self.call("resetJointState", number, link, targetValue=0.0, targetVelocity=rate)
+        if isinstance(hinge, Hinge) and hinge.limits_rad is not None:
+            self._limit(number, link, *hinge.limits_rad)
         # Torques are in kg units^2 / s^2.
         dry = self.scale**2 * hinge.dynamics.dry_friction_n_m
         damping = self.scale**2 * hinge.dynamics.viscous_friction_n_m_s_per_rad
@@ -315,15 +326,46 @@ class WorldPyBullet(BulletWorld):
         )
         base = {"baseMass": 0.0, "basePosition": (self.scale * anchor).tolist()}
         handle = self.add_handle(body, self.add_multibody(base, [], links), 2)
-        # Bullet ignores limits of which the lower one is above the upper one, and needs both.
         upper = self.scale * (joint.length_m - apart_m)
-        self.call(
-            "changeDynamics",
-            handle.body,
-            1,
-            jointLowerLimit=-1e6,
-            jointUpperLimit=upper,
+        self._limit(handle.body, 1, -1e6, upper)
+
+    def _limit(self, number: int, link: int, lower: float, upper: float) -> None:
+        """Stop a joint at limits [rad or units]."""
+        # Bullet ignores limits of which the lower one is above the upper one, and needs both.
+        limits = {"jointLowerLimit": lower, "jointUpperLimit": upper}
+        self.call("changeDynamics", number, link, **limits)
+
+    def _guided(self, body: RigidBody, guide: Slider | BallJoint) -> None:
+        """Add a body on a slider or a ball joint, whose base is at the origin of `guide_frame`."""
+        frame = self.frame(body)
+        origin_m = np.asarray(guide_frame(self.scene, guide).position_m)
+        turn = body.pose.rotation * frame.axes
+        back = turn.inv()
+        centre_m = back.apply(body.pose.to_world(frame.centre_m) - origin_m)
+        body_origin_m = back.apply(np.subtract(body.pose.position_m, origin_m))
+        is_slider = isinstance(guide, Slider)
+        link = Link(
+            joint=pybullet.JOINT_PRISMATIC if is_slider else pybullet.JOINT_SPHERICAL,
+            place=(np.zeros(3), turn),
+            mass_kg=body.mass_kg,
+            moments=frame.moments,
+            centre=self.scale * centre_m,
+            shape=self.shape(body.shape, body_origin_m, frame),
+            axis=back.apply(
+                guide.axis if isinstance(guide, Slider) else (0.0, 0.0, 1.0)
+            ).tolist(),
         )
+        base = {"baseMass": 0.0, "basePosition": (self.scale * origin_m).tolist()}
+        number = self.add_handle(body, self.add_multibody(base, [], [link]), 0).body
+        if isinstance(guide, BallJoint):
+            spin = back.apply(body.angular_velocity_rad_per_s).tolist()
+            self.call("resetJointStateMultiDof", number, 0, [0.0, 0.0, 0.0, 1.0], spin)
+            return
+        speed = self.scale * float(np.dot(body.linear_velocity_m_per_s, guide.axis))
+        self.call("resetJointState", number, 0, targetValue=0.0, targetVelocity=speed)
+        if guide.limits_m is not None:
+            lower_m, upper_m = guide.limits_m
+            self._limit(number, 0, self.scale * lower_m, self.scale * upper_m)
 
     def _set_contacts(self) -> None:
         late = impact_bodies(self.scene) if self.settings.late_impacts else set()

@@ -13,6 +13,7 @@ from gauge_envs.backends.shared.joints import joint_motors
 from gauge_envs.backends.shared.rigid import (
     CONJUGATE,
     DrivenMotion,
+    MeanForces,
     PlacedWorld,
     body_state,
     placed_states,
@@ -52,6 +53,7 @@ class SimulationPyBullet(PlacedWorld, Simulation):
         self._kinematic = [
             body.name for body in scene.bodies if body.motion is Motion.KINEMATIC
         ]
+        self._force_readers: list[MeanForces] = []
         self._start()
 
     def _start(self) -> None:
@@ -98,6 +100,8 @@ class SimulationPyBullet(PlacedWorld, Simulation):
             for handle in (self.world.handles[name], *self.world.copies.get(name, []))
         ]
         client = self.world.client
+        for reader in self._force_readers:
+            reader.clear()
         for step in range(count):
             for body, positions, quaternions, speeds, spins in paths:
                 pybullet.resetBasePositionAndOrientation(
@@ -111,6 +115,8 @@ class SimulationPyBullet(PlacedWorld, Simulation):
             if self._motors:
                 self._turn_joints()
             pybullet.stepSimulation(physicsClientId=client)
+            for reader in self._force_readers:
+                reader.add()
         for name in self._driven:
             self.placed.pop(name, None)
         self._driven.clear()
@@ -250,6 +256,32 @@ class SimulationPyBullet(PlacedWorld, Simulation):
             arms_m = np.einsum("nij,nj->ni", rotation_matrices(quaternions), offsets_m)
             positions_m, speeds = positions_m - arms_m, speeds - np.cross(spins, arms_m)
         return np.hstack([positions_m, quaternions, speeds, spins])
+
+    def contact_forces(
+        self, pairs: Sequence[tuple[str, str]]
+    ) -> Callable[[], NDArray[np.float64]]:
+        """Return a reader of contact forces; see `World.contact_forces`."""
+
+        def forces_n() -> NDArray[np.float64]:
+            return np.array([self._contact_force_n(*pair) for pair in pairs])
+
+        reader = MeanForces(len(pairs), forces_n)
+        self._force_readers.append(reader)
+        return reader.mean
+
+    def _contact_force_n(self, first: str, second: str) -> NDArray[np.float64]:
+        """Return the force of the last step of one body on another [N], shape [3], of all copies of both."""
+        world, total = self.world, np.zeros(3)
+        for one in (world.handles[first], *world.copies.get(first, [])):
+            for other in (world.handles[second], *world.copies.get(second, [])):
+                numbers = (one.body, other.body, one.link, other.link)
+                for touch in world.call("getContactPoints", *numbers):
+                    normal, normal_force = np.array(touch[7]), touch[9]
+                    friction = touch[10] * np.array(touch[11])
+                    friction += touch[12] * np.array(touch[13])
+                    sign = 1.0 if touch[1] == one.body else -1.0
+                    total += sign * (normal_force * normal + friction)
+        return total / self._scale
 
     def close(self) -> None:
         """Free the world. A second call does nothing."""

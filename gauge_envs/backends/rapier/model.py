@@ -22,9 +22,10 @@ from gauge_envs.backends.shared.joints import (
     joint_rate_rad_per_s,
     linked_hinges,
 )
-from gauge_envs.backends.shared.rigid import centre_velocity, hinge_frame
+from gauge_envs.backends.shared.rigid import centre_velocity, guide_frame, hinge_frame
 from gauge_envs.errors import BackendError
 from gauge_envs.scene import (
+    BallJoint,
     BodyHinge,
     Box,
     ConvexUnion,
@@ -36,6 +37,7 @@ from gauge_envs.scene import (
     RigidBody,
     Scene,
     Shape,
+    Slider,
     Sphere,
 )
 from gauge_envs.scene.hinged import other_end
@@ -93,6 +95,8 @@ def _add_scene(
         if body.motion is not Motion.FIXED:
             layout[body.name] = handle, centre_m
     _add_joints(world, scene, layout, settings)
+    for guide in scene.guides:
+        _add_guide(world, scene, guide, layout[guide.body][0])
     return layout
 
 
@@ -307,6 +311,8 @@ def _add_hinge(
         rapier.Isometry3.identity(),
         rapier.Isometry3(tuple(arm), tuple((back * frame.rotation).as_quat())),
     )
+    if hinge.limits_rad is not None:
+        joint.set_limits(TURN, *hinge.limits_rad)
     if not is_link:
         world.impulse_joints.insert(anchor, handle, joint)
         return
@@ -323,6 +329,25 @@ def _add_hinge(
         chain.set_generalized_velocity(speeds.tolist())
 
 
+def _add_guide(
+    world: rapier.PhysicsWorld,
+    scene: Scene,
+    guide: Slider | BallJoint,
+    handle: rapier.RigidBodyHandle,
+) -> None:
+    """Add a slider or a ball joint with a fixed body of its own."""
+    frame = guide_frame(scene, guide)
+    in_body = isometry(frame.relative_to(scene.body(guide.body).pose))
+    anchor = world.add_body(rapier.RigidBody.fixed().position(isometry(frame)))
+    axes = rapier.JointAxesMask
+    is_slider = isinstance(guide, Slider)
+    locked = axes.LOCKED_PRISMATIC_AXES if is_slider else axes.LOCKED_SPHERICAL_AXES
+    joint = _kept_together(locked, rapier.Isometry3.identity(), in_body)
+    if isinstance(guide, Slider) and guide.limits_m is not None:
+        joint.set_limits(rapier.JointAxis.LIN_X, *guide.limits_m)
+    world.impulse_joints.insert(anchor, handle, joint)
+
+
 def _between(scene: Scene, hinge: BodyHinge, first: str, second: str) -> Any:
     """Return the joint of a hinge between two bodies."""
     frame = hinge_frame(hinge)
@@ -333,5 +358,12 @@ def _between(scene: Scene, hinge: BodyHinge, first: str, second: str) -> Any:
 
 def _revolute(first: rapier.Isometry3, second: rapier.Isometry3) -> Any:
     """Return a joint of two bodies that keeps two frames together, but for a rotation about x."""
-    joint = rapier.GenericJointBuilder(rapier.JointAxesMask.LOCKED_REVOLUTE_AXES)
+    return _kept_together(rapier.JointAxesMask.LOCKED_REVOLUTE_AXES, first, second)
+
+
+def _kept_together(
+    locked: rapier.JointAxesMask, first: rapier.Isometry3, second: rapier.Isometry3
+) -> Any:
+    """Return a joint of two bodies that keeps two frames together along and about the locked axes."""
+    joint = rapier.GenericJointBuilder(locked)
     return joint.local_frame1(first).local_frame2(second).build()

@@ -286,7 +286,7 @@ def _share_count(scene: Scene) -> int:
     )
     return (
         1
-        if scene.joints or scene.body_hinges or in_pieces
+        if scene.joints or scene.guides or scene.body_hinges or in_pieces
         else LARGEST_CONTACT_COUNT // len(contacts)
     )
 

@@ -138,6 +138,14 @@ def drive_of(hinge: Hinge | BodyHinge) -> tuple[float, float, float]:
     return 0.0, 0.0, np.inf
 
 
+def stops_rad(hinge: Hinge | BodyHinge) -> tuple[float, float]:
+    """Return the smallest and the largest angle of a hinge [rad]; infinite without limits."""
+    if isinstance(hinge, PlayHinge):
+        return -hinge.stop_rad, hinge.stop_rad
+    limits = hinge.limits_rad if isinstance(hinge, Hinge) else None
+    return limits or (-np.inf, np.inf)
+
+
 def joint_rate_rad_per_s(scene: Scene, body: str, hinge: Hinge | BodyHinge) -> float:
     """Return the rate of a body about its hinge at the start, relative to what it hangs on."""
     turned = scene.body(body)
@@ -158,7 +166,7 @@ def linked_hinges(scene: Scene, single: bool) -> dict[str, Hinge | BodyHinge | N
 
     Args:
         scene: The scene.
-        single: Whether a body on a hinge to the world alone is one of them, although the hinge turns freely.
+        single: Whether a body on a hinge to the world alone is one of them, although it turns freely.
 
     Returns:
         By name of the body, parents first.
@@ -173,6 +181,6 @@ def linked_hinges(scene: Scene, single: bool) -> dict[str, Hinge | BodyHinge | N
             linked[root] = hung.get(root)
             linked.update(below)
     for name, hanging in hung.items():
-        if single or has_terms(hanging):
+        if single or has_terms(hanging) or hanging.limits_rad is not None:
             linked.setdefault(name, hanging)
     return linked

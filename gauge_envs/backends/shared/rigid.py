@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +23,7 @@ from gauge_envs.scene import (
     Tether,
 )
 from gauge_envs.scene.geometry import (
+    Vector,
     quaternion_products,
     quaternion_vectors,
     unit_quaternions,
@@ -54,6 +55,36 @@ def placed_states(scene: Scene, *motions: Motion) -> dict[str, NDArray[np.float6
         for body in scene.bodies
         if body.motion in (motions or (Motion.FIXED,))
     }
+
+
+class MeanForces:
+    """Mean contact forces of pairs of bodies over the steps of an interval; see `World.contact_forces`.
+
+    Args:
+        pair_count: Number of pairs.
+        forces_n: Function that returns the forces of a step [N], shape [pair_count, 3].
+    """
+
+    def __init__(
+        self, pair_count: int, forces_n: Callable[[], NDArray[np.float64]]
+    ) -> None:
+        self._shape = (pair_count, 3)
+        self._forces_n = forces_n
+        self.clear()
+
+    def clear(self) -> None:
+        """Begin an interval."""
+        self._sums_n = np.zeros(self._shape)
+        self._count = 0
+
+    def add(self) -> None:
+        """Add the forces of a step."""
+        self._sums_n += self._forces_n()
+        self._count += 1
+
+    def mean(self) -> NDArray[np.float64]:
+        """Return the mean force on the first body of each pair [N], shape [pair_count, 3]."""
+        return self._sums_n / max(self._count, 1)
 
 
 class PlacedWorld(World):
@@ -141,16 +172,26 @@ def hinge_frame(hinge: Hinge | BodyHinge, along_m: float = 0.0) -> Pose:
         hinge: The hinge.
         along_m: Distance of the frame from the anchor [m].
     """
-    from scipy.spatial.transform import Rotation
-
     point_m = (
         vector(np.asarray(hinge.anchor_m) + along_m * np.asarray(hinge.axis))
         if along_m
         else hinge.anchor_m
     )
-    return Pose.from_rotation(
-        point_m, Rotation.align_vectors([hinge.axis], [[1.0, 0.0, 0.0]])[0]
-    )
+    return _axis_frame(point_m, hinge.axis)
+
+
+def guide_frame(scene: Scene, guide: Slider | BallJoint) -> Pose:
+    """Return the frame in the world of a guide at the start: a slider's x axis is its axis, from the body's origin."""
+    if isinstance(guide, BallJoint):
+        return Pose(position_m=guide.anchor_m)
+    return _axis_frame(scene.body(guide.body).pose.position_m, guide.axis)
+
+
+def _axis_frame(point_m: Vector, axis: Vector) -> Pose:
+    from scipy.spatial.transform import Rotation
+
+    turn = Rotation.align_vectors([axis], [[1.0, 0.0, 0.0]])[0]
+    return Pose.from_rotation(point_m, turn)
 
 
 @dataclass(frozen=True)

@@ -213,18 +213,29 @@ SLIDE_FRICTION = 0.3
 WEIGHT_N = 0.2 * G
 
 
-@recorded("a brick that rests on a slab, and one that slides on it with friction 0.3")
+@recorded(
+    "a brick that rests on two fixed slabs at once, and one that slides on the first with friction 0.3"
+)
 def _forces(lab: Lab) -> NDArray[np.float64]:
-    """Return the forces on both bricks, and on the slab, in 60 intervals, shape [60, 3, 3]."""
-    slab = fixed_box("slab", (0.0, 0.0, -0.05), (4.0, 2.0, 0.1))
+    """Return the forces on both bricks, and on the slab, in 60 intervals, shape [60, 4, 3]."""
+    slab = fixed_box("slab", (0.0, -0.5, -0.05), (4.0, 2.0, 0.1))
+    shelf = fixed_box("shelf", (0.0, 1.0, -0.05), (4.0, 1.0, 0.1))
     resting = box("resting", (0.0, 0.5, 0.015), (0.1, 0.08, 0.03))
     sliding = box("sliding", (-1.0, -0.5, 0.015), (0.1, 0.08, 0.03))
     scene = Scene(
-        bodies=(slab, resting, thrown(sliding, (2.4, 0.7, 0.0))),
-        contacts=(contact(("resting", "sliding"), "slab", friction=SLIDE_FRICTION),),
+        bodies=(slab, shelf, resting, thrown(sliding, (2.4, 0.7, 0.0))),
+        contacts=(
+            contact(("resting", "sliding"), "slab", friction=SLIDE_FRICTION),
+            contact("resting", "shelf", friction=SLIDE_FRICTION),
+        ),
         duration_s=0.5,
     )
-    pairs = [("resting", "slab"), ("sliding", "slab"), ("slab", "sliding")]
+    pairs = [
+        ("resting", "slab"),
+        ("sliding", "slab"),
+        ("slab", "sliding"),
+        ("resting", "shelf"),
+    ]
     found = []
     with closing(lab.build(scene)) as simulation:
         simulation.reset(0)
@@ -239,9 +250,13 @@ def _forces(lab: Lab) -> NDArray[np.float64]:
 
 @_forces.check("force-rest")
 def _force_rest(found: NDArray[np.float64]) -> Measurement:
-    force = found[:, 0].mean(axis=0) / WEIGHT_N
-    hint = f"across it is {np.linalg.norm(force[:2]):.3g} of the weight"
-    return Measurement(measured=float(force[2]), expected=1.0, hint=hint)
+    slab, shelf = found[:, [0, 3]].mean(axis=0) / WEIGHT_N
+    both = slab + shelf
+    hint = (
+        f"the slab has {slab[2]:.3g} and the other slab {shelf[2]:.3g} of the weight; across it is "
+        f"{np.linalg.norm(both[:2]):.3g}"
+    )
+    return Measurement(measured=float(both[2]), expected=1.0, hint=hint)
 
 
 @_forces.check("force-slide")
