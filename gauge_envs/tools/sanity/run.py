@@ -354,18 +354,12 @@ class Regression:
 
     Attributes:
         row: The row.
-        part: Name of the part; empty for the row itself.
-        value: Measured value of the part; None when not measured.
-        verdict: Verdict of the part.
-        deviation: Distance from reality, as the parts of a row state it.
-        before: The same in the baseline; None when the baseline has no such row or part.
+        part: The part; without a name, the row itself.
+        before: Its deviation in the baseline; None when the baseline has no such row or part.
     """
 
     row: PhenomenonResult
-    part: str
-    value: float | None
-    verdict: Verdict
-    deviation: float
+    part: PartOutcome
     before: float | None
 
 
@@ -383,21 +377,16 @@ def regressions(
     worse = []
     for row in report.rows:
         known = baseline.get(row.phenomenon, {})
-        several = [(p.name, p.value, p.verdict, p.deviation) for p in row.parts]
-        if not several:
-            several = [("", row.configured, row.verdict, row.deviation)]
-        for part, value, verdict, deviation in several:
-            before = known.get(part, INSIDE_WITHIN)
-            grown = deviation > before + GROWTH or before <= INSIDE_WITHIN
-            if row.is_flag and verdict in counted and grown:
-                worse.append(
-                    Regression(
-                        row=row,
-                        part=part,
-                        value=value,
-                        verdict=verdict,
-                        deviation=deviation,
-                        before=known.get(part),
-                    )
-                )
+        itself = PartOutcome(
+            name="",
+            value=row.configured,
+            verdict=row.verdict,
+            deviation=row.deviation,
+        )
+        for part in row.parts or (itself,):
+            before = known.get(part.name, INSIDE_WITHIN)
+            grown = part.deviation > before + GROWTH or before <= INSIDE_WITHIN
+            if row.is_flag and part.verdict in counted and grown:
+                was = known.get(part.name)
+                worse.append(Regression(row=row, part=part, before=was))
     return worse

@@ -414,14 +414,14 @@ def tally_text(report: Report) -> str:
 
 def regression_text(one: Regression) -> str:
     """Return what is farther from reality than in the baseline, and by how much."""
-    row = one.row
-    value = with_unit(measured_text(one.value), row.unit)
-    head = ", ".join(filter(None, (row.phenomenon, one.part)))
+    row, part = one.row, one.part
+    value = with_unit(measured_text(part.value), row.unit)
+    head = ", ".join(filter(None, (row.phenomenon, part.name)))
     was = "not in the baseline"
     if one.before is not None:
         is_inside = one.before <= INSIDE_WITHIN
         was = "inside" if is_inside else f"{one.before:.3g} half-widths"
-    return f"{head}: {one.verdict.value}, {value}, {one.deviation:.3g} half-widths from reality; was {was}"
+    return f"{head}: {part.verdict.value}, {value}, {part.deviation:.3g} half-widths from reality; was {was}"
 
 
 def _present(report: Report) -> list[Verdict]:

@@ -479,9 +479,11 @@ def drag_remedies(robot: Robot, name: str, units: Sequence[float]) -> Iterator[R
     wrong = [dof for dof in limits if dof in changed_rows(changes, f"dof_{name}")]
     shares = {dof: float(values[dof]) / limits[dof] for dof in limits}
     right = [shares[dof] for dof in limits if dof not in wrong and shares[dof] > 0.0]
-    if right:
-        share = float(np.median(right))
-        found = {dof: rounded(share * limits[dof]) for dof in wrong}
+    if right and wrong:
+        # Where the engine makes other joints' dry friction a drag, it can be larger.
+        share = min(float(np.median(right)), *(shares[dof] for dof in wrong))
+        larger = [dof for dof in wrong if shares[dof] > share]
+        found = {dof: rounded(share * limits[dof]) for dof in larger}
         yield from elements_remedy(robot, of_elements(f"dof_{name}", found))
     for unit in units:
         found = {dof: rounded(values[dof] / unit) for dof in wrong}
