@@ -202,7 +202,8 @@ def drags_nm(robot: Robot) -> dict[int, tuple[float, float]]:
             mujoco.mj_inverse(bare, data)
             torques_nm.append(float(data.qfrc_inverse[dof]))
         slow_nm, fast_nm = torques_nm
-        dry_nm = max(2.0 * slow_nm - fast_nm, 0.0)
+        stated_nm = float(bare.dof_frictionloss[dof])
+        dry_nm = max(min(2.0 * slow_nm - fast_nm, stated_nm), 0.0)
         found[dof] = dry_nm, max((fast_nm - slow_nm) / 3.0, 0.0)
     return found
 
