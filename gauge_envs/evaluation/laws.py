@@ -187,10 +187,7 @@ def pulled(
     times_s = np.arange(frame_count) / FRAME_RATE_HZ
     puller_start_m = np.array(puller.pose.position_m)
     body_start_m = np.array(body.pose.position_m)
-    moved_m = np.array(
-        [driver.pose(puller.pose, time_s).position_m for time_s in times_s]
-    )
-    moved_m -= puller_start_m
+    moved_m = driver.path(puller.pose, times_s)[:, :3] - puller_start_m
     along = moved_m[-1] / np.linalg.norm(moved_m[-1])
     middle_twist = driver.state(puller.pose, 0.5 * times_s[-1])[1]
     speed_m_per_s = float(np.linalg.norm(middle_twist[:3]))
@@ -324,14 +321,9 @@ def bar_band(law: UniaxialLaw, scene: Scene, *, variant: str, frame_count: int) 
     # Strain between the clamps, shape [frame_count], and its rate [1/s].
     carrier_pose = scene.body(law.carrier).pose
     times_s = np.arange(frame_count) / FRAME_RATE_HZ
-    states = [driver.state(carrier_pose, time_s) for time_s in times_s]
-    strain = (
-        np.array(
-            [pose.position_m[2] - carrier_pose.position_m[2] for pose, _ in states]
-        )
-        / free_m
-    )
-    strain_rate = np.array([velocity[2] for _, velocity in states]) / free_m
+    states = driver.path(carrier_pose, times_s)
+    strain = (states[:, 2] - carrier_pose.position_m[2]) / free_m
+    strain_rate = states[:, 9] / free_m
 
     # Uniaxial stress (Hooke): each point goes from the lower clamp by (1 - nu e, 1 - nu e, 1 + e).
     points_m = bar.pose.to_body(np.array(scene.markers.positions_m))

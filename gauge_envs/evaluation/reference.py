@@ -116,8 +116,7 @@ def _carried_positions_mm(
     times_s = np.arange(frame_count) / FRAME_RATE_HZ
     for driver in scene.drivers:
         if driver.body == carrier:
-            undisturbed = np.zeros((frame_count, len(driver.motions)))
-            poses = driver.states(poses, times_s, undisturbed, undisturbed)
+            poses = driver.path(start, times_s)
     turned_m = rotation_matrices(poses[:, 3:7]) @ place
     return 1e3 * (poses[:, :3] + turned_m)
 

@@ -80,48 +80,30 @@ class Driver:
     shift_m: Vector | None = None
     turn_rad: Vector | None = None
 
-    def pose(
-        self, start: Pose, time_s: float, offsets: FloatArray | None = None
-    ) -> Pose:
-        """Return the pose at a time.
+    def pose(self, start: Pose, time_s: float) -> Pose:
+        """Return the pose at a time; see `state`."""
+        return self.state(start, time_s)[0]
+
+    def state(self, start: Pose, time_s: float) -> tuple[Pose, FloatArray]:
+        """Return the pose and the velocity at a time, without actions.
 
         Args:
             start: Pose of the body before anything moves.
             time_s: Time since the start of the episode [s].
-            offsets: Displacement of each motion by actions [m or rad], shape [motion_count].
-        """
-        return self.state(start, time_s, offsets)[0]
-
-    def state(
-        self,
-        start: Pose,
-        time_s: float,
-        offsets: FloatArray | None = None,
-        rates: FloatArray | None = None,
-    ) -> tuple[Pose, FloatArray]:
-        """Return the pose and the velocity at a time.
-
-        Args:
-            start: Pose of the body before anything moves.
-            time_s: Time since the start of the episode [s].
-            offsets: Displacement of each motion by actions [m or rad], shape [motion_count].
-            rates: Rate of each motion due to actions [m/s or rad/s], shape [motion_count].
 
         Returns:
             The pose; and the linear velocity of the body origin [m/s] and the angular velocity [rad/s] in the world
             frame, shape [6].
         """
-        single = (
-            np.zeros(len(self.motions)) if one is None else np.asarray(one)
-            for one in (offsets, rates)
-        )
-        state = self.states(
-            np.array([[*start.position_m, *start.quaternion]]),
-            time_s,
-            *(one[None] for one in single),
-        )[0]
+        state = self.path(start, np.array([time_s]))[0]
         w, x, y, z = state[3:7].tolist()
         return Pose(position_m=vector(state[:3]), quaternion=(w, x, y, z)), state[7:]
+
+    def path(self, start: Pose, times_s: FloatArray) -> FloatArray:
+        """Return poses and velocities at times, without actions, as `states` does; shape [time_count, 13]."""
+        starts = np.tile([*start.position_m, *start.quaternion], (len(times_s), 1))
+        still = np.zeros((len(times_s), len(self.motions)))
+        return self.states(starts, times_s, still, still)
 
     def states(
         self,
