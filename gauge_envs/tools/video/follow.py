@@ -120,6 +120,10 @@ LEAST_CONTRAST = 40.0
 LEAST_KNOWN_SHARE = 0.25
 """Smallest share of the outline before such a background."""
 
+LINE, LEAST_KNOWN_LINE = 1.5, 0.9
+"""Half of the length of the lines along the motion by which size and shape are measured, in sizes, and smallest share
+of a line before another colour than the object's."""
+
 NOISE_SHARE = 0.15
 """Covered share that noise and texture leave to the bare background."""
 
@@ -136,12 +140,14 @@ class Sight:
         y_px: Vertical position [px]; NaN when not found.
         likeness: Likeness of shape and colour to the object in the first frame, from 0 to 1.
         size_ratio: Apparent size against that in the first frame.
+        misfit: Difference of its profile across the motion from that of its outline, in parts of the area.
     """
 
     x_px: float = math.nan
     y_px: float = math.nan
     likeness: float = 0.0
     size_ratio: float = math.nan
+    misfit: float = 0.0
 
     @property
     def place(self) -> FloatArray:
@@ -174,8 +180,8 @@ class _Outline:
 
     def response(
         self, covered: NDArray[np.float32], known: NDArray[np.float32]
-    ) -> tuple[NDArray[np.float32], ...]:
-        """Return the covered share in the outline less that around it, at each pixel, both shares, and the fit.
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Return the covered share in the outline less that around it, at each pixel, and the fit.
 
         The shares are those of the pixels that say something. Before a background of the object's colour they stay as
         large where the outline moves to the pixels that say nothing; the fit does not, as it counts areas.
@@ -193,12 +199,7 @@ class _Outline:
         fit = (inside - 0.5 * seen) / self.area - around / max(
             float(self.around.sum()), 1.0
         )
-        return (
-            result,
-            inside / np.maximum(seen, 1.0),
-            around / np.maximum(beside, 1.0),
-            fit,
-        )
+        return result, fit
 
 
 class ShapeFollower:
@@ -215,7 +216,7 @@ class ShapeFollower:
     """
 
     def __init__(self, scene: Background, first: Picture, task: VideoTask) -> None:
-        self._scene, size_px = scene, task.size_px
+        self._scene, self._task, size_px = scene, task, task.size_px
         self._size_px = size_px
         if task.motion is Motion.SLIDE:
             along = np.array(SLOPE_DIRECTION)
@@ -237,7 +238,7 @@ class ShapeFollower:
         """Return the places of a frame that may show the object, the likeliest first, and follow the background."""
         small = _shrunk(picture)
         covered, known = self._covered(small, self._scene.small)
-        response, *_ = self._small.response(covered, known)
+        response, _ = self._small.response(covered, known)
         reach = 2 * int(0.25 * self._size_px * COARSE) + 3
         is_peak = (
             response >= cv2.dilate(response, np.ones((reach, reach), np.uint8))
@@ -257,11 +258,8 @@ class ShapeFollower:
         )
         self._scene.follow(picture, small, 1 - moving)
         found = [one for one in found if one.likeness > 0.0]
-        # An object that has outgrown the ring around its outline is one area.
-        areas = _areas(covered * known)
         for one in found:
-            grown = math.sqrt(_area_at(areas, one.place) / self._small.area)
-            one.size_ratio = max(one.size_ratio, grown)
+            self._measure(one, picture)
         return sorted(found, key=lambda one: -one.likeness)
 
     def _covered(
@@ -274,9 +272,7 @@ class ShapeFollower:
         half = self._full.half + REACH
         window, corner = _cut(picture, x, y, half)
         bare, _ = _cut(self._scene.picture, x, y, half)
-        response, inside, around, fit = self._full.response(
-            *self._covered(window, bare)
-        )
+        response, fit = self._full.response(*self._covered(window, bare))
         middle = np.s_[half - REACH : half + REACH + 1, half - REACH : half + REACH + 1]
         row, column = (
             half - REACH + n for n in divmod(int(fit[middle].argmax()), 2 * REACH + 1)
@@ -288,19 +284,48 @@ class ShapeFollower:
             fit[row - 2 : row + 3, column - 2 : column + 3]
         )
         place += corner
-        # What covers the ring beside the outline is as if the object had grown.
-        grown = (
-            float(self._full.around.sum())
-            * float(around[row, column])
-            / self._full.area
-        )
+        look = _likeness(_look(picture, place, self._size_px), self._colour)
         return Sight(
-            x_px=float(place[0]),
-            y_px=float(place[1]),
-            likeness=min(1.0, value)
-            * _likeness(_look(picture, place, self._size_px), self._colour),
-            size_ratio=math.sqrt(float(inside[row, column]) + grown),
+            x_px=float(place[0]), y_px=float(place[1]), likeness=min(1.0, value) * look
         )
+
+    def _measure(self, sight: Sight, picture: Picture) -> None:
+        """Measure the size and the shape of what covers a place, by its profile across the motion.
+
+        The exposure smears an object along its motion only, so that each line along it is covered as much.
+        """
+        half = int(LINE * self._size_px)
+        x, y = _direction(self._task, sight.place)
+        pose = np.array([math.atan2(y, x), *sight.place])
+        covered, known = self._covered(
+            _turned(picture.astype(np.float32), pose, half),
+            _turned(self._scene.picture, pose, half),
+        )
+        across_px = np.arange(-half, half + 1)
+        radius_px = 0.5 * self._size_px
+        if self._task.motion is Motion.SLIDE:
+            # The outermost line of pixels is covered in part.
+            share = np.clip(radius_px - np.abs(across_px) + 0.5, 0.0, 1.0)
+            wanted_px = self._size_px * share
+        else:
+            wanted_px = 2.0 * np.sqrt(np.maximum(radius_px**2 - across_px**2, 0.0))
+        is_known = known.mean(axis=1) > LEAST_KNOWN_LINE
+        whole_px2 = float(wanted_px[is_known].sum())
+        if whole_px2 < LEAST_KNOWN_SHARE * self._size_px**2:
+            return
+        seen_px = (covered * known).sum(axis=1)[is_known]
+        sight.size_ratio = math.sqrt(float(seen_px.sum()) / whole_px2)
+        misses_px = np.abs(seen_px - wanted_px[is_known])
+        sight.misfit = float(misses_px.sum()) / whole_px2
+
+
+def _direction(task: VideoTask, place: FloatArray) -> FloatArray:
+    """Return the direction of the motion in the picture at a place, shape [2]."""
+    if task.direction is not None:
+        return np.array(task.direction)
+    assert task.pivot_px is not None
+    x, y = place - task.pivot_px
+    return np.array([y, -x])
 
 
 def _covered(
@@ -328,10 +353,11 @@ def _areas(covered: NDArray[np.float32]) -> Areas:
 
 
 def _area_at(areas: Areas, place: FloatArray) -> float:
-    """Return the size of the covered area around a place of the whole picture; 0 where there is none."""
+    """Return the size of the largest covered area that a place of the whole picture is in or beside; 0 without one."""
     column, row = (COARSE * place).astype(int)
-    label = _cut(areas[0], column, row, 0)[0][0, 0]
-    return float(areas[1][label]) if label else 0.0
+    labels, _ = _cut(areas[0], column, row, 2)
+    sizes = areas[1][labels[labels > 0]]
+    return float(sizes.max(initial=0))
 
 
 def _look(picture: NDArray[Any], place: FloatArray, size_px: float) -> FloatArray:
@@ -387,6 +413,9 @@ RIM = 0.05
 CLEAR_CONTRAST = 80.0
 """Distance of the colours of plate and object from which its area is known: a plate of wood has veins."""
 
+TINT_GAIN, DARK = 768.0, 20.0
+"""Factor that makes tints as large as colours, and brightness below which they are noise."""
+
 TWIN_SHARE = 0.4
 """Smallest area of a second object, in that of the first."""
 
@@ -423,6 +452,7 @@ class FaceFollower:
         self._step = np.zeros(3)
         self._face = _turned(_grey(first), self._pose, self._half)
         self._size_px = task.size_px
+        self._is_shiny = task.is_shiny
         self._colour = _look(first, self._pose[1:], task.size_px)
         self._pattern = None if task.is_shiny else _pattern(self._face)
         width, height = REFERENCE_SIZE_PX
@@ -430,13 +460,13 @@ class FaceFollower:
         away = np.hypot(*np.subtract([columns, rows], self._pivot[:, None, None]))
         away = away / PLATE_RADIUS_PX
         # The plate turns, and what is on it; its rim is left out.
-        plate = np.median(first[away < 1.0 - RIM], axis=0)
-        bare = np.where((away < 1.0)[..., None], plate, first).astype(np.uint8)
-        self._bare = _shrunk(bare)
-        self._counted = cv2.resize(
-            (abs(away - 1.0) > RIM).astype(np.float32), self._bare.shape[1::-1]
-        )
-        is_clear = np.linalg.norm(plate - self._colour) > CLEAR_CONTRAST
+        shown = self._shown(first)
+        away = cv2.resize(away, shown.shape[1::-1], interpolation=cv2.INTER_AREA)
+        plate = np.median(shown[away < 1.0 - RIM], axis=0)
+        self._bare = np.where((away < 1.0)[..., None], plate, shown).astype(np.float32)
+        self._counted = (abs(away - 1.0) > RIM).astype(np.float32)
+        self._known = _look(shown, COARSE * self._pose[1:], COARSE * task.size_px)
+        is_clear = np.linalg.norm(plate - self._known) > CLEAR_CONTRAST
         self._area = _area_at(self._areas(first), self._pose[1:]) if is_clear else 0.0
 
     def candidates(self, picture: Picture) -> list[Sight]:
@@ -465,9 +495,7 @@ class FaceFollower:
     def _others(self, picture: Picture, found: Sight) -> list[Sight]:
         """Return what else looks like the object, and by how much the area around it has grown."""
         areas = self._areas(picture)
-        grown = _area_at(areas, found.place) / self._area
-        # Metal that turns away from the lamp has another colour, and a smaller area.
-        found.size_ratio = math.sqrt(max(1.0, grown))
+        found.size_ratio = math.sqrt(_area_at(areas, found.place) / self._area)
         _, sizes, middles = areas
         is_large = sizes > TWIN_SHARE * self._area
         # The first area is all that is not covered.
@@ -478,8 +506,16 @@ class FaceFollower:
 
     def _areas(self, picture: Picture) -> Areas:
         """Return the areas that have got the object's colour."""
-        covered, known = _covered(_shrunk(picture), self._bare, self._colour)
+        covered, known = _covered(self._shown(picture), self._bare, self._known)
         return _areas(covered * known * self._counted)
+
+    def _shown(self, picture: Picture) -> NDArray[np.float32]:
+        """Return a small picture in colours, or of metal in tints: its brightness changes as it turns to the lamp."""
+        small = _shrunk(picture)
+        if not self._is_shiny:
+            return small
+        brightness = small.mean(axis=2, keepdims=True)
+        return TINT_GAIN * (small - brightness) / (brightness + DARK)
 
     def _outline(self, picture: Picture) -> float:
         """Return how strong the edges are at the object's sides, against the strongest ones around each of them."""

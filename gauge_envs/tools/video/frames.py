@@ -27,6 +27,9 @@ Picture: TypeAlias = NDArray[np.uint8]
 EXACT = 1e-9
 """Largest difference with which a registration is the plain scaling of both axes."""
 
+SKIPPING = 0.5
+"""Scale below which interpolation skips pixels, so that pictures are averaged, which takes four times as long."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Registration:
@@ -72,16 +75,13 @@ class Registration:
             place, (plain.scale_x, plain.scale_y, 0.0, 0.0), rtol=0.0, atol=EXACT
         ):
             return _resized(picture, REFERENCE_SIZE_PX)
-        # Large pictures are averaged to the size of the grid first, as interpolation would skip pixels.
+        # Large pictures are averaged to the size of the grid first.
         size = (
             max(1, round(width * self.scale_x)),
             max(1, round(height * self.scale_y)),
         )
-        near = (
-            _resized(picture, size)
-            if min(self.scale_x, self.scale_y) < 1.0
-            else picture
-        )
+        is_much_larger = min(self.scale_x, self.scale_y) < SKIPPING
+        near = _resized(picture, size) if is_much_larger else picture
         scale = np.array(
             [
                 self.scale_x * width / near.shape[1],
@@ -118,7 +118,8 @@ cv2: Any = _OpenCV()
 def _resized(picture: NDArray[np.uint8], size_px: tuple[int, int]) -> Picture:
     if (picture.shape[1], picture.shape[0]) == size_px:
         return np.ascontiguousarray(picture)
-    method = cv2.INTER_AREA if picture.shape[1] >= size_px[0] else cv2.INTER_LINEAR
+    is_much_larger = size_px[0] < SKIPPING * picture.shape[1]
+    method = cv2.INTER_AREA if is_much_larger else cv2.INTER_LINEAR
     return np.asarray(cv2.resize(picture, size_px, interpolation=method))
 
 
@@ -404,11 +405,8 @@ def write_mp4(path: Path, pictures: Iterable[NDArray[np.uint8]], fps: float) -> 
 # and jump. An object at rest repeats pictures too, but without a rhythm that goes on while it moves.
 
 
-SMALL_PX = (208, 120)
-"""Width and height to which pictures are averaged before they are compared [px]."""
-
 LEAST_MOTION = 12.0
-"""Largest difference of the brightness of two such pictures from which something moves, in grey values of 255."""
+"""Largest difference of the brightness of two pictures, at a quarter of their size, from which something moves."""
 
 REPEAT_SHARE = 0.25
 """Difference of a repeated picture, against those of its neighbours; compression leaves up to a tenth."""
@@ -449,27 +447,6 @@ class Cadence:
     fps: float
     text: str = ""
     fault: str = ""
-
-
-def read_cadence(frames: Frames) -> Cadence:
-    """Read a video once, and return when its pictures were taken.
-
-    Args:
-        frames: The video.
-    """
-    differences: list[float] = []
-    before: NDArray[np.float32] | None = None
-    for picture in frames.native():
-        small = cv2.cvtColor(
-            cv2.resize(picture, SMALL_PX, interpolation=cv2.INTER_AREA),
-            cv2.COLOR_BGR2GRAY,
-        )
-        small = np.asarray(small, dtype=np.float32)
-        differences.append(
-            np.inf if before is None else float(np.abs(small - before).max())
-        )
-        before = small
-    return cadence_of(np.array(differences), frames.fps, frames.times_s)
 
 
 def cadence_of(

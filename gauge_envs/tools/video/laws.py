@@ -496,7 +496,10 @@ def _straight(
     while start > 0 and along[start] - along[max(0, start - WINDOW)] > MOVING_PX:
         start -= 1
     start = max(0, start - WINDOW)
-    before = along[start]
+    # Shadows that appear after the first frame move its place by a pixel.
+    before = float(np.median(along[start : start + 3]))
+    if abs(before - along[start]) > MOVING_PX:
+        before = along[start]
     while start + 1 < established and along[start + 1] - before <= RELEASED_PX:
         start += 1
     end = len(rows) - 1

@@ -73,8 +73,8 @@ def registration_by_outline(
     if not task.law:
         # A film of one's own has no known first frame: it is on the grid already.
         return stretched(size)
-    scene = _Scene(picture, task)
-    candidates = [scene.judged(one) for one in _candidates(size)]
+    points, normals = _outline(task)
+    candidates = [_judged(one, picture, points, normals) for one in _candidates(size)]
     best = max(one.support for one in candidates)
     is_square = task.motion in (Motion.SLIDE, Motion.TURN)
     if best < (LEAST_SUPPORT_SQUARES if is_square else LEAST_SUPPORT_DISKS):
@@ -157,64 +157,40 @@ def registration_by_first_frame(
 # --- outlines --------------------------------------------------------------------------------------------------------
 
 
-class _Scene:
-    """First frame of a video, and the outline of the objects that the task knows in it."""
+def _judged(
+    one: Registration,
+    picture: NDArray[np.uint8],
+    points: FloatArray,
+    normals: FloatArray,
+) -> Registration:
+    """Return a registration with its support: strength of the edges on the outline against those beside it.
 
-    def __init__(self, picture: NDArray[np.uint8], task: VideoTask) -> None:
-        small, self._shrinkage = _shrunk(picture)
-        self._size = (picture.shape[1], picture.shape[0])
-        blur = max(
-            small.shape[1] / REFERENCE_SIZE_PX[0], small.shape[0] / REFERENCE_SIZE_PX[1]
-        )
-        self._light = cv2.GaussianBlur(small.astype(np.float32), (0, 0), blur).max(
-            axis=2
-        )
-        self._picture = picture
-        self.points, self.normals = _outline(task)
-        self.task = task
-
-    def judged(self, one: Registration) -> Registration:
-        """Return a registration with its support: strength of the edges on the outline against those beside it."""
-        distances, strength, is_seen = self._profiles(one)
-        share = strength[:, np.abs(distances) <= CLOSE_PX].max(axis=1) / np.maximum(
-            strength.max(axis=1), 1e-3
-        )
-        if is_seen.mean() < LEAST_VISIBLE:
-            return replace(one, support=0.0, inliers=0)
-        return replace(
-            one,
-            support=float(share[is_seen].mean()),
-            inliers=int((share[is_seen] > 0.9).sum()),
-        )
-
-    def _profiles(
-        self, one: Registration
-    ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
-        """Return distances along the normals, the strength of the edge there, and which points are in the picture."""
-        distances = np.arange(-REACH_PX - 0.5, REACH_PX + 1.0, 0.5)
-        places = (
-            self.points[:, None, :]
-            + distances[None, :, None] * self.normals[:, None, :]
-        )
-        native = (places - (one.offset_x_px, one.offset_y_px)) / (
-            one.scale_x,
-            one.scale_y,
-        )
-        inside = (
-            (self.points - (one.offset_x_px, one.offset_y_px))
-            / (one.scale_x, one.scale_y)
-        ) / self._size
-        is_seen = np.asarray(((inside > 0.0) & (inside < 1.0)).all(axis=1))
-        maps = (native * self._shrinkage - 0.5).astype(np.float32)
-        values = cv2.remap(
-            self._light,
-            maps[..., 0],
-            maps[..., 1],
-            cv2.INTER_LINEAR,
-            borderMode=cv2.BORDER_REPLICATE,
-        )
-        strength = np.abs(values[:, 2:] - values[:, :-2]).astype(float)
-        return distances[1:-1], strength, is_seen
+    Args:
+        one: The registration.
+        picture: First frame of the video in its own size.
+        points: Points of the outline on the grid [px], shape [point_count, 2].
+        normals: Its normals there, shape [point_count, 2].
+    """
+    distances = np.arange(-REACH_PX - 0.5, REACH_PX + 1.0, 0.5)
+    places = points[:, None, :] + distances[None, :, None] * normals[:, None, :]
+    maps = places.astype(np.float32)
+    light = cv2.GaussianBlur(one.applied(picture), (0, 0), 1.0).max(axis=2)
+    values = cv2.remap(light.astype(np.float32), maps, None, cv2.INTER_LINEAR)
+    strength = np.abs(values[:, 2:] - values[:, :-2]).astype(float)
+    is_close = np.abs(distances[1:-1]) <= CLOSE_PX
+    nearest = strength[:, is_close].max(axis=1)
+    share = nearest / np.maximum(strength.max(axis=1), 1e-3)
+    offset = (one.offset_x_px, one.offset_y_px)
+    native = (points + 0.5 - offset) / (one.scale_x, one.scale_y)
+    size = (picture.shape[1], picture.shape[0])
+    is_seen = ((native > 0.0) & (native < size)).all(axis=1)
+    if is_seen.mean() < LEAST_VISIBLE:
+        return replace(one, support=0.0, inliers=0)
+    return replace(
+        one,
+        support=float(share[is_seen].mean()),
+        inliers=int((share[is_seen] > 0.9).sum()),
+    )
 
 
 def _candidates(size_px: tuple[int, int]) -> list[Registration]:
@@ -241,53 +217,40 @@ def _candidates(size_px: tuple[int, int]) -> list[Registration]:
 def _outline(task: VideoTask) -> tuple[FloatArray, FloatArray]:
     """Return points of the outlines that a task knows on the grid [px], and their normals, shape [point_count, 2]."""
     if task.motion is Motion.SLIDE:
-        parts = [_square(task.centre_px, task.size_px, SLOPE_DIRECTION)]
+        parts = [_square(task, SLOPE_DIRECTION)]
     elif task.motion is Motion.TURN:
         assert task.pivot_px is not None
-        parts = [
-            _square(task.centre_px, task.size_px, (1.0, 0.0)),
-            _circle(task.pivot_px, 2.0 * PLATE_RADIUS_PX),
-        ]
-    elif task.motion is Motion.CRADLE:
-        assert task.rest_px is not None
-        row = [(x, task.rest_px[1]) for x in CRADLE_ROW_PX]
-        parts = [
-            _circle(place, task.size_px)
-            for place in (task.centre_px, *row, task.rest_px)
-        ]
+        plate = _circle(task.pivot_px, 2.0 * PLATE_RADIUS_PX)
+        parts = [_square(task, (1.0, 0.0)), plate]
     else:
-        parts = [_circle(task.centre_px, task.size_px)]
-    return np.vstack([points for points, _ in parts]), np.vstack(
-        [normals for _, normals in parts]
-    )
+        centres = [task.centre_px]
+        if task.motion is Motion.CRADLE:
+            assert task.rest_px is not None
+            centres += [(x, task.rest_px[1]) for x in CRADLE_ROW_PX]
+            centres.append(task.rest_px)
+        parts = [_circle(centre, task.size_px) for centre in centres]
+    points, normals = np.hstack(parts)
+    return points, normals
 
 
-def _circle(
-    centre: tuple[float, float], diameter: float
-) -> tuple[FloatArray, FloatArray]:
+def _circle(centre: tuple[float, float], diameter: float) -> FloatArray:
+    """Return points of a circle and their normals, shape [2, point_count, 2]."""
     angles = np.linspace(0.0, 2.0 * np.pi, 72, endpoint=False)
     normals = np.column_stack([np.cos(angles), np.sin(angles)])
-    return np.array(centre) + 0.5 + 0.5 * diameter * normals, normals
+    return np.stack([np.array(centre) + 0.5 * diameter * normals, normals])
 
 
-def _square(
-    centre: tuple[float, float], edge: float, direction: tuple[float, float]
-) -> tuple[FloatArray, FloatArray]:
-    first = np.array(direction)
-    second = np.array([-first[1], first[0]])
+def _square(task: VideoTask, direction: tuple[float, float]) -> FloatArray:
+    """Return points of the sides of the object's face and their normals, shape [2, point_count, 2]."""
+    steps = np.linspace(-0.4, 0.4, 18)[:, None]
     points, normals = [], []
-    for normal, along in (
-        (first, second),
-        (second, first),
-        (-first, second),
-        (-second, first),
-    ):
-        steps = np.linspace(-0.4, 0.4, 18)[:, None]
-        points.append(
-            np.array(centre) + 0.5 + 0.5 * edge * normal + steps * edge * along
-        )
+    normal = np.array(direction)
+    for _ in range(4):
+        along = np.array([-normal[1], normal[0]])
+        points.append(task.centre_px + task.size_px * (0.5 * normal + steps * along))
         normals.append(np.tile(normal, (len(steps), 1)))
-    return np.vstack(points), np.vstack(normals)
+        normal = along
+    return np.stack([np.vstack(points), np.vstack(normals)])
 
 
 def _shrunk(picture: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], float]:
@@ -303,18 +266,18 @@ def _axis_fit(
     seen: FloatArray, wanted: FloatArray
 ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
     """Return the scale and offset of each axis that most pairs of points agree with, and which agree."""
-    scale, offset, best = np.ones(2), np.zeros(2), np.zeros(len(seen), dtype=bool)
-    if len(seen) >= LEAST_INLIERS:
-        _, inliers = cv2.estimateAffine2D(
-            seen, wanted, ransacReprojThreshold=MOST_SCATTER_PX, maxIters=5000
-        )
-        best = inliers.ravel() == 1
-    for _ in range(3):
-        if best.sum() < 3:
-            break
+    scale, offset, agree = np.ones(2), np.zeros(2), np.zeros(len(seen), dtype=bool)
+    if len(seen) < LEAST_INLIERS:
+        return scale, offset, agree
+    _, inliers = cv2.estimateAffine2D(
+        seen, wanted, ransacReprojThreshold=MOST_SCATTER_PX, maxIters=5000
+    )
+    agree = inliers.ravel() == 1
+    if agree.sum() >= 3:
         for axis in (0, 1):
             scale[axis], offset[axis] = np.polyfit(
-                seen[best, axis], wanted[best, axis], 1
+                seen[agree, axis], wanted[agree, axis], 1
             )
-        best = np.linalg.norm(wanted - offset - scale * seen, axis=1) < MOST_SCATTER_PX
-    return scale, offset, best
+        missed_px = np.linalg.norm(wanted - offset - scale * seen, axis=1)
+        agree = missed_px < MOST_SCATTER_PX
+    return scale, offset, agree

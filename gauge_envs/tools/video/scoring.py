@@ -40,7 +40,7 @@ FIRST_SIZES = 12
 """Frames whose median is the size that an object has."""
 
 LEAST_CONFIDENCE = 0.5
-"""Smallest mean confidence of a sound track, which is the likeness to the object in the first frame."""
+"""Smallest confidence of a frame that shows the object, which is the likeness to it in the first frame."""
 
 JUMP = 1.0
 """Change of the step from frame to frame, in sizes of the object, after which another object may be followed."""
@@ -77,7 +77,9 @@ def faults_of(
             f"the object is lost in {len(lost) / len(rows):.0%} of the frames: {_runs(track.frames[lost])}"
         )
     early = track.size_ratio[np.isfinite(track.size_ratio)][:FIRST_SIZES]
-    usual = float(np.median(early)) if len(early) else 1.0
+    # A cradle's ball is first seen when it has swung out.
+    is_first = len(early) and task.motion is not Motion.CRADLE
+    usual = float(np.median(early)) if is_first else 1.0
     changes = np.nan_to_num(track.size_ratio[found] / usual - 1.0)
     odd = np.abs(changes) > MOST_SIZE_CHANGE
     if np.count_nonzero(odd) > MOST_MISSING * len(rows):
@@ -85,10 +87,11 @@ def faults_of(
         faults.append(
             f"the object changes its size by up to {worst:+.0%} in frames {_runs(track.frames[found[odd]])}"
         )
-    confidence = float(track.confidence[found].mean()) if len(found) else 1.0
-    if confidence < LEAST_CONFIDENCE:
+    is_odd = track.confidence[found] < LEAST_CONFIDENCE
+    if np.count_nonzero(is_odd) > MOST_MISSING * len(rows):
         faults.append(
-            f"the object has another look: its mean confidence is {confidence:.2f}, below {LEAST_CONFIDENCE:g}"
+            f"the object has another look in {is_odd.sum() / len(rows):.0%} of the frames: "
+            f"their confidence is below {LEAST_CONFIDENCE:g}"
         )
     jumps = _jumps(track, task, found)
     if len(jumps):
@@ -450,10 +453,15 @@ def paper_metrics(
     heights = np.array(
         [laws.peak(times_s[i - 1 : i + 2], rises_m[i - 1 : i + 2]) for i in events]
     )
-    mte = laws.momentum_transfer(task.release_height_m, np.maximum(heights, 0.0))
+    heights = np.maximum(heights, 0.0)
+    mte = laws.momentum_transfer(task.release_height_m, heights)
+    low, high = np.sqrt(
+        np.array([heights.min(), heights.max()]) / task.release_height_m
+    )
     return {"mte": mte}, {
         "event_count": float(len(events)),
-        "first_event": float(np.sqrt(max(heights[0], 0.0) / task.release_height_m)),
+        "least_event": float(low),
+        "largest_event": float(high),
     }
 
 

@@ -23,8 +23,8 @@ from gauge_envs.tools.video.frames import (
     Frames,
     Picture,
     Registration,
+    cadence_of,
     cv2,
-    read_cadence,
     read_picture,
     stretched,
 )
@@ -45,8 +45,14 @@ from gauge_envs.tools.video.track import Event, Track
 MOST_SAMPLED = 80
 """Most frames from which the background is built; they are spread over the video."""
 
+MOST_KEPT = 200
+"""Most frames that are kept in memory for the second pass, 240 MB; of a longer video, all are decoded again."""
+
 CRADLE_BALLS = 5
 """Balls of the cradle."""
+
+MOST_MISFIT, MOST_ODD = 0.3, 0.15
+"""Largest difference from the shape in the first frame, in parts of the area, and share of frames with a larger one."""
 
 UNSEEN = "the object is not seen"
 FOREIGN = (
@@ -75,7 +81,25 @@ def track_object(
         task: The task.
         first_frame: Picture that the model was given, on the whole grid; the video is registered by its points.
     """
-    cadence = read_cadence(frames)
+    registration, foreign = _registered(next(frames.native()), task, first_frame)
+    first = next(frames.pictures(registration))
+    watch = SceneWatch(first, _moving_part(task))
+    centre = np.array(task.rest_px or task.centre_px)
+    part = _surroundings(centre, task.size_px)
+    left, top, right, bottom = part
+    sampled: list[Picture] = []
+    stride = 1
+    kept: list[Picture] = []
+    for number, picture in enumerate(frames.pictures(registration)):
+        watch.look(picture)
+        if number and number % stride == 0:
+            steady = watch.steadied(picture, number)
+            sampled.append(steady[top:bottom, left:right].copy())
+        if len(sampled) == MOST_SAMPLED:
+            sampled, stride = sampled[1::2], 2 * stride
+        if number < MOST_KEPT:
+            kept.append(picture)
+    cadence = cadence_of(np.array(watch.differences), frames.fps, frames.times_s)
     count = int(cadence.is_new.sum())
     if count < LEAST_FRAMES:
         lost = (
@@ -86,35 +110,20 @@ def track_object(
         raise VideoError(
             f"{frames.name}: it has {count} frames{lost}; a motion needs at least {LEAST_FRAMES}"
         )
-    registration, foreign = _registered(next(frames.native()), task, first_frame)
-
-    def pictures() -> Iterator[Picture]:
-        for is_new, picture in zip(cadence.is_new, frames.native(), strict=False):
-            if is_new:
-                yield registration.applied(picture)
-
-    first = next(pictures())
-    watch = SceneWatch(first, _moving_part(task))
-    centre = np.array(task.rest_px or task.centre_px)
-    part = _surroundings(centre, task.size_px)
-    left, top, right, bottom = part
-    sampled = []
-    for number, picture in enumerate(pictures()):
-        watch.look(picture)
-        if number and number % max(1, count // MOST_SAMPLED) == 0:
-            sampled.append(
-                watch.steadied(picture, number)[top:bottom, left:right].copy()
-            )
     follower = (
         FaceFollower(first, task)
         if task.motion is Motion.TURN
         else ShapeFollower(_background(first, sampled, part, task), first, task)
     )
+    is_whole = len(kept) == len(cadence.is_new)
     candidates = []
-    for number, picture in enumerate(pictures()):
-        steady = watch.steadied(picture, number)
-        watch.compare(steady, number)
-        candidates.append(follower.candidates(steady))
+    for number, picture in enumerate(
+        kept if is_whole else frames.pictures(registration)
+    ):
+        if cadence.is_new[number]:
+            steady = watch.steadied(picture, number)
+            watch.compare(steady, number)
+            candidates.append(follower.candidates(steady))
     path = _path(candidates, task, cadence.fps)
     early = [
         math.dist(one.place, centre)
@@ -137,10 +146,11 @@ def track_object(
             *_of_the_file(frames, cadence, *doubts),
             *watch.events(),
             *_twins(candidates, path, task),
+            *_changes(path),
         ),
         clock_s=cadence.times_s,
         registration=registration,
-        moves=watch.moves(),
+        moves=watch.moves(cadence.is_new),
     )
 
 
@@ -234,11 +244,13 @@ def _is_neighbour(sight: Sight, task: VideoTask) -> bool:
     x, y = sight.place - task.pivot_px
     length = task.rest_px[1] - task.pivot_px[1]
     # The incoming ball hangs as many diameters to the left as there are balls before the last one.
-    first_x = x + (CRADLE_BALLS - 1) * task.size_px
+    row_px = (CRADLE_BALLS - 1) * task.size_px
+    first_x = x + row_px
     is_on_arc = (
         first_x < 0.0 and 0.92 * length <= math.hypot(first_x, y) <= 1.08 * length
     )
-    return is_on_arc or abs(y - length) < task.size_px
+    is_in_row = -row_px - task.size_px < x < task.size_px
+    return is_on_arc or (is_in_row and abs(y - length) < task.size_px)
 
 
 def _surroundings(centre: FloatArray, size_px: float) -> Region:
@@ -304,6 +316,21 @@ def _twins(
     ]
 
 
+def _changes(path: list[Sight]) -> list[Event]:
+    """Return the event of an object that changes its shape."""
+    misfits = np.array([one.misfit for one in path])
+    is_found = np.array([one.likeness > 0.0 for one in path])
+    if not is_found.any():
+        return []
+    # A background that is never seen is guessed, and so is what stands out from it.
+    usual = float(np.median(misfits[is_found][:FIRST_FRAMES]))
+    odd = np.flatnonzero(misfits - min(usual, MOST_MISFIT) > MOST_MISFIT)
+    if len(odd) <= MOST_ODD * len(path):
+        return []
+    text = f"the object changes its shape by up to {misfits[odd].max():.0%}"
+    return [_event("shape", odd.tolist(), text)]
+
+
 # --- camera and scene -------------------------------------------------------------------------------------------------
 
 STRIDE = 3
@@ -337,30 +364,41 @@ class SceneWatch:
     Args:
         first: The first frame.
         ignored: Part of the picture that moves on purpose, shape [480, 832].
+
+    Attributes:
+        differences: Largest difference of the brightness of each frame from the one before; the first is infinite.
     """
 
     def __init__(self, first: Picture, ignored: NDArray[np.bool_]) -> None:
         self._grey = cv2.cvtColor(first, cv2.COLOR_BGR2GRAY)
-        self._counted = ~self._small(ignored.astype(np.float32)).astype(bool)
-        self._first = self._small(self._grey.astype(np.float32))
+        self._first = _small(self._grey)
+        self._before = self._first
         # Black bars beside the picture are no part of the scene: a model may fill them.
         lit = self._first > BLACK
+        self._counted = _small(ignored.astype(np.uint8)) == 0
         self._counted &= lit.any(axis=1, keepdims=True) & lit.any(axis=0, keepdims=True)
         mask = np.where(ignored, 0, 255).astype(np.uint8)
         points = cv2.goodFeaturesToTrack(self._grey, 150, 0.02, 12, mask=mask)
         self._points = np.zeros((0, 1, 2), np.float32) if points is None else points
         self._moves: list[FloatArray | None] = []
         self._changed: dict[int, float] = {}
+        self.differences: list[float] = []
 
     def look(self, picture: Picture) -> None:
-        """Find the motion of the camera in the next frame."""
-        self._moves.append(self._camera(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)))
+        """Find the motion of the camera in the next frame, and how much it differs from the one before."""
+        grey = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
+        small = _small(grey)
+        change = float(np.abs(small - self._before).max())
+        self.differences.append(change if self._moves else math.inf)
+        self._before = small
+        self._moves.append(self._camera(grey))
 
-    def moves(self) -> tuple[FloatArray | None, ...]:
-        """Return the motion of the camera in each frame; None where it stands or is unknown."""
+    def moves(self, is_shown: NDArray[np.bool_]) -> tuple[FloatArray | None, ...]:
+        """Return the motion of the camera in each frame that is shown; None where it stands or is unknown."""
         return tuple(
             None if one is None or _shift_px(one) <= STILL_PX else one
-            for one in self._moves
+            for one, shown in zip(self._moves, is_shown, strict=True)
+            if shown
         )
 
     def steadied(self, picture: Picture, frame: int) -> Picture:
@@ -380,7 +418,7 @@ class SceneWatch:
         """Compare the scene of a steadied frame with that of the first one."""
         if frame % STRIDE == 0:
             grey = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
-            difference = np.abs(self._small(grey.astype(np.float32)) - self._first)
+            difference = np.abs(_small(grey) - self._first)
             self._changed[frame] = (
                 float((difference[self._counted] > CHANGED).mean())
                 if self._counted.any()
@@ -445,13 +483,13 @@ class SceneWatch:
             return None
         return np.asarray(matrix)
 
-    @staticmethod
-    def _small(picture: NDArray[np.float32]) -> NDArray[np.float32]:
-        height, width = picture.shape[:2]
-        size = (width // SHRINKAGE, height // SHRINKAGE)
-        return np.asarray(
-            cv2.resize(picture, size, interpolation=cv2.INTER_AREA), dtype=np.float32
-        )
+
+def _small(picture: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Return a picture at the scale at which scenes are compared."""
+    height, width = picture.shape[:2]
+    size = (width // SHRINKAGE, height // SHRINKAGE)
+    whole = picture.astype(np.float32)
+    return np.asarray(cv2.resize(whole, size, interpolation=cv2.INTER_AREA))
 
 
 def _shift_px(move: FloatArray) -> float:

@@ -14,7 +14,7 @@ from gauge_envs.tools.video.follow import (
     Sight,
 )
 from gauge_envs.tools.video.path import best_path
-from gauge_envs.tools.video.tracker import _is_neighbour
+from gauge_envs.tools.video.tracker import MOST_MISFIT, _is_neighbour
 
 
 def sight(x, likeness):
@@ -77,23 +77,57 @@ def test_only_balls_of_the_cradle_are_its_balls():
     }
     for x, y in places.values():
         assert _is_neighbour(Sight(x_px=x, y_px=y, likeness=1.0), task)
-    assert not _is_neighbour(
-        Sight(x_px=first_x - 50.0, y_px=task.pivot_px[1] + 150.0, likeness=1.0), task
-    )
+    others = [
+        (first_x - 50.0, task.pivot_px[1] + 150.0),
+        (first_x - 4.0 * task.size_px, task.rest_px[1]),
+    ]
+    for x, y in others:
+        assert not _is_neighbour(Sight(x_px=x, y_px=y, likeness=1.0), task)
 
 
 @pytest.mark.parametrize("size", [1.0, 1.4, 1.6])
-def test_an_object_that_outgrows_its_outline_has_its_size(size):
-    pytest.importorskip("cv2")
+@pytest.mark.parametrize("change", ["none", "smeared", "melted"])
+def test_an_object_has_its_size_and_shape_though_its_motion_smears_it(size, change):
     task = video_task("BouncingBall-rubber")
     rows, columns = np.mgrid[:480, :832]
-    away_px = np.hypot(columns - task.centre_px[0], rows - task.centre_px[1])
-    bare = np.full((480, 832, 3), 200, dtype=np.uint8)
-    first, grown = bare.copy(), bare.copy()
-    first[away_px < 0.5 * task.size_px] = 25
-    grown[away_px < 0.5 * size * task.size_px] = 25
-    sights = ShapeFollower(Background(bare), first, task).candidates(grown)
-    assert sights[0].size_ratio == pytest.approx(size, rel=0.15)
+    down_px, right_px = rows - task.centre_px[1], columns - task.centre_px[0]
+    bare = np.full((480, 832, 3), 200.0)
+    first, later = bare.copy(), bare.copy()
+    radius_px = 0.5 * task.size_px
+    first[np.hypot(down_px, right_px) < radius_px] = 25
+    wide = 1.7 if change == "melted" else 1.0
+    away_px = np.hypot(down_px * wide, right_px / wide)
+    later[away_px < size * radius_px] = 25
+    if change == "smeared":
+        later = cv2.blur(later, (1, 25))
+    first, later = first.astype(np.uint8), later.astype(np.uint8)
+    follower = ShapeFollower(Background(bare.astype(np.uint8)), first, task)
+    sight = follower.candidates(later)[0]
+    assert sight.size_ratio == pytest.approx(size, rel=0.15)
+    is_other = size > 1.0 or change == "melted"
+    assert (sight.misfit > MOST_MISFIT) is is_other
+
+
+@pytest.mark.parametrize("change", ["none", "box"])
+def test_metal_that_darkens_as_it_turns_keeps_its_area(change):
+    """Brightness of a specular face follows the lamp; its tint does not."""
+    task = video_task("Turntable-2-metal")
+    half = 0.5 * task.size_px
+    pictures = []
+    for brightness, width in ((240, 1.0), (195, 1.0 if change == "none" else 2.0)):
+        picture = np.full((480, 832, 3), 40, np.uint8)
+        pivot = [round(value) for value in task.pivot_px]
+        cv2.circle(picture, pivot, 225, (140, 165, 185), -1)
+        low = np.array(task.centre_px) - half
+        high = low + 2.0 * half * np.array([width, 1.0])
+        corners = [low.astype(int).tolist(), high.astype(int).tolist()]
+        cv2.rectangle(picture, *corners, (brightness,) * 3, -1)
+        cv2.circle(picture, [int(low[0]) + 20, int(low[1]) + 25], 9, (90,) * 3, -1)
+        pictures.append(picture)
+    sights = FaceFollower(pictures[0], task).candidates(pictures[1])
+    assert sights[0].size_ratio == pytest.approx(
+        1.0 if change == "none" else math.sqrt(2.0), rel=0.1
+    )
 
 
 @pytest.mark.parametrize("change", ["none", "grows", "second", "spreads"])
