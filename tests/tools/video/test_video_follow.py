@@ -85,9 +85,11 @@ def test_only_balls_of_the_cradle_are_its_balls():
         assert not _is_neighbour(Sight(x_px=x, y_px=y, likeness=1.0), task)
 
 
-@pytest.mark.parametrize("size", [1.0, 1.4, 1.6])
-@pytest.mark.parametrize("change", ["none", "smeared", "melted"])
-def test_an_object_has_its_size_and_shape_though_its_motion_smears_it(size, change):
+@pytest.mark.parametrize(
+    ("change", "size"),
+    [("none", 1.0), ("none", 1.4), ("none", 1.6), ("smeared", 1.0), ("melted", 1.0)],
+)
+def test_an_object_has_its_size_and_shape_though_its_motion_smears_it(change, size):
     task = video_task("BouncingBall-rubber")
     rows, columns = np.mgrid[:480, :832]
     down_px, right_px = rows - task.centre_px[1], columns - task.centre_px[0]
@@ -99,13 +101,15 @@ def test_an_object_has_its_size_and_shape_though_its_motion_smears_it(size, chan
     away_px = np.hypot(down_px * wide, right_px / wide)
     later[away_px < size * radius_px] = 25
     if change == "smeared":
-        later = cv2.blur(later, (1, 25))
+        later = cv2.blur(later, (1, 45))
     first, later = first.astype(np.uint8), later.astype(np.uint8)
     follower = ShapeFollower(Background(bare.astype(np.uint8)), first, task)
     sight = follower.candidates(later)[0]
     assert sight.size_ratio == pytest.approx(size, rel=0.15)
-    is_other = size > 1.0 or change == "melted"
-    assert (sight.misfit > MOST_MISFIT) is is_other
+    if size > 1.0 or change == "melted":
+        assert sight.misfit > MOST_MISFIT
+    else:
+        assert sight.misfit < 0.1
 
 
 @pytest.mark.parametrize("change", ["none", "box"])
