@@ -43,21 +43,14 @@ class Background:
 
     def __init__(self, picture: Picture) -> None:
         self.picture: NDArray[np.float32] = picture.astype(np.float32)
-        self.small = _shrunk(picture)
 
-    def follow(
-        self,
-        picture: Picture,
-        small: NDArray[np.float32],
-        still: NDArray[np.uint8],
-    ) -> None:
-        """Take over a share of a picture, and of its small copy, where nothing moves in that copy."""
-        cv2.accumulateWeighted(small, self.small, ADAPTATION, mask=still)
+    def follow(self, picture: Picture, still: NDArray[np.uint8]) -> None:
+        """Take over a share of a picture where nothing moves, by a small mask."""
         whole = cv2.resize(still, REFERENCE_SIZE_PX, interpolation=cv2.INTER_NEAREST)
         cv2.accumulateWeighted(picture, self.picture, ADAPTATION, mask=whole)
 
 
-def _shrunk(picture: Picture) -> NDArray[np.float32]:
+def _shrunk(picture: NDArray[Any]) -> NDArray[np.float32]:
     """Return a picture at the scale at which it is searched."""
     small = cv2.resize(
         picture, None, fx=COARSE, fy=COARSE, interpolation=cv2.INTER_AREA
@@ -237,7 +230,7 @@ class ShapeFollower:
     def candidates(self, picture: Picture) -> list[Sight]:
         """Return the places of a frame that may show the object, the likeliest first, and follow the background."""
         small = _shrunk(picture)
-        covered, known = self._covered(small, self._scene.small)
+        covered, known = self._covered(small, _shrunk(self._scene.picture))
         response, _ = self._small.response(covered, known)
         reach = 2 * int(0.25 * self._size_px * COARSE) + 3
         is_peak = (
@@ -256,7 +249,7 @@ class ShapeFollower:
         moving = cv2.dilate(
             (covered * known > 0.3).astype(np.uint8), np.ones((5, 5), np.uint8)
         )
-        self._scene.follow(picture, small, 1 - moving)
+        self._scene.follow(picture, 1 - moving)
         found = [one for one in found if one.likeness > 0.0]
         for one in found:
             self._measure(one, picture)

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import minimize, minimize_scalar
+from scipy.optimize import brute, minimize, minimize_scalar
 
 from gauge_envs.errors import ParameterError
 from gauge_envs.scene.geometry import FloatArray
@@ -35,8 +35,8 @@ LEAST_POINTS_OSCILLATION = 8
 FREQUENCIES_PER_WINDOW = 16
 """Candidates of the angular frequency for each cycle that fits into the window."""
 
-DAMPINGS = (-1.0, -0.3, -0.1, 0.0, 0.1, 0.3, 1.0)
-"""Candidates of the damping, in inverse windows; the search continues from the best pair."""
+MOST_DAMPING, DAMPING_STEP = 1.0, 0.25
+"""Largest candidate of the damping, in inverse windows, and step between them; the search continues from the best."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -232,7 +232,6 @@ def fit_damped_oscillation(
     clock = times - times[0]
     window = float(clock[-1])
     lowest, highest = np.pi / window, 0.5 * np.pi / float(np.median(np.diff(times)))
-    best = guess or _best_of_grid(clock, values, lowest, highest)
 
     def cost(scaled: FloatArray) -> float:
         beta, omega = scaled[0] / window, abs(scaled[1]) / window
@@ -241,12 +240,21 @@ def fit_damped_oscillation(
             return spread * (2.0 + abs(float(scaled[0])))
         return _residual_square(_oscillation(clock, beta, omega), values)
 
-    found = minimize(
-        cost,
-        np.array(best) * window,
-        method="Nelder-Mead",
-        options={"xatol": 1e-7, "fatol": 1e-14 * spread, "maxiter": 2000},
-    )
+    if guess is None:
+        cycles = (highest - lowest) * window / (2.0 * np.pi)
+        count = max(8, int(FREQUENCIES_PER_WINDOW * cycles))
+        step = (highest - lowest) * window / count
+        grid = (
+            slice(-MOST_DAMPING, MOST_DAMPING + DAMPING_STEP, DAMPING_STEP),
+            slice(lowest * window, highest * window, step),
+        )
+        best = brute(cost, grid, finish=None)
+    else:
+        best = np.array(guess) * window
+    # From a guess, as for an interval, a thousandth of what the noise of a track changes is enough.
+    fine = 1e-7 if guess is None else 1e-4
+    options = {"xatol": fine, "fatol": fine**2 * spread, "maxiter": 2000}
+    found = minimize(cost, best, method="Nelder-Mead", options=options)
     beta, omega = float(found.x[0]) / window, abs(float(found.x[1])) / window
     (equilibrium, cosine, sine), residual = _least_squares(
         _oscillation(clock, beta, omega), values
@@ -258,25 +266,6 @@ def fit_damped_oscillation(
         amplitude_rad=float(np.hypot(cosine, sine)),
         r2=1.0 - float(residual @ residual) / spread,
         residuals_rad=residual,
-    )
-
-
-def _best_of_grid(
-    clock: FloatArray, values: FloatArray, lowest: float, highest: float
-) -> tuple[float, float]:
-    """Return the damping and the angular frequency of a grid that leave the smallest residual."""
-    window = float(clock[-1])
-    count = max(
-        8, int(FREQUENCIES_PER_WINDOW * (highest - lowest) * window / (2.0 * np.pi))
-    )
-    candidates = [
-        (beta / window, float(omega))
-        for omega in np.linspace(lowest, highest, count)
-        for beta in DAMPINGS
-    ]
-    return min(
-        candidates,
-        key=lambda pair: _residual_square(_oscillation(clock, *pair), values),
     )
 
 
@@ -496,10 +485,11 @@ def _straight(
     while start > 0 and along[start] - along[max(0, start - WINDOW)] > MOVING_PX:
         start -= 1
     start = max(0, start - WINDOW)
-    # Shadows that appear after the first frame move its place by a pixel.
-    before = float(np.median(along[start : start + 3]))
-    if abs(before - along[start]) > MOVING_PX:
-        before = along[start]
+    before = along[start]
+    # A shadow that appears after the first frame moves its place by a pixel, and not that of the next ones.
+    later = along[start + 1 : start + 3]
+    if np.ptp(later) <= RELEASED_PX < abs(later[0] - before) <= MOVING_PX:
+        before = later[0]
     while start + 1 < established and along[start + 1] - before <= RELEASED_PX:
         start += 1
     end = len(rows) - 1

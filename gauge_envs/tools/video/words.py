@@ -499,17 +499,8 @@ def _drawn(picture: Picture, result: VideoScore, number: int) -> Picture:
     lines = [seen, f"{track_text(result)}: {', '.join(values)}"]
     for line, text in enumerate(lines):
         place = (10, drawn.shape[0] - 30 + 20 * line)
-        cv2.putText(
-            drawn, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.5, (0, 0, 0), 3, cv2.LINE_AA
-        )
-        cv2.putText(
-            drawn,
-            text,
-            place,
-            cv2.FONT_HERSHEY_SIMPLEX,
-            0.5,
-            (255, 255, 255),
-            1,
-            cv2.LINE_AA,
-        )
+        # White letters on black ones that are broader.
+        for grey, width in ((0, 3), (255, 1)):
+            font, color = cv2.FONT_HERSHEY_SIMPLEX, (grey, grey, grey)
+            cv2.putText(drawn, text, place, font, 0.5, color, width, cv2.LINE_AA)
     return drawn
