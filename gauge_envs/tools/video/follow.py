@@ -50,8 +50,8 @@ class Background:
         cv2.accumulateWeighted(picture, self.picture, ADAPTATION, mask=whole)
 
 
-def _shrunk(picture: NDArray[Any]) -> NDArray[np.float32]:
-    """Return a picture at the scale at which it is searched."""
+def shrunk(picture: NDArray[Any]) -> NDArray[np.float32]:
+    """Return a picture at the scale at which it is searched and compared."""
     small = cv2.resize(
         picture, None, fx=COARSE, fy=COARSE, interpolation=cv2.INTER_AREA
     )
@@ -229,8 +229,9 @@ class ShapeFollower:
 
     def candidates(self, picture: Picture) -> list[Sight]:
         """Return the places of a frame that may show the object, the likeliest first, and follow the background."""
-        small = _shrunk(picture)
-        covered, known = self._covered(small, _shrunk(self._scene.picture))
+        small = shrunk(picture)
+        bare = shrunk(self._scene.picture)
+        covered, known = _covered(small, bare, self._colour)
         response, _ = self._small.response(covered, known)
         reach = 2 * int(0.25 * self._size_px * COARSE) + 3
         is_peak = (
@@ -255,17 +256,13 @@ class ShapeFollower:
             self._measure(one, picture)
         return sorted(found, key=lambda one: -one.likeness)
 
-    def _covered(
-        self, picture: NDArray[Any], bare: NDArray[np.float32]
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        return _covered(picture, bare, self._colour)
-
     def _refined(self, picture: Picture, x: float, y: float) -> Sight:
         """Return a candidate with fractions of pixels and its likeness."""
         half = self._full.half + REACH
         window, corner = _cut(picture, x, y, half)
         bare, _ = _cut(self._scene.picture, x, y, half)
-        response, fit = self._full.response(*self._covered(window, bare))
+        covered, known = _covered(window, bare, self._colour)
+        response, fit = self._full.response(covered, known)
         middle = np.s_[half - REACH : half + REACH + 1, half - REACH : half + REACH + 1]
         row, column = (
             half - REACH + n for n in divmod(int(fit[middle].argmax()), 2 * REACH + 1)
@@ -290,10 +287,9 @@ class ShapeFollower:
         half = int(LINE * self._size_px)
         x, y = _direction(self._task, sight.place)
         pose = np.array([math.atan2(y, x), *sight.place])
-        covered, known = self._covered(
-            _turned(picture.astype(np.float32), pose, half),
-            _turned(self._scene.picture, pose, half),
-        )
+        window = _turned(picture.astype(np.float32), pose, half)
+        bare = _turned(self._scene.picture, pose, half)
+        covered, known = _covered(window, bare, self._colour)
         across_px = np.arange(-half, half + 1)
         radius_px = 0.5 * self._size_px
         if self._task.motion is Motion.SLIDE:
@@ -464,10 +460,11 @@ class FaceFollower:
 
     def candidates(self, picture: Picture) -> list[Sight]:
         """Return the place in the next frame; none where it is lost."""
-        pose, value = self._matched(picture, self._pose + self._step)
+        grey = _grey(picture)
+        pose, value = self._matched(picture, grey, self._pose + self._step)
         if value < LEAST_CORRELATION:
             around = [_swung(self._pose, self._pivot, one) for one in SEARCHED_RAD]
-            found = (self._matched(picture, one) for one in around)
+            found = (self._matched(picture, grey, one) for one in around)
             pose, value = next(
                 (one for one in found if one[1] >= LEAST_CORRELATION), (pose, 0.0)
             )
@@ -475,12 +472,12 @@ class FaceFollower:
             self._step = np.zeros(3)
             return []
         self._step, self._pose = pose - self._pose, pose
-        face = _turned(_grey(picture), pose, self._half)
+        face = _turned(grey, pose, self._half)
         self._face = (1.0 - RENEWAL) * self._face + RENEWAL * face
         if self._pattern is not None:
             # The renewed template would follow a cube that melts; its square has the threshold of all likenesses.
             value = max(0.0, float((_pattern(face) * self._pattern).mean())) ** 2
-            if self._outline(picture) < LEAST_OUTLINE:
+            if self._outline(grey) < LEAST_OUTLINE:
                 return []
         sight = Sight(x_px=pose[1], y_px=pose[2], likeness=min(1.0, value))
         return [sight] if self._area == 0.0 else [sight, *self._others(picture, sight)]
@@ -504,16 +501,16 @@ class FaceFollower:
 
     def _shown(self, picture: Picture) -> NDArray[np.float32]:
         """Return a small picture in colours, or of metal in tints: its brightness changes as it turns to the lamp."""
-        small = _shrunk(picture)
+        small = shrunk(picture)
         if not self._is_shiny:
             return small
         brightness = small.mean(axis=2, keepdims=True)
         return TINT_GAIN * (small - brightness) / (brightness + DARK)
 
-    def _outline(self, picture: Picture) -> float:
+    def _outline(self, grey: NDArray[np.float32]) -> float:
         """Return how strong the edges are at the object's sides, against the strongest ones around each of them."""
         half = int(self._size_px)
-        around = _turned(_grey(picture), self._pose, half)
+        around = _turned(grey, self._pose, half)
         side = int(SIDE * self._size_px)
         shares = []
         for quarter in range(4):
@@ -525,9 +522,11 @@ class FaceFollower:
             shares.append(float(near.max() / max(edges.max(), 1e-3)))
         return float(np.mean(shares))
 
-    def _matched(self, picture: Picture, pose: FloatArray) -> tuple[FloatArray, float]:
+    def _matched(
+        self, picture: Picture, grey: NDArray[np.float32], pose: FloatArray
+    ) -> tuple[FloatArray, float]:
         """Return the pose near another one at which the picture is most like the template, and how much it is."""
-        window = _turned(_grey(picture), pose, self._wide)
+        window = _turned(grey, pose, self._wide)
         warp = np.eye(2, 3, dtype=np.float32)
         warp[:, 2] = self._wide - self._half
         template = self._face.astype(np.float32)

@@ -16,6 +16,7 @@ from gauge_envs.tools.video.follow import (
     ShapeFollower,
     Sight,
     background,
+    shrunk,
 )
 from gauge_envs.tools.video.frames import (
     LEAST_FRAMES,
@@ -336,9 +337,6 @@ def _changes(path: list[Sight]) -> list[Event]:
 STRIDE = 3
 """Frames from one look to the next."""
 
-SHRINKAGE = 4
-"""Factor by which pictures are made smaller before they are compared."""
-
 CHANGED = 30.0
 """Difference of the brightness with which a place has changed since the first frame."""
 
@@ -371,11 +369,11 @@ class SceneWatch:
 
     def __init__(self, first: Picture, ignored: NDArray[np.bool_]) -> None:
         self._grey = cv2.cvtColor(first, cv2.COLOR_BGR2GRAY)
-        self._first = _small(self._grey)
+        self._first = shrunk(self._grey)
         self._before = self._first
         # Black bars beside the picture are no part of the scene: a model may fill them.
         lit = self._first > BLACK
-        self._counted = _small(ignored.astype(np.uint8)) == 0
+        self._counted = shrunk(ignored.astype(np.uint8)) == 0
         self._counted &= lit.any(axis=1, keepdims=True) & lit.any(axis=0, keepdims=True)
         mask = np.where(ignored, 0, 255).astype(np.uint8)
         points = cv2.goodFeaturesToTrack(self._grey, 150, 0.02, 12, mask=mask)
@@ -387,7 +385,7 @@ class SceneWatch:
     def look(self, picture: Picture) -> None:
         """Find the motion of the camera in the next frame, and how much it differs from the one before."""
         grey = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
-        small = _small(grey)
+        small = shrunk(grey)
         change = float(np.abs(small - self._before).max())
         self.differences.append(change if self._moves else math.inf)
         self._before = small
@@ -418,7 +416,7 @@ class SceneWatch:
         """Compare the scene of a steadied frame with that of the first one."""
         if frame % STRIDE == 0:
             grey = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
-            difference = np.abs(_small(grey) - self._first)
+            difference = np.abs(shrunk(grey) - self._first)
             self._changed[frame] = (
                 float((difference[self._counted] > CHANGED).mean())
                 if self._counted.any()
@@ -482,14 +480,6 @@ class SceneWatch:
         ):
             return None
         return np.asarray(matrix)
-
-
-def _small(picture: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Return a picture at the scale at which scenes are compared."""
-    height, width = picture.shape[:2]
-    size = (width // SHRINKAGE, height // SHRINKAGE)
-    whole = picture.astype(np.float32)
-    return np.asarray(cv2.resize(whole, size, interpolation=cv2.INTER_AREA))
 
 
 def _shift_px(move: FloatArray) -> float:

@@ -112,34 +112,17 @@ def test_an_object_has_its_size_and_shape_though_its_motion_smears_it(change, si
         assert sight.misfit < 0.1
 
 
-@pytest.mark.parametrize("change", ["none", "box"])
-def test_metal_that_darkens_as_it_turns_keeps_its_area(change):
-    """Brightness of a specular face follows the lamp; its tint does not."""
-    task = video_task("Turntable-2-metal")
-    half = 0.5 * task.size_px
-    pictures = []
-    for brightness, width in ((240, 1.0), (195, 1.0 if change == "none" else 2.0)):
-        picture = np.full((480, 832, 3), 40, np.uint8)
-        pivot = [round(value) for value in task.pivot_px]
-        cv2.circle(picture, pivot, 225, (140, 165, 185), -1)
-        low = np.array(task.centre_px) - half
-        high = low + 2.0 * half * np.array([width, 1.0])
-        corners = [low.astype(int).tolist(), high.astype(int).tolist()]
-        cv2.rectangle(picture, *corners, (brightness,) * 3, -1)
-        cv2.circle(picture, [int(low[0]) + 20, int(low[1]) + 25], 9, (90,) * 3, -1)
-        pictures.append(picture)
-    sights = FaceFollower(pictures[0], task).candidates(pictures[1])
-    assert sights[0].size_ratio == pytest.approx(
-        1.0 if change == "none" else math.sqrt(2.0), rel=0.1
-    )
-
-
-@pytest.mark.parametrize("change", ["none", "grows", "second", "spreads"])
+@pytest.mark.parametrize("change", ["none", "grows", "second", "spreads", "darkens"])
 def test_a_cube_on_a_turntable_keeps_its_area_and_outline(change):
-    """Correlation with a template alone follows a cube that grows, and does not see a second one."""
-    task = video_task("Turntable-2-wood")
+    """Correlation with a template alone follows a cube that grows, and does not see a second one.
+
+    The brightness of metal follows the lamp, and its tint does not.
+    """
+    is_metal = change == "darkens"
+    task = video_task("Turntable-2-metal" if is_metal else "Turntable-2-wood")
     # Where the plate has nearly the colour of the cube, the edges of its sides are left.
     plate = (150, 185, 205) if change == "spreads" else (210, 220, 225)
+    plate = (140, 165, 185) if is_metal else plate
     pictures = []
     for is_later in (False, True):
         picture = np.full((480, 832, 3), 40, np.uint8)
@@ -149,10 +132,12 @@ def test_a_cube_on_a_turntable_keeps_its_area_and_outline(change):
         centre = np.array(task.centre_px)
         if is_later and change in ("grows", "spreads"):
             half *= 1.3 if change == "spreads" else 1.5
+        metal = (195, 195, 195) if is_later else (240, 240, 240)
+        colour = metal if is_metal else (105, 150, 195)
         places = [centre, np.add(centre, [200.0, 90.0])]
         for place in places[: 1 + (is_later and change == "second")]:
             low, high = (place - half).astype(int), (place + half).astype(int)
-            cv2.rectangle(picture, low.tolist(), high.tolist(), (105, 150, 195), -1)
+            cv2.rectangle(picture, low.tolist(), high.tolist(), colour, -1)
         for x, y in ((-20, -8), (14, 18), (16, -16)):
             spot = np.add(centre, [x, y]).astype(int).tolist()
             cv2.circle(picture, spot, 9, (60, 90, 120), -1)
@@ -161,5 +146,5 @@ def test_a_cube_on_a_turntable_keeps_its_area_and_outline(change):
     chosen, *others = follower.candidates(pictures[1]) or [Sight()]
     far = [one for one in others if one.x_px > centre[0] + task.size_px]
     assert len(far) == (change == "second")
-    is_whole = chosen.likeness > 0.0 and not chosen.size_ratio > 1.3
-    assert is_whole is (change in ("none", "second"))
+    is_whole = chosen.likeness > 0.0 and not abs(chosen.size_ratio - 1.0) > 0.3
+    assert is_whole is (change in ("none", "second", "darkens"))
