@@ -22,7 +22,7 @@ from gauge_envs.tools.video.plane import (
     metric_view,
 )
 from gauge_envs.tools.video.tasks import Motion, VideoTask, video_task
-from gauge_envs.tools.video.track import Track
+from gauge_envs.tools.video.track import Event, Track
 from gauge_envs.tools.video.tracker import track_object
 
 Metrics: TypeAlias = dict[str, float]
@@ -102,9 +102,18 @@ def faults_of(
         "" if span is None else clock_fault(track, task, span, noise_px(track, span))
     )
     faults += [clock] if clock else []
-    inside = [one for one in track.events if one.first_frame <= track.frames[last]]
+    inside = [one for one in track.events if _counts(one, track, first, last)]
     faults += [one.text for one in inside if not one.is_note]
     return faults, [one.text for one in inside if one.is_note]
+
+
+def _counts(event: Event, track: Track, first: int, last: int) -> bool:
+    """Return whether an event says something of the retained rows."""
+    start, end = track.frames[first], track.frames[last]
+    if event.kind != "shape":
+        return bool(event.first_frame <= end)
+    shared = min(event.last_frame, end) - max(event.first_frame, start) + 1
+    return bool(shared > MOST_MISSING * (end - start + 1))
 
 
 def findings_of(

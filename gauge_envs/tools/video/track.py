@@ -34,7 +34,7 @@ class Event:
     """Something in a video that makes its track doubtful.
 
     Attributes:
-        kind: `given`, `duplicated`, `camera`, `scene`, `registration`, `picture`, `cadence`, `time` or `file`.
+        kind: `given`, `duplicated`, `shape`, `camera`, `scene`, `registration`, `picture`, `cadence`, `time` or `file`.
         first_frame: First frame of it.
         last_frame: Last frame of it.
         text: Description with numbers.
