@@ -7,13 +7,11 @@ import mujoco
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
-from typer.testing import CliRunner
 
 from gauge_envs import load_experiment
 from gauge_envs.backends.genesis.fabrics import pbd_constants
 from gauge_envs.backends.mujoco.fabrics import flex_constants
 from gauge_envs.backends.newton.fabrics import vbd_constants
-from gauge_envs.cli.app import app
 from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.task_files import fabrics
 from gauge_envs.scene import GRAVITY_M_PER_S2
@@ -384,8 +382,8 @@ def test_helpers_name_what_is_not_positive():
 # --- gauge materials ---
 
 
-def test_command_prints_json():
-    result = CliRunner().invoke(app, ["recipe", "fabrics", "--json"])
+def test_command_prints_json(gauge):
+    result = gauge("recipe", "fabrics", "--json")
     assert result.exit_code == 0
     (line,) = result.stdout.splitlines()
     values = json.loads(line)

@@ -9,11 +9,9 @@ import gymnasium
 import pytest
 from gymnasium.utils.env_checker import check_env
 from places import ROOT
-from typer.testing import CliRunner
 
 import gauge_envs
 from gauge_envs import load_experiment, reference_band, variants
-from gauge_envs.cli.app import app
 from gauge_envs.envs import arguments
 from gauge_envs.envs.dm_env import load
 from gauge_envs.errors import NoRewardWarning
@@ -107,8 +105,8 @@ def test_an_id_without_reward_passes_the_checks_of_gymnasium():
     assert env.reset(seed=0) and env.step(env.action_space.sample() * 0)[1] == 0.0
 
 
-def test_the_list_of_scored_ids_is_the_list_of_silent_ones():
-    listed = CliRunner().invoke(app, ["list", "--scored"]).stdout
+def test_the_list_of_scored_ids_is_the_list_of_silent_ones(gauge):
+    listed = gauge("list", "--scored").stdout
     scored = {
         word.removeprefix("GAUGE/")
         for word in listed.split()

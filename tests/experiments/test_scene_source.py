@@ -8,10 +8,8 @@ import gymnasium
 import numpy as np
 import pytest
 from pxr import Gf, Sdf, Usd, UsdUtils, Vt
-from typer.testing import CliRunner
 
 from gauge_envs import load_experiment, load_experiment_from_asset
-from gauge_envs.cli.app import app
 from gauge_envs.errors import AssetError, ParameterError, UnsupportedSceneError
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.experiments.resolve import resolve_experiment
@@ -492,13 +490,11 @@ def test_a_layer_that_names_no_variant_may_stand_for_any_that_it_fits(edited):
         ),
     ],
 )
-def test_a_bad_file_is_an_error_of_one_line(content, name, message, tmp_path):
+def test_a_bad_file_is_an_error_of_one_line(content, name, message, gauge, tmp_path):
     path = tmp_path / name
     if content is not None:
         path.write_bytes(content)
-    result = CliRunner().invoke(
-        app, ["run", SLIDE, "--asset", str(path), "--out", str(tmp_path / "out")]
-    )
+    result = gauge("run", SLIDE, "--asset", path, "--out", tmp_path / "out")
     assert result.exit_code == 2
     assert result.stderr.count("\n") == 1
     assert result.stderr.startswith(f"error: {path}: ")
@@ -529,15 +525,12 @@ def test_a_model_file_is_for_its_engine_alone():
         gymnasium.make(f"GAUGE/{SLIDE}", asset=path, backend="newton")
 
 
-def test_commands_show_and_mark_an_edited_scene(slippery, tmp_path):
-    shown = CliRunner().invoke(app, ["show", SLIDE, "--asset", str(slippery), "--json"])
+def test_commands_show_and_mark_an_edited_scene(slippery, gauge, tmp_path):
+    shown = gauge("show", SLIDE, "--asset", slippery, "--json")
     assert json.loads(shown.stdout)["asset"]["changes"] == [
         "contact cube/board: friction 0.273673 -> 0.1"
     ]
-    wide = CliRunner(env={"COLUMNS": "140"})
-    run = wide.invoke(
-        app, ["run", SLIDE, "--asset", str(slippery), "--out", str(tmp_path / "out")]
-    )
+    run = gauge("run", SLIDE, "--asset", slippery, "--out", tmp_path / "out")
     assert run.exit_code == 0
     assert "calibrated, edited scene" in run.stdout
     assert "friction 0.273673 -> 0.1" in run.stdout

@@ -18,10 +18,8 @@ import pytest
 from places import ROOT
 from pxr import Gf, Sdf, Usd, UsdGeom, Vt
 from texts import changed_text
-from typer.testing import CliRunner
 
 from gauge_envs import load_experiment, load_experiment_file
-from gauge_envs.cli.app import app
 from gauge_envs.errors import (
     AssetError,
     ParameterError,
@@ -636,26 +634,24 @@ def test_what_is_wrong_in_the_layer_is_reported(replacements, message, changed):
     assert message in str(caught.value)
 
 
-def test_commands_take_an_experiment_file(tmp_path):
-    shown = json.loads(CliRunner().invoke(app, ["show", str(CRATE), "--json"]).stdout)
+def test_commands_take_an_experiment_file(gauge, tmp_path):
+    shown = json.loads(gauge("show", CRATE, "--json").stdout)
     assert shown["title"] == "Crate on a ramp"
     assert shown["reference"]["grade"] == "law"
     assert shown["observable"]["coordinates"] == ["Crate.x", "Crate.y", "Crate.z"]
     assert shown["provenance"] == tomllib.loads(CRATE.read_text())["provenance"]
-    run = CliRunner().invoke(app, ["run", str(CRATE), "--out", str(tmp_path), "--json"])
+    run = gauge("run", CRATE, "--out", tmp_path, "--json")
     assert run.exit_code == 0
     (line,) = map(json.loads, run.stdout.splitlines())
     assert line["id"] == "GAUGE/Asset-crate"
-    bad = CliRunner().invoke(
-        app, ["run", str(tmp_path / "gone.toml"), "--out", str(tmp_path)]
-    )
+    bad = gauge("run", tmp_path / "gone.toml", "--out", tmp_path)
     assert (bad.exit_code, bad.stderr) == (
         2,
         f"error: {tmp_path}/gone.toml: cannot be read: No such file or directory\n",
     )
 
 
-def test_a_trajectory_of_another_simulator_is_scored(tmp_path):
+def test_a_trajectory_of_another_simulator_is_scored(gauge, tmp_path):
     times_s = np.arange(31) / 30.0
     x, z = crate_start_m()
     way = 0.5 * ACCELERATION * times_s**2
@@ -663,9 +659,7 @@ def test_a_trajectory_of_another_simulator_is_scored(tmp_path):
         [x + np.cos(TILT) * way, np.zeros(31), z - np.sin(TILT) * way]
     )
     np.savetxt(tmp_path / "mine.csv", 1e3 * places, delimiter=",")
-    scored = CliRunner().invoke(
-        app, ["score", str(tmp_path / "mine.csv"), "--id", str(CRATE), "--json"]
-    )
+    scored = gauge("score", tmp_path / "mine.csv", "--id", CRATE, "--json")
     assert scored.exit_code == 0, scored.stderr
     assert json.loads(scored.stdout)["score"]["rmse"] == pytest.approx(0.0, abs=1e-5)
 

@@ -5,10 +5,8 @@ import shutil
 
 import pytest
 from places import ROOT
-from typer.testing import CliRunner
 
 from gauge_envs import load_experiment, load_experiment_file
-from gauge_envs.cli.app import app
 from gauge_envs.errors import ReferenceFileError, TaskFileError, UnknownNameError
 from gauge_envs.experiments import variants as module
 from gauge_envs.experiments.task_files import load_task, task_file_faults, task_spec
@@ -64,9 +62,9 @@ BREAKS = {
 }
 
 
-def test_a_list_names_a_wrong_file_and_has_the_others(tasks):
+def test_a_list_names_a_wrong_file_and_has_the_others(tasks, gauge):
     (tasks / "pendulum.toml").write_bytes(b"family = ")
-    result = CliRunner().invoke(app, ["list", "--json"])
+    result = gauge("list", "--json")
     assert result.exit_code == 1
     families = {json.loads(line)["family"] for line in result.stdout.splitlines()}
     assert len(families) == 21 and "Pendulum" not in families

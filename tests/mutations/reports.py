@@ -85,8 +85,8 @@ class _SceneOrder(Passed):
         return super().body_states(sorted(names))
 
 
-class _NaNMass(Passed):
-    """Has a body of mass NaN: its state is NaN from the first step on."""
+class _Stepped(Passed):
+    """Knows whether it has made a step."""
 
     stepped = False
 
@@ -97,6 +97,10 @@ class _NaNMass(Passed):
     def advance(self, seconds):
         self.stepped = True
         super().advance(seconds)
+
+
+class _NaNMass(_Stepped):
+    """Has a body of mass NaN: its state is NaN from the first step on."""
 
     def body_states(self, names):
         states = super().body_states(names)
@@ -181,18 +185,8 @@ class _NodesShuffled(Passed):
         return np.asarray(nodes[np.random.default_rng(0).permutation(len(nodes))])
 
 
-class _NodesReversed(Passed):
+class _NodesReversed(_Stepped):
     """Nodes change their order after the first step."""
-
-    stepped = False
-
-    def reset(self, seed):
-        self.stepped = False
-        super().reset(seed)
-
-    def advance(self, seconds):
-        self.stepped = True
-        super().advance(seconds)
 
     def nodes(self, name):
         nodes = super().nodes(name)

@@ -72,7 +72,7 @@ DAMAGES = [
 
 
 @pytest.mark.parametrize(("key", "value", "reason"), DAMAGES)
-def test_one_damaged_file_is_skipped(key, value, reason, content, tmp_path):
+def test_one_damaged_file_is_skipped(key, value, reason, content, gauge, tmp_path):
     damaged = copy.deepcopy(content)
     place = damaged
     *path, last = key.split(".")
@@ -85,7 +85,7 @@ def test_one_damaged_file_is_skipped(key, value, reason, content, tmp_path):
         load_result(tmp_path / "a.json")
     assert reason in str(caught.value)
     for command in ("compare", "diagnose"):
-        result = CliRunner().invoke(app, [command, str(tmp_path)])
+        result = gauge(command, tmp_path)
         assert result.exit_code == 1
         assert "skipped:" in result.stderr and "SlopeSlider" in result.stdout
 
@@ -148,8 +148,8 @@ def hostile(content, tmp_path):
     return folder
 
 
-def test_markdown_gets_no_heading_picture_or_code(hostile):
-    result = CliRunner().invoke(app, ["compare", str(hostile), "--format", "markdown"])
+def test_markdown_gets_no_heading_picture_or_code(hostile, gauge):
+    result = gauge("compare", hostile, "--format", "markdown")
     assert result.exit_code == 0
     assert not [line for line in result.stdout.splitlines() if line.startswith("#")]
     assert (
@@ -192,10 +192,8 @@ def test_styles_of_a_terminal_stay(monkeypatch, capsys):
     assert capsys.readouterr().out == "\x1b[31merror:\x1b[0m a\\x1b[2Jb :smile:\n"
 
 
-def test_a_dollar_sign_starts_no_formula(hostile, tmp_path):
+def test_a_dollar_sign_starts_no_formula(hostile, gauge, tmp_path):
     for kind in ("experiments", "compare", "diagnose"):
-        result = CliRunner().invoke(
-            app, ["plot", str(hostile), "--kind", kind, "--out", str(tmp_path / kind)]
-        )
+        result = gauge("plot", hostile, "--kind", kind, "--out", tmp_path / kind)
         assert result.exit_code == 0, result.exception
         assert list((tmp_path / kind).glob("*.png"))

@@ -1,19 +1,13 @@
 """Hostile sweep files and options end in an error for people, and nothing is written."""
 
 import pytest
-from typer.testing import CliRunner
 
-from gauge_envs.cli.app import app
 from gauge_envs.errors import ParameterError
 from gauge_envs.tools.sweep.folder import earlier_episodes
 from gauge_envs.tools.sweep.plan import plan_sweep
 from gauge_envs.tools.sweep.spec import sweep_spec
 
 NAME = "SlopeSlider-2-wood"
-
-
-def gauge(*arguments):
-    return CliRunner(env={"COLUMNS": "160"}).invoke(app, list(map(str, arguments)))
 
 
 # --- files of a folder ---
@@ -66,7 +60,7 @@ def test_endless_combinations_are_refused():
         ("", ["--shard", "1" * 5000 + "/2"], "expected NUMBER/COUNT, as 0/16"),
     ],
 )
-def test_hostile_requests_have_exit_code_2(text, options, message, tmp_path):
+def test_hostile_requests_have_exit_code_2(gauge, text, options, message, tmp_path):
     file = tmp_path / "sweep.toml"
     file.write_text(f'variants = ["{NAME}"]\n{text}\n')
     result = gauge("sweep", file, "--dry-run", "--out", tmp_path / "out", *options)
