@@ -129,10 +129,11 @@ def installed(requirement: str, folder: Path) -> str | None:
         place = folder / Path(base).name
         python = str(place / "bin" / "python")
         make = [base, "-m", "venv", str(place)]
-        install = [python, "-m", "pip", "install", "-q", "--no-input"]
+        # A cache would keep half a gigabyte of each release of Drake.
+        install = [python, "-m", "pip", "--no-cache-dir", "install", "-q", "--no-input"]
         if uv := shutil.which("uv"):
             make = [uv, "venv", "-q", "--python", base, str(place)]
-            install = [uv, "pip", "install", "-q", "--python", python]
+            install = [uv, "pip", "install", "-q", "--no-cache", "--python", python]
         commands = [[*install, *FROM_SOURCE, requirement, *beside(requirement)]]
         if not place.exists():
             commands.insert(0, make)
