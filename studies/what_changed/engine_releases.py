@@ -13,7 +13,6 @@ from tempfile import TemporaryDirectory
 
 from gauge_envs.tools.versions.causes import unreached
 from gauge_envs.tools.versions.environments import (
-    Environment,
     released_versions,
     version_key,
 )
@@ -84,7 +83,7 @@ def beside(requirement: str) -> list[str]:
 
 def indexed_releases(*, newest: bool, has_candidates: bool) -> list[str]:
     """Return the releases of each engine that the package index has, or the newest of each."""
-    here = Environment("", Path(sys.executable))
+    here = Path(sys.executable)
     found = []
     for engine in TITLES:
         versions = released_versions(engine, here, has_candidates=has_candidates)

@@ -25,7 +25,6 @@ import gymnasium
 import mujoco
 
 from gauge_envs.tools.versions.environments import (
-    Environment,
     ReleaseError,
     made_environment,
     released_versions,
@@ -123,7 +122,7 @@ def measure(*versions: str) -> None:
     """
     wanted = [version for version in versions if version != "--pre"]
     if not wanted:
-        here = Environment("", Path(sys.executable))
+        here = Path(sys.executable)
         has_candidates = "--pre" in versions
         wanted = released_versions("mujoco", here, has_candidates=has_candidates)
     rows = results()
@@ -131,7 +130,7 @@ def measure(*versions: str) -> None:
         if version in rows or version_key(version) < (2, 3, 7):
             continue
         try:
-            python = made_environment(f"mujoco=={version}").python
+            python = made_environment(f"mujoco=={version}")
         except ReleaseError as error:
             print(error)
             continue

@@ -12,7 +12,6 @@ import time
 import venv
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from secrets import token_hex
 
@@ -45,19 +44,6 @@ class ReleaseError(GaugeError, RuntimeError):
     """An environment cannot be made or used; the message names the requirement and the cause."""
 
 
-@dataclass(frozen=True)
-class Environment:
-    """A Python interpreter with an engine.
-
-    Attributes:
-        requirement: What was installed, as `mujoco==3.3.0`; empty for an interpreter that the user named.
-        python: The interpreter.
-    """
-
-    requirement: str
-    python: Path
-
-
 def cache_folder() -> Path:
     """Return the folder of cached environments, which need not exist; `GAUGE_CACHE_DIR` states another one."""
     given = os.environ.get("GAUGE_CACHE_DIR")
@@ -80,10 +66,8 @@ def is_made(requirement: str) -> bool:
     return (folder / RECORD).is_file() and _python(folder).exists()
 
 
-def made_environment(
-    requirement: str, say: Callable[[str], object] = print
-) -> Environment:
-    """Return the environment of a requirement, which is made if it is not in the cache.
+def made_environment(requirement: str, say: Callable[[str], object] = print) -> Path:
+    """Return the interpreter of the environment of a requirement, which is made if it is not in the cache.
 
     It is made in a folder of its own beside its place, imported once, and renamed. Of two commands at once, the second
     waits.
@@ -107,7 +91,7 @@ def made_environment(
                 f"{requirement}: {folder.parent} cannot hold its environment: {error.strerror or error}. "
                 "Free space, or set GAUGE_CACHE_DIR to another folder."
             ) from error
-    return Environment(requirement, _python(folder))
+    return _python(folder)
 
 
 def remove_environment(requirement: str) -> None:
@@ -120,19 +104,19 @@ def remove_environment(requirement: str) -> None:
 
 
 def released_versions(
-    package: str, environment: Environment, *, has_candidates: bool = False
+    package: str, python: Path, *, has_candidates: bool = False
 ) -> list[str]:
     """Return the versions of a package that the index has, the oldest first.
 
     Args:
         package: Name of the package.
-        environment: One whose pip asks the index.
+        python: Interpreter whose pip asks the index.
         has_candidates: Whether release candidates count.
 
     Raises:
         ReleaseError: The index does not answer.
     """
-    command = [str(environment.python), "-m", "pip", "index", "versions", *LOOKING]
+    command = [str(python), "-m", "pip", "index", "versions", *LOOKING]
     if has_candidates:
         command.append("--pre")
     done = _run([*command, package])

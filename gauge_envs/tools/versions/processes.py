@@ -147,7 +147,7 @@ class Bench:
         """
         python = side.python
         if python is None:
-            python = str(made_environment(side.requirement, self._say).python)
+            python = str(made_environment(side.requirement, self._say))
         try:
             done = subprocess.run(
                 [python, *worker, str(job)],

@@ -105,7 +105,7 @@ def _release(side: Side, say: Callable[[str], object]) -> dict[str, object]:
     """Return the folder from which a side takes MuJoCo."""
     if not side.requirement:
         return {}
-    base = str(made_environment(side.requirement, say).python.parents[1])
+    base = str(made_environment(side.requirement, say).parents[1])
     folder = sysconfig.get_path("platlib", "venv", {"base": base, "platbase": base})
     version = version_key(side.requirement.partition("==")[2])
     return {"release": folder, "has_numpy": version < NUMPY_2_SINCE}

@@ -112,7 +112,7 @@ def releases_between(
     Raises:
         ParameterError: There are fewer than two.
     """
-    environment = made_environment(first.requirement, say)
+    python = made_environment(first.requirement, say)
     ends = [version_key(side.requirement.partition("==")[2]) for side in (first, last)]
     if ends[0] >= ends[1]:
         raise ParameterError(
@@ -121,7 +121,7 @@ def releases_between(
     behind = first.title[len(first.requirement) :]
     found = []
     try:
-        versions = released_versions("mujoco", environment)
+        versions = released_versions("mujoco", python)
     except ReleaseError as error:
         made = [one.partition("==")[2] for one in made_requirements()]
         versions = sorted(made, key=version_key)
