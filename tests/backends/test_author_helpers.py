@@ -2,7 +2,6 @@
 
 import pickle
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -207,12 +206,15 @@ def test_mean_velocities_follow_the_motion_exactly():
         np.array([0.3, -0.1, 0.2, 1.0, 2.0, -1.5]),
         np.array([2.0, 1.0, -3.0, 40.0, -10.0, 20.0]),
     )
-    steps = np.linspace(0.0, 1 / 180, 5)
+    step_s = 1 / 720
+    poses, velocities = motion.steps(step_s, 4)
     position, rotation = np.asarray(start.position_m), start.rotation
-    for before, after in pairwise(steps):
-        velocity = motion.mean_velocity(float(before), float(after))
-        position = position + velocity[:3] * (after - before)
-        rotation = Rotation.from_rotvec(velocity[3:] * (after - before)) * rotation
+    for pose, velocity in zip(poses, velocities, strict=True):
+        assert pose[:3] == pytest.approx(position, abs=1e-15)
+        turned = Rotation.from_quat(pose[3:], scalar_first=True) * rotation.inv()
+        assert turned.magnitude() < 1e-14
+        position = position + velocity[:3] * step_s
+        rotation = Rotation.from_rotvec(velocity[3:] * step_s) * rotation
     end = motion.pose(1 / 180)
     assert position == pytest.approx(end.position_m, abs=1e-15)
     assert (rotation * end.rotation.inv()).magnitude() < 1e-14
