@@ -120,10 +120,26 @@ def _cut(text: str) -> str:
 
 
 def top_line(report: Report) -> str:
-    """Return the change that mends most rows; without one, what the check found in one line."""
+    """Return wrong rows of the robot that no change mends, then the change that mends most rows.
+
+    Without a change, what the check found in one line.
+    """
     flags = sum(row.is_flag for row in report.rows)
     if report.cure is not None:
-        return f"Mends most: {report.cure.line}"
+        left = [
+            row.phenomenon
+            for row in report.rows
+            if row.verdict is Verdict.WRONG
+            and row.is_flag
+            and row.phenomenon.startswith("robot-")
+            and row.phenomenon not in report.cure.mended
+        ]
+        first = (
+            f"Wrong in the robot itself, mend by hand: {', '.join(left)}. "
+            if left
+            else ""
+        )
+        return f"{first}Mends most: {report.cure.line}"
     if flags:
         text = f"{flags} {'flags' if flags > 1 else 'flag'}"
         if report.tried:

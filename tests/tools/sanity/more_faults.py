@@ -197,6 +197,14 @@ LATER = {
         replaced("(<option[^>]*)/>", r'\1><flag constraint="disable"/></option>'),
         "robot-unlimited",
     ),
+    "hand, contacts switched off": (
+        replaced("(<option[^>]*)/>", r'\1><flag contact="disable"/></option>'),
+        "robot-overlap",
+    ),
+    "biped, ranges that are not kept": (
+        replaced('(<joint[^>]*)range="', r'\1limited="false" range="'),
+        "robot-unlimited",
+    ),
     "arm, centimetres": (
         several(*(scaled(n, 100.0) for n in ("pos", "fromto", "size"))),
         "robot-size",

@@ -148,7 +148,7 @@ def tried(before: Behaviour, remedy: Remedy, name: str) -> tuple[Behaviour | Non
 
 def _is_of_shape(changes: Settings) -> bool:
     """Return whether changes move bodies, or decide what touches."""
-    return any(name.startswith(SHAPES) for name in changes)
+    return "contact" in changes or any(name.startswith(SHAPES) for name in changes)
 
 
 def keep_unconcerned(before: Robot, after: Robot, changes: Settings) -> None:

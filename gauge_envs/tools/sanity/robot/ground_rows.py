@@ -1,5 +1,6 @@
 """Judge the contacts of feet and fingers that a model states, its ground, and contacts of its parts with each other."""
 
+import copy
 from dataclasses import replace
 from typing import Any
 
@@ -25,10 +26,13 @@ from gauge_envs.tools.sanity.robot.mujoco_feet import (
 )
 from gauge_envs.tools.sanity.robot.robot import (
     Robot,
+    disable_bit,
+    enabling,
     grasp_kinds,
     joints_of_motors,
     once,
     random_poses,
+    switched_off,
 )
 
 TRIED = 32
@@ -328,8 +332,35 @@ def _overlaps(
     return found
 
 
+def _without_contacts(robot: Robot) -> Finding:
+    """Return how deep parts pass through each other in random poses, since contacts are switched off."""
+    model = copy.copy(robot.model)
+    model.opt.disableflags &= ~disable_bit("contact")
+    parts: dict[str, float] = {}
+    count = 0
+    for data in random_poses(model, TRIED):
+        found = _overlaps(robot, data)
+        count += bool(found)
+        for pair, (depth_m, _) in found.items():
+            name = " and ".join(body_name(robot, body) for body in pair)
+            parts[name] = max(parts.get(name, 0.0), 1e3 * depth_m)
+    if not parts:
+        return Finding()
+    worst = max(parts, key=parts.__getitem__)
+    return Finding(
+        value=parts[worst],
+        parts=parts,
+        remark=f"contacts are switched off: {worst} pass through each other, parts do in {count} of "
+        f"{TRIED} random poses",
+        advice=enabling(["contact"]),
+        changes={"contact": True},
+    )
+
+
 @row("robot-overlap")
 def _overlap(robot: Robot) -> Finding:
+    if switched_off(robot.model, "contact"):
+        return _without_contacts(robot)
     found = overlaps(robot)
     names = {
         pair: " and ".join(body_name(robot, body) for body in pair) for pair in found

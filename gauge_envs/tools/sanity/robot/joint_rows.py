@@ -425,11 +425,14 @@ def _range(robot: Robot) -> Finding:
 def _unlimited(robot: Robot) -> Finding:
     model = robot.model
     joints = driven_joints(robot)
-    if len(joints) < FEW_JOINTS or (robot.foot_rows and not model.jnt_limited.any()):
+    is_stated = np.ptp(model.jnt_range, axis=1) > 0.0
+    stated = [j for j in joints if is_stated[j] and not model.jnt_limited[j]]
+    has_wheels = robot.foot_rows and not (model.jnt_limited.any() or stated)
+    if len(joints) < FEW_JOINTS or has_wheels:
         return Finding(declined=f"fewer than {FEW_JOINTS} driven hinges, or wheels")
     off = switched_off(model, "constraint", "limit")
     free = [joint for joint in joints if off or not model.jnt_limited[joint]]
-    # What a linkage couples to another joint cannot turn without end.
+    # What a linkage couples to another joint cannot turn without end, and a range is stated to be kept.
     of_joints = couplings_of(model)
     coupled = {
         *model.eq_obj1id[of_joints].tolist(),
@@ -437,8 +440,9 @@ def _unlimited(robot: Robot) -> Finding:
     }
     free.sort(key=lambda joint: joint not in coupled)
     names = ", ".join(name_of(robot, joint) for joint in free[:3])
+    is_certain = bool(stated or coupled & set(free))
     return Finding(
-        value=1.0 if coupled & set(free) else len(free) / len(joints),
+        value=1.0 if is_certain else len(free) / len(joints),
         parts={name_of(robot, joint): 1.0 for joint in free},
         remark=f"{names}: {len(free)} of {len(joints)} driven hinges" if free else "",
         changes=dict.fromkeys(off, True),

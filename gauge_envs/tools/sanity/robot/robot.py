@@ -387,7 +387,7 @@ def once(
 GEOM_MASS = "geom_mass["
 """Begin of the name of the mass of a geom, which the compiler adds to that of its body."""
 
-FEATURES = ("constraint", "frictionloss", "limit")
+FEATURES = ("constraint", "contact", "frictionloss", "limit")
 """Features that a model may switch off, and that no setting of the engine switches."""
 
 
