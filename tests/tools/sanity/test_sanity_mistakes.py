@@ -81,6 +81,7 @@ def hand_of_two(*, motor="", extra="", coupling=""):
 
 COUPLED = '<joint joint1="right" joint2="left" solref=".005 1"/>'
 GEARED = '<joint joint1="b" joint2="c" polycoef="0 2 0 0 0" solref=".005 1"/>'
+CHAINED = '<joint joint1="a" joint2="b" solref=".005 1"/>'
 SECOND = '<position name="d" joint="b" kp="200" kv="12" forcerange="-30 30" ctrlrange="-1 1"/>'
 
 
@@ -97,6 +98,11 @@ SECOND = '<position name="d" joint="b" kp="200" kv="12" forcerange="-30 30" ctrl
             "robot-lag",
             Verdict.INSIDE,
         ),
+        (
+            {"coupling": COUPLED + GEARED + CHAINED},
+            "robot-lag",
+            Verdict.INSIDE,
+        ),
     ],
     ids=[
         "fingers",
@@ -105,10 +111,16 @@ SECOND = '<position name="d" joint="b" kp="200" kv="12" forcerange="-30 30" ctrl
         "a turned motor",
         "two motors",
         "coupled servos",
+        "a chain of couplings",
     ],
 )
 def test_what_can_be_on_purpose_is_not_wrong(change, row, verdict):
     assert robot_row(row, robot_of(hand_of_two(**change))).verdict is verdict
+
+
+def test_a_keyframe_that_commands_another_angle_than_its_own_slows_no_servo():
+    robot = robot_of(biped_xml().replace('ctrl="0 ', 'ctrl="-.4 '))
+    assert robot_row("robot-lag", robot).verdict is Verdict.INSIDE
 
 
 @pytest.mark.parametrize("mistakes", [MISTAKES, LATER], ids=["known", "later"])

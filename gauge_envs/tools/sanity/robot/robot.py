@@ -456,6 +456,19 @@ def couplings_of(model: mujoco.MjModel) -> NDArray[np.bool_]:
     return couplings
 
 
+def coupled_joints(model: mujoco.MjModel, joint: int) -> list[int]:
+    """Return a joint, those that equalities couple to it, those coupled to these, and so on."""
+    pairs = np.column_stack([model.eq_obj1id, model.eq_obj2id])[couplings_of(model)]
+    # An equality without a second joint holds its joint at a place.
+    pairs = pairs[(pairs >= 0).all(axis=1)]
+    moving = np.array([joint])
+    for _ in pairs:
+        touched = pairs[np.isin(pairs, moving).any(axis=1)]
+        moving = np.union1d(moving, touched)
+    found: list[int] = moving.tolist()
+    return found
+
+
 def swapped_motors(model: mujoco.MjModel) -> dict[int, int]:
     """Return the joint on which a motor should act, by the motor, where it acts on another one.
 

@@ -47,7 +47,7 @@ from gauge_envs.tools.sanity.robot.motions import (
 from gauge_envs.tools.sanity.robot.robot import (
     Robot,
     acts_on_joints,
-    couplings_of,
+    coupled_joints,
     enabling,
     once,
     switched_off,
@@ -369,17 +369,21 @@ def lone_half_step_s(robot: Robot, actuator: int, dof: int) -> float:
     """Return the time in which a servo covers half of a step alone [s], at most 1 s; NaN without room."""
     alone = robot.without("contact", "gravity", "limit")
     # What a linkage couples to the joint moves with it.
-    of_joints = couplings_of(robot.model)
-    pairs = np.column_stack([alone.eq_obj1id, alone.eq_obj2id])[of_joints]
-    moving = pairs[(pairs == alone.dof_jntid[dof]).any(axis=1)]
-    joints = [alone.dof_jntid[dof], *moving.ravel()]
+    joints = coupled_joints(robot.model, int(alone.dof_jntid[dof]))
     moves = np.isin(alone.dof_jntid, joints)
     alone.dof_armature[:] = np.where(moves, robot.model.dof_armature, 1e6)
     # Another servo of these joints would hold its own command.
     others = acts_on_joints(alone) & np.isin(alone.actuator_trnid[:, 0], joints)
     others[actuator] = False
     alone.actuator_gainprm[others] = alone.actuator_biasprm[others] = 0.0
-    return min(half_step_s(alone, start(robot, alone), actuator), STEP_S)
+    data = start(robot, alone)
+    gain = float(alone.actuator_gainprm[actuator, 0])
+    bias = alone.actuator_biasprm[actuator]
+    if gain:
+        # A keyframe may command another angle than the one it states.
+        force = bias[0] + bias[1] * data.actuator_length[actuator]
+        data.ctrl[actuator] = -force / gain
+    return min(half_step_s(alone, data, actuator), STEP_S)
 
 
 def half_step_s(model: mujoco.MjModel, data: mujoco.MjData, actuator: int) -> float:
