@@ -163,6 +163,7 @@ def recipe_joint(
     from gauge_envs.scene import Scene
     from gauge_envs.tools.identify import identify
     from gauge_envs.tools.identify.mended import write_files
+    from gauge_envs.tools.identify.model_files import has_slider
     from gauge_envs.tools.identify.stack_logs import read_logs
     from gauge_envs.tools.identify.words import identified_document
 
@@ -209,6 +210,10 @@ def recipe_joint(
             f"{name}, {joint}: a lag without a model follows it better, do not use its settings: "
             "start from other gains, with a scene that states them"
         )
+    for name in [one for one in found.names if model and has_slider(model, one)]:
+        note(
+            f"{name} slides: in its numbers rad means m, N m means N, and kg m^2 means kg"
+        )
     is_open = any(one.unknown for one in found.settings)
     return is_open or bool(found.lost) or bool(found.behind_a_lag)
 
@@ -251,10 +256,12 @@ def _scene(scene: str | None = None, **load: float) -> Scene | MjSpec:
 
             return load_experiment_file(path).scene
         if path.suffix in scene_suffixes():
+            from gauge_envs.tools.identify.model_files import model_of_sliders
             from gauge_envs.tools.usd import read_usd
 
             # Joints of a log move freely, and robots often have colliders without a material.
-            return read_usd(path, duration_s=1.0, contacts=None).scene
+            usd = read_usd(path, duration_s=1.0, contacts=None)
+            return model_of_sliders(usd) if usd.sliders else usd.scene
         if path.suffix.lower() in (".xml", ".mjcf", ".urdf"):
             return read_mjcf(path)
         if path.suffix:

@@ -28,6 +28,8 @@ POSITION, COMMAND, TORQUE = "position_rad", "command_rad", "torque_n_m"
 RATE = "rate_rad_per_s"
 KINDS = ("time_s", POSITION, COMMAND, TORQUE, RATE)
 """What the columns of a log hold."""
+SLIDING = {"position_m": POSITION, "command_m": COMMAND, "force_n": TORQUE, "rate_m_per_s": RATE}  # fmt: skip
+"""Columns of a joint that slides, and those of a hinge that hold the same."""
 MOST_LOG_BYTES = 50 * MEGABYTE
 """Largest size of a log, as a file and as arrays in memory: three minutes of seven joints at 1 kHz as text."""
 AT_REST = 0.01
@@ -141,7 +143,8 @@ def read_log(path: Path) -> Log:
     A CSV file has a header with `time_s`, `position_rad` and one of `command_rad` and `torque_n_m`, or none of both for
     a joint that swings freely. Several joints have columns with a name behind a dot each, as `position_rad.elbow`. An
     NPZ file has arrays of these names, shape [N] or [N, J], and may have names in `joints`, shape [J]. Measured
-    rates are `rate_rad_per_s`. Other columns do not matter to a joint with a motor.
+    rates are `rate_rad_per_s`. A joint that slides has the columns of `SLIDING`. Other columns do not matter to a joint
+    with a motor.
 
     Raises:
         AssetError: The file cannot be read, a column is missing, numbers are not finite, times do not ascend, or
@@ -250,7 +253,9 @@ def _npz(path: Path) -> tuple[dict[str, FloatArray], tuple[str, ...]]:
     arrays = npz_of_log(path)
     names = tuple(map(str, arrays.pop(NAMES, ())))
     columns = {
-        name: np.asarray(values, dtype=np.float64).reshape(len(values), -1)
+        _as_of_hinge(name): np.asarray(values, dtype=np.float64).reshape(
+            len(values), -1
+        )
         for name, values in arrays.items()
     }
     return columns, names
@@ -260,7 +265,8 @@ def _csv(path: Path) -> dict[str, FloatArray]:
     """Return the columns by name, shape [N, 1] each, and [0, 1] for those that no log has."""
     content = read_regular(path, MOST_LOG_BYTES)
     header, _, rows = csv_text(content).read().partition("\n")
-    names = [name.strip() for name in next(csv.reader([header]), [])]
+    titles = next(csv.reader([header]), [])
+    names = [_as_of_hinge(name.strip()) for name in titles]
     columns = {name: np.empty((0, 1)) for name in names}
     places = [place for place, name in enumerate(names) if _kind(name) in KINDS]
     if rows.strip() and places:
@@ -268,6 +274,12 @@ def _csv(path: Path) -> dict[str, FloatArray]:
         for place, values in zip(places, table.T, strict=True):
             columns[names[place]] = values[:, np.newaxis]
     return columns
+
+
+def _as_of_hinge(name: str) -> str:
+    """Return the name that the column of a slider would have if it were one of a hinge."""
+    kind = _kind(name)
+    return SLIDING.get(kind, kind) + name.removeprefix(kind)
 
 
 def _kind(name: str) -> str:

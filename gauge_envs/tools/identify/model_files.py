@@ -28,6 +28,7 @@ from gauge_envs.tools.mjcf import PROBE
 
 if TYPE_CHECKING:
     from gauge_envs.scene import Scene
+    from gauge_envs.tools.usd import UsdScene
 
 STEP_S = 0.002
 """Step of a scene that states none [s], which is MuJoCo's default."""
@@ -35,6 +36,8 @@ LONGEST_STEP_S = 0.05
 """Longest step that is taken for one [s]: more is mostly a unit."""
 FAR_BEYOND = 3.0
 """Angle of a log over the largest one of the joint's range from which the log is refused."""
+LOGGED = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
+"""Joints of a model that logs have."""
 OPTIONS = ("timestep_s", "integrator")
 """Settings that replace those of a model."""
 
@@ -57,26 +60,26 @@ def read_mjcf(path: Path) -> mujoco.MjSpec:
 def joints_of_model(
     spec: mujoco.MjSpec, log: Log, settings: Mapping[str, Any]
 ) -> ModelJoints:
-    """Return the joints of a model that a log moves: those of its names, or all hinges.
+    """Return the joints of a model that a log moves: those of its names, or all hinges and sliders.
 
     Raises:
         ParameterError: The log has other joints than the model, or a setting is unknown.
     """
     model = spec.compile()
-    hinges = [
+    movable = [
         model.joint(index).name
         for index in range(model.njnt)
-        if model.jnt_type[index] == mujoco.mjtJoint.mjJNT_HINGE
+        if int(model.jnt_type[index]) in LOGGED
     ]
-    if strange := [one for one in log.joints if one not in hinges]:
+    if strange := [one for one in log.joints if one not in movable]:
         raise ParameterError(
-            f"{log.name} names the joint {strange[0]}, and the model has the hinges {', '.join(hinges) or 'none'}: "
+            f"{log.name} names the joint {strange[0]}, and the model has the joints {', '.join(movable) or 'none'}: "
             "rename the columns of the log as the joints of the model"
         )
-    names = log.joints or hinges
+    names = log.joints or movable
     if log.position_rad.shape[1] != len(names):
         raise ParameterError(
-            f"{log.name} has {log.position_rad.shape[1]} joints without names, and the model {len(hinges)} hinges: "
+            f"{log.name} has {log.position_rad.shape[1]} joints without names, and the model {len(movable)}: "
             "name the columns as joints of the model, as position_rad.elbow"
         )
     _check_ranges(model, names, log)
@@ -147,11 +150,7 @@ def joints_of_scene(
         settings: Those with which `spec` was built. Unless they state step or integrator, these are what users' models
             mostly have.
     """
-    children = {
-        id(hinge): name
-        for name, hinge in parent_hinges(scene.body_hinges, scene.hung).items()
-    }
-    bodies = [getattr(one, "body", "") or children[id(one)] for one in scene.hinges]
+    bodies = _moved_bodies(scene)
     usual: dict[str, Any] = {}
     if not {"preset", "integrator"} & set(settings):
         usual = {"timestep_s": settings.get("timestep_s", STEP_S), "integrator": "implicitfast"}  # fmt: skip
@@ -168,6 +167,41 @@ def joints_of_scene(
         stated=stated,
         has_servos=log.command_rad is not None,
     )
+
+
+def model_of_sliders(usd: UsdScene) -> mujoco.MjSpec:
+    """Return the model of a USD layer with sliders; its joints have the names of the bodies that they move."""
+    from gauge_envs.backends import backend
+
+    scene = usd.scene
+    simulation = backend("mujoco").build(scene)
+    spec: mujoco.MjSpec = simulation.spec.copy()  # type: ignore[attr-defined]
+    simulation.close()
+    bodies = _moved_bodies(scene)
+    for hinge, body in zip(scene.hinges, bodies, strict=True):
+        joint = spec.joint(body)
+        joint.axis = joint_sign(hinge, body) * np.asarray(joint.axis)
+    for motor in spec.actuators:
+        motor.gear[0] = 1.0
+    for place in usd.sliders:
+        spec.joint(bodies[place]).type = mujoco.mjtJoint.mjJNT_SLIDE
+    spec.option.timestep = STEP_S
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    return spec
+
+
+def has_slider(spec: mujoco.MjSpec, name: str) -> bool:
+    """Return whether a joint of a model slides."""
+    return bool(spec.joint(name).type == mujoco.mjtJoint.mjJNT_SLIDE)
+
+
+def _moved_bodies(scene: Scene) -> list[str]:
+    """Return the names of the bodies that hinges move, which are those of the joints of the scene's model."""
+    children = {
+        id(hinge): name
+        for name, hinge in parent_hinges(scene.body_hinges, scene.hung).items()
+    }
+    return [getattr(one, "body", "") or children[id(one)] for one in scene.hinges]
 
 
 def joint_names(log: Log, count: int) -> tuple[str, ...]:

@@ -108,6 +108,8 @@ class ModelJoints:
             mujoco.mj_mulM(model, data, momentum, turned)
             body = int(model.jnt_bodyid[joint.id])
             arm_m = float(np.linalg.norm(data.subtree_com[body] - joint.xanchor))
+            if model.jnt_type[joint.id] == mujoco.mjtJoint.mjJNT_SLIDE:
+                arm_m = 1.0
             weight = float(model.body_subtreemass[body]) * arm_m
             sizes.append(
                 (
@@ -294,7 +296,7 @@ def with_play(spec: mujoco.MjSpec, joints: Sequence[str]) -> mujoco.MjSpec:
     for name in joints:
         joint = spec.joint(name)
         play = joint.parent.add_joint(
-            name=play_name(name), pos=joint.pos, axis=joint.axis
+            name=play_name(name), type=joint.type, pos=joint.pos, axis=joint.axis
         )
         play.limited = mujoco.mjtLimited.mjLIMITED_TRUE
         play.range = [-1.0, 1.0]

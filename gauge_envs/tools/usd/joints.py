@@ -53,7 +53,6 @@ UNIT = 1e-6
 UNREAD = (
     "physxJoint:jointFriction",
     "mjc:stiffness",
-    "drive:angular:physics:targetVelocity",
 )
 """Attributes with physics that joints of a scene do not have, unless they are 0."""
 
@@ -189,7 +188,7 @@ def read_body_hinge(
         has_limits: Whether it may have limits, which do not count.
     """
     kind = str(prim.GetTypeName())
-    if kind != "PhysicsRevoluteJoint":
+    if kind != "PhysicsRevoluteJoint" and not (has_limits and _slides(prim)):
         raise source.fault(
             prim,
             f"unsupported joint: a {kind} of two bodies; revolute joints of two bodies are read",
@@ -248,7 +247,8 @@ def read_joint(
         _world_joint(source, prim, {})
         return None
     world, moving = _world_joint(source, prim, bodies)
-    if kind not in ("PhysicsRevoluteJoint", "PhysicsDistanceJoint"):
+    is_read = kind in ("PhysicsRevoluteJoint", "PhysicsDistanceJoint")
+    if not is_read and not (has_limits and _slides(prim)):
         raise source.fault(
             prim,
             f"unsupported joint: {kind}; revolute, distance and fixed joints to the world are read",
@@ -286,6 +286,10 @@ def _world_joint(
     return ends[0], ends[1]
 
 
+def _slides(prim: Usd.Prim) -> bool:
+    return bool(prim.IsA(UsdPhysics.PrismaticJoint))
+
+
 def _letter(source: Source, prim: Usd.Prim) -> str:
     return (
         source.text(UsdPhysics.RevoluteJoint(prim).GetAxisAttr(), ("X", "Y", "Z"))
@@ -311,11 +315,8 @@ def _check_plain(source: Source, prim: Usd.Prim, *, has_limits: bool) -> None:
         for name in prim.GetAppliedSchemas()
         if name.startswith(("PhysicsDriveAPI", "PhysicsLimitAPI"))
     ]
-    applied = [
-        name
-        for name in applied
-        if name != "PhysicsDriveAPI:angular" or not prim.IsA(UsdPhysics.RevoluteJoint)
-    ]
+    if prim.IsA(UsdPhysics.RevoluteJoint) or _slides(prim):
+        applied = [one for one in applied if one != f"PhysicsDriveAPI:{_drive(prim)}"]
     if applied:
         raise source.fault(
             prim,
@@ -406,15 +407,25 @@ def _hinge(
     return Hinge(body=body.name, anchor_m=vector(anchor), axis=vector(axis), **terms)
 
 
+def _drive(prim: Usd.Prim) -> str:
+    """Return the kind of the drive that moves a joint."""
+    return "linear" if _slides(prim) else "angular"
+
+
 def _terms(source: Source, prim: Usd.Prim, sign: float = 1.0) -> dict[str, Any]:
-    """Return the fields `dynamics` and `motor` of the hinge of a joint, which turns as the joint times a sign."""
-    for attribute in map(prim.GetAttribute, UNREAD):
+    """Return the fields `dynamics` and `motor` of the hinge of a joint, which turns as the joint times a sign.
+
+    Those of a slider have m for rad and N for N m.
+    """
+    velocity = f"drive:{_drive(prim)}:physics:targetVelocity"
+    for attribute in map(prim.GetAttribute, (*UNREAD, velocity)):
         if attribute and source.number(attribute):
             raise source.fault(
                 attribute,
                 f"unsupported joint: it is {attribute.Get()}, and a scene has no such term",
             )
-    unit, dynamics = source.kilograms * source.metres**2, {}
+    unit = source.kilograms * (1.0 if _slides(prim) else source.metres**2)
+    dynamics = {}
     for field, name in DYNAMICS.items():
         other = (
             [source.reading(prim.GetAttribute(PHYSX_ARMATURE))]
@@ -423,7 +434,7 @@ def _terms(source: Source, prim: Usd.Prim, sign: float = 1.0) -> dict[str, Any]:
         )
         if (value := source.counted(prim.GetAttribute(name), other)) is not None:
             dynamics[field] = float(value) * (1.0 if field == "backlash_rad" else unit)
-    drive = UsdPhysics.DriveAPI(prim, "angular")
+    drive = UsdPhysics.DriveAPI(prim, _drive(prim))
     kind = source.text(prim.GetAttribute("gauge:motor")) or ("servo" if drive else None)
     motor = (
         None
@@ -445,7 +456,9 @@ def _motor(
         "delay_s": source.number(prim.GetAttribute("gauge:delay_s")) or 0.0
     }
     for field, (name, factor) in DRIVE.items():
-        standard = prim.GetAttribute(name)
+        standard = prim.GetAttribute(name.replace("angular", _drive(prim)))
+        if _slides(prim):
+            factor = source.metres if field == "torque_limit_n_m" else 1.0
         is_given = standard and standard.Get() != math.inf
         reading = (
             source.reading(standard, (), partial(np.multiply, factor * unit))
@@ -457,7 +470,10 @@ def _motor(
         ) is not None:
             motor[field] = float(value)
     command = prim.GetAttribute("gauge:command")
-    target = sign * math.radians(source.number(drive.GetTargetPositionAttr()) or 0.0)
+    stated_target = source.number(drive.GetTargetPositionAttr()) or 0.0
+    target = sign * (
+        source.metres * stated_target if _slides(prim) else math.radians(stated_target)
+    )
     try:
         stated = json.loads(source.text(command) or "null")
     except ValueError as error:

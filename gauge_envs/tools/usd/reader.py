@@ -17,7 +17,7 @@ import numpy as np
 from pxr import Sdf, Tf, Usd, UsdPhysics
 
 from gauge_envs.errors import AssetError, ParameterError
-from gauge_envs.scene.bodies import Contact, ContactMode, Motion, RigidBody
+from gauge_envs.scene.bodies import Contact, ContactMode, Hinge, Motion, RigidBody
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.geometry import FloatArray, Pose, vector
 from gauge_envs.scene.scene import GRAVITY_M_PER_S2, Scene
@@ -59,12 +59,15 @@ class UsdScene:
         paths: Prim path of each rigid and deformable body, by its name in the scene.
         metadata: Notes of the writer on the variant and its source; empty in files of other tools.
         used_files: Other files of the stage, sorted by their path relative to the main file.
+        sliders: Places in `Scene.hinges` of joints that slide along the axis; their numbers have m for rad and N for
+            N m. Only of joints alone, see `read_usd`.
     """
 
     scene: Scene
     paths: Mapping[str, str]
     metadata: Mapping[str, str]
     used_files: tuple[Path, ...]
+    sliders: tuple[int, ...] = ()
 
 
 def read_usd(
@@ -80,7 +83,7 @@ def read_usd(
     """Read the whole content of a USD file; arguments and errors as in `from_usd`.
 
     If `has_markers` is false, the markers of the file are ignored, and if `contacts` is None, its contacts
-    and the limits of its joints. `unstated_duration_s` is the duration of a file that states none [s].
+    and the limits of its joints, which may slide. `unstated_duration_s` is the duration of a file that states none [s].
     """
     options = PairOptions(friction=friction, mode=mode, contacts=contacts)
     with _opened(Path(path)) as source:
@@ -216,6 +219,12 @@ class _Reader:
             for prim in self.joints
             if prim not in between
         ]
+        turning = [prim for prim in self.joints if prim not in between]
+        hinged = [
+            prim
+            for prim, joint in zip(turning, joints, strict=True)
+            if isinstance(joint, Hinge)
+        ]
         scene = Scene(
             bodies=tuple(bodies.values()),
             deformables=tuple(
@@ -245,6 +254,11 @@ class _Reader:
             if isinstance(noted, dict)
             else {},
             used_files=source.used_files(),
+            sliders=tuple(
+                place
+                for place, prim in enumerate([*hinged, *between])
+                if prim.IsA(UsdPhysics.PrismaticJoint)
+            ),
         )
 
     # --- stage ---

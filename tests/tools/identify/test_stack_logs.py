@@ -12,7 +12,7 @@ from ros_bags import ANGLES, COMMANDS, COUNT, TIMES_S, bag_of
 
 from gauge_envs.backends import backend
 from gauge_envs.errors import AssetError, ParameterError
-from gauge_envs.tools.identify import Identified, Log
+from gauge_envs.tools.identify import Identified, Log, identify, read_log
 from gauge_envs.tools.identify.bag_child import JOINT_STATE, TRAJECTORY
 from gauge_envs.tools.identify.command import _scene
 from gauge_envs.tools.identify.fit import machine_of
@@ -211,8 +211,11 @@ def test_a_dataset_without_unit_or_of_another_version_is_refused(tmp_path):
 # --- USD ---
 
 
-def articulation(path):
-    """Write an arm of two joints by usd-core: a fixed base, drives per degree, limits, and no physics material."""
+def articulation(path, elbow=UsdPhysics.RevoluteJoint):
+    """Write an arm of two joints by usd-core: a fixed base, drives per degree, limits, and no physics material.
+
+    A slider in place of the elbow moves along the upper arm.
+    """
     stage = Usd.Stage.CreateNew(str(path))
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
@@ -233,18 +236,23 @@ def articulation(path):
         ("shoulder", "base", "upper", 0.0),
         ("elbow", "upper", "fore", -0.5),
     ):
-        joint = UsdPhysics.RevoluteJoint.Define(stage, f"/{name}")
+        kind = UsdPhysics.RevoluteJoint if name == "shoulder" else elbow
+        slides = kind is UsdPhysics.PrismaticJoint
+        joint = kind.Define(stage, f"/{name}")
         joint.CreateBody0Rel().SetTargets([f"/{parent}"])
         joint.CreateBody1Rel().SetTargets([f"/{child}"])
-        joint.CreateAxisAttr("Y")
+        joint.CreateAxisAttr("Z" if slides else "Y")
         # In the cube's own units, of which the height is one.
         joint.CreateLocalPos0Attr((0.0, 0.0, place))
         joint.CreateLocalPos1Attr((0.0, 0.0, 0.5))
         joint.CreateLowerLimitAttr(-90.0)
         joint.CreateUpperLimitAttr(90.0)
-        drive = UsdPhysics.DriveAPI.Apply(joint.GetPrim(), "angular")
-        drive.CreateStiffnessAttr(5.0 * np.pi / 180.0)
-        drive.CreateDampingAttr(0.3 * np.pi / 180.0)
+        drive = UsdPhysics.DriveAPI.Apply(
+            joint.GetPrim(), "linear" if slides else "angular"
+        )
+        unit = 1.0 if slides else np.pi / 180.0
+        drive.CreateStiffnessAttr((50.0 if slides else 5.0) * unit)
+        drive.CreateDampingAttr((2.0 if slides else 0.3) * unit)
         drive.CreateMaxForceAttr(4.0)
     stage.GetRootLayer().Save()
 
@@ -255,6 +263,76 @@ TWIN = """<mujoco><option timestep="0.002" gravity="0 0 -9.81" integrator="impli
   <geom type="box" size=".01 .01 .1" pos="0 0 -.1" mass=".2"/></body>
   </body></worldbody><actuator><position joint="shoulder" kp="5" kv=".3" forcerange="-4 4"/>
   <position joint="elbow" kp="5" kv=".3" forcerange="-4 4"/></actuator></mujoco>"""
+
+
+SLIDING = (
+    TWIN.replace('name="elbow" axis="0 1 0"', 'name="elbow" type="slide" axis="0 0 1"')
+    .replace('joint="elbow" kp="5" kv=".3"', 'joint="elbow" kp="50" kv="2"')
+)  # fmt: skip
+
+
+def test_an_arm_with_a_slider_moves_as_the_same_arm_in_mjcf(tmp_path):
+    articulation(tmp_path / "arm.usda", UsdPhysics.PrismaticJoint)
+    times_s = np.arange(0.0, 1.0, 0.02)
+    steps = np.where(times_s < 0.5, 0.3, -0.2)
+    command = np.stack([steps, 0.2 * steps], axis=1)
+    start = np.zeros(2), np.zeros(2)
+    angles = []
+    specs = (
+        _scene(str(tmp_path / "arm.usda")),
+        mujoco.MjSpec.from_string(SLIDING),
+    )
+    for spec, joints in zip(
+        specs, (("upper", "fore"), ("shoulder", "elbow")), strict=True
+    ):
+        log = Log("", times_s, np.zeros((times_s.size, 2)), command, joints=joints)
+        machine = machine_of(backend("mujoco"), spec, log, [], {})
+        angles.append(machine.angles(log, [{}, {}], start))
+    assert np.ptp(angles[1][:, 1]) > 0.05
+    assert angles[0] == pytest.approx(angles[1], abs=1e-4)
+
+
+def test_friction_of_a_slider_is_found_from_the_closed_form_of_a_mass_that_stops(
+    tmp_path,
+):
+    mass_kg, dry_n, viscous_n_s_per_m = 0.5, 0.6, 0.4
+    file = tmp_path / "mass.usda"
+    stage = Usd.Stage.CreateNew(str(file))
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+    UsdGeom.SetStageMetersPerUnit(stage, 0.01)
+    UsdPhysics.Scene.Define(stage, "/scene").CreateGravityMagnitudeAttr(981.0)
+    finger = UsdGeom.Cube.Define(stage, "/finger")
+    finger.CreateSizeAttr(2.0)
+    UsdPhysics.RigidBodyAPI.Apply(finger.GetPrim())
+    UsdPhysics.CollisionAPI.Apply(finger.GetPrim())
+    UsdPhysics.MassAPI.Apply(finger.GetPrim()).CreateMassAttr(mass_kg)
+    joint = UsdPhysics.PrismaticJoint.Define(stage, "/slider")
+    joint.CreateBody1Rel().SetTargets(["/finger"])
+    joint.CreateAxisAttr("X")
+    stage.GetRootLayer().Save()
+
+    # m v' = -(F + b v) until the mass stops.
+    speed = 1.5
+    decay = viscous_n_s_per_m / mass_kg
+    final = dry_n / viscous_n_s_per_m
+    stop_s = np.log1p(speed / final) / decay
+    times_s = np.arange(0.0, 1.2 * stop_s, 0.01)
+    moving_s = np.minimum(times_s, stop_s)
+    place_m = (speed + final) / decay * -np.expm1(-decay * moving_s) - final * moving_s
+    rate = np.where(
+        times_s < stop_s, (speed + final) * np.exp(-decay * times_s) - final, 0.0
+    )
+    table = np.stack([times_s, place_m, rate], axis=1)
+    header = "time_s,position_m.finger,rate_m_per_s.finger"
+    np.savetxt(tmp_path / "log.csv", table, delimiter=",", header=header, comments="")
+
+    log = read_log(tmp_path / "log.csv")
+    names = ["dry_friction_n_m", "viscous_friction_n_m_s_per_rad"]
+    found = identify(backend("mujoco"), _scene(str(file)), [log], names)
+    assert found.joints[0][names[0]] == pytest.approx(dry_n, rel=5e-3)
+    assert found.joints[0][names[1]] == pytest.approx(viscous_n_s_per_m, rel=5e-3)
+    with pytest.raises(AssetError, match="unsupported joint: PhysicsPrismaticJoint"):
+        read_usd(file, duration_s=1.0)
 
 
 def test_an_articulation_of_usd_core_moves_as_the_same_arm_in_mjcf(tmp_path):
