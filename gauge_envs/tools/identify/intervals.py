@@ -75,7 +75,7 @@ def settings_of(
                 unknown, half = "", 0.0
                 value = problem.fixed[kind, joint] / problem.sizes[kind, joint]
             elif std[column] >= UNBOUNDED:
-                unknown, half = NOTHING, max(half, abs(value))
+                unknown, half = unknown or NOTHING, max(half, abs(value))
             elif not unknown and half >= abs(value):
                 unknown = ZERO
             size = problem.sizes[kind, joint]
