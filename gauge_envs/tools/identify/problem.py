@@ -358,6 +358,13 @@ class Problem:
         """
         jacobian, residuals = self.jacobian(scaled), self.residuals(scaled)
         rows = self._rows()
+        if LIMIT in self.names and self.joints > 1:
+            # Where no torque reaches a limit, limits of other joints would seem to be its effect.
+            first = self.names.index(LIMIT) * self.joints
+            for joint in range(self.joints):
+                column, inside = first + joint, rows[:, 1] == joint
+                alone = self._changed(scaled, np.array([column]), residuals, STEPS[-1])
+                jacobian[inside, column] = alone[inside]
         inverse = np.linalg.pinv(jacobian.T @ jacobian)
         middle = np.zeros_like(inverse)
         for joint in range(self.joints):

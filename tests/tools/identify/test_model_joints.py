@@ -458,6 +458,18 @@ def test_a_number_without_effect_is_not_determined_however_large():
         assert found[1].low == 0.0
 
 
+def test_a_limit_without_effect_is_not_told_by_that_of_another_joint():
+    """The shoulder reaches its limit, and moves the elbow, which never reaches its own."""
+    both = np.repeat(servo_log("one", 1).position_rad, 2, axis=1)
+    log = Log("", np.arange(400) * 0.02, both, both, joints=("shoulder", "elbow"))
+    machine = joints_of_model(mujoco.MjSpec.from_string(arm()), log, {})
+    names = ("kp_n_m_per_rad", "torque_limit_n_m")
+    problem = Fitter(machine=machine, known={})._stages([log], names)[1]
+    unknowns = np.array([1.0, 1.0, 0.3, 1000.0])
+    found = settings_of(problem, unknowns, problem.covariance(unknowns))
+    assert [bool(one.unknown) for one in found] == [False, False, False, True]
+
+
 def test_an_armature_that_is_not_determined_is_left_out_however_far_it_is_from_the_model():
     """The rest may be needed together; an armature is not, which contact would meet."""
     spread = Setting(
