@@ -16,6 +16,8 @@ import numpy as np
 from gauge_envs.backends import backend
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.identify import Identified, Log, identify, read_mjcf
+from gauge_envs.tools.identify.model_files import joints_of_model
+from gauge_envs.tools.identify.snippets import snippet_lines
 from studies.joints.pendulums import HERE, trials
 
 JOINTS = ("Rotation", "Pitch", "Elbow", "Wrist_Pitch", "Wrist_Roll", "Jaw")
@@ -104,9 +106,41 @@ def errors(found: Identified) -> Iterable[Sequence[object]]:
 
     yield ("constants", *JOINTS)
     yield ("bench armature", *pooled([found.held_out_rad[log.name] for log in held_out]))  # fmt: skip
+    by_log = replayed(stored(), held_out)
+    yield ("fitted armature", *pooled([by_log[log.name] for log in held_out]))
     for law in ("command", "lag"):
         yield (law, *pooled([found.plain_rad[log.name][law] for log in held_out]))
     yield ("constant", *pooled([log.position_rad.std(axis=0) for log in held_out]))
+
+
+def pasted() -> Constants:
+    """Return the constants that are pasted, with the armature of the bench."""
+    found: list[dict[str, float]] = [{} for _ in JOINTS]
+    with (HERE / "arm_constants.csv").open(encoding="utf-8", newline="") as stream:
+        for row in csv.DictReader(stream):
+            joint = JOINTS.index(row["joint"])
+            found[joint][row["constant"]] = float(row["pasted"] or 0.0)
+    return found
+
+
+def replayed(constants: Constants, recorded: Sequence[Log]) -> dict[str, FloatArray]:
+    """Return the errors of constants as `identify` has them: of pasted lines, from the recorded starts [rad]."""
+    spec = read_mjcf(HERE / "so101.xml")
+    machine = joints_of_model(spec, recorded[0], {"timestep_s": STEP_S})
+    values = [
+        {**stated, **given}
+        for stated, given in zip(machine.stated, constants, strict=True)
+    ]
+    nothing: list[dict[str, str]] = [{} for _ in JOINTS]
+    lines = snippet_lines(
+        "mujoco",
+        names=JOINTS,
+        joints=values,
+        left_out=nothing,
+        marked=nothing,
+        timestep_s=STEP_S,
+    )
+    return machine.replayed(lines, values, recorded)
 
 
 def payload(sets: Mapping[str, Constants]) -> Iterable[Sequence[object]]:

@@ -15,6 +15,7 @@ from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.identify import Identified, Log, identify, one_joint, read_log
 from gauge_envs.tools.identify.baselines import baselines
 from gauge_envs.tools.identify.spread import sensor_noise_rad
+from studies.joints.arm import logs, pasted, replayed
 from studies.joints.laws import INERTIA_KG_M2, LENGTH_M, MASS_KG, _log
 from studies.joints.pendulums import HERE, trials
 
@@ -106,20 +107,16 @@ def chains() -> Iterator[Row]:
 
 def arm() -> Iterator[Row]:
     """Yield the rows of the servo arm: the range of six joints."""
-    recorded = trials("ServoArm-so101")
-    logs = [Log(one.name, one.times_s, one.angles_rad, one.commands) for one in recorded]  # fmt: skip
-    plain = baselines(logs[::2], logs[1::2])
+    motions = logs()
+    plain = baselines(motions[::2], motions[1::2])
+    errors_rad = replayed(pasted(), motions)
     dry = [one for one in table("arm_constants.csv") if one["constant"] == "dry_friction_n_m"]  # fmt: skip
     spread = ", ".join(f"{float(one['next_low']):.2g} to {float(one['next_high']):.2g}" for one in dry)  # fmt: skip
-    for one in table("so101_errors.csv"):
-        if one["constants"] != "identified" or one["motion"] not in plain:
-            continue
-        errors = [float(value) for value in list(one.values())[3:]]
-        lag = 1e3 * plain[one["motion"]]["lag"]
-        log = next(log for log in logs if log.name == one["motion"])
+    for place, log in enumerate(motions):
+        lag = 1e3 * plain[log.name]["lag"]
         yield (
-            f"ServoArm-so101, {one['motion']}", "odd" if one["half"] == "judge" else "even", "M1 with a servo",
-            f"dry {spread} N m", " ".join(f"{value:.2g}" for value in errors),
+            f"ServoArm-so101, {log.name}", "odd" if place % 2 else "even", "M1 with a servo",
+            f"dry {spread} N m", " ".join(f"{1e3 * value:.2g}" for value in errors_rad[log.name]),
             f"lag {' '.join(f'{value:.2g}' for value in lag)}", noise_mrad(log.position_rad),
         )  # fmt: skip
 

@@ -330,7 +330,7 @@ def test_a_log_of_another_robot_is_refused():
     log = servo_log("one", 1)
     strange = Log("one", log.times_s, log.position_rad, log.command_rad, joints=("wrist",))  # fmt: skip
     model = mujoco.MjSpec.from_string(arm())
-    with pytest.raises(ParameterError, match="wrist, and the model has the hinges shoulder, elbow"):  # fmt: skip
+    with pytest.raises(ParameterError, match="wrist, and the model has the joints shoulder, elbow"):  # fmt: skip
         identify(backend("mujoco"), model, [strange], NAMES)
     nameless = Log("one", log.times_s, log.position_rad, log.command_rad)
     with pytest.raises(ParameterError, match="1 joints without names, and the model 2"):
