@@ -118,6 +118,51 @@ def test_what_can_be_on_purpose_is_not_wrong(change, row, verdict):
     assert robot_row(row, robot_of(hand_of_two(**change))).verdict is verdict
 
 
+def pulled(*, coefficient=0.5, kp=500.0, per_control=1.0):
+    """Return the hand of two fingers with a servo on a tendon of both, which 40 mm of its command close."""
+    servo = f'''<general name="pull" tendon="pull" biastype="affine" gainprm="{kp * per_control}"
+        biasprm="0 {-kp} -20" ctrlrange="0 .04" forcerange="-30 30"/>'''
+    tendon = f'''<tendon><fixed name="pull"><joint joint="left" coef=".5"/>
+        <joint joint="right" coef="{coefficient}"/></fixed></tendon></mujoco>'''
+    return hand_of_two(extra=servo).replace("</mujoco>", tendon)
+
+
+def chain(*, kp=200, last_range="-1 1"):
+    """Return an arm of five joints in a row, whose last servo or whose last limits are another one's."""
+    bodies, servos = "", ""
+    for number in range(5):
+        is_last = number == 4
+        joint_range = last_range if is_last else "-1 1"
+        bodies += f'''<body pos=".2 0 0"><joint name="j{number}" axis="0 1 0" range="{joint_range}" armature=".02"
+            damping="1" frictionloss=".3"/><geom type="capsule" fromto=".06 0 0 .2 0 0" size=".03"/>'''
+        gain = kp if is_last else 200
+        servos += f'<position joint="j{number}" kp="{gain}" kv="12" forcerange="-30 30" ctrlrange="-1 1"/>'
+    return f"""<mujoco><compiler angle="radian"/><worldbody>{bodies}{"</body>" * 5}</worldbody>
+      <actuator>{servos}</actuator></mujoco>"""
+
+
+UNEQUAL = '<joint joint1="right" joint2="left" polycoef="0 .5 0 0 0" solref=".005 1"/>'
+ODD_PARTS = [
+    ("robot-command", pulled(), pulled(coefficient=-0.5), "coefficient of right"),
+    ("robot-command", pulled(), pulled(per_control=0.003), "ctrlrange of pull"),
+    (
+        "robot-coupling",
+        hand_of_two(coupling=COUPLED),
+        hand_of_two(coupling=UNEQUAL),
+        "ratio of 1 or -1: right and left",
+    ),
+    ("robot-sides", chain(), chain(kp=50), "kp of j4"),
+    ("robot-sides", chain(), chain(last_range="-1.2 .8"), "limits of j4"),
+]
+
+
+@pytest.mark.parametrize(("row", "good", "odd", "words"), ODD_PARTS)
+def test_a_part_that_contradicts_those_like_it_is_named(row, good, odd, words):
+    assert not robot_row(row, robot_of(good)).verdict.is_off
+    found = robot_row(row, robot_of(odd))
+    assert found.is_flag and words in found.cause.line
+
+
 def test_a_keyframe_that_commands_another_angle_than_its_own_slows_no_servo():
     robot = robot_of(biped_xml().replace('ctrl="0 ', 'ctrl="-.4 '))
     assert robot_row("robot-lag", robot).verdict is Verdict.INSIDE

@@ -6,7 +6,9 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.robot.finding import (
     Finding,
     joint_name,
@@ -14,7 +16,7 @@ from gauge_envs.tools.sanity.robot.finding import (
     name_of,
     row,
 )
-from gauge_envs.tools.sanity.robot.joints import placed_bodies, speed_servos
+from gauge_envs.tools.sanity.robot.joints import placed_bodies, servos, speed_servos
 from gauge_envs.tools.sanity.robot.robot import Robot, acts_on_joints, swapped_motors
 
 SAME_ANGLE = 0.05
@@ -42,6 +44,9 @@ def _command(robot: Robot) -> Finding:
         if int(model.jnt_bodyid[joint]) in moved:
             name = joint_name(robot, int(model.jnt_dofadr[joint]))
             found.update((name, one) for one in _commands(robot, actuator, name))
+    for actuator in _tendon_servos(robot):
+        name = model.actuator(actuator).name or f"actuator {actuator}"
+        found[name] = _pulled(robot, actuator, name)
     for motor, joint in swapped_motors(model).items():
         name = model.actuator(motor).name
         found[name] = Finding(
@@ -55,7 +60,9 @@ def _command(robot: Robot) -> Finding:
             advice=f"a servo of position for {name}: -kp and -kv in biasprm",
         )
     if not found:
-        return Finding(declined="no motor of the robot turns a joint")
+        return Finding(
+            declined="no motor of the robot turns a joint, and no servo a fixed tendon"
+        )
     worst = min(found.values(), key=lambda one: one.value)
     changes: dict[str, Any] = {}
     for one in found.values():
@@ -178,3 +185,74 @@ def _reached(robot: Robot, actuator: int, name: str) -> Finding:
         advice=advice,
         changes={f"actuator_{key}[{actuator}]": row},
     )
+
+
+def _tendon_servos(robot: Robot) -> list[int]:
+    """Return servos with limits of their command on fixed tendons, all of whose joints have limits."""
+    model = robot.model
+    is_tendon = model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_TENDON)
+    has_gain = model.actuator_gaintype == int(mujoco.mjtGain.mjGAIN_FIXED)
+    is_servo = is_tendon & has_gain & servos(model) & (model.actuator_ctrllimited != 0)
+    found = []
+    for actuator in np.flatnonzero(is_servo).tolist():
+        joints, _ = _tendon(model, actuator)
+        is_own = np.isin(model.jnt_bodyid[joints], robot.bodies)
+        if len(joints) and is_own.all() and model.jnt_limited[joints].all():
+            found.append(actuator)
+    return found
+
+
+def _tendon(
+    model: mujoco.MjModel, actuator: int
+) -> tuple[NDArray[np.int32], FloatArray]:
+    """Return the joints and coefficients of the fixed tendon of an actuator, shape [count]; none of a spatial one."""
+    tendon = int(model.actuator_trnid[actuator, 0])
+    first = int(model.tendon_adr[tendon])
+    places = np.arange(first, first + int(model.tendon_num[tendon]))
+    is_joint = model.wrap_type[places] == int(mujoco.mjtWrap.mjWRAP_JOINT)
+    places = places[is_joint]
+    return model.wrap_objid[places], model.wrap_prm[places]
+
+
+def _pulled(robot: Robot, actuator: int, name: str) -> Finding:
+    """Return the part of the range of the joints of a fixed tendon that the commands of its servo reach."""
+    model = robot.model
+    joints, coefficients = _tendon(model, actuator)
+    gear = float(model.actuator_gear[actuator, 0])
+    gain = float(model.actuator_gainprm[actuator, 0])
+    bias = model.actuator_biasprm[actuator]
+    # Without load, gain * control + bias[0] + bias[1] * length is 0.
+    commands = model.actuator_ctrlrange[actuator]
+    lengths = np.sort(-(gain * commands + bias[0]) / bias[1])
+    ends = gear * coefficients[:, None] * model.jnt_range[joints]
+    share = _shared(ends, lengths)
+    if share >= limits_of("robot-command")[0]:
+        return Finding(value=share, remark=name)
+    remark = f"the commands of {name} reach {100.0 * share:.3g} % of the range of the joints of its tendon"
+    for place, joint in enumerate(joints.tolist()):
+        turned = ends.copy()
+        turned[place] *= -1.0
+        if _shared(turned, lengths) >= MIRRORED_REACH:
+            return Finding(
+                value=share,
+                remark=remark,
+                advice=f"the other sign of the coefficient of {name_of(robot, joint)} in the tendon of {name}",
+            )
+    low, high = np.sort(ends, axis=1).sum(axis=0)
+    changes: dict[str, Any] = {}
+    if gain:
+        reaching = -(bias[0] + bias[1] * np.array([low, high])) / gain
+        changes[f"actuator_ctrlrange[{actuator}]"] = np.sort(reaching)
+    return Finding(
+        value=share,
+        remark=remark,
+        advice=f"a ctrlrange of {name} that fits its gain, or the gain that fits its ctrlrange",
+        changes=changes,
+    )
+
+
+def _shared(ends: FloatArray, lengths: FloatArray) -> float:
+    """Return the part of the range of a tendon, from the ends of its joints, shape [count, 2], that lengths reach."""
+    low, high = np.sort(ends, axis=1).sum(axis=0)
+    reached = min(lengths[1], high) - max(lengths[0], low)
+    return float(max(reached, 0.0) / max(high - low, 1e-12))

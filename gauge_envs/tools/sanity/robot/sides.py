@@ -13,6 +13,7 @@ from gauge_envs.tools.sanity.robot.ground_rows import geoms_of, limbs_of
 from gauge_envs.tools.sanity.robot.joints import (
     driven_dofs,
     driven_joints,
+    position_servos,
     servo_gains,
     springs,
     start,
@@ -40,6 +41,12 @@ FEW_PAIRS = 2
 
 DIRECTION, ODD_DIRECTION = "direction of command", 0.3
 """What two joints count that turn alike where all others mirror each other: visible, as some makers choose it."""
+
+OWN_RANGE = "limits"
+"""What two joints differ in that have the same commands, and of which one has another range."""
+
+FEW_SERVOS, ODD_KP = 5, 0.5
+"""Servos from which on all but one say what the last should be, and the difference of its kp over the larger one."""
 
 LEAST_SIZE_M = 0.01
 """Radius of a link without geoms [m]."""
@@ -227,11 +234,16 @@ def _sides(robot: Robot) -> Finding:
         for of_pair in differences(robot, one)
     )
     parts.update(_trunk_shares(robot))
-    for joint, other, quantity, difference in (*mirrored, *odd_copies(robot)):
+    odd = (*odd_copies(robot), *_odd_servos(robot))
+    for joint, other, quantity, difference in (*mirrored, *odd):
         name = f"{quantity} of {name_of(robot, joint)} and {name_of(robot, other)}"
         parts[name] = difference
         if quantity == DIRECTION:
             texts[name] = "not as in the other joints about this axis"
+        elif quantity == OWN_RANGE:
+            texts[name] = (
+                "both have the same commands, and all other servos have those of the limits of their joint"
+            )
         elif quantity in known:
             values = known[quantity][_places(robot, quantity)[[joint, other]]]
             texts[name] = " and ".join(f"{value:.3g}" for value in values)
@@ -314,6 +326,36 @@ def odd_copies(robot: Robot) -> Iterator[tuple[int, int, str, float]]:
             difference = float(differences_of[place, copies[0]])
             if agree and np.isfinite(difference):
                 yield int(joints[place]), int(joints[copies[0]]), quantity, difference
+
+
+def _odd_servos(robot: Robot) -> Iterator[tuple[int, int, str, float]]:
+    """Yield a joint, another one, and the quantity in which its servo alone contradicts all the others; visible.
+
+    It is a kp beside the kv of all, or limits of the joint that are not those of its commands, which others share.
+    """
+    model = robot.model
+    motors = [one for one in position_servos(robot) if model.actuator_gear[one, 0]]
+    if len(motors) < FEW_SERVOS:
+        return
+    joints = model.actuator_trnid[motors, 0]
+    dofs = model.jnt_dofadr[joints]
+    kp, kv = (servo_gains(model, column)[dofs] for column in (1, 2))
+    is_other_kp = apart(kp) >= ODD_KP
+    if kv.all() and (apart(kv) <= SAME).all():
+        for place in np.flatnonzero(is_other_kp.sum(axis=0) == len(motors) - 1):
+            others = np.delete(np.arange(len(motors)), place)
+            if (apart(kp[others]) <= SAME).all():
+                yield int(joints[place]), int(joints[others[0]]), "kp", ODD_DIRECTION
+    commands, ranges = model.actuator_ctrlrange[motors], model.jnt_range[joints]
+    gaps = np.abs(commands - ranges).max(axis=1)
+    is_odd = gaps > SAME * np.ptp(ranges, axis=1)
+    if is_odd.sum() != 1:
+        return
+    odd = int(is_odd.argmax())
+    alike = np.abs(commands - commands[odd]).max(axis=1) <= SAME * gaps[odd]
+    copies = np.flatnonzero(alike & ~is_odd)
+    if len(copies) >= FEW_COPIES:
+        yield int(joints[odd]), int(joints[copies[0]]), OWN_RANGE, ODD_DIRECTION
 
 
 def apart(values: FloatArray) -> FloatArray:

@@ -28,7 +28,7 @@ from gauge_envs.tools.sanity.robot.ground_rows import (
     limbs_of,
     pair_name,
 )
-from gauge_envs.tools.sanity.robot.joints import driven_dofs, start
+from gauge_envs.tools.sanity.robot.joints import SAME_MASS, driven_dofs, start
 from gauge_envs.tools.sanity.robot.legs import wrong_knees
 from gauge_envs.tools.sanity.robot.mass_rows import SIGNS, box_corners, size_m
 from gauge_envs.tools.sanity.robot.mujoco_feet import (
@@ -297,6 +297,26 @@ def _numbers(values: FloatArray) -> str:
     return " ".join(f"{value:g}" for value in values)
 
 
+ZERO_ADVICE = (
+    "a zero of the coupling (`polycoef`, `offset` of a mimic) with which both joints are in their "
+    "ranges, and together where the robot starts"
+)
+
+TURNED = 0.01
+"""Distance from its range, over it, up to which a joint would be in it with the other sign of its coupling."""
+
+
+def _are_twins(model: mujoco.MjModel, joint: int, other: int) -> bool:
+    """Return whether two joints carry like fingers: on one body, of the same mass, and with ranges of the same size."""
+    bodies = model.jnt_bodyid[[joint, other]]
+    parents = model.body_parentid[bodies]
+    masses_kg = model.body_subtreemass[bodies]
+    spans = np.ptp(model.jnt_range[[joint, other]], axis=1)
+    is_same_mass = bool(np.ptp(masses_kg) <= SAME_MASS * masses_kg.max())
+    is_same_span = bool(np.ptp(spans) <= SAME_MASS * spans.max())
+    return bool(parents[0] == parents[1] and is_same_mass and is_same_span)
+
+
 @row("robot-coupling")
 def _coupling(robot: Robot) -> Finding:
     model = robot.without("contact", "limit", "frictionloss")
@@ -311,6 +331,7 @@ def _coupling(robot: Robot) -> Finding:
     changes: dict[str, Any] = {}
     begin, forces = data.qpos.copy(), _motor_forces(model, data)
     zeros: dict[str, float] = {}
+    advices: dict[str, str] = {}
     zero_changes: dict[str, FloatArray] = {}
     largest = limits_of("robot-coupling")[1]
     for number in couplings:
@@ -337,19 +358,24 @@ def _coupling(robot: Robot) -> Finding:
             changes[f"eq_solref[{number}]"] = np.array([0.005, 1.0])
             changes[f"eq_solimp[{number}]"] = np.array([0.95, 0.99, 0.001, 0.5, 2.0])
         off = _off(model, number, float(begin[place]), float(begin[lead]))
+        part = f"{name} from its coupled place"
         if abs(off) / span > largest:
-            wrong_zero = np.array(model.eq_data[number])
-            wrong_zero[0] -= off
-            zeros[f"{name} from its coupled place"] = abs(off) / span
-            zero_changes[f"eq_data[{number}]"] = wrong_zero
-    if zeros:
-        name = max(zeros, key=zeros.__getitem__)
+            mended, advices[part] = _mended_coupling(model, number, off, begin)
+            zeros[part] = abs(off) / span
+            zero_changes[f"eq_data[{number}]"] = mended
+        if _are_twins(model, joint, other):
+            ratio = abs(float(model.eq_data[number, 1]))
+            both = f"{name} and {name_of(robot, other)}"
+            part = f"ratio of {both}"
+            zeros[part] = 1.0 - min(ratio, 1.0 / max(ratio, 1e-12))
+            advices[part] = f"a ratio of 1 or -1: {both} are two like fingers"
+    part = max(zeros, key=zeros.__getitem__, default="")
+    if part and zeros[part] > largest:
         return Finding(
-            value=zeros[name],
+            value=zeros[part],
             parts=gives | zeros,
-            remark=name,
-            advice="a zero of the coupling (`polycoef`, `offset` of a mimic) with which both joints are in their "
-            "ranges, and together where the robot starts",
+            remark=part,
+            advice=advices[part],
             changes=zero_changes,
         )
     if not gives:
@@ -364,6 +390,31 @@ def _coupling(robot: Robot) -> Finding:
         advice=f'solref="0.005 1" solimp="0.95 0.99 0.001" for the equality of {name}',
         changes=changes,
     )
+
+
+def _mended_coupling(
+    model: mujoco.MjModel, number: int, off: float, begin: FloatArray
+) -> tuple[FloatArray, str]:
+    """Return the numbers of a coupling, and an advice, with which its joint is in its range.
+
+    Args:
+        model: The model.
+        number: The equality.
+        off: Distance of the joint from its coupled place [rad or m].
+        begin: Where the robot starts, shape [nq].
+    """
+    joint, other = int(model.eq_obj1id[number]), int(model.eq_obj2id[number])
+    place, lead = begin[model.jnt_qposadr[[joint, other]]].tolist()
+    mended: FloatArray = np.array(model.eq_data[number])
+    model.eq_data[number, 1] *= -1.0
+    turned = _off(model, number, place, lead)
+    model.eq_data[number, 1] *= -1.0
+    if abs(turned) < TURNED * float(np.ptp(model.jnt_range[joint])):
+        mended[1] *= -1.0
+        name = model.joint(joint).name or f"joint {joint}"
+        return mended, f"the other sign of the coupling of {name}"
+    mended[0] -= off
+    return mended, ZERO_ADVICE
 
 
 def _coupled(model: mujoco.MjModel, number: int, lead: float) -> float:
