@@ -5,7 +5,7 @@ import sys
 import mujoco
 import numpy as np
 import pytest
-from planted import SCENE, side
+from planted_models import SCENE, side
 
 from gauge_envs.errors import MissingExtraError, ParameterError
 from gauge_envs.tools.versions import worker

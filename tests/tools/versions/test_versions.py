@@ -9,7 +9,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from planted import SCENE, Planted, side
+from planted_models import SCENE, Planted, side
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import mujoco
 import pytest
-from planted import SCENE, side
+from planted_models import SCENE, side
 
 from gauge_envs.errors import ParameterError
 from gauge_envs.tools.versions import environments, sides, worker
