@@ -242,7 +242,8 @@ def _pulled(robot: Robot, actuator: int, name: str) -> Finding:
     changes: dict[str, Any] = {}
     if gain:
         reaching = -(bias[0] + bias[1] * np.array([low, high])) / gain
-        changes[f"actuator_ctrlrange[{actuator}]"] = np.sort(reaching)
+        # The sum makes 0 of -0.
+        changes[f"actuator_ctrlrange[{actuator}]"] = np.sort(reaching) + 0.0
     return Finding(
         value=share,
         remark=remark,
