@@ -80,6 +80,13 @@ JOINT_FEATURES = frozenset(
 GUIDES = frozenset({Feature.SLIDERS, Feature.BALL_JOINTS, Feature.JOINT_LIMITS})
 """Features of joints that robots need beside hinges."""
 
+RIGID_FEATURES = (
+    JOINT_FEATURES
+    | GUIDES
+    | {Feature.BODY_HINGES, Feature.STATED_INERTIA, Feature.BACKLASH}
+)
+"""Features of an engine of rigid bodies and joints, without air, torsional and rolling friction."""
+
 
 def needed_features(scene: Scene) -> Iterator[tuple[Feature, str]]:
     """Yield the optional features that a scene needs, each with the sentence of a backend that lacks it."""

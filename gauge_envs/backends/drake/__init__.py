@@ -7,7 +7,7 @@ from types import MappingProxyType
 from typing import Any
 
 from gauge_envs.backends.drake.settings import settings_for
-from gauge_envs.backends.features import JOINT_FEATURES, Feature
+from gauge_envs.backends.features import RIGID_FEATURES, Feature
 from gauge_envs.backends.shared.bundled import (
     BundledBackend,
     declined_compounds,
@@ -50,13 +50,7 @@ class BackendDrake(BundledBackend):
         "a string is a spring that this package computes",
         "dry friction of a joint is an actuator that brakes with a largest torque",
     )
-    features = JOINT_FEATURES | {
-        Feature.BODY_HINGES,
-        Feature.STATED_INERTIA,
-        Feature.BACKLASH,
-        Feature.SLIDERS,
-        Feature.JOINT_LIMITS,
-    }
+    features = RIGID_FEATURES - {Feature.BALL_JOINTS}
 
     def unsupported(self, scene: Scene) -> Iterator[str]:
         """Yield one sentence for each kind of feature of a scene that this backend does not build."""

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from gauge_envs.backends.features import GUIDES, JOINT_FEATURES, Feature
+from gauge_envs.backends.features import RIGID_FEATURES
 from gauge_envs.backends.physx.contacts import unsupported_contacts
 from gauge_envs.backends.physx.settings import settings_for
 from gauge_envs.backends.shared.bundled import BundledBackend, declined_hinges, first_of
@@ -45,15 +45,7 @@ class BackendPhysX(BundledBackend):
         "a cylinder is a capsule or a ball in a prism",
         "dry friction of a joint is its drive, a brake; beside it this package computes servos and viscous friction",
     )
-    features = (
-        JOINT_FEATURES
-        | GUIDES
-        | {
-            Feature.BODY_HINGES,
-            Feature.STATED_INERTIA,
-            Feature.BACKLASH,
-        }
-    )
+    features = RIGID_FEATURES
     own_defaults = frozenset({"out_of_box", "isaac", "paper"})
 
     def versions(self) -> dict[str, str]:

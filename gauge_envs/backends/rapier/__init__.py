@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
-from gauge_envs.backends.features import GUIDES, JOINT_FEATURES, Feature
+from gauge_envs.backends.features import RIGID_FEATURES
 from gauge_envs.backends.rapier.contacts import (
     LARGEST_CONTACT_COUNT,
     colliding_contacts,
@@ -44,15 +44,7 @@ class BackendRapier(BundledBackend):
             "out_of_box": {"preset": "out_of_box"},
         }
     )
-    features = (
-        JOINT_FEATURES
-        | GUIDES
-        | {
-            Feature.BODY_HINGES,
-            Feature.STATED_INERTIA,
-            Feature.BACKLASH,
-        }
-    )
+    features = RIGID_FEATURES
     worlds_mix_constants = True
 
     def unsupported(self, scene: Scene) -> Iterator[str]:

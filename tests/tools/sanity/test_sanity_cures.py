@@ -188,6 +188,15 @@ def test_lengths_in_millimetres_become_metres(name, more, tmp_path):
         )
 
 
+def test_a_unit_with_which_the_model_does_not_compile_is_left_out():
+    """In metres the speck would weigh less than MuJoCo takes."""
+    speck = '<body name="speck"><freejoint/><geom size="0.001"/></body></worldbody>'
+    text = more_faults.millimetres(good_xml()).replace("</worldbody>", speck)
+    text = re.sub("<keyframe>.*</keyframe>", "", text)
+    found = find_remedies(read(text).robot, ["robot-size"])
+    assert "lengths times 0.001" not in "".join(found.texts)
+
+
 def test_motors_tell_the_unit_of_lengths_where_masses_do_not():
     """The masses of this arm follow from densities; a thousandth of its lengths has motors that are far too strong."""
     change, _ = ALL["arm, centimetres"]

@@ -31,7 +31,7 @@ from gauge_envs.tools.sanity.model import (
 )
 from gauge_envs.tools.sanity.page import sanity_page
 from gauge_envs.tools.sanity.phenomena.base import facts
-from gauge_envs.tools.sanity.words import sanity_document
+from gauge_envs.tools.sanity.words import sanity_document, top_line
 
 CONSTANTS = {
     "condim": 3,
@@ -182,6 +182,17 @@ REPORTS = {
     "several sets": report(replace(CREEP, geoms="floor with foot", parts=GROUPS)),
 }
 """Reports of each kind, by what they show."""
+
+
+def test_wrong_rows_of_the_robot_that_no_change_mends_stand_first():
+    size = replace(CREEP, phenomenon="robot-size", title="size", cause=None)
+    cure = replace(CURE, line="a change")
+    left = replace(report(CREEP, size), cure=cure)
+    text = "Wrong in the robot itself, mend by hand: robot-size. Mends most: a change"
+    assert CREEP.verdict is Verdict.WRONG
+    assert top_line(left) == text
+    mended = replace(cure, mended={"robot-size": 1.0})
+    assert top_line(replace(left, cure=mended)) == "Mends most: a change"
 
 
 def shown(checked, *, width=120, wide=False):
