@@ -18,7 +18,7 @@ from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.identify import Identified, Log, identify, read_mjcf
 from gauge_envs.tools.identify.model_files import joints_of_model
 from gauge_envs.tools.identify.snippets import snippet_lines
-from studies.joints.pendulums import HERE, trials
+from studies.joints.recordings import HERE, trials
 
 JOINTS = ("Rotation", "Pitch", "Elbow", "Wrist_Pitch", "Wrist_Roll", "Jaw")
 NAMES = {

@@ -17,7 +17,7 @@ import numpy as np
 from gauge_envs.backends import backend
 from gauge_envs.tools.identify import Log, identify
 from gauge_envs.tools.identify.spread import spread_of
-from studies.joints.pendulums import HERE
+from studies.joints.recordings import HERE
 
 ROBOTS = {
     "leg": ("0 1 0", "0 0 -.1", 0.35, "1.5e-3 1.5e-3 2e-4", (0.15, 25.0, 0.8, 0.008, 0.006), 0.7),

@@ -1,10 +1,8 @@
 """Real pushes of a cube on every engine: friction, travel, yaw and slip, and what the scatter of pushes leaves.
 
-    python pushes.py slide                      friction of the table from the slide after the push: slides.csv
-    python pushes.py fit                        friction and restitution of the hand on even trials: fits.csv
-    python pushes.py run ENGINE                 odd trials, each on its own path: a row of engines.csv
-    python pushes.py run mean                   the mean of the even trials from the start of each, without physics
-    python pushes.py start                      travel from starts within 0.1 mm, in MuJoCo: starts.csv
+    python -m studies.pushes.pushes slide       friction of the table from the slide after the push: slides.csv
+    python -m studies.pushes.pushes run ENGINE  odd trials, each on its own path: a row of engines.csv
+    python -m studies.pushes.pushes run mean    the mean of the even trials from the start of each, without physics
 
 Even trials are for fits, odd trials judge.
 """
@@ -28,10 +26,7 @@ from gauge_envs.envs.driver_paths import DriverPaths
 from gauge_envs.envs.trial_start import driven_trial
 from gauge_envs.experiments.experiment import TaskExperiment
 from gauge_envs.experiments.resolve import load_experiment
-from gauge_envs.scene import (
-    ContactMode,
-    Scene,
-)
+from gauge_envs.scene import Scene
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.scene import GRAVITY_M_PER_S2
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
@@ -138,9 +133,7 @@ def mean_push(real: Track, times_s: FloatArray) -> Track:
 def scored(
     engine: str,
     trials: Sequence[int],
-    constants: Mapping[str, float] | None = None,
     *,
-    mode: ContactMode = ContactMode.SUSTAINED,
     copies: int = 1,
 ) -> list[dict[str, float]]:
     """Return measures and errors of simulated trials, and the measures of the recorded ones as `real_*`.
@@ -148,19 +141,11 @@ def scored(
     Args:
         engine: Name of the backend, or `mean`.
         trials: Numbers of the trials.
-        constants: Constants that replace those of the task.
-        mode: Behaviour of the contact of hand and cube.
         copies: Number of simulations of each trial, whose mean counts: all but one start 0.1 um away.
     """
     pushes = read_pushes()
-    experiment = load_experiment(NAME, dict(constants or {}))
-    scene = experiment.scene
-    contacts = tuple(
-        replace(one, mode=mode) if "hand" in one.first + one.second else one
-        for one in scene.contacts
-    )
-    experiment = replace(experiment, scene=replace(scene, contacts=contacts))
-    times_s = sample_times_s(scene)
+    experiment = load_experiment(NAME)
+    times_s = sample_times_s(experiment.scene)
     pushing = (times_s > PUSH_S[0]) & (times_s < PUSH_S[1])
     rows = []
     for trial in trials:
@@ -332,47 +317,6 @@ def slide(options: argparse.Namespace) -> None:
         print(half, values.mean(), bootstrap(values), "std", values.std(ddof=1))
 
 
-def fit(options: argparse.Namespace) -> None:
-    """Write the errors of even trials over friction of the hand, and over its restitution in the preset of impacts.
-
-    The friction of the hand is where the cube tips as far as the recorded ones; the interval is over the trials.
-    """
-    frictions = (0.05, 0.2, 0.4, 0.6, 0.7, 0.8, 0.9, 1.0, 1.2)
-    cases = [("sustained", value, 0.0) for value in frictions] + [
-        ("impact", 0.2, value) for value in (0.0, 0.2, 0.4)
-    ]
-    rows, tips_deg = [], []
-    for mode, friction, restitution in cases:
-        constants = {"hand.friction": friction, "hand.restitution": restitution}
-        found = scored("mujoco", EVEN, constants, mode=ContactMode(mode), copies=COPIES)
-        tips_deg.append(column(found, "pitch_deg") - column(found, "real_pitch_deg"))
-        rows.append(
-            {
-                "mode": mode,
-                "friction": friction,
-                "restitution": restitution,
-                **summary(found),
-            }
-        )
-        print(rows[-1])
-    write("fits.csv", rows)
-    tips = np.array(tips_deg[: len(frictions)])
-    chosen = np.random.default_rng(0).integers(0, len(EVEN), (2000, len(EVEN)))
-    # The tipping grows with friction but for its noise; the largest friction that tips too little bounds the zero.
-    zeros = [
-        _zero(frictions, tips[:, one].mean(axis=1))
-        for one in (np.arange(len(EVEN)), *chosen)
-    ]
-    print("friction of the hand", zeros[0], np.percentile(zeros[1:], [2.5, 97.5]))
-
-
-def _zero(places: Sequence[float], values: FloatArray) -> float:
-    """Return where values that grow cross zero, linear between places."""
-    above = int(np.argmax(values > 0.0))
-    part = slice(max(above - 1, 0), above + 1)
-    return float(np.interp(0.0, values[part], places[part]))
-
-
 def run(options: argparse.Namespace) -> None:
     """Write the row of an engine, and that of the recorded pushes."""
     file = HERE / "engines.csv"
@@ -399,29 +343,13 @@ def run(options: argparse.Namespace) -> None:
     print(rows[-2], "correlation of travel", travel)
 
 
-def start(options: argparse.Namespace) -> None:
-    """Write the travel of cubes on the mean path that start within 0.1 mm of each other."""
-    scene = load_experiment(NAME).scene
-    times_s = sample_times_s(scene)
-    rows = [
-        {
-            "seed": one,
-            **simulated("mujoco", shifted(scene, one, 1e-4)).measures(times_s),
-        }
-        for one in range(20)
-    ]
-    write("starts.csv", rows)
-    travels_mm = column(rows, "travel_mm")
-    print("travel", travels_mm.mean(), "std", travels_mm.std(ddof=1))
-
-
 def main() -> None:
     """Run one command."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     commands = parser.add_subparsers(required=True)
-    for function in (slide, fit, run, start):
+    for function in (slide, run):
         command = commands.add_parser(function.__name__)
         command.set_defaults(function=function)
         if function is run:
