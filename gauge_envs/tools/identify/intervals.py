@@ -46,10 +46,13 @@ def settings_of(
     found = []
     for joint in range(problem.joints):
         alike = _correlations(problem, covariance, joint)
+        is_free = np.isnan(problem.fixed[:, joint])
+        # A number at 0 tells nothing about a scale.
+        is_free &= unknowns[joint :: problem.joints][: is_free.size] > 0.0
         torques = [
             kind
             for kind, name in enumerate(problem.names)
-            if name not in (SERVO[2], OFFSET) and np.isnan(problem.fixed[kind, joint])
+            if is_free[kind] and name not in (SERVO[2], OFFSET)
         ]
         is_scale = len(torques) > 2 and bool(
             (alike[np.ix_(torques, torques)] > ALIKE).all()

@@ -51,6 +51,9 @@ SENSELESS, UNBOUNDED = 1e-9, 1e3
 SHARES = ((1.0, 0.01), (1.0, 1.0), (0.3, 1.0), (0.3, 3.0), (0.1, 3.0))
 """Factors of dry friction, and of new terms of friction, from which the fit of a law starts; first nearly none."""
 
+ROUNDING = 1e-6
+"""Singular value of scaled differences, over the largest, below which it is rounding."""
+
 Start = tuple[FloatArray, FloatArray]
 
 
@@ -365,7 +368,7 @@ class Problem:
                 column, inside = first + joint, rows[:, 1] == joint
                 alone = self._changed(scaled, np.array([column]), residuals, STEPS[-1])
                 jacobian[inside, column] = alone[inside]
-        inverse = np.linalg.pinv(jacobian.T @ jacobian)
+        inverse, untold = _inverse(jacobian)
         middle = np.zeros_like(inverse)
         for joint in range(self.joints):
             parts = [
@@ -384,12 +387,11 @@ class Problem:
                 middle += (
                     sensitivity.T @ matmul_toeplitz(covariance, sensitivity) * wider**2
                 )
-        covariance = np.asarray(inverse @ middle @ inverse)
-        # The pseudoinverse gives 0 to an unknown that changes nothing; rounding may leave less than 0.
-        is_senseless = np.abs(jacobian).max(axis=0) < SENSELESS
-        nothing = np.flatnonzero(is_senseless | (np.diag(covariance) < 0.0))
+        covariance = inverse @ middle @ inverse + UNBOUNDED**2 * untold.T @ untold
+        # Rounding may leave less than 0.
+        nothing = np.flatnonzero(np.diag(covariance) < 0.0)
         covariance[nothing, nothing] = UNBOUNDED**2
-        return covariance
+        return np.asarray(covariance)
 
     def _noise_of(
         self,
@@ -404,6 +406,24 @@ class Problem:
         table = np.column_stack([explained, residuals[inside]])
         ends = np.cumsum([len(part) for part in parts])
         return lasting_noise(np.split(table, ends[:-1]))
+
+
+def _inverse(jacobian: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the inverse of J'J where the logs tell something, and unit directions in which they tell nothing.
+
+    A pseudoinverse alone gives these directions no variance, as if the logs determined them.
+
+    Returns:
+        The inverse, shape [unknown_count, unknown_count], and the directions, shape [untold_count, unknown_count].
+    """
+    is_senseless = np.abs(jacobian).max(axis=0) < SENSELESS
+    sizes = np.where(is_senseless, 1.0, np.linalg.norm(jacobian, axis=0))
+    scaled = np.where(is_senseless, 0.0, jacobian / sizes)
+    _, values, directions = np.linalg.svd(scaled, full_matrices=False)
+    is_told = values > ROUNDING * values[0]
+    told = directions[is_told] / values[is_told, None] / sizes
+    untold = directions[~is_told] / sizes
+    return told.T @ told, untold / np.linalg.norm(untold, axis=1, keepdims=True)
 
 
 def _damped_step(
@@ -427,8 +447,8 @@ def _damped_step(
     normal = jacobian.T @ jacobian
     gradient = jacobian.T @ residuals
     sizes = np.diag(normal)
-    # Numbers without effect stay.
-    free = sizes > 0.0
+    # Numbers without effect stay, also where rounding seems to be one, as of the angle at rest without gravity.
+    free = np.abs(jacobian).max(axis=0) > SENSELESS
     step = np.zeros(values.size)
     while free.any():
         damped = normal[np.ix_(free, free)] + damping * np.diag(sizes[free])

@@ -16,7 +16,9 @@ from gauge_envs.tools.identify import Identified, Log, identify, read_log
 from gauge_envs.tools.identify.bag_child import JOINT_STATE, TRAJECTORY
 from gauge_envs.tools.identify.command import _scene
 from gauge_envs.tools.identify.fit import machine_of
+from gauge_envs.tools.identify.intervals import SCALE
 from gauge_envs.tools.identify.mended import mended_urdf, write_files
+from gauge_envs.tools.identify.rig import DYNAMICS
 from gauge_envs.tools.identify.stack_logs import read_logs
 from gauge_envs.tools.usd import read_usd
 
@@ -322,15 +324,19 @@ def test_friction_of_a_slider_is_found_from_the_closed_form_of_a_mass_that_stops
     rate = np.where(
         times_s < stop_s, (speed + final) * np.exp(-decay * times_s) - final, 0.0
     )
-    table = np.stack([times_s, place_m, rate], axis=1)
+    noise_m = 1e-4 * np.random.default_rng(0).standard_normal(times_s.size)
+    table = np.stack([times_s, place_m + noise_m, rate], axis=1)
     header = "time_s,position_m.finger,rate_m_per_s.finger"
     np.savetxt(tmp_path / "log.csv", table, delimiter=",", header=header, comments="")
 
     log = read_log(tmp_path / "log.csv")
-    names = ["dry_friction_n_m", "viscous_friction_n_m_s_per_rad"]
-    found = identify(backend("mujoco"), _scene(str(file)), [log], names)
-    assert found.joints[0][names[0]] == pytest.approx(dry_n, rel=5e-3)
-    assert found.joints[0][names[1]] == pytest.approx(viscous_n_s_per_m, rel=5e-3)
+    found = identify(backend("mujoco"), _scene(str(file)), [log], DYNAMICS)
+    dry, viscous, armature, drag = found.settings
+    assert dry.pasted == pytest.approx(dry_n, rel=5e-3)
+    assert viscous.pasted == pytest.approx(viscous_n_s_per_m, rel=5e-3)
+    assert drag.value < 0.01 * viscous_n_s_per_m
+    # No weight tells the scale of the torques.
+    assert armature.unknown == SCALE and armature.pasted is None
     with pytest.raises(AssetError, match="unsupported joint: PhysicsPrismaticJoint"):
         read_usd(file, duration_s=1.0)
 
