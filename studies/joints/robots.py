@@ -10,6 +10,7 @@ the fourth file gives, and its true values.
 import csv
 import sys
 import time
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -17,8 +18,8 @@ import numpy as np
 from gauge_envs.backends import backend
 from gauge_envs.tools.identify import Log, identify
 from gauge_envs.tools.identify.spread import spread_of
-from studies.joints.recordings import HERE
 
+HERE = Path(__file__).parent
 ROBOTS = {
     "leg": ("0 1 0", "0 0 -.1", 0.35, "1.5e-3 1.5e-3 2e-4", (0.15, 25.0, 0.8, 0.008, 0.006), 0.7),
     "finger": ("1 0 0", "0 0 -.03", 0.04, "2e-5 2e-5 5e-6", (0.01, 1.2, 0.02, 0.02, 2e-4), 0.5),
@@ -139,13 +140,18 @@ if __name__ == "__main__":
         "robot world half setting fourth_true fourth_fit fitted next_low next_high load_low load_high fit_low fit_high "
         "cpu_s"
     )
-    with (HERE / "robots.csv").open("w", encoding="utf-8", newline="") as stream:
+    TABLE = HERE / "robots.csv"
+    if not TABLE.is_file():
+        TABLE.write_text(HEADER.replace(" ", ",") + "\n", encoding="utf-8")
+    # Worlds in the table are done: a run goes on where one stopped.
+    with TABLE.open("r+", encoding="utf-8", newline="") as stream:
+        done = {(row["robot"], row["world"]) for row in csv.DictReader(stream)}
         writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(HEADER.split())
         for world in range(int(sys.argv[1])):
             for name in ROBOTS:
-                writer.writerows(rows_of(name, world))
-                stream.flush()
+                if (name, str(world)) not in done:
+                    writer.writerows(rows_of(name, world))
+                    stream.flush()
     HELD = (
         "half setting count fit_by_next fit_by_load fit_by_least_squares true_by_next true_by_load "
         "true_by_least_squares"
