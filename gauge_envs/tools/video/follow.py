@@ -1,11 +1,10 @@
-"""Find an object in the frames of a video: candidates of each frame, of which `path` chooses.
+"""Find an object in the frames of a video: the places of each frame that may show it.
 
 No learned model is used, so a text prompt is not needed: the first frame of each task is known.
 """
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -21,91 +20,26 @@ from gauge_envs.tools.video.tasks import (
     VideoTask,
 )
 
-Region: TypeAlias = tuple[int, int, int, int]
-"""Left, top, right and bottom of a part of a picture [px]."""
+COARSE, REACH = 0.25, 8
+"""Scale at which the whole picture is searched, and distance from a found place within which it is refined [px]."""
 
 CHANGED = 30
 """Difference of a colour channel with which a pixel has changed since the first frame."""
 
-LEAST_CHANGED = 2
-"""Fewest sampled frames without the object from which the background behind it is known."""
-
 ADAPTATION = 0.05
 """Share of a frame that the background takes over where nothing moves: generated scenes drift."""
 
-
-class Background:
-    """Background that follows slow drifts of a scene.
-
-    Args:
-        picture: Picture of the scene without the object.
-    """
-
-    def __init__(self, picture: Picture) -> None:
-        self.picture: NDArray[np.float32] = picture.astype(np.float32)
-
-    def follow(self, picture: Picture, still: NDArray[np.uint8]) -> None:
-        """Take over a share of a picture where nothing moves, by a small mask."""
-        whole = cv2.resize(still, REFERENCE_SIZE_PX, interpolation=cv2.INTER_NEAREST)
-        cv2.accumulateWeighted(picture, self.picture, ADAPTATION, mask=whole)
-
-
-def shrunk(picture: NDArray[Any]) -> NDArray[np.float32]:
-    """Return a picture at the scale at which it is searched and compared."""
-    small = cv2.resize(
-        picture, None, fx=COARSE, fy=COARSE, interpolation=cv2.INTER_AREA
-    )
-    return np.asarray(small, dtype=np.float32)
-
-
-def background(
-    first: Picture, sampled: Sequence[Picture], occupied: Region
-) -> Background:
-    """Return the background of a video.
-
-    The first frame shows the scene; only the object hides a part of it. That part is the median of the frames in which
-    the middle of it has changed.
-
-    Args:
-        first: The first frame.
-        sampled: That part of later frames, spread over the video.
-        occupied: Part of the first frame that the object and its shadow may hide.
-    """
-    left, top, right, bottom = occupied
-    if len(sampled) < LEAST_CHANGED:
-        return Background(first)
-    stack = np.stack(sampled)
-    hidden = first[top:bottom, left:right]
-    has_changed = np.abs(stack.astype(np.int16) - hidden).max(axis=3) > CHANGED
-    height, width = has_changed.shape[1:]
-    core = has_changed[
-        :, height // 3 : 2 * height // 3, width // 3 : 2 * width // 3
-    ].mean(axis=(1, 2))
-    left_at = np.flatnonzero(core > 0.5)
-    result = first.copy()
-    if len(left_at) >= LEAST_CHANGED:
-        # The object passes other pixels for a moment only, so the median after its start shows what it hid.
-        result[top:bottom, left:right] = np.median(stack[left_at], axis=0).astype(
-            np.uint8
-        )
-    else:
-        # An object that never leaves hides its background; the surroundings stand in for it.
-        mask = np.zeros(REFERENCE_SIZE_PX[::-1], dtype=np.uint8)
-        mask[top:bottom, left:right] = 255
-        result = np.asarray(cv2.inpaint(first, mask, 3, cv2.INPAINT_TELEA))
-    return Background(result)
-
-
-# --- candidates -------------------------------------------------------------------------------------------------------
-
-COARSE, REACH = 0.25, 8
-"""Scale at which the whole picture is searched, and distance from a found place within which it is refined [px]."""
+HIDDEN, CORE = 1.1, 0.3
+"""Half of the part of the first frame that an object and its shadow may hide, and of its core, in sizes."""
 
 MOST_CANDIDATES = 6
 """Most places of a frame that may show the object."""
 
 LEAST_RESPONSE = 0.4
 """Smallest difference of the covered share in the outline and around it that may be an object."""
+
+GAP, AROUND = 1.12, 1.5
+"""Outlines between which the surroundings lie, in sizes of the object."""
 
 LEAST_CONTRAST = 40.0
 """Distance of the colours of background and object from which a pixel says which of both it shows."""
@@ -129,70 +63,24 @@ class Sight:
     """Where the object may be in one frame.
 
     Attributes:
-        x_px: Horizontal position [px]; NaN when not found.
-        y_px: Vertical position [px]; NaN when not found.
+        place: Horizontal and vertical position [px], shape [2]; NaN when not found.
         likeness: Likeness of shape and colour to the object in the first frame, from 0 to 1.
         size_ratio: Apparent size against that in the first frame.
         misfit: Difference of its profile across the motion from that of its outline, in parts of the area.
     """
 
-    x_px: float = math.nan
-    y_px: float = math.nan
+    place: FloatArray = field(default_factory=lambda: np.full(2, np.nan))
     likeness: float = 0.0
     size_ratio: float = math.nan
     misfit: float = 0.0
 
-    @property
-    def place(self) -> FloatArray:
-        """Horizontal and vertical position [px], shape [2]."""
-        return np.array([self.x_px, self.y_px])
 
-
-class _Outline:
-    """Outline of an object as filters: inside of it, and around it. Their edges are soft, so that peaks are smooth."""
-
-    def __init__(self, inner: FloatArray, outer: FloatArray, scale: float) -> None:
-        self.half = math.ceil(float(np.abs(outer).max()) * scale) + 2
-        inside, filled = (self._drawn(corners * scale) for corners in (inner, outer))
-        grown = self._drawn(inner * scale * 1.12)
-        self.inside = inside
-        self.around = np.maximum(filled - grown, 0.0)
-        self.area = float(inside.sum())
-
-    def _drawn(self, corners: FloatArray) -> NDArray[np.float32]:
-        side = 2 * self.half + 1
-        filled = np.zeros((side, side), dtype=np.float32)
-        cv2.fillPoly(
-            filled,
-            [np.round((corners + self.half) * 16.0).astype(np.int32)],
-            1.0,
-            cv2.LINE_8,
-            4,
-        )
-        return np.asarray(cv2.GaussianBlur(filled, (0, 0), 1.0), dtype=np.float32)
-
-    def response(
-        self, covered: NDArray[np.float32], known: NDArray[np.float32]
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return the covered share in the outline less that around it, at each pixel, and the fit.
-
-        The shares are those of the pixels that say something. Before a background of the object's colour they stay as
-        large where the outline moves to the pixels that say nothing; the fit does not, as it counts areas.
-        """
-        values = []
-        for mask in (self.inside, self.around):
-            share = cv2.filter2D(
-                covered * known, -1, mask, borderType=cv2.BORDER_CONSTANT
-            )
-            whole = cv2.filter2D(known, -1, mask, borderType=cv2.BORDER_CONSTANT)
-            values.append((share, whole))
-        (inside, seen), (around, beside) = values
-        result = inside / np.maximum(seen, 1.0) - around / np.maximum(beside, 1.0)
-        result[seen < LEAST_KNOWN_SHARE * self.area] = -1.0
-        fit = (inside - 0.5 * seen) / self.area - around / max(
-            float(self.around.sum()), 1.0
-        )
-        return result, fit
+def shrunk(picture: NDArray[Any]) -> NDArray[np.float32]:
+    """Return a picture at the scale at which it is searched and compared."""
+    small = cv2.resize(
+        picture, None, fx=COARSE, fy=COARSE, interpolation=cv2.INTER_AREA
+    )
+    return np.asarray(small, dtype=np.float32)
 
 
 class ShapeFollower:
@@ -203,81 +91,92 @@ class ShapeFollower:
     frame and is never renewed, so that nothing else is learnt.
 
     Args:
-        scene: Background of the video.
         first: The first frame.
+        last: The last frame, which shows what the object hid in the first one.
         task: The task; a cube on a slope keeps its direction.
     """
 
-    def __init__(self, scene: Background, first: Picture, task: VideoTask) -> None:
-        self._scene, self._task, size_px = scene, task, task.size_px
-        self._size_px = size_px
-        if task.motion is Motion.SLIDE:
-            along = np.array(SLOPE_DIRECTION)
-            corners = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) @ np.array(
-                [along, [-along[1], along[0]]]
-            )
-            inner, outer = 0.5 * size_px * corners, 0.75 * size_px * corners
-        else:
-            angles = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
-            circle = 0.5 * size_px * np.column_stack([np.cos(angles), np.sin(angles)])
-            inner, outer = circle, circle * 1.5
-        self._small, self._full = (
-            _Outline(inner, outer, COARSE),
-            _Outline(inner, outer, 1.0),
-        )
-        self._colour = _look(first, np.array(task.rest_px or task.centre_px), size_px)
+    def __init__(self, first: Picture, last: Picture, task: VideoTask) -> None:
+        self._task, self._size_px = task, task.size_px
+        start = np.array(task.rest_px or task.centre_px)
+        self._colour = _look(first, start, task.size_px)
+        self._half = math.ceil(0.5 * AROUND * task.size_px) + 2
+        self._outline = self._drawn(1.0)
+        self._around = np.maximum(self._drawn(AROUND) - self._drawn(GAP), 0.0)
+        scene = first
+        if task.motion is not Motion.CRADLE:
+            scene = _uncovered(first, last, start, task.size_px)
+        self._scene = scene.astype(np.float32)
 
     def candidates(self, picture: Picture) -> list[Sight]:
-        """Return the places of a frame that may show the object, the likeliest first, and follow the background."""
-        small = shrunk(picture)
-        bare = shrunk(self._scene.picture)
-        covered, known = _covered(small, bare, self._colour)
-        response, _ = self._small.response(covered, known)
+        """Return the places of a frame that may show the object, and let the background follow the frame."""
+        bare = shrunk(self._scene)
+        covered, known = _covered(shrunk(picture), bare, self._colour)
+        inside, around = shrunk(self._outline), shrunk(self._around)
+        margin = len(inside) // 2
+        sides = [margin] * 4
+        response = _response(
+            cv2.copyMakeBorder(covered, *sides, cv2.BORDER_CONSTANT),
+            cv2.copyMakeBorder(known, *sides, cv2.BORDER_CONSTANT),
+            inside,
+            around,
+        )
         reach = 2 * int(0.25 * self._size_px * COARSE) + 3
-        is_peak = (
-            response >= cv2.dilate(response, np.ones((reach, reach), np.uint8))
-        ) & (response > LEAST_RESPONSE)
+        highest = cv2.dilate(response, np.ones((reach, reach), np.uint8))
+        is_peak = (response >= highest) & (response > LEAST_RESPONSE)
         rows, columns = np.nonzero(is_peak)
         order = np.argsort(-response[rows, columns])[:MOST_CANDIDATES]
-        found = [
-            self._refined(
-                picture,
-                (columns[i] + 0.5) / COARSE - 0.5,
-                (rows[i] + 0.5) / COARSE - 0.5,
-            )
-            for i in order
-        ]
+        middle = 0.5 * len(inside) - margin
+        places = (np.column_stack([columns, rows])[order] + middle) / COARSE - 0.5
+        found = [self._refined(picture, place) for place in places]
         moving = cv2.dilate(
             (covered * known > 0.3).astype(np.uint8), np.ones((5, 5), np.uint8)
         )
-        self._scene.follow(picture, 1 - moving)
+        still = cv2.resize(
+            1 - moving, REFERENCE_SIZE_PX, interpolation=cv2.INTER_NEAREST
+        )
+        cv2.accumulateWeighted(picture, self._scene, ADAPTATION, mask=still)
         found = [one for one in found if one.likeness > 0.0]
         for one in found:
             self._measure(one, picture)
-        return sorted(found, key=lambda one: -one.likeness)
+        return found
 
-    def _refined(self, picture: Picture, x: float, y: float) -> Sight:
+    def _drawn(self, share: float) -> NDArray[np.float32]:
+        """Return a filled outline in a square of the template, of a share of the size; its edge is soft."""
+        side, size_px = 2 * self._half + 1, share * self._task.size_px
+        middle = np.array([self._half, self._half], dtype=float)
+        filled = np.zeros((side, side), dtype=np.float32)
+        if self._task.motion is Motion.SLIDE:
+            angle_deg = math.degrees(math.atan2(*SLOPE_DIRECTION[::-1]))
+            corners = cv2.boxPoints((middle, (size_px, size_px), angle_deg))
+            fixed = np.round(16.0 * corners).astype(np.int32)
+            cv2.fillPoly(filled, [fixed], 1.0, cv2.LINE_8, 4)
+        else:
+            fixed = (16.0 * middle).astype(int).tolist()
+            cv2.circle(filled, fixed, round(8.0 * size_px), 1.0, -1, cv2.LINE_8, 4)
+        return np.asarray(cv2.GaussianBlur(filled, (0, 0), 1.0))
+
+    def _refined(self, picture: Picture, place: FloatArray) -> Sight:
         """Return a candidate with fractions of pixels and its likeness."""
-        half = self._full.half + REACH
-        window, corner = _cut(picture, x, y, half)
-        bare, _ = _cut(self._scene.picture, x, y, half)
+        half = self._half + REACH
+        window, corner = _cut(picture, place[0], place[1], half)
+        bare, _ = _cut(self._scene, place[0], place[1], half)
         covered, known = _covered(window, bare, self._colour)
-        response, fit = self._full.response(covered, known)
-        middle = np.s_[half - REACH : half + REACH + 1, half - REACH : half + REACH + 1]
-        row, column = (
-            half - REACH + n for n in divmod(int(fit[middle].argmax()), 2 * REACH + 1)
+        _, warp = matched(self._outline, covered, REACH, cv2.MOTION_TRANSLATION, known)
+        middle = (warp[:, 2] + self._half).tolist()
+        size = self._outline.shape
+        response = _response(
+            cv2.getRectSubPix(covered, size, middle),
+            cv2.getRectSubPix(known, size, middle),
+            self._outline,
+            self._around,
         )
-        value = float(response[row, column])
+        value = float(response[0, 0])
         if value < LEAST_RESPONSE:
             return Sight()
-        place = np.array([column, row], dtype=float) + _vertex(
-            fit[row - 2 : row + 3, column - 2 : column + 3]
-        )
-        place += corner
-        look = _likeness(_look(picture, place, self._size_px), self._colour)
-        return Sight(
-            x_px=float(place[0]), y_px=float(place[1]), likeness=min(1.0, value) * look
-        )
+        found = corner + middle
+        look = _likeness(_look(picture, found, self._size_px), self._colour)
+        return Sight(place=found, likeness=min(1.0, value) * look)
 
     def _measure(self, sight: Sight, picture: Picture) -> None:
         """Measure the size and the shape of what covers a place, by its profile across the motion.
@@ -288,7 +187,7 @@ class ShapeFollower:
         x, y = _direction(self._task, sight.place)
         pose = np.array([math.atan2(y, x), *sight.place])
         window = _turned(picture.astype(np.float32), pose, half)
-        bare = _turned(self._scene.picture, pose, half)
+        bare = _turned(self._scene, pose, half)
         covered, known = _covered(window, bare, self._colour)
         across_px = np.arange(-half, half + 1)
         radius_px = 0.5 * self._size_px
@@ -306,6 +205,71 @@ class ShapeFollower:
         sight.size_ratio = math.sqrt(float(seen_px.sum()) / whole_px2)
         misses_px = np.abs(seen_px - wanted_px[is_known])
         sight.misfit = float(misses_px.sum()) / whole_px2
+
+
+def _uncovered(
+    first: Picture, last: Picture, start_px: FloatArray, size_px: float
+) -> Picture:
+    """Return the first frame without the object: what it hides is seen in the last frame, or guessed by its edges."""
+    low, high = (start_px + HIDDEN * size_px * np.array([[-1.0], [1.0]])).astype(int)
+    left, top = np.maximum(low, 0)
+    hidden = np.s_[top : high[1], left : high[0]]
+    core = (start_px[0], start_px[1], int(CORE * size_px))
+    change = _cut(first, *core)[0] - _cut(last, *core)[0].astype(np.float32)
+    if np.median(np.abs(change).max(axis=2)) > CHANGED:
+        scene = first.copy()
+        scene[hidden] = last[hidden]
+        return scene
+    mask = np.zeros(first.shape[:2], dtype=np.uint8)
+    mask[hidden] = 255
+    return np.asarray(cv2.inpaint(first, mask, 3, cv2.INPAINT_TELEA))
+
+
+def _response(
+    covered: NDArray[np.float32],
+    known: NDArray[np.float32],
+    inside: NDArray[np.float32],
+    around: NDArray[np.float32],
+) -> NDArray[np.float32]:
+    """Return the covered share in the outline less that around it, of the pixels that say something, at each place."""
+    shares, wholes = [], []
+    for mask in (inside, around):
+        share = cv2.matchTemplate(covered * known, mask, cv2.TM_CCORR)
+        wholes.append(cv2.matchTemplate(known, mask, cv2.TM_CCORR))
+        shares.append(share / np.maximum(wholes[-1], 1.0))
+    is_seen = wholes[0] >= LEAST_KNOWN_SHARE * inside.sum()
+    return np.where(is_seen, shares[0] - shares[1], -1.0)
+
+
+def matched(
+    template: NDArray[np.floating],
+    window: NDArray[np.float32],
+    margin: int,
+    motion: int,
+    known: NDArray[np.float32] | None = None,
+) -> tuple[float, NDArray[np.float32]]:
+    """Return the correlation of a template with a part of a window, and where it is largest (Evangelidis and Psarakis).
+
+    Args:
+        template: The template, shape [side, side].
+        window: Picture around it that is wider by a margin on each side.
+        margin: The margin [px].
+        motion: `cv2.MOTION_TRANSLATION` or `cv2.MOTION_EUCLIDEAN`.
+        known: Pixels of the window that say something; all if None.
+
+    Returns:
+        The correlation, 0 where none is found, and the matrix from the template to the window, shape [2, 3].
+    """
+    warp = np.eye(2, 3, dtype=np.float32)
+    warp[:, 2] = margin
+    stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-4)
+    mask = None if known is None else known.astype(np.uint8)
+    small = template.astype(np.float32)
+    try:
+        return cv2.findTransformECC(small, window, warp, motion, stop, mask, 5)
+    except cv2.error:
+        # It does not converge: the window shows something else.
+        return 0.0, warp
 
 
 def _direction(task: VideoTask, place: FloatArray) -> FloatArray:
@@ -370,19 +334,6 @@ def _cut(
     columns = np.clip(np.arange(left, left + 2 * half + 1), 0, picture.shape[1] - 1)
     rows = np.clip(np.arange(top, top + 2 * half + 1), 0, picture.shape[0] - 1)
     return picture[rows[:, None], columns], np.array([float(left), float(top)])
-
-
-def _vertex(values: NDArray[np.floating]) -> FloatArray:
-    """Return the peak of a paraboloid through 5 x 5 values, as x and y from their middle."""
-    y, x = np.mgrid[-2:3, -2:3].reshape(2, -1)
-    basis = np.column_stack([np.ones(25), x, y, x * x, x * y, y * y])
-    _, a, b, c, d, e = np.linalg.lstsq(basis, values.ravel().astype(float), rcond=None)[
-        0
-    ]
-    curvature = np.array([[2.0 * c, d], [d, 2.0 * e]])
-    if c >= 0.0 or np.linalg.det(curvature) <= 0.0:
-        return np.zeros(2)
-    return np.clip(np.linalg.solve(curvature, [-a, -b]), -1.5, 1.5)
 
 
 # --- a face that turns ------------------------------------------------------------------------------------------------
@@ -479,7 +430,7 @@ class FaceFollower:
             value = max(0.0, float((_pattern(face) * self._pattern).mean())) ** 2
             if self._outline(grey) < LEAST_OUTLINE:
                 return []
-        sight = Sight(x_px=pose[1], y_px=pose[2], likeness=min(1.0, value))
+        sight = Sight(place=pose[1:], likeness=min(1.0, value))
         return [sight] if self._area == 0.0 else [sight, *self._others(picture, sight)]
 
     def _others(self, picture: Picture, found: Sight) -> list[Sight]:
@@ -491,7 +442,7 @@ class FaceFollower:
         # The first area is all that is not covered.
         is_large[0] = False
         return [
-            Sight(x_px=x, y_px=y, likeness=1.0) for x, y in middles[is_large] / COARSE
+            Sight(place=place, likeness=1.0) for place in middles[is_large] / COARSE
         ]
 
     def _areas(self, picture: Picture) -> Areas:
@@ -527,17 +478,8 @@ class FaceFollower:
     ) -> tuple[FloatArray, float]:
         """Return the pose near another one at which the picture is most like the template, and how much it is."""
         window = _turned(grey, pose, self._wide)
-        warp = np.eye(2, 3, dtype=np.float32)
-        warp[:, 2] = self._wide - self._half
-        template = self._face.astype(np.float32)
-        stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-3)
-        try:
-            value, warp = cv2.findTransformECC(
-                template, window, warp, cv2.MOTION_EUCLIDEAN, stop, None, 5
-            )
-        except cv2.error:
-            # It does not converge: the window shows something else.
-            return pose, 0.0
+        margin = self._wide - self._half
+        value, warp = matched(self._face, window, margin, cv2.MOTION_EUCLIDEAN)
         turn = math.atan2(warp[1, 0], warp[0, 0])
         middle = warp @ [self._half, self._half, 1.0] - self._wide
         found = pose + np.array([turn, *(_rotation(pose[0]) @ middle)])

@@ -10,12 +10,9 @@ from numpy.typing import NDArray
 from gauge_envs.errors import VideoError
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.video.follow import (
-    Background,
     FaceFollower,
-    Region,
     ShapeFollower,
     Sight,
-    background,
     shrunk,
 )
 from gauge_envs.tools.video.frames import (
@@ -30,7 +27,6 @@ from gauge_envs.tools.video.frames import (
     stretched,
 )
 from gauge_envs.tools.video.laws import GRAVITY_M_PER_S2
-from gauge_envs.tools.video.path import FIRST_FRAMES, FIRST_STEP, best_path
 from gauge_envs.tools.video.registration import (
     registration_by_first_frame,
     registration_by_outline,
@@ -43,11 +39,14 @@ from gauge_envs.tools.video.tasks import (
 )
 from gauge_envs.tools.video.track import Event, Track
 
-MOST_SAMPLED = 80
-"""Most frames from which the background is built; they are spread over the video."""
+BEND, BEND_COST = 0.5, 0.4
+"""Change of the velocity from frame to frame, in sizes, that costs `BEND_COST` of a likeness."""
 
-MOST_KEPT = 200
-"""Most frames that are kept in memory for the second pass, 240 MB; of a longer video, all are decoded again."""
+MOST_STEP = 4.0
+"""Largest step of a ball that is struck, in sizes or in changes by gravity."""
+
+FIRST_STEP, FIRST_FRAMES = 0.4, 3
+"""Largest distance from the known place, in sizes, and frames in which the object is seen there."""
 
 CRADLE_BALLS = 5
 """Balls of the cradle."""
@@ -74,8 +73,7 @@ def track_object(
 ) -> Track:
     """Return the track of the object of a task.
 
-    A first pass finds the motion of the camera and the background, a second one the candidates of each frame, from
-    which the motion of the camera is subtracted. The track is the best path through all of them.
+    A first pass finds the motion of the camera, and a second one the object in frames from which it is subtracted.
 
     Args:
         frames: The video; its first frame is the task's known one, in any resolution, stretched, cropped or padded.
@@ -85,21 +83,9 @@ def track_object(
     registration, foreign = _registered(next(frames.native()), task, first_frame)
     first = next(frames.pictures(registration))
     watch = SceneWatch(first, _moving_part(task))
-    centre = np.array(task.rest_px or task.centre_px)
-    part = _surroundings(centre, task.size_px)
-    left, top, right, bottom = part
-    sampled: list[Picture] = []
-    stride = 1
-    kept: list[Picture] = []
-    for number, picture in enumerate(frames.pictures(registration)):
-        watch.look(picture)
-        if number and number % stride == 0:
-            steady = watch.steadied(picture, number)
-            sampled.append(steady[top:bottom, left:right].copy())
-        if len(sampled) == MOST_SAMPLED:
-            sampled, stride = sampled[1::2], 2 * stride
-        if number < MOST_KEPT:
-            kept.append(picture)
+    last = first
+    for last in frames.pictures(registration):
+        watch.look(last)
     cadence = cadence_of(np.array(watch.differences), frames.fps, frames.times_s)
     count = int(cadence.is_new.sum())
     if count < LEAST_FRAMES:
@@ -111,21 +97,20 @@ def track_object(
         raise VideoError(
             f"{frames.name}: it has {count} frames{lost}; a motion needs at least {LEAST_FRAMES}"
         )
+    last = watch.steadied(last, len(cadence.is_new) - 1)
     follower = (
         FaceFollower(first, task)
         if task.motion is Motion.TURN
-        else ShapeFollower(_background(first, sampled, part, task), first, task)
+        else ShapeFollower(first, last, task)
     )
-    is_whole = len(kept) == len(cadence.is_new)
     candidates = []
-    for number, picture in enumerate(
-        kept if is_whole else frames.pictures(registration)
-    ):
+    for number, picture in enumerate(frames.pictures(registration)):
         if cadence.is_new[number]:
             steady = watch.steadied(picture, number)
             watch.compare(steady, number)
             candidates.append(follower.candidates(steady))
-    path = _path(candidates, task, cadence.fps)
+    path = followed(candidates, task, cadence.fps)
+    centre = task.rest_px or task.centre_px
     early = [
         math.dist(one.place, centre)
         for ones in candidates[:FIRST_FRAMES]
@@ -155,20 +140,43 @@ def track_object(
     )
 
 
-def _path(candidates: list[list[Sight]], task: VideoTask, fps: float) -> list[Sight]:
-    """Return the places of the object; an empty one where it is lost."""
+def followed(candidates: list[list[Sight]], task: VideoTask, fps: float) -> list[Sight]:
+    """Return the place of the object in each frame, near where the last ones predict it; empty where it is lost.
+
+    Args:
+        candidates: Places that may show the object, by frame; those of a turntable begin with the object.
+        task: The task.
+        fps: Frames per second.
+    """
     if task.motion is Motion.TURN:
         return [next(iter(ones), Sight()) for ones in candidates]
+    is_struck = task.motion is Motion.CRADLE
     # A ball on wires that was released at the height of their ends passes its lowest point with twice gravity.
-    is_swing = task.motion in (Motion.CRADLE, Motion.PENDULUM)
-    most_m_s2 = (2.0 if is_swing else 1.0) * GRAVITY_M_PER_S2
-    return best_path(
-        [[one for one in ones if _is_allowed(one, task)] for ones in candidates],
-        np.array(task.rest_px or task.centre_px),
-        task.size_px,
-        most_m_s2 / fps**2 / task.scale_m_per_px,
-        is_struck=task.motion is Motion.CRADLE,
-    )
+    most_m_s2 = (1.0 if task.direction else 2.0) * GRAVITY_M_PER_S2
+    lawful_px = most_m_s2 / fps**2 / task.scale_m_per_px
+    usual_px = max(BEND * task.size_px, lawful_px)
+    start = np.array(task.rest_px or task.centre_px)
+    place, step, gap = start, np.zeros(2), 1
+    path = []
+    for ones in candidates:
+        chosen, most = Sight(), 0.0
+        for one in ones:
+            away_px = math.dist(one.place, place + gap * step)
+            cost = BEND_COST * (away_px / (gap * usual_px)) ** 2
+            if is_struck and gap > 1:
+                # A ball that hangs is not looked for; the impact changes its velocity at no cost.
+                is_near = away_px < MOST_STEP * max(task.size_px, lawful_px)
+                cost = 0.0 if is_near else math.inf
+            if one.likeness - cost > most and _is_allowed(one, task):
+                chosen, most = one, one.likeness - cost
+        path.append(chosen)
+        if chosen.likeness > 0.0:
+            step, place, gap = (chosen.place - place) / gap, chosen.place, 1
+        else:
+            gap += 1
+            if is_struck:
+                place, step = start, np.zeros(2)
+    return path
 
 
 def _registered(
@@ -214,15 +222,6 @@ def _is_cut(frames: Frames, cadence: Cadence) -> bool:
     return frames.stated_count > len(cadence.is_new) * (1.0 + LOST_SHARE)
 
 
-def _background(
-    first: Picture, sampled: list[Picture], part: Region, task: VideoTask
-) -> Background:
-    if task.motion is Motion.CRADLE:
-        # The ball is looked for away from where it hangs, so that nothing is invented behind it there.
-        return Background(first)
-    return background(first, sampled, part)
-
-
 def _is_allowed(sight: Sight, task: VideoTask) -> bool:
     """Return whether the object can be at a place: a swinging one only at a known distance from its pivot."""
     if task.pivot_px is None:
@@ -252,19 +251,6 @@ def _is_neighbour(sight: Sight, task: VideoTask) -> bool:
     )
     is_in_row = -row_px - task.size_px < x < task.size_px
     return is_on_arc or (is_in_row and abs(y - length) < task.size_px)
-
-
-def _surroundings(centre: FloatArray, size_px: float) -> Region:
-    """Return the part of the first frame that an object and its shadow may hide."""
-    half = 1.1 * size_px
-    low, high = np.floor(centre - half), np.ceil(centre + half)
-    width, height = REFERENCE_SIZE_PX
-    return (
-        max(0, int(low[0])),
-        max(0, int(low[1])),
-        min(width, int(high[0])),
-        min(height, int(high[1])),
-    )
 
 
 def _moving_part(task: VideoTask) -> NDArray[np.bool_]:

@@ -1,4 +1,4 @@
-"""The best path through candidates: what dynamic programming keeps and what it leaves out."""
+"""Which candidate is the object, and whether it has kept its size, shape and look."""
 
 import math
 
@@ -7,64 +7,47 @@ import numpy as np
 import pytest
 
 from gauge_envs.tools.video import video_task
-from gauge_envs.tools.video.follow import (
-    Background,
-    FaceFollower,
-    ShapeFollower,
-    Sight,
-)
-from gauge_envs.tools.video.path import best_path
-from gauge_envs.tools.video.tracker import MOST_MISFIT, _is_neighbour
+from gauge_envs.tools.video.follow import FaceFollower, ShapeFollower, Sight
+from gauge_envs.tools.video.tracker import MOST_MISFIT, _is_neighbour, followed
+
+BALL = video_task("BouncingBall-rubber")
+CRADLE = video_task("NewtonsCradle-metal")
 
 
-def sight(x, likeness):
-    return Sight(x_px=x, y_px=0.0, likeness=likeness, size_ratio=1.0)
+def sight(x_px, likeness=0.7):
+    return Sight(place=np.add(BALL.centre_px, [x_px, 0.0]), likeness=likeness)
 
 
 @pytest.mark.parametrize("decoys", [1, 3])
-def test_a_likelier_place_far_away_is_left_out(decoys):
-    frames = [[sight(4.0 * number, 0.7)] for number in range(20)]
+def test_a_likelier_place_far_away_is_left_out_and_a_gap_is_bridged(decoys):
+    frames = [[sight(4.0 * number)] for number in range(20)]
     for number in range(8, 8 + decoys):
         frames[number].append(sight(150.0, 0.95))
-    path = best_path(frames, np.zeros(2), 50.0)
-    assert [one.x_px for one in path] == [4.0 * number for number in range(20)]
+    frames[12:17] = [[]] * 5
+    path = followed(frames, BALL, 30.0)
+    places = [4.0 * number for number in range(20)]
+    places[12:17] = [np.nan] * 5
+    found = [one.place[0] - BALL.centre_px[0] for one in path]
+    assert found == pytest.approx(places, nan_ok=True)
 
 
-def test_a_gap_is_bridged_and_stays_empty():
-    frames = [
-        [sight(4.0 * number, 0.7)] if not 6 <= number < 12 else []
-        for number in range(20)
-    ]
-    path = best_path(frames, np.zeros(2), 50.0)
-    assert [
-        number for number, one in enumerate(path) if not np.isfinite(one.x_px)
-    ] == list(range(6, 12))
+def test_a_struck_ball_is_followed_from_where_it_hangs_and_nowhere_else():
+    length = CRADLE.rest_px[1] - CRADLE.pivot_px[1]
+    swing = (0.6 * np.sin(np.pi * np.arange(1, 12) / 12.0)).tolist()
 
+    def at(angle, length):
+        offset = length * np.array([math.sin(angle), math.cos(angle)])
+        return Sight(place=CRADLE.pivot_px + offset, likeness=0.6)
 
-def test_nothing_is_found_where_there_is_no_candidate():
-    assert all(
-        one.likeness == 0.0 for one in best_path([[], [], []], np.zeros(2), 50.0)
-    )
-
-
-def test_a_struck_ball_is_followed_from_where_it_hangs():
-    swing = [20.0, 75.0, 120.0, 150.0, 160.0, 150.0, 120.0, 75.0, 20.0]
-    frames = [
-        [sight(x, 0.6)] if x else [] for x in [0.0] * 9 + swing + [0.0] * 9 + swing
-    ]
-    found = {
-        struck: [
-            one.likeness > 0.0
-            for one in best_path(frames, np.zeros(2), 20.0, 30.0, is_struck=struck)
-        ]
-        for struck in (True, False)
-    }
-    assert found[True] == [bool(ones) for ones in frames]
-    assert found[False] != found[True]
+    angles = [0.0] * 9 + swing + [0.0] * 9 + swing
+    for share, is_on_arc in ((1.0, True), (0.5, False)):
+        frames = [[at(angle, share * length)] if angle else [] for angle in angles]
+        found = [one.likeness > 0.0 for one in followed(frames, CRADLE, 30.0)]
+        assert found == [is_on_arc and angle > 0.0 for angle in angles]
 
 
 def test_only_balls_of_the_cradle_are_its_balls():
-    task = video_task("NewtonsCradle-metal")
+    task = CRADLE
     assert task.pivot_px is not None and task.rest_px is not None
     length, first_x = (
         task.rest_px[1] - task.pivot_px[1],
@@ -76,13 +59,13 @@ def test_only_balls_of_the_cradle_are_its_balls():
         "arc": (first_x - at, task.pivot_px[1] + math.sqrt(length**2 - at**2)),
     }
     for x, y in places.values():
-        assert _is_neighbour(Sight(x_px=x, y_px=y, likeness=1.0), task)
+        assert _is_neighbour(Sight(place=np.array([x, y]), likeness=1.0), task)
     others = [
         (first_x - 50.0, task.pivot_px[1] + 150.0),
         (first_x - 4.0 * task.size_px, task.rest_px[1]),
     ]
     for x, y in others:
-        assert not _is_neighbour(Sight(x_px=x, y_px=y, likeness=1.0), task)
+        assert not _is_neighbour(Sight(place=np.array([x, y]), likeness=1.0), task)
 
 
 @pytest.mark.parametrize(
@@ -103,7 +86,7 @@ def test_an_object_has_its_size_and_shape_though_its_motion_smears_it(change, si
     if change == "smeared":
         later = cv2.blur(later, (1, 45))
     first, later = first.astype(np.uint8), later.astype(np.uint8)
-    follower = ShapeFollower(Background(bare.astype(np.uint8)), first, task)
+    follower = ShapeFollower(first, bare.astype(np.uint8), task)
     sight = follower.candidates(later)[0]
     assert sight.size_ratio == pytest.approx(size, rel=0.15)
     if size > 1.0 or change == "melted":
@@ -144,7 +127,7 @@ def test_a_cube_on_a_turntable_keeps_its_area_and_outline(change):
         pictures.append(picture)
     follower = FaceFollower(pictures[0], task)
     chosen, *others = follower.candidates(pictures[1]) or [Sight()]
-    far = [one for one in others if one.x_px > centre[0] + task.size_px]
+    far = [one for one in others if one.place[0] > centre[0] + task.size_px]
     assert len(far) == (change == "second")
     is_whole = chosen.likeness > 0.0 and not abs(chosen.size_ratio - 1.0) > 0.3
     assert is_whole is (change in ("none", "second", "darkens"))
