@@ -136,7 +136,7 @@ def track_object(
         ),
         clock_s=cadence.times_s,
         registration=registration,
-        moves=watch.moves(cadence.is_new),
+        moves=tuple(watch.moves[frame] for frame in np.flatnonzero(cadence.is_new)),
     )
 
 
@@ -282,15 +282,11 @@ def _twins(
     frames = []
     for number, (ones, chosen) in enumerate(zip(candidates, path, strict=True)):
         for one in ones:
-            is_far = not np.linalg.norm(one.place - chosen.place) < task.size_px
+            is_near = math.dist(one.place, chosen.place) < task.size_px
             # Where an object cannot be, it is seen for another one although its own place is unknown.
             is_other = chosen.likeness > 0.0 or not _is_allowed(one, task)
-            if (
-                is_far
-                and is_other
-                and one.likeness >= TWIN_LIKENESS
-                and not _is_neighbour(one, task)
-            ):
+            is_alike = one.likeness >= TWIN_LIKENESS
+            if is_alike and is_other and not is_near and not _is_neighbour(one, task):
                 frames.append(number)
                 break
     if len(frames) < LEAST_TWIN_FRAMES:
@@ -350,6 +346,7 @@ class SceneWatch:
         ignored: Part of the picture that moves on purpose, shape [480, 832].
 
     Attributes:
+        moves: Motion of the camera in each frame since the first one, shape [2, 3]; None where it stands or is unknown.
         differences: Largest difference of the brightness of each frame from the one before; the first is infinite.
     """
 
@@ -364,31 +361,29 @@ class SceneWatch:
         mask = np.where(ignored, 0, 255).astype(np.uint8)
         points = cv2.goodFeaturesToTrack(self._grey, 150, 0.02, 12, mask=mask)
         self._points = np.zeros((0, 1, 2), np.float32) if points is None else points
-        self._moves: list[FloatArray | None] = []
-        self._changed: dict[int, float] = {}
+        self.moves: list[FloatArray | None] = []
         self.differences: list[float] = []
+        self._unknown: list[int] = []
+        self._changed: dict[int, float] = {}
 
     def look(self, picture: Picture) -> None:
         """Find the motion of the camera in the next frame, and how much it differs from the one before."""
         grey = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
         small = shrunk(grey)
         change = float(np.abs(small - self._before).max())
-        self.differences.append(change if self._moves else math.inf)
         self._before = small
-        self._moves.append(self._camera(grey))
-
-    def moves(self, is_shown: NDArray[np.bool_]) -> tuple[FloatArray | None, ...]:
-        """Return the motion of the camera in each frame that is shown; None where it stands or is unknown."""
-        return tuple(
-            None if one is None or _shift_px(one) <= STILL_PX else one
-            for one, shown in zip(self._moves, is_shown, strict=True)
-            if shown
-        )
+        move = self._camera(grey)
+        if move is None:
+            self._unknown.append(len(self.moves))
+        elif _shift_px(move) <= STILL_PX:
+            move = None
+        self.differences.append(change if self.moves else math.inf)
+        self.moves.append(move)
 
     def steadied(self, picture: Picture, frame: int) -> Picture:
         """Return a frame as a camera that does not move would show it."""
-        move = self._moves[frame]
-        if move is None or _shift_px(move) <= STILL_PX:
+        move = self.moves[frame]
+        if move is None:
             return picture
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         size = REFERENCE_SIZE_PX
@@ -419,32 +414,23 @@ class SceneWatch:
             worst = max(self._changed.values())
             text = f"the scene is recomposed: up to {worst:.0%} of the picture differs from the first frame"
             found.append(_event("scene", recomposed, text))
-        known = {
-            frame: move for frame, move in enumerate(self._moves) if move is not None
-        }
-        moved = [frame for frame, move in known.items() if _shift_px(move) > STILL_PX]
-        if moved:
-            shift = max(_shift_px(known[frame]) for frame in moved)
-            zoom = max(
-                (float(np.hypot(*known[frame][:, 0])) - 1.0 for frame in moved), key=abs
-            )
-            is_too_far = shift > MOST_SHIFT_PX or abs(zoom) > MOST_ZOOM
-            what = (
-                "more than a flat scene allows to subtract"
-                if is_too_far
-                else "this is subtracted"
-            )
-            text = f"the camera moves by up to {shift:.1f} px and zooms by up to {zoom:+.1%}; {what}"
-            found.append(_event("camera", moved, text, is_note=not is_too_far))
-            lost = [frame for frame, move in enumerate(self._moves) if move is None]
-            if len(lost) > len(self._moves) // 10:
-                found.append(
-                    _event(
-                        "camera",
-                        lost,
-                        "the camera moves, and its motion is not found in some frames",
-                    )
-                )
+        moved = {n: move for n, move in enumerate(self.moves) if move is not None}
+        if not moved:
+            return found
+        shift = max(map(_shift_px, moved.values()))
+        zooms = [float(np.hypot(*move[:, 0])) - 1.0 for move in moved.values()]
+        zoom = max(zooms, key=abs)
+        is_too_far = shift > MOST_SHIFT_PX or abs(zoom) > MOST_ZOOM
+        what = (
+            "more than a flat scene allows to subtract"
+            if is_too_far
+            else "this is subtracted"
+        )
+        text = f"the camera moves by up to {shift:.1f} px and zooms by up to {zoom:+.1%}; {what}"
+        found.append(_event("camera", list(moved), text, is_note=not is_too_far))
+        if len(self._unknown) > len(self.moves) // 10:
+            text = "the camera moves, and its motion is not found in some frames"
+            found.append(_event("camera", self._unknown, text))
         return found
 
     def _camera(self, grey: NDArray[np.uint8]) -> FloatArray | None:
