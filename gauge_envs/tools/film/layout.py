@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from copy import copy
 from dataclasses import dataclass
 from functools import cache
 
@@ -18,11 +17,11 @@ GROUND = (255, 255, 255)
 INK = (28, 32, 38)
 QUIET = (104, 110, 120)
 
+CLOCK = 9
+"""Width of the time, in sizes of its letters."""
+
 MOST_ROW = 4
 """Largest number of panels in a row, if no number is chosen."""
-
-FINER = 4
-"""Text is drawn this much larger and then reduced, which places letters on parts of a pixel."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,7 +108,7 @@ class FilmLayout:
         height: int,
         columns: int | None = None,
     ) -> None:
-        scale = self._scale = _Scale(height)
+        scale = _Scale(height)
         # Rows are as even as possible: five panels are three and two.
         rows = -(-len(texts) // (columns or MOST_ROW))
         in_row = min(columns or -(-len(texts) // rows), len(texts))
@@ -120,8 +119,8 @@ class FilmLayout:
         sheet = _Sheet(
             scale.gap + in_row * step[0], rows * step[1], caption, scale, is_even=True
         )
-        self._ground, self.size = sheet, sheet.image.size
-        sheet.head(caption, self.size[0] - 2 * scale.gap - 9 * scale.large)
+        self._sheet, self.size = sheet, sheet.image.size
+        sheet.head(caption, self.size[0] - 2 * scale.gap - CLOCK * scale.large)
         self._places = [
             (
                 scale.gap + (index % in_row) * step[0],
@@ -153,14 +152,14 @@ class FilmLayout:
             pictures: Picture of each panel, shape [height, width, 3].
             clock: The time, in words.
         """
-        frame, scale = self._ground.copy(), self._scale
+        sheet, scale = self._sheet, self._sheet.scale
         for picture, place in zip(pictures, self._places, strict=True):
-            frame.image.paste(Image.fromarray(picture), place)
-        middle = scale.gap + 0.5 * scale.large_line
-        frame.write(
-            (self.size[0] - scale.gap, middle), clock, is_large=True, from_right=True
-        )
-        return np.array(frame.image)
+            sheet.image.paste(Image.fromarray(picture), place)
+        right, middle = self.size[0] - scale.gap, scale.gap + scale.large_line // 2
+        low = scale.gap + scale.large_line
+        sheet.image.paste(GROUND, (right - CLOCK * scale.large, scale.gap, right, low))
+        sheet.write((right, middle), clock, is_large=True, from_right=True)
+        return np.array(sheet.image)
 
 
 def strip_picture(
@@ -213,9 +212,6 @@ def strip_picture(
 
 # --- text ---
 
-Entry = tuple[Color | None, str]
-"""Colour of a spot, or None, and text of an entry of the legend."""
-
 
 class _Sheet:
     """A white picture with a head, room for panels, and a legend below them.
@@ -241,42 +237,37 @@ class _Sheet:
         *,
         is_even: bool = False,
     ) -> None:
-        self._scale = scale
+        self.scale = scale
         self.top = scale.gap + scale.large_line + scale.small_line
-        legend = _legend_lines(caption, width - 2 * scale.gap, scale)
-        full_height = self.top + height + len(legend) * scale.small_line + scale.gap
-        odd = (width % 2, full_height % 2) if is_even else (0, 0)
-        self.image = Image.new("RGB", (width + odd[0], full_height + odd[1]), GROUND)
-        for number, line in enumerate(legend):
-            left, middle = (
-                float(scale.gap),
-                self.top + height + (number + 0.5) * scale.small_line,
-            )
-            for color, text in line:
-                if color:
-                    self._spot((left, middle), 0.38 * scale.small, color)
-                self.write(
-                    (left + _spot_width(color, scale), middle), text, color=QUIET
-                )
-                left += _entry_width(color, text, scale)
-
-    def copy(self) -> _Sheet:
-        """Return a sheet with a picture of its own."""
-        other = copy(self)
-        other.image = self.image.copy()
-        return other
+        legend: list[tuple[Color | None, str]] = [
+            (SIMULATED_COLOR, caption.simulated),
+            (RECORDED_COLOR, caption.reference),
+            (None, caption.remark),
+        ]
+        legend = [(color, text) for color, text in legend if text]
+        bottom = self.top + height + len(legend) * scale.small_line + scale.gap
+        size = (width, bottom)
+        if is_even:
+            size = (width + width % 2, bottom + bottom % 2)
+        self.image = Image.new("RGB", size, GROUND)
+        for number, (color, text) in enumerate(legend):
+            left: float = scale.gap
+            middle = self.top + height + (number + 0.5) * scale.small_line
+            if color is not None:
+                radius = 0.38 * scale.small
+                box = (left, middle - radius, left + 2.0 * radius, middle + radius)
+                red, green, blue = (round(255 * part) for part in color[:3])
+                ImageDraw.Draw(self.image).ellipse(box, fill=(red, green, blue))
+                left += 1.4 * scale.small
+            self.write((left, middle), text, width - scale.gap - left, color=QUIET)
 
     def head(self, caption: Caption, width: float) -> None:
         """Write title and subtitle."""
-        gap, large, small = (
-            self._scale.gap,
-            self._scale.large_line,
-            self._scale.small_line,
-        )
-        self.write((gap, gap + 0.5 * large), caption.title, width, is_large=True)
-        self.write(
-            (gap, gap + large + 0.5 * small), caption.subtitle, width, color=QUIET
-        )
+        left, scale = self.scale.gap, self.scale
+        middle = scale.gap + 0.5 * scale.large_line
+        self.write((left, middle), caption.title, width, is_large=True)
+        middle = scale.gap + scale.large_line + 0.5 * scale.small_line
+        self.write((left, middle), caption.subtitle, width, color=QUIET)
 
     def write(
         self,
@@ -298,89 +289,29 @@ class _Sheet:
             color: Colour.
             from_right: Whether the place is the right end.
         """
-        size = self._scale.large if is_large else self._scale.small
-        text = _fitted(text, size, room)
-        if not text:
-            return 0.0
-        width, height = round(_length(text, size)) + 4, 2 * size
-        mask = Image.new("L", (FINER * width, FINER * height))
-        ImageDraw.Draw(mask).text(
-            (2 * FINER, FINER * size), text, fill=255, font=_font(size), anchor="lm"
+        font = _font(self.scale.large if is_large else self.scale.small)
+        shown = text
+        while shown and font.getlength(shown) > room:
+            text = text[:-1].rstrip()
+            shown = f"{text} ..." if text else ""
+        anchor = "rm" if from_right else "lm"
+        ImageDraw.Draw(self.image).text(
+            place, shown, fill=color, font=font, anchor=anchor
         )
-        mask = mask.resize((width, height), Image.Resampling.BOX)
-        left = place[0] - width + 2 if from_right else place[0] - 2
-        self.image.paste(color, (round(left), round(place[1]) - size), mask)
-        return _length(text, size)
+        return float(font.getlength(shown))
 
     def tag(self, text: str, corner: tuple[int, int]) -> None:
         """Write a time on a light field in the corner of a picture."""
-        (left, top), size, line = corner, self._scale.small, self._scale.small_line
-        pad = size // 2
-        self.image.paste(
-            GROUND, (left, top, left + round(_length(text, size)) + 2 * pad, top + line)
-        )
-        self.write((left + pad, top + 0.5 * line), text)
-
-    def _spot(self, place: tuple[float, float], radius: float, color: Color) -> None:
-        """Draw a disk whose left end is at a place."""
-        side = round(2 * radius) + 2
-        mask = Image.new("L", (FINER * side, FINER * side))
-        ImageDraw.Draw(mask).ellipse(
-            (0, 0, FINER * 2 * radius, FINER * 2 * radius), fill=255
-        )
-        red, green, blue = (round(255 * part) for part in color[:3])
-        corner = (round(place[0]), round(place[1] - radius))
-        self.image.paste(
-            (red, green, blue), corner, mask.resize((side, side), Image.Resampling.BOX)
-        )
+        left, top = corner
+        font, pad = _font(self.scale.small), self.scale.small // 2
+        right = left + round(font.getlength(text)) + 2 * pad
+        self.image.paste(GROUND, (left, top, right, top + self.scale.small_line))
+        self.write((left + pad, top + 0.5 * self.scale.small_line), text)
 
 
 @cache
 def _font(size: int) -> ImageFont.FreeTypeFont:
-    """Return the font that comes with Pillow, `FINER` times larger than a size [pixels]."""
-    font = ImageFont.load_default(FINER * size)
+    """Return the font of a size [pixels] that comes with Pillow."""
+    font = ImageFont.load_default(size)
     assert isinstance(font, ImageFont.FreeTypeFont)
     return font
-
-
-def _length(text: str, size: int) -> float:
-    """Return the width of a text [pixels]."""
-    return _font(size).getlength(text) / FINER
-
-
-def _fitted(text: str, size: int, width: float) -> str:
-    """Return a text that fits, with dots where it was cut."""
-    if _length(text, size) <= width:
-        return text
-    while text and _length(f"{text.rstrip()} ...", size) > width:
-        text = text[:-1]
-    return f"{text.rstrip()} ..." if text else ""
-
-
-def _legend_lines(caption: Caption, width: float, scale: _Scale) -> list[list[Entry]]:
-    """Return the entries of the legend in lines that fit."""
-    entries: list[Entry] = [
-        (SIMULATED_COLOR, caption.simulated),
-        (RECORDED_COLOR, caption.reference),
-    ]
-    lines: list[list[Entry]] = []
-    left = 0.0
-    for color, text in (*entries, (None, caption.remark)):
-        if not text:
-            continue
-        taken = _entry_width(color, text, scale)
-        if not lines or (lines[-1] and left + taken > width):
-            lines.append([])
-            left = 0.0
-        room = width - (taken - _length(text, scale.small))
-        lines[-1].append((color, _fitted(text, scale.small, room)))
-        left += taken
-    return lines
-
-
-def _spot_width(color: Color | None, scale: _Scale) -> float:
-    return 1.4 * scale.small if color else 0.0
-
-
-def _entry_width(color: Color | None, text: str, scale: _Scale) -> float:
-    return _spot_width(color, scale) + _length(text, scale.small) + 1.5 * scale.small
