@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
 
 from gauge_envs.tools.versions.ends import settled
+from gauge_envs.tools.versions.environments import sides_at_once
 from gauge_envs.tools.versions.fields import field_changes
 from gauge_envs.tools.versions.gap import DEPTH_TOLERANCE_M, Gap, Visit
 from gauge_envs.tools.versions.model import (
@@ -35,7 +35,7 @@ def compare(bench: Bench, before: Side, after: Side) -> Comparison:
         ReleaseError: An environment cannot be made.
     """
     sides = (before, after)
-    with ThreadPoolExecutor(2) as pool:
+    with sides_at_once() as pool:
         (one, one_file), (two, two_file) = pool.map(bench.run, sides)
         check_same_shape(bench, one, two)
         files = [one_file, two_file]

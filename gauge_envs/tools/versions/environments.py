@@ -11,9 +11,11 @@ import sys
 import time
 import venv
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from secrets import token_hex
+from threading import Event
 
 from platformdirs import user_cache_path
 
@@ -40,8 +42,29 @@ REMOVAL_LIMIT_S = 5.0
 """Time in which children of an interrupted installation still write [s]."""
 
 
+_is_stopped = Event()
+"""Set when the threads of `sides_at_once` begin nothing more."""
+
+
 class ReleaseError(GaugeError, RuntimeError):
     """An environment cannot be made or used; the message names the requirement and the cause."""
+
+
+@contextmanager
+def sides_at_once() -> Iterator[ThreadPoolExecutor]:
+    """Yield two threads, one for each side.
+
+    Ctrl-C reaches the main thread alone, which waits for the others: they would finish what they install.
+    """
+    pool = ThreadPoolExecutor(2)
+    try:
+        yield pool
+    except BaseException:
+        _is_stopped.set()
+        raise
+    finally:
+        pool.shutdown()
+        _is_stopped.clear()
 
 
 def cache_folder() -> Path:
@@ -79,6 +102,7 @@ def made_environment(requirement: str, say: Callable[[str], object] = print) -> 
     Raises:
         ReleaseError: It cannot be made: no such version, no network, no space.
     """
+    _check_stopped()
     folder = environment_folder(requirement)
     if not is_made(requirement):
         try:
@@ -202,6 +226,11 @@ def _removed_on_error(part: Path) -> Iterator[Path]:
         raise
 
 
+def _check_stopped() -> None:
+    if _is_stopped.is_set():
+        raise ReleaseError("stopped, as the other side ended with an error")
+
+
 def _run(command: Sequence[str]) -> subprocess.CompletedProcess[str]:
     environment = os.environ | {
         "PIP_DISABLE_PIP_VERSION_CHECK": "1",
@@ -211,6 +240,7 @@ def _run(command: Sequence[str]) -> subprocess.CompletedProcess[str]:
     # Paths of the user's environment do not belong to this one.
     for name in ("PYTHONPATH", "PYTHONHOME", "PIP_TARGET", "PIP_USER"):
         environment.pop(name, None)
+    _check_stopped()
     try:
         return subprocess.run(
             command,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 import sysconfig
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -19,6 +18,7 @@ from gauge_envs.tools.transfer import Estimate, estimate, success_share
 from gauge_envs.tools.versions.environments import (
     NUMPY_2_SINCE,
     made_environment,
+    sides_at_once,
     version_key,
 )
 from gauge_envs.tools.versions.model import ReturnComparison, Side, Verdict
@@ -74,7 +74,7 @@ def compare_returns(
             rows = [np.array(words[key], float) for key in ("returns", "successes")]
             return words["version"], *rows
 
-        with ThreadPoolExecutor(2) as pool:
+        with sides_at_once() as pool:
             (one, first, won), (two, second, won_after) = pool.map(
                 played, (before, after)
             )

@@ -150,12 +150,31 @@ def test_nothing_half_made_is_used(tmp_path, monkeypatch):
     assert not environments.is_made("mujoco==3.3.0")
 
 
+def test_after_an_interrupt_no_side_installs_anything_more():
+    goes_on = threading.Event()
+    runs = [sys.executable, "-c", ""]
+
+    def installed():
+        goes_on.wait()
+        return environments._run(runs)
+
+    with suppress(KeyboardInterrupt), environments.sides_at_once() as pool:
+        side = pool.submit(installed)
+        # The thread goes on when the main one waits for it.
+        threading.Timer(0.2, goes_on.set).start()
+        raise KeyboardInterrupt
+    assert isinstance(side.exception(), ReleaseError)
+    assert environments._run(runs).returncode == 0
+
+
 def started(folder, model):
     """Start the command on a release that is not installed yet."""
     words = ["backend", "versions", str(model), "mujoco==3.3.0", "mujoco", "--steps=3"]
     return subprocess.Popen(
         [sys.executable, "-c", "import gauge_command; gauge_command.main()", *words],
-        env=os.environ | {"GAUGE_CACHE_DIR": str(folder)},
+        # With a cache it is installed before an interrupt comes.
+        env=os.environ
+        | {"GAUGE_CACHE_DIR": str(folder), "UV_NO_CACHE": "1", "PIP_NO_CACHE_DIR": "1"},
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         text=True,
