@@ -43,7 +43,7 @@ GENESIS_OF_LIBIGL_2_6 = (1, 4, 5)
 WARP_OF_ITS_TIME = (
     ("newton", (1, 2), "warp-lang<1.13"),
     ("newton", (1, 2, 1), "warp-lang<1.14"),
-    ("mujoco-warp", (3, 9), "warp-lang<1.14"),
+    ("mujoco-warp", (3, 10, 0, 1), "warp-lang<1.14"),
 )
 """Releases of engines before which a later Warp, which their metadata allow, fails; and the Warp that they have."""
 
@@ -74,10 +74,11 @@ def beside(requirement: str) -> list[str]:
         if engine == name and version_key(version) < first_of_later:
             packages.append(warp)
             break
-    # Before it had the numbers of MuJoCo it was 0.0.
-    if engine == "mujoco-warp" and not version.startswith("0."):
+    if engine == "mujoco-warp":
         first, second = version.split(".")[:2]
-        packages.append(f"mujoco=={first}.{second}.*")
+        # Before it had the numbers of MuJoCo it was 0.0, and needed one whose states have `qM`.
+        of_its_time = "3.3" if first == "0" else f"{first}.{second}"
+        packages.append(f"mujoco=={of_its_time}.*")
     return packages
 
 
