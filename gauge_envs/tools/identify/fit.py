@@ -140,6 +140,7 @@ def identify(
         progress("each log alone")
         alone = [fitter.fit([log], names, first=fit) for log in logs]
     long, unknowns = fit.problem, fit.unknowns
+    long.check_margin(unknowns)
     count = long.joints
     fitted_settings = settings_of(long, unknowns, fit.covariance)
     found = with_load_error(

@@ -24,7 +24,10 @@ A law that starts from a simpler one goes on where that ended: if that was too e
 """
 
 AS_GOOD = 1.05
-"""Error over that of the law that predicts best, up to which a law with fewer terms is as good."""
+"""Error over that of another law, up to which a law fits or predicts as well."""
+
+POOR = 2.0
+"""Error of fits over that of another law from which a law is out: where files differ, it may still predict best."""
 
 ONE_SIGMA = 0.8413
 """Share of a normal distribution below one standard deviation."""
@@ -83,9 +86,11 @@ def compare_laws(
     Of one log, the halves stand for logs. A law starts from the best fit of one that it contains, or that contains it.
 
     Returns:
-        The laws, the chosen one first, and its fits. It has the fewest terms of those that fit as well as the law that
-        predicts best, and predict worse by at most 5 % or a standard error of the mean logarithm of their ratio (after
-        Breiman et al., Classification and Regression Trees, 1984).
+        The laws, the chosen one first, and its fits. A law predicts worse than another one if the mean logarithm of
+        their ratio is above its standard error and 5 % (after Breiman et al., Classification and Regression Trees,
+        1984). Out are laws that leave twice what another one leaves of the files that they are fitted to, unless that
+        one predicts worse. Of the rest, the chosen one has the fewest terms of those that fit as well as the law that
+        predicts best, and predict no worse.
     """
     parts = list(logs)
     if len(parts) == 1:
@@ -120,21 +125,25 @@ def compare_laws(
         )
         compared[name] = law, alone, missed
 
-    best = min(compared, key=lambda law: compared[law][0].held_out_rad)
-
-    def is_as_good(name: str) -> bool:
-        law, _, missed = compared[name]
-        ratio = np.log(missed / compared[best][2])
+    def predicts_worse(name: str, other: str) -> bool:
+        ratio = np.log(compared[name][2] / compared[other][2])
         standard_error = ratio.std(ddof=1) / np.sqrt(ratio.size)
         # Two predictions scatter by chance: the quantile of Student's t that is 1 of many.
         standard_error *= stdtrit(ratio.size - 1, ONE_SIGMA)
-        predicts = ratio.mean() <= max(standard_error, np.log(AS_GOOD))
-        return bool(
-            predicts and law.fitted_rad <= AS_GOOD * compared[best][0].fitted_rad
+        return bool(ratio.mean() > max(standard_error, np.log(AS_GOOD)))
+
+    def is_beaten(name: str) -> bool:
+        fitted_rad = compared[name][0].fitted_rad
+        return any(
+            fitted_rad > POOR * law.fitted_rad and not predicts_worse(other, name)
+            for other, (law, *_) in compared.items()
         )
 
+    in_question = [name for name in compared if not is_beaten(name)]
+    best = min(in_question, key=lambda law: compared[law][0].held_out_rad)
     for name, (law, alone, missed) in compared.items():
-        alike = name == best or is_as_good(name)
+        fits = law.fitted_rad <= AS_GOOD * compared[best][0].fitted_rad
+        alike = name in in_question and fits and not predicts_worse(name, best)
         compared[name] = replace(law, is_as_good=alike), alone, missed
     chosen = min(
         (name for name, (law, *_) in compared.items() if law.is_as_good),

@@ -225,17 +225,15 @@ class Problem:
         """
         guesses = self._ranked(self.first_guesses())
         if SERVO[0] not in self.names:
-            return self._least_squares(guesses[0], NEAR)
-        tried = [
-            self._least_squares(one, NEAR, SHORT_STEPS) for one in guesses[:STARTS]
-        ]
+            return self.solved(guesses[0], NEAR)
+        tried = [self.solved(one, NEAR, SHORT_STEPS) for one in guesses[:STARTS]]
         best = self._ranked(tried)[0]
         if DYNAMICS[0] in self.names:
             rubbing = best.reshape(self.kinds, self.joints).copy()
             dry, kp = (self.names.index(name) for name in (DYNAMICS[0], SERVO[0]))
             stiffness = rubbing[kp] * self.sizes[kp]
             rubbing[dry] = DEADBAND_RAD * stiffness / self.sizes[dry]
-            other = self._least_squares(rubbing.ravel(), NEAR, SHORT_STEPS)
+            other = self.solved(rubbing.ravel(), NEAR, SHORT_STEPS)
             best = self._ranked([best, other])[0]
         return best
 
@@ -263,14 +261,6 @@ class Problem:
         return [one.ravel() for one in ranked]
 
     def solved(
-        self, first: FloatArray, tolerance: float, most: int = MOST_STEPS
-    ) -> FloatArray:
-        """Return the unknowns of the least squares after at most so many steps."""
-        found = self._least_squares(first, tolerance, most)
-        self._check_margin(found)
-        return found
-
-    def _least_squares(
         self, first: FloatArray, tolerance: float, most: int = MOST_STEPS
     ) -> FloatArray:
         """Return the unknowns of the least squares after Marquardt (SIAM J. Appl. Math. 11, 1963).
@@ -332,7 +322,7 @@ class Problem:
                 del differences[0]
         return scaled
 
-    def _check_margin(self, scaled: FloatArray) -> None:
+    def check_margin(self, scaled: FloatArray) -> None:
         """Raise `DivergedError` if the engine diverges with numbers that are a tenth larger, and say a shorter step."""
         larger, count = scaled.copy(), len(self.names) * self.joints
         larger[:count] *= 1.1

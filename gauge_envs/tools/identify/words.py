@@ -129,7 +129,7 @@ def _choice(found: Identified) -> str:
         return ""
     alike = [one.name for one in found.laws if one.is_as_good]
     if len(alike) == 1:
-        return f"{alike[0]} is used: it predicts best, by more than a standard error."
+        return f"{alike[0]} is used: no other law fits and predicts as well, within a standard error."
     reason = ALIKE.format(alike="; ".join(alike), first=alike[0])
     is_by_load = len({"M4", "M5", "M6"} & {*alike}) > 1
     return f"{reason} {TELLING}" if is_by_load else reason

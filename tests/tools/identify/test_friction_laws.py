@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,11 +10,13 @@ from scipy.integrate import solve_ivp
 from servo_laws import BREAKAWAY, C, numbers_of
 
 from gauge_envs.backends import backend
+from gauge_envs.runs.rollout import DivergedError
 from gauge_envs.scene.servo_friction import TERMS, holding, rule
 from gauge_envs.tools.identify import Identified, Log, identify, one_joint, read_log
 from gauge_envs.tools.identify.fit import machine_of
 from gauge_envs.tools.identify.identified import Law
-from gauge_envs.tools.identify.laws import LAWS, _contains
+from gauge_envs.tools.identify.laws import LAWS, _contains, compare_laws
+from gauge_envs.tools.identify.mujoco_joints import ModelJoints
 from gauge_envs.tools.identify.rig import DYNAMICS
 from gauge_envs.tools.identify.spread import pattern, sensor_noise_rad, spread_of
 from gauge_envs.tools.identify.stages import QUADRATIC, Fitter
@@ -129,7 +132,10 @@ def test_what_several_laws_predict_alike_is_said():
     assert any(line.startswith("M4; M5 are not told apart by these logs") for line in said)  # fmt: skip
     alone = replace(found, laws=tuple(laws[:2]))
     said = identified_document(alone).parts[0].notes
-    assert any(line.startswith("M4 is used: it predicts best") for line in said)
+    assert any(
+        line.startswith("M4 is used: no other law fits and predicts as well")
+        for line in said
+    )
 
 
 def test_a_law_starts_from_the_fit_of_one_that_it_contains():
@@ -144,6 +150,50 @@ def test_a_law_starts_from_the_fit_of_one_that_it_contains():
     assert _contains(later.problem.names, first.problem.names)
     assert not _contains(first.problem.names, later.problem.names)
     assert later.misfit <= 1.001 * first.misfit
+
+
+@pytest.mark.parametrize(
+    ("fitted", "missed", "chosen"),
+    [
+        # One predicts best by chance, and leaves thrice the rest of the files that it is fitted to.
+        ((0.5, 0.5, 1.4), ((23.7, 25.5), (23.5, 25.5), (28.0, 9.8)), "dry and quadratic"),
+        # All terms fit best, and predict worse by a factor that is no chance.
+        ((0.5, 0.6, 0.7), ((3.0, 2.9), (2.0, 2.1), (1.0, 1.1)), "dry and viscous"),
+        # A term that changes nothing is no term.
+        ((0.5, 0.5, 0.9), ((1.0, 1.2), (1.0, 1.3), (3.0, 3.9)), "dry and quadratic"),
+    ],
+)  # fmt: skip
+def test_a_law_is_chosen_by_its_predictions_and_fits(fitted, missed, chosen):
+    laws = dict(zip(list(LAWS)[:3], zip(fitted, missed, strict=True), strict=True))
+    logs = [Log(name, np.zeros(1), np.zeros((1, 1))) for name in "ab"]
+
+    def fit(some, names, **_):
+        left, predicted = laws[next(law for law in laws if LAWS[law] == names)]
+        problem = SimpleNamespace(residuals=lambda _: np.array([left]))
+        errors = dict(zip("ba", predicted, strict=True))
+        return SimpleNamespace(
+            problem=problem, unknowns=None, misfit=left, predicted=lambda log: np.array([errors[log.name]])
+        )  # fmt: skip
+
+    fitter, terms = SimpleNamespace(fit=fit), {law: LAWS[law] for law in laws}
+    assert compare_laws(fitter, logs, terms, None, str)[0][0].name == chosen
+
+
+def test_a_law_with_which_the_engine_diverges_is_not_chosen(monkeypatch):
+    inner = ModelJoints.angles
+
+    def diverging(self, log, terms, start):
+        if terms[0].get(QUADRATIC):
+            raise DivergedError("drag")
+        return inner(self, log, terms, start)
+
+    monkeypatch.setattr(ModelJoints, "angles", diverging)
+    times_s = np.arange(0.0, 1.2, 0.01)
+    angles = 0.05 * np.exp(-0.5 * times_s) * np.cos(8.0 * times_s)
+    log = Log("", times_s, angles[:, None])
+    scene = one_joint(MASS_KG, LENGTH_M, INERTIA_KG_M2)
+    found = identify(backend("mujoco"), scene, [log])
+    assert QUADRATIC not in LAWS[found.laws[0].name]
 
 
 def swing(name, seed, *, dry, drag, start_rad):

@@ -1,6 +1,7 @@
 """Laws of servos: friction by load and backlash, by prediction and closed forms; logs from plain MuJoCo."""
 
 import re
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 from servo_laws import JOINT, LEVEL
 
 from gauge_envs.backends import backend
-from gauge_envs.errors import ParameterError
+from gauge_envs.errors import ParameterError, UnsupportedSceneError
 from gauge_envs.scene.servo_friction import STRIBECK
 from gauge_envs.tools.identify import Log, identify, one_joint
 from gauge_envs.tools.identify.fit import machine_of
@@ -182,6 +183,47 @@ def test_backlash_is_chosen_by_prediction():
     assert values["kp_n_m_per_rad"] == pytest.approx(20.0, rel=0.06)
     half = f"{0.5 * values['backlash_rad']:.5g}"
     assert f'name="elbow/play" limited="true" range="-{half} {half}"' in found.lines
+
+
+GAINS = {"kp_n_m_per_rad": 20.0, "kv_n_m_s_per_rad": 0.5, "dry_friction_n_m": 0.1}
+
+
+def found_play(engine, step_s, known):
+    """Number of backlash that 2 s of a log of plain MuJoCo give on an engine, beside known numbers."""
+    log = loose_log("1", 1)
+    rows = {name: values[:100] for name, values in log.columns.items()}
+    short = replace(log, times_s=log.times_s[:100], **rows)
+    names = ["backlash_rad", *(one for one in GAINS if one not in known)]
+    known = {"armature_kg_m2": LOOSE["armature"], "delay_s": 0.0} | known
+    scene = one_joint(LOOSE["mass"], 0.1, 2e-3)
+    step = {"timestep_s": step_s}
+    found = identify(backend(engine), scene, [short], names, known=known, settings=step)
+    return found.settings[0].value
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("engine", "step_s", "known"),
+    [
+        ("mujoco", 1 / 2160, GAINS),
+        ("rapier", 1 / 2160, GAINS),
+        ("drake", 1 / 2160, GAINS),
+        ("newton", 1 / 1080, GAINS),
+        ("genesis", 1 / 1080, GAINS),
+        # Its damping counts at the end of a step: with the gains of MuJoCo it finds a fifth too much.
+        ("physx", 1 / 2160, {}),
+    ],
+)
+def test_a_known_backlash_is_found_on_each_engine(engine, step_s, known):
+    modules = {"rapier": "rapier3d", "drake": "pydrake", "physx": "sapien"}
+    pytest.importorskip(modules.get(engine, engine))
+    assert found_play(engine, step_s, known) == pytest.approx(PLAY_RAD, rel=0.1)
+
+
+def test_an_engine_without_backlash_declines_by_name():
+    pytest.importorskip("pybullet")
+    with pytest.raises(UnsupportedSceneError, match=r"'pybullet'.* has backlash"):
+        found_play("pybullet", 1 / 2160, GAINS)
 
 
 def test_backlash_needs_the_inertia_of_the_rotor():
