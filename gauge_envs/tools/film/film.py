@@ -187,12 +187,8 @@ def film_times(options: FilmOptions, last_s: float) -> NDArray[np.float64]:
         raise ParameterError(
             f"the film would have {count} frames, at most {MOST_FRAMES}: raise speed, or lower fps"
         )
-    return np.array(
-        [
-            options.from_s + number * options.speed / options.fps
-            for number in range(count)
-        ]
-    )
+    step_s = options.speed / options.fps
+    return np.asarray(options.from_s + step_s * np.arange(count), dtype=np.float64)
 
 
 def save_film(

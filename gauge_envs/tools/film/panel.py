@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
+from PIL import Image, ImageOps
 
 from gauge_envs.envs.pictures import Pictures
 from gauge_envs.errors import VideoError
@@ -300,15 +300,7 @@ class RecordedPanel:
     def _fitted(self, picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Return a picture of blue, green and red as one of red, green and blue that fits, on a grey ground."""
         image = Image.fromarray(np.ascontiguousarray(picture[:, :, ::-1]))
-        scale = min(self._size[0] / image.width, self._size[1] / image.height)
-        fitted = (
-            max(1, round(scale * image.width)),
-            max(1, round(scale * image.height)),
-        )
-        ground = Image.new("RGB", self._size, GREY)
-        corner = ((self._size[0] - fitted[0]) // 2, (self._size[1] - fitted[1]) // 2)
-        ground.paste(image.resize(fitted, Image.Resampling.LANCZOS), corner)
-        return np.asarray(ground)
+        return np.asarray(ImageOps.pad(image, self._size, color=GREY))
 
 
 # --- between views ---

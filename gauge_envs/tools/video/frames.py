@@ -531,19 +531,13 @@ def _rhythm(differences: FloatArray) -> NDArray[np.bool_] | None:
         ]
     )
     for period in range(2, MOST_PERIOD + 1):
-        places = [
-            np.flatnonzero(counts & (np.arange(count) % period == phase))
-            for phase in range(period)
-        ]
-        if min(len(place) for place in places) < 2:
+        phases = np.arange(count) % period
+        seen = np.bincount(phases, counts, period)
+        again = np.bincount(phases, counts & repeats, period)
+        if seen.min() < 2:
             break
-        shares = np.array([repeats[place].mean() for place in places])
-        rhythm = shares >= CLEAR_SHARE
-        is_clear = (rhythm | (shares <= 1.0 - CLEAR_SHARE)).all() and not rhythm.all()
-        if (
-            is_clear
-            and sum(int(repeats[places[i]].sum()) for i in np.flatnonzero(rhythm))
-            >= LEAST_REPEATS
-        ):
-            return rhythm
+        rhythm = again >= CLEAR_SHARE * seen
+        is_clear = (rhythm | (again <= (1.0 - CLEAR_SHARE) * seen)).all()
+        if is_clear and not rhythm.all() and again[rhythm].sum() >= LEAST_REPEATS:
+            return np.asarray(rhythm)
     return None

@@ -411,17 +411,14 @@ def restitution(track: Track, task: VideoTask) -> float:
 
 def _flights(heights_m: FloatArray) -> list[NDArray[np.intp]]:
     """Return the samples of each flight of a ball between its impacts, up to the first flight that is too short."""
+    from scipy.signal import find_peaks
+
     drop_m = float(np.ptp(heights_m))
     start = int(np.flatnonzero(heights_m < heights_m[0] - LEAST_FALL * drop_m)[0])
-    cuts = [start - 2]
-    for row in range(start + 1, len(heights_m) - 1):
-        is_lowest = (
-            heights_m[row] < heights_m[row - 1] and heights_m[row] <= heights_m[row + 1]
-        )
-        beside_m = heights_m[max(0, row - REACH) : row + REACH + 1]
-        if is_lowest and np.ptp(beside_m) > LEAST_FALL * drop_m:
-            cuts.append(row)
-    cuts.append(len(heights_m) + 1)
+    impacts, _ = find_peaks(
+        -heights_m[start:], prominence=LEAST_FALL * drop_m, wlen=2 * REACH + 1
+    )
+    cuts = [start - 2, *(start + impacts), len(heights_m) + 1]
     flights = []
     for low, high in pairwise(cuts):
         # The frames beside an impact may be exposed across it.

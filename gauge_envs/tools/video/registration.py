@@ -123,7 +123,12 @@ def registration_by_first_frame(
         np.array([ours[one.queryIdx].pt for one in good]).reshape(-1, 2) + 0.5
     ) / factor
     wanted = np.array([known[one.trainIdx].pt for one in good]).reshape(-1, 2) + 0.5
-    scale, offset, agree = _axis_fit(seen, wanted)
+    matrix, agree = np.eye(2, 3), np.zeros(len(good), dtype=bool)
+    if len(good) >= LEAST_INLIERS:
+        matrix, inliers = cv2.estimateAffine2D(
+            seen, wanted, ransacReprojThreshold=MOST_SCATTER_PX, maxIters=5000
+        )
+        agree = inliers.ravel() == 1
     count = int(agree.sum())
     share = count / max(len(good), 1)
     if count < LEAST_INLIERS or share < LEAST_INLIER_SHARE:
@@ -132,10 +137,10 @@ def registration_by_first_frame(
             f"{max(LEAST_INLIERS, math.ceil(LEAST_INLIER_SHARE * len(good)))} are needed: it must begin with that frame"
         )
     free = Registration(
-        scale_x=float(scale[0]),
-        scale_y=float(scale[1]),
-        offset_x_px=float(offset[0]),
-        offset_y_px=float(offset[1]),
+        scale_x=float(matrix[0, 0]),
+        scale_y=float(matrix[1, 1]),
+        offset_x_px=float(matrix[0, 2]),
+        offset_y_px=float(matrix[1, 2]),
         method="first frame",
         inliers=count,
         support=share,
@@ -260,24 +265,3 @@ def _shrunk(picture: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], float]:
         return picture, 1.0
     size = (round(picture.shape[1] * factor), round(picture.shape[0] * factor))
     return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA)), factor
-
-
-def _axis_fit(
-    seen: FloatArray, wanted: FloatArray
-) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
-    """Return the scale and offset of each axis that most pairs of points agree with, and which agree."""
-    scale, offset, agree = np.ones(2), np.zeros(2), np.zeros(len(seen), dtype=bool)
-    if len(seen) < LEAST_INLIERS:
-        return scale, offset, agree
-    _, inliers = cv2.estimateAffine2D(
-        seen, wanted, ransacReprojThreshold=MOST_SCATTER_PX, maxIters=5000
-    )
-    agree = inliers.ravel() == 1
-    if agree.sum() >= 3:
-        for axis in (0, 1):
-            scale[axis], offset[axis] = np.polyfit(
-                seen[agree, axis], wanted[agree, axis], 1
-            )
-        missed_px = np.linalg.norm(wanted - offset - scale * seen, axis=1)
-        agree = missed_px < MOST_SCATTER_PX
-    return scale, offset, agree

@@ -100,29 +100,6 @@ def test_intervals_hold_the_truth(task):
 
 
 @pytest.mark.slow
-def test_a_wrong_frame_rate_changes_the_acceleration_by_its_square():
-    one = known("SlopeSlider-2-wood")
-    right, half = score(one.frames, 30.0, one.task), score(one.frames, 15.0, one.task)
-    a, slow = right.metrics["acceleration_m_s2"], half.metrics["acceleration_m_s2"]
-    assert a is not None
-    assert slow == pytest.approx(a / 4.0, rel=1e-3)
-
-
-@pytest.mark.slow
-def test_the_scale_follows_resolution_and_aspect():
-    one = known("BouncingBall-rubber", 5)
-    wide = [cv2.resize(frame, (1280, 720)) for frame in one.frames]
-    squeezed = [cv2.resize(frame, (640, 480)) for frame in one.frames]
-    for frames in (wide, squeezed):
-        result = score(frames, one.fps, one.task)
-        assert is_close(
-            "acceleration_m_s2",
-            result.metrics["acceleration_m_s2"],
-            one.truth["acceleration_m_s2"],
-        )
-
-
-@pytest.mark.slow
 def test_an_object_that_vanishes_is_named():
     one = known("Pendulum-metal")
     empty = one.frames[0].copy()
