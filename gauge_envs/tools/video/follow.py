@@ -368,12 +368,15 @@ SIDE, NEAR, EDGE_PX = 0.3, 0.1, 1.5
 SMOOTH_PX = 3.0
 """Width of the grain that a pattern leaves out [px]."""
 
+SEARCHED_RAD = (0.0, 0.15, -0.15, 0.3, -0.3, 0.5, -0.5, 0.8, -0.8)
+"""Angles about the axis at which an object that was lost is looked for [rad]."""
+
 
 class FaceFollower:
     """Follows the face of a cube on a turntable by a template that turns with it and is renewed in each frame.
 
     The place and angle of largest correlation are found from those that the last two frames predict (Evangelidis and
-    Psarakis, 2008, as in OpenCV).
+    Psarakis, 2008, as in OpenCV). An object that is lost there is looked for around the axis.
 
     Args:
         first: The first frame.
@@ -410,6 +413,12 @@ class FaceFollower:
         """Return the place in the next frame; none where it is lost."""
         grey = _grey(picture)
         pose, value = self._matched(picture, grey, self._pose + self._step)
+        if value < LEAST_CORRELATION:
+            around = [_swung(self._pose, self._pivot, one) for one in SEARCHED_RAD]
+            found = (self._matched(picture, grey, one) for one in around)
+            pose, value = next(
+                (one for one in found if one[1] >= LEAST_CORRELATION), (pose, 0.0)
+            )
         if value < LEAST_CORRELATION:
             self._step = np.zeros(3)
             return []
@@ -493,6 +502,12 @@ def _grey(picture: Picture) -> NDArray[np.float32]:
 def _rotation(angle_rad: float) -> FloatArray:
     cosine, sine = math.cos(angle_rad), math.sin(angle_rad)
     return np.array([[cosine, -sine], [sine, cosine]])
+
+
+def _swung(pose: FloatArray, pivot: FloatArray, angle_rad: float) -> FloatArray:
+    """Return a pose that has turned about an axis."""
+    place = pivot + _rotation(angle_rad) @ (pose[1:] - pivot)
+    return np.array([pose[0] + angle_rad, *place])
 
 
 def _turned(
