@@ -156,25 +156,27 @@ def followed(candidates: list[list[Sight]], task: VideoTask, fps: float) -> list
     lawful_px = most_m_s2 / fps**2 / task.scale_m_per_px
     usual_px = max(BEND * task.size_px, lawful_px)
     start = np.array(task.rest_px or task.centre_px)
-    place, step, gap = start, np.zeros(2), 1
+    place, step, gap, seen = start, np.zeros(2), 1, 0
     path = []
     for ones in candidates:
         chosen, most = Sight(), 0.0
         for one in ones:
             away_px = math.dist(one.place, place + gap * step)
             cost = BEND_COST * (away_px / (gap * usual_px)) ** 2
-            if is_struck and gap > 1:
-                # A ball that hangs is not looked for; the impact changes its velocity at no cost.
+            if is_struck and seen < 2:
+                # When it was struck between two frames is unknown, and so is the velocity of its first step.
                 is_near = away_px < MOST_STEP * max(task.size_px, lawful_px)
                 cost = 0.0 if is_near else math.inf
             if one.likeness - cost > most and _is_allowed(one, task):
                 chosen, most = one, one.likeness - cost
         path.append(chosen)
         if chosen.likeness > 0.0:
-            step, place, gap = (chosen.place - place) / gap, chosen.place, 1
+            step, place = (chosen.place - place) / gap, chosen.place
+            gap, seen = 1, seen + 1
         else:
-            gap += 1
+            gap, seen = gap + 1, 0
             if is_struck:
+                # A ball that hangs is not looked for.
                 place, step = start, np.zeros(2)
     return path
 

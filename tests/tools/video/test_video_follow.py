@@ -33,7 +33,8 @@ def test_a_likelier_place_far_away_is_left_out_and_a_gap_is_bridged(decoys):
 
 def test_a_struck_ball_is_followed_from_where_it_hangs_and_nowhere_else():
     length = CRADLE.rest_px[1] - CRADLE.pivot_px[1]
-    swing = (0.6 * np.sin(np.pi * np.arange(1, 12) / 12.0)).tolist()
+    # It is struck just before a frame: the first step is short, and the next one is not.
+    swing = (0.75 * np.sin(np.pi * (np.arange(9) + 0.35) / 9.0)).tolist()
 
     def at(angle, length):
         offset = length * np.array([math.sin(angle), math.cos(angle)])
