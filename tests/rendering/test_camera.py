@@ -30,7 +30,6 @@ from gauge_envs.scene import (
     Cloth,
     Hinge,
     Motion,
-    Plane,
     Pose,
     Region,
     RigidBody,
@@ -170,28 +169,6 @@ def test_a_narrow_picture_shows_as_much_as_a_usual_one(aspect):
     )
     assert share.min() >= 0.0
     assert (share <= [aspect * 100.0, 100.0]).all()
-
-
-@pytest.mark.parametrize(
-    "name", ["NonsmoothContact-1-wood", "TextileFlinging-satin", "Pendulum-metal"]
-)
-def test_a_scene_without_a_camera_is_seen_whole(name):
-    scene = load_experiment(name).scene
-    view = scene_view(scene)
-    corners = [
-        body.pose.to_world(body.shape.corners_m)
-        for body in scene.bodies
-        if not isinstance(body.shape, Plane)
-    ]
-    for driver in scene.drivers:
-        body = scene.body(driver.body)
-        corners.append(
-            driver.pose(body.pose, scene.duration_s).to_world(body.shape.corners_m)
-        )
-    pixels = view.pixels(np.concatenate(corners), width=300.0, height=300.0)
-    assert (pixels >= 0.0).all()
-    assert (pixels <= 300.0).all()
-    assert np.ptp(pixels, axis=0).max() > 25.0
 
 
 UPRIGHT = Pose(position_m=(0.3, -0.2, 1.0))

@@ -132,60 +132,6 @@ def face_areas(experiment):
     return np.array(areas)
 
 
-def import_shapes(root, name, shapes):
-    """Import trials of a variant whose markers keep one shape each [mm], shape [marker_count, 3]."""
-    synthetic = synthetic_trials(name, [0.0] * len(shapes), frames_after=0)
-    count = synthetic.experiment.frame_count
-    key = synthetic.experiment.scene.markers.bodies[0]
-    for content, shape in zip(synthetic.contents, shapes, strict=True):
-        still = np.repeat(shape[None], count, axis=0)
-        content[key] = marker_asset(still, range(0, 7 * len(shape), 7))
-    assert import_contents(root, name, synthetic.contents).used == len(shapes)
-
-
-def test_curvature_of_a_raised_marker(tmp_path):
-    name = "TextileStretching-leather"
-    markers = load_experiment(name).scene.markers
-    rest = 1e3 * np.asarray(markers.positions_m)
-    edges = {*markers.edge, *markers.corner}
-    raised = next(k for k in range(len(rest)) if k not in edges)
-    normal = np.linalg.svd(rest - rest.mean(axis=0))[2][2]
-    shapes, expected = [], []
-    for height in (10.0, 20.0, 25.0):
-        shape = rest.copy()
-        shape[raised] += height * normal
-        shapes.append(shape)
-        around = 0.0
-        for face in markers.faces:
-            if raised in face:
-                one, two = (shape[k] - shape[raised] for k in face if k != raised)
-                cosine = one @ two / np.linalg.norm(one) / np.linalg.norm(two)
-                around += math.acos(cosine)
-        expected.append(2 * math.pi - around)
-    import_shapes(tmp_path, name, shapes)
-    band = band_of(name)
-    assert band.unit == "rad"
-    assert_close(band.mean[:, raised], np.mean(expected))
-    assert_close(band.sigma[:, raised], np.std(expected, ddof=1))
-
-
-def test_curvature_of_a_folded_strip(tmp_path):
-    name = "TextileBending-rayon"
-    rest = 1e3 * np.asarray(load_experiment(name).scene.markers.positions_m)
-    angles = np.array([0.3, 0.4, 0.6])
-    beyond = np.maximum(rest[:, 0] - rest[6, 0], 0.0)
-    shapes = [
-        rest + beyond[:, None] * [math.cos(angle) - 1.0, 0.0, math.sin(angle)]
-        for angle in angles
-    ]
-    import_shapes(tmp_path, name, shapes)
-    band = band_of(name)
-    columns = [band.coordinates.index(f"marker-{k}") for k in (6, 7)]
-    assert_close(band.mean[:, columns], angles.mean())
-    assert_close(band.sigma[:, columns], angles.std(ddof=1))
-    assert np.delete(band.sigma, columns, axis=1).max() < TOLERANCE
-
-
 def test_missing_samples_are_left_out_of_mean_and_scatter(tmp_path):
     amounts = np.array([*AMOUNTS, 2.0])
     synthetic = synthetic_trials(SLIDER, amounts)
@@ -761,7 +707,3 @@ def test_imported_statistics_are_used_when_asked_for(tmp_path):
     assert strain.uncertainty == pytest.approx(1e-3 * SIGMA, abs=1e-6)
     assert strain.simulated == pytest.approx(0.052, abs=0.002)
     assert found.source.startswith("imported dataset")
-
-
-def test_rigid_imports_have_no_statistics(store):
-    assert load_imported(SLIDER).deformation is None

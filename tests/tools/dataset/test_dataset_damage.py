@@ -2,12 +2,10 @@
 
 import contextlib
 import copy
-import io
 import json
 import math
 import os
 import re
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -16,7 +14,6 @@ import pytest
 from dataset_writer import (
     AMOUNTS,
     body_asset,
-    marker_asset,
     scaled_markers,
     synthetic_trials,
     trial_folder,
@@ -29,7 +26,6 @@ from imports import band_of, import_contents, imported, put
 from gauge_envs import load_experiment
 from gauge_envs.references.imported import load_imported
 from gauge_envs.tools.dataset.findings import TrialError
-from gauge_envs.tools.dataset.forms import Stated
 from gauge_envs.tools.dataset.observation import driver_tracks, trial_trajectory
 from gauge_envs.tools.dataset.trial import parse_trial
 
@@ -276,16 +272,6 @@ def test_the_command_imports_the_rest_and_exits_with_1(tmp_path, gauge):
     assert (fault["finding"]["key"], fault["finding"]["left_out"]) == ("(file)", True)
 
 
-def test_an_array_that_is_larger_than_its_file_is_refused():
-    header, bomb = io.BytesIO(), io.BytesIO()
-    stated = {"descr": "<f8", "fortran_order": False, "shape": (10**9, 3)}
-    np.lib.format.write_array_header_1_0(header, stated)
-    with zipfile.ZipFile(bomb, "w") as archive:
-        archive.writestr("cube.npy", header.getvalue())
-    with pytest.raises(TrialError, match="does not fit 0 bytes"):
-        parse_trial(bomb.getvalue(), ".npz", Stated(unit="mm", rate_hz=30.0))
-
-
 # --- fuzz ------------------------------------------------------------------------------------------------------------
 
 
@@ -373,28 +359,3 @@ def test_a_trial_with_changed_bytes_is_used_or_a_named_fault(cut, flips):
     for place, byte in flips:
         content[place % len(content)] = byte
     read_all(bytes(content[: len(content) - cut] if cut < 20 else content), SLIDER)
-
-
-@given(
-    st.lists(
-        st.tuples(st.floats(-300, 300), st.floats(-300, 300), st.floats(-300, 300)),
-        min_size=9,
-        max_size=12,
-    ),
-    st.integers(2, 4),
-)
-@settings(max_examples=20)
-def test_what_is_written_is_what_is_read(path, markers):
-    positions = np.array(path)
-    content = {
-        "FPS": 30,
-        "translation unit": "mm",
-        "cube": body_asset(positions),
-        "set": marker_asset(
-            np.repeat(positions[:, None], markers, axis=1), range(markers)
-        ),
-    }
-    trial = parse_trial(json.dumps(content).encode())
-    np.testing.assert_array_equal(trial.poses["cube"].positions_mm, positions)
-    assert list(trial.markers["set"]) == [str(marker) for marker in range(markers)]
-    np.testing.assert_array_equal(trial.markers["set"]["0"], positions)

@@ -9,7 +9,6 @@ import approval
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, example, given, settings, strategies as st
-from scipy.interpolate import CubicSpline
 
 from gauge_envs import load_experiment, reference_band
 from gauge_envs.errors import ShapeError
@@ -180,36 +179,6 @@ def test_a_slide_gives_back_release_offset_and_acceleration(
             2.6 * ratio, rel=3e-3
         )
     assert change(found, "acceleration").simulated == pytest.approx(2.6, rel=1e-3)
-
-
-@pytest.mark.parametrize(
-    "name", ["SlopeSlider-2-wood", "SlopeSlider-2-plastic", "SlopeSlider-2-metal"]
-)
-def test_errors_planted_in_the_mean_of_real_trials_come_back(name):
-    experiment = load_experiment(name)
-    real = reference_band(experiment)
-    count = len(real.mean)
-    motion_at = CubicSpline(frames_s(count), real.mean[:, 0])
-    times, simulated = samples(count, motion_at)
-    late_s, offset_mm, ratio = 0.03, 4.0, 1.05
-    start = simulated[0]
-    late = (
-        start
-        + offset_mm
-        + ratio * (motion_at(np.maximum(frames_s(count) - late_s, 0.0)) - start)
-    )
-    planted = replace(real, mean=late[:, None])
-    diagnosis = diagnose_trajectory(
-        experiment, planted, times_s=times, values=simulated[:, None] * real.projection
-    )
-    assert_consistent(diagnosis)
-    # Samples are joined linearly, which is 0.01 mm off between them.
-    assert diagnosis.rest.rmse < 0.02
-    found = part(diagnosis, BudgetStage.RATE)
-    assert change(found, "release_time").fitted == pytest.approx(late_s, abs=3e-4)
-    assert change(found, "offset").fitted == pytest.approx(offset_mm, abs=0.05)
-    rate = change(found, "acceleration")
-    assert rate.fitted / rate.simulated == pytest.approx(ratio, rel=1e-3)
 
 
 def bounce(restitution, *, late_s=0.0, raised_mm=0.0, drop_mm=400.0, floor_mm=FLOOR_MM):
