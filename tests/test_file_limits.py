@@ -204,7 +204,9 @@ def test_a_header_that_states_more_than_the_file_holds_is_refused():
         npy(np.ones((2, 2))).replace(b"(2, 2)", b"(9, 9)"),
         npy(np.array([{}], dtype=object)),
     ):
-        with pytest.raises(ValueError, match=r".+"):
+        with pytest.raises(
+            ValueError, match=r"does not fit|expected numbers|malformed node"
+        ):
             npz_arrays(npz(a=content), ["a"], MEGABYTE)
 
 
