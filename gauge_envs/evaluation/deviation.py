@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -54,7 +54,7 @@ class Deviation:
         """Root mean square over the baseline."""
         return None if self.baseline is None else self.rmse / self.baseline
 
-    @property
+    @cached_property
     def interval(self) -> tuple[float, float] | None:
         """95 % interval of the root mean square, in the band's unit; None if refused."""
         return self.errors.interval(self.values, over_baseline=False)
@@ -69,7 +69,7 @@ class Deviation:
         """Why the normalized root mean square has no interval; None if it has one, or without a baseline."""
         return None if self.baseline is None else self.errors.refusal(self.values)
 
-    @property
+    @cached_property
     def normalized_interval(self) -> tuple[float, float] | None:
         """95 % interval of the normalized root mean square; None without a baseline, or if refused."""
         ends = None if self.baseline is None else self.errors.interval(self.values)

@@ -110,10 +110,14 @@ def baseline_draws(influence: FloatArray) -> FloatArray:
         influence: Relative effect of each trial on the mean distance, shape [trial_count].
     """
     count = len(influence)
+    return np.asarray(trial_weights(count) @ influence - _unseen_outliers(count))
+
+
+@cache
+def _unseen_outliers(count: int) -> FloatArray:
+    """Return what outliers that none of `count` trials shows add to that logarithm, shape [draw_count]."""
     unseen = random_numbers("unseen").beta(1.0, count, DRAW_COUNT)
-    return np.asarray(
-        trial_weights(count) @ influence - np.log1p(UNSEEN_EXCESS * unseen)
-    )
+    return np.asarray(np.log1p(UNSEEN_EXCESS * unseen))
 
 
 @dataclass

@@ -42,6 +42,9 @@ RATE_BOUNDS = (0.5, 2.0)
 SCALE_BOUNDS = (0.5, 2.0)
 """Least and largest factor of displacement."""
 
+STARTS_AT_ONCE = 100
+"""Number of starts of a motion that are fitted in one array."""
+
 SHAPE_TOLERANCE = 0.04
 """Largest root-mean-square misfit of a law of motion, over the root mean square of the displacement.
 
@@ -287,17 +290,19 @@ def _uniform_acceleration(
     size = float(np.sqrt(np.mean(np.square(moved))))
     if size == 0.0:
         return None
-    best, acceleration = math.inf, np.zeros(values.shape[1])
-    # In a recording the body may rest for a while before it moves.
-    for start_s in seen_s[seen_s <= 0.5 * seen_s[-1]]:
-        unit_motion = 0.5 * np.square(np.maximum(seen_s - start_s, 0.0))
-        fitted = unit_motion @ moved / (unit_motion @ unit_motion)
-        misfit = float(
-            np.sqrt(np.mean(np.square(moved - unit_motion[:, None] * fitted)))
-        )
-        if misfit < best:
-            best, acceleration = misfit, fitted
-    if best > SHAPE_TOLERANCE * size:
+    # In a recording the body may rest for a while before it moves. Of each start, the best acceleration leaves a sum of
+    # squares that is smaller by the square of the projection on the motion of unit acceleration.
+    starts_s = seen_s[seen_s <= 0.5 * seen_s[-1]]
+    most, best = -1.0, np.zeros(0)
+    for some_s in np.array_split(starts_s, math.ceil(len(starts_s) / STARTS_AT_ONCE)):
+        motions = 0.5 * np.square(np.maximum(seen_s - some_s[:, None], 0.0))
+        squares = np.square(motions).sum(axis=1)
+        gained = np.square(motions @ moved).sum(axis=1) / squares
+        if gained.max() > most:
+            most, best = float(gained.max()), motions[gained.argmax()]
+    acceleration = best @ moved / (best @ best)
+    left = moved - best[:, None] * acceleration
+    if float(np.sqrt(np.mean(np.square(left)))) > SHAPE_TOLERANCE * size:
         return None
     return RecognizedMotion(
         MotionKind.UNIFORM_ACCELERATION,

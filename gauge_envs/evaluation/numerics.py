@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import cache
 
 import numpy as np
 
@@ -52,6 +53,7 @@ def share_interval(successes: float, count: float, level: float) -> tuple[float,
     return low, high
 
 
+@cache
 def student_quantile(freedom: float, probability: float) -> float:
     """Return the value below which a Student variable is with a probability.
 
@@ -78,11 +80,35 @@ def bounded_minimum(
         high: Largest argument.
         tolerance: Largest error of the argument.
     """
+    found, least = bounded_minima(
+        lambda arguments: function(arguments[0])[None],
+        np.array([low]),
+        np.array([high]),
+        tolerance,
+    )
+    return float(found[0]), float(least[0])
+
+
+def bounded_minima(
+    functions: Callable[[FloatArray], FloatArray],
+    low: FloatArray,
+    high: FloatArray,
+    tolerance: float,
+) -> tuple[FloatArray, FloatArray]:
+    """Return the arguments and the values of the minima of functions, each with a single one between its bounds.
+
+    Args:
+        functions: Values at arguments, shape [function_count, count] each.
+        low: Least arguments, shape [function_count].
+        high: Largest arguments, shape [function_count].
+        tolerance: Largest error of an argument.
+    """
+    each = np.arange(len(low))
     while True:
-        arguments = np.linspace(low, high, GRID_POINTS)
-        values = function(arguments)
-        best = int(np.argmin(values))
-        if high - low <= tolerance:
-            return float(arguments[best]), float(values[best])
-        low = float(arguments[max(best - 1, 0)])
-        high = float(arguments[min(best + 1, GRID_POINTS - 1)])
+        arguments = np.linspace(low, high, GRID_POINTS, axis=1)
+        values = functions(arguments)
+        best = values.argmin(axis=1)
+        if (high - low).max() <= tolerance:
+            return arguments[each, best], values[each, best]
+        low = arguments[each, np.maximum(best - 1, 0)]
+        high = arguments[each, np.minimum(best + 1, GRID_POINTS - 1)]

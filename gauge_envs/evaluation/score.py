@@ -36,7 +36,7 @@ from gauge_envs.evaluation.metrics.trajectory import (
     band_coverage,
     dtw_path,
     mean_abs_z,
-    release_offset,
+    release_offsets,
     signed_error,
     trajectory_rmse,
     z_scores,
@@ -114,12 +114,13 @@ def explained(
     first, values = deviations.first, band.project(values)
     offset_s = (deviations.release_offset_s or 0.0) if deviations.is_aligned else 0.0
 
-    def distance(moved: FloatArray) -> float:
+    def distances(moved: FloatArray) -> FloatArray:
         if deviations.is_aligned:
-            return release_offset(
+            return release_offsets(
                 times_s, moved, band.mean, frame_rate_hz=FRAME_RATE_HZ
             )[1]
-        return trajectory_rmse(sampled_frames(experiment, times_s, moved), band.mean)
+        frames = (sampled_frames(experiment, times_s, one) for one in moved)
+        return np.array([trajectory_rmse(one, band.mean) for one in frames])
 
     frames_s = np.arange(len(band.mean)) / FRAME_RATE_HZ
     known = np.isfinite(first.values)
@@ -130,9 +131,9 @@ def explained(
         else np.where(known, first.velocity, 0.0).ravel()
     )
     along = along / max(float(np.linalg.norm(along)), 1e-300)
-    found = []
+    tried: list[tuple[InputUncertainty, float]] = []
+    moved_values: list[FloatArray] = []
     for one in _inputs(experiment, band, sensitivities):
-        best, left = 0.0, (1.0 - LEAST_SHARE) * first.rmse
         below = -one.change if one.change_below is None else one.change_below
         for sign, table in ((1.0, one.change), (-1.0, below)):
             moved = band.project(table[: len(band.mean)])
@@ -141,23 +142,28 @@ def explained(
             slope, size = float(flat @ shape), float(shape @ shape)
             if slope >= 0.0 or size == 0.0:
                 continue
+            change = _at(moved, times_s)
             for share in {min(-slope / size, 1.0), 1.0}:
-                rest = distance(values + share * _at(moved, times_s))
-                if rest < left:
-                    best, left = sign * share, rest
-        if best:
-            found.append(
-                Explained(
-                    name=one.name,
-                    kind=one.kind,
-                    std=one.std,
-                    unit=one.unit,
-                    source=one.source,
-                    change=best,
-                    left=left,
-                )
+                tried.append((one, sign * share))
+                moved_values.append(values + share * change)
+    if not tried:
+        return ()
+    found: dict[int, Explained] = {}
+    rests = distances(np.array(moved_values)).tolist()
+    limit = (1.0 - LEAST_SHARE) * first.rmse
+    for (one, change_share), rest in zip(tried, rests, strict=True):
+        best = found.get(id(one))
+        if rest < (limit if best is None else best.left):
+            found[id(one)] = Explained(
+                name=one.name,
+                kind=one.kind,
+                std=one.std,
+                unit=one.unit,
+                source=one.source,
+                change=change_share,
+                left=rest,
             )
-    return tuple(sorted(found, key=lambda one: one.left))
+    return tuple(sorted(found.values(), key=lambda one: one.left))
 
 
 def _inputs(

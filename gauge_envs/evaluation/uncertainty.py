@@ -117,7 +117,7 @@ class _Components:
         shapes: Orthonormal shapes, shape [component_count, entry_count].
         of_trials: Components of the error of the sample of trials in each draw, shape [draw_count, component_count].
         of_others: Those of all other errors, same shape.
-        of_smear: Those of the smear of the mean, same shape; their mean is not 0.
+        of_smear: Those of the smear of the mean, which others contain, same shape; their mean is not 0.
         variance: Mean square of the error but for the smear, unbiased.
     """
 
@@ -129,7 +129,47 @@ class _Components:
 
     def drawn(self, wider: float) -> FloatArray:
         """Return the components of each draw, with a widening for trials that depend on each other."""
-        return wider * self.of_trials + self.of_others + self.of_smear
+        drawn = wider * self.of_trials
+        drawn += self.of_others
+        return drawn
+
+    def along(self, wider: float, direction: FloatArray) -> FloatArray:
+        """Return the products of the errors of each draw with a vector, shape [draw_count]."""
+        components = self.shapes @ direction
+        return wider * (self.of_trials @ components) + self.of_others @ components
+
+    def squares(self, wider: float) -> FloatArray:
+        """Return the squared norm of the error of each draw, shape [draw_count]."""
+        return _polynomial(self._squares, wider)
+
+    def products(self, wider: float) -> FloatArray:
+        """Return the products of the errors of each draw and the next one, shape [draw_count - 1]."""
+        return _polynomial(self._products, wider)
+
+    @cached_property
+    def _squares(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Coefficients of `squares`, from the power 0 of the widening on."""
+        trials, others = self.of_trials, self.of_others
+        return _dot(others, others), 2.0 * _dot(trials, others), _dot(trials, trials)
+
+    @cached_property
+    def _products(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Coefficients of `products`, from the power 0 of the widening on."""
+        trials, others = self.of_trials, self.of_others
+        mixed = _dot(trials[:-1], others[1:]) + _dot(others[:-1], trials[1:])
+        return _dot(others[:-1], others[1:]), mixed, _dot(trials[:-1], trials[1:])
+
+
+def _dot(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Return the product of each row with that of another array, shape [row_count]."""
+    return np.einsum("kc,kc->k", first, second)
+
+
+def _polynomial(
+    coefficients: tuple[FloatArray, FloatArray, FloatArray], wider: float
+) -> FloatArray:
+    constant, linear, quadratic = coefficients
+    return constant + wider * (linear + wider * quadratic)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -142,7 +182,7 @@ class BandErrors:
     Attributes:
         known: Entries of the mean that are compared, shape [T, C].
         shapes: Error shapes, shape [shape_count, entry_count].
-        factors: Random factors of the shapes, shape [draw_count, shape_count].
+        factors: Random factors of the shapes of each source, shape [draw_count, shape_count] each.
         baseline: Logarithm of the measured over the true baseline in each draw, shape [draw_count].
         baseline_bias: Measured baseline over the true one on average: trials are nearer to a mean that they are part
             of, and farther from that of the others.
@@ -154,7 +194,7 @@ class BandErrors:
 
     known: NDArray[np.bool_]
     shapes: FloatArray
-    factors: FloatArray
+    factors: tuple[FloatArray, ...]
     baseline: FloatArray
     baseline_bias: float
     baseline_source: str
@@ -214,7 +254,11 @@ class BandErrors:
             degrees / random_numbers("smear").chisquare(degrees, DRAW_COUNT)
         )
         place = np.interp(drawn, SMEARS, np.arange(len(SMEARS)))
-        factors = np.maximum(1.0 - np.abs(place[:, None] - np.arange(len(SMEARS))), 0.0)
+        draws, below = np.arange(DRAW_COUNT), place.astype(np.intp)
+        below = np.minimum(below, len(SMEARS) - 2)
+        factors = np.zeros((DRAW_COUNT, len(SMEARS)))
+        factors[draws, below] = 1.0 - (place - below)
+        factors[draws, below + 1] = place - below
         shapes, scatter = smears - of_trials.mean(axis=0), f"scatter of {count} trials"
         return aligned.with_source(
             "smear of the mean by releases", "smear", "A", scatter, shapes, factors
@@ -237,7 +281,7 @@ class BandErrors:
         return replace(
             self,
             shapes=np.vstack([self.shapes, shapes]),
-            factors=np.hstack([self.factors, factors]),
+            factors=(*self.factors, factors),
             sources=(*self.sources, added),
         )
 
@@ -292,34 +336,34 @@ class BandErrors:
         """The errors by their components."""
         count = self.trial_count
         of_trials = TRIAL_KINDS if count else ()
-        others, smears = (
-            [
-                one
-                for one in self.sources
-                if one.kind not in of_trials and (one.kind == "smear") == is_smear
-            ]
-            for is_smear in (False, True)
-        )
-        columns = [*(one.columns for one in others), *(one.columns for one in smears)]
-        shapes = np.concatenate([self._trials, *(self.shapes[one] for one in columns)])
-        factors = np.concatenate(
-            [np.zeros((DRAW_COUNT, 0)), *(self.factors[:, one] for one in columns)],
-            axis=1,
-        )
-        smear = count + sum(one.columns.stop - one.columns.start for one in others)
-        left, sizes, right = np.linalg.svd(shapes, full_matrices=False)
+        others = [
+            (one, factors)
+            for one, factors in zip(self.sources, self.factors, strict=True)
+            if one.kind not in of_trials
+        ]
+        shapes = [self._trials, *(self.shapes[one.columns] for one, _ in others)]
+        left, sizes, right = np.linalg.svd(np.concatenate(shapes), full_matrices=False)
         kept = sizes > NEGLIGIBLE * sizes[0]
         along = left[:, kept] * sizes[kept]
-        squares = np.square(along).sum(axis=1)
+        variance = float(np.square(along[:count]).sum()) / max(count * (count - 1), 1)
+        of_others = np.zeros((DRAW_COUNT, along.shape[1]))
+        of_smear = np.zeros_like(of_others)
+        first = count
+        for one, factors in others:
+            rows = along[first : first + factors.shape[1]]
+            first += len(rows)
+            errors = factors @ rows
+            of_others += errors
+            if one.kind == "smear":
+                of_smear = errors
+            else:
+                variance += float(np.square(rows).sum())
         return _Components(
             shapes=right[kept],
             of_trials=trial_weights(count) @ along[:count],
-            of_others=factors[:, : smear - count] @ along[count:smear],
-            of_smear=factors[:, smear - count :] @ along[smear:],
-            variance=float(
-                squares[:count].sum() / max(count * (count - 1), 1)
-                + squares[count:smear].sum()
-            ),
+            of_others=of_others,
+            of_smear=of_smear,
+            variance=variance,
         )
 
     @cached_property
@@ -397,14 +441,13 @@ class BandErrors:
     ) -> tuple[float, float]:
         tail = 0.5 * (1.0 - LEVEL)
         ratio = self._ratio(wider, over_baseline=over_baseline)
-        drawn = self._components.drawn(wider)
-        size, squares = float(np.linalg.norm(vector)), np.square(drawn).sum(axis=1)
+        errors, size = self._components, float(np.linalg.norm(vector))
+        squares = errors.squares(wider)
         # e . d and |d - e| of each draw
-        along = drawn @ (self._components.shapes @ vector)
+        along = errors.along(wider, vector)
         added = np.sqrt(np.maximum(size**2 - 2.0 * along + squares, 0.0))
         # The direction of the true deviation is not that of the observed one: it has the errors of the next draw.
-        products = np.einsum("kc,kc->k", drawn[:-1], drawn[1:])
-        along = (along[:-1] - products) / np.maximum(added[1:], 1e-150)
+        along = (along[:-1] - errors.products(wider)) / np.maximum(added[1:], 1e-150)
         excess = np.square(along) - squares[:-1] + size**2
         roots = np.where(
             excess >= 0.0,
@@ -443,17 +486,15 @@ class BandErrors:
         )
         if refusal(series) is not None:
             return None
+        wider = widening(series)
         shapes = (errors.shapes * scale).reshape(-1, *self.known.shape)[:, path[:, 1]]
         count = max(min(DRAW_COUNT, PATH_NUMBERS // difference.size), 100)
-        cells = (
-            np.tensordot(errors.drawn(widening(series))[:count], shapes, axes=1)
-            + difference
-        )
-        ratio = self._ratio(widening(series), over_baseline=True)[:count]
+        cells = np.tensordot(errors.drawn(wider)[:count], shapes, axes=1)
+        cells += difference
+        drawn = np.sqrt(np.einsum("kpc,kpc->kp", cells, cells)).mean(axis=1)
+        ratio = self._ratio(wider, over_baseline=True)[:count]
         tail = 0.5 * (1.0 - LEVEL)
-        low, high = np.quantile(
-            np.linalg.norm(cells, axis=2).mean(axis=1) / ratio, [tail, 1.0 - tail]
-        )
+        low, high = np.quantile(drawn / ratio, [tail, 1.0 - tail])
         half = 0.5 * float(high - low)
         return _reported(max(observed - half, 0.0)), _reported(observed + half)
 
@@ -468,15 +509,12 @@ class BandErrors:
         Args:
             deviation: Simulation minus mean, shape [T, C].
         """
-        vector, drawn = self.flat(deviation), self._components.drawn(1.0)
-        expected = (
-            float(np.square(drawn - self._components.of_smear).sum(axis=1).mean())
-            + self._components.variance
-        )
+        vector, errors = self.flat(deviation), self._components
+        centred = errors.drawn(1.0) - errors.of_smear
+        expected = float(np.square(centred).sum(axis=1).mean()) + errors.variance
         ratio, square = self._ratio(1.0, over_baseline=True), float(vector @ vector)
-        along = 2.0 * drawn @ (self._components.shapes @ vector)
-        squares = np.square(drawn).sum(axis=1)
-        lengths = square - along + squares - expected
+        lengths = square - 2.0 * errors.along(1.0, vector) + errors.squares(1.0)
+        lengths -= expected
         return np.asarray(np.sign(lengths) * np.sqrt(np.abs(lengths)) * ratio)
 
     def budget(
@@ -495,12 +533,12 @@ class BandErrors:
         size = float(np.linalg.norm(vector))
         stds: list[tuple[ErrorSource, float]] = []
         count = self.trial_count
-        for source in self.sources:
+        for source, factors in zip(self.sources, self.factors, strict=True):
             shapes = self.shapes[source.columns]
             effects = shapes @ (vector / size) if size > 0.0 else shapes
             freedom = count * (count - 1) if count and source.kind in TRIAL_KINDS else 1
             if source.kind == "smear":
-                effects = np.std(self.factors[:, source.columns] @ effects, axis=0)
+                effects = np.std(factors @ effects, axis=0)
             stds.append(
                 (source, float(np.linalg.norm(effects)) / math.sqrt(freedom) / baseline)
             )
@@ -567,7 +605,7 @@ def _band_errors(band: Band, baseline_spread: float | None) -> BandErrors:
     return BandErrors(
         known=known,
         shapes=np.concatenate(shapes.shapes) * known.ravel() / _root_of_frames(known),
-        factors=np.concatenate(shapes.factors, axis=1),
+        factors=tuple(shapes.factors),
         baseline=baseline,
         baseline_bias=bias,
         baseline_source=baseline_source,

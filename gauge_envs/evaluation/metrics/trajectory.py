@@ -11,7 +11,7 @@ from numpy.lib.stride_tricks import as_strided
 from numpy.typing import ArrayLike, NDArray
 
 from gauge_envs.errors import ShapeError
-from gauge_envs.evaluation.numerics import bounded_minimum
+from gauge_envs.evaluation.numerics import bounded_minima
 from gauge_envs.scene.geometry import FloatArray
 
 MAX_RELEASE_OFFSET_S = 10 / 30
@@ -125,35 +125,65 @@ def release_offset(
         shift in the observable's unit. Of equally good shifts the smallest is chosen, so an object at rest has 0.
     """
     simulated = _trajectory("simulated", simulated)
+    offsets_s, least = release_offsets(
+        times_s,
+        simulated[None],
+        real_mean,
+        frame_rate_hz=frame_rate_hz,
+        max_offset_s=max_offset_s,
+    )
+    return float(offsets_s[0]), float(least[0])
+
+
+def release_offsets(
+    times_s: ArrayLike,
+    simulated: FloatArray,
+    real_mean: ArrayLike,
+    *,
+    frame_rate_hz: float = 30.0,
+    max_offset_s: float = MAX_RELEASE_OFFSET_S,
+) -> tuple[FloatArray, FloatArray]:
+    """Return `release_offset` of many simulations with the same sample times, shape [simulation_count] each.
+
+    Args:
+        times_s: As for `release_offset`.
+        simulated: Simulated trajectories, finite, shape [simulation_count, sample_count, coordinate_count].
+        real_mean: As for `release_offset`.
+        frame_rate_hz: As for `release_offset`.
+        max_offset_s: As for `release_offset`.
+    """
     real_mean = _trajectory("real_mean", real_mean, allow_missing=True)
     times_s = np.asarray(times_s, dtype=np.float64)
+    each, sample_count, width = simulated.shape
     if (
-        times_s.shape != simulated.shape[:1]
+        times_s.shape != (sample_count,)
         or len(times_s) < 2
         or not (np.diff(times_s) > 0).all()
     ):
         raise ShapeError(
-            f"times_s has shape {times_s.shape} for {len(simulated)} simulated samples: "
+            f"times_s has shape {times_s.shape} for {sample_count} simulated samples: "
             "one strictly ascending time for each of at least two samples is needed"
         )
-    if simulated.shape[1] != real_mean.shape[1]:
+    if width != real_mean.shape[1]:
         raise ShapeError(
-            f"simulated has {simulated.shape[1]} coordinates, real_mean {real_mean.shape[1]}"
+            f"simulated has {width} coordinates, real_mean {real_mean.shape[1]}"
         )
     frame_times_s = np.arange(len(real_mean)) / frame_rate_hz
 
-    def shifted_rmse(offsets_s: FloatArray) -> FloatArray:
-        queries_s = frame_times_s - offsets_s[:, None]
-        shifted = _resample(times_s, simulated, queries_s.ravel()).reshape(
-            *queries_s.shape, -1
-        )
-        squares = np.where(measured, np.square(shifted - real_mean), 0.0)
-        return np.sqrt(squares.sum(axis=(1, 2)) / frame_count)
-
+    # Sums over missing entries stay finite and count for nothing.
     measured = ~np.isnan(real_mean)
+    wanted = np.where(measured, real_mean, 0.0)
     frame_count = np.count_nonzero(measured.any(axis=1))
     if frame_count == 0:
         raise ShapeError("simulated and real_mean share no measured entry")
+
+    def shifted_rmse(offsets_s: FloatArray) -> FloatArray:
+        queries_s = frame_times_s - offsets_s[:, :, None]
+        shifted = _resample(times_s, simulated, queries_s)
+        shifted -= wanted
+        shifted *= measured
+        return np.sqrt(np.einsum("sofc,sofc->so", shifted, shifted) / frame_count)
+
     steps = math.ceil(max_offset_s / _OFFSET_GRID_S)
     last_s = frame_times_s[np.flatnonzero(measured.any(axis=1))[-1]]
     least_s = -min(max(float(times_s[-1] - last_s), 0.0), max_offset_s)
@@ -162,17 +192,19 @@ def release_offset(
     grid_s = grid_s[
         np.argsort(np.abs(grid_s), kind="stable")
     ]  # argmin takes the first, hence smallest, of equals
-    chunks = np.array_split(
-        grid_s, math.ceil(real_mean.size * len(grid_s) / _OFFSET_CHUNK)
+    numbers = each * real_mean.size * len(grid_s)
+    chunks = np.array_split(grid_s, math.ceil(numbers / _OFFSET_CHUNK))
+    grid_rmse = np.hstack([shifted_rmse(chunk[None]) for chunk in chunks])
+    best = grid_rmse.argmin(axis=1)
+    coarse_s, coarse = grid_s[best], grid_rmse[np.arange(each), best]
+    refined_s, least = bounded_minima(
+        shifted_rmse,
+        np.maximum(coarse_s - _OFFSET_GRID_S, least_s),
+        np.minimum(coarse_s + _OFFSET_GRID_S, max_offset_s),
+        1e-7,
     )
-    grid_rmse = np.concatenate([shifted_rmse(chunk) for chunk in chunks])
-    best = int(np.argmin(grid_rmse))
-    low_s = max(float(grid_s[best]) - _OFFSET_GRID_S, least_s)
-    high_s = min(float(grid_s[best]) + _OFFSET_GRID_S, max_offset_s)
-    refined_s, least = bounded_minimum(shifted_rmse, low_s, high_s, 1e-7)
-    if least < grid_rmse[best]:
-        return refined_s, least
-    return float(grid_s[best]), float(grid_rmse[best])
+    is_better = least < coarse
+    return np.where(is_better, refined_s, coarse_s), np.minimum(least, coarse)
 
 
 def z_scores(
@@ -290,18 +322,26 @@ def _rms_of_frames(difference: FloatArray) -> float:
 
 
 def _resample(
-    times_s: FloatArray, trajectory: FloatArray, query_s: FloatArray
+    times_s: FloatArray, trajectories: FloatArray, queries_s: FloatArray
 ) -> FloatArray:
-    """Interpolate all coordinates linearly, constant beyond both ends; exact between equal neighbours."""
-    left = np.clip(
-        np.searchsorted(times_s, query_s, side="right") - 1, 0, len(times_s) - 2
-    )
-    weight = np.clip(
-        (query_s - times_s[left]) / (times_s[left + 1] - times_s[left]), 0.0, 1.0
-    )
-    return trajectory[left] + weight[:, None] * (
-        trajectory[left + 1] - trajectory[left]
-    )
+    """Interpolate all coordinates linearly, constant beyond both ends; exact between equal neighbours.
+
+    Args:
+        times_s: Times of the samples, shape [sample_count].
+        trajectories: Samples, shape [trajectory_count, sample_count, coordinate_count].
+        queries_s: Times of each trajectory, or of all, shape [trajectory_count or 1, ...].
+    """
+    left = np.searchsorted(times_s, queries_s, side="right") - 1
+    left = np.clip(left, 0, len(times_s) - 2)
+    weight = (queries_s - times_s[left]) / (times_s[left + 1] - times_s[left])
+    weight = np.clip(weight, 0.0, 1.0)[..., None]
+    row = np.arange(len(trajectories)).reshape(-1, *(1,) * (left.ndim - 1))
+    before = trajectories[row, left]
+    change = trajectories[row, left + 1]
+    change -= before
+    change *= weight
+    change += before
+    return change
 
 
 def _local_cost(first: FloatArray, second: FloatArray) -> FloatArray:
