@@ -133,44 +133,6 @@ class _Components:
         drawn += self.of_others
         return drawn
 
-    def along(self, wider: float, direction: FloatArray) -> FloatArray:
-        """Return the products of the errors of each draw with a vector, shape [draw_count]."""
-        components = self.shapes @ direction
-        return wider * (self.of_trials @ components) + self.of_others @ components
-
-    def squares(self, wider: float) -> FloatArray:
-        """Return the squared norm of the error of each draw, shape [draw_count]."""
-        return _polynomial(self._squares, wider)
-
-    def products(self, wider: float) -> FloatArray:
-        """Return the products of the errors of each draw and the next one, shape [draw_count - 1]."""
-        return _polynomial(self._products, wider)
-
-    @cached_property
-    def _squares(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Coefficients of `squares`, from the power 0 of the widening on."""
-        trials, others = self.of_trials, self.of_others
-        return _dot(others, others), 2.0 * _dot(trials, others), _dot(trials, trials)
-
-    @cached_property
-    def _products(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Coefficients of `products`, from the power 0 of the widening on."""
-        trials, others = self.of_trials, self.of_others
-        mixed = _dot(trials[:-1], others[1:]) + _dot(others[:-1], trials[1:])
-        return _dot(others[:-1], others[1:]), mixed, _dot(trials[:-1], trials[1:])
-
-
-def _dot(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Return the product of each row with that of another array, shape [row_count]."""
-    return np.einsum("kc,kc->k", first, second)
-
-
-def _polynomial(
-    coefficients: tuple[FloatArray, FloatArray, FloatArray], wider: float
-) -> FloatArray:
-    constant, linear, quadratic = coefficients
-    return constant + wider * (linear + wider * quadratic)
-
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class BandErrors:
@@ -441,13 +403,14 @@ class BandErrors:
     ) -> tuple[float, float]:
         tail = 0.5 * (1.0 - LEVEL)
         ratio = self._ratio(wider, over_baseline=over_baseline)
-        errors, size = self._components, float(np.linalg.norm(vector))
-        squares = errors.squares(wider)
+        drawn, size = self._components.drawn(wider), float(np.linalg.norm(vector))
+        squares = np.einsum("kc,kc->k", drawn, drawn)
         # e . d and |d - e| of each draw
-        along = errors.along(wider, vector)
+        along = drawn @ (self._components.shapes @ vector)
         added = np.sqrt(np.maximum(size**2 - 2.0 * along + squares, 0.0))
         # The direction of the true deviation is not that of the observed one: it has the errors of the next draw.
-        along = (along[:-1] - errors.products(wider)) / np.maximum(added[1:], 1e-150)
+        products = np.einsum("kc,kc->k", drawn[:-1], drawn[1:])
+        along = (along[:-1] - products) / np.maximum(added[1:], 1e-150)
         excess = np.square(along) - squares[:-1] + size**2
         roots = np.where(
             excess >= 0.0,
@@ -509,12 +472,15 @@ class BandErrors:
         Args:
             deviation: Simulation minus mean, shape [T, C].
         """
-        vector, errors = self.flat(deviation), self._components
-        centred = errors.drawn(1.0) - errors.of_smear
-        expected = float(np.square(centred).sum(axis=1).mean()) + errors.variance
+        vector, drawn = self.flat(deviation), self._components.drawn(1.0)
+        expected = (
+            float(np.square(drawn - self._components.of_smear).sum(axis=1).mean())
+            + self._components.variance
+        )
         ratio, square = self._ratio(1.0, over_baseline=True), float(vector @ vector)
-        lengths = square - 2.0 * errors.along(1.0, vector) + errors.squares(1.0)
-        lengths -= expected
+        along = 2.0 * drawn @ (self._components.shapes @ vector)
+        squares = np.square(drawn).sum(axis=1)
+        lengths = square - along + squares - expected
         return np.asarray(np.sign(lengths) * np.sqrt(np.abs(lengths)) * ratio)
 
     def budget(

@@ -485,7 +485,7 @@ def test_few_alike_trials_count_as_scattered_in_their_number_of_directions(
     errors = replace(
         errors,
         shapes=np.zeros((0, errors.known.size)),
-        factors=np.zeros((DRAW_COUNT, 0)),
+        factors=(),
         sources=(),
         trial_count=count,
     ).with_source(
@@ -520,7 +520,7 @@ def test_an_interval_along_one_error_follows_from_its_draws(size, over_baseline)
     errors = replace(
         errors,
         shapes=np.zeros((0, errors.known.size)),
-        factors=np.zeros((DRAW_COUNT, 0)),
+        factors=(),
         baseline=logarithm,
         baseline_bias=1.1,
         sources=(),
@@ -638,7 +638,7 @@ def test_an_exact_simulation_is_as_far_from_trials_as_their_releases_smear_them(
     # Drawn smears, less the observed one, have the law of the variance of five normal numbers.
     squares = np.square(releases_s - releases_s.mean())
     degrees = 4.0 / widening(squares) ** 2
-    drawn = own.factors[:, smear.columns] @ own.shapes[smear.columns]
+    drawn = own.factors[-1] @ own.shapes[smear.columns]
     sizes = np.sort(
         np.sign(drawn @ (np.ones(12) - flat.sum() * flat))
         * np.linalg.norm(drawn, axis=1)

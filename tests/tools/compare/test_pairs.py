@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import t as student
 
+from gauge_envs.evaluation.error_sources import DRAW_COUNT
 from gauge_envs.evaluation.uncertainty import band_errors
 from gauge_envs.tools.compare.draws import (
     ScoreDraws,
@@ -46,7 +47,7 @@ def observed(world, *, aligned, random, name="slide"):
     trials = world.trials(random, 1, TRIAL_COUNT)
     band = band_of(trials[0])
     of_band = band_errors(band, None)
-    order = np.random.default_rng([*name.encode()]).permutation(len(of_band.factors))
+    order = np.random.default_rng([*name.encode()]).permutation(DRAW_COUNT)
     baseline = float(
         np.sqrt(np.mean(np.square(trials - trials.mean(axis=1)), axis=-1)).mean()
     )
