@@ -14,7 +14,11 @@ from gauge_envs.evaluation.metrics.trajectory import (
     release_offset,
     trajectory_rmse,
 )
-from gauge_envs.evaluation.numerics import bounded_minimum, share_interval
+from gauge_envs.evaluation.numerics import (
+    bounded_minimum,
+    interpolated,
+    share_interval,
+)
 from gauge_envs.evaluation.uncertainty import BandErrors, band_errors
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.bands import Band
@@ -176,11 +180,7 @@ def band_deviations(
         queries_s = (
             np.arange(len(band.mean)) / FRAME_RATE_HZ - offset_s - late_s[:, None]
         )
-        columns = [
-            np.interp(queries_s, times_s, column, right=np.nan)
-            for column in projected.T
-        ]
-        return np.stack(columns, axis=2)
+        return interpolated(queries_s, times_s, projected, after=np.nan)
 
     errors, baseline = errors.aligned(velocity, moved), aligned_baseline(band)
     if baseline is not None and (trials := trial_distances(band)) is not None:
@@ -220,15 +220,8 @@ def _shifted(
 ) -> tuple[FloatArray, FloatArray]:
     """Return a simulation that is shifted in time, and its velocity, at the frames, each of shape [T, C]."""
     queries_s = np.arange(frame_count) / FRAME_RATE_HZ - offset_s
-    shifted = np.column_stack(
-        [np.interp(queries_s, times_s, column) for column in values.T]
-    )
-    velocity = np.column_stack(
-        [
-            np.interp(queries_s, times_s, np.gradient(column, times_s))
-            for column in values.T
-        ]
-    )
+    shifted = interpolated(queries_s, times_s, values)
+    velocity = interpolated(queries_s, times_s, np.gradient(values, times_s, axis=0))
     # Before its start the simulation is held.
     return shifted, np.where(queries_s[:, None] < 0.0, 0.0, velocity)
 
@@ -343,17 +336,13 @@ def _shifted_deviations(
     seen = np.isfinite(trial).all(axis=1)
     frames_s = np.arange(len(mean)) / FRAME_RATE_HZ
     known_s = frames_s[: len(trial)][seen]
-    deviations = np.full((len(shifts_s), *mean.shape), np.nan)
     if not len(known_s):
-        return deviations
+        return np.full((len(shifts_s), *mean.shape), np.nan)
     queries_s = frames_s - shifts_s[:, None]
     # Before the release a body rests, so earlier times have the first sample; later ones are not known.
     usable = np.isfinite(mean).any(axis=1) & (queries_s <= known_s[-1] + 1e-9)
-    for coordinate, column in enumerate(trial[seen].T):
-        shifted = np.interp(queries_s, known_s, column)
-        difference = shifted - mean[:, coordinate]
-        deviations[:, :, coordinate] = np.where(usable, difference, np.nan)
-    return deviations
+    shifted = interpolated(queries_s, known_s, trial[seen])
+    return np.where(usable[:, :, None], shifted - mean, np.nan)
 
 
 def _mean_distances(deviations: FloatArray, mean: FloatArray) -> FloatArray:

@@ -66,6 +66,25 @@ def student_quantile(freedom: float, probability: float) -> float:
     return float(stdtrit(freedom, probability))
 
 
+def interpolated(
+    queries_s: FloatArray,
+    times_s: FloatArray,
+    values: FloatArray,
+    *,
+    after: float | None = None,
+) -> FloatArray:
+    """Return values that are linear between samples and constant before them, shape [..., C].
+
+    Args:
+        queries_s: Times [s], any shape.
+        times_s: Times of the samples [s], strictly ascending, shape [sample_count].
+        values: Samples, shape [sample_count, C].
+        after: Value after the last sample; None is that of the last sample.
+    """
+    columns = [np.interp(queries_s, times_s, one, right=after) for one in values.T]
+    return np.stack(columns, axis=-1)
+
+
 def bounded_minimum(
     function: Callable[[FloatArray], FloatArray],
     low: float,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -169,17 +170,8 @@ def swing_motion(
         )
         return pendulum.positions_mm(pendulum.released_rad(times_s, damping_per_s))
 
-    motion, length_m, angle_rad = (
-        positions(),
-        1e-3 * law.length_sigma_mm,
-        math.radians(law.angle_sigma_deg),
-    )
-    uncertainty = _grown(
-        motion,
-        (positions(longer_m=length_m), positions(longer_m=-length_m)),
-        (positions(turned_rad=angle_rad), positions(turned_rad=-angle_rad)),
-        (positions(damping_per_s=law.damping_per_s),),
-    )
+    damped = positions(damping_per_s=law.damping_per_s)
+    motion, uncertainty = _with_uncertainty(law, positions, [damped])
     middle = motion - motion.mean(axis=0)
     unknown = np.square(uncertainty).sum(axis=1) >= np.square(middle).sum(axis=1).mean()
     motion[np.maximum.accumulate(unknown)] = np.nan
@@ -220,17 +212,9 @@ def chain_motion(
             - raised_mm
         )
 
-    motion, length_m, angle_rad = (
-        positions(),
-        1e-3 * law.length_sigma_mm,
-        math.radians(law.angle_sigma_deg),
-    )
-    uncertainty = _grown(
-        motion,
-        (positions(longer_m=length_m), positions(longer_m=-length_m)),
-        (positions(turned_rad=angle_rad), positions(turned_rad=-angle_rad)),
-        (positions(more=transfer.std or 0.0), positions(more=-(transfer.std or 0.0))),
-    )
+    std = transfer.std or 0.0
+    blows = [positions(more=std), positions(more=-std)]
+    motion, uncertainty = _with_uncertainty(law, positions, blows)
     motion[times_s >= chain_end_s(law, scene, transfer)] = np.nan
     return motion, uncertainty
 
@@ -259,16 +243,30 @@ def _check_row(scene: Scene) -> None:
         )
 
 
-def _grown(motion: FloatArray, *changed: tuple[FloatArray, ...]) -> FloatArray:
-    """Return the root sum of squares of the effects of several errors on each coordinate, which never falls.
+def _with_uncertainty(
+    law: SwingLaw | ChainLaw,
+    positions: Callable[..., FloatArray],
+    changed: Sequence[FloatArray],
+) -> tuple[FloatArray, FloatArray]:
+    """Return positions and the root sum of squares of the effects of several errors on each, which never falls.
 
     A swing with another period meets the nominal one again and again, and is no better known there.
 
     Args:
-        motion: Nominal positions, shape [frame_count, 3].
-        changed: Positions with each error; two of them are those of both signs.
+        law: The law, which states the uncertainties of length and angle.
+        positions: Positions by changes of the length [m] and the angle [rad], shape [frame_count, 3].
+        changed: Positions with a third error; two of them are those of both signs.
     """
-    effects = [
-        np.mean([np.square(one - motion) for one in pair], axis=0) for pair in changed
+    motion = positions()
+    length_m = 1e-3 * law.length_sigma_mm
+    angle_rad = math.radians(law.angle_sigma_deg)
+    pairs = [
+        [positions(longer_m=sign * length_m) for sign in (1.0, -1.0)],
+        [positions(turned_rad=sign * angle_rad) for sign in (1.0, -1.0)],
+        changed,
     ]
-    return np.asarray(np.maximum.accumulate(np.sqrt(np.sum(effects, axis=0)), axis=0))
+    effects = [
+        np.mean([np.square(one - motion) for one in pair], axis=0) for pair in pairs
+    ]
+    sizes = np.sqrt(np.sum(effects, axis=0))
+    return motion, np.asarray(np.maximum.accumulate(sizes, axis=0))

@@ -41,6 +41,7 @@ from gauge_envs.evaluation.metrics.trajectory import (
     trajectory_rmse,
     z_scores,
 )
+from gauge_envs.evaluation.numerics import interpolated
 from gauge_envs.evaluation.reference import reference_loads
 from gauge_envs.evaluation.swing import (
     EventTime,
@@ -189,9 +190,7 @@ def _at(table: FloatArray, times_s: FloatArray) -> FloatArray:
         * FRAME_RATE_HZ
         * np.maximum(times_s - frames_s[-1], 0.0)[:, None]
     )
-    inside = np.column_stack(
-        [np.interp(times_s, frames_s, column) for column in table.T]
-    )
+    inside = interpolated(times_s, frames_s, table)
     return np.where(times_s[:, None] > frames_s[-1], last, inside)
 
 

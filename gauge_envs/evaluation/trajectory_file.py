@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 from gauge_envs.errors import TrajectoryFileError
 from gauge_envs.evaluation.likely_mistakes import count_mistake, time_mistake
 from gauge_envs.evaluation.metrics.trajectory import MAX_RELEASE_OFFSET_S
+from gauge_envs.evaluation.numerics import interpolated
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.files import (
     MEGABYTE,
@@ -533,9 +534,7 @@ def _on_frames(
     times = times_s.copy()
     times[nearest[hit]] = frames[hit]
     between = frames[~hit]
-    added = np.column_stack(
-        [np.interp(between, times_s, column) for column in values.T]
-    )
+    added = interpolated(between, times_s, values)
     order = np.argsort(np.concatenate([times, between]), kind="stable")
     times, values = (
         np.concatenate([times, between])[order],

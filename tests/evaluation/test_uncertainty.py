@@ -425,6 +425,26 @@ def test_a_damaged_table_of_sensitivities_is_named(tmp_path, monkeypatch):
 # --- errors of a band ------------------------------------------------------------------------------------------------
 
 
+def errors_of_trials(trials):
+    """Errors of the bouncing ball's band with other trials, their mean, and nothing else uncertain."""
+    band = replace(
+        bundled_band(BALL), trials=trials, mean=trials.mean(axis=0), uncertainty=None
+    )
+    return band_errors(band, None)
+
+
+def moved_trials(steps):
+    """Trials of the ball that are moved by as many millimetres along all coordinates."""
+    mean = bundled_band(BALL).mean
+    return mean + steps[:, None, None] * np.ones_like(mean)
+
+
+def without_sources(errors, **changes):
+    """The same errors without any source."""
+    shapes = np.zeros((0, errors.known.size))
+    return replace(errors, shapes=shapes, factors=(), sources=(), **changes)
+
+
 @pytest.mark.parametrize("name", [*SLIDES, BALL])
 def test_the_error_of_a_mean_is_a_shift_in_time_and_what_is_left(name):
     """The two add up to the residuals of the trials, and no part of the rest is along the velocity."""
@@ -482,13 +502,7 @@ def test_few_alike_trials_count_as_scattered_in_their_number_of_directions(
     errors = band_errors(reference_band(load_experiment("SlopeSlider-1-wood")), None)
     residuals = np.eye(count, errors.known.size) - 1.0 / count
     residuals[:, count:] = 0.0
-    errors = replace(
-        errors,
-        shapes=np.zeros((0, errors.known.size)),
-        factors=(),
-        sources=(),
-        trial_count=count,
-    ).with_source(
+    errors = without_sources(errors, trial_count=count).with_source(
         "trials", "sampling", "A", "a test", residuals, np.zeros((DRAW_COUNT, count))
     )
     steps = np.linspace(-1.0, 1.0, count)
@@ -517,14 +531,8 @@ def test_an_interval_along_one_error_follows_from_its_draws(size, over_baseline)
     direction = np.sin(np.arange(errors.known.size)).reshape(errors.known.shape)
     direction *= errors.known / np.linalg.norm(errors.flat(direction))
     logarithm, drawn = 0.1 * random.normal(size=DRAW_COUNT), random.normal(size=4000)
-    errors = replace(
-        errors,
-        shapes=np.zeros((0, errors.known.size)),
-        factors=(),
-        baseline=logarithm,
-        baseline_bias=1.1,
-        sources=(),
-        trial_count=0,
+    errors = without_sources(
+        errors, baseline=logarithm, baseline_bias=1.1, trial_count=0
     ).with_source(
         "a direction",
         "start",
@@ -551,10 +559,7 @@ def test_draws_of_no_deviation_are_less_than_zero_by_what_the_mean_errs():
     """The squares of draws are, on average, the squared deviation less the variance of the mean of the trials."""
     band = bundled_band(BALL)
     steps = np.random.default_rng(4).permutation(22)
-    trials = band.mean + steps[:, None, None] * np.ones_like(band.mean)
-    errors = band_errors(
-        replace(band, trials=trials, mean=trials.mean(axis=0), uncertainty=None), None
-    )
+    errors = errors_of_trials(moved_trials(steps))
     errors = replace(errors, baseline=np.zeros_like(errors.baseline), baseline_bias=1.0)
     drawn = errors.draws(np.zeros_like(band.mean))
     of_mean = band.mean.shape[1] * steps.var(ddof=1) / 22
@@ -564,12 +569,8 @@ def test_draws_of_no_deviation_are_less_than_zero_by_what_the_mean_errs():
 def test_an_interval_of_a_distance_in_one_direction_is_that_of_student():
     """Along the error of each trial, with a deviation far above its errors and nothing but the trials uncertain."""
     band = bundled_band(BALL)
-    trials = band.mean + np.random.default_rng(4).permutation(22)[
-        :, None, None
-    ] * np.ones_like(band.mean)
-    errors = band_errors(
-        replace(band, trials=trials, mean=trials.mean(axis=0), uncertainty=None), None
-    )
+    trials = moved_trials(np.random.default_rng(4).permutation(22))
+    errors = errors_of_trials(trials)
     low, high = errors.interval(np.full_like(band.mean, 1e3), over_baseline=False)
     values = trials[:, 0, 0]
     wider = widening(values)
@@ -590,11 +591,7 @@ def test_the_effect_of_a_trial_on_the_baseline_is_that_of_its_weight():
         baseline(0.999 * equal + 0.001 * unit) / baseline(equal) - 1.0
         for unit in np.eye(8)
     ]
-    band = bundled_band(BALL)
-    trials = band.mean + values[:, None, None] * np.ones_like(band.mean)
-    errors = band_errors(
-        replace(band, trials=trials, mean=trials.mean(axis=0), uncertainty=None), None
-    )
+    errors = errors_of_trials(moved_trials(values))
     assert errors.influence == pytest.approx(np.array(changes) / 0.001, abs=0.01)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from gauge_envs.errors import ShapeError
 from gauge_envs.evaluation.deviation import trial_distances
+from gauge_envs.evaluation.numerics import interpolated
 from gauge_envs.evaluation.verification import (
     COVERAGE_FACTOR,
     MARKER_AXES,
@@ -158,8 +159,7 @@ class Yardstick:
         if offset_s is None:
             return times_s, values
         shown_s = np.array(recorded.times_s)
-        moved = [np.interp(shown_s - offset_s, times_s, column) for column in values.T]
-        return shown_s, np.column_stack(moved)
+        return shown_s, interpolated(shown_s - offset_s, times_s, values)
 
     def deviation(self, result: Result, *, aligned: bool) -> FloatArray:
         """Return a result minus the yardstick at each frame, shape [frame_count, C]; NaN where one is not known.
