@@ -11,7 +11,7 @@ from numpy.lib.stride_tricks import as_strided
 from numpy.typing import ArrayLike, NDArray
 
 from gauge_envs.errors import ShapeError
-from gauge_envs.evaluation.numerics import bounded_minima
+from gauge_envs.evaluation.numerics import bounded_minima, interpolated
 from gauge_envs.scene.geometry import FloatArray
 
 MAX_RELEASE_OFFSET_S = 10 / 30
@@ -179,10 +179,13 @@ def release_offsets(
 
     def shifted_rmse(offsets_s: FloatArray) -> FloatArray:
         queries_s = frame_times_s - offsets_s[:, :, None]
-        shifted = _resample(times_s, simulated, queries_s)
-        shifted -= wanted
-        shifted *= measured
-        return np.sqrt(np.einsum("sofc,sofc->so", shifted, shifted) / frame_count)
+        found = []
+        for one, one_s in zip(simulated, queries_s, strict=True):
+            shifted = interpolated(one_s, times_s, one)
+            shifted -= wanted
+            shifted *= measured
+            found.append(np.einsum("ofc,ofc->o", shifted, shifted))
+        return np.sqrt(np.array(found) / frame_count)
 
     steps = math.ceil(max_offset_s / _OFFSET_GRID_S)
     last_s = frame_times_s[np.flatnonzero(measured.any(axis=1))[-1]]
@@ -192,9 +195,12 @@ def release_offsets(
     grid_s = grid_s[
         np.argsort(np.abs(grid_s), kind="stable")
     ]  # argmin takes the first, hence smallest, of equals
-    numbers = each * real_mean.size * len(grid_s)
-    chunks = np.array_split(grid_s, math.ceil(numbers / _OFFSET_CHUNK))
-    grid_rmse = np.hstack([shifted_rmse(chunk[None]) for chunk in chunks])
+    chunks = np.array_split(
+        np.tile(grid_s, (each, 1)),
+        math.ceil(real_mean.size * len(grid_s) / _OFFSET_CHUNK),
+        axis=1,
+    )
+    grid_rmse = np.hstack([shifted_rmse(chunk) for chunk in chunks])
     best = grid_rmse.argmin(axis=1)
     coarse_s, coarse = grid_s[best], grid_rmse[np.arange(each), best]
     refined_s, least = bounded_minima(
@@ -319,29 +325,6 @@ def _rms_of_frames(difference: FloatArray) -> float:
     if frame_count == 0:
         raise ShapeError("simulated and real_mean share no measured entry")
     return math.sqrt(np.nansum(np.square(difference)) / frame_count)
-
-
-def _resample(
-    times_s: FloatArray, trajectories: FloatArray, queries_s: FloatArray
-) -> FloatArray:
-    """Interpolate all coordinates linearly, constant beyond both ends; exact between equal neighbours.
-
-    Args:
-        times_s: Times of the samples, shape [sample_count].
-        trajectories: Samples, shape [trajectory_count, sample_count, coordinate_count].
-        queries_s: Times of each trajectory, or of all, shape [trajectory_count or 1, ...].
-    """
-    left = np.searchsorted(times_s, queries_s, side="right") - 1
-    left = np.clip(left, 0, len(times_s) - 2)
-    weight = (queries_s - times_s[left]) / (times_s[left + 1] - times_s[left])
-    weight = np.clip(weight, 0.0, 1.0)[..., None]
-    row = np.arange(len(trajectories)).reshape(-1, *(1,) * (left.ndim - 1))
-    before = trajectories[row, left]
-    change = trajectories[row, left + 1]
-    change -= before
-    change *= weight
-    change += before
-    return change
 
 
 def _local_cost(first: FloatArray, second: FloatArray) -> FloatArray:
