@@ -29,6 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.errors import ParameterError, UnknownNameError
+from gauge_envs.evaluation.metrics.trajectory import frame_distances
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.observer import observe_markers
 from gauge_envs.references.published import Baseline, published_variants
@@ -586,7 +587,8 @@ def dtw_of_pairs(firsts: FloatArray, seconds: FloatArray) -> FloatArray:
     """
     pair_count, frame_count, width = firsts.shape
     if width > _WIDE:
-        rows: Iterable[FloatArray] = _distances(firsts, seconds)
+        local = [frame_distances(*pair) for pair in zip(firsts, seconds, strict=True)]
+        rows: Iterable[FloatArray] = np.stack(local, axis=2)
     else:
         first, second = (np.moveaxis(one, 0, -1).copy() for one in (firsts, seconds))
         rows = (np.sqrt(np.square(row - second).sum(axis=1)) for row in first)
@@ -610,22 +612,3 @@ def dtw_of_pairs(firsts: FloatArray, seconds: FloatArray) -> FloatArray:
             )
         cost, cells = new_cost, new_cells
     return np.asarray(cost[-1] / cells[-1])
-
-
-def _distances(firsts: FloatArray, seconds: FloatArray) -> FloatArray:
-    """Return the distances of all frames of pairs by a product of matrices, good to 1e-8 of the size of the motion.
-
-    Args:
-        firsts: Trajectories, shape [pair_count, frame_count, coordinate_count].
-        seconds: Their partners, the same shape.
-
-    Returns:
-        Shape [frame_count, frame_count, pair_count].
-    """
-    centre = seconds.mean(axis=1, keepdims=True)
-    first, second = firsts - centre, seconds - centre
-    squares = -2.0 * np.matmul(first, second.transpose(0, 2, 1))
-    squares += np.square(first).sum(axis=2)[:, :, None]
-    squares += np.square(second).sum(axis=2)[:, None, :]
-    distances: FloatArray = np.sqrt(np.maximum(squares, 0.0)).transpose(1, 2, 0).copy()
-    return distances

@@ -52,6 +52,12 @@ def stretched(elongation: float = 0.05, poisson: float = 0.23) -> np.ndarray:
     return REST_M * (1 + grown * np.array([-poisson, -poisson, 1.0]))
 
 
+def areas_of(markers_m: np.ndarray) -> np.ndarray:
+    """g(t) of markers, shape [frame_count, face_count]."""
+    observable = EXPERIMENT.score.observable
+    return observe_markers(markers_m, EXPERIMENT.scene.markers, observable)
+
+
 def reference_of(
     mean: dict[str, float], sigma: float, *, frames: int = 30
 ) -> DeformationReference:
@@ -208,7 +214,7 @@ def test_the_poisson_ratio_is_seen_by_the_volume_and_not_by_the_areas(
     off = 0.8e-3 * random.normal(size=REST_M.shape)
     placed = right + np.einsum("fij,mj->fmi", affine_map(right[0], right).gradient, off)
     trials = placed + 1e-4 * random.normal(size=(10, *right.shape))
-    solid, markers = marked_solid(EXPERIMENT.scene), EXPERIMENT.scene.markers
+    solid = marked_solid(EXPERIMENT.scene)
     values = np.stack([trial_statistics(trial, solid) for trial in trials])
     column = STATISTICS.index("volume_ratio")
     reference = DeformationReference(
@@ -224,20 +230,11 @@ def test_the_poisson_ratio_is_seen_by_the_volume_and_not_by_the_areas(
         for found in (right, wrong)
     ]
     assert abs(z[0]) < 2.0 and z[1] > 4.0
-    areas = np.stack(
-        [
-            observe_markers(trial, markers, EXPERIMENT.score.observable)
-            for trial in trials
-        ]
-    )
+    areas = np.stack([areas_of(trial) for trial in trials])
     mean = areas.mean(axis=0)
     baseline = np.mean([trajectory_rmse(trial, mean) for trial in areas])
     scores = [
-        trajectory_rmse(
-            observe_markers(found, markers, EXPERIMENT.score.observable), mean
-        )
-        / baseline
-        for found in (right, wrong)
+        trajectory_rmse(areas_of(found), mean) / baseline for found in (right, wrong)
     ]
     # The dots cost six times the scatter, and the wrong foam adds less than a twentieth of that.
     assert min(scores) > 5.0
@@ -291,9 +288,7 @@ def test_worlds_of_a_vector_environment_have_them_too(
 
 def test_markers_in_a_file_are_compared(tmp_path: Path) -> None:
     markers_m = stretched()
-    g = observe_markers(
-        markers_m, EXPERIMENT.scene.markers, EXPERIMENT.score.observable
-    )
+    g = areas_of(markers_m)
     np.savez(tmp_path / "a.npz", g=g, markers_m=markers_m)
     result, _ = score_file(tmp_path / "a.npz", variant=NAME)
     assert result.deformation == score_deformation(EXPERIMENT, markers_m)
@@ -303,9 +298,7 @@ def test_markers_in_a_file_are_compared(tmp_path: Path) -> None:
 
 def test_markers_between_frames_are_interpolated(tmp_path: Path) -> None:
     markers_m = stretched()
-    g = observe_markers(
-        markers_m, EXPERIMENT.scene.markers, EXPERIMENT.score.observable
-    )
+    g = areas_of(markers_m)
     times_s = np.sort(np.append(np.arange(30) / 30, 0.01))
     late = np.delete(
         np.arange(31), 15
@@ -340,10 +333,8 @@ def test_markers_between_frames_are_interpolated(tmp_path: Path) -> None:
 def test_wrong_markers_in_a_file_are_named(
     tmp_path: Path, change: Callable, message: str
 ) -> None:
-    g = observe_markers(
-        stretched(), EXPERIMENT.scene.markers, EXPERIMENT.score.observable
-    )
-    np.savez(tmp_path / "a.npz", g=g, markers_m=change(stretched()))
+    markers_m = stretched()
+    np.savez(tmp_path / "a.npz", g=areas_of(markers_m), markers_m=change(markers_m))
     with pytest.raises(TrajectoryFileError, match=message):
         score_file(tmp_path / "a.npz", variant=NAME)
 
@@ -360,10 +351,8 @@ def test_markers_that_are_observed_need_no_array(tmp_path: Path) -> None:
 def test_the_summary_shows_them_apart_from_the_score(tmp_path: Path) -> None:
     from rich.console import Console
 
-    g = observe_markers(
-        stretched(), EXPERIMENT.scene.markers, EXPERIMENT.score.observable
-    )
-    np.savez(tmp_path / "a.npz", g=g, markers_m=stretched())
+    markers_m = stretched()
+    np.savez(tmp_path / "a.npz", g=areas_of(markers_m), markers_m=markers_m)
     result, _ = score_file(tmp_path / "a.npz", variant=NAME)
     console = Console(width=120, record=True, file=(tmp_path / "out.txt").open("w"))
     console.print(Terminal(summary_document([result])))

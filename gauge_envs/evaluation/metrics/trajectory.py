@@ -330,7 +330,7 @@ def _rms_of_frames(difference: FloatArray) -> float:
 def _local_cost(first: FloatArray, second: FloatArray) -> FloatArray:
     """Return the distances of all pairs of frames over the coordinates measured in both; inf without any."""
     if not (np.isnan(first).any() or np.isnan(second).any()):
-        return _distances(first, second)
+        return frame_distances(first, second)
     # Frames with the same missing markers form a block without gaps. There are far fewer blocks than frames.
     cost = np.full((len(first), len(second)), np.inf)
     patterns, block_of = np.unique(np.isfinite(first), axis=0, return_inverse=True)
@@ -343,13 +343,13 @@ def _local_cost(first: FloatArray, second: FloatArray) -> FloatArray:
             columns = np.flatnonzero(other_block_of.ravel() == other_block)
             shared = pattern & other
             if shared.any():
-                cost[np.ix_(rows, columns)] = _distances(
+                cost[np.ix_(rows, columns)] = frame_distances(
                     first[np.ix_(rows, shared)], second[np.ix_(columns, shared)]
                 )
     return cost
 
 
-def _distances(first: FloatArray, second: FloatArray) -> FloatArray:
+def frame_distances(first: FloatArray, second: FloatArray) -> FloatArray:
     """Return the Euclidean distances of all pairs of rows, to 1e-13 of the largest, five times as fast as cdist.
 
     |a|^2 + |b|^2 - 2 ab is one matrix product. It loses digits for rows that nearly coincide; these are computed again.
