@@ -13,7 +13,26 @@ if TYPE_CHECKING:
     from gauge_envs.evaluation.score import Score
 
 
-class ScoreEpisode(gymnasium.Wrapper, gymnasium.utils.RecordConstructorArgs):
+class EndWrapper(gymnasium.Wrapper, gymnasium.utils.RecordConstructorArgs):
+    """Add entries to `info` at the last step of an episode."""
+
+    def __init__(self, env: gymnasium.Env) -> None:
+        gymnasium.utils.RecordConstructorArgs.__init__(self)
+        gymnasium.Wrapper.__init__(self, env)
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        """Step, and add the entries if the episode ends."""
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        if terminated or truncated:
+            self._add(info)
+        return observation, reward, terminated, truncated, info
+
+    def _add(self, info: dict[str, Any]) -> None:
+        """Add the entries of the episode that has ended."""
+        raise NotImplementedError
+
+
+class ScoreEpisode(EndWrapper):
     """Score each episode when it ends.
 
     Adds to `info` at the last step: `score`, a `gauge_envs.Score`. If the simulation diverged, the score has a grade
@@ -35,23 +54,15 @@ class ScoreEpisode(gymnasium.Wrapper, gymnasium.utils.RecordConstructorArgs):
         14.1
     """
 
-    def __init__(self, env: gymnasium.Env) -> None:
-        gymnasium.utils.RecordConstructorArgs.__init__(self)
-        gymnasium.Wrapper.__init__(self, env)
-
-    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """Step, and score the episode if it ends."""
-        observation, reward, terminated, truncated, info = self.env.step(action)
-        if terminated or truncated:
-            env = self.unwrapped
-            assert isinstance(env, GaugeEnv)
-            score = env.score()
-            if score is not None:
-                info["score"] = score
-                deformation = env.deformation()
-                if deformation is not None:
-                    info["deformation"] = deformation
-        return observation, reward, terminated, truncated, info
+    def _add(self, info: dict[str, Any]) -> None:
+        env = self.unwrapped
+        assert isinstance(env, GaugeEnv)
+        score = env.score()
+        if score is not None:
+            info["score"] = score
+            deformation = env.deformation()
+            if deformation is not None:
+                info["deformation"] = deformation
 
 
 LOGGED = (

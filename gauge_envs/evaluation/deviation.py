@@ -370,4 +370,4 @@ def _release_shift_s(trial: FloatArray, mean: FloatArray) -> float:
         return coarse_s
     low_s, high_s = coarse_s - SHIFT_STEP_S, coarse_s + SHIFT_STEP_S
     refined_s, least = bounded_minimum(distances, low_s, high_s, 1e-5)
-    return refined_s if least < scores[best] else coarse_s
+    return float(refined_s) if least < scores[best] else coarse_s

@@ -126,47 +126,24 @@ def interpolated(
 
 def bounded_minimum(
     function: Callable[[FloatArray], FloatArray],
-    low: float,
-    high: float,
-    tolerance: float,
-) -> tuple[float, float]:
-    """Return the argument and the value of the minimum of a function with a single one between bounds.
-
-    Args:
-        function: Values at arguments, shape [count] each.
-        low: Least argument.
-        high: Largest argument.
-        tolerance: Largest error of the argument.
-    """
-    found, least = bounded_minima(
-        lambda arguments: function(arguments[0])[None],
-        np.array([low]),
-        np.array([high]),
-        tolerance,
-    )
-    return float(found[0]), float(least[0])
-
-
-def bounded_minima(
-    functions: Callable[[FloatArray], FloatArray],
-    low: FloatArray,
-    high: FloatArray,
+    low: float | FloatArray,
+    high: float | FloatArray,
     tolerance: float,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the arguments and the values of the minima of functions, each with a single one between its bounds.
+    """Return the argument and the value of the minimum of a function with a single one between bounds, or of several.
 
     Args:
-        functions: Values at arguments, shape [function_count, count] each.
-        low: Least arguments, shape [function_count].
-        high: Largest arguments, shape [function_count].
-        tolerance: Largest error of an argument.
+        function: Values at arguments, shape [..., count] each, of as many functions as there are bounds.
+        low: Least argument, shape [...].
+        high: Largest argument, shape [...].
+        tolerance: Largest error of the argument.
     """
-    each = np.arange(len(low))
     while True:
-        arguments = np.linspace(low, high, GRID_POINTS, axis=1)
-        values = functions(arguments)
-        best = values.argmin(axis=1)
-        if (high - low).max() <= tolerance:
-            return arguments[each, best], values[each, best]
-        low = arguments[each, np.maximum(best - 1, 0)]
-        high = arguments[each, np.minimum(best + 1, GRID_POINTS - 1)]
+        arguments = np.linspace(low, high, GRID_POINTS, axis=-1)
+        values = function(arguments)
+        best = values.argmin(axis=-1)
+        step = arguments[..., 1] - arguments[..., 0]
+        if (GRID_POINTS - 1) * step.max() <= tolerance:
+            return arguments[..., 0] + best * step, values.min(axis=-1)
+        low = arguments[..., 0] + np.maximum(best - 1, 0) * step
+        high = arguments[..., 0] + np.minimum(best + 1, GRID_POINTS - 1) * step

@@ -587,8 +587,10 @@ def dtw_of_pairs(firsts: FloatArray, seconds: FloatArray) -> FloatArray:
     """
     pair_count, frame_count, width = firsts.shape
     if width > _WIDE:
-        local = [frame_distances(*pair) for pair in zip(firsts, seconds, strict=True)]
-        rows: Iterable[FloatArray] = np.stack(local, axis=2)
+        pairs = zip(firsts, seconds, strict=True)
+        rows: Iterable[FloatArray] = np.stack(
+            [frame_distances(*pair) for pair in pairs], axis=2
+        )
     else:
         first, second = (np.moveaxis(one, 0, -1).copy() for one in (firsts, seconds))
         rows = (np.sqrt(np.square(row - second).sum(axis=1)) for row in first)

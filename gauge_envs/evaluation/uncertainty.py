@@ -216,11 +216,7 @@ class BandErrors:
             degrees / random_numbers("smear").chisquare(degrees, DRAW_COUNT)
         )
         place = np.interp(drawn, SMEARS, np.arange(len(SMEARS)))
-        draws, below = np.arange(DRAW_COUNT), place.astype(np.intp)
-        below = np.minimum(below, len(SMEARS) - 2)
-        factors = np.zeros((DRAW_COUNT, len(SMEARS)))
-        factors[draws, below] = 1.0 - (place - below)
-        factors[draws, below + 1] = place - below
+        factors = np.maximum(1.0 - np.abs(place[:, None] - np.arange(len(SMEARS))), 0.0)
         shapes, scatter = smears - of_trials.mean(axis=0), f"scatter of {count} trials"
         return aligned.with_source(
             "smear of the mean by releases", "smear", "A", scatter, shapes, factors

@@ -210,7 +210,7 @@ def oscillation_period(signal: ArrayLike, *, frame_rate_hz: float = 30.0) -> flo
 
     low, high = (peak - 1) / padded_count, min((peak + 1) / padded_count, 0.5)
     found, _ = bounded_minimum(negative_power, low, high, 1e-10)
-    return 1 / (found * frame_rate_hz)
+    return 1 / (float(found) * frame_rate_hz)
 
 
 def spectral_peak_period(signal: ArrayLike, *, frame_rate_hz: float = 30.0) -> float:

@@ -11,7 +11,7 @@ from numpy.lib.stride_tricks import as_strided
 from numpy.typing import ArrayLike, NDArray
 
 from gauge_envs.errors import ShapeError
-from gauge_envs.evaluation.numerics import bounded_minima, interpolated
+from gauge_envs.evaluation.numerics import bounded_minimum, interpolated
 from gauge_envs.scene.geometry import FloatArray
 
 MAX_RELEASE_OFFSET_S = 10 / 30
@@ -203,7 +203,7 @@ def release_offsets(
     grid_rmse = np.hstack([shifted_rmse(chunk) for chunk in chunks])
     best = grid_rmse.argmin(axis=1)
     coarse_s, coarse = grid_s[best], grid_rmse[np.arange(each), best]
-    refined_s, least = bounded_minima(
+    refined_s, least = bounded_minimum(
         shifted_rmse,
         np.maximum(coarse_s - _OFFSET_GRID_S, least_s),
         np.minimum(coarse_s + _OFFSET_GRID_S, max_offset_s),

@@ -2,14 +2,14 @@
 
 from typing import Any
 
-import gymnasium
 from gymnasium.envs.registration import load_env_creator
 
+from gauge_envs.envs.wrappers import EndWrapper
 from gauge_envs.tools.control.env import ControlEnv
 from gauge_envs.tools.control.tasks import find_control_task
 
 
-class ReportLimit(gymnasium.Wrapper, gymnasium.utils.RecordConstructorArgs):
+class ReportLimit(EndWrapper):
     """Report what the policy reached and what the law allows when an episode ends.
 
     Adds to `info` at the last step: `limit`, a `gauge_envs.tools.control.limit.LimitReport`.
@@ -27,18 +27,10 @@ class ReportLimit(gymnasium.Wrapper, gymnasium.utils.RecordConstructorArgs):
         held 0.258 of 0.263, ratio 0.98
     """
 
-    def __init__(self, env: gymnasium.Env) -> None:
-        gymnasium.utils.RecordConstructorArgs.__init__(self)
-        gymnasium.Wrapper.__init__(self, env)
-
-    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """Step, and add the report if the episode ends."""
-        observation, reward, terminated, truncated, info = self.env.step(action)
-        if terminated or truncated:
-            env = self.unwrapped
-            assert isinstance(env, ControlEnv)
-            info["limit"] = env.report()
-        return observation, reward, terminated, truncated, info
+    def _add(self, info: dict[str, Any]) -> None:
+        env = self.unwrapped
+        assert isinstance(env, ControlEnv)
+        info["limit"] = env.report()
 
 
 def control_env(task: str, **arguments: Any) -> ReportLimit:
