@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 from scipy.special import ellipk
 from sweep_workers import needs_rapier
+from swings import swung_rad
 
 from gauge_envs import load_experiment, reference_band, score_trajectory
 from gauge_envs.backends import backend
@@ -55,22 +55,8 @@ def band_of(experiment: Experiment) -> Band:
     return band
 
 
-def integrated_rad(
-    times_s: np.ndarray, start_rad: float, damping_per_s: float = 0.0
-) -> np.ndarray:
-    """Angle of the physical pendulum by SciPy; the amplitude of small swings decays with the damping."""
-
-    def rate(_: float, state: np.ndarray) -> list[float]:
-        return [
-            state[1],
-            -GRAVITY / EFFECTIVE_M * math.sin(state[0])
-            - 2.0 * damping_per_s * state[1],
-        ]
-
-    span = (0.0, float(times_s[-1]))
-    return solve_ivp(
-        rate, span, [start_rad, 0.0], "DOP853", times_s, rtol=1e-12, atol=1e-13
-    ).y[0]
+integrated_rad = partial(swung_rad, square_rate=GRAVITY / EFFECTIVE_M)
+"""Angle of the physical pendulum by SciPy."""
 
 
 def simulated_mm(
@@ -148,7 +134,10 @@ def test_slow_damping_is_the_integrated_one_to_its_first_order() -> None:
     law = swing_law()
     undamped = pendulum.released_rad(times_s)
     approximate = pendulum.released_rad(times_s, law.damping_per_s) - undamped
-    exact = integrated_rad(times_s, pendulum.start_rad, law.damping_per_s) - undamped
+    exact = (
+        integrated_rad(times_s, pendulum.start_rad, damping_per_s=law.damping_per_s)
+        - undamped
+    )
     assert np.sqrt(np.mean((approximate - exact) ** 2) / np.mean(exact**2)) < 0.25
 
 
@@ -245,14 +234,8 @@ def test_the_blow_is_the_integrated_one() -> None:
     frames = np.flatnonzero(np.isfinite(motion).all(axis=1))
     assert frames.tolist() == list(range(20))
     since_s = frames[7:] / 30 - arrives_s
-    start = [0.0, transfer.mean * math.sqrt(2.0 * GRAVITY / effective_m)]
-
-    def rate(_: float, state: np.ndarray) -> list[float]:
-        return [state[1], -GRAVITY / effective_m * math.sin(state[0])]
-
-    found = solve_ivp(
-        rate, (0.0, since_s[-1]), start, "DOP853", since_s, rtol=1e-12, atol=1e-13
-    ).y[0]
+    speed = transfer.mean * math.sqrt(2.0 * GRAVITY / effective_m)
+    found = swung_rad(since_s, 0.0, speed, square_rate=GRAVITY / effective_m)
     pivot = 1e3 * np.array([0.457852, 0.316920])
     expected = pivot + 138.251 * np.column_stack([np.sin(found), -np.cos(found)])
     assert motion[7:20, 1:] == pytest.approx(expected, abs=1e-6)
