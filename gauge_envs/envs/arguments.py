@@ -354,6 +354,8 @@ class Starts:
         self._draw = draw
         self._scatter = checked_scatter(experiment, scatter, draw=draw)
         self._options: Mapping[str, Any] = {}
+        # The last option and what it is; trainings give the same one at each reset.
+        self._checked: tuple[Any, Jitter | Literal["real"] | None] = (None, None)
 
     def of_reset(
         self, options: Mapping[str, Any] | None, *, seeded: bool
@@ -394,9 +396,13 @@ class Starts:
             return TrialStart(int(trial))
         if "jitter" not in options:
             return self._scatter
-        return checked_scatter(
-            self._experiment, options["jitter"], "option 'jitter'", draw=self._draw
-        )
+        value = options["jitter"]
+        if isinstance(value, Mapping) or value is not self._checked[0]:
+            found = checked_scatter(
+                self._experiment, value, "option 'jitter'", draw=self._draw
+            )
+            self._checked = (value, found)
+        return self._checked[1]
 
 
 def drawn_seed(
