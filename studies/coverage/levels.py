@@ -11,6 +11,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 from scipy.optimize import brentq
@@ -130,7 +131,8 @@ class Leveled(World):
                         return (
                             float(rms(self.moved(factor, np.zeros(())) - mean)) - target
                         )
-                    probe = _Probe(self, factor)
+                    moved = partial(self.moved, factor)
+                    probe = SimpleNamespace(engine=lambda _, shift_s: moved(shift_s))
                     return float(rms(align(probe, 0, mean[None])[0][0])) - target
 
                 found.append(
@@ -141,18 +143,6 @@ class Leveled(World):
     def engine(self, number: int, shift_s: FloatArray) -> FloatArray:
         """Return the motion of an engine [mm] after a shift in time."""
         return self.moved(self.factors[number], shift_s)
-
-
-@dataclass(frozen=True)
-class _Probe:
-    """An engine with any multiple of the error."""
-
-    world: Leveled
-    factor: float
-
-    def engine(self, number: int, shift_s: FloatArray) -> FloatArray:
-        """Return the motion of an engine [mm] after a shift in time."""
-        return self.world.moved(self.factor, shift_s)
 
 
 FIVE_PERCENT = partial(outliers, size=5.0)
