@@ -262,31 +262,15 @@ _pucks = rollout_of(
 )
 
 
-def _along(rollout: Rollout, name: str) -> Array:
-    """Return the displacement along and across the start velocity [m], shape [T, 2]."""
-    ahead = np.array(rollout.scene.body(name).linear_velocity_m_per_s)
-    ahead = ahead / np.linalg.norm(ahead)
-    side = np.cross([0.0, 0.0, 1.0], ahead)
-    return np.asarray(rollout.displacement(name) @ np.column_stack([ahead, side]))
-
-
 @_pucks.check("pucks-friction")
 def _pucks_friction(rollout: Rollout) -> Measurement:
     ratios = {}
     for name, puck in PUCKS.items():
-        slows = -acceleration_m_per_s2(rollout.times_s, _along(rollout, name)[:, 0])
+        start = np.array(rollout.scene.body(name).linear_velocity_m_per_s)
+        along = rollout.displacement(name) @ start / puck.speed_m_per_s
+        slows = -acceleration_m_per_s2(rollout.times_s, along)
         ratios[name] = slows / (puck.friction * G)
     return worst_ratio(ratios, "the friction is")
-
-
-@_pucks.check("pucks-straight")
-def _pucks_straight(rollout: Rollout) -> Measurement:
-    sides = {name: np.abs(_along(rollout, name)[:, 1]).max() for name in PUCKS}
-    worst = max(sides, key=lambda one: sides[one])
-    return Measurement(
-        measured=1e3 * float(sides[worst]),
-        hint=f"furthest off its line: {worst}; friction acts across the velocity",
-    )
 
 
 LATE_S, LATE_FRICTION = 2.1, 0.1

@@ -153,24 +153,19 @@ def _stack(_: Lab) -> Scene:
 
 
 def _edge(_: Lab) -> Scene:
-    """Return a brick that tips over the edge of a table, and one that leans on a block."""
+    """Return a brick that tips over the edge of a table, one that leans on a block, and one that swings on a hinge."""
     overhanging = box("tipping", (0.27, 0.0, 0.52), (0.12, 0.06, 0.04))
     leaning = box(
         "leaning", (-0.125, 0.2, 0.6), (0.02, 0.06, 0.18), euler_deg=(0.0, 25.0, 0.0)
     )
     table = fixed_box("table", (0.0, 0.0, 0.25), (0.5, 0.6, 0.5))
     block = fixed_box("block", (-0.05, 0.2, 0.56), (0.04, 0.1, 0.12))
+    swinging = box("swinging", (0.15, 0.0, 1.95), (0.1, 0.06, 0.03))
+    hinge = Hinge(body="swinging", anchor_m=(0.0, 0.0, 2.0), axis=(0.0, 1.0, 0.0))
     contacts = (contact(("tipping", "leaning"), ("table", "block"), friction=0.5),)
     return Scene(
-        bodies=(overhanging, leaning, table, block), contacts=contacts, duration_s=1.0
-    )
-
-
-def _swing(_: Lab) -> Scene:
-    """Return a box that swings on a hinge."""
-    hinge = Hinge(body="bob", anchor_m=(0.0, 0.0, 1.0), axis=(0.0, 1.0, 0.0))
-    return Scene(
-        bodies=(box("bob", (0.15, 0.0, 0.95), (0.1, 0.06, 0.03)),),
+        bodies=(overhanging, leaning, table, block, swinging),
+        contacts=contacts,
         joints=(hinge,),
         duration_s=1.0,
     )
@@ -216,16 +211,10 @@ _continuation(
 )
 _continuation(
     "restore-edge",
-    title="restore continues on edges",
-    scene="a brick that tips over the edge of a table, and one that leans on a block; the state is saved after 0.1 s",
+    title="restore continues on edges and on a hinge",
+    scene="a brick that tips over the edge of a table, one that leans on a block, and one that swings on a hinge; the "
+    "state is saved after 0.1 s",
     build=_edge,
-)
-_continuation(
-    "restore-hinge",
-    title="restore continues on a hinge",
-    scene="a box that swings on a hinge; the state is saved after 0.2 s",
-    build=_swing,
-    before=36,
 )
 _continuation(
     "restore-wrench",

@@ -55,7 +55,6 @@ rope-restore             restore-velocity      after restore()
 copies-alike             engine.spin:side:negative     the order of bodies and pairs
 tether-place             Tether.anchor_m:offset:0-False       furthest for the
 restore-edge             restore-velocity      after restore()
-restore-hinge            restore-velocity      after restore()
 restore-rest             restore-warm-start    after restore()
 rod-start                lines-turned          z for a rod
 roll-cylinder            rolling-friction      rolling friction were
@@ -83,7 +82,6 @@ volley-late              Contact.restitution:threshold:after-2s      depends on 
 volley-momentum          RigidBody.mass_kg:kth:third-0.5              mass of a body
 crossed-edges            Contact.pair:frame:crossed-boxes            fall through each other
 pucks-friction           Contact.friction:side:fixed-first-0.8       is listed first
-pucks-straight           friction-across       furthest off its line
 carry-late               Contact.friction:threshold:after-1s         depends on time
 driven-turned-path       drive.spin:frame:body                       its orientation by
 driven-turned-rate       report.spin:frame:body                      in the body frame
