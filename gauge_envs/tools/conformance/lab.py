@@ -57,6 +57,7 @@ class Lab:
     Attributes:
         settings: Numerical settings that replace the defaults of the backend.
         settings_in_force: Settings of the simulation that was built last.
+        rollouts: What the present check has recorded.
     """
 
     def __init__(
@@ -65,6 +66,7 @@ class Lab:
         self.backend = backend
         self.settings_in_force: dict[str, Any] = {}
         self.settings = settings
+        self.rollouts: list[Rollout] = []
         self._kept: dict[
             Callable[[Lab], Any], tuple[Any, Exception | None, dict[str, Any]]
         ] = {}
@@ -123,9 +125,11 @@ class Lab:
         """
         with closing(self.build(scene)) as simulation:
             simulation.reset(0)
-            return record(
+            found = record(
                 simulation, scene, scene.duration_s if seconds is None else seconds
             )
+        self.rollouts.append(found)
+        return found
 
     def once(self, function: Callable[[Lab], T]) -> T:
         """Return the value of a function of the lab, which is called at its first use only.
@@ -140,6 +144,8 @@ class Lab:
         value, error, self.settings_in_force = self._kept[function]
         if error is not None:
             raise error
+        if isinstance(value, Rollout):
+            self.rollouts.append(value)
         return value  # type: ignore[no-any-return]
 
     def _attempt(

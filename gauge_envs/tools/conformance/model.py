@@ -103,6 +103,7 @@ class Measurement:
         measured: The measured value.
         expected: The value that the law gives, in the same unit.
         hint: Likely cause of this particular value, for the diagnosis; may be empty.
+        cause: What alone explains the record. It takes the place of the likely causes of the check; empty if unknown.
         parts: Differences whose largest is measured, by name, such as "velocity of the brick". Where an engine does
             not repeat bits, each is judged by its own scatter: that of velocities in impacts is large.
     """
@@ -110,6 +111,7 @@ class Measurement:
     measured: float
     expected: float = 0.0
     hint: str = ""
+    cause: str = ""
     parts: Mapping[str, float] | None = None
 
 

@@ -13,7 +13,13 @@ from gauge_envs.backends import Backend, backend as find_backend
 from gauge_envs.backends.registry import versions_of
 from gauge_envs.errors import GaugeError
 from gauge_envs.runs.isolation import CrashError, Worker
-from gauge_envs.runs.rollout import DeclinedError, NotFiniteError, raised_at
+from gauge_envs.runs.rollout import (
+    DeclinedError,
+    NotFiniteError,
+    Rollout,
+    raised_at,
+)
+from gauge_envs.tools.conformance.facts import facts
 from gauge_envs.tools.conformance.lab import DisturbedLab, Lab, RefusedSettingsError
 from gauge_envs.tools.conformance.model import (
     Check,
@@ -194,6 +200,7 @@ def _lab_of_task(task: bytes) -> Lab:
 def _run(lab: Lab, one: Check) -> _Run:
     started_s = time.process_time()
     is_finite = True
+    lab.rollouts.clear()
     try:
         found = one.measure(lab)
         width = _width(lab, one, found)
@@ -211,7 +218,7 @@ def _run(lab: Lab, one: Check) -> _Run:
             diagnosis=f"{type(error).__name__}: {error}{raised_at(error)}",
         )
     else:
-        outcome = _judged(one, found, width)
+        outcome = _judged(one, found, width, lab.rollouts)
         is_finite = not (math.isnan(found.measured) and not found.hint)
         is_finite &= one.id != FINITE or outcome.status is Status.PASS
     outcome = replace(outcome, cpu_s=time.process_time() - started_s)
@@ -247,16 +254,23 @@ def _width(lab: Lab, one: Check, found: Measurement) -> float:
     return max(width, found.measured / share) if share > 0.0 else width
 
 
-def _judged(one: Check, found: Measurement, width: float) -> Outcome:
-    """Return the outcome of a measurement that may be as far as `width` from what is expected."""
+def _judged(
+    one: Check, found: Measurement, width: float, rollouts: Sequence[Rollout]
+) -> Outcome:
+    """Return the outcome of a measurement that may be as far as `width` from what is expected.
+
+    What its rollouts show for certain takes the place of the likely causes of the check.
+    """
     expected, measured = float(found.expected), float(found.measured)
     passed = math.isfinite(measured) and abs(measured - expected) <= width
+    diagnosis = ""
+    if not passed:
+        certain = found.cause or next(filter(None, map(facts, rollouts)), "")
+        diagnosis = "; ".join(filter(None, (found.hint, certain or one.diagnosis)))
     return Outcome(
         status=Status.PASS if passed else Status.FAIL,
         expected=expected,
         measured=measured,
         width=width,
-        diagnosis=""
-        if passed
-        else "; ".join(filter(None, (found.hint, one.diagnosis))),
+        diagnosis=diagnosis,
     )

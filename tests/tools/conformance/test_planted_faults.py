@@ -107,6 +107,19 @@ slider-fall            Scene.gravity_m_per_s2:scale:0.8             acceleration
 slider-line            Slider.joint:drop:all                        leaves its line
 slider-limit           Slider.limits_m:scale:1.25                   goes as far as
 hinge-limit            Hinge.limits_rad:scale:1.25                  goes as far as
+hinge-radius           Hinge.anchor_m:offset:2-False                mm from the anchor
+joint-dry              Hinge.axis:swap:0-2                          from the axis of its hinge
+all-bodies-move        Scene.gravity_m_per_s2:crowd:above-2-bodies-0.5  times the gravity
+rest-driven            drive.position:offset:1                      from where it is driven
+start-velocity         Pose.position_m:offset:1-False               at the start is off by
+worlds-single          batch.states:stale:one-before                has the values of world 4, of all
+worlds-single          batch.states:side:odd-0.8                    that are read are 0.8 times
+worlds-single          batch.states:mixed:half                      0.5 times the mean
+worlds-single          batch.states:kth:second-late                 the reading is late
+worlds-single          batch.drive:kth:second-0.8                   driven plate is elsewhere
+worlds-single          batch.Contact.restitution:kth:second-0.8     its restitution is
+worlds-single          batch.advance:kth:second-10th                leave the world out
+worlds-restart         batch.restart:swap:reversed                  restart must return
 ball-joint-cone        BallJoint.anchor_m:offset:2-True             its height changes
 """
 """Further checks that see a fault: check, fault (of the table, or a generated one), and words of the diagnosis."""

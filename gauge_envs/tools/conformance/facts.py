@@ -1,0 +1,130 @@
+"""Say what the record of a failed check shows for certain: starts, driven motion, hinges, clamps and gravity.
+
+Each is compared with the scene where no contact or force has a part, so that it needs no hypothesis.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from gauge_envs.evaluation.estimators import acceleration_m_per_s2
+from gauge_envs.runs.rollout import Rollout
+from gauge_envs.scene import Hinge, RigidBody
+from gauge_envs.scene.meshes import nodes_in
+
+Array = NDArray[np.float64]
+
+FAR_MM, FAR_DEG = 0.5, 0.5
+"""Distances and angles from which on they are facts."""
+LEAST_TURN_RAD = 0.05
+"""Rotation from which on a hinge shows its anchor."""
+
+
+def facts(rollout: Rollout) -> str:
+    """Return what is otherwise than the scene states, the first of a kind; empty where nothing is."""
+    found = [
+        next(kind(rollout), "")
+        for kind in (_starts, _driven, _hinges, _clamps, _gravity)
+    ]
+    return "; ".join(filter(None, found))
+
+
+def _starts(rollout: Rollout) -> Iterator[str]:
+    for body in rollout.scene.bodies:
+        off_mm = 1e3 * (rollout.position(body.name)[0] - body.pose.position_m)
+        turned = rollout.rotation(body.name)[0] * body.pose.rotation.inv()
+        turned_deg = np.degrees(turned.magnitude())
+        if np.linalg.norm(off_mm) > FAR_MM:
+            yield f"the position of the {body.name} at the start is off by {_vector(off_mm)} mm"
+        if turned_deg > FAR_DEG:
+            yield f"the orientation of the {body.name} at the start is off by {turned_deg:.3g} degrees"
+
+
+def _driven(rollout: Rollout) -> Iterator[str]:
+    for driver in rollout.scene.drivers:
+        name = driver.body
+        asked = driver.path(rollout.scene.body(name).pose, rollout.times_s)
+        off_mm = 1e3 * np.linalg.norm(rollout.position(name) - asked[:, :3], axis=1)
+        turns = Rotation.from_quat(asked[:, 3:7], scalar_first=True)
+        off_deg = np.degrees((rollout.rotation(name) * turns.inv()).magnitude())
+        for off, least, what in (
+            (off_mm, FAR_MM, "position {:.3g} mm"),
+            (off_deg, FAR_DEG, "orientation {:.3g} degrees"),
+        ):
+            if off.max() > least:
+                first_s = rollout.times_s[int(np.argmax(off > least))]
+                text = what.format(off.max())
+                yield f"the driven {name} has a {text} from where it is driven, from {first_s:.3g} s on"
+
+
+def _hinges(rollout: Rollout) -> Iterator[str]:
+    for hinge in rollout.scene.joints:
+        if not isinstance(hinge, Hinge):
+            continue
+        body = rollout.scene.body(hinge.body)
+        turns = rollout.rotation(body.name)
+        angles = (turns * turns[0].inv()).as_rotvec()
+        largest = int(np.linalg.norm(angles, axis=1).argmax())
+        angle = float(np.linalg.norm(angles[largest]))
+        if angle < LEAST_TURN_RAD:
+            continue
+        axis = np.array(hinge.axis) / np.linalg.norm(hinge.axis)
+        cosine = abs(float(angles[largest] @ axis)) / angle
+        off_deg = np.degrees(np.arccos(min(cosine, 1.0)))
+        if off_deg > FAR_DEG:
+            yield f"the {body.name} turns about an axis {off_deg:.3g} degrees from the axis of its hinge"
+        off_m, left_m = _pivot(rollout, body, hinge)
+        across_mm = 1e3 * (off_m - (off_m @ axis) * axis)
+        size_mm = float(np.linalg.norm(across_mm))
+        if size_mm > FAR_MM and 1e3 * left_m < 0.1 * size_mm:
+            yield (
+                f"the {body.name} turns about a point {size_mm:.3g} mm from the anchor of its hinge, off by "
+                f"{_vector(across_mm)} mm"
+            )
+
+
+def _pivot(rollout: Rollout, body: RigidBody, hinge: Hinge) -> tuple[Array, float]:
+    """Return how far the point about which a body turns is from the anchor [m], shape [3], and what it moves [m]."""
+    turns = rollout.rotation(body.name).as_matrix()
+    local = body.pose.to_body(np.array(hinge.anchor_m))
+    moved = rollout.position(body.name) + turns @ local - hinge.anchor_m
+    # turn @ (local + change) + position = anchor + off, for all samples.
+    columns = np.hstack([turns.reshape(-1, 3), np.tile(-np.eye(3), (len(turns), 1))])
+    solution = np.linalg.lstsq(columns, -moved.ravel(), rcond=1e-6)[0]
+    left_m = np.abs(columns @ solution + moved.ravel()).max()
+    return solution[3:], float(left_m)
+
+
+def _clamps(rollout: Rollout) -> Iterator[str]:
+    fixed = {one.name for one in rollout.scene.bodies if one.motion == "fixed"}
+    for one in rollout.scene.attachments:
+        nodes = rollout.nodes_m.get(one.deformable)
+        if nodes is None or one.to not in fixed:
+            continue
+        (soft,) = (x for x in rollout.scene.deformables if x.name == one.deformable)
+        held = nodes_in(soft.pose.to_body(nodes[0]), one.region)
+        moved_mm = 1e3 * float(np.abs(nodes[:, held] - nodes[0, held]).max())
+        if moved_mm > FAR_MM:
+            yield f"attached nodes of the {soft.name} leave their places by {moved_mm:.3g} mm: the attachment fails"
+
+
+def _gravity(rollout: Rollout) -> Iterator[str]:
+    scene = rollout.scene
+    bound = (scene.contacts, scene.joints, scene.guides, scene.body_hinges)
+    if any(bound) or scene.attachments or not scene.gravity_m_per_s2:
+        return
+    shares = [
+        -acceleration_m_per_s2(rollout.times_s, rollout.position(one.name)[:, 2])
+        / scene.gravity_m_per_s2
+        for one in scene.dynamic_bodies
+    ]
+    if shares and np.ptp(shares) < 0.01 and abs(shares[0] - 1.0) > 0.005:
+        yield f"all bodies fall with {shares[0]:.4g} times the gravity of the scene"
+
+
+def _vector(values: Array) -> str:
+    return "(" + ", ".join(f"{value:.3g}" for value in values) + ")"
