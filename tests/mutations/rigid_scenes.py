@@ -382,7 +382,7 @@ FAULTS = dict(
             "gravity-own",
             "gravity of the engine",
             "gravity-of-scene",
-            "gravity from the scene",
+            "gravity of the scene",
             scene=_gravity(lambda g: 9.81),
         ),
         fault(
@@ -527,7 +527,7 @@ FAULTS = dict(
             "hinge-anchor",
             "anchor of the hinge 2 mm off",
             "pendulum-period",
-            "hinge's position",
+            "anchor of its hinge",
             scene=change_joints(
                 Hinge,
                 lambda one: replace(

@@ -111,8 +111,7 @@ hinge-radius           Hinge.anchor_m:offset:2-False                mm from the 
 joint-dry              Hinge.axis:swap:0-2                          from the axis of its hinge
 all-bodies-move        Scene.gravity_m_per_s2:crowd:above-2-bodies-0.5  times the gravity
 rest-driven            drive.position:offset:1                      from where it is driven
-start-velocity         Pose.position_m:offset:1-False               at the start is off by
-worlds-single          batch.states:stale:one-before                has the values of world 4, of all
+worlds-single          batch.states:stale:one-before                has the values of world 0, of all
 worlds-single          batch.states:side:odd-0.8                    that are read are 0.8 times
 worlds-single          batch.states:mixed:half                      0.5 times the mean
 worlds-single          batch.states:kth:second-late                 the reading is late
