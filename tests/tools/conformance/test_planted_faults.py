@@ -85,9 +85,6 @@ pucks-friction           Contact.friction:side:fixed-first-0.8       is listed f
 carry-late               Contact.friction:threshold:after-1s         depends on time
 driven-turned-path       drive.spin:frame:body                       its orientation by
 driven-turned-rate       report.spin:frame:body                      in the body frame
-swarm-momentum           Contact.pair:drop:all                       did not meet
-swarm-turn               box-inertia           an inertia that does not follow
-swarm-energy             gains-energy          makes energy
 cloth-rests-on           Contact.pair:side:deformable-Cloth-dynamic  falls through the free
 foam-rests-on            Contact.pair:side:deformable-SoftBody-fixed falls through the fixed
 rope-rests-on            Contact.pair:side:deformable-Rope-kinematic falls through the driven
