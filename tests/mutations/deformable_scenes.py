@@ -266,13 +266,6 @@ FAULTS = dict(
             scene=change_deformables(SoftBody, poisson_ratio=0.0),
         ),
         fault(
-            "foam-mass",
-            "mass of foam times 1.3",
-            "foam-tension",
-            "mass of the nodes",
-            scene=change_deformables(SoftBody, mass_kg=1.3),
-        ),
-        fault(
             "lines-turned",
             "ropes and rods turned by 3 degrees",
             "rope-start",
@@ -285,27 +278,6 @@ FAULTS = dict(
             "rope-start",
             "or length",
             scene=change_deformables(Rope, length_m=1.03),
-        ),
-        fault(
-            "rod-young",
-            "Young's modulus of a rod 20 % high",
-            "rod-bending",
-            "bends 0.8",
-            scene=change_deformables(Rod, young_modulus_pa=1.2),
-        ),
-        fault(
-            "rod-radius",
-            "radius of a rod 10 % high",
-            "rod-bending",
-            "radius",
-            scene=change_deformables(Rod, radius_m=1.1),
-        ),
-        fault(
-            "rod-mass",
-            "mass of a rod times 1.3",
-            "rod-bending",
-            "mass of the nodes",
-            scene=change_deformables(Rod, mass_kg=1.3),
         ),
     )
 )

@@ -1,7 +1,5 @@
 """Faults of batches of worlds, which single simulations do not have."""
 
-from dataclasses import replace
-
 import numpy as np
 
 from gauge_envs.backends.device import DeviceWorlds, HostArrays
@@ -33,41 +31,6 @@ class Batch(Worlds):
         self.inner.close()
 
 
-class _ResetsButLast(Batch):
-    """Leaves the last world as it is at a reset, but for the first one."""
-
-    is_fresh = True
-
-    def reset(self, seed):
-        for world in self.worlds[: None if self.is_fresh else -1]:
-            world.reset(seed)
-        self.is_fresh = False
-
-
-class _RestartsAll(Batch):
-    """Restarts all worlds instead of one."""
-
-    def restart(self, number):
-        self.inner.reset(0)
-
-
-class _RestartsNext(Batch):
-    """Restarts the next world too."""
-
-    def restart(self, number):
-        self.inner.restart(number)
-        self.inner.restart((number + 1) % len(self.worlds))
-
-
-class _Swaps(Batch):
-    """Reads world 2 for world 3, and world 3 for world 2."""
-
-    def body_states(self, names):
-        states = self.inner.body_states(names)
-        states[[2, 3]] = states[[3, 2]]
-        return states
-
-
 class _PushesOthersNoMore(Batch):
     """Removes the wrenches of all worlds before it applies those of some."""
 
@@ -75,14 +38,6 @@ class _PushesOthersNoMore(Batch):
         for world in self.worlds:
             world.apply_wrench(body, np.zeros(6))
         self.inner.apply_wrench(body, wrenches, numbers)
-
-
-class _CommandsAll(Batch):
-    """Gives all worlds the first of the commands."""
-
-    def command(self, values, numbers):
-        for world in self.worlds:
-            world.command(values[0])
 
 
 class _OnHost(HostArrays, DeviceWorlds):
@@ -111,20 +66,6 @@ class _BeginsAsBuilt(Batch):
         return _OnHost(self.inner)
 
 
-def _constants_of_first(build, scenes):
-    return separate_worlds(
-        [build(replace(scene, contacts=scenes[0].contacts)) for scene in scenes]
-    )
-
-
-def _heavy_world(build, scenes):
-    """Build worlds, of which the sixth has bodies of 1.5 times the mass."""
-    scenes = list(scenes)
-    bodies = [replace(one, mass_kg=1.5 * one.mass_kg) for one in scenes[5].bodies]
-    scenes[5] = replace(scenes[5], bodies=tuple(bodies))
-    return separate_worlds([build(scene) for scene in scenes])
-
-
 def _raises(build, scenes):
     raise RuntimeError("no batches today")
 
@@ -138,60 +79,11 @@ def _wrapped(kind):
 FAULTS = dict(
     (
         fault(
-            "worlds-constants",
-            "worlds have the contacts of the first one",
-            "worlds-single",
-            "constants",
-            worlds=_constants_of_first,
-        ),
-        fault(
-            "worlds-reset",
-            "reset leaves the last world as it is",
-            "worlds-reset",
-            "reset must return all worlds",
-            worlds=_wrapped(_ResetsButLast),
-        ),
-        fault(
-            "worlds-restart",
-            "restart of one world restarts all",
-            "worlds-restart",
-            "which goes on, differs most",
-            worlds=_wrapped(_RestartsAll),
-        ),
-        fault(
-            "worlds-swapped",
-            "two worlds are read for each other",
-            "worlds-single",
-            "differs most, in the velocity",
-            worlds=_wrapped(_Swaps),
-        ),
-        fault(
-            "worlds-mass",
-            "one world has other masses",
-            "worlds-single",
-            "world 5 differs most",
-            worlds=_heavy_world,
-        ),
-        fault(
-            "worlds-restart-next",
-            "restart of one world restarts the next too",
-            "worlds-restart",
-            "which goes on, differs most",
-            worlds=_wrapped(_RestartsNext),
-        ),
-        fault(
             "worlds-wrench",
             "a wrench on some worlds removes those on others",
             "worlds-wrench",
             "lose it when others",
             worlds=_wrapped(_PushesOthersNoMore),
-        ),
-        fault(
-            "worlds-command",
-            "the command of one world goes to all",
-            "worlds-command",
-            "the command of another world",
-            worlds=_wrapped(_CommandsAll),
         ),
         fault(
             "worlds-device",

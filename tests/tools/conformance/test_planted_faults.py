@@ -108,6 +108,16 @@ hinge-radius           Hinge.anchor_m:offset:2-False                mm from the 
 joint-dry              Hinge.axis:swap:0-2                          from the axis of its hinge
 all-bodies-move        Scene.gravity_m_per_s2:crowd:above-2-bodies-0.5  times the gravity
 rest-driven            drive.position:offset:1                      from where it is driven
+worlds-single          batch.Contact.friction:stale:first-for-all   friction
+worlds-reset           batch.reset:kth:last                         reset must return all worlds
+worlds-restart         batch.restart:crowd:all                      which goes on, differs most
+worlds-restart         batch.restart:crowd:next-too                 which goes on, differs most
+worlds-wrench          batch.RigidBody.mass_kg:kth:second-0.8       the mass of another world
+worlds-command         batch.command:stale:first-for-all            the command of another world
+rod-bending            Rod.young_modulus_pa:scale:1.25              bends
+rod-bending            Rod.radius_m:scale:1.25                      radius
+rod-bending            Rod.mass_kg:scale:1.25                       mass of the nodes
+foam-tension           SoftBody.mass_kg:scale:1.25                  mass of the nodes
 worlds-single          batch.states:stale:one-before                has the values of world 0, of all
 worlds-single          batch.states:side:odd-0.8                    that are read are 0.8 times
 worlds-single          batch.states:mixed:half                      0.5 times the mean
