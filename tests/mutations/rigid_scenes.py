@@ -515,15 +515,6 @@ FAULTS = dict(
             scene=_random_friction,
         ),
         fault(
-            "hinge-axis",
-            "axis of the hinge tilted by 3 degrees",
-            "hinge-radius",
-            "axis is tilted",
-            scene=change_joints(
-                Hinge, lambda one: replace(one, axis=_tilted(one.axis, 3.0))
-            ),
-        ),
-        fault(
             "hinge-anchor",
             "anchor of the hinge 2 mm off",
             "pendulum-period",
@@ -608,15 +599,6 @@ FAULTS = dict(
             "start-orientation",
             "scalar first",
             scene=change_bodies(_scalar_read_last),
-        ),
-        fault(
-            "start-velocity-none",
-            "start velocity ignored",
-            "start-velocity",
-            "starts at rest",
-            scene=_thrown(
-                lambda one: replace(one, linear_velocity_m_per_s=(0.0, 0.0, 0.0))
-            ),
         ),
         fault(
             "start-velocity-millimetres",

@@ -195,13 +195,6 @@ FAULTS = dict(
             simulation=_driving(lambda rate, change: (rate, 0.0 * change)),
         ),
         fault(
-            "drive-swapped",
-            "x and y of a driven body's angular velocity exchanged",
-            "driven-turned-path",
-            "axes are exchanged",
-            simulation=_driving(lambda *rates: np.array(rates)[:, SWAPPED]),
-        ),
-        fault(
             "drive-late",
             "driven bodies one interval late",
             "driven-path",

@@ -1,4 +1,4 @@
-"""Say what the record of a failed check shows for certain: starts, driven motion, hinges, clamps and gravity.
+"""Say what the record of a failed check shows for certain: starts, driven motion, hinges and gravity.
 
 Each is compared with the scene where no contact or force has a part, so that it needs no hypothesis.
 """
@@ -14,7 +14,6 @@ from scipy.spatial.transform import Rotation
 from gauge_envs.evaluation.estimators import acceleration_m_per_s2
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import Hinge, RigidBody
-from gauge_envs.scene.meshes import nodes_in
 
 Array = NDArray[np.float64]
 
@@ -26,10 +25,7 @@ LEAST_TURN_RAD = 0.05
 
 def facts(rollout: Rollout) -> str:
     """Return what is otherwise than the scene states, the first of a kind; empty where nothing is."""
-    found = [
-        next(kind(rollout), "")
-        for kind in (_starts, _driven, _hinges, _clamps, _gravity)
-    ]
+    found = [next(kind(rollout), "") for kind in (_starts, _driven, _hinges, _gravity)]
     return "; ".join(filter(None, found))
 
 
@@ -97,19 +93,6 @@ def _pivot(rollout: Rollout, body: RigidBody, hinge: Hinge) -> tuple[Array, floa
     solution = np.linalg.lstsq(columns, -moved.ravel(), rcond=1e-6)[0]
     left_m = np.abs(columns @ solution + moved.ravel()).max()
     return solution[3:], float(left_m)
-
-
-def _clamps(rollout: Rollout) -> Iterator[str]:
-    fixed = {one.name for one in rollout.scene.bodies if one.motion == "fixed"}
-    for one in rollout.scene.attachments:
-        nodes = rollout.nodes_m.get(one.deformable)
-        if nodes is None or one.to not in fixed:
-            continue
-        (soft,) = (x for x in rollout.scene.deformables if x.name == one.deformable)
-        held = nodes_in(soft.pose.to_body(nodes[0]), one.region)
-        moved_mm = 1e3 * float(np.abs(nodes[:, held] - nodes[0, held]).max())
-        if moved_mm > FAR_MM:
-            yield f"attached nodes of the {soft.name} leave their places by {moved_mm:.3g} mm: the attachment fails"
 
 
 def _gravity(rollout: Rollout) -> Iterator[str]:

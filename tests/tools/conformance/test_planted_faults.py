@@ -109,6 +109,8 @@ joint-dry              Hinge.axis:swap:0-2                          from the axi
 all-bodies-move        Scene.gravity_m_per_s2:crowd:above-2-bodies-0.5  times the gravity
 rest-driven            drive.position:offset:1                      from where it is driven
 worlds-single          batch.Contact.friction:stale:first-for-all   friction
+start-velocity         RigidBody.linear_velocity_m_per_s:drop:zero  at rest
+driven-turned-path     drive.spin:swap:0-1                          orientation by
 worlds-reset           batch.reset:kth:last                         reset must return all worlds
 worlds-restart         batch.restart:crowd:all                      which goes on, differs most
 worlds-restart         batch.restart:crowd:next-too                 which goes on, differs most
