@@ -157,12 +157,17 @@ def followed(candidates: list[list[Sight]], task: VideoTask, fps: float) -> list
     usual_px = max(BEND * task.size_px, lawful_px)
     start = np.array(task.rest_px or task.centre_px)
     place, step, gap, seen = start, np.zeros(2), 1, 0
+    speeds_px = [0.0, 0.0]
     path = []
     for ones in candidates:
         chosen, most = Sight(), 0.0
         for one in ones:
             away_px = math.dist(one.place, place + gap * step)
-            cost = BEND_COST * (away_px / (gap * usual_px)) ** 2
+            if task.motion is Motion.FALL:
+                # An impact turns the velocity; when it came between two frames is unknown.
+                away_px = min(away_px, math.dist(one.place, place))
+            most_px = gap * max(usual_px, *speeds_px)
+            cost = BEND_COST * (away_px / most_px) ** 2
             if is_struck and seen < 2:
                 # When it was struck between two frames is unknown, and so is the velocity of its first step.
                 is_near = away_px < MOST_STEP * max(task.size_px, lawful_px)
@@ -173,6 +178,8 @@ def followed(candidates: list[list[Sight]], task: VideoTask, fps: float) -> list
         if chosen.likeness > 0.0:
             step, place = (chosen.place - place) / gap, chosen.place
             gap, seen = 1, seen + 1
+            if task.motion is Motion.FALL:
+                speeds_px = [speeds_px[1], float(np.linalg.norm(step))]
         else:
             gap, seen = gap + 1, 0
             if is_struck:

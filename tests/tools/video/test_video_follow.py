@@ -31,6 +31,21 @@ def test_a_likelier_place_far_away_is_left_out_and_a_gap_is_bridged(decoys):
     assert found == pytest.approx(places, nan_ok=True)
 
 
+def test_a_ball_is_followed_through_its_impact():
+    times_s = np.arange(20) / 30.0 - 0.31
+    gravity_px_s2 = 9.81 / BALL.scale_m_per_px
+    falls = 0.5 * gravity_px_s2 * (0.31**2 - (times_s + 0.31) ** 2)
+    rises = 0.31 * 0.8 * gravity_px_s2 * times_s - 0.5 * gravity_px_s2 * times_s**2
+    heights_px = np.where(times_s < 0.0, falls, rises)
+    start_px = BALL.centre_px[1] + heights_px[0]
+    frames = [
+        [Sight(place=np.array([BALL.centre_px[0], start_px - one]), likeness=0.6)]
+        for one in heights_px
+    ]
+    lost = [one.likeness == 0.0 for one in followed(frames, BALL, 30.0)]
+    assert sum(lost) <= 2, lost
+
+
 def test_a_struck_ball_is_followed_from_where_it_hangs_and_nowhere_else():
     length = CRADLE.rest_px[1] - CRADLE.pivot_px[1]
     # It is struck just before a frame: the first step is short, and the next one is not.
