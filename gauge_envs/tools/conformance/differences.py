@@ -11,8 +11,11 @@ Array = NDArray[np.float64]
 
 LEAST = 1e-4
 """Difference of a state from which on it counts."""
-CLOSE = 0.02
-"""Share of the largest difference that a cause may leave unexplained."""
+CLOSE = 1e-3
+"""Share of the largest difference that a cause may leave unexplained.
+
+A true cause leaves rounding, 1e-6 in single precision; another start of a ball may leave 4e-3 of a late reading.
+"""
 BALL, BRICK, PLATE = range(3)
 """Columns of the bodies."""
 

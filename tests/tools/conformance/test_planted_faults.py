@@ -3,6 +3,7 @@
 import re
 
 import mujoco
+import numpy as np
 import pytest
 from mutations import FAULTS, Fault, Mutant, Passed, first_failure, is_of_the_fault
 from mutations.generated import KINDS, generated, is_held_out
@@ -10,7 +11,12 @@ from mutations.worlds import RAISES
 
 from gauge_envs.backends import backend
 from gauge_envs.backends.mujoco.versions import FAULTY_SPARSE
+from gauge_envs.runs.rollout import Rollout
+from gauge_envs.scene import Scene
+from gauge_envs.tools.bench.parts import ball
 from gauge_envs.tools.conformance import Status, checks, run_checks, solver, worlds
+from gauge_envs.tools.conformance.differences import cause_of
+from gauge_envs.tools.conformance.facts import facts
 
 MUJOCO = backend("mujoco")
 
@@ -168,6 +174,39 @@ def test_a_check_names_the_fault_of_a_mutant(check, name, says, monkeypatch):
     assert result.status is Status.FAIL
     assert is_of_the_fault(mutant, result)
     assert says in result.diagnosis
+
+
+@pytest.mark.parametrize(
+    ("off_m", "is_late"), [(0.0, True), (1e-6, True), (0.004, False)]
+)
+def test_a_reading_is_late_where_rounding_alone_is_left(off_m, is_late):
+    """A ball passes 1 m in an interval; what is late by all but 4 mm of it starts elsewhere."""
+    law = np.zeros((42, 3, 13))
+    law[:, 0, 0] = np.arange(42)
+    read = np.concatenate([law[:1], law[:-1]])
+    read[:, 0, 0] += off_m
+    cause = cause_of(read, law, {}, np.zeros_like(law))
+    assert ("the reading is late" in cause) == is_late
+    assert "advance()" not in cause
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ((0.001, 0.0, 0.0, 0.0), "position of the ball at the start is off by (1,"),
+        ((0.0, 0.0, 0.0, 0.01), "orientation of the ball at the start is off by 1.15"),
+        ((0.0004, 0.0, 0.0, 0.004), ""),
+    ],
+)
+def test_a_start_elsewhere_is_a_fact_from_half_a_millimetre_and_degree_on(change, says):
+    one = ball("ball", (0.1, 0.2, 0.3))
+    states = np.zeros((3, 13))
+    # A turn about x by twice the last value [rad].
+    states[:, :5] = [*np.add(one.pose.position_m, change[:3]), 1.0, change[3]]
+    scene = Scene(bodies=(one,), duration_s=0.1, gravity_m_per_s2=0.0)
+    found = facts(Rollout(scene=scene, times_s=np.arange(3.0), states={"ball": states}))
+    assert bool(found) == bool(says)
+    assert says in found
 
 
 def test_every_check_can_fail():
