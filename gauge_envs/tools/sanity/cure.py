@@ -84,7 +84,7 @@ def find_cure(
         key: value for _, several in fixes.values() for key, value in several.items()
     }
     tried: list[str] = []
-    harm_of: _Judge | None = None
+    harm_of: _Judge = _harmless
     apply: Callable[[Settings], Applied] = partial(applied, configuration)
     if configuration.robot is not None and configuration.backend == "mujoco":
         remedied, apply, harm_of = _remedied(configuration, fixed, counted)
@@ -111,21 +111,21 @@ def find_cure(
         tried.append(f"{dialect.paste_text(changes)}: {error}")
 
     for changes, cured, geoms_by_setting, after in _ranked(
-        candidates, flags, apply, outcome_of, refused
+        candidates, flags, apply, outcome_of, refused, harm_of
     ):
         pasted = _pasted(configuration, dialect, changes, geoms_by_setting, [*texts])
-        mended = [name for name in flags if after[name][0] is Verdict.INSIDE]
+        mended = [name for name, one in after.items() if one[0] is Verdict.INSIDE]
         if not mended:
-            came = (_came(name, before[name][1], after[name][1]) for name in flags)
+            came = (_came(name, before[name][1], one[1]) for name, one in after.items())
             tried.append(f"{pasted}: {', '.join(came)}")
             continue
         cure = Cure(
             changes=changes,
-            line=f"{pasted}: {_effect(flags, mended, engine)}",
+            line=f"{pasted}: {_effect([*after], mended, engine)}",
             flag_count=len(flags),
             mended={name: after[name][1] for name in mended},
         )
-        harm = "" if harm_of is None else harm_of(cured, cure.changes)
+        harm = harm_of(cured, cure.changes)
         if not harm:
             new_flags = [
                 name
@@ -144,6 +144,10 @@ Applied = tuple[TrainingConfiguration, dict[str, list[str]]]
 
 _Judge = Callable[[TrainingConfiguration, Settings], str]
 """Function of a changed configuration and all its changes that says what is worse; empty when nothing is."""
+
+
+def _harmless(_cured: TrainingConfiguration, _changes: Settings) -> str:
+    return ""
 
 
 def _remedied(
@@ -262,6 +266,7 @@ def _ranked(
     apply: Callable[[Settings], Applied],
     outcome_of: Callable[[TrainingConfiguration, str], Outcome],
     refused: Callable[[Settings, GaugeError], None],
+    harm_of: _Judge,
 ) -> Iterator[
     tuple[Settings, TrainingConfiguration, dict[str, list[str]], dict[str, Outcome]]
 ]:
@@ -291,7 +296,7 @@ def _ranked(
         _, size, index = heappop(queue)
         (cured, geoms_by_setting), after = found[index]
         left = [name for name in slow if name not in after]
-        if left:
+        if left and not harm_of(cured, candidates[index]):
             after |= {name: outcome_of(cured, name) for name in left}
             heappush(queue, (-_mended_count(after), size, index))
         else:

@@ -332,3 +332,118 @@ LATER = {
     ),
 }
 """Mistakes that were written after the rows and their limits."""
+
+
+def servo(attributes: str, joint: str = "joint3"):
+    """Return a function that adds attributes to the servo of a joint."""
+    return replaced(f'(<position [^>]*joint="{joint}")', rf"\1 {attributes}")
+
+
+def general(joint: str, gain: str, bias: str, more: str = ""):
+    """Return a function that states the gain and the bias of a servo."""
+    stated = f'biastype="affine" gainprm="{gain}" biasprm="{bias}" {more}'
+    return replaced(
+        f'<position ([^>]*joint="{joint}") kp="[^"]*" kv="[^"]*"',
+        rf"<general \1 {stated}",
+    )
+
+
+FURTHER = {
+    "quadruped, a bent shin": (
+        replaced('name="RL_calf" pos', 'name="RL_calf" euler="0 46 0" pos'),
+        "robot-sides",
+    ),
+    "quadruped, a limb on the other side": (
+        replaced('name="FL_thigh" pos="0.19 0.12', 'name="FL_thigh" pos="0.19 -0.12'),
+        "robot-sides",
+    ),
+    "hand, a servo without kv": (
+        replaced('(joint="ring_inner" kp="2") kv=".05"', r"\1"),
+        "robot-sides",
+    ),
+    "arm, a turned command": (servo('gear="-1"'), "robot-command"),
+    "arm, a narrow command": (servo('ctrlrange="-.1 .1"'), "robot-command"),
+    "quadruped, a command of half a range": (
+        servo('ctrlrange="-.5 2"', "FL_hip"),
+        "robot-command",
+    ),
+    "hand, a servo of speed": (general("ring_inner", "2", "0 0 -2"), "robot-command"),
+    "arm, a servo that pushes": (
+        general("joint3", "2000", "0 2000 -200"),
+        "robot-command",
+    ),
+    "biped, two swapped motors": (
+        several(
+            replaced('<position joint="([^"]*)"', r'<position name="\1" joint="\1"'),
+            replaced('joint="left_knee" kp', 'joint="X" kp'),
+            replaced('joint="right_ankle" kp', 'joint="left_knee" kp'),
+            replaced('joint="X" kp', 'joint="right_ankle" kp'),
+        ),
+        "robot-command",
+    ),
+    "arm, a link of ten times its mass": (
+        replaced('(name="link2" type[^>]*)density="1000"', r'\1density="10000"'),
+        "robot-alike",
+    ),
+    "arm, a filter": (
+        general("joint3", "2000", "0 -2000 -200", 'dyntype="filter" dynprm=".5"'),
+        "robot-delay",
+    ),
+    "arm, a range without the pose": (
+        replaced('(name="joint3".*?range=)"[^"]*"', r'\1"80 115"'),
+        "robot-stops",
+    ),
+    "arm, a range of degrees as radians": (
+        replaced('(name="joint3".*?range=)"[^"]*"', r'\1"-8594 8594"'),
+        "robot-range",
+    ),
+    "arm, a torque in N mm": (
+        replaced('forcerange="-28 28"', 'forcerange="-28000 28000"', 1),
+        "robot-rotor",
+    ),
+    "arm, a torque in N cm": (
+        replaced('forcerange="-28 28"', 'forcerange="-.28 .28"', 1),
+        "robot-frictionloss",
+    ),
+    "arm, a weightless link": (
+        replaced('<body name="link4"', '<body name="link4" gravcomp="1"'),
+        "robot-gravcomp",
+    ),
+    "hand, a foot of condim 1": (
+        replaced('(name="ring_pad"[^>]*)condim="4"', r'\1condim="1"'),
+        "robot-friction",
+    ),
+    "hand, a coupling per degree": (
+        replaced('polycoef="0 1 0', 'polycoef="0 57.3 0', 1),
+        "robot-coupling",
+    ),
+    "hand, a coupling that is off": (
+        replaced('joint1="ring_outer"', 'joint1="ring_outer" active="false"'),
+        "robot-coupling",
+    ),
+    "quadruped, a gear beside its torque": (
+        servo('gear="100"', "FL_hip"),
+        "robot-torque",
+    ),
+    "biped, a spring": (
+        replaced('name="left_knee"', 'name="left_knee" stiffness="20"'),
+        "robot-alike",
+    ),
+    "arm, a stop that throws back": (
+        replaced('name="joint3"', 'name="joint3" solreflimit=".02 .1"'),
+        "robot-stops",
+    ),
+    "biped, contacts that bounce": (
+        replaced('solref="0.004 1"', 'solref="0.004 0.2"'),
+        "robot-solref",
+    ),
+    "hand, a link of centimetres": (
+        replaced('name="ring_tip" pos="0 0 .05"', 'name="ring_tip" pos="0 0 5"'),
+        "robot-joined",
+    ),
+    "arm, a keyframe of other commands": (
+        replaced('ctrl="0 -.5', 'ctrl="0 .5'),
+        "robot-keyframe",
+    ),
+}
+"""Single parts that one row alone names."""

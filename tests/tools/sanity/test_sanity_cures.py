@@ -279,6 +279,7 @@ def test_soft_explicit_pairs_are_mended_where_they_state_it(is_default, tmp_path
 
 def test_a_wall_is_built_only_with_changes_that_could_be_the_best():
     mended = {"a": ["creep-wood", "wall-sag"], "b": ["creep-wood"], "c": []}
+    mended["d"] = mended["a"]
     walls = []
 
     def outcome_of(name, row):
@@ -287,12 +288,15 @@ def test_a_wall_is_built_only_with_changes_that_could_be_the_best():
         return (Verdict.INSIDE if row in mended[name] else Verdict.WRONG), 1.0
 
     ranked = _ranked(
-        [{"c": 1}, {"b": 1}, {"a": 1}],
+        [{"d": 1}, {"c": 1}, {"b": 1}, {"a": 1}],
         ["creep-wood", "wall-sag"],
         lambda changes: (next(iter(changes)), {}),
         outcome_of,
         lambda changes, error: pytest.fail(str(error)),
+        lambda name, changes: "it falls" if name == "d" else "",
     )
+    # For a change that harms the robot no wall is built.
+    assert next(ranked)[0] == {"d": 1} and walls == []
     assert next(ranked)[0] == {"a": 1}
     assert walls == ["b", "a"]
     # Of a change that harms, the next best one follows.

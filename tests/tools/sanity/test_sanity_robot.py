@@ -65,7 +65,7 @@ def test_a_good_robot_has_no_flag():
     assert set(ROBOT_IDS) < set(found)
     assert {name for name, one in found.items() if not one.applies} == {
         *("robot-bound", "robot-action", "robot-delay"),
-        *("robot-balance", "robot-level", "robot-coupling"),
+        *("robot-balance", "robot-level", "robot-coupling", "robot-keyframe"),
     }
     for name in set(ROBOT_IDS) & set(found):
         reality, (low, high) = (

@@ -35,6 +35,9 @@ from gauge_envs.tools.sanity.robot.robot import (
     switched_off,
 )
 
+MOST_BETWEEN = 4
+"""Links of a chain whose parts overlap, of which one may be misplaced."""
+
 TRIED = 32
 """Random poses in which the overlap of two parts is tried."""
 
@@ -385,6 +388,22 @@ def _overlap(robot: Robot) -> Finding:
         value=1e3 * depth_m,
         parts=parts,
         remark=f"{names[worst]}; {push_n:.3g} N push parts apart at the first step",
-        advice=f"exclude the pair {names[worst]}, make its geoms smaller, or state a keyframe with them apart",
+        advice=_apart(robot, worst, names[worst]),
         advisory=advisory,
     )
+
+
+def _apart(robot: Robot, pair: tuple[int, int], names: str) -> str:
+    """Return what keeps two parts apart: what places the links of the chain between them, or their pair."""
+    model, bodies = robot.model, []
+    for body in pair:
+        chain = [body]
+        while chain[-1]:
+            chain.append(int(model.body_parentid[chain[-1]]))
+        bodies.append(chain)
+    between = sorted({*bodies[0]} ^ {*bodies[1]})
+    advice = f"exclude the pair {names}, make its geoms smaller, or state a keyframe with them apart"
+    if len(between) > MOST_BETWEEN:
+        return advice
+    links = ", ".join(body_name(robot, body) for body in between)
+    return f"pos and quat (w x y z) of {links}; where they are right, {advice}"

@@ -262,12 +262,14 @@ def _drag(
     if name == "damping" and values[worst] > 0.0:
         fastest_rad_per_s = limits[worst] / float(values[worst])
         remark += f", which turn it by at most {fastest_rad_per_s:.2g} rad/s"
+    is_stated = np.isfinite(driven_dofs(robot)[worst])
+    strength = "largest torque in Nm" if is_stated else "kp, which its torque follows"
     return Finding(
         value=shares[worst],
         parts=by_joint(robot, shares),
         remark=remark,
         advice=f'{name}="{fair[worst]:.2g}" for {joint_name(robot, worst)} and joints like it, '
-        "or its largest torque in Nm",
+        f"or its {strength}",
         changes=of_elements(
             f"dof_{name}", {dof: one for dof, one in fair.items() if one < values[dof]}
         ),

@@ -34,6 +34,9 @@ UNIT_ERRORS = {
     1e6: "a mass in kt",
 }
 
+WHOLE_KG_PER_M3 = (100.0, 1250.0)
+"""Mass of links over the volume of the hulls of their meshes; 127 to 1,204 in 71 of 72 models of makers [kg/m^3]."""
+
 MASSLESS_KG = 1e-5
 """Mass up to which a body is a frame that carries no link; makers give such frames 1e-8 to 1e-6 kg [kg]."""
 
@@ -133,7 +136,51 @@ def _density(robot: Robot) -> Finding:
                 geom = max(geoms_of(robot, body), key=lambda g: model.geom_rbound[g])
                 advice += f", or give {geom_name(model, geom)} its size"
             found = Finding(value=density, remark=remark, advice=advice)
-    return replace(found, changes=changes, parts=densities)
+    found = replace(found, changes=changes, parts=densities)
+    return _heavy(robot, found) if worst <= 1.0 and densities else found
+
+
+def _heavy(robot: Robot, found: Finding) -> Finding:
+    """Return that links with meshes are too heavy or too light as a whole, else what was found of each."""
+    model, volume_m3, mass_kg = robot.model, 0.0, 0.0
+    for body in robot.bodies:
+        hull_m3 = _hull_m3(robot, body)
+        if hull_m3 and model.body_mass[body] > MASSLESS_KG:
+            volume_m3 += hull_m3
+            mass_kg += float(model.body_mass[body])
+    if 2.0 * mass_kg < robot.mass_kg or not volume_m3:
+        return found
+    density = mass_kg / volume_m3
+    least, most = WHOLE_KG_PER_M3
+    if least <= density <= most:
+        return found
+    # The limits of the row are those of one link.
+    low, high = limits_of("robot-density")
+    value = high * density / most if density > most else low * density / least
+    return replace(
+        found,
+        value=value,
+        parts={**found.parts, "the robot as a whole": value},
+        remark=f"all links together have {density:.0f} kg/m^3, and those of makers {least:g} to {most:g}",
+        advice="masses in kilograms, not in pounds, 2.2 times as much; and meshes of the size of the real part",
+    )
+
+
+def _hull_m3(robot: Robot, body: int) -> float:
+    """Return the volume of the hull of a body's meshes [m^3]; 0 without one."""
+    model, points = robot.model, [np.zeros((0, 3))]
+    for geom in geoms_of(robot, body):
+        mesh = int(model.geom_dataid[geom])
+        if model.geom_type[geom] != int(mujoco.mjtGeom.mjGEOM_MESH):
+            continue
+        first, turn = int(model.mesh_vertadr[mesh]), np.zeros(9)
+        corners = model.mesh_vert[first : first + int(model.mesh_vertnum[mesh])]
+        mujoco.mju_quat2Mat(turn, model.geom_quat[geom])
+        points.append(model.geom_pos[geom] + corners @ turn.reshape(3, 3).T)
+    try:
+        return float(ConvexHull(np.vstack(points)).volume)
+    except (QhullError, ValueError):
+        return 0.0
 
 
 @row("robot-bound")

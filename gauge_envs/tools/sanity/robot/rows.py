@@ -3,6 +3,7 @@
 from gauge_envs.tools.sanity.robot import (
     alike,
     command_rows,
+    consistency_rows,
     ground_rows,
     joint_rows,
     mass_rows,
@@ -17,6 +18,7 @@ __all__ = [
     "ROWS",
     "alike",
     "command_rows",
+    "consistency_rows",
     "ground_rows",
     "joint_rows",
     "mass_rows",

@@ -1,14 +1,21 @@
 """Judge whether the sides of a robot are mirror images, and whether copies of a part are driven alike."""
 
+import copy
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.tools.sanity.robot.finding import Finding, body_name, name_of, row
+from gauge_envs.tools.sanity.robot.finding import (
+    Finding,
+    body_name,
+    limits_of,
+    name_of,
+    row,
+)
 from gauge_envs.tools.sanity.robot.ground_rows import geoms_of, limbs_of
 from gauge_envs.tools.sanity.robot.joints import (
     driven_dofs,
@@ -56,6 +63,9 @@ FEW_COPIES = 2
 
 SAME = 0.01
 """Difference of two numbers over the larger one up to which they are the same."""
+
+STRAIGHT = 0.9999
+"""Cosine of half of an angle, from which on a quaternion turns nothing."""
 
 SHARE_OF = {
     "place": "its distance from the origin of the robot",
@@ -250,17 +260,59 @@ def _sides(robot: Robot) -> Finding:
     if not parts:
         return Finding(declined=NOT_SYMMETRIC)
     worst = max(parts, key=parts.__getitem__)
+    value, advice = parts[worst], f"the same for both: {worst}"
+    if worst.startswith(OF_GEOMETRY) and (pair := _first_misplaced(robot)):
+        both = f"{name_of(robot, pair.joint)} and {name_of(robot, pair.other)}"
+        several = [f"{quantity} of {both}" for quantity in OF_GEOMETRY]
+        worst = max(several, key=parts.__getitem__)
+        advice = _placing(robot, pair)
     base = SHARE_OF.get(worst.partition(" of ")[0], "the larger one")
-    advice = f"the same for both: {worst}"
     if worst.endswith((" ahead", " aside")):
         base, advice = "the distance of its hips", f"the {worst}, between its hips"
     differs = f"{100.0 * parts[worst]:.3g} % of {base}"
     return Finding(
-        value=parts[worst],
+        value=value,
         parts=parts,
-        remark=f"{worst}: {texts.get(worst, differs)}" if parts[worst] > 1e-3 else "",
+        remark=f"{worst}: {texts.get(worst, differs)}" if value > 1e-3 else "",
         advice=advice,
     )
+
+
+def _first_misplaced(robot: Robot) -> MirrorPair | None:
+    """Return the pair nearest to the trunk whose links are no mirror images: what is behind them is elsewhere too."""
+    high = limits_of("robot-sides")[1]
+    for pair in sorted(mirror_pairs(robot), key=lambda one: one.depth):
+        found = dict(differences(robot, pair))
+        if any(found[quantity] > high for quantity in OF_GEOMETRY):
+            return pair
+    return None
+
+
+def _placing(robot: Robot, pair: MirrorPair) -> str:
+    """Return which attributes place the links of a pair that are no mirror images, and a quaternion in other order."""
+    bodies = robot.model.jnt_bodyid[[pair.joint, pair.other]].tolist()
+    names = [body_name(robot, body) for body in bodies]
+    high = limits_of("robot-sides")[1]
+    for body, name in zip(bodies, names, strict=True):
+        turned = _in_other_order(robot, body)
+        if turned is None:
+            continue
+        for one in mirror_pairs(turned):
+            found = dict(differences(turned, one))
+            is_pair = {one.joint, one.other} == {pair.joint, pair.other}
+            if is_pair and all(found[quantity] <= high for quantity in OF_GEOMETRY):
+                return f"the quat of {name} in the order w x y z"
+    return f"pos, quat and inertial of {' and '.join(names)}, and the axis of their joints, as mirror images"
+
+
+def _in_other_order(robot: Robot, body: int) -> Robot | None:
+    """Return a robot with the quaternion of a body taken as x y z w; None where it turns nothing."""
+    quaternion = robot.model.body_quat[body]
+    if abs(quaternion[0]) > STRAIGHT:
+        return None
+    model = copy.copy(robot.model)
+    model.body_quat[body] = np.roll(quaternion, 1)
+    return replace(robot, model=model)
 
 
 def _trunk_shares(robot: Robot) -> Iterator[tuple[str, float]]:
@@ -395,6 +447,9 @@ def differences(robot: Robot, pair: MirrorPair) -> Iterator[tuple[str, float]]:
         if np.isfinite(difference):
             yield name, difference
 
+
+OF_GEOMETRY = ("place", "axis", "centre of mass")
+"""Differences of two sides in how their links are placed."""
 
 OF_LINKS = frozenset({"mass", "inertia", "collisions", "friction", "size", "softness"})
 """Quantities of links; the others are of joints."""

@@ -1,0 +1,154 @@
+"""Judge whether parts of a model fit each other: links that meet, contacts that settle, keyframes that hold."""
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.tools.sanity.robot.finding import (
+    Finding,
+    body_name,
+    joint_name,
+    name_of,
+    row,
+)
+from gauge_envs.tools.sanity.robot.joints import dof_of, position_servos
+from gauge_envs.tools.sanity.robot.mass_rows import size_m
+from gauge_envs.tools.sanity.robot.mujoco_feet import geom_name, joints_of
+from gauge_envs.tools.sanity.robot.robot import Robot
+
+Indices = NDArray[np.int_]
+
+WIDE = (int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD))
+"""Geoms of the ground."""
+
+
+def _gap_m(
+    model: mujoco.MjModel, data: mujoco.MjData, geoms: Indices, others: Indices
+) -> float:
+    """Return the least distance between the hulls of two sets of geoms [m]; 0 where they touch."""
+    least_m, ends = np.inf, np.zeros(6)
+    for geom in geoms.tolist():
+        apart_m = np.linalg.norm(data.geom_xpos[others] - data.geom_xpos[geom], axis=1)
+        bounds_m = apart_m - model.geom_rbound[others] - model.geom_rbound[geom]
+        for other in others[np.argsort(bounds_m)][np.sort(bounds_m) < least_m].tolist():
+            away_m = mujoco.mj_geomDistance(model, data, geom, other, 10.0, ends)
+            least_m = min(least_m, float(away_m))
+            if least_m <= 0.0:
+                return 0.0
+    return least_m
+
+
+@row("robot-joined")
+def _joined(robot: Robot) -> Finding:
+    model, robot_m = robot.model, size_m(robot)
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    links = model.body_weldid[model.geom_bodyid]
+    links[np.isin(model.geom_type, WIDE)] = -1
+    # Parts of another tree that stand in the world belong to no robot.
+    roots = model.body_rootid[model.geom_bodyid]
+    is_free = joints_of(model, "FREE")
+    parts: dict[str, float] = {}
+    for body in robot.bodies:
+        first = int(model.body_jntadr[body])
+        geoms = np.flatnonzero(links == body)
+        if first < 0 or is_free[first] or not len(geoms):
+            continue
+        is_here = roots == model.body_rootid[body]
+        parent = body
+        others: Indices = np.zeros(0, int)
+        while parent and not len(others):
+            parent = int(model.body_parentid[parent])
+            link = model.body_weldid[parent]
+            others = np.flatnonzero((links == link) & is_here)
+        if len(others):
+            gap_m = _gap_m(model, data, geoms, others)
+            parts[f"{body_name(robot, body)} from {body_name(robot, parent)}"] = (
+                gap_m / robot_m
+            )
+    if not parts:
+        return Finding(declined="no joint joins two links whose shapes are known")
+    worst = max(parts, key=parts.__getitem__)
+    name = worst.partition(" from ")[0]
+    return Finding(
+        value=parts[worst],
+        parts=parts,
+        remark=f"{1e3 * robot_m * parts[worst]:.3g} mm lie between {worst.replace(' from ', ' and ')}"
+        if parts[worst]
+        else "",
+        advice=f"pos and quat (w x y z) of {name}, or the place and the scale of its geoms",
+    )
+
+
+def _damping_ratio(solref: FloatArray) -> float:
+    """Return the damping ratio of constraints, of either form of `solref`."""
+    first, second = (float(number) for number in solref)
+    if first > 0.0:
+        return second
+    return -second / (2.0 * max(np.sqrt(-first), 1e-9))
+
+
+@row("robot-solref")
+def _solref(robot: Robot) -> Finding:
+    model = robot.model
+    parts: dict[str, float] = {}
+    for geom in np.unique(robot.pairs.geoms).tolist():
+        ratio = _damping_ratio(model.geom_solref[geom])
+        parts[f"contacts of {geom_name(model, geom)}"] = ratio
+    for number in range(model.npair):
+        ratio = _damping_ratio(model.pair_solref[number])
+        parts[f"contacts of pair {model.pair(number).name or number}"] = ratio
+    for joint in np.flatnonzero(model.jnt_limited).tolist():
+        ratio = _damping_ratio(model.jnt_solref[joint])
+        parts[f"the limit of {name_of(robot, joint)}"] = ratio
+    for number in range(model.neq):
+        ratio = _damping_ratio(model.eq_solref[number])
+        parts[f"equality {model.eq(number).name or number}"] = ratio
+    if not parts:
+        return Finding(
+            declined="no contact, limit or equality of the model has a solref"
+        )
+    worst = max(parts, key=lambda name: abs(np.log(max(parts[name], 1e-9))))
+    does = "throw back what they stop" if parts[worst] < 1.0 else "give way slowly"
+    same = sum(value == parts[worst] for value in parts.values())
+    return Finding(
+        value=parts[worst],
+        parts=parts,
+        remark=f"{worst}: a damping ratio of {parts[worst]:.3g}, so that constraints {does}; {same} like it"
+        if parts[worst] != 1.0
+        else "",
+        advice=f"solref (time constant, damping ratio) of {worst}: a damping ratio of 1",
+    )
+
+
+@row("robot-keyframe")
+def _keyframe(robot: Robot) -> Finding:
+    model, data = robot.model, mujoco.MjData(robot.model)
+    parts: dict[str, float] = {}
+    key = max(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "home"), 0)
+    # Without commands a keyframe states a pose alone.
+    if model.nkey and model.key_ctrl[key].any():
+        mujoco.mj_resetDataKeyframe(model, data, key)
+        mujoco.mj_fwdPosition(model, data)
+        for actuator in position_servos(robot):
+            bias = model.actuator_biasprm[actuator]
+            force = model.actuator_gainprm[actuator, 0] * data.ctrl[actuator] + bias[0]
+            gear = float(model.actuator_gear[actuator, 0]) or 1.0
+            away = -force / bias[1] - data.actuator_length[actuator]
+            name = joint_name(robot, dof_of(robot, actuator))
+            parts[name] = abs(float(away / gear))
+    if not parts:
+        return Finding(
+            declined="the first keyframe states no commands of servos on hinges"
+        )
+    worst = max(parts, key=parts.__getitem__)
+    return Finding(
+        value=parts[worst],
+        parts=parts,
+        remark=f"{worst} is commanded {parts[worst]:.3g} rad away from where it is"
+        if parts[worst] > 1e-3
+        else "",
+        advice=f"qpos and ctrl of the keyframe that agree: {worst}",
+    )
