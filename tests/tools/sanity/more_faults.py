@@ -445,5 +445,20 @@ FURTHER = {
         replaced('ctrl="0 -.5', 'ctrl="0 .5'),
         "robot-keyframe",
     ),
+    "biped, a free joint with the defaults of the others": (
+        replaced("<freejoint/>", '<joint name="root" type="free"/>'),
+        "robot-free",
+    ),
+    "arm, a lost armature": (
+        replaced('(name="joint3".*?armature=)"0.1"', r'\1"0.0001"'),
+        "robot-rotor",
+    ),
+    "arm, a centre of mass in the frame of the world": (
+        replaced(
+            '(<body name="link2"[^>]*>)',
+            r'\1<inertial pos=".3 0 1" mass="5" diaginertia=".1 .1 .1"/>',
+        ),
+        "robot-inertia",
+    ),
 }
 """Single parts that one row alone names."""

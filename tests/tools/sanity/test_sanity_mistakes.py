@@ -166,9 +166,16 @@ def test_a_keyframe_that_commands_another_angle_than_its_own_slows_no_servo():
     assert robot_row("robot-lag", robot).verdict is Verdict.INSIDE
 
 
-@pytest.mark.parametrize(
-    "mistakes", [MISTAKES, LATER, FURTHER], ids=["known", "later", "further"]
-)
+@pytest.mark.parametrize("name", FURTHER)
+def test_a_row_is_flagged_for_its_mistake(name):
+    change, expected = FURTHER[name]
+    text = GOOD[name.partition(",")[0]]()
+    changed = change(text)
+    assert changed != text
+    assert robot_row(expected, robot_of(changed)).is_flag
+
+
+@pytest.mark.parametrize("mistakes", [MISTAKES, LATER], ids=["known", "later"])
 def test_mistakes_are_named(mistakes):
     unnamed = []
     for name, (change, expected) in mistakes.items():

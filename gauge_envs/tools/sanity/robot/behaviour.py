@@ -24,7 +24,7 @@ ORDER = (
     *("robot-range", "robot-unlimited", "robot-command", "robot-mirror"),
     *("robot-sides", "robot-alike", "robot-overlap"),
     *("robot-stops", "robot-coupling"),
-    *("robot-joined", "robot-solref", "robot-keyframe"),
+    *("robot-joined", "robot-solref", "robot-keyframe", "robot-free"),
     *("robot-feet", "robot-friction", "robot-torsion", "robot-floor-friction"),
     *("floor-tilt", "robot-level", "robot-balance"),
     *("robot-torque", "robot-rotor", "robot-armature", "robot-stiffness"),

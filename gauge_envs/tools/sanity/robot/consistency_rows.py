@@ -1,4 +1,4 @@
-"""Judge whether parts of a model fit each other: links that meet, contacts that settle, keyframes that hold."""
+"""Judge whether parts of a model fit: links meet, contacts settle, keyframes hold, bases are free."""
 
 import mujoco
 import numpy as np
@@ -12,7 +12,11 @@ from gauge_envs.tools.sanity.robot.finding import (
     name_of,
     row,
 )
-from gauge_envs.tools.sanity.robot.joints import dof_of, position_servos
+from gauge_envs.tools.sanity.robot.joints import (
+    dof_of,
+    joint_inertias,
+    position_servos,
+)
 from gauge_envs.tools.sanity.robot.mass_rows import size_m
 from gauge_envs.tools.sanity.robot.mujoco_feet import geom_name, joints_of
 from gauge_envs.tools.sanity.robot.robot import Robot
@@ -151,4 +155,38 @@ def _keyframe(robot: Robot) -> Finding:
         if parts[worst] > 1e-3
         else "",
         advice=f"qpos and ctrl of the keyframe that agree: {worst}",
+    )
+
+
+@row("robot-free")
+def _free(robot: Robot) -> Finding:
+    model = robot.model
+    inertia = joint_inertias(robot) - model.dof_armature
+    parts: dict[str, float] = {}
+    stated: dict[str, str] = {}
+    for joint in np.flatnonzero(joints_of(model, "FREE")).tolist():
+        if int(model.jnt_bodyid[joint]) not in robot.bodies:
+            continue
+        first = int(model.jnt_dofadr[joint])
+        six = slice(first, first + 6)
+        # What a speed of 1 m/s or 1 rad/s loses in 1 s, and what the inertia has too much.
+        shares = model.dof_damping[six] + model.dof_frictionloss[six]
+        shares = np.maximum(shares, model.dof_armature[six]) / inertia[six]
+        name = name_of(robot, joint)
+        parts[name] = float(shares.max())
+        numbers = (model.dof_damping, model.dof_frictionloss, model.dof_armature)
+        damping, dry, armature = (float(one[first]) for one in numbers)
+        stated[name] = (
+            f"damping {damping:g}, frictionloss {dry:g} and armature {armature:g}"
+        )
+    if not parts:
+        return Finding(declined="the robot has no free joint")
+    worst = max(parts, key=parts.__getitem__)
+    return Finding(
+        value=parts[worst],
+        parts=parts,
+        remark=f"the free joint {worst} has {stated[worst]}, as by a default of the other joints"
+        if parts[worst]
+        else "",
+        advice=f'<freejoint/>, or damping="0" frictionloss="0" armature="0" for {worst}',
     )
