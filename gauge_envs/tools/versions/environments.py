@@ -41,6 +41,9 @@ INSTALL_LIMIT_S = 1800.0
 REMOVAL_LIMIT_S = 5.0
 """Time in which children of an interrupted installation still write [s]."""
 
+QUIET_S = 0.5
+"""Time without a new file after which they are taken for ended [s]."""
+
 
 _is_stopped = Event()
 """Set when the threads of `sides_at_once` begin nothing more."""
@@ -220,8 +223,11 @@ def _removed_on_error(part: Path) -> Iterator[Path]:
         yield part
     except BaseException:  # Ctrl-C too.
         deadline_s = time.monotonic() + REMOVAL_LIMIT_S
-        while part.exists() and time.monotonic() < deadline_s:
-            shutil.rmtree(part, ignore_errors=True)
+        gone_since_s = time.monotonic()
+        while time.monotonic() < min(gone_since_s + QUIET_S, deadline_s):
+            if part.exists():
+                shutil.rmtree(part, ignore_errors=True)
+                gone_since_s = time.monotonic()
             time.sleep(0.05)
         raise
 

@@ -13,6 +13,7 @@ from gauge_envs.tools.sanity.model import Verdict
 from gauge_envs.tools.sanity.phenomena import ROBOT_IDS
 from gauge_envs.tools.sanity.robot.alike import factors
 from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
+from gauge_envs.tools.sanity.robot.remedies import REMEDIES
 from gauge_envs.tools.sanity.robot.whole_rows import outside
 from gauge_envs.tools.sanity.target_checks import robot_row
 
@@ -173,6 +174,13 @@ def test_a_row_is_flagged_for_its_mistake(name):
     changed = change(text)
     assert changed != text
     assert robot_row(expected, robot_of(changed)).is_flag
+
+
+def test_a_robot_without_servos_has_no_gains_to_scale():
+    motors = re.sub(r'<position (joint="[^"]*")[^>]*>', r"<motor \1/>", biped_xml())
+    motors = re.sub(r'ctrl="[^"]*"', "", motors)
+    for remedy in REMEDIES["robot-servo"](robot_of(motors)):
+        assert "kp" not in remedy.text
 
 
 @pytest.mark.parametrize("mistakes", [MISTAKES, LATER], ids=["known", "later"])

@@ -89,6 +89,8 @@ def _scaled(
     robot: Robot, actuators: Sequence[int], shares: Sequence[float], power: float
 ) -> Iterator[Remedy]:
     """Yield smaller gains that still hold the robot's weight; kv is scaled by a power of the factor of kp."""
+    if len(actuators) == 0:
+        return
     for share in shares:
         if _bears(robot, actuators, share):
             remedy = gains(robot, actuators, kp=share, kv=share**power)
