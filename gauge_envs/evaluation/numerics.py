@@ -1,6 +1,6 @@
 """Quantiles, a root and a minimum, without the parts of SciPy whose import takes longer than to score a slide.
 
-`scipy.special`, `scipy.optimize` and `scipy.stats` are never imported.
+`scipy.special` is imported at the first quantile, `scipy.optimize` and `scipy.stats` never.
 """
 
 from __future__ import annotations
@@ -42,12 +42,14 @@ def share_interval(successes: float, count: float, level: float) -> tuple[float,
         count: Number of trials.
         level: Coverage of the interval.
     """
+    from scipy.special import betaincinv
+
     low, high = 0.0, 1.0
     tail = 0.5 * (1.0 - level)
     if successes > 0.0:
-        low = beta_quantile(successes, count - successes + 1.0, tail)
+        low = float(betaincinv(successes, count - successes + 1.0, tail))
     if successes < count:
-        high = beta_quantile(successes + 1.0, count - successes, 1.0 - tail)
+        high = float(betaincinv(successes + 1.0, count - successes, 1.0 - tail))
     return low, high
 
 
@@ -57,52 +59,11 @@ def student_quantile(freedom: float, probability: float) -> float:
 
     Args:
         freedom: Degrees of freedom.
-        probability: The probability, above one half.
-    """
-    share = beta_quantile(0.5 * freedom, 0.5, 2.0 * (1.0 - probability))
-    return math.sqrt(freedom * (1.0 - share) / share)
-
-
-def beta_quantile(first: float, second: float, probability: float) -> float:
-    """Return the value below which a beta variable is with a probability, to 1e-13 of it, by bounded Newton steps.
-
-    Args:
-        first: First parameter, positive.
-        second: Second parameter, positive.
         probability: The probability.
     """
-    low, high, value = 0.0, 1.0, first / (first + second)
-    while True:
-        found, density = _beta_law(value, first, second)
-        if found < probability:
-            low = value
-        else:
-            high = value
-        nearer = value + (probability - found) / max(density, 1e-300)
-        if not low < nearer < high:
-            nearer = 0.5 * (low + high)
-        if abs(nearer - value) <= 1e-14 * value + 1e-290:
-            return nearer
-        value = nearer
+    from scipy.special import stdtrit
 
-
-def _beta_law(value: float, first: float, second: float) -> tuple[float, float]:
-    """Return probability and density of a beta variable, by the continued fraction of DLMF 8.17.22."""
-    if value > (first + 1.0) / (first + second + 2.0):
-        above, density = _beta_law(1.0 - value, second, first)
-        return 1.0 - above, density
-    power = first * math.log(value) + second * math.log1p(-value)
-    both = first + second
-    scale = math.lgamma(both) - math.lgamma(first) - math.lgamma(second)
-    front = math.exp(power + scale)
-    fraction = 1.0
-    for term in range(round(20.0 + 3.0 * math.sqrt(both)), 0, -1):
-        place = first + 2.0 * term
-        odd = -(first + term) * (both + term) * value / (place * (place + 1.0))
-        even = term * (second - term) * value / ((place - 1.0) * place)
-        fraction = 1.0 + even / (1.0 + odd / fraction)
-    fraction = 1.0 - both * value / ((first + 1.0) * fraction)
-    return front / (first * fraction), front / (value * (1.0 - value))
+    return float(stdtrit(freedom, probability))
 
 
 def interpolated(
