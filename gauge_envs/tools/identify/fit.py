@@ -60,7 +60,7 @@ from gauge_envs.tools.identify.rig import (
     with_terms,
 )
 from gauge_envs.tools.identify.snippets import snippet_lines
-from gauge_envs.tools.identify.stages import Fit, Fitter, guessed
+from gauge_envs.tools.identify.stages import Fitter, guessed
 
 PLAUSIBLE = 2.0
 """Distance, over half of the interval, up to which a fit with what the scene states is tried."""
@@ -126,19 +126,28 @@ def identify(
     machine = machine_of(engine, scene, logs[0], names, settings or {})
     fitter = Fitter(machine=machine, known=known, part_s=part_s)
     laws: tuple[Law, ...] = ()
-    # Where laws are compared, the first fit only starts the others.
-    tolerance = NEAR if laws_names else None
-    fit = fitter.fit(logs, names, tolerance=tolerance, progress=progress)
-    alone: list[Fit] = []
+    searcher = fitter
     if laws_names:
-        laws, alone = compare_laws(fitter, logs, laws_names, fit, progress)
+        # Where laws are compared, the first fit only starts the others.
+        for searcher in (fitter.coarser(), fitter):
+            fit = searcher.fit(logs, names, tolerance=NEAR, progress=progress)
+            if not fit.problem.diverges(fit.unknowns):
+                break
+        laws, alone = compare_laws(searcher, logs, laws_names, fit, progress)
+        names = laws_names[laws[0].name]
+        fit = fitter.fit(logs, names, first=fit, progress=progress)
+    else:
+        fit = fitter.fit(logs, names, progress=progress)
+        alone = [fit] * len(logs)
+    if len(logs) == 1:
         # Halves of one log are no files.
-        alone = alone if len(logs) > 1 else []
-        chosen = laws_names[laws[0].name]
-        fit = fitter.fit(logs, chosen, first=fit, progress=progress)
-    elif len(logs) > 1:
+        alone = []
+    elif searcher is not fitter or not laws_names:
         progress("each log alone")
-        alone = [fitter.fit([log], names, first=fit) for log in logs]
+        alone = [
+            fitter.fit([log], names, first=one)
+            for log, one in zip(logs, alone, strict=True)
+        ]
     long, unknowns = fit.problem, fit.unknowns
     long.check_margin(unknowns)
     count = long.joints

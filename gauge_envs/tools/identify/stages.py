@@ -48,7 +48,9 @@ FIRST_STAGE_S = 15.0
 """About how much of the logs stage 1 uses, evenly spread [s]: it seeks the neighbourhood alone."""
 
 COARSE_S = 0.002
-"""Step up to which stage 1 multiplies a shorter one, and least time between its samples [s]."""
+"""Step up to which stage 1 and comparisons of laws multiply a shorter one, and least time between the samples of
+stage 1 [s].
+"""
 
 QUADRATIC = DYNAMICS[3]
 
@@ -108,6 +110,14 @@ class Fitter:
     known: Mapping[str, float]
     part_s: float | None = None
 
+    def coarser(self) -> "Fitter":
+        """Return the same with the step times a whole number, up to `COARSE_S`, or itself."""
+        step_s = self.machine.timestep_s
+        factor = int(COARSE_S / step_s + 1e-9)
+        if factor < 2:
+            return self
+        return replace(self, machine=self.machine.with_step(factor * step_s))
+
     def fit(
         self,
         logs: Sequence[Log],
@@ -132,7 +142,7 @@ class Fitter:
         short, long = self._stages(logs, names)
         if first is None:
             progress(f"{len(short.parts)} short parts of {len(logs)} logs")
-            unknowns = _neighbourhood(short)
+            unknowns = self._neighbourhood(short)
         else:
             unknowns = self._from(first, long)
         progress(f"{len(long.parts)} long parts")
@@ -144,6 +154,21 @@ class Fitter:
         tolerance = tolerance or (SERVO_CLOSE if servo else CLOSE)
         unknowns = long.solved(unknowns, tolerance, most_steps)
         return Fit(long, unknowns, short.simulations + long.simulations)
+
+    def _neighbourhood(self, problem: Problem) -> FloatArray:
+        """Return the unknowns of stage 1, by coarser steps unless the engine diverges with these."""
+        fitter = self.coarser()
+        if fitter is not self:
+            coarse = replace(
+                problem,
+                machine=fitter.machine,
+                parts=[part.thinned(COARSE_S) for part in problem.parts],
+            )
+            unknowns = coarse.neighbourhood()
+            problem.simulations = coarse.simulations
+            if not coarse.diverges(unknowns):
+                return unknowns
+        return problem.neighbourhood()
 
     def _stages(
         self, logs: Sequence[Log], names: Sequence[str]
@@ -186,23 +211,6 @@ class Fitter:
         terms_of_law = {*SERVO_FRICTION} - {*STRIBECK[1:]}
         new = [name in terms_of_law and name not in rows for name in problem.names]
         return problem.shared_out(unknowns, np.array(new)) if any(new) else unknowns
-
-
-def _neighbourhood(problem: Problem) -> FloatArray:
-    """Return the unknowns of stage 1, by steps of up to `COARSE_S` unless the engine diverges with these."""
-    step_s = problem.machine.timestep_s
-    factor = int(COARSE_S / step_s + 1e-9)
-    if factor > 1:
-        coarse = replace(
-            problem,
-            machine=problem.machine.with_step(factor * step_s),
-            parts=[part.thinned(COARSE_S) for part in problem.parts],
-        )
-        unknowns = coarse.neighbourhood()
-        problem.simulations = coarse.simulations
-        if not coarse.diverges(unknowns):
-            return unknowns
-    return problem.neighbourhood()
 
 
 def parts_of(
