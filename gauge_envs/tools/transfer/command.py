@@ -32,22 +32,37 @@ TrustOption = Annotated[
     ),
 ]
 
-PictureOption = Annotated[Path | None, arguments.target("Picture to write, .png.")]
+Policies = Annotated[
+    list[str],
+    typer.Argument(
+        metavar="POLICY",
+        help="Stable-Baselines3 (.zip), ONNX (.onnx) or module:function; several are training seeds.",
+    ),
+]
 
+Statistics = Annotated[
+    list[Path] | None,
+    typer.Option(
+        metavar="FILE",
+        rich_help_panel=arguments.SCENE,
+        help="Statistics of VecNormalize, for all policies or each.",
+    ),
+]
 
-def _statistics(text: str) -> Any:
-    """Return the option `--normalization`."""
-    return typer.Option(metavar="FILE", rich_help_panel=arguments.SCENE, help=text)
+FailBelow = Annotated[
+    float,
+    arguments.measured(
+        "--fail-below",
+        "%",
+        "Exit code 1 when less of the reward is kept.",
+        arguments.SELECTION,
+        show_default="0",
+    ),
+]
 
 
 def transfer(
-    policies: Annotated[
-        list[str],
-        typer.Argument(
-            metavar="POLICY",
-            help="Stable-Baselines3 (.zip), ONNX (.onnx) or module:function; several are training seeds.",
-        ),
-    ],
+    policies: Policies,
     task: Annotated[
         str,
         arguments.experiment("Control task, as GAUGE/Turntable-Limit-wood."),
@@ -55,10 +70,7 @@ def transfer(
     engine: Annotated[str, arguments.backend("Engine of the training.")] = "mujoco",
     changes: arguments.Settings = None,
     parameters: arguments.Parameters = None,
-    normalization: Annotated[
-        list[Path] | None,
-        _statistics("Statistics of VecNormalize, for all policies or each."),
-    ] = None,
+    normalization: Statistics = None,
     trust: TrustOption = False,
     to: Annotated[
         list[str] | None,
@@ -87,17 +99,8 @@ def transfer(
         ),
     ] = 3,
     seed: arguments.Seed = 0,
-    fail_below: Annotated[
-        float,
-        arguments.measured(
-            "--fail-below",
-            "%",
-            "Exit code 1 when less of the reward is kept.",
-            arguments.SELECTION,
-            show_default="0",
-        ),
-    ] = 0.0,
-    out: PictureOption = None,
+    fail_below: FailBelow = 0.0,
+    out: Annotated[Path | None, arguments.target("Picture to write, .png.")] = None,
     form: arguments.Form = Format.TEXT,
 ) -> bool:
     """Replay trained policies in other engines: how much of their reward do they keep?
@@ -182,13 +185,7 @@ def _picture_files(out: Path | None) -> dict[str, Path]:
 
 
 def transfer_settings(
-    policies: Annotated[
-        list[str],
-        typer.Argument(
-            metavar="POLICY",
-            help="Stable-Baselines3 (.zip), ONNX (.onnx) or module:function; several are training seeds.",
-        ),
-    ],
+    policies: Policies,
     env: Annotated[
         str,
         typer.Option(
@@ -235,14 +232,7 @@ def transfer_settings(
             "--duration", "s", "Length of an episode of an MJCF file.", arguments.SCENE
         ),
     ] = None,
-    normalization: Annotated[
-        list[Path] | None,
-        typer.Option(
-            metavar="FILE",
-            rich_help_panel=arguments.SCENE,
-            help="Statistics of VecNormalize, for all policies or each.",
-        ),
-    ] = None,
+    normalization: Statistics = None,
     trust: TrustOption = False,
     seeds: Annotated[
         int,
@@ -252,16 +242,7 @@ def transfer_settings(
             help="Seeds, the same with both settings.",
         ),
     ] = 20,
-    fail_below: Annotated[
-        float,
-        arguments.measured(
-            "--fail-below",
-            "%",
-            "Exit code 1 when less of the reward is kept.",
-            arguments.SELECTION,
-            show_default="0",
-        ),
-    ] = 0.0,
+    fail_below: FailBelow = 0.0,
     form: arguments.Form = Format.TEXT,
 ) -> bool:
     """Replay policies of a MuJoCo environment with other settings of the engine: how much reward survives?

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
@@ -202,18 +202,12 @@ def settings_document(report: SettingsReport) -> Document:
     """Return a row for each set of settings, and the result; the JSON row is the report."""
     verdict = settings_verdict(report)
     rows = [
-        {
-            "name": name,
-            "reward": row.reward,
-            "kept": row.kept,
-            "success": row.success,
-            "full_length": row.full_length,
-            "settings": ", ".join(
-                f"{key}={text}" for key, text in row.settings.items()
-            ),
-        }
-        for name, row in (("training", report.training), ("test", report.test))
+        {"name": "training", "row": report.training},
+        {"name": "test", "row": report.test},
     ]
+
+    def assigned(settings: Mapping[str, str]) -> str:
+        return ", ".join(f"{key}={text}" for key, text in settings.items())
 
     def percent(value: Estimate | None) -> str:
         return "-" if value is None else _percent(value)
@@ -221,11 +215,11 @@ def settings_document(report: SettingsReport) -> Document:
     table = Table(
         columns=(
             Column("name", "settings"),
-            Column("reward", "reward", _interval, is_number=True),
-            Column("kept", "kept", percent, is_number=True),
-            Column("success", "success", percent, is_number=True),
-            Column("full_length", "full length", lambda value: f"{100 * value:.0f} %", is_number=True),
-            Column("settings", "changed", place=Place.BELOW),
+            Column("row.reward", "reward", _interval, is_number=True),
+            Column("row.kept", "kept", percent, is_number=True),
+            Column("row.success", "success", percent, is_number=True),
+            Column("row.full_length", "full length", lambda value: f"{100 * value:.0f} %", is_number=True),
+            Column("row.settings", "changed", assigned, place=Place.BELOW),
         ),
         rows=rows,
     )  # fmt: skip

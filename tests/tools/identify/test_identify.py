@@ -247,31 +247,23 @@ def test_a_log_that_is_followed_exactly_has_no_noise():
     assert neighbours == pytest.approx(0.0, abs=1e-12) and 0.0 < decay < 1.0
 
 
-def test_what_the_log_does_not_tell_apart_is_said():
+def found_without_weight(name):
+    """What a log of a servo gives of its gains and another number."""
     scene = one_joint(MASS_KG, 0.0, INERTIA_KG_M2)
-    names = ("kp_n_m_per_rad", "kv_n_m_s_per_rad", VISCOUS)
-    found = identify(
-        backend("mujoco"),
-        scene,
-        [servo_log(kp=0.8, kv=0.02, delay_s=0.0)],
-        names,
-        settings=STEP,
-    )
+    log = servo_log(kp=0.8, kv=0.02, delay_s=0.0)
+    names = ("kp_n_m_per_rad", "kv_n_m_s_per_rad", name)
+    return identify(backend("mujoco"), scene, [log], names, settings=STEP)
+
+
+def test_what_the_log_does_not_tell_apart_is_said():
+    found = found_without_weight(VISCOUS)
     assert [bool(one.unknown) for one in found.settings] == [False, True, True]
     assert "kv_n_m_s_per_rad" in found.settings[2].unknown
 
 
 def test_a_log_that_tells_only_ratios_of_torques_is_said():
     """Without weight, an armature that is fitted scales with all torques."""
-    names = ("kp_n_m_per_rad", "kv_n_m_s_per_rad", ARMATURE)
-    scene = one_joint(MASS_KG, 0.0, INERTIA_KG_M2)
-    found = identify(
-        backend("mujoco"),
-        scene,
-        [servo_log(kp=0.8, kv=0.02, delay_s=0.0)],
-        names,
-        settings=STEP,
-    )
+    found = found_without_weight(ARMATURE)
     assert all("only ratios of torques" in one.unknown for one in found.settings)
 
 

@@ -307,6 +307,12 @@ def test_statistics_of_another_task_are_refused(env, tmp_path):
 # --- ONNX ---
 
 
+def save_network(graph, file):
+    onnx = pytest.importorskip("onnx")
+    opset = onnx.helper.make_opsetid("", 17)
+    onnx.save(onnx.helper.make_model(graph, opset_imports=[opset], ir_version=8), file)
+
+
 def write_onnx(file, size, *, outputs=1):
     onnx = pytest.importorskip("onnx")
     pytest.importorskip("onnxruntime", reason="extra 'onnx' is not installed")
@@ -321,12 +327,7 @@ def write_onnx(file, size, *, outputs=1):
         [helper.make_tensor_value_info("action", kind, ["batch", outputs])],
         [weights],
     )
-    onnx.save(
-        helper.make_model(
-            graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8
-        ),
-        file,
-    )
+    save_network(graph, file)
     return file
 
 
@@ -360,12 +361,7 @@ def test_an_onnx_file_is_run_within_limits_first(env, tmp_path, monkeypatch):
         [size],
     )
     file = tmp_path / "bomb.onnx"
-    onnx.save(
-        helper.make_model(
-            graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8
-        ),
-        file,
-    )
+    save_network(graph, file)
     with pytest.raises(
         PolicyError, match=r"bomb\.onnx: onnxruntime cannot run the network"
     ):
@@ -402,12 +398,7 @@ def test_an_onnx_file_is_run_within_limits_first(env, tmp_path, monkeypatch):
             helper.make_tensor("many", kinds.INT64, [], [2**62]),
         ],
     )
-    onnx.save(
-        helper.make_model(
-            graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8
-        ),
-        file,
-    )
+    save_network(graph, file)
     monkeypatch.setattr("gauge_envs.tools.transfer.policies.load.MOST_ONNX_CPU_S", 3)
     policy = load_policy(str(file), env)
     with pytest.raises(PolicyError, match=r"bomb\.onnx: the network needs more than"):
