@@ -67,18 +67,16 @@ def load_command(name: str) -> Any:
 
 JsonFlag = Annotated[
     bool,
-    typer.Option(
-        "--json", rich_help_panel=arguments.OUTPUT, help="Short for --format json."
-    ),
+    arguments.option(arguments.OUTPUT, "Short for --format json.", "--json"),
 ]
 
 QuietFlag = Annotated[
     bool,
-    typer.Option(
+    arguments.option(
+        arguments.OUTPUT,
+        "No progress, notes and totals on stderr; errors stay.",
         "--quiet",
         "-q",
-        rich_help_panel=arguments.OUTPUT,
-        help="No progress, notes and totals on stderr; errors stay.",
     ),
 ]
 

@@ -41,8 +41,13 @@ MUJOCO = ["mujoco"]
 """The engine of commands that take several."""
 
 
+def option(panel: str, text: str, *names: str, **more: Any) -> Any:
+    """Return an option with its panel and line of the help; `more` are arguments of `typer.Option`."""
+    return typer.Option(*names, rich_help_panel=panel, help=text, **more)
+
+
 def measured(
-    option: str,
+    name: str,
     unit: str,
     text: str,
     panel: str,
@@ -54,7 +59,7 @@ def measured(
     """Return the option of a quantity, whose value may end with its unit, as `2` or `2kg`.
 
     Args:
-        option: Name of the option.
+        name: Name of the option.
         unit: Unit of the quantity, which the help shows in place of a type; empty for a number without a unit.
         text: Line of help.
         panel: Panel of the help.
@@ -76,12 +81,12 @@ def measured(
             raise typer.BadParameter(f"{given!r}: expected {wanted}")
         return number
 
-    return typer.Option(
-        option,
+    return option(
+        panel,
+        text,
+        name,
         metavar=unit or "number",
         parser=value,
-        help=text,
-        rich_help_panel=panel,
         show_default=show_default,
     )
 
@@ -129,54 +134,54 @@ Sources = Annotated[
 
 def experiment(text: str, panel: str = SCENE) -> Any:
     """Return the option `--id`."""
-    return typer.Option("--id", metavar="ID", rich_help_panel=panel, help=text)
+    return option(panel, text, "--id", metavar="ID")
 
 
 # --- scene -----------------------------------------------------------------------------------------------------------
 
 Parameters = Annotated[
     list[str] | None,
-    typer.Option(
+    option(
+        SCENE,
+        "Constant of the scene, as cube.friction=0.3; or the name of a set, as effective.",
         "--parameter",
         "-p",
         metavar=ASSIGNED,
-        rich_help_panel=SCENE,
         show_default="calibrated",
-        help="Constant of the scene, as cube.friction=0.3; or the name of a set, as effective.",
     ),
 ]
 
 Asset = Annotated[
     Path | None,
-    typer.Option(
+    option(
+        SCENE,
+        "Scene, in place of the task file: a USD layer, or MJCF for mujoco.",
         "--asset",
         metavar="FILE",
-        rich_help_panel=SCENE,
-        help="Scene, in place of the task file: a USD layer, or MJCF for mujoco.",
     ),
 ]
 
 Use = Annotated[
     list[str] | None,
-    typer.Option(
+    option(
+        SCENE,
+        "Data beyond the bundled: imported-drivers, imported-reference, imported for both, or withheld for the "
+        "bands that are kept back.",
         "--use",
         metavar="DATA",
-        rich_help_panel=SCENE,
         show_default="bundled",
-        help="Data beyond the bundled: imported-drivers, imported-reference, imported for both, or withheld for the "
-        "bands that are kept back.",
     ),
 ]
 
 JitterTexts = Annotated[
     list[str] | None,
-    typer.Option(
+    option(
+        SCENE,
+        "Standard deviations of the start, as 1mm,0.5deg, where one that is not given is 0; real, as manual "
+        "set-ups scatter; or off.",
         "--jitter",
         metavar="mm,deg",
-        rich_help_panel=SCENE,
         show_default="off; real with repeats",
-        help="Standard deviations of the start, as 1mm,0.5deg, where one that is not given is 0; real, as manual "
-        "set-ups scatter; or off.",
     ),
 ]
 
@@ -187,14 +192,14 @@ def backend(
     text: str, panel: str = NUMERICS, *, show_default: bool | str = True
 ) -> Any:
     """Return the option `--backend`."""
-    return typer.Option(
+    return option(
+        panel,
+        text,
         "--backend",
         "-b",
         metavar="ENGINE",
         autocompletion=_engines,
-        rich_help_panel=panel,
         show_default=show_default,
-        help=text,
     )
 
 
@@ -204,41 +209,39 @@ Backend = Annotated[str, backend("Engine.")]
 
 Settings = Annotated[
     list[str] | None,
-    typer.Option(
+    option(
+        NUMERICS,
+        "Setting of the engine, as timestep_s=1/1800.",
         "--set",
         metavar=ASSIGNED,
-        rich_help_panel=NUMERICS,
         show_default="those of the engine",
-        help="Setting of the engine, as timestep_s=1/1800.",
     ),
 ]
 
 Seed = Annotated[
     int,
-    typer.Option(
-        "--seed", "-s", min=0, rich_help_panel=NUMERICS, help="Seed of the first start."
-    ),
+    option(NUMERICS, "Seed of the first start.", "--seed", "-s", min=0),
 ]
 
 Repeats = Annotated[
     int,
-    typer.Option(
+    option(
+        NUMERICS,
+        "Episodes, each with the next seed and its own scattered start.",
         "--repeats",
         min=1,
-        rich_help_panel=NUMERICS,
-        help="Episodes, each with the next seed and its own scattered start.",
     ),
 ]
 
 Jobs = Annotated[
     int | None,
-    typer.Option(
+    option(
+        NUMERICS,
+        "Processes at once.",
         "--jobs",
         "-j",
         min=1,
-        rich_help_panel=NUMERICS,
         show_default="all processors",
-        help="Processes at once.",
     ),
 ]
 
@@ -277,63 +280,47 @@ Memory = Annotated[
 
 Isolate = Annotated[
     bool,
-    typer.Option(
-        "--isolate",
-        rich_help_panel=NUMERICS,
-        help="Give each experiment a process of its own.",
-    ),
+    option(NUMERICS, "Give each experiment a process of its own.", "--isolate"),
 ]
 
 # --- selection -------------------------------------------------------------------------------------------------------
 
 Only = Annotated[
     list[str] | None,
-    typer.Option(
-        "--only",
-        metavar="ID",
-        rich_help_panel=SELECTION,
-        show_default="all",
-        help="Ids or patterns.",
-    ),
+    option(SELECTION, "Ids or patterns.", "--only", metavar="ID", show_default="all"),
 ]
 
 Corrected = Annotated[
     bool,
-    typer.Option(
+    option(
+        SELECTION,
+        "Whether engines count whose physics this package corrects.",
         "--corrected/--no-corrected",
-        rich_help_panel=SELECTION,
-        help="Whether engines count whose physics this package corrects.",
     ),
 ]
 
 Order = Annotated[
     list[str] | None,
-    typer.Option(
+    option(
+        SELECTION,
+        "Parts of the error in the order in which they are added to the fit.",
         "--order",
         metavar="PART",
-        rich_help_panel=SELECTION,
         show_default="release,offset,rate",
-        help="Parts of the error in the order in which they are added to the fit.",
     ),
 ]
 
 MeasuredOnly = Annotated[
     bool,
-    typer.Option(
-        "--measured-only",
-        rich_help_panel=SELECTION,
-        help="Leave out extrapolated frames.",
-    ),
+    option(SELECTION, "Leave out extrapolated frames.", "--measured-only"),
 ]
 
 # --- output ----------------------------------------------------------------------------------------------------------
 
 Form = Annotated[
     Format,
-    typer.Option(
-        "--format",
-        rich_help_panel=OUTPUT,
-        help="Format on stdout; wide has all columns, json a line a row.",
+    option(
+        OUTPUT, "Format on stdout; wide has all columns, json a line a row.", "--format"
     ),
 ]
 
@@ -344,13 +331,8 @@ STDOUT = "-"
 
 def target(text: str, *, metavar: str = "FILE", show_default: bool | str = True) -> Any:
     """Return the option `--out`: a folder or a file, or several files of different suffixes."""
-    return typer.Option(
-        "--out",
-        "-o",
-        metavar=metavar,
-        rich_help_panel=OUTPUT,
-        help=text,
-        show_default=show_default,
+    return option(
+        OUTPUT, text, "--out", "-o", metavar=metavar, show_default=show_default
     )
 
 

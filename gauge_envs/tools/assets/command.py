@@ -22,10 +22,10 @@ def data_scenes(
     ] = None,
     check: Annotated[
         bool,
-        typer.Option(
+        arguments.option(
+            arguments.OUTPUT,
+            "Write nothing; exit code 1 if a file is stale.",
             "--check",
-            rich_help_panel=arguments.OUTPUT,
-            help="Write nothing; exit code 1 if a file is stale.",
         ),
     ] = False,
 ) -> bool:

@@ -39,11 +39,7 @@ def list_(
     ] = None,
     scored: Annotated[
         bool,
-        typer.Option(
-            "--scored",
-            rich_help_panel=arguments.SELECTION,
-            help="Only ids that have scores.",
-        ),
+        arguments.option(arguments.SELECTION, "Only ids that have scores.", "--scored"),
     ] = False,
     form: arguments.Form = Format.TEXT,
 ) -> bool:
@@ -140,10 +136,10 @@ def show(
     ],
     schema: Annotated[
         bool,
-        typer.Option(
+        arguments.option(
+            arguments.OUTPUT,
+            "JSON Schema of what a command prints with --json; ID is its name, as 'list materials'.",
             "--schema",
-            rich_help_panel=arguments.OUTPUT,
-            help="JSON Schema of what a command prints with --json; ID is its name, as 'list materials'.",
         ),
     ] = False,
     asset: arguments.Asset = None,

@@ -9,8 +9,6 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
 from gauge_envs.cli import arguments
 from gauge_envs.cli.output import Format, echo, note, print_document
 from gauge_envs.cli.results import loaded_results
@@ -25,12 +23,12 @@ KINDS = instruments_by("pictures")
 
 Metrics = Annotated[
     list[str] | None,
-    typer.Option(
+    arguments.option(
+        arguments.SELECTION,
+        "Metrics, as rmse or dtw.",
         "--metric",
         metavar="METRIC",
-        rich_help_panel=arguments.SELECTION,
         show_default="all",
-        help="Metrics, as rmse or dtw.",
     ),
 ]
 
@@ -110,10 +108,8 @@ def plot(
     measured_only: arguments.MeasuredOnly = False,
     kind: Annotated[
         str,
-        typer.Option(
-            metavar="KIND",
-            rich_help_panel=arguments.OUTPUT,
-            help=f"What to draw: {', '.join(KINDS)}.",
+        arguments.option(
+            arguments.OUTPUT, f"What to draw: {', '.join(KINDS)}.", metavar="KIND"
         ),
     ] = "experiments",
     out: Annotated[Path, arguments.folder("Folder for the pictures.")] = Path("plots"),

@@ -77,27 +77,27 @@ def backend_check(
     ] = None,
     baseline: Annotated[
         Path | None,
-        typer.Option(
+        arguments.option(
+            arguments.SELECTION,
+            "A .json file of --out by an earlier version of the engine: list what got worse or moved.",
             metavar="FILE",
-            rich_help_panel=arguments.SELECTION,
-            help="A .json file of --out by an earlier version of the engine: list what got worse or moved.",
         ),
     ] = None,
     expected: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE",
-            rich_help_panel=arguments.SELECTION,
-            help='A TOML file of checks that this engine fails, each with a reason, as rebound-flat = "no model of '
+        arguments.option(
+            arguments.SELECTION,
+            'A TOML file of checks that this engine fails, each with a reason, as rebound-flat = "no model of '
             'it": exit code 0 when exactly these fail.',
+            metavar="FILE",
         ),
     ] = None,
     badge: Annotated[
         Path | None,
-        typer.Option(
+        arguments.option(
+            arguments.OUTPUT,
+            "Counts of passed checks as JSON for a badge of shields.io.",
             metavar="FILE",
-            rich_help_panel=arguments.OUTPUT,
-            help="Counts of passed checks as JSON for a badge of shields.io.",
         ),
     ] = None,
     form: arguments.Form = Format.TEXT,

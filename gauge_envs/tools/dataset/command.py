@@ -35,11 +35,11 @@ def data_download(
     ] = None,
     revision: Annotated[
         str | None,
-        typer.Option(
+        arguments.option(
+            arguments.SELECTION,
+            "Commit, branch or tag.",
             metavar="NAME",
-            rich_help_panel=arguments.SELECTION,
             show_default="that of the bundled data",
-            help="Commit, branch or tag.",
         ),
     ] = None,
     out: Annotated[
@@ -74,10 +74,10 @@ def data_import(
     ] = None,
     unit: Annotated[
         str | None,
-        typer.Option(
+        arguments.option(
+            arguments.SCENE,
+            "Unit of lengths in files that state none, as mm.",
             metavar="UNIT",
-            rich_help_panel=arguments.SCENE,
-            help="Unit of lengths in files that state none, as mm.",
         ),
     ] = None,
     rate_hz: Annotated[

@@ -6,8 +6,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
 from gauge_envs.cli import arguments
 from gauge_envs.cli.output import Format, message, print_document
 from gauge_envs.cli.results import loaded_results
@@ -22,11 +20,8 @@ def diagnose(
     sources: arguments.Sources = None,
     name: Annotated[
         str | None,
-        typer.Option(
-            "--id",
-            metavar="ID",
-            rich_help_panel=arguments.SCENE,
-            help="Experiment of trajectory files.",
+        arguments.option(
+            arguments.SCENE, "Experiment of trajectory files.", "--id", metavar="ID"
         ),
     ] = None,
     use: arguments.Use = None,

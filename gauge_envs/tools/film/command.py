@@ -5,8 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
-
 from gauge_envs.cli import arguments
 from gauge_envs.cli.output import Progress, echo, message
 from gauge_envs.cli.results import loaded_results
@@ -14,9 +12,7 @@ from gauge_envs.errors import ParameterError
 
 
 def _pixels(option: str, text: str) -> Any:
-    return typer.Option(
-        option, min=1, metavar="px", rich_help_panel=arguments.OUTPUT, help=text
-    )
+    return arguments.option(arguments.OUTPUT, text, option, min=1, metavar="px")
 
 
 def video_film(
@@ -24,10 +20,10 @@ def video_film(
     use: arguments.Use = None,
     recording: Annotated[
         Path | None,
-        typer.Option(
+        arguments.option(
+            arguments.SCENE,
+            "Video of the real experiment, as the first panel.",
             metavar="FILE",
-            rich_help_panel=arguments.SCENE,
-            help="Video of the real experiment, as the first panel.",
         ),
     ] = None,
     recording_start_s: Annotated[
@@ -75,9 +71,8 @@ def video_film(
     ] = None,
     speed: Annotated[
         float,
-        typer.Option(
-            rich_help_panel=arguments.OUTPUT,
-            help="Seconds of the experiment in one of the film.",
+        arguments.option(
+            arguments.OUTPUT, "Seconds of the experiment in one of the film."
         ),
     ] = 1.0,
     fps: Annotated[
@@ -94,19 +89,16 @@ def video_film(
     height: Annotated[int, _pixels("--height", "Height of a panel.")] = 360,
     columns: Annotated[
         int | None,
-        typer.Option(
-            min=1,
-            rich_help_panel=arguments.OUTPUT,
-            show_default="at most 4",
-            help="Panels in a row.",
+        arguments.option(
+            arguments.OUTPUT, "Panels in a row.", min=1, show_default="at most 4"
         ),
     ] = None,
     strip: Annotated[
         int | None,
-        typer.Option(
+        arguments.option(
+            arguments.OUTPUT,
+            "So many times in a row, in place of a film.",
             metavar="COUNT",
-            rich_help_panel=arguments.OUTPUT,
-            help="So many times in a row, in place of a film.",
         ),
     ] = None,
     out: Annotated[

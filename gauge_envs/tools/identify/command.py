@@ -54,10 +54,10 @@ def recipe_joint(
     ] = None,
     scene: Annotated[
         str | None,
-        typer.Option(
+        arguments.option(
+            arguments.SCENE,
+            "Id, experiment file, MJCF, URDF or USD layer whose hinges are the joints, in place of a load.",
             metavar="ID",
-            rich_help_panel=arguments.SCENE,
-            help="Id, experiment file, MJCF, URDF or USD layer whose hinges are the joints, in place of a load.",
         ),
     ] = None,
     engine: arguments.Backend = "mujoco",
@@ -75,71 +75,71 @@ def recipe_joint(
     ] = None,
     fit: Annotated[
         list[str] | None,
-        typer.Option(
+        arguments.option(
+            arguments.SELECTION,
+            "What is identified.",
             metavar="NAME",
-            rich_help_panel=arguments.SELECTION,
             show_default=f"of a servo {SERVO}; else the law that predicts best",
-            help="What is identified.",
         ),
     ] = None,
     known: Annotated[
         list[str] | None,
-        typer.Option(
+        arguments.option(
+            arguments.SELECTION,
+            "Number that a bench measured, of all joints or of one as elbow.kp_n_m_per_rad; --source says where.",
             metavar="NAME=VALUE",
-            rich_help_panel=arguments.SELECTION,
-            help="Number that a bench measured, of all joints or of one as elbow.kp_n_m_per_rad; --source says where.",
         ),
     ] = None,
     source: Annotated[
         str | None,
-        typer.Option(
+        arguments.option(
+            arguments.SELECTION,
+            "Where --known is from, which the lines to paste repeat.",
             metavar="TEXT",
-            rich_help_panel=arguments.SELECTION,
-            help="Where --known is from, which the lines to paste repeat.",
         ),
     ] = None,
     joints: Annotated[
         list[str] | None,
-        typer.Option(
+        arguments.option(
+            arguments.SELECTION,
+            "Joints of the logs that are used.",
             metavar="NAME",
-            rich_help_panel=arguments.SELECTION,
             show_default="all of the logs",
-            help="Joints of the logs that are used.",
         ),
     ] = None,
     angle_unit: Annotated[
         str | None,
-        typer.Option(
+        arguments.option(
+            arguments.SELECTION,
+            "Unit of the angles: LeRobot states none; others have it to say when they reach beyond a turn.",
             metavar="rad|deg",
-            rich_help_panel=arguments.SELECTION,
             show_default="rad, within a turn",
-            help="Unit of the angles: LeRobot states none; others have it to say when they reach beyond a turn.",
         ),
     ] = None,
     load_error: Annotated[
         float,
-        typer.Option(
+        arguments.option(
+            arguments.SCENE,
+            "Standard uncertainty of the load, as 0.05; intervals of torques hold it too.",
             metavar="SHARE",
             min=0.0,
-            rich_help_panel=arguments.SCENE,
-            help="Standard uncertainty of the load, as 0.05; intervals of torques hold it too.",
         ),
     ] = 0.0,
     test: Annotated[
         list[Path] | None,
-        typer.Option(
+        arguments.option(
+            arguments.SELECTION,
+            "Logs to predict, which the fit does not see.",
             metavar="LOG",
-            rich_help_panel=arguments.SELECTION,
-            help="Logs to predict, which the fit does not see.",
         ),
     ] = None,
     stack: Annotated[
         Stack | None,
-        typer.Option(
+        arguments.option(
+            arguments.OUTPUT,
+            "Training stack whose lines are printed.",
             "--for",
-            rich_help_panel=arguments.OUTPUT,
             show_default="the engine",
-            help="Training stack whose lines are printed.",
         ),
     ] = None,
     out: Annotated[

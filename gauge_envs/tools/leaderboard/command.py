@@ -20,10 +20,10 @@ def leaderboard_check(
     folder: Folder = FOLDER,
     run: Annotated[
         bool,
-        typer.Option(
+        arguments.option(
+            arguments.NUMERICS,
+            "Run all experiments here first, and write results.tar.xz of each submission.",
             "--run",
-            rich_help_panel=arguments.NUMERICS,
-            help="Run all experiments here first, and write results.tar.xz of each submission.",
         ),
     ] = False,
     form: arguments.Form = Format.TEXT,

@@ -84,19 +84,19 @@ def recipe(
     ] = None,
     changes: Annotated[
         list[str] | None,
-        typer.Option(
+        arguments.option(
+            arguments.NUMERICS,
+            "Time step of the engine in s, as timestep_s=0.002.",
             "--set",
             metavar=arguments.ASSIGNED,
-            rich_help_panel=arguments.NUMERICS,
-            help="Time step of the engine in s, as timestep_s=0.002.",
         ),
     ] = None,
     explain: Annotated[
         str | None,
-        typer.Option(
+        arguments.option(
+            arguments.SELECTION,
+            "Settings, as 'solref=0.02 1': report what they give.",
             metavar="TEXT",
-            rich_help_panel=arguments.SELECTION,
-            help="Settings, as 'solref=0.02 1': report what they give.",
         ),
     ] = None,
     form: arguments.Form = Format.TEXT,

@@ -41,9 +41,9 @@ def run(
     jitter: arguments.JitterTexts = None,
     marker_proxy: Annotated[
         Literal["material", "node"],
-        typer.Option(
-            rich_help_panel=arguments.SCENE,
-            help="A marker on a deformable body: material, or node for its nearest node (paper).",
+        arguments.option(
+            arguments.SCENE,
+            "A marker on a deformable body: material, or node for its nearest node (paper).",
         ),
     ] = "material",
     backend: arguments.Backends = arguments.MUJOCO,
@@ -52,10 +52,10 @@ def run(
     repeats: arguments.Repeats = 1,
     uncertainty: Annotated[
         bool,
-        typer.Option(
+        arguments.option(
+            arguments.NUMERICS,
+            "Measure sensitivities of this run, by about 20 further runs.",
             "--uncertainty",
-            rich_help_panel=arguments.NUMERICS,
-            help="Measure sensitivities of this run, by about 20 further runs.",
         ),
     ] = False,
     timeout: arguments.Timeout = None,
@@ -63,21 +63,19 @@ def run(
     isolate: arguments.Isolate = False,
     jobs: Annotated[
         int | None,
-        typer.Option(
+        arguments.option(
+            arguments.NUMERICS,
+            "Experiments at once, each in a process.",
             "--jobs",
             "-j",
             min=1,
-            rich_help_panel=arguments.NUMERICS,
             show_default="all processors for long runs, else 1",
-            help="Experiments at once, each in a process.",
         ),
     ] = None,
     resume: Annotated[
         bool,
-        typer.Option(
-            "--resume",
-            rich_help_panel=arguments.SELECTION,
-            help="Keep results that exist already.",
+        arguments.option(
+            arguments.SELECTION, "Keep results that exist already.", "--resume"
         ),
     ] = False,
     out: Annotated[Path, arguments.folder("Folder for the result files.")] = Path(

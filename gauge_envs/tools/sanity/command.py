@@ -49,38 +49,38 @@ class FailOn(StrEnum):
 
 FailOnOption = Annotated[
     FailOn | None,
-    typer.Option(
-        rich_help_panel=arguments.SELECTION,
+    arguments.option(
+        arguments.SELECTION,
+        "Exit code 1 when a row is at least as bad; with --against, when a change is: wrong is large.",
         show_default="visible",
-        help="Exit code 1 when a row is at least as bad; with --against, when a change is: wrong is large.",
     ),
 ]
 
 ReportForm = Annotated[
     ReportFormat,
-    typer.Option(
+    arguments.option(
+        arguments.OUTPUT,
+        "Format on stdout: text, wide with all columns, markdown, json; junit, sarif and github are for CI.",
         "--format",
         metavar="FORMAT",
-        rich_help_panel=arguments.OUTPUT,
-        help="Format on stdout: text, wide with all columns, markdown, json; junit, sarif and github are for CI.",
     ),
 ]
 
 BaselineOption = Annotated[
     Path | None,
-    typer.Option(
+    arguments.option(
+        arguments.SELECTION,
+        "JSON of an earlier run; exit code 1 on regressions only.",
         metavar="FILE",
-        rich_help_panel=arguments.SELECTION,
-        help="JSON of an earlier run; exit code 1 on regressions only.",
     ),
 ]
 
 FixOption = Annotated[
     Path | None,
-    typer.Option(
+    arguments.option(
+        arguments.OUTPUT,
+        "Write the model with the change that mends most, checked again.",
         metavar="OUT.xml",
-        rich_help_panel=arguments.OUTPUT,
-        help="Write the model with the change that mends most, checked again.",
     ),
 ]
 
@@ -102,19 +102,19 @@ def sanity(
     ] = None,
     pair: Annotated[
         list[str] | None,
-        typer.Option(
+        arguments.option(
+            arguments.SCENE,
+            "The two geoms whose contact counts, as floor,foot.",
             metavar="GEOM",
-            rich_help_panel=arguments.SCENE,
             show_default="all on the ground",
-            help="The two geoms whose contact counts, as floor,foot.",
         ),
     ] = None,
     against: Annotated[
         str | None,
-        typer.Option(
+        arguments.option(
+            arguments.SCENE,
+            "Where the policy runs: report what changes to this target.",
             metavar="TARGET",
-            rich_help_panel=arguments.SCENE,
-            help="Where the policy runs: report what changes to this target.",
         ),
     ] = None,
     timeout: Annotated[

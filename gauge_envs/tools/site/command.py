@@ -6,8 +6,6 @@ import shlex
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from gauge_envs.cli import arguments
 from gauge_envs.cli.output import Progress, echo, message
 from gauge_envs.cli.results import loaded_results
@@ -23,10 +21,10 @@ def report(
     ] = Path("site"),
     replay: Annotated[
         bool,
-        typer.Option(
+        arguments.option(
+            arguments.OUTPUT,
+            "3D replays; the poses are kept beside the results.",
             "--replay/--no-replay",
-            rich_help_panel=arguments.OUTPUT,
-            help="3D replays; the poses are kept beside the results.",
         ),
     ] = True,
 ) -> bool:

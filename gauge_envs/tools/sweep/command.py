@@ -44,9 +44,7 @@ def _option(
     """Return an option that replaces a key of the sweep file, or that a sweep alone has."""
     names = [option, "-" + option[2]] if option in SHORT else [option]
     shown = True if default is None else default
-    return typer.Option(
-        *names, rich_help_panel=panel, help=text, show_default=shown, **more
-    )
+    return arguments.option(panel, text, *names, show_default=shown, **more)
 
 
 SHORT = ("--backend", "--parameter", "--seed")

@@ -25,10 +25,10 @@ DEFAULT_ENGINES = ("mujoco", "newton")
 
 TrustOption = Annotated[
     bool,
-    typer.Option(
+    arguments.option(
+        arguments.SCENE,
+        "Let loading run code of the policy's file or module.",
         "--trust",
-        rich_help_panel=arguments.SCENE,
-        help="Let loading run code of the policy's file or module.",
     ),
 ]
 
@@ -42,10 +42,10 @@ Policies = Annotated[
 
 Statistics = Annotated[
     list[Path] | None,
-    typer.Option(
+    arguments.option(
+        arguments.SCENE,
+        "Statistics of VecNormalize, for all policies or each.",
         metavar="FILE",
-        rich_help_panel=arguments.SCENE,
-        help="Statistics of VecNormalize, for all policies or each.",
     ),
 ]
 
@@ -74,28 +74,28 @@ def transfer(
     trust: TrustOption = False,
     to: Annotated[
         list[str] | None,
-        typer.Option(
+        arguments.option(
+            arguments.NUMERICS,
+            "Engines to replay in.",
             metavar=arguments.PER_ENGINE,
-            rich_help_panel=arguments.NUMERICS,
             show_default="those of mujoco,newton that are installed",
-            help="Engines to replay in.",
         ),
     ] = None,
     sigmas: Annotated[
         list[float] | None,
-        typer.Option(
+        arguments.option(
+            arguments.SCENE,
+            "Changes of each constant in standard uncertainties, as 1,2; 0 is none.",
             metavar="number",
-            rich_help_panel=arguments.SCENE,
             show_default="1",
-            help="Changes of each constant in standard uncertainties, as 1,2; 0 is none.",
         ),
     ] = None,
     starts: Annotated[
         int,
-        typer.Option(
+        arguments.option(
+            arguments.NUMERICS,
+            "Starts in each world, within the uncertainty of the start.",
             min=1,
-            rich_help_panel=arguments.NUMERICS,
-            help="Starts in each world, within the uncertainty of the start.",
         ),
     ] = 3,
     seed: arguments.Seed = 0,
@@ -188,36 +188,36 @@ def transfer_settings(
     policies: Policies,
     env: Annotated[
         str,
-        typer.Option(
+        arguments.option(
+            arguments.SCENE,
+            "Gymnasium id, as Ant-v5; module:function that returns an environment; or an MJCF file.",
             metavar="ENV",
-            rich_help_panel=arguments.SCENE,
-            help="Gymnasium id, as Ant-v5; module:function that returns an environment; or an MJCF file.",
         ),
     ],
     settings: Annotated[
         list[str],
-        typer.Option(
+        arguments.option(
+            arguments.NUMERICS,
+            "Setting to test: an option, as impratio=10, or KIND:NAMES.attribute, as geom:*foot*.friction=0.6.",
             "--set",
             metavar="NAME=VALUE",
-            rich_help_panel=arguments.NUMERICS,
-            help="Setting to test: an option, as impratio=10, or KIND:NAMES.attribute, as geom:*foot*.friction=0.6.",
         ),
     ],
     training: Annotated[
         list[str] | None,
-        typer.Option(
+        arguments.option(
+            arguments.NUMERICS,
+            "Setting of the training.",
             metavar="NAME=VALUE",
-            rich_help_panel=arguments.NUMERICS,
             show_default="those of the environment",
-            help="Setting of the training.",
         ),
     ] = None,
     reward: Annotated[
         str | None,
-        typer.Option(
+        arguments.option(
+            arguments.SCENE,
+            "Reward of an MJCF file, of model and data; may return whether the episode succeeded too.",
             metavar="module:function",
-            rich_help_panel=arguments.SCENE,
-            help="Reward of an MJCF file, of model and data; may return whether the episode succeeded too.",
         ),
     ] = None,
     control_s: Annotated[
@@ -236,10 +236,8 @@ def transfer_settings(
     trust: TrustOption = False,
     seeds: Annotated[
         int,
-        typer.Option(
-            min=1,
-            rich_help_panel=arguments.NUMERICS,
-            help="Seeds, the same with both settings.",
+        arguments.option(
+            arguments.NUMERICS, "Seeds, the same with both settings.", min=1
         ),
     ] = 20,
     fail_below: FailBelow = 0.0,
@@ -292,37 +290,33 @@ def transfer_randomize(
     ],
     stack: Annotated[
         Stack | None,
-        typer.Option(
+        arguments.option(
+            arguments.OUTPUT,
+            "Training stack of which a file is written.",
             "--for",
-            rich_help_panel=arguments.OUTPUT,
             show_default="none: ranges alone",
-            help="Training stack of which a file is written.",
         ),
     ] = None,
     like: Annotated[
         list[str] | None,
-        typer.Option(
+        arguments.option(
+            arguments.SCENE,
+            "Id with the same pair of materials or the same servo as the robot, as ServoArm-so101.",
             metavar="ID",
-            rich_help_panel=arguments.SCENE,
-            help="Id with the same pair of materials or the same servo as the robot, as ServoArm-so101.",
         ),
     ] = None,
     payload: Annotated[
         list[float] | None,
-        typer.Option(
-            rich_help_panel=arguments.SCENE,
+        arguments.option(
+            arguments.SCENE,
+            "Smallest and largest mass that --body carries, as 0,0.5.",
             show_default="none",
             metavar="kg",
-            help="Smallest and largest mass that --body carries, as 0,0.5.",
         ),
     ] = None,
     body: Annotated[
         str,
-        typer.Option(
-            metavar="NAME",
-            rich_help_panel=arguments.SCENE,
-            help="Body with the payload.",
-        ),
+        arguments.option(arguments.SCENE, "Body with the payload.", metavar="NAME"),
     ] = "",
     out: Annotated[
         Path | None,

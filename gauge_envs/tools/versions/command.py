@@ -38,53 +38,53 @@ def backend_versions(
     ] = None,
     python: Annotated[
         list[Path] | None,
-        typer.Option(
+        arguments.option(
+            arguments.NUMERICS,
+            "Interpreter that has MuJoCo, as one more version: nothing is installed for it.",
             metavar="FILE",
-            rich_help_panel=arguments.NUMERICS,
-            help="Interpreter that has MuJoCo, as one more version: nothing is installed for it.",
         ),
     ] = None,
     states: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE",
-            rich_help_panel=arguments.SCENE,
-            help="Saved states: .npz with qpos, a row each, and qvel, act, ctrl and time if they are known; or .hdf5 "
+        arguments.option(
+            arguments.SCENE,
+            "Saved states: .npz with qpos, a row each, and qvel, act, ctrl and time if they are known; or .hdf5 "
             "of LIBERO and robomimic, with :demo_3 behind it for another demonstration than the first.",
+            metavar="FILE",
         ),
     ] = None,
     policy: Annotated[
         str | None,
-        typer.Option(
+        arguments.option(
+            arguments.SCENE,
+            "Compare return and success: of the policy that module:function returns, or of actions (.npy).",
             metavar="POLICY",
-            rich_help_panel=arguments.SCENE,
-            help="Compare return and success: of the policy that module:function returns, or of actions (.npy).",
         ),
     ] = None,
     repeats: arguments.Repeats = 20,
     steps: Annotated[
         int,
-        typer.Option(
+        arguments.option(
+            arguments.NUMERICS,
+            "Steps of each motion: the start, keyframes, random controls, a push.",
             min=1,
-            rich_help_panel=arguments.NUMERICS,
-            help="Steps of each motion: the start, keyframes, random controls, a push.",
         ),
     ] = 500,
     seed: arguments.Seed = 0,
     bisect: Annotated[
         bool,
-        typer.Option(
+        arguments.option(
+            arguments.SELECTION,
+            "Find the release of the range with which the difference came.",
             "--bisect",
-            rich_help_panel=arguments.SELECTION,
-            help="Find the release of the range with which the difference came.",
         ),
     ] = False,
     keep: Annotated[
         bool,
-        typer.Option(
+        arguments.option(
+            arguments.NUMERICS,
+            "Whether environments stay in the cache for the next time.",
             "--keep/--clean",
-            rich_help_panel=arguments.NUMERICS,
-            help="Whether environments stay in the cache for the next time.",
         ),
     ] = True,
     out: Annotated[

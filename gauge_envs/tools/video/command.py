@@ -25,11 +25,11 @@ if TYPE_CHECKING:
     from gauge_envs.tools.video import Track
 
 
-CAMERA = typer.Option(
+CAMERA = arguments.option(
+    arguments.SCENE,
+    "How the camera sees the plane, TOML or JSON; a board in the film.",
     "--camera",
     metavar="FILE",
-    rich_help_panel=arguments.SCENE,
-    help="How the camera sees the plane, TOML or JSON; a board in the film.",
 )
 RateOption = Annotated[
     float | None,
@@ -44,12 +44,12 @@ RateOption = Annotated[
 ]
 ObjectOption = Annotated[
     str | None,
-    typer.Option(
+    arguments.option(
+        arguments.SCENE,
+        "With --camera: left, top, width and height of a box around the object in the first frame, as "
+        "612,300,40,40.",
         "--object",
         metavar="px",
-        rich_help_panel=arguments.SCENE,
-        help="With --camera: left, top, width and height of a box around the object in the first frame, as "
-        "612,300,40,40.",
     ),
 ]
 
@@ -97,30 +97,30 @@ def video_score(
     ],
     task: Annotated[
         str,
-        typer.Option(
+        arguments.option(
+            arguments.SCENE,
+            "Task, see gauge list video-tasks; own films: slide, fall, pendulum.",
             "--id",
             metavar="ID",
-            rich_help_panel=arguments.SCENE,
-            help="Task, see gauge list video-tasks; own films: slide, fall, pendulum.",
         ),
     ],
     camera: Annotated[Path | None, CAMERA] = None,
     first_frame: Annotated[
         Path | None,
-        typer.Option(
+        arguments.option(
+            arguments.SCENE,
+            "Picture that the model was given, to register the videos by.",
             metavar="FILE",
-            rich_help_panel=arguments.SCENE,
-            help="Picture that the model was given, to register the videos by.",
         ),
     ] = None,
     fps: RateOption = None,
     size: Annotated[
         str | None,
-        typer.Option(
+        arguments.option(
+            arguments.SCENE,
+            "Width and height of the pictures of a track, as 832x480.",
             metavar="px",
-            rich_help_panel=arguments.SCENE,
             show_default="that of the camera file",
-            help="Width and height of the pictures of a track, as 832x480.",
         ),
     ] = None,
     object_box: ObjectOption = None,
@@ -250,10 +250,10 @@ def video_report(
     ] = Path("video_report"),
     first_frame: Annotated[
         Path | None,
-        typer.Option(
+        arguments.option(
+            arguments.SCENE,
+            "Folder with the pictures that models were given, TASK.png.",
             metavar="DIR",
-            rich_help_panel=arguments.SCENE,
-            help="Folder with the pictures that models were given, TASK.png.",
         ),
     ] = None,
 ) -> bool:
