@@ -20,7 +20,6 @@ from typing import Any
 
 from gauge_envs.errors import GaugeError
 from gauge_envs.files import json_ready, write_whole
-from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.tools.sanity import (
     Report,
     TrainingConfiguration,
@@ -28,6 +27,7 @@ from gauge_envs.tools.sanity import (
     check,
     configuration,
 )
+from gauge_envs.tools.sanity.comparison import slide_friction
 from gauge_envs.tools.sanity.gauge_probe import SUFFIX
 from gauge_envs.tools.sanity.phenomena import phenomena
 from scripts.generated import (
@@ -55,9 +55,6 @@ PHENOMENA = (
 )
 """Measured rows of the sanity check, as patterns."""
 
-SLOPE_RAD = math.radians(30.0)
-"""Slope on which the cubes of `slide-wood` and `slide-turned` slide."""
-
 HELD_SHARE = 0.05
 """Acceleration, over that of the real cube, below which a cube counts as held."""
 
@@ -71,8 +68,12 @@ GYMNASIUM = (
     "Humanoid",
     "HumanoidStandup",
     "InvertedDoublePendulum",
+    "InvertedPendulum",
+    "Pusher",
+    "Reacher",
+    "Swimmer",
+    "Walker2d",
 )
-GYMNASIUM += ("InvertedPendulum", "Pusher", "Reacher", "Swimmer", "Walker2d")
 
 
 def isaac_lab_files() -> Sequence[str]:
@@ -169,13 +170,7 @@ def share_of_friction(phenomenon: str, acceleration: float | None) -> float | No
     """Return the friction with which a cube slides, over its own; None when nothing was measured."""
     if acceleration is None:
         return None
-    real, found = (friction_at(one) for one in (real_value(phenomenon), acceleration))
-    return found / real
-
-
-def friction_at(acceleration: float) -> float:
-    """Return the friction with which a cube slides on the slope with an acceleration [m/s^2]."""
-    return math.tan(SLOPE_RAD) - acceleration / (GRAVITY_M_PER_S2 * math.cos(SLOPE_RAD))
+    return slide_friction(acceleration) / slide_friction(real_value(phenomenon))
 
 
 def real_value(phenomenon: str) -> float:
@@ -315,8 +310,9 @@ SUMMARY = (
     "met, turned",
     "creep [mm/s]",
     "gap [mm]",
+    "own foot creeps [mm/s]",
+    "own foot meets",
 )
-SUMMARY += ("own foot creeps [mm/s]", "own foot meets")
 
 MANY_WRONG = 3
 """Wrong values from which on the page names a set of settings."""

@@ -1,15 +1,14 @@
 """Find the responsible settings, and changes of a few settings that may mend flags.
 
-Settings are put back one at a time, or a few together, to the engine's documented default and this package's presets,
-and phenomena are measured again.
+Settings are put back one at a time to the engine's documented default and this package's presets, and phenomena are
+measured again. What several do together is found by the search for a cure.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
-from itertools import combinations
+from dataclasses import dataclass
 from typing import Any
 
 from gauge_envs.runs.rollout import DeclinedError
@@ -24,9 +23,6 @@ from gauge_envs.tools.sanity.model import (
 from gauge_envs.tools.sanity.phenomena.base import Phenomenon
 from gauge_envs.tools.sanity.scenario import Scenario
 from gauge_envs.tools.sanity.stacks.dialect import TOML, Dialect
-
-LARGEST_GROUP = 3
-"""Largest number of settings that are responsible together; beyond it, the whole configuration is."""
 
 SEEN_DEVIATION = 0.05
 """Least change of a deviation, in half-widths of the interval, that counts as an effect of a setting."""
@@ -55,8 +51,7 @@ def find_cause(
        error when this brings the phenomenon into the interval of reality, or halves the error. The setting that comes
        closest to reality is responsible. Real trials cannot resolve small differences within the interval. Of several
        settings there, the responsible one changes the preset most when it is applied alone.
-    2. If no setting explains the error, each setting is applied alone to the preset, since several may each cause it.
-    3. If that fails too, pairs of settings are put back, and then the best pair with a third setting.
+    2. If no setting explains the error, several are responsible, which the search for a cure finds.
 
     In a scene of many bodies the first setting that brings the phenomenon into the interval is the last one tried.
 
@@ -78,13 +73,7 @@ def find_cause(
     if nothing_to_explain or default.verdict is Verdict.DECLINED:
         return None
     search = _Search(measurements, phenomenon, settings, configured, default, dialect)
-    return (
-        search.put_back_one()
-        or search.default_is_no_better()
-        or search.each_alone()
-        or search.together(search.that_matter())
-        or search.whole()
-    )
+    return search.put_back_one() or search.default_is_no_better() or search.several()
 
 
 @dataclass
@@ -106,7 +95,6 @@ class _Search:
         self._is_slow = self.phenomenon.has_many_bodies
         self._tried: list[SettingTrial] = []
         self._put_back: dict[str, Measured] = {}
-        self._alone: dict[str, Measured] = {}
 
     def _explains(self, changed: Measured) -> bool:
         """Return whether a change brings the phenomenon into the interval of reality, or halves the error."""
@@ -155,11 +143,8 @@ class _Search:
             for name in close
             if name != best
         ]
-        if close[best].verdict is not Verdict.INSIDE:
-            others += self._completed(best)
-        return self._cause(
-            (best,), close[best], also=f" ({', '.join(others)})" if others else ""
-        )
+        also = f" ({', '.join(others)})" if others else ""
+        return self._cause(best, close[best], also)
 
     def _closest(self, name: str) -> tuple[Measured, Alternative]:
         """Return the first value of a setting that mends the row, else the one that comes closest, and its outcome."""
@@ -176,14 +161,10 @@ class _Search:
 
         None when no setting alone has a visible effect.
         """
-        self._alone |= {name: self._on_default(name) for name in names}
-        best = max(names, key=lambda name: self._shift(self._alone[name]))
-        return (
-            best
-            if self._shift(self._alone[best])
-            > SEEN_DEVIATION * self.phenomenon.reality.tolerance
-            else None
-        )
+        shifts = {name: self._shift(self._on_default(name)) for name in names}
+        best = max(shifts, key=shifts.__getitem__)
+        least = SEEN_DEVIATION * self.phenomenon.reality.tolerance
+        return best if shifts[best] > least else None
 
     def _shift(self, alone: Measured) -> float:
         default, configured = self.default.value, self.configured.value
@@ -193,84 +174,10 @@ class _Search:
             return alone.deviation
         return math.copysign(1.0, configured - default) * (alone.value - default)
 
-    def _completed(self, name: str) -> list[str]:
-        """Return text about a second setting that completes the change; empty when there is none.
-
-        In a scene of many bodies the change that mends most, which is measured anyway, says it.
-        """
-        if self._is_slow:
-            return []
-        pairs = {
-            other: self._with_put_back((name, other))
-            for other in self._put_back
-            if other != name
-        }
-        best = min(pairs, key=lambda other: pairs[other].deviation, default=None)
-        if best is None or pairs[best].verdict is not Verdict.INSIDE:
-            return []
-        return [
-            f"with {self._assignment(best)} too to {self._measured_text(pairs[best])}"
-        ]
-
-    def each_alone(self) -> Cause | None:
-        """Apply each setting alone to the default and return those that suffice, if putting them all back helps."""
-        self._alone |= {
-            name: self._on_default(name)
-            for name in self._others
-            if name not in self._alone
-        }
-        suffice = tuple(
-            name
-            for name, one in self._alone.items()
-            if one.verdict is not Verdict.DECLINED and not self._explains(one)
-        )
-        if not suffice:
-            return None
-        changed = self._with_put_back(suffice)
-        if not self._explains(changed):
-            # Training may not afford the preset's own step, but it shows what is responsible.
-            found, self._best = (
-                self._best,
-                self._best | {name: self._of_preset(name) for name in suffice},
-            )
-            changed = self._with_put_back(suffice)
-            if not self._explains(changed):
-                self._best = found
-                return None
-        alone = ", ".join(
-            f"{name} {self._measured_text(self._alone[name])}" for name in suffice
-        )
-        return self._cause(
-            suffice, changed, also=f" (each alone on this package's preset: {alone})"
-        )
-
-    def that_matter(self) -> list[str]:
-        """Return the settings that have a visible effect, put back or alone."""
-        return [
-            name
-            for name in self._others
-            if _is_seen(self.configured, self._put_back[name])
-            or _is_seen(self.default, self._alone[name])
-        ]
-
-    def together(self, names: Sequence[str]) -> Cause | None:
-        """Put back pairs, then the best pair with a third setting; return the first group that explains the error."""
-        group: tuple[str, ...] = ()
-        for size in range(2, LARGEST_GROUP + 1):
-            groups = [g for g in combinations(names, size) if set(group) <= set(g)]
-            if not groups:
-                break
-            measured = {g: self._with_put_back(g) for g in groups}
-            group = min(measured, key=lambda g: measured[g].deviation)
-            if self._explains(measured[group]):
-                return self._cause(group, measured[group])
-        return None
-
-    def whole(self) -> Cause:
-        """Return that the whole configuration alone explains the error."""
+    def several(self) -> Cause:
+        """Return that no setting explains the error alone."""
         return self._unexplained(
-            f"no reset of up to {LARGEST_GROUP} settings explains it: "
-            + ", ".join(self._others)
+            f"no reset of one explains it: {', '.join(self._others)}"
         )
 
     def default_is_no_better(self) -> Cause | None:
@@ -285,16 +192,7 @@ class _Search:
     def _unexplained(self, line: str) -> Cause:
         return Cause(settings=(), line=line, tried=tuple(self._tried))
 
-    def _of_preset(self, name: str) -> Alternative:
-        """Return the value of a setting in this package's preset of the scene."""
-        preset = self.measurements.in_force(self.phenomenon.scenario, {})
-        value = _comparable(name, _reference_value(name, preset, None))
-        return replace(self._best[name], value=value, source=preset_label(preset))
-
     # --- changes ---
-
-    def _with_put_back(self, names: tuple[str, ...]) -> Measured:
-        return self._changed({name: self._best[name].value for name in names})
 
     def _changed(
         self, changes: dict[str, Any], *, on_default: bool = False
@@ -325,28 +223,14 @@ class _Search:
             else f"{text} (which the target has no key for)"
         )
 
-    def _cause(
-        self, names: tuple[str, ...], changed: Measured, also: str = ""
-    ) -> Cause:
-        chosen = [self._best[name] for name in names]
-        subject = " and ".join(
-            f"{self._assignment(one.name)} instead of {self.dialect.value_text(one.name, one.was)}"
-            for one in chosen
-        )
-        together = " together" if len(names) > 1 and not also else ""
-        sources = " and ".join(dict.fromkeys(one.source for one in chosen))
-        verb = "brings" if len(names) == 1 else "bring"
+    def _cause(self, name: str, changed: Measured, also: str) -> Cause:
+        was, source = self._best[name].was, self._best[name].source
         line = (
-            f"{subject}{together} {verb} {self.phenomenon.quantity} from {self._measured_text(self.configured)} "
-            f"to {self._measured_text(changed)}{also}; from {sources}"
+            f"{self._assignment(name)} instead of {self.dialect.value_text(name, was)} brings "
+            f"{self.phenomenon.quantity} from {self._measured_text(self.configured)} "
+            f"to {self._measured_text(changed)}{also}; from {source}"
         )
-        return Cause(settings=names, line=line, tried=tuple(self._tried))
-
-
-def _is_seen(before: Measured, after: Measured) -> bool:
-    if before.value is None or after.value is None:
-        return before.value is not after.value
-    return abs(after.deviation - before.deviation) > SEEN_DEVIATION
+        return Cause(settings=(name,), line=line, tried=tuple(self._tried))
 
 
 # --- other values of settings ----------------------------------------------------------------------------------------

@@ -12,13 +12,13 @@ import re
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, closing
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any
 
 import numpy as np
 
-from gauge_envs.files import json_ready, versions
+from gauge_envs.files import versions
 from gauge_envs.runs.rollout import DeclinedError
 from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.tools.sanity.measure import (
@@ -26,7 +26,12 @@ from gauge_envs.tools.sanity.measure import (
     TimeLimitError,
     subject_of,
 )
-from gauge_envs.tools.sanity.model import VISIBLE_WITHIN, Need, TrainingConfiguration
+from gauge_envs.tools.sanity.model import (
+    VISIBLE_WITHIN,
+    Need,
+    TrainingConfiguration,
+    plain_report,
+)
 from gauge_envs.tools.sanity.phenomena import (
     CONTROL_ID,
     GRAVITY_ID,
@@ -167,15 +172,7 @@ class Comparison:
 
     def to_dict(self) -> dict[str, Any]:
         """Return all attributes, JSON-ready."""
-        # The targets' own models are not written.
-        bare = {
-            name: replace(getattr(self, name), robot=None)
-            for name in ("trained", "deployed")
-        }
-        values: dict[str, Any] = json_ready(asdict(replace(self, **bare)))
-        for name in bare:
-            del values[name]["robot"], values[name]["stated"]
-        return values
+        return plain_report(self, "trained", "deployed")
 
 
 def compare(
@@ -523,10 +520,10 @@ def _friction_rows(
         if name not in rows:
             continue
         slide = phenomenon(name)
-        real = _friction(slide.reality.value)
+        real = slide_friction(slide.reality.value)
         measured = (rows[name].trained, rows[name].deployed)
         values = [
-            None if a is None else _friction(a) / real * mu
+            None if a is None else slide_friction(a) / real * mu
             for a, mu in zip(measured, known, strict=True)
         ]
         width = slide.reality.tolerance / _normal_m_per_s2()
@@ -576,8 +573,8 @@ def _size(row: ChangeRow) -> float:
     return abs(row.trained - row.deployed) / row.tolerance
 
 
-def _friction(acceleration_m_per_s2: float) -> float:
-    """Return the friction with which a cube slides with an acceleration on the slope."""
+def slide_friction(acceleration_m_per_s2: float) -> float:
+    """Return the friction with which a cube slides with an acceleration on the slope of `SLOPE_DEG`."""
     slope = math.tan(math.radians(SLOPE_DEG))
     return slope - acceleration_m_per_s2 / _normal_m_per_s2()
 

@@ -528,6 +528,15 @@ class PhenomenonResult:
         return json_ready(asdict(self))
 
 
+def plain_report(report: Any, *names: str) -> dict[str, Any]:
+    """Return all attributes of a report, JSON-ready, without the models of its configurations, which have names."""
+    bare = {name: replace(getattr(report, name), robot=None) for name in names}
+    values: dict[str, Any] = json_ready(asdict(replace(report, **bare)))
+    for name in names:
+        del values[name]["robot"], values[name]["stated"]
+    return values
+
+
 @dataclass(frozen=True, kw_only=True)
 class Report:
     """Result of a sanity check.
@@ -585,10 +594,7 @@ class Report:
 
     def to_dict(self) -> dict[str, Any]:
         """Return all attributes, JSON-ready."""
-        bare = replace(self, configuration=replace(self.configuration, robot=None))
-        values: dict[str, Any] = json_ready(asdict(bare))
-        del values["configuration"]["robot"], values["configuration"]["stated"]
-        return values | {
+        return plain_report(self, "configuration") | {
             "worst": self.worst.value,
             "unmeasured": list(self.unmeasured),
             "counts": self.counts,

@@ -14,8 +14,9 @@ from typing import Any
 from gauge_envs.errors import ParameterError, TargetError
 from gauge_envs.files import MEGABYTE, json_document, os_errors, read_regular, versions
 from gauge_envs.pages.text import with_unit
+from gauge_envs.tools.sanity.candidates import candidates_of
 from gauge_envs.tools.sanity.cause import find_cause
-from gauge_envs.tools.sanity.cure import candidates_of, find_cure
+from gauge_envs.tools.sanity.cure import find_cure
 from gauge_envs.tools.sanity.measure import (
     Measured,
     Measurements,
@@ -180,35 +181,21 @@ class _Run:
     ) -> tuple[list[PhenomenonResult], Cure | None, tuple[str, ...]]:
         """Return all rows with their causes, the change that mends most, and what else was tried.
 
-        A scene of many bodies takes longest. The change to which the other rows lead explains its rows where it mends
-        them; the responsible setting is sought only where it does not.
+        A scene of many bodies takes longest. Where another row has a cause, the change to which it leads explains those
+        scenes too; the responsible setting is sought only where none has one.
         """
-        slow, found = self._unexplained, None
-        if not slow or any(
-            row.is_flag and row.cause and row.experiment for row in rows
-        ):
-            found = self._cure(rows)
-        mended = {} if found is None or found[0] is None else found[0].mended
-        causes = {
-            name: self._in_time(find)
-            for name, find in slow.items()
-            if name not in mended
-        }
-        if causes:
-            rows = [
-                replace(row, cause=causes.get(row.phenomenon, row.cause))
-                for row in rows
-            ]
-        if causes or found is None:
-            found = self._cure(rows)
-        cure, tried = found
-        rows = [
+        causes: dict[str, Cause | None] = {}
+        if not any(row.is_flag and row.cause and row.experiment for row in rows):
+            causes = {n: self._in_time(find) for n, find in self._unexplained.items()}
+            rows = [replace(r, cause=causes.get(r.phenomenon, r.cause)) for r in rows]
+        cure, tried = self._cure(rows)
+        explained = [
             replace(row, cause=_cause_of_cure(row, cure))
-            if cure is not None and row.phenomenon in {*slow} - {*causes}
+            if row.phenomenon in {*self._unexplained} - {*causes}
             else row
             for row in rows
         ]
-        return rows, cure, tried
+        return explained, cure, tried
 
     def _cure(
         self, rows: Sequence[PhenomenonResult]
@@ -280,8 +267,12 @@ class _Run:
         return replace(row, geoms=geoms, parts=parts)
 
 
-def _cause_of_cure(row: PhenomenonResult, cure: Cure) -> Cause:
-    """Return that the change that mends most mends a row."""
+def _cause_of_cure(row: PhenomenonResult, cure: Cure | None) -> Cause:
+    """Return whether the change that mends most mends a row."""
+    if cure is None or row.phenomenon not in cure.mended:
+        return Cause(
+            settings=(), line="no change that was tried for other rows mends it"
+        )
     before, after = (
         "divergence" if value is None else with_unit(f"{value:.3g}", row.unit)
         for value in (row.configured, cure.mended[row.phenomenon])

@@ -357,7 +357,7 @@ def by_reason(word: str, found: Sequence[tuple[str, str]]) -> list[Part]:
     ]
 
 
-CAUSE_VERB = re.compile(r" brings? ")
+CAUSE_VERB = " brings "
 """Verb of a cause, between the settings and what they do."""
 
 
@@ -367,8 +367,8 @@ def _repeated_causes(report: Report) -> dict[str, str]:
     texts = {}
     for row in report.rows:
         shown = row
-        if row.cause is not None and CAUSE_VERB.search(row.cause.line):
-            change, effect = CAUSE_VERB.split(row.cause.line, maxsplit=1)
+        if row.cause is not None and CAUSE_VERB in row.cause.line:
+            change, effect = row.cause.line.split(CAUSE_VERB, maxsplit=1)
             if first.setdefault(change, row.phenomenon) != row.phenomenon:
                 # Other settings that would do, and the source, stand in the wide table.
                 line = f"as for {first[change]}: {re.split(r' [(]|; ', effect)[0]}"

@@ -69,14 +69,6 @@ def flagged(rows):
 # --- planted in MuJoCo -----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", PLANTS)
-def test_planted_setting_is_found(name):
-    bad, shows_in = PLANTS[name]
-    bad_rows = flagged(report({**GOOD, name: bad}, only=[shows_in]).rows)
-    assert bad_rows[shows_in].cause.settings == (name,)
-    assert bad_rows[shows_in].cause.line.startswith(f"{name} = ")
-
-
 def test_settings_that_need_each_other_are_both_reported():
     # Without refsafe a time constant of 0.002 s is too short for a step of 0.002 s: either of them mends it.
     (row,) = report({**GOOD, "refsafe": False}, only=["creep-wood"]).rows
@@ -308,7 +300,7 @@ def test_a_change_that_mends_other_rows_explains_a_scene_of_many_bodies():
     point, wall = report.rows
     assert point.is_flag and point.cause.tried
     assert wall.is_flag and not wall.cause.tried
-    assert wall.cause.line.startswith("the first line brings sag from 40.6 mm to ")
+    assert wall.cause.line.startswith("the first line brings sag from 20.7 mm to ")
     assert set(wall.cause.settings) == set(report.cure.changes)
 
 
@@ -344,35 +336,17 @@ def test_within_the_scatter_what_harms_the_default_is_responsible():
     assert "from 7 mm/s to 1 mm/s (b = 0 alone to 0.1 mm/s)" in cause.line
 
 
-def test_half_the_error_is_enough_and_what_completes_it_is_reported():
+def test_half_the_error_is_enough():
     cause = cause_of(lambda a, b, c, d, e: 20.0 * a + 10.0 * b, a=1, b=1)
     assert cause.settings == ("a",)
-    assert "from 30 mm/s to 10 mm/s (with b = 0 too to 0 mm/s)" in cause.line
+    assert "from 30 mm/s to 10 mm/s;" in cause.line
 
 
-def test_each_of_two_suffices():
-    cause = cause_of(lambda a, b, c, d, e: 20.0 * max(a, b), a=1, b=1, c=1)
-    assert cause.settings == ("a", "b")
-    assert "each alone on this package's preset: a 20 mm/s, b 20 mm/s" in cause.line
-    assert sum(trial.on_default for trial in cause.tried) == 3
-
-
-def test_two_are_responsible_together():
-    # Three equal shares: no one takes half away, none alone is half of it, and one more than two is not needed.
-    cause = cause_of(
-        lambda a, b, c, d, e: 8.0 * (a + b + c) + 0.0 * d, a=1, b=1, c=1, d=1
-    )
-    assert cause is not None and len(cause.settings) == 2
-    assert "together" in cause.line and "d" not in cause.settings
-
-
-def test_more_than_a_few_are_the_configuration_as_a_whole():
-    # Any two of five suffice, so that putting three back leaves the error, and none has it alone.
-    cause = cause_of(
-        lambda **on: 30.0 * (sum(on.values()) >= 2), a=1, b=1, c=1, d=1, e=1
-    )
+def test_what_no_setting_alone_explains_is_left_to_the_cure():
+    # Any two of three suffice, so that putting one back leaves the error, and none has it alone.
+    cause = cause_of(lambda **on: 30.0 * (sum(on.values()) >= 2), a=1, b=1, c=1)
     assert cause.settings == ()
-    assert cause.line == "no reset of up to 3 settings explains it: a, b, c, d, e"
+    assert cause.line == "no reset of one explains it: a, b, c"
 
 
 def test_what_the_default_gets_wrong_too():

@@ -197,19 +197,21 @@ def test_a_unit_with_which_the_model_does_not_compile_is_left_out():
     assert "lengths times 0.001" not in "".join(found.texts)
 
 
-def test_motors_tell_the_unit_of_lengths_where_masses_do_not():
-    """The masses of this arm follow from densities; a thousandth of its lengths has motors that are far too strong."""
-    change, _ = ALL["arm, centimetres"]
-    found = remedies(change(GOOD["arm"]()))
-    assert [text.partition(":")[0] for text in found.texts] == ["lengths times 0.01"]
+TEXTS = {
+    # Masses follow from densities; a thousandth of these lengths has motors that are far too strong.
+    "arm, centimetres": "lengths times 0.01",
+    # With other hips the robot would be over its feet too, and stand on their edges.
+    "biped, both knees reversed": 'axis="0 1 0" for left_knee and right_knee',
+    "biped, a reversed knee": 'axis="0 1 0" for left_knee',
+}
+
+
+@pytest.mark.parametrize("name", TEXTS)
+def test_the_one_change_that_mends_a_robot_is_said(name):
+    change, _ = ALL[name]
+    found = remedies(change(GOOD[name.partition(",")[0]]()))
+    assert [text.partition(": ")[0] for text in found.texts] == [TEXTS[name]]
     assert not found.unmended
-
-
-def test_knees_that_both_bend_the_wrong_way_are_turned():
-    """With other hips the robot would be over its feet too, and stand on their edges."""
-    change, _ = ALL["biped, both knees reversed"]
-    found = remedies(change(GOOD["biped"]()))
-    assert found.texts == ('axis="0 1 0" for left_knee and right_knee',)
 
 
 @pytest.mark.parametrize(
@@ -222,12 +224,6 @@ def test_the_leg_that_misses_the_ground_gets_the_length_of_the_other_one(height,
     found = remedies(change(GOOD["biped"]()).replace(".7287", height))
     assert found.texts == texts
     assert set(found.unmended) == (set() if texts else {row})
-
-
-def test_the_axis_of_a_reversed_knee_is_turned_back():
-    change, _ = ALL["biped, a reversed knee"]
-    found = remedies(change(GOOD["biped"]()))
-    assert found.texts == ('axis="0 1 0" for left_knee',)
 
 
 def test_no_side_is_turned_where_either_can_be_the_wrong_one():

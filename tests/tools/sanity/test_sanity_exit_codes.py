@@ -106,12 +106,6 @@ def test_a_check_without_time_is_not_green(gauge):
     )
 
 
-def test_a_configuration_with_flags_ends_with_1(gauge):
-    outcome = gauge("sanity", "HalfCheetah-v5", "--only", "creep-wood,gravity")
-    assert outcome.exit_code == 1
-    assert outcome.stdout.startswith("Mends most: <default><geom solimp=")
-
-
 def test_feet_without_friction_are_not_green(tmp_path, gauge):
     path = tmp_path / "robot.xml"
     path.write_text(good_xml().replace("<geom friction", '<geom condim="1" friction'))

@@ -364,16 +364,6 @@ def test_acceleration_is_read_along_the_slope(name):
     assert slide.reality.value == pytest.approx(law)
 
 
-def test_creep_counts_after_settling():
-    creep = row("foot-creep")
-    times = np.linspace(0.0, 1.0, 401)
-    downhill = creep.scenario.scene.body("ground").pose.rotation.apply([1.0, 0.0, 0.0])
-    along = 0.002 * (1.0 - np.exp(-times / 0.02)) + 0.007 * times
-    assert creep.value(
-        moved(creep.scenario, times, foot=np.outer(along, downhill))
-    ) == pytest.approx(7.0, abs=1e-3)
-
-
 def landing(heights_m, times):
     """Return the rollout of a foot that is at heights [m] above the ground."""
     up = np.zeros((len(times), 3))

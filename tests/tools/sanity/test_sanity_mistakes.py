@@ -3,6 +3,7 @@
 import re
 from pathlib import Path
 
+import arm_faults
 import gymnasium
 import mujoco
 import numpy as np
@@ -33,6 +34,22 @@ def test_a_robot_without_a_mistake_has_no_flag(name):
     rows = [robot_row(one, robot) for one in ROBOT_IDS]
     assert [(row.phenomenon, row.configured) for row in rows if row.is_flag] == []
 
+
+def test_all_rows_on_a_robot_are_measured_on_an_arm_or_say_why():
+    robot = robot_of(GOOD["arm"]())
+    rows = [robot_row(name, robot) for name in ROBOT_IDS]
+    missing = [row for row in rows if row.verdict is Verdict.DECLINED]
+    assert all(row.remark for row in missing)
+    assert {f"robot-{name}" for name in OF_ARMS}.isdisjoint(
+        row.phenomenon for row in missing
+    )
+
+
+OF_ARMS = (
+    *("holds", "saturation", "overlap", "energy", "torque", "damping"),
+    *("frictionloss", "armature", "rotor", "servo", "stiffness", "lag", "sag"),
+)
+"""Rows that must be measured on a fixed base."""
 
 LINK = '<geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.03"/>'
 NO_SHAPE = '<inertial pos="0 0 0" mass="1" diaginertia="0.01 0.01 0.01"/>'
@@ -183,7 +200,15 @@ def test_a_robot_without_servos_has_no_gains_to_scale():
         assert "kp" not in remedy.text
 
 
-@pytest.mark.parametrize("mistakes", [MISTAKES, LATER], ids=["known", "later"])
+ARMS = {
+    f"arm, {name}": mistake
+    for name, mistake in (arm_faults.MISTAKES | arm_faults.LATER).items()
+}
+
+
+@pytest.mark.parametrize(
+    "mistakes", [MISTAKES, LATER, ARMS], ids=["known", "later", "arms"]
+)
 def test_mistakes_are_named(mistakes):
     unnamed = []
     for name, (change, expected) in mistakes.items():

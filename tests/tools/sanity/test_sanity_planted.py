@@ -6,7 +6,7 @@ from places import ROOT
 from planted import PLANTED, RECOMMENDED, Planted, attributes, model_xml
 
 from gauge_envs.backends import backend
-from gauge_envs.tools.sanity.cure import RECOMMENDED_MUJOCO
+from gauge_envs.tools.sanity.candidates import RECOMMENDED_MUJOCO
 from gauge_envs.tools.sanity.measure import Measurements, subject_of
 from gauge_envs.tools.sanity.model import Verdict
 from gauge_envs.tools.sanity.phenomena import phenomena

@@ -17,16 +17,6 @@ from gauge_envs.errors import ParameterError, TargetError
 from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
 from gauge_envs.tools.sanity.stacks import configuration
 
-LOCOMOTION = (
-    "HalfCheetah-v5",
-    "Ant-v5",
-    "Hopper-v5",
-    "Walker2d-v5",
-    "Humanoid-v5",
-    "HumanoidStandup-v5",
-    "Pusher-v5",
-)
-
 # Every rule by which MuJoCo lets geoms collide or mixes their constants; all of it lies in one heap.
 HEAP = """
 <mujoco model="heap">
@@ -112,23 +102,6 @@ def test_pairs_are_those_that_mujoco_makes_of_a_heap(option, flag):
         np.testing.assert_allclose(
             read[geoms], constants, rtol=1e-12, err_msg=str(geoms)
         )
-
-
-@pytest.mark.parametrize("name", LOCOMOTION)
-def test_contacts_of_a_dropped_robot_are_among_the_pairs(name):
-    env = gymnasium.make(name)
-    model, data = env.unwrapped.model, env.unwrapped.data
-    read, seen, random = read_contacts(model), set(), np.random.default_rng(0)
-    for _ in range(20):
-        env.reset(seed=int(random.integers(1000)))
-        data.qpos[:] += random.normal(0.0, 0.3, model.nq)
-        for _ in range(30):
-            mujoco.mj_step(model, data)
-            for geoms, constants in found_contacts(model, data).items():
-                np.testing.assert_allclose(read[geoms], constants, rtol=1e-12)
-                seen.add(geoms)
-    assert len(seen) > 1
-    env.close()
 
 
 def test_a_gap_is_the_sum_of_both():
@@ -237,17 +210,6 @@ def test_friction_settings():
     np.testing.assert_allclose(
         given, np.tile([0.1, 0.2, 0.3, 0.4, 0.5], (len(real), 1))
     )
-
-
-def test_a_contact_margin_makes_a_cube_hover_by_as_much():
-    scene = load_experiment("SlopeSlider-1-wood").scene
-    up = scene.body("board").pose.rotation.apply([0.0, 0.0, 1.0])
-    heights = []
-    for margin in (0.0, 0.003):
-        simulation = backend("mujoco").build(scene, {"contact_margin_m": margin})
-        simulation.advance(0.5)
-        heights.append(float(simulation.body_states(["cube"])[0, :3] @ up))
-    assert heights[1] - heights[0] == pytest.approx(0.003, abs=2e-5)
 
 
 def test_restitution_ends_where_contacts_are_given():
@@ -537,22 +499,6 @@ def test_a_step_must_divide_the_drive_interval(settings):
         match=r"'timestep_s': drive_interval_s, 1/\d+\.?\d* s, is .* steps",
     ):
         backend("mujoco").build(load_experiment("BouncingBall-rubber").scene, settings)
-
-
-@pytest.mark.slow
-def test_newton_runs_with_another_drive_interval():
-    scene = load_experiment("BouncingBall-rubber").scene
-    simulation = backend("newton").build(
-        scene, {"timestep_s": 1 / 600, "drive_interval_s": 1 / 600}
-    )
-    start = simulation.body_states(["ball"])[0, 2]
-    for _ in range(60):
-        simulation.advance(1 / 600)
-    # Semi-implicit Euler falls by g t (t + h) / 2.
-    fall = 0.5 * scene.gravity_m_per_s2 * 0.1 * (0.1 + 1 / 600)
-    assert start - simulation.body_states(["ball"])[0, 2] == pytest.approx(
-        fall, abs=1e-5
-    )
 
 
 # --- the whole chain --------------------------------------------------------------------------------------------------

@@ -45,6 +45,9 @@ PRINTED_MM = 0.01
 TURN_S = 94 / 30
 """Time of the published frames of the turntable [s]."""
 
+CALM_INTERVAL_S = 0.01
+"""Time between samples of a cube that rests, or turns with a slow plate [s]: a third of a published frame."""
+
 STEADY_S = (2.3, 3.0)
 """Time between the acceleration after the first stop and the last published frame [s]."""
 
@@ -54,6 +57,7 @@ def _hold_scenario(material: str) -> Scenario:
         name=f"hold-{material}",
         variant=f"SlopeSlider-1-{material}",
         seconds=HOLD_S,
+        interval_s=CALM_INTERVAL_S,
         released="cube",
     )
 
@@ -158,7 +162,10 @@ def thrown(material: str) -> Phenomenon:
         title="release: height to which a cube that touches its board is thrown, above where it settles",
         quantity="height",
         scenario=replace(
-            held.scenario, name=f"release-{material}", released="", seconds=HOLD_S
+            held.scenario,
+            name=f"release-{material}",
+            interval_s=Scenario.interval_s,
+            released="",
         ),
         reality=rigid_law(
             "a body that is laid down stays there", 0.5, "the edge of 50 mm of the cube"
@@ -301,6 +308,7 @@ def carry(material: str) -> Phenomenon:
         name=f"turn-{material}",
         variant=f"Turntable-1-{material}",
         seconds=TURN_S,
+        interval_s=CALM_INTERVAL_S,
         released="cube",
     )
 

@@ -33,6 +33,9 @@ KINDS = {"dof": "joint", "jnt": "joint", "eq": "equality"}
 SPEC_FIELDS = {("jnt", "solref"): "solref_limit", ("jnt", "solimp"): "solimp_limit"}
 """Attributes of a spec by array of the compiled model, where they differ. MJCF writes them without `_`."""
 
+MEMBERS = 2
+"""Least elements of a class for which the class is named."""
+
 MOST_NAMES = 12
 """Most elements that a text names one by one."""
 
@@ -115,11 +118,14 @@ def _words(
     if field == "biastype":
         text = "affine"
     left = list(several)
-    for name, members in _classes(robot, kind, field, several):
-        tag = f' class="{name}"' if name != "main" else ""
-        element = "general" if kind == "actuator" else kind
-        yield f'<default{tag}><{element} {attribute}="{text}"/></default>'
-        left = [index for index in left if index not in members]
+    if robot.spec is not None and kind in CLASSED:
+        for family, members in _classes(robot.spec, kind, field, several):
+            if len(members) < MEMBERS:
+                continue
+            tag = f' class="{family.name}"' if family.name != "main" else ""
+            element = "general" if kind == "actuator" else kind
+            yield f'<default{tag}><{element} {attribute}="{text}"/></default>'
+            left = [index for index in left if index not in members]
     if left:
         word = "in" if kind in ("geom", "pair") else "for"
         yield f'{attribute}="{text}" {word} {listed(element_names(robot, kind, left))}'
@@ -145,23 +151,22 @@ def element_names(robot: Robot, kind: str, several: Sequence[int]) -> list[str]:
 
 
 def _classes(
-    robot: Robot, kind: str, field: str, several: Sequence[int]
-) -> Iterator[tuple[str, list[int]]]:
-    """Yield each class whose elements are all among several, with those, two at least, that take it from there."""
-    if robot.spec is None or kind not in CLASSED:
-        return
-    members: dict[str, list[Any]] = {}
-    for element in _elements(robot.spec, kind):
-        members.setdefault(element.classname.name, []).append(element)
-    for name, elements in members.items():
-        default = getattr(getattr(elements[0].classname, kind), field, None)
+    spec: mujoco.MjSpec, kind: str, field: str, several: Sequence[int]
+) -> Iterator[tuple[Any, list[int]]]:
+    """Yield each class with the elements that take an attribute from it, where they are all among several."""
+    families: dict[str, list[Any]] = {}
+    for element in _elements(spec, kind):
+        families.setdefault(element.classname.name, []).append(element)
+    for elements in families.values():
+        family = elements[0].classname
+        default = getattr(getattr(family, kind), field, None)
         taking = [
             element.id
             for element in elements
             if default is not None and np.array_equal(getattr(element, field), default)
         ]
-        if len(taking) > 1 and set(taking) <= set(several):
-            yield name, taking
+        if taking and set(taking) <= set(several):
+            yield family, taking
 
 
 # --- the mended file -------------------------------------------------------------------------------------------------
@@ -245,6 +250,7 @@ def _write(
 ) -> None:
     """Write changes into a compiled spec; `geoms` are those that do not take an attribute from the default."""
     bodies = set()
+    rows: dict[tuple[str, bytes], tuple[str, str, Any, list[int]]] = {}
     for name, value in changes.items():
         if name in GEOM_FIELDS:
             reached = [*robot.reached_by_default(name), *geoms.get(name, [])]
@@ -259,47 +265,26 @@ def _write(
             if kind == "body" and field in ("mass", "inertia"):
                 bodies.add(index)
             else:
-                _set_elements(spec, kind, field, _alike(robot, name, changes), value)
+                alike = (found[1], np.asarray(value).tobytes())
+                rows.setdefault(alike, (kind, field, value, []))[-1].append(index)
         elif name in COMPILER:
             setattr(spec.compiler, COMPILER[name], value)
         else:
             set_option(spec.option, name, value)
+    for kind, field, value, several in rows.values():
+        _set_elements(spec, kind, field, several, value)
     for body in sorted(bodies):
         _set_inertial(robot, spec, body, model)
-
-
-def _alike(robot: Robot, name: str, changes: Settings) -> list[int]:
-    """Return the elements whose attribute gets the same value as that of a change."""
-    wanted = ELEMENT.fullmatch(name)
-    assert wanted is not None
-    found = []
-    for other, value in changes.items():
-        match = ELEMENT.fullmatch(other)
-        if match is None or match[1] != wanted[1]:
-            continue
-        if np.array_equal(value, changes[name]):
-            found.append(_place(robot.model, match)[2])
-    return found
 
 
 def _set_elements(
     spec: mujoco.MjSpec, kind: str, field: str, several: Sequence[int], value: Any
 ) -> None:
     """Set an attribute of elements, and of each class all of whose elements are among them."""
-    elements = _elements(spec, kind)
-    classes: dict[str, list[Any]] = {}
-    for element in elements if kind != "body" else []:
-        classes.setdefault(element.classname.name, []).append(element)
-    for members in classes.values():
-        default = getattr(members[0].classname, kind)
-        taking = [
-            one
-            for one in members
-            if np.array_equal(getattr(one, field), getattr(default, field))
-        ]
-        if taking and {one.id for one in taking} <= set(several):
-            _set(default, field, value)
-    for element in elements:
+    if kind in CLASSED:
+        for family, _ in _classes(spec, kind, field, several):
+            _set(getattr(family, kind), field, value)
+    for element in _elements(spec, kind):
         if element.id in several:
             _set(element, field, value)
 
