@@ -24,8 +24,8 @@ from gauge_envs.experiments.variants import (
     beyond_variants as beyond_variants,
     episode_steps,
     find_variant as find_variant,
-    own_task_files,
     unreadable_task_files,
+    user_task_files,
     variants as variants,
 )
 from gauge_envs.registry import door, register_bundled_ids
@@ -79,9 +79,9 @@ def register_all() -> None:
     Warns:
         UserWarning: `GAUGE_TASKS` names a file that cannot be used; the message says why.
     """
-    own = own_task_files()
+    user_files = user_task_files()
     for fault in unreadable_task_files():
-        if fault.file in own:
+        if fault.file in user_files:
             warnings.warn(str(fault), stacklevel=2)
     steps: dict[str, int | None] = {
         variant.name: episode_steps(variant)

@@ -214,26 +214,26 @@ ZEROS = "a file of zeros"
 
 def told_lines(rows: Sequence[Row]) -> Iterator[str]:
     """Yield the ids that tell each change, and those that do not."""
-    tells: dict[str, list[str]] = defaultdict(list)
-    tells_not: dict[str, list[str]] = defaultdict(list)
+    seen: dict[str, list[str]] = defaultdict(list)
+    unseen: dict[str, list[str]] = defaultdict(list)
     for row in rows:
         if row.refuses_zeros is not None:
-            (tells if row.refuses_zeros else tells_not)[ZEROS].append(row.variant)
+            (seen if row.refuses_zeros else unseen)[ZEROS].append(row.variant)
         for name in row.told:
-            tells[name.partition(" by ")[0]].append(row.variant)
+            seen[name.partition(" by ")[0]].append(row.variant)
         for name in row.not_told:
-            tells_not[name].append(row.variant)
-    changes = sorted({*tells, *tells_not} - {ZEROS, "nothing moves"})
+            unseen[name].append(row.variant)
+    changes = sorted({*seen, *unseen} - {ZEROS, "nothing moves"})
     yield from (TOLD_HEAD.strip(), "")
     yield from markdown_table(
         ("change", "tells", "ids", "tells not", "ids"),
         [
             [
                 change,
-                str(len(tells[change])),
-                by_family(tells[change]),
-                str(len(tells_not[change])),
-                by_family(tells_not[change]),
+                str(len(seen[change])),
+                by_family(seen[change]),
+                str(len(unseen[change])),
+                by_family(unseen[change]),
             ]
             for change in ("nothing moves", ZEROS, *changes)
         ],
@@ -360,8 +360,8 @@ def sum_table(rows: Sequence[Row]) -> Iterator[str]:
     tested = sum(row.variant in scatter_rows() for row in rows)
     untested = sum(row.scatter_answer == NOT_TESTED for row in rows)
     published = sum(row.has_scatter for row in rows)
-    held = sum(row.variant in held_rows() for row in rows)
-    unknown = published - tested - held - untested
+    attached = sum(row.variant in held_rows() for row in rows)
+    unknown = published - tested - attached - untested
     telling = sum(held_tells(name) for name in held_rows())
     statistics = sum(row.statistics for row in rows)
     real, solved = "is it like reality?", "does the engine solve the scene?"
@@ -373,7 +373,7 @@ def sum_table(rows: Sequence[Row]) -> Iterator[str]:
         (
             real,
             "scatter, held",
-            held,
+            attached,
             f"verdict on repeats; {telling} tell a wrong constant",
         ),
         (real, "scatter, not tested", untested, "nothing yet"),

@@ -257,13 +257,13 @@ def sheet_wrenches(
     sheet = sheet_of(experiment.scene)
     if sheet is None:
         return None
-    _, _, held = solve_sheet(sheet, cells=cells, frames=frames)
+    _, _, end_loads_n_per_m = solve_sheet(sheet, cells=cells, frames=frames)
     holders = experiment.scene.holders
     width_m = sheet.cloth.size_m[1]
     found = np.zeros((frames, len(holders), 6))
     for attachment in experiment.scene.attachments:
         side = attachment.region.side
-        found[:, holders.index(attachment.to), :3] += width_m * held[side]
+        found[:, holders.index(attachment.to), :3] += width_m * end_loads_n_per_m[side]
     return found
 
 

@@ -176,7 +176,7 @@ def solved_span(experiment: Experiment) -> int:
     if not is_held_cloth(experiment):
         return experiment.frame_count
     sheet = sheet_of(experiment.scene)
-    is_taut = sheet is not None and len(sheet.held) == 2
+    is_taut = sheet is not None and len(sheet.end_drivers) == 2
     horizon_s = TAUT_HORIZON_S if is_taut else CLOTH_HORIZON_S
     return min(experiment.frame_count, round(horizon_s * FRAME_RATE_HZ) + 1)
 
@@ -314,7 +314,7 @@ def solve_as_sheet(experiment: Experiment, level: Level) -> dict[str, Any]:
     sheet, markers = sheet_of(experiment.scene), experiment.scene.markers
     assert sheet is not None
     assert markers is not None
-    cells = SHEET_CELLS[len(sheet.held)]
+    cells = SHEET_CELLS[len(sheet.end_drivers)]
     nodes_m, _, _ = solve_sheet(
         sheet,
         cells=round(cells / level.settings.get("cell", 1.0)),
@@ -418,15 +418,17 @@ def solutions(
     """
     found = {}
     for engine in dict.fromkeys(run.engine for run in runs):
-        own = [run for run in runs if run.engine == engine]
-        base = next((run for run in own if run.parameter == "base"), None)
+        of_engine = [run for run in runs if run.engine == engine]
+        base = next((run for run in of_engine if run.parameter == "base"), None)
         if base is None:
             continue
         start = base.quantity(quantity)
         total, square, refined = np.zeros_like(start), np.zeros_like(start), {}
-        for parameter in dict.fromkeys(run.parameter for run in own if run is not base):
+        for parameter in dict.fromkeys(
+            run.parameter for run in of_engine if run is not base
+        ):
             levels = sorted(
-                [base, *(run for run in own if run.parameter == parameter)],
+                [base, *(run for run in of_engine if run.parameter == parameter)],
                 key=lambda run: -run.factor,
             )
             factors = [run.factor for run in levels]

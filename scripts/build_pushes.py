@@ -297,7 +297,7 @@ def contents(scoring: Path = SCORING) -> dict[Path, str]:
         "projection = [[1, 0, 0]]  # the yaw of the hand, which moves the cube along y, is not known",
         f'source = "{SOURCE}; {len(cubes_mm)} pushes in the common time of the hand"',
     ]
-    own = [
+    file_lines = [
         "# Own starts and driven motions of the trials. Written by scripts/build_pushes.py; do not edit.",
         f"times_s = {driver_values(pushes)[0].round(2).tolist()}",
     ]
@@ -310,18 +310,22 @@ def contents(scoring: Path = SCORING) -> dict[Path, str]:
         "hand": hands_m,
     }
     for name, several in places_m.items():
-        own += [
+        file_lines += [
             f"start_m.{name} = [",
             *(f"    {_numbers(place)}," for place in several),
             "]",
         ]
-    own.append("motions.hand = [")
+    file_lines.append("motions.hand = [")
     for trial in range(len(cubes_mm)):
         motions = driver_values(pushes, trial)[1].T[[3, 0, 1, 2]]
-        own += ["    [", *(f"        {_numbers(one)}," for one in motions), "    ],"]
-    own.append("]")
+        file_lines += [
+            "    [",
+            *(f"        {_numbers(one)}," for one in motions),
+            "    ],",
+        ]
+    file_lines.append("]")
     files = {
-        scoring / "trials" / f"{NAME}.toml": own,
+        scoring / "trials" / f"{NAME}.toml": file_lines,
         scoring / "bands" / f"{NAME}.csv": table,
         scoring / "bands" / f"{NAME}.toml": sidecar,
         scoring / "trials" / f"{NAME}.csv": singles,

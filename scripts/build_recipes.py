@@ -239,9 +239,11 @@ def summary() -> str:
     for engine in dict.fromkeys(row["engine"] for row in contacts):
         cells = [engine]
         for rows in (contacts, cloth):
-            own = [row for row in rows if row["engine"] == engine]
+            of_engine = [row for row in rows if row["engine"] == engine]
             cells.append(
-                f"{sum(not row['missed'] for row in own)} of {len(own)}" if own else ""
+                f"{sum(not row['missed'] for row in of_engine)} of {len(of_engine)}"
+                if of_engine
+                else ""
             )
         rows = [row for row in contacts if row["engine"] == engine]
         for name, digits in (

@@ -303,12 +303,12 @@ def responses(name: str) -> dict[int, tuple[FloatArray, FloatArray]]:
 
     highs = {column: changed(column, KNOT) for column in range(6)}
     known = {column: high for column, high in highs.items() if high is not None}
-    most = max(float(np.linalg.norm(high)) for high in known.values())
+    largest = max(float(np.linalg.norm(high)) for high in known.values())
     found = {}
     for column, high in known.items():
         low: FloatArray | None = -high
         # A rod that touches, or a sheet that wrinkles, answers otherwise in the other direction; a grip does not.
-        if scene.contacts and np.linalg.norm(high) > SMALL_SHARE * most:
+        if scene.contacts and np.linalg.norm(high) > SMALL_SHARE * largest:
             low = changed(column, -KNOT)
         assert low is not None, "both directions move the body"
         found[column] = (low, high)

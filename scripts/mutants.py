@@ -137,14 +137,16 @@ def plan(
     # Each engine is a room of its own.
     inner = () if room == "tests/backends" else (f"{room}/",)
     folders = {file: f"{Path(file).parent}/" for file in files}
-    own = [
+    nearest = [
         file
         for file, folder in sorted(folders.items())
         if folder == f"{room}/" or folder.startswith(inner)
     ]
-    others = [file for file in _near(mutant.path) if file in files and file not in own]
+    others = [
+        file for file in _near(mutant.path) if file in files and file not in nearest
+    ]
     left = SECONDS
-    for group in (own, *([file] for file in others[:OTHER_FILES])):
+    for group in (nearest, *([file] for file in others[:OTHER_FILES])):
         timed = sorted(
             (cover.seconds[test], test)
             for cover in (covered(file, mutant.path) for file in group)

@@ -314,8 +314,8 @@ def _common_costs(settings: Sequence[SettingCost]) -> tuple[float, float]:
     """Return the least and the most cost of settings of several experiments, over their common time."""
     spans_s = np.array([one.results[0].sim_s for one in settings])
     costs = np.array([(one.cost, max(one.costs)) for one in settings])
-    least, most = spans_s @ costs / max(spans_s.sum(), 1e-9)
-    return float(least), float(most)
+    smallest, largest = spans_s @ costs / max(spans_s.sum(), 1e-9)
+    return float(smallest), float(largest)
 
 
 def _family(

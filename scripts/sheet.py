@@ -41,11 +41,11 @@ class Sheet:
 
     Attributes:
         cloth: The cloth.
-        held: Driver that moves each held end, or None where that end stands still; by `low` and `high`.
+        end_drivers: Driver that moves each held end, or None where that end stands still; by `low` and `high`.
     """
 
     cloth: Cloth
-    held: dict[str, Driver | None]
+    end_drivers: dict[str, Driver | None]
 
 
 def sheet_of(scene: Scene) -> Sheet | None:
@@ -63,7 +63,7 @@ def sheet_of(scene: Scene) -> Sheet | None:
     if abs(across[2]) > TOLERANCE:
         return None
     drivers = {driver.body: driver for driver in scene.drivers}
-    held: dict[str, Driver | None] = {}
+    end_drivers: dict[str, Driver | None] = {}
     for attachment in scene.attachments:
         driver = drivers.get(attachment.to)
         region = attachment.region
@@ -73,8 +73,8 @@ def sheet_of(scene: Scene) -> Sheet | None:
             sideways = abs(float(np.dot(motion.axis, across)))
             if motion.kind != "translate" or sideways > TOLERANCE:
                 return None
-        held[region.side] = driver
-    return Sheet(cloth=cloth, held=held)
+        end_drivers[region.side] = driver
+    return Sheet(cloth=cloth, end_drivers=end_drivers)
 
 
 def end_place_m(driver: Driver | None, time_s: float) -> FloatArray:
@@ -157,10 +157,12 @@ def solve_sheet(
     velocities = np.zeros_like(places)
     ends = {"low": 0, "high": cells}
     free = np.ones(cells + 1)
-    for side in sheet.held:
+    for side in sheet.end_drivers:
         free[ends[side]] = 0.0
-    starts = {side: places[:, ends[side]].copy() for side in sheet.held}
-    moved = {side: driver for side, driver in sheet.held.items() if driver is not None}
+    starts = {side: places[:, ends[side]].copy() for side in sheet.end_drivers}
+    moved = {
+        side: driver for side, driver in sheet.end_drivers.items() if driver is not None
+    }
 
     masses = node_masses_kg_per_m(cloth, cells + 1)
     per_force = step_s * free / masses
@@ -169,7 +171,9 @@ def solve_sheet(
     stretch = cloth.stretch_stiffness_n_per_m
     bend = bending_stiffness_n_m(cloth) / cell_m**3
 
-    held_n_per_m = {side: np.full((frames, 3), np.nan) for side in sheet.held}
+    end_loads_n_per_m = {
+        side: np.full((frames, 3), np.nan) for side in sheet.end_drivers
+    }
     found = np.empty((frames, *places.shape))
     energies = np.empty(frames)
     found[0] = places
@@ -177,7 +181,7 @@ def solve_sheet(
     forces = np.empty_like(places)
     share = 0.5  # The first kick takes velocities from 0 to half a step.
     for frame in range(1, frames):
-        pulls = {side: np.zeros(3) for side in sheet.held}
+        pulls = {side: np.zeros(3) for side in sheet.end_drivers}
         for step in range(steps):
             edges = places[:, 1:] - places[:, :-1]
             lengths = np.sqrt(np.einsum("kn,kn->n", edges, edges))
@@ -200,18 +204,20 @@ def solve_sheet(
                 places[:, ends[side]] = starts[side] + end_place_m(driver, time_s)
         for side, pull in pulls.items():
             # The end of the chain has half a cell of mass, which its holder carries and accelerates.
-            gained = end_velocity_m_per_s(sheet.held[side], frame / FRAME_RATE_HZ)
+            gained = end_velocity_m_per_s(
+                sheet.end_drivers[side], frame / FRAME_RATE_HZ
+            )
             gained -= end_velocity_m_per_s(
-                sheet.held[side], (frame - 1) / FRAME_RATE_HZ
+                sheet.end_drivers[side], (frame - 1) / FRAME_RATE_HZ
             )
             gained[2] += GRAVITY_M_PER_S2 / FRAME_RATE_HZ
-            held_n_per_m[side][frame] = (
+            end_loads_n_per_m[side][frame] = (
                 pull + masses[ends[side]] * FRAME_RATE_HZ * gained
             )
         found[frame] = places
         # Velocities lag by half a step, which is no more than the error of the leapfrog.
         energies[frame] = energy_j_per_m(cloth, places, velocities, free)
-    return found, energies, held_n_per_m
+    return found, energies, end_loads_n_per_m
 
 
 def marker_places_m(

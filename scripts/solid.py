@@ -347,12 +347,12 @@ def held_wrenches(
     if len(scene.deformables) != 1 or len(scene.drivers) != 1:
         return None
     (solid,), (driver,) = scene.deformables, scene.drivers
-    held = {one.region.side: one for one in scene.attachments if one.region.axis == "z"}
-    if not isinstance(solid, SoftBody) or set(held) != {"low", "high"}:
+    ends = {one.region.side: one for one in scene.attachments if one.region.axis == "z"}
+    if not isinstance(solid, SoftBody) or set(ends) != {"low", "high"}:
         return None
     width_m, depth_m, height_m = solid.shape.size_m
-    low_m = -0.5 * height_m + held["low"].region.depth_m
-    high_m = 0.5 * height_m - held["high"].region.depth_m
+    low_m = -0.5 * height_m + ends["low"].region.depth_m
+    high_m = 0.5 * height_m - ends["high"].region.depth_m
     axes = solid.pose.to_world(np.eye(3)) - np.asarray(solid.pose.position_m)
     density = solid.mass_kg / (width_m * depth_m * height_m)
     down_n_per_m3 = -density * scene.gravity_m_per_s2 * axes[:, 2]
@@ -403,7 +403,7 @@ def held_wrenches(
     solved_m = np.linspace(gap_m, travels_m[-1], SOLVED_PLACES)
     solved_s = np.interp(solved_m, travels_m, times_s)
     share = (block.places_m[:, 2] - low_m) / (high_m - low_m)
-    if not is_pressed and held["low"].to == driver.body:
+    if not is_pressed and ends["low"].to == driver.body:
         share = 1.0 - share
     world_m = solid.pose.to_world(block.places_m)
     last_s = 0.0

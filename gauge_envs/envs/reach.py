@@ -117,12 +117,14 @@ class Reach:
         ]:
             for hinge in ready:
                 left.remove(hinge)
-                held, other = hinge.first, hinge.second
-                if held not in balls:
-                    held, other = other, held
+                placed, other = hinge.first, hinge.second
+                if placed not in balls:
+                    placed, other = other, placed
                 anchor_m = np.asarray(hinge.anchor_m)
-                arms_m = sum(self._distance_m(name, anchor_m) for name in (held, other))
-                balls[other] = balls[held].around(GIVE * arms_m)
+                arms_m = sum(
+                    self._distance_m(name, anchor_m) for name in (placed, other)
+                )
+                balls[other] = balls[placed].around(GIVE * arms_m)
 
     def _hold_deformables(self) -> None:
         """Add deformable bodies that are attached to held ones, and rigid bodies attached to those.
@@ -142,9 +144,11 @@ class Reach:
                 body, to = attachment.deformable, attachment.to
                 # Attached nodes of two deformable bodies are at one place.
                 away_m = 0.0 if to in shapes else self._farthest_m(shapes[body], to)
-                held, other = (to, body) if to in self._balls else (body, to)
+                placed, other = (to, body) if to in self._balls else (body, to)
                 span_m = self._spans_m.get(other, 0.0)
-                self._balls.setdefault(other, self._balls[held].around(away_m + span_m))
+                self._balls.setdefault(
+                    other, self._balls[placed].around(away_m + span_m)
+                )
 
     def _distance_m(self, name: str, point_m: FloatArray) -> float:
         return float(np.linalg.norm(self._scene.body(name).pose.position_m - point_m))

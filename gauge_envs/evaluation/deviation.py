@@ -312,13 +312,13 @@ def percentile_interval(
     if interval is None or refusal(distances) is not None:
         return None
     count = len(distances) / widening(distances) ** 2
-    fewest, share, most = (
+    least_share, share, largest_share = (
         float(np.mean(distances < end)) for end in (interval[0], distance, interval[1])
     )
     low, high = share_interval(share * count, count, LEVEL)
     below, above = (
-        math.hypot(share - low, share - fewest),
-        math.hypot(high - share, most - share),
+        math.hypot(share - low, share - least_share),
+        math.hypot(high - share, largest_share - share),
     )
     return 100.0 * max(share - below, 0.0), 100.0 * min(share + above, 1.0)
 

@@ -227,11 +227,11 @@ def _angle_mistake(
     if band is None:
         return None
     count = min(len(band.mean), len(angles))
-    ours, theirs = angles[:count] @ band.projection.T, band.mean[:count]
-    known = np.isfinite(theirs)
-    ours, theirs = ours[known], theirs[known]
-    product_ = float(ours @ theirs)
-    sizes = float(np.linalg.norm(ours)), float(np.linalg.norm(theirs))
+    simulated, mean = angles[:count] @ band.projection.T, band.mean[:count]
+    known = np.isfinite(mean)
+    simulated, mean = simulated[known], mean[known]
+    product_ = float(simulated @ mean)
+    sizes = float(np.linalg.norm(simulated)), float(np.linalg.norm(mean))
     if not all(sizes) or product_ / (sizes[0] * sizes[1]) < DEGREES_CORRELATION:
         return None
     ratio = product_ / sizes[1] ** 2

@@ -293,13 +293,13 @@ def _uniform_acceleration(
     # In a recording the body may rest for a while before it moves. Of each start, the best acceleration leaves a sum of
     # squares that is smaller by the square of the projection on the motion of unit acceleration.
     starts_s = seen_s[seen_s <= 0.5 * seen_s[-1]]
-    most, best = -1.0, np.zeros(0)
+    largest, best = -1.0, np.zeros(0)
     for some_s in np.array_split(starts_s, math.ceil(len(starts_s) / STARTS_AT_ONCE)):
         motions = 0.5 * np.square(np.maximum(seen_s - some_s[:, None], 0.0))
         squares = np.square(motions).sum(axis=1)
         gained = np.square(motions @ moved).sum(axis=1) / squares
-        if gained.max() > most:
-            most, best = float(gained.max()), motions[gained.argmax()]
+        if gained.max() > largest:
+            largest, best = float(gained.max()), motions[gained.argmax()]
     acceleration = best @ moved / (best @ best)
     left = moved - best[:, None] * acceleration
     if float(np.sqrt(np.mean(np.square(left)))) > SHAPE_TOLERANCE * size:

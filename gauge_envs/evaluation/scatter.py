@@ -192,9 +192,9 @@ def scatter_text(experiment: Experiment) -> str:
         return "-"
     if experiment.impossible_scores:
         return "published in another unit: not tested"
-    held = held_rows().get(experiment.name)
-    if held is not None:
-        answer = SHORT_VERDICTS[differs([*held.p.values()])]
+    attached_rows = held_rows().get(experiment.name)
+    if attached_rows is not None:
+        answer = SHORT_VERDICTS[differs([*attached_rows.p.values()])]
         if held_tells(experiment.name):
             return f"MuJoCo: {answer}"
         return f"MuJoCo: {answer}; {TELLS_NOTHING}"

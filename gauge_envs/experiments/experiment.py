@@ -123,19 +123,20 @@ class Experiment:
         """Published scores that geometry forbids, so that they have another unit or observable; empty without any."""
         found: dict[str, list[str]] = {}
         for metric, line in self.baselines.items():
-            most = self._largest_score(line)
+            largest = self._largest_score(line)
             for engine, over in {
                 "real trials": line.mean and 1.0,
                 **line.engines,
             }.items():
                 # The energy loss of real trials is 0, so that of engines is not divided by it.
                 value = (over or 0.0) * (line.mean or 1.0)
-                if abs(value) > most:
+                if abs(value) > largest:
                     text = f"{metric.upper()} of {engine} {value:.3g} {line.unit}"
-                    found.setdefault(f"{most:.3g} {line.unit}", []).append(text)
+                    found.setdefault(f"{largest:.3g} {line.unit}", []).append(text)
         return "; ".join(
-            f"at most {most} is possible, and published are {', '.join(texts)}: their unit or observable is another one"
-            for most, texts in found.items()
+            f"at most {largest} is possible, and published are {', '.join(texts)}: "
+            "their unit or observable is another one"
+            for largest, texts in found.items()
         )
 
     def _largest_score(self, line: Baseline) -> float:

@@ -129,13 +129,13 @@ def _joints(
     for owner, constants in builder.constants.items():
         for constant, entry in input_uncertainties().joint.items():
             if value := constants.get(constant):
-                own = f"{material} {owner}"
+                entry_name = f"{material} {owner}"
                 yield _constant(
                     owner,
                     constant,
                     float(value),
                     entry,
-                    own if own in entry.relative else material,
+                    entry_name if entry_name in entry.relative else material,
                 )
 
 

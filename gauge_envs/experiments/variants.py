@@ -70,7 +70,7 @@ def task_files() -> tuple[Path, ...]:
     return tuple(sorted(data_folder("tasks").glob("*.toml")))
 
 
-def own_task_files() -> tuple[Path, ...]:
+def user_task_files() -> tuple[Path, ...]:
     """Return the task files that `GAUGE_TASKS` names, and entries that do not exist, in its order."""
     found: dict[Path, None] = {}
     for entry in os.environ.get(OWN_TASKS, "").split(os.pathsep):
@@ -98,7 +98,7 @@ def use_task_file(path: Path) -> tuple[Variant, ...]:
         TaskFileError: The file cannot be read, or its family is one of the package.
     """
     path = path.absolute()
-    if path not in own_task_files():
+    if path not in user_task_files():
         if os.pathsep in str(path):
             raise TaskFileError(
                 path,
@@ -148,11 +148,13 @@ def _check_experiment_file(path: Path) -> None:
         raise TaskFileError(path, None, reason)
 
 
-def own_variants() -> tuple[Variant, ...]:
+def user_variants() -> tuple[Variant, ...]:
     """Return the variants of task files outside the package."""
-    own = own_task_files()
+    user_files = user_task_files()
     return tuple(
-        variant for variant in beyond_variants() if task_path(variant.family) in own
+        variant
+        for variant in beyond_variants()
+        if task_path(variant.family) in user_files
     )
 
 
@@ -166,8 +168,8 @@ def _read_files() -> tuple[
     """
     headers: dict[str, tuple[Path, dict[str, Any]]] = {}
     faults: list[TaskFileError] = []
-    own = own_task_files()
-    for path in (*task_files(), *own):
+    user_files = user_task_files()
+    for path in (*task_files(), *user_files):
         try:
             raw = _names_of(read_regular(path, MEGABYTE))
             family = _header(raw)
@@ -176,7 +178,7 @@ def _read_files() -> tuple[
                 raise ValueError(
                     f"family {family!r} is that of {known}: choose another name"
                 )
-            if path in own:
+            if path in user_files:
                 # No count and no average of the benchmark contains it.
                 raw["collection"] = Collection.BEYOND
             headers[family] = (path, raw)
@@ -289,9 +291,9 @@ def _unknown(
 ) -> TaskFileError | UnknownNameError:
     """Return the error for an unknown name: that of the unreadable task file which may define it, if there is one."""
     plain = name.removeprefix("GAUGE/").lower()
-    own = own_task_files()
+    user_files = user_task_files()
     for fault in unreadable_task_files():
-        if fault.file in own or plain.startswith(
+        if fault.file in user_files or plain.startswith(
             fault.file.stem.replace("_", "").lower()
         ):
             return fault

@@ -53,8 +53,8 @@ def _measured(
             found.append(result.trajectory.arrays()[1])
             markers_m = result.trajectory.markers_m()
     samples: dict[float, FloatArray] = {}
-    held = is_held(experiment)
-    for share in (1.0,) if held else SPREADS:
+    is_attached = is_held(experiment)
+    for share in (1.0,) if is_attached else SPREADS:
         runs = found
         if share != 1.0:
             runs = scattered_runs(
@@ -67,7 +67,9 @@ def _measured(
                 f"{lost} of {len(results)} runs with {share:g} times the spread of starts diverged",
             )
         samples[share] = np.array(runs)
-    return scatter_test(experiment, samples, markers_m=markers_m if held else None)
+    return scatter_test(
+        experiment, samples, markers_m=markers_m if is_attached else None
+    )
 
 
 def _seeds(request: RunRequest) -> range:

@@ -177,7 +177,7 @@ def hinge_trees(hinges: Iterable[BodyHinge]) -> list[tuple[BodyHinge, ...]]:
 def hinge_fault(
     hinges: Iterable[BodyHinge],
     bodies: Mapping[str, RigidBody],
-    held: Collection[str],
+    fastened: Collection[str],
     hung: Collection[str],
 ) -> str | None:
     """Return what is wrong with the hinges between bodies of a scene, and what would be right; None if nothing is.
@@ -185,7 +185,7 @@ def hinge_fault(
     Args:
         hinges: The hinges.
         bodies: Rigid bodies of the scene, by name.
-        held: Names of bodies that are on a string or attached to a deformable body.
+        fastened: Names of bodies that are on a string or attached to a deformable body.
         hung: Names of the bodies on hinges to the world, one for each hinge.
     """
     group: dict[str, str] = {}
@@ -197,7 +197,7 @@ def hinge_fault(
             if bodies[name].motion is not Motion.DYNAMIC:
                 motion = bodies[name].motion.value
                 return f"{title}: {name!r} is {motion}. Join dynamic bodies, or use a Hinge to the world"
-            if name in held:
+            if name in fastened:
                 return f"{title}: {name!r} has a string or an attachment as well: remove one of them"
         length = float(np.linalg.norm(hinge.axis))
         if not abs(length - 1.0) <= UNIT:

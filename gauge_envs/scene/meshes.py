@@ -225,9 +225,9 @@ def _compound_properties(
     parts = [_part_properties(part, density) for part in shape.parts]
     centre = sum((mass * place for mass, place, _ in parts), np.zeros(3)) / mass_kg
     inertia = np.zeros((3, 3))
-    for mass, place, own in parts:
+    for mass, place, about_centre in parts:
         arm = place - centre
-        inertia += own + mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+        inertia += about_centre + mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
     return centre, inertia
 
 

@@ -182,7 +182,7 @@ def holding(numbers: Mapping[str, float], dry_n_m: float) -> Holding | None:
     if not steady and not slow:
         return None
 
-    def held(rate: float, m: float, e: float) -> float:
+    def holding_n_m(rate: float, m: float, e: float) -> float:
         total = dry_n_m
         for one, values in steady:
             total += one.torque_n_m(values, m, e)
@@ -192,4 +192,4 @@ def holding(numbers: Mapping[str, float], dry_n_m: float) -> Holding | None:
                 total += share * one.torque_n_m(values, m, e)
         return total
 
-    return held
+    return holding_n_m

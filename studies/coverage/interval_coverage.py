@@ -498,7 +498,7 @@ class Row:
     missed: int
 
     @property
-    def held(self) -> float:
+    def coverage_percent(self) -> float:
         """Percentage of the intervals that hold the truth."""
         shown = self.realities - self.refused
         return 100.0 * (shown - self.missed) / shown if shown else 100.0
@@ -553,14 +553,20 @@ def count_verdicts(
         )
         others = distances["aligned"][one]
         aligned = [deviation[one][:, None] for deviation, *_ in shifted]
-        own = [
+        errors_of_one = [
             aligned_errors(
                 world, engine, errors, *shifted[engine][1:], one
             ).with_baseline(others)
             for engine in engines
         ]
         _measure_kind(
-            world, "aligned", own, aligned, others, float(others.mean()), tally
+            world,
+            "aligned",
+            errors_of_one,
+            aligned,
+            others,
+            float(others.mean()),
+            tally,
         )
 
 
@@ -589,13 +595,15 @@ def _measure_kind(
     tally: Tally,
 ) -> None:
     truth, scores = world.truth, []
-    for engine, (own, deviation) in enumerate(zip(errors, deviations, strict=True)):
-        size = float(np.linalg.norm(own.flat(deviation)))
+    for engine, (errors_of_one, deviation) in enumerate(
+        zip(errors, deviations, strict=True)
+    ):
+        size = float(np.linalg.norm(errors_of_one.flat(deviation)))
         if engine != 1:
             name = "ABC"[engine]
             mm, ends = (
-                own.interval(deviation, over_baseline=False),
-                own.interval(deviation),
+                errors_of_one.interval(deviation, over_baseline=False),
+                errors_of_one.interval(deviation),
             )
             ratio = None if ends is None else (ends[0] / baseline, ends[1] / baseline)
             percentile = percentile_interval(distances, size, mm)
@@ -606,9 +614,9 @@ def _measure_kind(
             ] += 1
         score, drawn = (
             np.array([size / baseline]),
-            own.draws(deviation)[None] / baseline,
+            errors_of_one.draws(deviation)[None] / baseline,
         )
-        influences = own.influences(deviation)[None] / baseline
+        influences = errors_of_one.influences(deviation)[None] / baseline
         scores.append(
             ScoreDraws(
                 seeds=(0,),
@@ -648,7 +656,9 @@ def _write(file: Path, rows: Iterable[Row]) -> None:
             stream, [one.name for one in fields(Row)], lineterminator="\n"
         )
         writer.writeheader()
-        writer.writerows(asdict(row) for row in sorted(rows, key=lambda row: row.held))
+        writer.writerows(
+            asdict(row) for row in sorted(rows, key=lambda row: row.coverage_percent)
+        )
 
 
 def read(file: Path = TABLE) -> list[Row]:
@@ -685,13 +695,13 @@ def tables(rows: Sequence[Row]) -> str:
             [
                 f"{one.world}, {one.trials}",
                 f"{one.quantity} {one.engines}",
-                f"{one.held:.0f}",
+                f"{one.coverage_percent:.0f}",
             ]
             for one in found[:shown]
         ]
         least, over = (
-            sum(row.held >= HOLDS for row in found),
-            sum(row.held > OVER for row in found),
+            sum(row.coverage_percent >= HOLDS for row in found),
+            sum(row.coverage_percent > OVER for row in found),
         )
         counted.append(
             [

@@ -94,9 +94,9 @@ def recorded(push: Push, times_s: FloatArray) -> Track:
 
 def own_path(experiment: TaskExperiment, trial: int) -> Scene:
     """Return the scene with the start and the path of a trial, as a reset to it builds it."""
-    own = driven_trial(experiment, trial)
-    assert own is not None
-    return own.scene
+    driven = driven_trial(experiment, trial)
+    assert driven is not None
+    return driven.scene
 
 
 def simulated(
@@ -150,12 +150,12 @@ def scored(
     rows = []
     for trial in trials:
         real = recorded(pushes.trials[trial], times_s)
-        own, several = own_path(experiment, trial), []
+        driven, several = own_path(experiment, trial), []
         for copy in range(copies):
             if engine == "mean":
                 found = mean_push(real, times_s)
             else:
-                found = simulated(engine, shifted(own, copy, 1e-7 * (copy > 0)))
+                found = simulated(engine, shifted(driven, copy, 1e-7 * (copy > 0)))
             error_mm = found.cube_mm[:, 0] - real.cube_mm[:, 0]
             errors = {"rmse_mm": error_mm, "push_rmse_mm": error_mm[pushing]}
             means = {

@@ -365,9 +365,11 @@ def _filter(scene_graph: Any, scene: Scene, groups: Groups) -> None:
             for first, second in scene.colliding_pairs(contact):
                 partners[first].extend(geometries[second])
         for first, others in partners.items():
-            ours = GeometrySet(geometries[first])
+            first_set = GeometrySet(geometries[first])
             manager.Apply(
-                CollisionFilterDeclaration().AllowBetween(ours, GeometrySet(others))
+                CollisionFilterDeclaration().AllowBetween(
+                    first_set, GeometrySet(others)
+                )
             )
 
 

@@ -228,15 +228,15 @@ class ResistedSimulation(Simulation):
         inverse = np.linalg.inv(mass)
         free = np.concatenate([rates, root_rates]) + step_s * inverse @ (rest + loads)
         torques = np.zeros(len(mass))
-        most = {
+        holding_n_m = {
             place: law(float(rates[place]), float(motors[place]), float(loads[place]))
             for place, law in self._laws.items()
         }
-        for _ in range(SWEEPS if len(most) > 1 else 1):
-            for place, hold in most.items():
+        for _ in range(SWEEPS if len(holding_n_m) > 1 else 1):
+            for place, limit_n_m in holding_n_m.items():
                 rate = free[place] + step_s * inverse[place] @ torques
                 stops = torques[place] - rate / (step_s * inverse[place, place])
-                torques[place] = min(max(stops, -hold), hold)
+                torques[place] = min(max(stops, -limit_n_m), limit_n_m)
         return torques[:count]
 
     def _motor_n_m(self, states: Array, rates: Array) -> Array:

@@ -187,9 +187,9 @@ class StateOrigin:
             )
         return state.values
 
-    def _refuse(self, theirs: str, ours: str) -> None:
+    def _refuse(self, saved: str, present: str) -> None:
         raise BackendError(
-            f"the state is from a simulation with {theirs}, this one has {ours}. "
+            f"the state is from a simulation with {saved}, this one has {present}. "
             "A state continues only in the same engine, settings and scene: build that simulation, or start again."
         )
 

@@ -65,8 +65,8 @@ def _list_experiments(patterns: Sequence[str], scored: bool, form: Format) -> bo
     from gauge_envs.experiments.variants import (
         beyond_variants,
         matching_variants,
-        own_variants,
         unreadable_task_files,
+        user_variants,
     )
     from gauge_envs.pages.document import Document, Paragraph
     from gauge_envs.pages.text import counted
@@ -100,14 +100,14 @@ def _list_experiments(patterns: Sequence[str], scored: bool, form: Format) -> bo
             dict.fromkeys(
                 f"{variant.family}-*"
                 for variant in beyond_variants()
-                if variant not in own_variants()
+                if variant not in user_variants()
             )
         )
-        own = [variant.name for variant in own_variants()]
+        user_names = [variant.name for variant in user_variants()]
         lines = [
             *(ids.summary() for ids in id_modules()),
             f"Beyond the benchmark: {beyond}",
-            *([f"Of GAUGE_TASKS: {', '.join(own)}"] if own else []),
+            *([f"Of GAUGE_TASKS: {', '.join(user_names)}"] if user_names else []),
             *lines,
         ]
     print_document(Document(parts=[list_table(rows), *map(Paragraph, lines)]), form)

@@ -222,8 +222,8 @@ def step_text(step_s: float) -> str:
 
 def span_text(span: Sequence[float]) -> str:
     """Return the least and the most of some numbers to two digits, once if both are the same."""
-    least, most = (quantity_text(float(f"{value:.2g}")) for value in span)
-    return least if least == most else f"{least} to {most}"
+    smallest, largest = (quantity_text(float(f"{value:.2g}")) for value in span)
+    return smallest if smallest == largest else f"{smallest} to {largest}"
 
 
 def reasons_text(missing: Sequence[str]) -> str:

@@ -70,21 +70,21 @@ class BaselineRow:
     Attributes:
         metric: `rmse`, `dtw`, `lsd`, `mte`, `pd` or `el`.
         unit: Unit of the metric.
-        own: Baseline of the imported trials; None if they do not determine it.
+        imported: Baseline of the imported trials; None if they do not determine it.
         published: Baseline of the paper; None if it prints none.
     """
 
     metric: str
     unit: str
-    own: SpreadRecord | None
+    imported: SpreadRecord | None
     published: Baseline | None
 
     @property
     def difference(self) -> float | None:
         """Own over published mean, minus 1; None if one is missing or the published one is 0."""
-        if self.own is None or self.published is None or not self.published.mean:
+        if self.imported is None or self.published is None or not self.published.mean:
             return None
-        return self.own.mean / self.published.mean - 1.0
+        return self.imported.mean / self.published.mean - 1.0
 
     @property
     def is_flagged(self) -> bool:
@@ -97,9 +97,9 @@ class BaselineRow:
             {
                 "metric": self.metric,
                 "unit": self.unit,
-                "own_mean": self.own and self.own.mean,
-                "own_std": self.own and self.own.std,
-                "own_trial_count": self.own.trial_count if self.own else 0,
+                "own_mean": self.imported and self.imported.mean,
+                "own_std": self.imported and self.imported.std,
+                "own_trial_count": self.imported.trial_count if self.imported else 0,
                 "published_mean": self.published and self.published.mean,
                 "published_std": self.published and self.published.std,
                 "difference": self.difference,
@@ -365,7 +365,7 @@ class _VariantImporter:
             BaselineRow(
                 metric=metric,
                 unit=units[metric],
-                own=SpreadRecord.of(values[metric], units[metric])
+                imported=SpreadRecord.of(values[metric], units[metric])
                 if metric in values
                 else None,
                 published=published.get(metric),
@@ -407,7 +407,9 @@ class _VariantImporter:
                 "\n".join(self._files.values()).encode()
             ).hexdigest(),
             task_sha256=experiment.file_sha256,
-            metrics={row.metric: row.own for row in rows if row.own is not None},
+            metrics={
+                row.metric: row.imported for row in rows if row.imported is not None
+            },
             drivers=tuple(driven.record() for driven in drivers.values()),
             statistics=() if deformation is None else deformation.statistics,
         )

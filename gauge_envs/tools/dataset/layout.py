@@ -311,7 +311,10 @@ def _variant(spec: TaskSpec, folders: Sequence[str]) -> Variant | tuple[str, str
     """Return the variant of the folders around a trial, or what is wrong and what is expected."""
     material, subtask = None, None
     names = {_plain(name): name for name in spec.materials}
-    names |= {_plain(theirs): ours for ours, theirs in spec.metadata_materials.items()}
+    names |= {
+        _plain(dataset_name): material
+        for material, dataset_name in spec.metadata_materials.items()
+    }
     subtasks = ", ".join(f"task-{name}" for name in spec.subtasks) or "no task folder"
     for folder in folders:
         if _plain(folder) in names and material is None:

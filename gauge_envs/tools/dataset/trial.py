@@ -89,15 +89,15 @@ def parse_trial(
         or not isinstance(rate, int | float)
         or rate != FRAME_RATE_HZ
     ):
-        says = "; --rate 30 says that of files without one" if rate is None else ""
+        advice = "; --rate 30 says that of files without one" if rate is None else ""
         raise TrialError(
-            RATE, f"it is {_shown(rate)}", f"{FRAME_RATE_HZ:g} is expected{says}"
+            RATE, f"it is {_shown(rate)}", f"{FRAME_RATE_HZ:g} is expected{advice}"
         )
     scale = MILLIMETRES.get(unit.lower().rstrip("s")) if isinstance(unit, str) else None
     if scale is None:
-        says = "; --unit mm says that of files without one" if unit is None else ""
+        advice = "; --unit mm says that of files without one" if unit is None else ""
         raise TrialError(
-            UNIT, f"it is {_shown(unit)}", f"'mm' is expected, or 'cm' or 'm'{says}"
+            UNIT, f"it is {_shown(unit)}", f"'mm' is expected, or 'cm' or 'm'{advice}"
         )
     poses: dict[str, PoseTrack] = {}
     markers: dict[str, dict[str, FloatArray]] = {}

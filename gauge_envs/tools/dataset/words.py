@@ -53,11 +53,11 @@ def import_document(imports: Sequence[ImportedTrials]) -> Document:
 
 
 def _baselines_table(imports: Sequence[ImportedTrials]) -> Table:
-    def own(row: BaselineRow) -> str:
+    def imported(row: BaselineRow) -> str:
         return (
             "-"
-            if row.own is None
-            else with_unit(_spread(row.own.mean, row.own.std), row.unit)
+            if row.imported is None
+            else with_unit(_spread(row.imported.mean, row.imported.std), row.unit)
         )
 
     def published(row: BaselineRow) -> str:
@@ -74,7 +74,7 @@ def _baselines_table(imports: Sequence[ImportedTrials]) -> Table:
             EXPERIMENT,
             Column("trials", "", place=Place.HEADING),
             Column("row.metric", "metric", METRIC_TITLES.__getitem__),
-            Column("row", "own baseline", own, is_number=True),
+            Column("row", "own baseline", imported, is_number=True),
             Column("row", "published", published, is_number=True),
             Column("row", "difference", difference, is_number=True, style=style),
         ),
@@ -134,11 +134,11 @@ def status_table(rows: Sequence[dict[str, Any]]) -> Table:
         return f"{text}; task file changed" if row["is_current"] is False else text
 
     def baseline(line: Mapping[str, Any]) -> str:
-        own, published = (
+        imported, published = (
             _spread(line[f"{whose}_mean"], line[f"{whose}_std"])
             for whose in ("own", "published")
         )
-        return f"{METRIC_TITLES[line['metric']]} own {own}, published {published}"
+        return f"{METRIC_TITLES[line['metric']]} own {imported}, published {published}"
 
     def drivers(moved: Sequence[Mapping[str, Any]]) -> str:
         return (
@@ -221,7 +221,7 @@ def _baselines(variant: Variant) -> list[dict[str, Any]]:
     published, imported = published_baselines(variant.name), load_imported(variant.name)
     sidecar = bundled_sidecar(variant.name) if imported is None else None
     scores = {} if sidecar is None else {"rmse": sidecar.rmse, "dtw": sidecar.dtw}
-    own = (
+    of_trials = (
         imported.record.metrics
         if imported
         else {metric: score for metric, score in scores.items() if score}
@@ -231,9 +231,9 @@ def _baselines(variant: Variant) -> list[dict[str, Any]]:
             "metric": metric,
             **{
                 f"{whose}_{key}": getattr(spreads.get(metric), key, None)
-                for whose, spreads in (("own", own), ("published", published))
+                for whose, spreads in (("own", of_trials), ("published", published))
                 for key in ("mean", "std")
             },
         }
-        for metric in dict.fromkeys([*published, *own])
+        for metric in dict.fromkeys([*published, *of_trials])
     ]

@@ -412,12 +412,12 @@ def _started(path: Path, model: mujoco.MjModel, scene: Scene) -> Iterator[RigidB
                 start_rates(scene, started, hinge),
                 int(model.joint(body.name).dofadr[0]),
             )
-            own = rates[first : first + len(expected)]
-            moving = _with_rates(model, started, own, parent)
-            is_still = parent is None and is_same(own, expected)
+            body_rates = rates[first : first + len(expected)]
+            moving = _with_rates(model, started, body_rates, parent)
+            is_still = parent is None and is_same(body_rates, expected)
             if not is_still and not is_same(_velocities(moving), _velocities(started)):
                 started = moving
-            own[:] = 0.0
+            body_rates[:] = 0.0
         found[body.name] = started
     yield from (found[body.name] for body in scene.bodies)
     if rates.any():

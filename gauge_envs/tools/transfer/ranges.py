@@ -337,9 +337,9 @@ def _friction(
     material = variant.material or ""
     if variant.family == "SlopeSlider":
         return _trials(part, "friction", SLIDES, material, "friction")
-    own = measured_constants().get(material, {}).get("friction")
-    if own is not None and part == "cube":
-        return _range_of(part, "friction", own)
+    measured = measured_constants().get(material, {}).get("friction")
+    if measured is not None and part == "cube":
+        return _range_of(part, "friction", measured)
     assert isinstance(one.value, float)
     origin = experiment.spec.provenance_of(f"constants.{part}.{material}.friction")
     if experiment.spec.group != "rigid" or not origin.startswith("metadata"):

@@ -266,13 +266,13 @@ def _steps(interval_s: float, step_s: float) -> int:
     return count
 
 
-def _numbers(name: str, text: str, most: int) -> list[float]:
+def _numbers(name: str, text: str, largest_count: int) -> list[float]:
     try:
         values = [float(one) for one in text.split()]
     except ValueError:
         values = []
-    if not 1 <= len(values) <= most:
-        raise ParameterError(f"{name}={text}: expected 1 to {most} numbers")
+    if not 1 <= len(values) <= largest_count:
+        raise ParameterError(f"{name}={text}: expected 1 to {largest_count} numbers")
     return values
 
 

@@ -68,8 +68,8 @@ def _ruling(
     law: str, worst: Sequence[float], limit: float, states: int, sides: Sequence[Side]
 ) -> Ruling:
     right = ""
-    for own, other, side in ((0, 1, sides[0]), (1, 0, sides[1])):
-        if worst[other] > max(limit, LAW_RATIO * worst[own]):
+    for this, other, side in ((0, 1, sides[0]), (1, 0, sides[1])):
+        if worst[other] > max(limit, LAW_RATIO * worst[this]):
             right = side.title
     return Ruling(law=law, before=worst[0], after=worst[1], states=states, right=right)
 

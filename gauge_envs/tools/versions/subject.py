@@ -292,9 +292,9 @@ def _demonstration(path: Path) -> tuple[np.ndarray, str]:
     name, _, chosen = str(path).partition(":")
     content = _content(Path(name))
     script = Path(hdf5_child.__file__)
-    most = str(MOST_STATE_BYTES)
+    largest_bytes = str(MOST_STATE_BYTES)
     try:
-        printed = child_output(script, chosen, most, content=content)
+        printed = child_output(script, chosen, largest_bytes, content=content)
         arrays = npz_arrays(printed, ("states", "model"), MOST_STATE_BYTES, kinds="fU")
     except ValueError as error:
         raise ParameterError(f"{path}: cannot be read as HDF5: {error}") from None

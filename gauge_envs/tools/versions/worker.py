@@ -374,8 +374,8 @@ def segments(model: Any, job: Job) -> Iterator[Segment]:
         if "time" in rows:
             apart_s = rows["time"][1] - rows["time"][0]
             interval = max(1, round(apart_s / model.opt.timestep))
-        most = min(interval * count, 20 * steps)
-        yield Segment("replay", row(rows, 0), rows["ctrl"], most, interval)
+        step_count = min(interval * count, 20 * steps)
+        yield Segment("replay", row(rows, 0), rows["ctrl"], step_count, interval)
 
 
 def run(model: Any, job: Job) -> tuple[dict[str, Any], list[Job]]:

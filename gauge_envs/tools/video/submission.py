@@ -60,13 +60,13 @@ def law_share(result: VideoScore | None, task: VideoTask) -> float:
     if result is None or not result.is_sound:
         return 0.0
     # A cube that stands still needs no force.
-    stands = task.motion is Motion.TURN and way_in_sizes(result.track, task) < 1.0
+    is_still = task.motion is Motion.TURN and way_in_sizes(result.track, task) < 1.0
     shares = []
     for name, law in task.law.items():
         value = result.metrics[name]
         if name == "qfi":
             continue
-        if value is None or stands:
+        if value is None or is_still:
             shares.append(0.0)
         elif name == "de":
             friction_n = task.friction * task.mass_kg * GRAVITY_M_PER_S2

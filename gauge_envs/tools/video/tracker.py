@@ -160,7 +160,7 @@ def followed(candidates: list[list[Sight]], task: VideoTask, fps: float) -> list
     speeds_px = [0.0, 0.0]
     path = []
     for ones in candidates:
-        chosen, most = Sight(), 0.0
+        chosen, best_likeness = Sight(), 0.0
         for one in ones:
             away_px = math.dist(one.place, place + gap * step)
             if task.motion is Motion.FALL:
@@ -172,8 +172,8 @@ def followed(candidates: list[list[Sight]], task: VideoTask, fps: float) -> list
                 # When it was struck between two frames is unknown, and so is the velocity of its first step.
                 is_near = away_px < MOST_STEP * max(task.size_px, lawful_px)
                 cost = 0.0 if is_near else math.inf
-            if one.likeness - cost > most and _is_allowed(one, task):
-                chosen, most = one, one.likeness - cost
+            if one.likeness - cost > best_likeness and _is_allowed(one, task):
+                chosen, best_likeness = one, one.likeness - cost
         path.append(chosen)
         if chosen.likeness > 0.0:
             step, place = (chosen.place - place) / gap, chosen.place

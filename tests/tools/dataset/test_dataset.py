@@ -113,7 +113,7 @@ def test_known_statistics_come_back(name, tmp_path):
     assert_close(band.mean, mean)
     assert_close(band.sigma, sigma)
     assert band.measured.all()
-    spreads = {row.metric: row.own for row in one.rows}
+    spreads = {row.metric: row.imported for row in one.rows}
     # All differences are constant, so that warping in time cannot reduce them.
     for metric in ("rmse", "dtw"):
         spread = spreads[metric]
@@ -198,10 +198,10 @@ def test_events_of_the_pendulum_have_baselines(tmp_path):
     one = import_contents(tmp_path, name, contents)
     rows = {row.metric: row for row in one.rows}
     # The spectrum's peak is interpolated.
-    assert rows["pd"].own.mean == pytest.approx(10 / 9, abs=1e-4)
+    assert rows["pd"].imported.mean == pytest.approx(10 / 9, abs=1e-4)
     assert rows["pd"].published == published_baselines(name)["pd"]
     assert not rows["pd"].is_flagged
-    assert rows["el"].own.mean == pytest.approx(0.0, abs=1e-6)
+    assert rows["el"].imported.mean == pytest.approx(0.0, abs=1e-6)
     assert rows["el"].difference is None  # the published mean is 0
 
 
@@ -238,9 +238,13 @@ def test_published_baselines_come_out_of_the_importer(tmp_path):
         facts = tomllib.loads(text)
         for row in one.rows:
             stated = facts[row.metric]["mean"], facts[row.metric]["std"]
-            assert (row.own.mean, row.own.std) == pytest.approx(stated, abs=1e-6)
+            assert (row.imported.mean, row.imported.std) == pytest.approx(
+                stated, abs=1e-6
+            )
             assert row.published == published_baselines(name)[row.metric]
-            assert row.is_flagged == (abs(row.own.mean / row.published.mean - 1) > 0.05)
+            assert row.is_flagged == (
+                abs(row.imported.mean / row.published.mean - 1) > 0.05
+            )
         mine, theirs = band_of(name), bundled[name]
         assert mine.trial_count == theirs.trial_count
         assert_close(mine.mean @ theirs.projection.T, theirs.mean, 1e-6)

@@ -225,7 +225,7 @@ def _one_step(aim: Aim, restitution: float) -> dict[str, Any]:
         # The same damping would reverse the tangential velocity too.
         "solreffriction": (
             0.0,
-            -next(share for most, share in TANGENTIAL_SHARES if restitution <= most)
+            -next(share for limit, share in TANGENTIAL_SHARES if restitution <= limit)
             / step,
         ),
         "solimp": (impedance, impedance, 0.001, 0.5, 2.0),

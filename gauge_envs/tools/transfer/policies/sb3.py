@@ -171,7 +171,7 @@ def _actor(tensors: Mapping[str, Any]) -> tuple[str, tuple[str | None, str, bool
     for hidden, rest in ACTORS.items():
         if not any(key.startswith(hidden) for key in tensors):
             continue
-        own = hidden.partition(".")[0] + "."
+        actor_prefix = hidden.partition(".")[0] + "."
         known = (
             hidden,
             *filter(None, [rest[0]]),
@@ -183,7 +183,7 @@ def _actor(tensors: Mapping[str, Any]) -> tuple[str, tuple[str | None, str, bool
         extra = [
             key
             for key in tensors
-            if key.startswith((own, "features", "pi_features"))
+            if key.startswith((actor_prefix, "features", "pi_features"))
             and not key.startswith(known)
         ]
         if extra:

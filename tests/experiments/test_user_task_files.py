@@ -13,7 +13,7 @@ from gauge_envs import GaugeEnv, beyond_variants, variants
 from gauge_envs.errors import ParameterError, TaskFileError
 from gauge_envs.experiments import variants as module
 from gauge_envs.experiments.task_files import task_spec
-from gauge_envs.experiments.variants import find_subject, own_variants
+from gauge_envs.experiments.variants import find_subject, user_variants
 
 PAGE = (ROOT / "docs/adding_an_experiment.md").read_text(encoding="utf-8")
 (PUCK,) = re.findall(
@@ -57,7 +57,7 @@ def test_a_folder_makes_its_ids_known_and_the_benchmark_stays(own, tmp_path, gau
     for _ in range(15):
         *_, truncated, info = env.step(0)
     assert truncated and info["score"].grade == "none"
-    assert [one.name for one in own_variants()] == [NAME]
+    assert [one.name for one in user_variants()] == [NAME]
     assert len(variants()) == counted
     listed = gauge("list")
     assert not listed.exit_code
@@ -114,4 +114,4 @@ def test_what_is_wrong_is_said(own, tmp_path, approved):
     lines.append(f"GAUGE_TASKS=gone\n    {caught.value}")
     with pytest.warns(UserWarning, match="GAUGE_TASKS names it, and it does not exist"):
         gauge_envs.register_all()
-    approved("experiments/own_task_files", "\n".join(lines))
+    approved("experiments/user_task_files", "\n".join(lines))
