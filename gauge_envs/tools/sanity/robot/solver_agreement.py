@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-import copy
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -167,10 +169,8 @@ class _Other:
     """
 
     def __init__(self, model: mujoco.MjModel, **settings: float) -> None:
-        self._model = copy.copy(model)
-        for name, value in settings.items():
-            setattr(self._model.opt, name, value)
-        self.data = mujoco.MjData(self._model)
+        self._model, self._settings = model, settings
+        self.data = mujoco.MjData(model)
 
     def solve(self, state: FloatArray) -> FloatArray:
         """Return the accelerations at a state.
@@ -181,7 +181,8 @@ class _Other:
         mujoco.mj_setState(self._model, self.data, state, INTEGRATION)
         self.data.warning.number[:] = 0
         try:
-            mujoco.mj_forward(self._model, self.data)
+            with self._set():
+                mujoco.mj_forward(self._model, self.data)
         except mujoco.FatalError as error:
             raise NotMeasuredError(" ".join(str(error).split())) from error
         # Constraints are left out where memory ends.
@@ -191,12 +192,26 @@ class _Other:
 
     def is_solved(self) -> bool:
         """Return whether the last solution is at its end: its forces are balanced."""
-        left = imbalance(self._model, self.data)
-        # Forces of PGS are balanced at each iteration, and the integrator `discrete` has another balance.
-        if np.isnan(left) or self._model.opt.solver == mujoco.mjtSolver.mjSOL_PGS:
-            iterations = np.max(self.data.solver_niter, initial=0)
-            return bool(iterations < self._model.opt.iterations)
-        return left <= BALANCED
+        with self._set() as option:
+            left = imbalance(self._model, self.data)
+            # Forces of PGS are balanced at each iteration, and the integrator `discrete` has another balance.
+            if np.isnan(left) or option.solver == mujoco.mjtSolver.mjSOL_PGS:
+                iterations = np.max(self.data.solver_niter, initial=0)
+                return bool(iterations < option.iterations)
+            return left <= BALANCED
+
+    @contextmanager
+    def _set(self) -> Iterator[Any]:
+        """Give the model the settings for a while: meshes make copies of it slow."""
+        option = self._model.opt
+        before = {name: getattr(option, name) for name in self._settings}
+        for name, value in self._settings.items():
+            setattr(option, name, value)
+        try:
+            yield option
+        finally:
+            for name, value in before.items():
+                setattr(option, name, value)
 
 
 class _Layout:
