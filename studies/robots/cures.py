@@ -1,6 +1,7 @@
 """Apply cures of `gauge sanity` to robots of makers: `python -m studies.robots.cures LIST.csv 'robot-*'`.
 
-It writes cures.csv. LIST.csv is that of `makers.py`; without patterns all rows are checked. Models before and after are
+It writes the rows of these models into cures.csv, each as soon as it is known; others stay. LIST.csv is that of
+`makers.py`; without patterns all rows are checked. Models before and after are
 run by MuJoCo alone: held for 2 s at their keyframe, one servo after the other with a step of its command, and with a
 push. A robot that floats makes its steps in the air, as the ground holds its feet. Motors without a servo get one here,
 the same before and after.
@@ -9,6 +10,7 @@ the same before and after.
 import csv
 import sys
 import time
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -86,6 +88,7 @@ class Held:
         mujoco.mj_resetData(self.model, self.data)
         if self.model.nkey:
             mujoco.mj_resetDataKeyframe(self.model, self.data, 0)
+        self.data.time = 0.0
         mujoco.mj_forward(self.model, self.data)
         self.start = self.data.qpos[self._places].copy()
         self.goal = self.start.copy()
@@ -137,16 +140,14 @@ class Held:
             if self.model.jnt_limited[joint] and self.start[number] + STEP_RAD > high:
                 sign = -1.0
             self.goal[number] += sign * STEP_RAD
-            end_s = self.data.time + STEP_S
-            begin_s = self.data.time
-            while self.data.time < end_s:
+            while self.data.time < STEP_S:
                 self.step()
                 moved = sign * (
                     self.data.qpos[self._places[number]] - self.start[number]
                 )
                 if moved >= 0.5 * STEP_RAD:
                     break
-            slowest = max(slowest, float(self.data.time - begin_s))
+            slowest = max(slowest, float(self.data.time))
         return slowest
 
 
@@ -196,17 +197,26 @@ def applied(path: Path, only: list[str]) -> dict[str, str]:
     return row
 
 
+def renew(table: Path, columns: Sequence[str], fresh: Iterable[dict[str, str]]) -> None:
+    """Write rows into a table as they come, each in the place of the one with the same first columns; others stay."""
+    keys = columns[: columns.index("rows" if "rows" in columns else "row")]
+    with table.open(encoding="utf-8") as stream:
+        rows = {tuple(map(row.get, keys)): row for row in csv.DictReader(stream)}
+    for row in fresh:
+        rows[tuple(map(row.get, keys))] = row
+        with table.open("w", encoding="utf-8", newline="") as stream:
+            writer = csv.DictWriter(
+                stream, columns, extrasaction="ignore", lineterminator="\n"
+            )
+            writer.writeheader()
+            writer.writerows(rows.values())
+
+
 def main(listing: Path, only: list[str]) -> None:
-    """Write the table of all models of a list."""
+    """Write the rows of all models of a list."""
     with listing.open(encoding="utf-8") as stream:
         models = list(csv.DictReader(stream))
-    with TABLE.open("w", encoding="utf-8", newline="") as stream:
-        writer = csv.DictWriter(stream, COLUMNS, lineterminator="\n")
-        writer.writeheader()
-        for model in models:
-            path = Path(model.pop("path"))
-            writer.writerow(model | applied(path, only))
-            stream.flush()
+    renew(TABLE, COLUMNS, (one | applied(Path(one["path"]), only) for one in models))
 
 
 if __name__ == "__main__":
