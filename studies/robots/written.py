@@ -1,7 +1,8 @@
 """Cure the mistakes written into the tests' own robots: `python -m studies.robots.written [PATTERN]`.
 
-It writes the rows of matching mistakes, as 'arm*', into written.csv, each as soon as it is known; others stay. Each mistake of `tests/tools/sanity/more_faults.py` is checked by the rows of the robot, its cure is applied, and the
-robots before, after and without the mistake are run by MuJoCo alone, as in `cures.py`.
+It writes the rows of matching mistakes, as 'arm*', into written.csv, each as soon as it is known; others stay. Each
+mistake of `tests/tools/sanity/more_faults.py` is checked by the rows of the robot, its cure is applied, and the robots
+before, after and without the mistake are run by MuJoCo alone, as in `cures.py`.
 """
 
 import sys
