@@ -198,7 +198,7 @@ def compare(
     others = [
         pattern
         for pattern in patterns_of(only)
-        if not any(matches(name, [pattern]) for name in stated)
+        if not any(matches(name, [pattern]) for name in (STEP_ID, *stated))
     ]
     chosen: tuple[str, ...] = ()
     if others or not only:

@@ -49,7 +49,7 @@ def test_the_friction_of_a_foot_is_the_stated_one_times_what_slides():
 
 def test_step_and_gravity_are_compared():
     fault = Planted(option={"timestep": "0.004", "gravity": "0 0 -9"})
-    found = rows(compare(model(), model(fault), only=["gravity"]))
+    found = rows(compare(model(), model(fault), only=["step,gravity"]))
     assert set(found) == {"step", "gravity"}
     assert (found["step"].trained, found["step"].deployed) == (0.002, 0.004)
     assert found["step"].change is Change.VISIBLE
