@@ -22,16 +22,16 @@ class Planted:
     """One fault.
 
     Attributes:
-        culprits: Names of settings, one of which must be named as the cause.
-        rows: Rows in which it must show.
+        culprits: Names of settings with blanks between them, one of which must be named as the cause.
+        rows: Rows in which it must show, with blanks between them.
         option: Attributes of `<option>` that replace the recommended ones.
         flag: Attributes of `<option><flag>`.
         geom: Attributes of `<default><geom>` that replace the recommended ones.
         foot: Attributes of the foot's own geom.
     """
 
-    culprits: tuple[str, ...] = ()
-    rows: tuple[str, ...] = ()
+    culprits: str = ""
+    rows: str = ""
     option: dict[str, str] = field(default_factory=dict)
     flag: dict[str, str] = field(default_factory=dict)
     geom: dict[str, str] = field(default_factory=dict)
@@ -40,34 +40,34 @@ class Planted:
 
 PLANTED = {
     "gravity_9": Planted(
-        culprits=("gravity",), rows=("gravity",), option={"gravity": "0 0 -9"}
+        culprits="gravity", rows="gravity", option={"gravity": "0 0 -9"}
     ),
     "gravity_tilted": Planted(
-        culprits=("gravity",), rows=("gravity",), option={"gravity": "0.86 0 -9.77"}
+        culprits="gravity", rows="gravity", option={"gravity": "0.86 0 -9.77"}
     ),
     "pyramidal_and_soft": Planted(
-        culprits=("contact_solimp", "cone", "impratio"),
-        rows=("creep-wood",),
+        culprits="contact_solimp cone impratio",
+        rows="creep-wood",
         option={"cone": "pyramidal", "impratio": "1"},
         geom={"solref": "0.02 1", "solimp": "0.5 0.9 0.01"},
     ),
     "solimp_from_zero": Planted(
-        culprits=("contact_solimp",),
-        rows=("rest-height",),
+        culprits="contact_solimp",
+        rows="rest-height",
         geom={"solref": "0.02 1", "solimp": "0 0.8 0.01"},
     ),
     "step_20_ms": Planted(
-        culprits=("timestep_s",), rows=("point",), option={"timestep": "0.02"}
+        culprits="timestep_s", rows="point", option={"timestep": "0.02"}
     ),
     "margin_1_cm": Planted(
-        culprits=("contact_margin_m",), rows=("rest-height",), geom={"margin": "0.01"}
+        culprits="contact_margin_m", rows="rest-height", geom={"margin": "0.01"}
     ),
     "pyramidal": Planted(
-        culprits=("cone",), rows=("slide-turned",), option={"cone": "pyramidal"}
+        culprits="cone", rows="slide-turned", option={"cone": "pyramidal"}
     ),
     "one_iteration": Planted(
-        culprits=("iterations", "cone"),
-        rows=("slide-wood",),
+        culprits="iterations cone",
+        rows="slide-wood",
         option={
             "iterations": "1",
             "ls_iterations": "5",
@@ -76,26 +76,26 @@ PLANTED = {
         },
     ),
     "soft_solref": Planted(
-        culprits=("contact_solref",), rows=("rest-height",), geom={"solref": "0.2 1"}
+        culprits="contact_solref", rows="rest-height", geom={"solref": "0.2 1"}
     ),
     "negative_solref": Planted(
-        culprits=("contact_solref",), rows=("rest-height",), geom={"solref": "-50 -14"}
+        culprits="contact_solref", rows="rest-height", geom={"solref": "-50 -14"}
     ),
     "no_impratio": Planted(
-        culprits=("impratio",), rows=("creep-wood",), option={"impratio": "0.01"}
+        culprits="impratio", rows="creep-wood", option={"impratio": "0.01"}
     ),
     "refsafe_off": Planted(
-        culprits=("refsafe", "contact_solref", "timestep_s"),
-        rows=("creep-wood",),
+        culprits="refsafe contact_solref timestep_s",
+        rows="creep-wood",
         flag={"refsafe": "disable"},
         geom={"solref": "0.001 1"},
     ),
     "slippery_override": Planted(
-        culprits=("o_friction",), rows=("creep-wood",), flag={"override": "enable"}
+        culprits="o_friction", rows="creep-wood", flag={"override": "enable"}
     ),
     "soft_foot": Planted(
-        culprits=("contact_solref",),
-        rows=("rest-height",),
+        culprits="contact_solref",
+        rows="rest-height",
         foot={"priority": "1", "solref": "0.2 1"},
     ),
 }

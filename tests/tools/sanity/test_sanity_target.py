@@ -50,6 +50,11 @@ HEAP = """
 """
 
 
+def built(experiment, settings=None, engine="mujoco"):
+    """Return the simulation of an experiment with settings."""
+    return backend(engine).build(load_experiment(experiment).scene, settings)
+
+
 def heap(*, option="", flag=""):
     return mujoco.MjModel.from_xml_string(HEAP.format(option=option, flag=flag))
 
@@ -131,15 +136,13 @@ def test_every_option_of_a_model_reaches_the_built_model():
         "island='disable' diagexact='enable' sleep='enable' speculative='enable'",
     )
     settings = dict(configuration(model).settings)
-    built = backend("mujoco").build(
-        load_experiment("SlopeSlider-1-wood").scene,
-        settings | {"drive_interval_s": settings["timestep_s"]},
-    )
+    interval = {"drive_interval_s": settings["timestep_s"]}
+    simulation = built("SlopeSlider-1-wood", settings | interval)
     for name in dir(model.opt):
         given = getattr(model.opt, name)
         if not name.startswith("_") and name != "gravity" and not callable(given):
             np.testing.assert_array_equal(
-                getattr(built.model.opt, name), given, err_msg=name
+                getattr(simulation.model.opt, name), given, err_msg=name
             )
 
 
@@ -152,22 +155,22 @@ def test_contact_constants_of_a_model_reach_every_contact():
     assert settings["torsional_friction_m"] == 0.01
     for variant in ("SlopeSlider-1-wood", "BouncingBall-rubber", "WallBreaking-wood"):
         scene = load_experiment(variant).scene
-        built = (
-            backend("mujoco").build(scene, settings | {"drive_interval_s": 0.002}).model
-        )
-        assert built.npair == sum(
+        model_of = built(variant, settings | {"drive_interval_s": 0.002}).model
+        assert model_of.npair == sum(
             len(list(scene.colliding_pairs(contact))) for contact in scene.contacts
         )
         for field in ("solref", "solreffriction", "solimp", "margin", "gap", "dim"):
             expected = np.broadcast_to(
-                getattr(model, f"pair_{field}"), getattr(built, f"pair_{field}").shape
+                getattr(model, f"pair_{field}"),
+                getattr(model_of, f"pair_{field}").shape,
             )
-            np.testing.assert_array_equal(getattr(built, f"pair_{field}"), expected)
+            np.testing.assert_array_equal(getattr(model_of, f"pair_{field}"), expected)
         # What slides is a real object: only the other coefficients are the model's.
         np.testing.assert_allclose(
-            built.pair_friction[:, 2:], np.tile([0.01, 0.002, 0.002], (built.npair, 1))
+            model_of.pair_friction[:, 2:],
+            np.tile([0.01, 0.002, 0.002], (model_of.npair, 1)),
         )
-        assert set(built.pair_friction[:, 0]) == {
+        assert set(model_of.pair_friction[:, 0]) == {
             contact.friction for contact in scene.contacts
         }
 
@@ -179,9 +182,7 @@ def test_a_wall_of_bricks_has_the_constants_in_its_broad_phase_too():
         "contact_gap_m": 0.002,
         "condim": 4,
     }
-    simulation = backend("mujoco").build(
-        load_experiment("WallBreaking-wood").scene, settings
-    )
+    simulation = built("WallBreaking-wood", settings)
     simulation.advance(1 / 180)
     bricks = {simulation.model.geom(name).id for name in ("brick-1", "brick-2")}
     assert bricks <= set(np.unique(simulation.data.contact.geom))
@@ -198,29 +199,24 @@ def test_a_wall_of_bricks_has_the_constants_in_its_broad_phase_too():
 
 
 def test_friction_settings():
-    scene = load_experiment("SlopeSlider-1-wood").scene
-    real = backend("mujoco").build(scene).model.pair_friction
-    scaled = backend("mujoco").build(scene, {"friction_scale": 0.5}).model.pair_friction
-    np.testing.assert_allclose(scaled[:, :2], 0.5 * real[:, :2])
-    given = (
-        backend("mujoco")
-        .build(scene, {"o_friction": [0.1, 0.2, 0.3, 0.4, 0.5]})
-        .model.pair_friction
+    real, scaled, given = (
+        built("SlopeSlider-1-wood", settings).model.pair_friction
+        for settings in (
+            {},
+            {"friction_scale": 0.5},
+            {"o_friction": [0.1, 0.2, 0.3, 0.4, 0.5]},
+        )
     )
+    np.testing.assert_allclose(scaled[:, :2], 0.5 * real[:, :2])
     np.testing.assert_allclose(
         given, np.tile([0.1, 0.2, 0.3, 0.4, 0.5], (len(real), 1))
     )
 
 
 def test_restitution_ends_where_contacts_are_given():
-    recipe = backend("mujoco").build(load_experiment("BouncingBall-rubber").scene).model
-    given = (
-        backend("mujoco")
-        .build(
-            load_experiment("BouncingBall-rubber").scene,
-            {"contact_solref": [0.02, 1.0]},
-        )
-        .model
+    recipe, given = (
+        built("BouncingBall-rubber", settings).model
+        for settings in ({}, {"contact_solref": [0.02, 1.0]})
     )
     assert (recipe.pair_solref[:, 1] < -1.0).all()
     assert given.pair_solref.tolist() == [[0.02, 1.0]]
@@ -474,10 +470,8 @@ def test_a_wrong_file_is_named_with_its_key(tmp_path, name, text, message):
 
 
 def test_a_training_step_runs_with_a_drive_interval_of_its_own():
-    scene = load_experiment("BouncingBall-rubber").scene
-    simulation = backend("mujoco").build(
-        scene, {"timestep_s": 0.003, "drive_interval_s": 0.003}
-    )
+    settings = {"timestep_s": 0.003, "drive_interval_s": 0.003}
+    simulation = built("BouncingBall-rubber", settings)
     for _ in range(50):
         simulation.advance(0.003)
     assert simulation.data.time == pytest.approx(0.15)
@@ -498,7 +492,7 @@ def test_a_step_must_divide_the_drive_interval(settings):
         ParameterError,
         match=r"'timestep_s': drive_interval_s, 1/\d+\.?\d* s, is .* steps",
     ):
-        backend("mujoco").build(load_experiment("BouncingBall-rubber").scene, settings)
+        built("BouncingBall-rubber", settings)
 
 
 # --- the whole chain --------------------------------------------------------------------------------------------------

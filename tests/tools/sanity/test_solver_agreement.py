@@ -52,73 +52,63 @@ def test_the_faulty_release_is_named_on_an_articulated_pile(seed):
     assert value > 0.1 if mujoco.__version__ == FAULTY else value < 1e-6
 
 
-def test_a_solver_that_scales_accelerations_in_one_layout_is_named(monkeypatch):
-    xml = pile(3, 2, 0)
-    assert found(xml).value < 1e-6
+def is_sparse(model, data):
+    return mujoco.mj_isSparse(model) and data.ncon
+
+
+def is_cg(model, data):
+    return model.opt.solver == mujoco.mjtSolver.mjSOL_CG
+
+
+def is_threaded(model, data):
+    return data.threadpool
+
+
+def is_pgs(model, data):
+    return model.opt.solver == mujoco.mjtSolver.mjSOL_PGS
+
+
+# Scaled as a whole, the forces stay balanced.
+BALANCED = ("qacc", "qfrc_smooth", "qfrc_constraint")
+SCALED = [
+    ("sparse", is_sparse, 1.01, ["qacc"], 'jacobian="dense"'),
+    ("dense", is_cg, 0.99, BALANCED, "Newton and CG part by 0.01"),
+    ("dense", is_threaded, 1.01, ["qacc"], "one thread and two part by 0.0099"),
+]
+
+
+def scale(monkeypatch, is_scaled, factor, arrays):
     forward = mujoco.mj_forward
 
     def scaled(model, data):
         forward(model, data)
-        if mujoco.mj_isSparse(model) and data.ncon:
-            data.qacc[:] *= 1.01
+        for name in arrays if is_scaled(model, data) else ():
+            getattr(data, name)[:] *= factor
 
     monkeypatch.setattr(mujoco, "mj_forward", scaled)
-    one = found(xml)
-    assert one.value == pytest.approx(0.01, rel=0.05)
-    assert 'jacobian="dense"' in one.advice
 
 
-def test_a_solver_that_stops_elsewhere_is_named_in_a_dense_model(monkeypatch):
-    """CG to the end gives what Newton gives; planted, 1 % less."""
-    xml = pile(3, 2, 0).replace("sparse", "dense")
+@pytest.mark.parametrize(("layout", "is_scaled", "factor", "arrays", "words"), SCALED)
+def test_a_solver_with_other_accelerations_is_named(
+    layout, is_scaled, factor, arrays, words, monkeypatch
+):
+    """Layouts, solvers that go to the end, and threads give the same; planted, 1 % more or less."""
+    xml = pile(3, 2, 0).replace("sparse", layout)
     good = found(xml)
-    assert (good.value, good.advice) == (0.0, "")
-    forward = mujoco.mj_forward
-
-    def scaled(model, data):
-        forward(model, data)
-        # Scaled as a whole, the forces stay balanced.
-        if model.opt.solver == mujoco.mjtSolver.mjSOL_CG:
-            for name in ("qacc", "qfrc_smooth", "qfrc_constraint"):
-                getattr(data, name)[:] *= 0.99
-
-    monkeypatch.setattr(mujoco, "mj_forward", scaled)
+    assert good.value < 1e-6 and not good.advice
+    scale(monkeypatch, is_scaled, factor, arrays)
     one = found(xml)
     assert one.value == pytest.approx(0.01, rel=0.05)
-    assert "Newton and CG part by 0.01" in one.remark
-    assert "dense" not in one.advice
-
-
-def test_threads_that_give_other_accelerations_are_named(monkeypatch):
-    xml = pile(3, 2, 0).replace("sparse", "dense")
-    assert found(xml).value == 0.0
-    forward = mujoco.mj_forward
-
-    def scaled(model, data):
-        forward(model, data)
-        if data.threadpool:
-            data.qacc[:] *= 1.01
-
-    monkeypatch.setattr(mujoco, "mj_forward", scaled)
-    one = found(xml)
-    assert one.value == pytest.approx(0.01, rel=0.05)
-    assert "one thread and two part by 0.0099" in one.remark
+    assert words in one.remark + one.advice
+    assert layout == "sparse" or "dense" not in one.advice
 
 
 @pytest.mark.parametrize("cone", ["pyramidal", "elliptic"])
 def test_pgs_is_compared_where_it_converges(cone, monkeypatch):
     xml = pile(2, 0, 0).replace('"sparse"', f'"dense" cone="{cone}"')
     assert found(xml).value == 0.0
-    forward = mujoco.mj_forward
-
-    def scaled(model, data):
-        forward(model, data)
-        if model.opt.solver == mujoco.mjtSolver.mjSOL_PGS:
-            data.qacc[:] *= 0.99
-
-    monkeypatch.setattr(mujoco, "mj_forward", scaled)
-    is_named = "Newton and PGS" in found(xml).remark
-    assert is_named == (cone == "pyramidal")
+    scale(monkeypatch, is_pgs, 0.99, ["qacc"])
+    assert ("Newton and PGS" in found(xml).remark) == (cone == "pyramidal")
 
 
 def test_a_model_without_memory_for_dense_matrices_is_not_measured():
