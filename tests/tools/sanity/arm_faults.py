@@ -70,100 +70,115 @@ def replaced(old: str, new: str, count: int = 0):
     return change
 
 
+def planted(mistakes):
+    """Return each mistake as a function that changes a model, and the row that names it.
+
+    Args:
+        mistakes: Row, and the function, or the pattern that is replaced and its new text, by name.
+    """
+    found = {}
+    for name, (row, *change) in mistakes.items():
+        is_function = callable(change[0])
+        found[name] = change[0] if is_function else replaced(*change), row
+    return found
+
+
 DEGREE = 57.29577951308232
 
-MISTAKES = {
-    "armature of 50": (replaced('armature="0.1"', 'armature="50"'), "robot-armature"),
-    "a wrist without armature": (
-        replaced('(name="joint6".*?)armature="0.1"', r'\1armature="0"'),
-        "robot-rotor",
-    ),
-    "kp per degree": (scaled("kp", 1 / DEGREE), "robot-sag"),
-    "kp times 57": (scaled("kp", DEGREE), "robot-stiffness"),
-    "torque of half a newton metre": (
-        replaced('forcerange="[^"]*"', 'forcerange="-.5 .5"'),
-        "robot-torque",
-    ),
-    "friction of 60 Nm in a wrist": (
-        replaced('frictionloss="1.0"', 'frictionloss="60"'),
-        "robot-frictionloss",
-    ),
-    "damping of 400": (replaced('damping="1"', 'damping="400"'), "robot-damping"),
-    "degrees read as radians": (
-        replaced("<option", '<compiler angle="radian"/><option'),
-        "robot-range",
-    ),
-    "radians read as degrees": (scaled("range", 1 / DEGREE), "robot-range"),
-    "limits off": (
-        replaced('(<joint[^>]*)range="', r'\1limited="false" range="'),
-        "robot-unlimited",
-    ),
-    "negative damping": (replaced('damping="1"', 'damping="-1"'), "robot-damping"),
-    "density in g/cm^3": (
-        replaced('density="1000"', 'density="1"'),
-        "robot-density",
-    ),
-    "inertia over 1000": (
-        replaced(
+MISTAKES = planted(
+    {
+        "armature of 50": ("robot-armature", 'armature="0.1"', 'armature="50"'),
+        "a wrist without armature": (
+            "robot-rotor",
+            '(name="joint6".*?)armature="0.1"',
+            r'\1armature="0"',
+        ),
+        "kp per degree": ("robot-sag", scaled("kp", 1 / DEGREE)),
+        "kp times 57": ("robot-stiffness", scaled("kp", DEGREE)),
+        "torque of half a newton metre": (
+            "robot-torque",
+            'forcerange="[^"]*"',
+            'forcerange="-.5 .5"',
+        ),
+        "friction of 60 Nm in a wrist": (
+            "robot-frictionloss",
+            'frictionloss="1.0"',
+            'frictionloss="60"',
+        ),
+        "damping of 400": ("robot-damping", 'damping="1"', 'damping="400"'),
+        "degrees read as radians": (
+            "robot-range",
+            "<option",
+            '<compiler angle="radian"/><option',
+        ),
+        "radians read as degrees": ("robot-range", scaled("range", 1 / DEGREE)),
+        "limits off": (
+            "robot-unlimited",
+            '(<joint[^>]*)range="',
+            r'\1limited="false" range="',
+        ),
+        "negative damping": ("robot-damping", 'damping="1"', 'damping="-1"'),
+        "density in g/cm^3": ("robot-density", 'density="1000"', 'density="1"'),
+        "inertia over 1000": (
+            "robot-inertia",
             '(<geom name="link2")',
             r'<inertial pos="0 0 .2" mass="4" diaginertia="6e-5 6e-5 2e-5"/>\1',
         ),
-        "robot-inertia",
-    ),
-}
+    }
+)
 """Mistakes that were known while the rows were written: what changes the model, and the row that names it."""
 
-LATER = {
-    "armature in kg cm^2": (
-        replaced('armature="0.1"', 'armature="1000"'),
-        "robot-armature",
-    ),
-    "a shoulder without armature": (
-        replaced('(name="joint2".*?)armature="0.1"', r'\1armature="0"'),
-        "robot-rotor",
-    ),
-    "kv times 57": (scaled("kv", DEGREE), "robot-lag"),
-    "gear of a hundredth": (
-        replaced('forcerange="-([0-9]+) [0-9]+"', r'gear=".01" forcerange="-\1 \1"'),
-        "robot-torque",
-    ),
-    "torque in kN m": (scaled("forcerange", 1e-3), "robot-torque"),
-    "friction in N cm": (scaled("frictionloss", 100.0), "robot-frictionloss"),
-    "damping per degree": (scaled("damping", 100.0 * DEGREE), "robot-damping"),
-    "one joint with negative damping": (
-        replaced('(name="joint4".*?)damping="1"', r'\1damping="-2"'),
-        "robot-damping",
-    ),
-    "links in grams": (replaced('density="1000"', 'mass="3000"'), "robot-density"),
-    "inertia in kg cm^2": (
-        replaced(
+LATER = planted(
+    {
+        "armature in kg cm^2": ("robot-armature", 'armature="0.1"', 'armature="1000"'),
+        "a shoulder without armature": (
+            "robot-rotor",
+            '(name="joint2".*?)armature="0.1"',
+            r'\1armature="0"',
+        ),
+        "kv times 57": ("robot-lag", scaled("kv", DEGREE)),
+        "gear of a hundredth": (
+            "robot-torque",
+            'forcerange="-([0-9]+) [0-9]+"',
+            r'gear=".01" forcerange="-\1 \1"',
+        ),
+        "torque in kN m": ("robot-torque", scaled("forcerange", 1e-3)),
+        "friction in N cm": ("robot-frictionloss", scaled("frictionloss", 100.0)),
+        "damping per degree": ("robot-damping", scaled("damping", 100.0 * DEGREE)),
+        "one joint with negative damping": (
+            "robot-damping",
+            '(name="joint4".*?)damping="1"',
+            r'\1damping="-2"',
+        ),
+        "links in grams": ("robot-density", 'density="1000"', 'mass="3000"'),
+        "inertia in kg cm^2": (
+            "robot-inertia",
             '(<geom name="link3")',
             r'<inertial pos="0 0 .17" mass="3" diaginertia="300 300 40"/>\1',
         ),
-        "robot-inertia",
-    ),
-    "inertia of a point": (
-        replaced(
+        "inertia of a point": (
+            "robot-inertia",
             '(<geom name="link5")',
             r'<inertial pos="0 0 .05" mass="1" diaginertia="1e-9 1e-9 1e-9"/>\1',
         ),
-        "robot-inertia",
-    ),
-    "limits of the wrist alone": (
-        replaced('(<joint[^>]*)range="-1[27]0 1[27]0"', r"\1"),
-        "robot-unlimited",
-    ),
-    "bound of the mass": (
-        replaced("<option", '<compiler boundmass="5"/><option'),
-        "robot-bound",
-    ),
-    "a step of 20 ms with explicit servos": (
-        lambda text: replaced("implicitfast", "Euler")(
-            replaced('timestep="0.002"', 'timestep="0.02"')(text)
+        "limits of the wrist alone": (
+            "robot-unlimited",
+            '(<joint[^>]*)range="-1[27]0 1[27]0"',
+            r"\1",
         ),
-        "robot-servo",
-    ),
-}
+        "bound of the mass": (
+            "robot-bound",
+            "<option",
+            '<compiler boundmass="5"/><option',
+        ),
+        "a step of 20 ms with explicit servos": (
+            "robot-servo",
+            lambda text: replaced("implicitfast", "Euler")(
+                replaced('timestep="0.002"', 'timestep="0.02"')(text)
+            ),
+        ),
+    }
+)
 """Mistakes that were written after the rows and their limits."""
 
 

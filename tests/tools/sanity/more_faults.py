@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import arm_faults
 import robot_faults
-from arm_faults import DEGREE, replaced, scaled
+from arm_faults import DEGREE, planted, replaced, scaled
 
 DEFAULTS = """<option timestep="0.002" integrator="implicitfast" cone="elliptic" impratio="100"/>
   <default><geom friction="0.8 0.005 0.0001" solref="0.004 1" solimp="0.95 0.95 0.001"/></default>"""
@@ -126,211 +126,214 @@ def several(*changes):
 KNEES = replaced('(_knee" axis="0 )1( 0")', r"\1-1\2")
 SOFT = 'solreflimit="0.5 1" solimplimit="0.5 0.6 0.01"'
 
-MISTAKES = {
-    "arm, visual geoms counted in the mass": (
-        several(*(drawn(f"link{n}") for n in (1, 2, 3))),
-        "robot-visual-mass",
-    ),
-    "arm, soft limits": (replaced("<joint ", f"<joint {SOFT} "), "robot-stops"),
-    "arm, limits switched off": (
-        replaced("(<option[^>]*)/>", r'\1><flag limit="disable"/></option>'),
-        "robot-unlimited",
-    ),
-    "arm, under water": (option('density="1000" viscosity="0.001"'), "robot-medium"),
-    "arm, lengths in millimetres": (millimetres, "robot-size"),
-    "quadruped, wind": (option('density="1.2" wind="20 0 0"'), "robot-medium"),
-    "quadruped, torsional friction of 0.8 m": (
-        replaced('friction="0.8 0.005', 'condim="4" friction="0.8 0.8'),
-        "robot-torsion",
-    ),
-    "quadruped, negative damping": (
-        replaced('damping="0.5"', 'damping="-0.5"'),
-        "robot-damping",
-    ),
-    "biped, a reversed knee": (
-        replaced('(left_knee" axis="0 )1', r"\1-1"),
-        "robot-mirror",
-    ),
-    "biped, both knees reversed": (KNEES, "robot-balance"),
-    "biped, uneven feet": (
-        replaced('(left_foot" pos="0 0 )-.35', r"\1-.31"),
-        "robot-level",
-    ),
-    "biped, feet that cannot collide": (
-        replaced('(<geom name="left_foot")', r'\1 contype="0" conaffinity="0"'),
-        "robot-feet",
-    ),
-    "hand, friction of 0.05": (
-        replaced('friction="1 0', 'friction="0.05 0'),
-        "robot-friction",
-    ),
-    "hand, soft couplings": (
-        replaced(
+MISTAKES = planted(
+    {
+        "arm, visual geoms counted in the mass": (
+            "robot-visual-mass",
+            several(*(drawn(f"link{n}") for n in (1, 2, 3))),
+        ),
+        "arm, soft limits": ("robot-stops", "<joint ", f"<joint {SOFT} "),
+        "arm, limits switched off": (
+            "robot-unlimited",
+            "(<option[^>]*)/>",
+            r'\1><flag limit="disable"/></option>',
+        ),
+        "arm, under water": (
+            "robot-medium",
+            option('density="1000" viscosity="0.001"'),
+        ),
+        "arm, lengths in millimetres": ("robot-size", millimetres),
+        "quadruped, wind": ("robot-medium", option('density="1.2" wind="20 0 0"')),
+        "quadruped, torsional friction of 0.8 m": (
+            "robot-torsion",
+            'friction="0.8 0.005',
+            'condim="4" friction="0.8 0.8',
+        ),
+        "quadruped, negative damping": (
+            "robot-damping",
+            'damping="0.5"',
+            'damping="-0.5"',
+        ),
+        "biped, a reversed knee": ("robot-mirror", '(left_knee" axis="0 )1', r"\1-1"),
+        "biped, both knees reversed": ("robot-balance", KNEES),
+        "biped, uneven feet": ("robot-level", '(left_foot" pos="0 0 )-.35', r"\1-.31"),
+        "biped, feet that cannot collide": (
+            "robot-feet",
+            '(<geom name="left_foot")',
+            r'\1 contype="0" conaffinity="0"',
+        ),
+        "hand, friction of 0.05": (
+            "robot-friction",
+            'friction="1 0',
+            'friction="0.05 0',
+        ),
+        "hand, soft couplings": (
+            "robot-coupling",
             'solref="0.005 1" solimp="0.95 0.99 0.001"',
             'solref="0.5 1" solimp="0.5 0.6 0.01"',
         ),
-        "robot-coupling",
-    ),
-    "hand, masses in grams": (scaled("mass", 1000.0), "robot-density"),
-    "hand, two servos on one joint": (
-        replaced('<position joint="ring_inner"', '<position joint="index_inner"'),
-        "robot-command",
-    ),
-    "hand, commands in degrees": (
-        replaced("<position joint", '<position ctrlrange="-86 17" joint'),
-        "robot-command",
-    ),
-    "hand, fingers without limits": (
-        replaced(' range="-1.5 .3"', ""),
-        "robot-unlimited",
-    ),
-}
+        "hand, masses in grams": ("robot-density", scaled("mass", 1000.0)),
+        "hand, two servos on one joint": (
+            "robot-command",
+            '<position joint="ring_inner"',
+            '<position joint="index_inner"',
+        ),
+        "hand, commands in degrees": (
+            "robot-command",
+            "<position joint",
+            '<position ctrlrange="-86 17" joint',
+        ),
+        "hand, fingers without limits": ("robot-unlimited", ' range="-1.5 .3"', ""),
+    }
+)
 """Mistakes that were known while the rows were written."""
 
-LATER = {
-    "arm, one soft stop": (
-        replaced('(name="joint3")', rf"\1 {SOFT}"),
-        "robot-stops",
-    ),
-    "arm, oil": (option('viscosity="1"'), "robot-medium"),
-    "arm, constraints switched off": (
-        replaced("(<option[^>]*)/>", r'\1><flag constraint="disable"/></option>'),
-        "robot-unlimited",
-    ),
-    "hand, contacts switched off": (
-        replaced("(<option[^>]*)/>", r'\1><flag contact="disable"/></option>'),
-        "robot-overlap",
-    ),
-    "biped, ranges that are not kept": (
-        replaced('(<joint[^>]*)range="', r'\1limited="false" range="'),
-        "robot-unlimited",
-    ),
-    "arm, centimetres": (
-        several(*(scaled(n, 100.0) for n in ("pos", "fromto", "size"))),
-        "robot-size",
-    ),
-    "arm, a visual geom of the elbow": (drawn("link2"), "robot-visual-mass"),
-    "quadruped, water": (option('density="1000"'), "robot-medium"),
-    "quadruped, rolling friction of 0.5 m": (
-        replaced('friction="0.8 0.005 0.0001', 'condim="6" friction="0.8 0.005 0.5'),
-        "robot-torsion",
-    ),
-    "quadruped, millimetres": (millimetres, "robot-size"),
-    "quadruped, one knee with negative damping": (
-        replaced('(name="RL_knee")', r'\1 damping="-0.1"'),
-        "robot-damping",
-    ),
-    "quadruped, a hip that turns the other way": (
-        replaced('(name="FL_hip" axis="0 )1', r"\1-1"),
-        "robot-mirror",
-    ),
-    "quadruped, stops of cotton wool": (
-        replaced("<joint armature", f"<joint {SOFT} armature"),
-        "robot-stops",
-    ),
-    "biped, a trunk that leans": (
-        replaced('type="box" pos="0 0 .2"', 'type="box" pos=".5 0 .2"'),
-        "robot-balance",
-    ),
-    "biped, a longer thigh": (
-        replaced('(right_shin" pos="0 0 )-.35', r"\1-.4"),
-        "robot-level",
-    ),
-    "biped, an ankle whose range was not turned": (
-        several(
-            replaced('(right_ankle" axis="0 1 0" range=")-1 1', r"\1-1.4 .2"),
+LATER = planted(
+    {
+        "arm, one soft stop": ("robot-stops", '(name="joint3")', rf"\1 {SOFT}"),
+        "arm, oil": ("robot-medium", option('viscosity="1"')),
+        "arm, constraints switched off": (
+            "robot-unlimited",
+            "(<option[^>]*)/>",
+            r'\1><flag constraint="disable"/></option>',
         ),
-        "robot-mirror",
-    ),
-    "biped, masses in grams": (scaled("mass", 1000.0), "robot-density"),
-    "biped, kp per degree": (
-        several(scaled("kp", DEGREE), scaled("kv", DEGREE)),
-        "robot-stiffness",
-    ),
-    "biped, visual geoms counted": (
-        several(drawn("torso"), drawn("left_foot"), drawn("right_foot")),
-        "robot-visual-mass",
-    ),
-    "hand, one soft coupling": (
-        replaced(
+        "hand, contacts switched off": (
+            "robot-overlap",
+            "(<option[^>]*)/>",
+            r'\1><flag contact="disable"/></option>',
+        ),
+        "biped, ranges that are not kept": (
+            "robot-unlimited",
+            '(<joint[^>]*)range="',
+            r'\1limited="false" range="',
+        ),
+        "arm, centimetres": (
+            "robot-size",
+            several(*(scaled(n, 100.0) for n in ("pos", "fromto", "size"))),
+        ),
+        "arm, a visual geom of the elbow": ("robot-visual-mass", drawn("link2")),
+        "quadruped, water": ("robot-medium", option('density="1000"')),
+        "quadruped, rolling friction of 0.5 m": (
+            "robot-torsion",
+            'friction="0.8 0.005 0.0001',
+            'condim="6" friction="0.8 0.005 0.5',
+        ),
+        "quadruped, millimetres": ("robot-size", millimetres),
+        "quadruped, one knee with negative damping": (
+            "robot-damping",
+            '(name="RL_knee")',
+            r'\1 damping="-0.1"',
+        ),
+        "quadruped, a hip that turns the other way": (
+            "robot-mirror",
+            '(name="FL_hip" axis="0 )1',
+            r"\1-1",
+        ),
+        "quadruped, stops of cotton wool": (
+            "robot-stops",
+            "<joint armature",
+            f"<joint {SOFT} armature",
+        ),
+        "biped, a trunk that leans": (
+            "robot-balance",
+            'type="box" pos="0 0 .2"',
+            'type="box" pos=".5 0 .2"',
+        ),
+        "biped, a longer thigh": (
+            "robot-level",
+            '(right_shin" pos="0 0 )-.35',
+            r"\1-.4",
+        ),
+        "biped, an ankle whose range was not turned": (
+            "robot-mirror",
+            several(
+                replaced('(right_ankle" axis="0 1 0" range=")-1 1', r"\1-1.4 .2"),
+            ),
+        ),
+        "biped, masses in grams": ("robot-density", scaled("mass", 1000.0)),
+        "biped, kp per degree": (
+            "robot-stiffness",
+            several(scaled("kp", DEGREE), scaled("kv", DEGREE)),
+        ),
+        "biped, visual geoms counted": (
+            "robot-visual-mass",
+            several(drawn("torso"), drawn("left_foot"), drawn("right_foot")),
+        ),
+        "hand, one soft coupling": (
+            "robot-coupling",
             '(joint1="thumb_outer".*?)solref="0.005 1" solimp="0.95 0.99 0.001"',
             r'\1solref="0.3 1"',
         ),
-        "robot-coupling",
-    ),
-    "hand, one slippery pad": (
-        replaced('(name="ring_pad".*?\n.*?)friction="1 0', r'\1friction="0.01 0'),
-        "robot-friction",
-    ),
-    "hand, torsional friction of the pads": (
-        replaced('friction="1 0.005', 'friction="1 0.5'),
-        "robot-torsion",
-    ),
-    "hand, soft stops": (
-        replaced(" axis=", f" {SOFT} axis="),
-        "robot-stops",
-    ),
-    "hand, millimetres": (millimetres, "robot-size"),
-    "hand, armature in g cm^2": (scaled("armature", 1e4), "robot-armature"),
-    "hand, weak motors": (scaled("forcerange", 0.01), "robot-torque"),
-    "hand, a finger without a limit": (
-        replaced('range="-1.5 .3"', 'range="-1.5 .3" limited="false"'),
-        "robot-unlimited",
-    ),
-    "arm, kv as a damping ratio": (
-        replaced('kv="[0-9]+"', 'kv="1"'),
-        "robot-ringing",
-    ),
-    "arm, servos that do not read their bias": (
-        replaced(
+        "hand, one slippery pad": (
+            "robot-friction",
+            '(name="ring_pad".*?\n.*?)friction="1 0',
+            r'\1friction="0.01 0',
+        ),
+        "hand, torsional friction of the pads": (
+            "robot-torsion",
+            'friction="1 0.005',
+            'friction="1 0.5',
+        ),
+        "hand, soft stops": ("robot-stops", " axis=", f" {SOFT} axis="),
+        "hand, millimetres": ("robot-size", millimetres),
+        "hand, armature in g cm^2": ("robot-armature", scaled("armature", 1e4)),
+        "hand, weak motors": ("robot-torque", scaled("forcerange", 0.01)),
+        "hand, a finger without a limit": (
+            "robot-unlimited",
+            'range="-1.5 .3"',
+            'range="-1.5 .3" limited="false"',
+        ),
+        "arm, kv as a damping ratio": ("robot-ringing", 'kv="[0-9]+"', 'kv="1"'),
+        "arm, servos that do not read their bias": (
+            "robot-command",
             '<position (.*?) kp="([0-9]+)" kv="([0-9]+)"',
             r'<general \1 gainprm="\2" biasprm="0 -\2 -\3"',
         ),
-        "robot-command",
-    ),
-    "arm, gains ten times those of the bias": (
-        replaced(
+        "arm, gains ten times those of the bias": (
+            "robot-command",
             '<position (.*?) kp="([0-9]+)" kv="([0-9]+)"',
             r'<general \1 biastype="affine" gainprm="\g<2>0" biasprm="0 -\2 -\3" ctrlrange="-3 3"',
         ),
-        "robot-command",
-    ),
-    "quadruped, springs in its legs": (
-        replaced("<joint armature", '<joint stiffness="80" armature'),
-        "robot-sag",
-    ),
-    "quadruped, torques of one sign": (
-        replaced('forcerange="-40', 'forcerange="0'),
-        "robot-torque",
-    ),
-    "quadruped, a floor that is drawn alone": (
-        replaced('type="plane"', 'type="plane" contype="0" conaffinity="0"'),
-        "robot-feet",
-    ),
-    "biped, ankles without servos": (
-        several(
-            replaced('<position joint="[a-z]+_ankle"[^>]*>', ""),
-            replaced(' ctrl="[^"]*"', ' ctrl="0 -.3 .6 0 -.3 .6"'),
+        "quadruped, springs in its legs": (
+            "robot-sag",
+            "<joint armature",
+            '<joint stiffness="80" armature',
         ),
-        "robot-torque",
-    ),
-    "quadruped, a trunk whose centre is far ahead": (
-        replaced('(name="trunk" type="box")', r'\1 pos=".12 0 0"'),
-        "robot-sides",
-    ),
-    "biped, knees with a twentieth of their torque": (
-        replaced('(_knee".*?forcerange=)"-120 120"', r'\1"-6 6"'),
-        "robot-torque",
-    ),
-    "quadruped, a floor that is 10 cm higher": (
-        replaced('(name="floor" type="plane")', r'\1 pos="0 0 .1"'),
-        "robot-stands",
-    ),
-    "biped, a start in the ground": (
-        replaced("[.]7287", ".5"),
-        "robot-stands",
-    ),
-}
+        "quadruped, torques of one sign": (
+            "robot-torque",
+            'forcerange="-40',
+            'forcerange="0',
+        ),
+        "quadruped, a floor that is drawn alone": (
+            "robot-feet",
+            'type="plane"',
+            'type="plane" contype="0" conaffinity="0"',
+        ),
+        "biped, ankles without servos": (
+            "robot-torque",
+            several(
+                replaced('<position joint="[a-z]+_ankle"[^>]*>', ""),
+                replaced(' ctrl="[^"]*"', ' ctrl="0 -.3 .6 0 -.3 .6"'),
+            ),
+        ),
+        "quadruped, a trunk whose centre is far ahead": (
+            "robot-sides",
+            '(name="trunk" type="box")',
+            r'\1 pos=".12 0 0"',
+        ),
+        "biped, knees with a twentieth of their torque": (
+            "robot-torque",
+            '(_knee".*?forcerange=)"-120 120"',
+            r'\1"-6 6"',
+        ),
+        "quadruped, a floor that is 10 cm higher": (
+            "robot-stands",
+            '(name="floor" type="plane")',
+            r'\1 pos="0 0 .1"',
+        ),
+        "biped, a start in the ground": ("robot-stands", "[.]7287", ".5"),
+    }
+)
 """Mistakes that were written after the rows and their limits."""
 
 
@@ -348,117 +351,202 @@ def general(joint: str, gain: str, bias: str, more: str = ""):
     )
 
 
-FURTHER = {
-    "quadruped, a bent shin": (
-        replaced('name="RL_calf" pos', 'name="RL_calf" euler="0 46 0" pos'),
-        "robot-sides",
-    ),
-    "quadruped, a limb on the other side": (
-        replaced('name="FL_thigh" pos="0.19 0.12', 'name="FL_thigh" pos="0.19 -0.12'),
-        "robot-sides",
-    ),
-    "hand, a servo without kv": (
-        replaced('(joint="ring_inner" kp="2") kv=".05"', r"\1"),
-        "robot-sides",
-    ),
-    "arm, a turned command": (servo('gear="-1"'), "robot-command"),
-    "arm, a narrow command": (servo('ctrlrange="-.1 .1"'), "robot-command"),
-    "quadruped, a command of half a range": (
-        servo('ctrlrange="-.5 2"', "FL_hip"),
-        "robot-command",
-    ),
-    "hand, a servo of speed": (general("ring_inner", "2", "0 0 -2"), "robot-command"),
-    "arm, a servo that pushes": (
-        general("joint3", "2000", "0 2000 -200"),
-        "robot-command",
-    ),
-    "biped, two swapped motors": (
-        several(
-            replaced('<position joint="([^"]*)"', r'<position name="\1" joint="\1"'),
-            replaced('joint="left_knee" kp', 'joint="X" kp'),
-            replaced('joint="right_ankle" kp', 'joint="left_knee" kp'),
-            replaced('joint="X" kp', 'joint="right_ankle" kp'),
+FURTHER = planted(
+    {
+        "quadruped, a bent shin": (
+            "robot-sides",
+            'name="RL_calf" pos',
+            'name="RL_calf" euler="0 46 0" pos',
         ),
-        "robot-command",
-    ),
-    "arm, a link of ten times its mass": (
-        replaced('(name="link2" type[^>]*)density="1000"', r'\1density="10000"'),
-        "robot-alike",
-    ),
-    "arm, a filter": (
-        general("joint3", "2000", "0 -2000 -200", 'dyntype="filter" dynprm=".5"'),
-        "robot-delay",
-    ),
-    "arm, a range without the pose": (
-        replaced('(name="joint3".*?range=)"[^"]*"', r'\1"80 115"'),
-        "robot-stops",
-    ),
-    "arm, a range of degrees as radians": (
-        replaced('(name="joint3".*?range=)"[^"]*"', r'\1"-8594 8594"'),
-        "robot-range",
-    ),
-    "arm, a torque in N mm": (
-        replaced('forcerange="-28 28"', 'forcerange="-28000 28000"', 1),
-        "robot-rotor",
-    ),
-    "arm, a torque in N cm": (
-        replaced('forcerange="-28 28"', 'forcerange="-.28 .28"', 1),
-        "robot-frictionloss",
-    ),
-    "arm, a weightless link": (
-        replaced('<body name="link4"', '<body name="link4" gravcomp="1"'),
-        "robot-gravcomp",
-    ),
-    "hand, a foot of condim 1": (
-        replaced('(name="ring_pad"[^>]*)condim="4"', r'\1condim="1"'),
-        "robot-friction",
-    ),
-    "hand, a coupling per degree": (
-        replaced('polycoef="0 1 0', 'polycoef="0 57.3 0', 1),
-        "robot-coupling",
-    ),
-    "hand, a coupling that is off": (
-        replaced('joint1="ring_outer"', 'joint1="ring_outer" active="false"'),
-        "robot-coupling",
-    ),
-    "quadruped, a gear beside its torque": (
-        servo('gear="100"', "FL_hip"),
-        "robot-torque",
-    ),
-    "biped, a spring": (
-        replaced('name="left_knee"', 'name="left_knee" stiffness="20"'),
-        "robot-alike",
-    ),
-    "arm, a stop that throws back": (
-        replaced('name="joint3"', 'name="joint3" solreflimit=".02 .1"'),
-        "robot-stops",
-    ),
-    "biped, contacts that bounce": (
-        replaced('solref="0.004 1"', 'solref="0.004 0.2"'),
-        "robot-solref",
-    ),
-    "hand, a link of centimetres": (
-        replaced('name="ring_tip" pos="0 0 .05"', 'name="ring_tip" pos="0 0 5"'),
-        "robot-joined",
-    ),
-    "arm, a keyframe of other commands": (
-        replaced('ctrl="0 -.5', 'ctrl="0 .5'),
-        "robot-keyframe",
-    ),
-    "biped, a free joint with the defaults of the others": (
-        replaced("<freejoint/>", '<joint name="root" type="free"/>'),
-        "robot-free",
-    ),
-    "arm, a lost armature": (
-        replaced('(name="joint3".*?armature=)"0.1"', r'\1"0.0001"'),
-        "robot-rotor",
-    ),
-    "arm, a centre of mass in the frame of the world": (
-        replaced(
+        "quadruped, a limb on the other side": (
+            "robot-sides",
+            'name="FL_thigh" pos="0.19 0.12',
+            'name="FL_thigh" pos="0.19 -0.12',
+        ),
+        "hand, a servo without kv": (
+            "robot-sides",
+            '(joint="ring_inner" kp="2") kv=".05"',
+            r"\1",
+        ),
+        "arm, a turned command": ("robot-command", servo('gear="-1"')),
+        "arm, a narrow command": ("robot-command", servo('ctrlrange="-.1 .1"')),
+        "quadruped, a command of half a range": (
+            "robot-command",
+            servo('ctrlrange="-.5 2"', "FL_hip"),
+        ),
+        "hand, a servo of speed": (
+            "robot-command",
+            general("ring_inner", "2", "0 0 -2"),
+        ),
+        "arm, a servo that pushes": (
+            "robot-command",
+            general("joint3", "2000", "0 2000 -200"),
+        ),
+        "biped, two swapped motors": (
+            "robot-command",
+            several(
+                replaced(
+                    '<position joint="([^"]*)"', r'<position name="\1" joint="\1"'
+                ),
+                replaced('joint="left_knee" kp', 'joint="X" kp'),
+                replaced('joint="right_ankle" kp', 'joint="left_knee" kp'),
+                replaced('joint="X" kp', 'joint="right_ankle" kp'),
+            ),
+        ),
+        "arm, a link of ten times its mass": (
+            "robot-alike",
+            '(name="link2" type[^>]*)density="1000"',
+            r'\1density="10000"',
+        ),
+        "arm, a filter": (
+            "robot-delay",
+            general("joint3", "2000", "0 -2000 -200", 'dyntype="filter" dynprm=".5"'),
+        ),
+        "arm, a range without the pose": (
+            "robot-stops",
+            '(name="joint3".*?range=)"[^"]*"',
+            r'\1"80 115"',
+        ),
+        "arm, a range of degrees as radians": (
+            "robot-range",
+            '(name="joint3".*?range=)"[^"]*"',
+            r'\1"-8594 8594"',
+        ),
+        "arm, a torque in N mm": (
+            "robot-rotor",
+            'forcerange="-28 28"',
+            'forcerange="-28000 28000"',
+            1,
+        ),
+        "arm, a torque in N cm": (
+            "robot-frictionloss",
+            'forcerange="-28 28"',
+            'forcerange="-.28 .28"',
+            1,
+        ),
+        "arm, a weightless link": (
+            "robot-gravcomp",
+            '<body name="link4"',
+            '<body name="link4" gravcomp="1"',
+        ),
+        "hand, a foot of condim 1": (
+            "robot-friction",
+            '(name="ring_pad"[^>]*)condim="4"',
+            r'\1condim="1"',
+        ),
+        "hand, a coupling per degree": (
+            "robot-coupling",
+            'polycoef="0 1 0',
+            'polycoef="0 57.3 0',
+            1,
+        ),
+        "hand, a coupling that is off": (
+            "robot-coupling",
+            'joint1="ring_outer"',
+            'joint1="ring_outer" active="false"',
+        ),
+        "quadruped, a gear beside its torque": (
+            "robot-torque",
+            servo('gear="100"', "FL_hip"),
+        ),
+        "biped, a spring": (
+            "robot-alike",
+            'name="left_knee"',
+            'name="left_knee" stiffness="20"',
+        ),
+        "arm, a stop that throws back": (
+            "robot-stops",
+            'name="joint3"',
+            'name="joint3" solreflimit=".02 .1"',
+        ),
+        "biped, contacts that bounce": (
+            "robot-solref",
+            'solref="0.004 1"',
+            'solref="0.004 0.2"',
+        ),
+        "hand, a link of centimetres": (
+            "robot-joined",
+            'name="ring_tip" pos="0 0 .05"',
+            'name="ring_tip" pos="0 0 5"',
+        ),
+        "arm, a keyframe of other commands": (
+            "robot-keyframe",
+            'ctrl="0 -.5',
+            'ctrl="0 .5',
+        ),
+        "biped, a free joint with the defaults of the others": (
+            "robot-free",
+            "<freejoint/>",
+            '<joint name="root" type="free"/>',
+        ),
+        "biped, a foot that is lower": (
+            "robot-sides",
+            '(name="left_foot" type="box" pos=".03 0 )-.04',
+            r"\1-.055",
+        ),
+        "biped, a leg apart in the keyframe": (
+            "robot-sides",
+            '0 -.3 .6 -.3 0 -.3 .6 -.3" ctrl',
+            '.2 -.3 .6 -.3 0 -.3 .6 -.3" ctrl',
+        ),
+        "arm, a command of the other sign": (
+            "robot-keyframe",
+            several(
+                replaced('qpos="0 -.5', 'qpos="0 -.2'),
+                replaced('ctrl="0 -.5', 'ctrl="0 .2'),
+            ),
+        ),
+        "hand, an uncoupled finger": (
+            "robot-wiring",
+            '<joint name="ring" joint1="ring_outer"[^>]*>',
+            "",
+        ),
+        "hand, masses by geoms": (
+            "robot-bound",
+            several(
+                replaced("<compiler", '<compiler inertiafromgeom="true"'),
+                replaced(
+                    '(<body name="palm">)',
+                    r'\1<inertial pos="0 0 0" mass="2" diaginertia=".01 .01 .01"/>',
+                ),
+            ),
+        ),
+        "biped, a rotor of another motor": (
+            "robot-armature",
+            'name="left_hip_roll"',
+            'name="left_hip_roll" armature="3"',
+        ),
+        "hand, an object of another layer": (
+            "robot-wiring",
+            "</worldbody>",
+            '<body name="cube" pos="0 0 -.2"><freejoint/><geom size=".03" contype="2"'
+            ' conaffinity="2"/></body><geom type="plane" size="1 1 1" pos="0 0 -.3" contype="2"/></worldbody>',
+        ),
+        "hand, an object in honey": (
+            "robot-free",
+            "</worldbody>",
+            '<body pos="0 0 -.2"><joint type="free" damping="2"/><geom size=".03"/></body></worldbody>',
+        ),
+        "hand, an object in g/cm3": (
+            "robot-density",
+            "</worldbody>",
+            '<body pos="0 0 -.2"><freejoint/><geom size=".03" density="1.2"/></body></worldbody>',
+        ),
+        "arm, a link about the axis of the one before": (
+            "robot-wiring",
+            '<body name="link2"',
+            '<body name="link2" quat=".70711 .70711 0 0"',
+        ),
+        "arm, a lost armature": (
+            "robot-rotor",
+            '(name="joint3".*?armature=)"0.1"',
+            r'\1"0.0001"',
+        ),
+        "arm, a centre of mass in the frame of the world": (
+            "robot-inertia",
             '(<body name="link2"[^>]*>)',
             r'\1<inertial pos=".3 0 1" mass="5" diaginertia=".1 .1 .1"/>',
         ),
-        "robot-inertia",
-    ),
-}
+    }
+)
 """Single parts that one row alone names."""

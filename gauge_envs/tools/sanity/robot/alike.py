@@ -6,7 +6,13 @@ import numpy as np
 
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.phenomena.base import facts
-from gauge_envs.tools.sanity.robot.finding import Finding, body_name, joint_name, row
+from gauge_envs.tools.sanity.robot.finding import (
+    Finding,
+    also,
+    body_name,
+    joint_name,
+    row,
+)
 from gauge_envs.tools.sanity.robot.joints import (
     driven_dofs,
     joint_inertias,
@@ -161,7 +167,7 @@ def _alike(robot: Robot) -> Finding:
     return Finding(
         value=parts[worst],
         parts=parts,
-        remark=words[worst] if is_off else "",
+        remark=words[worst] + also(parts, worst, 1.0) if is_off else "",
         advice=advices.get(
             worst, f"is {worst} in the unit of the others, and that of its part?"
         ),

@@ -9,7 +9,7 @@ import numpy as np
 from gauge_envs.errors import TargetError
 from gauge_envs.tools.sanity.model import PhenomenonResult, Settings, Verdict
 from gauge_envs.tools.sanity.phenomena.base import facts
-from gauge_envs.tools.sanity.robot.finding import judged_row, limits_of
+from gauge_envs.tools.sanity.robot.finding import OF_DRIVES, judged_row, limits_of
 from gauge_envs.tools.sanity.robot.joints import position_servos, servos, start
 from gauge_envs.tools.sanity.robot.mended_model import element_names
 from gauge_envs.tools.sanity.robot.motions import PUSH_SHARES, hold_pose, pushed_m
@@ -24,7 +24,8 @@ ORDER = (
     *("robot-range", "robot-unlimited", "robot-command", "robot-mirror"),
     *("robot-sides", "robot-alike", "robot-overlap"),
     *("robot-stops", "robot-coupling"),
-    *("robot-joined", "robot-solref", "robot-keyframe", "robot-free"),
+    *("robot-wiring", "robot-joined", "robot-solref"),
+    *("robot-keyframe", "robot-free"),
     *("robot-feet", "robot-friction", "robot-torsion", "robot-floor-friction"),
     *("floor-tilt", "robot-level", "robot-balance"),
     *("robot-torque", "robot-rotor", "robot-armature", "robot-stiffness"),
@@ -47,13 +48,8 @@ OF_BODIES = frozenset(
 )
 """Rows that joints, actuators and options do not change."""
 
-OF_DRIVES = frozenset(
-    {
-        *("robot-frictionloss", "robot-dry", "robot-armature", "robot-rotor"),
-        *("robot-stiffness", "robot-sag", "robot-lag", "robot-torque", "robot-sides"),
-    }
-)
-"""Rows on what drives and brakes joints, whose remedies let no servo become slower."""
+KEEP_STEPS = OF_DRIVES - {"robot-damping", "robot-ringing"} | {"robot-sides"}
+"""Rows whose remedies let no servo become slower."""
 
 OF_CONTACTS = frozenset(
     {
@@ -197,6 +193,12 @@ def harm(before: Behaviour, after: Behaviour, remedy: Remedy, name: str = "") ->
             continue
         if _is_worse(before.row(other), after.row(other)):
             return f"{other} gets worse, {_change_text(before, after, other)}"
+    was, now = (
+        {part.name for part in one.row("robot-sides").parts if part.verdict.is_off}
+        for one in (before, after)
+    )
+    if now - was:
+        return f"two sides that are alike would differ: {min(now - was)}"
     return _moved(before, after, remedy) or _slower(before, after, remedy, name)
 
 
@@ -225,7 +227,7 @@ def _slower(before: Behaviour, after: Behaviour, remedy: Remedy, name: str) -> s
     for actuator in position_servos(before.robot):
         was, now = step_s(before.robot, actuator), step_s(after.robot, actuator)
         # A step that was faster than joints turn, or that a fault of the body made fast, was no merit.
-        is_no_merit = was < fastest_s or name not in OF_DRIVES
+        is_no_merit = was < fastest_s or name not in KEEP_STEPS
         least_s = max(remedy.fair_step_s, FAIR_STEP_S if is_no_merit else 0.0)
         rounding_s = float(before.robot.model.opt.timestep)
         if now > max(WORSE * was + rounding_s, least_s) and not np.isnan(was):

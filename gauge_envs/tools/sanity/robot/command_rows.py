@@ -256,4 +256,5 @@ def _shared(ends: FloatArray, lengths: FloatArray) -> float:
     """Return the part of the range of a tendon, from the ends of its joints, shape [count, 2], that lengths reach."""
     low, high = np.sort(ends, axis=1).sum(axis=0)
     reached = min(lengths[1], high) - max(lengths[0], low)
-    return float(max(reached, 0.0) / max(high - low, 1e-12))
+    whole = max(high - low, LOST_COMMANDS * float(np.ptp(lengths)), 1e-12)
+    return float(max(reached, 0.0) / whole)

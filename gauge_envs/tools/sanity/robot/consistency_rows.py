@@ -9,17 +9,25 @@ from gauge_envs.tools.sanity.robot.finding import (
     Finding,
     body_name,
     joint_name,
+    limits_of,
     name_of,
     row,
 )
 from gauge_envs.tools.sanity.robot.joints import (
     dof_of,
+    home_key,
     joint_inertias,
     position_servos,
 )
 from gauge_envs.tools.sanity.robot.mass_rows import size_m
 from gauge_envs.tools.sanity.robot.mujoco_feet import geom_name, joints_of
 from gauge_envs.tools.sanity.robot.robot import Robot
+
+SAME_PLACE_RAD, TURNED_FROM_RAD, TURNED_RAD = 0.001, 0.1, 1.0
+"""Difference of a command and the other sign of a joint up to which they agree, least distance, and what it counts."""
+
+OBJECT_RATE_PER_S = 1.0
+"""Share of its speed that a free object may lose in 1 s."""
 
 Indices = NDArray[np.int_]
 
@@ -131,7 +139,7 @@ def _solref(robot: Robot) -> Finding:
 def _keyframe(robot: Robot) -> Finding:
     model, data = robot.model, mujoco.MjData(robot.model)
     parts: dict[str, float] = {}
-    key = max(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "home"), 0)
+    key, turned = home_key(model), list[str]()
     # Without commands a keyframe states a pose alone.
     if model.nkey and model.key_ctrl[key].any():
         mujoco.mj_resetDataKeyframe(model, data, key)
@@ -140,20 +148,26 @@ def _keyframe(robot: Robot) -> Finding:
             bias = model.actuator_biasprm[actuator]
             force = model.actuator_gainprm[actuator, 0] * data.ctrl[actuator] + bias[0]
             gear = float(model.actuator_gear[actuator, 0]) or 1.0
-            away = -force / bias[1] - data.actuator_length[actuator]
+            commanded = -force / bias[1]
+            away = commanded - data.actuator_length[actuator]
             name = joint_name(robot, dof_of(robot, actuator))
             parts[name] = abs(float(away / gear))
+            is_turned = abs(away - 2.0 * commanded) < SAME_PLACE_RAD
+            if is_turned and parts[name] > TURNED_FROM_RAD:
+                turned.append(name)
+                parts[name] += TURNED_RAD
     if not parts:
         return Finding(
             declined="the first keyframe states no commands of servos on hinges"
         )
     worst = max(parts, key=parts.__getitem__)
+    remark = f"{worst} is commanded {parts[worst]:.3g} rad away from where it is"
+    if worst in turned:
+        remark = f"{worst} is commanded to where it is with the other sign, {parts[worst] - TURNED_RAD:.3g} rad away"
     return Finding(
         value=parts[worst],
         parts=parts,
-        remark=f"{worst} is commanded {parts[worst]:.3g} rad away from where it is"
-        if parts[worst] > 1e-3
-        else "",
+        remark=remark if parts[worst] > 1e-3 else "",
         advice=f"qpos and ctrl of the keyframe that agree: {worst}",
     )
 
@@ -165,10 +179,18 @@ def _free(robot: Robot) -> Finding:
     parts: dict[str, float] = {}
     stated: dict[str, str] = {}
     for joint in np.flatnonzero(joints_of(model, "FREE")).tolist():
-        if int(model.jnt_bodyid[joint]) not in robot.bodies:
-            continue
         first = int(model.jnt_dofadr[joint])
         six = slice(first, first + 6)
+        body = int(model.jnt_bodyid[joint])
+        if body not in robot.bodies:
+            rate_per_s = float(model.dof_damping[first] / model.body_subtreemass[body])
+            name = f"{name_of(robot, joint)} of {body_name(robot, body)}"
+            # An object may be braked to keep it from rolling.
+            parts[name] = limits_of("robot-free")[1] * rate_per_s / OBJECT_RATE_PER_S
+            stated[name] = (
+                f"damping {model.dof_damping[first]:g} for {model.body_subtreemass[body]:.3g} kg"
+            )
+            continue
         # What a speed of 1 m/s or 1 rad/s loses in 1 s, and what the inertia has too much.
         shares = model.dof_damping[six] + model.dof_frictionloss[six]
         shares = np.maximum(shares, model.dof_armature[six]) / inertia[six]
@@ -180,12 +202,12 @@ def _free(robot: Robot) -> Finding:
             f"damping {damping:g}, frictionloss {dry:g} and armature {armature:g}"
         )
     if not parts:
-        return Finding(declined="the robot has no free joint")
+        return Finding(declined="the model has no free joint")
     worst = max(parts, key=parts.__getitem__)
     return Finding(
         value=parts[worst],
         parts=parts,
-        remark=f"the free joint {worst} has {stated[worst]}, as by a default of the other joints"
+        remark=f"the free joint {worst} has {stated[worst]}, as by a default of other joints"
         if parts[worst]
         else "",
         advice=f'<freejoint/>, or damping="0" frictionloss="0" armature="0" for {worst}',

@@ -1,7 +1,7 @@
 """What is found of a robot for a row, and how it is judged."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,15 @@ from gauge_envs.tools.sanity.robot.robot import Robot
 
 WHOLE = "the robot"
 """Part of a row that judges the robot as a whole."""
+
+OF_DRIVES = frozenset(
+    {
+        *("robot-frictionloss", "robot-dry", "robot-armature", "robot-rotor"),
+        *("robot-stiffness", "robot-sag", "robot-lag", "robot-torque", "robot-ringing"),
+        "robot-damping",
+    }
+)
+"""Rows on what drives and brakes joints."""
 
 NOT_STANDING = "no robot of the model stands on the ground under its own weight"
 
@@ -78,7 +87,7 @@ def row(
 
         def found(robot: Robot) -> Finding:
             if name not in robot.known:
-                robot.known[name] = measured(robot)
+                robot.known[name] = _checked(robot, name, measured(robot))
             known: Finding = robot.known[name]
             return known
 
@@ -86,6 +95,18 @@ def row(
         return function
 
     return keep
+
+
+def _checked(robot: Robot, name: str, found: Finding) -> Finding:
+    """Return what was found, with another advice where its own would change what a part shares with like ones."""
+    if not found.advice or name not in OF_DRIVES | {"robot-feet"}:
+        return found
+    from gauge_envs.tools.sanity.robot.likeness import unlike_others
+
+    low, high = limits_of(name)
+    off = [part for part, one in found.parts.items() if not low <= one <= high]
+    instead = unlike_others(robot, off)
+    return replace(found, advice=instead, changes={}) if instead else found
 
 
 def standing_of(robot: Robot) -> Standing:
@@ -149,6 +170,22 @@ def _ratio(value: float, low: float, high: float) -> float:
         return np.inf
     ratio = float(max(low / max(value, 1e-12), value / high))
     return ratio if ratio > 1.0 + 1e-9 else 1.0
+
+
+def also(parts: Mapping[str, float], worst: str, high: float) -> str:
+    """Return the names of other parts beyond a limit, one of each quantity, empty without any.
+
+    Args:
+        parts: Value of each part, whose name begins with its quantity, as `damping of left_knee`.
+        worst: Part that was named already.
+        high: The limit.
+    """
+    firsts = {}
+    for name in sorted(parts, key=parts.__getitem__):
+        quantity = name.partition(" of ")[0]
+        if parts[name] > high and not worst.startswith(quantity):
+            firsts[quantity] = name
+    return f"; also {', '.join(firsts.values())}" if firsts else ""
 
 
 def body_name(robot: Robot, body: int) -> str:

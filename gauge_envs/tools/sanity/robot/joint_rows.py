@@ -313,19 +313,29 @@ def _armature(robot: Robot) -> Finding:
     ratios: dict[int, float] = {}
     inertias = joint_inertias(robot)
     loads = loads_nm(robot)
+    rates = [
+        load / model.dof_armature[dof]
+        for dof, load in loads.items()
+        if model.dof_armature[dof] > 0.0
+    ]
+    middle_rad_per_s2 = float(np.median(rates)) if rates else 0.0
     for dof in driven_dofs(robot):
         armature, limit_nm = float(model.dof_armature[dof]), loads.get(dof, 0.0)
         limb = max(float(inertias[dof]) - armature, 1e-9)
         # Turned about its own axis a wrist has next to no inertia: what counts there is that its motor can turn it.
         if armature * LEAST_RAD_PER_S2 <= limit_nm:
             continue
-        ratios[dof] = armature / limb
+        # Beside a heavy limb, a rotor is too large that turns far slower than those of the other joints.
+        slower = middle_rad_per_s2 * armature / max(limit_nm, 1e-9)
+        ratios[dof] = max(armature / limb, slower) if limit_nm else armature / limb
         fair = max(limb, limit_nm / FAIR_RAD_PER_S2)
-        if armature / limb > limits_of("robot-armature")[1]:
+        if slower > armature / limb:
+            fair = limit_nm / middle_rad_per_s2
+        if ratios[dof] > limits_of("robot-armature")[1]:
             changes[f"dof_armature[{dof}]"] = fair
-        if armature / limb > found.value:
+        if ratios[dof] > found.value:
             found = Finding(
-                value=armature / limb,
+                value=ratios[dof],
                 remark=f"{joint_name(robot, dof)}: {armature:.3g} kg m^2 with a limb of {limb:.2g}; "
                 f"{limit_nm:.3g} Nm turn it by {limit_nm / armature:.2g} rad/s^2",
                 advice=f'armature="{fair:.2g}" for {joint_name(robot, dof)} and joints like it',

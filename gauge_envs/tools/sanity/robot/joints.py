@@ -42,8 +42,7 @@ def start(robot: Robot, model: mujoco.MjModel | None = None) -> mujoco.MjData:
     if robot.standing is not None:
         data.qpos[:] = robot.standing.stance.qpos
     elif model.nkey:
-        home = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "home")
-        data.qpos[:] = model.key_qpos[max(home, 0)]
+        data.qpos[:] = model.key_qpos[home_key(model)]
     else:
         positions = data.qpos[model.jnt_qposadr]
         low, high = model.jnt_range.T
@@ -60,6 +59,11 @@ def start(robot: Robot, model: mujoco.MjModel | None = None) -> mujoco.MjData:
         data.ctrl[:] = robot.standing.stance.ctrl
     mujoco.mj_forward(model, data)
     return data
+
+
+def home_key(model: mujoco.MjModel) -> int:
+    """Return the keyframe `home`, or the first one."""
+    return max(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "home"), 0)
 
 
 def servos(model: mujoco.MjModel) -> NDArray[np.bool_]:

@@ -34,11 +34,20 @@ UNIT_ERRORS = {
     1e6: "a mass in kt",
 }
 
-WHOLE_KG_PER_M3 = (100.0, 1250.0)
-"""Mass of links over the volume of the hulls of their meshes; 127 to 1,204 in 71 of 72 models of makers [kg/m^3]."""
+WHOLE_KG_PER_M3 = (100.0, 1400.0)
+"""Mass of links over the volume of the hulls of their meshes; 127 to 1,295 in 76 of 77 models of makers [kg/m^3]."""
 
 MASSLESS_KG = 1e-5
 """Mass up to which a body is a frame that carries no link; makers give such frames 1e-8 to 1e-6 kg [kg]."""
+
+HAND_KG = 2.0
+"""Mass below which a robot is a hand: 1,818 kg/m^3 in the meshes of Gymnasium-Robotics' Shadow Hand [kg]."""
+
+SAME_KG = 0.02
+"""Difference of a mass from the stated one, over it, up to which they are the same."""
+
+GRAMS_KG_PER_M3 = (0.1, 25.0)
+"""Stated densities that are in g/cm^3; foams have 30 and more [kg/m^3]."""
 
 UNIT_WITHIN = 35.0
 """Factor within which a density in another unit is that of water."""
@@ -108,6 +117,8 @@ def _density(robot: Robot) -> Finding:
     changes: dict[str, Any] = {}
     densities: dict[str, float] = {}
     low, high = limits_of("robot-density")
+    masses_kg = model.body_mass[robot.bodies]
+    middle_kg = float(np.median([0.0, *masses_kg[masses_kg > MASSLESS_KG]]))
     for body in robot.bodies:
         mass_kg = float(model.body_mass[body])
         geom_m3, hull_m3, _ = extent(robot, body)
@@ -115,7 +126,13 @@ def _density(robot: Robot) -> Finding:
             continue
         # The largest density that its largest geom allows, and the least one in the room around all of them [kg/m^3].
         dense, thin = mass_kg / geom_m3, mass_kg / max(hull_m3, geom_m3)
+        if dense < low and (mesh_m3 := _hull_m3(robot, body)):
+            # The box around a mesh can be mostly empty, as that of a drone.
+            dense = mass_kg / mesh_m3
         density = dense if dense < low else max(thin, low)
+        if density > high and mass_kg < middle_kg:
+            # A light link whose geoms are smaller yet: they hold the place of its shape.
+            continue
         name = body_name(robot, body)
         densities[name] = density
         ratio = max(low / dense, thin / high)
@@ -137,7 +154,32 @@ def _density(robot: Robot) -> Finding:
                 advice += f", or give {geom_name(model, geom)} its size"
             found = Finding(value=density, remark=remark, advice=advice)
     found = replace(found, changes=changes, parts=densities)
+    if worst <= 1.0 and (light := _thin_geoms(robot)):
+        return replace(light, parts=densities | dict(light.parts))
     return _heavy(robot, found) if worst <= 1.0 and densities else found
+
+
+def _thin_geoms(robot: Robot) -> Finding | None:
+    """Return geoms of the robot, or of an object, with a density in g/cm^3, that touch; None without any."""
+    if robot.spec is None:
+        return None
+    touching = {*np.unique(robot.pairs.geoms).tolist()}
+    least, most = GRAMS_KG_PER_M3
+    thin = [
+        geom
+        for geom in robot.spec.geoms
+        if geom.id in touching and np.isnan(geom.mass) and least <= geom.density <= most
+    ]
+    if not thin:
+        return None
+    names = ", ".join(shortened([geom_name(robot.model, geom.id) for geom in thin]))
+    density = float(thin[0].density)
+    return Finding(
+        value=density,
+        parts={geom_name(robot.model, geom.id): float(geom.density) for geom in thin},
+        remark=f"{names} with a density of {density:g} kg/m^3: is it in g/cm^3?",
+        advice=f'density="{1e3 * density:g}" for {names}',
+    )
 
 
 def _heavy(robot: Robot, found: Finding) -> Finding:
@@ -148,7 +190,9 @@ def _heavy(robot: Robot, found: Finding) -> Finding:
         if hull_m3 and model.body_mass[body] > MASSLESS_KG:
             volume_m3 += hull_m3
             mass_kg += float(model.body_mass[body])
-    if 2.0 * mass_kg < robot.mass_kg or not volume_m3:
+    heaviest = max(robot.bodies, key=model.body_mass.__getitem__)
+    # Without the shape of its trunk a robot is denser than it is.
+    if not _hull_m3(robot, heaviest) or robot.mass_kg < HAND_KG:
         return found
     density = mass_kg / volume_m3
     least, most = WHOLE_KG_PER_M3
@@ -183,8 +227,29 @@ def _hull_m3(robot: Robot, body: int) -> float:
         return 0.0
 
 
+def _from_geoms(robot: Robot) -> Finding | None:
+    """Return the links whose stated mass the compiler replaces by that of their geoms; None without any."""
+    spec = robot.spec
+    from_geoms = int(mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE)
+    if spec is None or int(spec.compiler.inertiafromgeom) != from_geoms:
+        return None
+    stating = [body for body in spec.bodies if body.explicitinertial]
+    stated_kg = sum(float(body.mass) for body in stating)
+    total_kg = float(robot.model.body_mass[[body.id for body in stating]].sum())
+    if abs(total_kg - stated_kg) <= SAME_KG * stated_kg:
+        return None
+    return Finding(
+        value=max(total_kg, stated_kg) / stated_kg,
+        remark=f"{len(stating)} links have the mass of their geoms, {total_kg:.3g} kg, in place of the stated "
+        f"{stated_kg:.3g} kg: inertiafromgeom",
+        advice='<compiler inertiafromgeom="auto"/>',
+    )
+
+
 @row("robot-bound")
 def _bound(robot: Robot) -> Finding:
+    if found := _from_geoms(robot):
+        return found
     spec = robot.spec
     if spec is None or not (spec.compiler.boundmass or spec.compiler.boundinertia):
         return Finding(declined="the model states neither boundmass nor boundinertia")

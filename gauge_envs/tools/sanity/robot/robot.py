@@ -477,27 +477,41 @@ def swapped_motors(model: mujoco.MjModel) -> dict[int, int]:
     """
     motors = np.flatnonzero(acts_on_joints(model)).tolist()
     joints = model.actuator_trnid[motors, 0].tolist()
-    said = _distinct([model.actuator(motor).name for motor in motors])
-    driven = _distinct([model.joint(joint).name for joint in joints])
-    fits = 1e-6 * np.eye(len(joints))
-    for place in np.ndindex(fits.shape):
-        one, other = said[place[0]], driven[place[1]]
-        fits[place] += len(one & other) / max(len(one | other), 1)
-    _, best = linear_sum_assignment(fits, maximize=True)
-    several = zip(said, (driven[place] for place in best), strict=True)
-    if not all(
-        one and other and (one <= other or other <= one) for one, other in several
-    ):
+    said = [model.actuator(motor).name for motor in motors]
+    best = _fitting(said, [model.joint(joint).name for joint in joints])
+    if best is None:
         best = np.argsort(joints)
         # A joint with two motors has two places in the order.
         is_shared = len(joints) > len(set(joints))
         out_of_order = int((best != np.arange(len(joints))).sum())
         if len(joints) < FEW_MOTORS or is_shared or out_of_order != 2:
             return {}
-    moved = np.flatnonzero(best != np.arange(len(joints))).tolist()
-    if 2 * len(moved) > len(joints):
-        return {}
-    return {motors[place]: joints[best[place]] for place in moved}
+    return {motors[place]: joints[to] for place, to in _moved(best).items()}
+
+
+def misplaced_names(names: list[str], others: list[str]) -> dict[int, int]:
+    """Return the place of the name that fits, by that of each name beside which another one stands; of most none."""
+    best = _fitting(names, others)
+    return {} if best is None else _moved(best)
+
+
+def _fitting(names: list[str], others: list[str]) -> NDArray[np.int_] | None:
+    """Return the place of the other name that shares most words with each name; None where words do not say it."""
+    said, known = _distinct(names), _distinct(others)
+    fits = 1e-6 * np.eye(len(names))
+    for place in np.ndindex(fits.shape):
+        one, other = said[place[0]], known[place[1]]
+        fits[place] += len(one & other) / max(len(one | other), 1)
+    _, best = linear_sum_assignment(fits, maximize=True)
+    several = zip(said, (known[place] for place in best), strict=True)
+    fit = [one and other and (one <= other or other <= one) for one, other in several]
+    return best if all(fit) else None
+
+
+def _moved(best: NDArray[np.int_]) -> dict[int, int]:
+    """Return the places that are not their own best one, with the best one; none where these are more than half."""
+    moved = np.flatnonzero(best != np.arange(len(best))).tolist()
+    return {} if 2 * len(moved) > len(best) else {one: int(best[one]) for one in moved}
 
 
 FEW_MOTORS = 4

@@ -11,6 +11,7 @@ from gauge_envs.tools.sanity.robot import (
     sides,
     solver_agreement,
     whole_rows,
+    wiring_rows,
 )
 from gauge_envs.tools.sanity.robot.finding import ROWS
 
@@ -26,4 +27,5 @@ __all__ = [
     "sides",
     "solver_agreement",
     "whole_rows",
+    "wiring_rows",
 ]

@@ -6,11 +6,13 @@ from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.robot.finding import (
     Finding,
+    also,
     body_name,
     limits_of,
     name_of,
@@ -20,12 +22,14 @@ from gauge_envs.tools.sanity.robot.ground_rows import geoms_of, limbs_of
 from gauge_envs.tools.sanity.robot.joints import (
     driven_dofs,
     driven_joints,
+    home_key,
     position_servos,
     servo_gains,
     springs,
     start,
     torque_limits,
 )
+from gauge_envs.tools.sanity.robot.mass_rows import box_corners
 from gauge_envs.tools.sanity.robot.mujoco_feet import joints_of
 from gauge_envs.tools.sanity.robot.robot import (
     Robot,
@@ -36,6 +40,9 @@ from gauge_envs.tools.sanity.robot.robot import (
 
 SAME_PLACE_M = 0.01
 """Distance of a joint from the mirror image of another one up to which they are in the same place [m]."""
+
+IMAGES = ((1.0, -1.0, 1.0), (-1.0, 1.0, 1.0), (-1.0, -1.0, 1.0))
+"""Signs of the mirror images of a place, and of its image by half a turn, as of the fingers of grippers."""
 
 NO_IMAGE_M = 1e3
 """Distance that keeps joints from being assigned to each other [m]."""
@@ -48,6 +55,18 @@ FEW_PAIRS = 2
 
 DIRECTION, ODD_DIRECTION = "direction of command", 0.3
 """What two joints count that turn alike where all others mirror each other: visible, as some makers choose it."""
+
+POSE = "place in the keyframe"
+"""What two joints differ in that the keyframe does not place as mirror images: visible, as it can be on purpose."""
+
+SHAPES = "shapes that touch"
+"""Difference of two sides in the boxes around their shapes that touch."""
+
+FOOT_SHARE = 0.3
+"""What the shapes of two feet may differ by counts, over that of other links."""
+
+SHARED = ("largest torque", "kp", "damping", "armature", "frictionloss")
+"""Quantities that joints of the same motor share."""
 
 OWN_RANGE = "limits"
 """What two joints differ in that have the same commands, and of which one has another range."""
@@ -126,9 +145,7 @@ def mirror_pairs(robot: Robot) -> list[MirrorPair]:
     Joints are assigned to the mirror images of joints behind as many others, so that the sum of distances is least.
     """
     model = robot.model
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    mujoco.mj_comPos(model, data)
+    data = zero_pose(robot)
     root = 0 if robot.standing is None else robot.standing.body
     frame = data.xmat[root].reshape(3, 3)
     is_own = np.isin(model.jnt_bodyid, robot.bodies)
@@ -137,16 +154,16 @@ def mirror_pairs(robot: Robot) -> list[MirrorPair]:
     anchors_m = (data.xanchor[joints] - data.xpos[root]) @ frame
     axes = data.xaxis[joints] @ frame
     centres_m = (data.xipos[bodies] - data.xanchor[joints]) @ frame
-    depths = np.array([_depth(model, int(joint)) for joint in joints])
+    depths = np.array([depth_of(model, int(joint)) for joint in joints])
     is_aside = np.abs(anchors_m) > SAME_PLACE_M
     couplings = couplings_of(model)
     ends = (model.eq_obj1id[couplings], model.eq_obj2id[couplings])
     coupled = {frozenset(two) for two in np.column_stack(ends).tolist()}
     best: list[MirrorPair] = []
     most = 0
-    for across in (1, 0):
-        flip = np.ones(3)
-        flip[across] = -1.0
+    for signs in IMAGES:
+        flip = np.array(signs)
+        across = int(np.argmin(flip))
         away_m = np.linalg.norm(flip * anchors_m[:, None] - anchors_m, axis=-1)
         away_m[depths[:, None] != depths] = NO_IMAGE_M
         itself = np.flatnonzero(is_aside[:, across])
@@ -163,7 +180,7 @@ def mirror_pairs(robot: Robot) -> list[MirrorPair]:
                 apart_m=float(away_m[one, other]),
                 distance_m=float(np.linalg.norm(anchors_m[one])),
                 # The mirror image of an axis of rotation is turned once more.
-                cosine=float(-flip * axes[one] @ axes[other]),
+                cosine=float(flip.prod() * flip * axes[one] @ axes[other]),
                 along=int(np.abs(axes[one]).argmax()),
                 centres_apart_m=flip * centres_m[one] - centres_m[other],
                 ranges_rad={
@@ -188,7 +205,7 @@ def mirror_pairs(robot: Robot) -> list[MirrorPair]:
     return best
 
 
-def _depth(model: mujoco.MjModel, joint: int) -> int:
+def depth_of(model: mujoco.MjModel, joint: int) -> int:
     """Return the number of joints between the world and a joint."""
     count, dof = 0, int(model.jnt_dofadr[joint])
     while dof >= 0:
@@ -270,10 +287,11 @@ def _sides(robot: Robot) -> Finding:
     if worst.endswith((" ahead", " aside")):
         base, advice = "the distance of its hips", f"the {worst}, between its hips"
     differs = f"{100.0 * parts[worst]:.3g} % of {base}"
+    remark = f"{worst}: {texts.get(worst, differs)}" if value > 1e-3 else ""
     return Finding(
         value=value,
         parts=parts,
-        remark=f"{worst}: {texts.get(worst, differs)}" if value > 1e-3 else "",
+        remark=remark + also(parts, worst, limits_of("robot-sides")[1]),
         advice=advice,
     )
 
@@ -350,34 +368,53 @@ def _places(robot: Robot, quantity: str) -> FloatArray:
     return model.jnt_bodyid if quantity in OF_LINKS else model.jnt_dofadr
 
 
-def odd_copies(robot: Robot) -> Iterator[tuple[int, int, str, float]]:
-    """Yield a joint, a copy, a quantity in which its copies agree, and the difference over the larger one.
+def copies_of(robot: Robot, joints: NDArray[np.int_]) -> NDArray[np.bool_]:
+    """Return which joints carry copies of a link: as deep, of the same mass, inertia and distance of its centre.
 
-    Copies carry links of the same mass, inertia and distance of the centre of mass. Fingers and legs often have four.
+    Args:
+        robot: The robot.
+        joints: The joints, shape [count].
+
+    Returns:
+        Whether one is a copy of another one, shape [count, count].
     """
+    model = robot.model
+    bodies = model.jnt_bodyid[joints]
+    known = quantities(robot)
+    centres_m = np.linalg.norm(model.body_ipos[bodies] - model.jnt_pos[joints], axis=1)
+    # A link of another place that weighs the same by chance is no copy.
+    depths = np.array([depth_of(model, int(joint)) for joint in joints], float)
+    links = (known["mass"][bodies], known["inertia"][bodies], centres_m, depths)
+    is_copy = np.all([apart(one) <= SAME for one in links], axis=0)
+    np.fill_diagonal(is_copy, False)
+    copies: NDArray[np.bool_] = is_copy
+    return copies
+
+
+def _odd_ones(
+    values: FloatArray, is_like: NDArray[np.bool_], within: float
+) -> Iterator[tuple[int, int, float]]:
+    """Yield a place, that of a like one, and the difference of their values, where at least two like ones agree."""
+    off = apart(values)
+    for place in np.flatnonzero(is_like.sum(axis=1) >= FEW_COPIES).tolist():
+        like = np.flatnonzero(is_like[place])
+        difference = float(off[place, like[0]])
+        if (off[np.ix_(like, like)] <= within).all() and np.isfinite(difference):
+            yield place, int(like[0]), difference
+
+
+def odd_copies(robot: Robot) -> Iterator[tuple[int, int, str, float]]:
+    """Yield a joint, a copy, a quantity in which its copies agree, and the difference over the larger one."""
     model = robot.model
     dofs = list(driven_dofs(robot))
     joints = model.dof_jntid[dofs]
-    bodies = model.jnt_bodyid[joints]
-    known = quantities(robot)
-    centres_m = model.body_ipos[bodies] - model.jnt_pos[joints]
-    links = [known["mass"][bodies], known["inertia"][bodies]]
-    links.append(np.linalg.norm(centres_m, axis=1))
-    # A link of another place that weighs the same by chance is no copy.
-    links.append(np.array([_depth(model, int(joint)) for joint in joints], float))
-    is_copy = np.all([apart(one) <= SAME for one in links], axis=0)
-    np.fill_diagonal(is_copy, False)
-    driven = {n: one[dofs] for n, one in known.items() if n not in OF_LINKS}
+    is_copy = copies_of(robot, joints)
+    driven = {n: one[dofs] for n, one in quantities(robot).items() if n not in OF_LINKS}
     along = np.abs(model.jnt_axis[joints]).max(axis=1)
     driven["obliqueness"] = np.sqrt(np.maximum(1.0 - along**2, 0.0))
     for quantity, values in driven.items():
-        differences_of = apart(values)
-        for place in np.flatnonzero(is_copy.sum(axis=0) >= FEW_COPIES).tolist():
-            copies = np.flatnonzero(is_copy[place])
-            agree = (differences_of[np.ix_(copies, copies)] <= SAME).all()
-            difference = float(differences_of[place, copies[0]])
-            if agree and np.isfinite(difference):
-                yield int(joints[place]), int(joints[copies[0]]), quantity, difference
+        for place, other, difference in _odd_ones(values, is_copy, SAME):
+            yield int(joints[place]), int(joints[other]), quantity, difference
 
 
 def _odd_servos(robot: Robot) -> Iterator[tuple[int, int, str, float]]:
@@ -390,14 +427,10 @@ def _odd_servos(robot: Robot) -> Iterator[tuple[int, int, str, float]]:
     if len(motors) < FEW_SERVOS:
         return
     joints = model.actuator_trnid[motors, 0]
-    dofs = model.jnt_dofadr[joints]
-    kp, kv = (servo_gains(model, column)[dofs] for column in (1, 2))
-    is_other_kp = apart(kp) >= ODD_KP
-    if kv.all() and (apart(kv) <= SAME).all():
-        for place in np.flatnonzero(is_other_kp.sum(axis=0) == len(motors) - 1):
-            others = np.delete(np.arange(len(motors)), place)
-            if (apart(kp[others]) <= SAME).all():
-                yield int(joints[place]), int(joints[others[0]]), "kp", ODD_DIRECTION
+    kp = quantities(robot)["kp"][model.jnt_dofadr]
+    for joint, (quantity, other) in odd_motors(robot).items():
+        if quantity == "kp" and apart(kp[[joint, other]])[0, 1] >= ODD_KP:
+            yield joint, other, "kp", ODD_DIRECTION
     commands, ranges = model.actuator_ctrlrange[motors], model.jnt_range[joints]
     gaps = np.abs(commands - ranges).max(axis=1)
     is_odd = gaps > SAME * np.ptp(ranges, axis=1)
@@ -408,6 +441,25 @@ def _odd_servos(robot: Robot) -> Iterator[tuple[int, int, str, float]]:
     copies = np.flatnonzero(alike & ~is_odd)
     if len(copies) >= FEW_COPIES:
         yield int(joints[odd]), int(joints[copies[0]]), OWN_RANGE, ODD_DIRECTION
+
+
+@once
+def odd_motors(robot: Robot) -> dict[int, tuple[str, int]]:
+    """Return joints that differ in one number alone from at least two like others: the number, and another joint."""
+    dofs = list(driven_dofs(robot))
+    joints, found = robot.model.dof_jntid[dofs], {}
+    known = {name: quantities(robot)[name][dofs] for name in SHARED}
+    high = limits_of("robot-sides")[1]
+    unlike = {name: apart(values) > high for name, values in known.items()}
+    for name in SHARED:
+        others = [unlike[other] for other in SHARED if other != name]
+        is_like = ~np.any(others, axis=0)
+        np.fill_diagonal(is_like, False)
+        # One that a like joint shares is no exception.
+        is_like[(is_like & ~unlike[name]).any(axis=1)] = False
+        for place, other, _ in _odd_ones(known[name], is_like, high):
+            found[int(joints[place])] = name, int(joints[other])
+    return found
 
 
 def apart(values: FloatArray) -> FloatArray:
@@ -438,6 +490,8 @@ def differences(robot: Robot, pair: MirrorPair) -> Iterator[tuple[str, float]]:
     followers = {*model.eq_obj1id[couplings], *model.eq_obj2id[couplings]}
     # Of two fingers that a coupling closes, one has the motor.
     follows = bool(followers & {pair.joint, pair.other})
+    if pair.apart_m <= SAME_PLACE_M and abs(pair.cosine) > STRAIGHT:
+        yield from _images(robot, pair, size_m)
     for name, values in quantities(robot).items():
         if name == "range" or (follows and name in OF_MOTORS):
             # The ranges of two sides are a row of their own.
@@ -446,6 +500,41 @@ def differences(robot: Robot, pair: MirrorPair) -> Iterator[tuple[str, float]]:
         difference = float(apart(both)[0, 1])
         if np.isfinite(difference):
             yield name, difference
+
+
+def _images(
+    robot: Robot, pair: MirrorPair, size_m: float
+) -> Iterator[tuple[str, float]]:
+    """Yield how shapes that touch, and places in the keyframe, of two joints are no mirror images."""
+    model, data = robot.model, zero_pose(robot)
+    root = 0 if robot.standing is None else robot.standing.body
+    frame, touching = data.xmat[root].reshape(3, 3), np.unique(robot.pairs.geoms)
+    boxes_m = []
+    for joint, flip in ((pair.joint, pair.flip), (pair.other, 1.0)):
+        body = int(model.jnt_bodyid[joint])
+        geoms = [geom for geom in geoms_of(robot, body) if geom in touching]
+        corners_m = box_corners(model, geoms) @ data.xmat[body].reshape(3, 3).T
+        corners_m = (corners_m + data.xpos[body] - data.xanchor[joint]) @ frame * flip
+        if geoms:
+            boxes_m.append([corners_m.min(axis=0), corners_m.max(axis=0)])
+    if len(boxes_m) == 2:
+        first_m, second_m = np.array(boxes_m)
+        if robot.standing and body in robot.standing.feet:
+            size_m = FOOT_SHARE * float(np.ptp(first_m, axis=0).max())
+        yield SHAPES, float(np.abs(first_m - second_m).max()) / size_m
+    places = model.jnt_qposadr[[pair.joint, pair.other]]
+    if model.nkey:
+        first, second = model.key_qpos[home_key(model), places] - model.qpos0[places]
+        yield POSE, min(abs(first - np.sign(pair.cosine) * second), ODD_DIRECTION)
+
+
+@once
+def zero_pose(robot: Robot) -> mujoco.MjData:
+    """Return a robot where its model places it."""
+    data = mujoco.MjData(robot.model)
+    mujoco.mj_kinematics(robot.model, data)
+    mujoco.mj_comPos(robot.model, data)
+    return data
 
 
 OF_GEOMETRY = ("place", "axis", "centre of mass")

@@ -306,7 +306,7 @@ TURNED = 0.01
 """Distance from its range, over it, up to which a joint would be in it with the other sign of its coupling."""
 
 
-def _are_twins(model: mujoco.MjModel, joint: int, other: int) -> bool:
+def are_twins(model: mujoco.MjModel, joint: int, other: int) -> bool:
     """Return whether two joints carry like fingers: on one body, of the same mass, and with ranges of the same size."""
     bodies = model.jnt_bodyid[[joint, other]]
     parents = model.body_parentid[bodies]
@@ -363,7 +363,7 @@ def _coupling(robot: Robot) -> Finding:
             mended, advices[part] = _mended_coupling(model, number, off, begin)
             zeros[part] = abs(off) / span
             zero_changes[f"eq_data[{number}]"] = mended
-        if _are_twins(model, joint, other):
+        if are_twins(model, joint, other):
             ratio = abs(float(model.eq_data[number, 1]))
             both = f"{name} and {name_of(robot, other)}"
             part = f"ratio of {both}"
@@ -516,10 +516,15 @@ def _level(robot: Robot) -> Finding:
     lower, upper = sorted(heights_mm, key=heights_mm.__getitem__)
     apart_mm = heights_mm[upper] - heights_mm[lower]
     names = f"{body_name(robot, upper)} above {body_name(robot, lower)}"
+    data = start(robot)
+    links_mm = 1e3 * abs(float((data.xpos[upper] - data.xpos[lower]) @ robot.up))
+    unlike = "lengths, axes and angles"
+    if links_mm < 0.5 * apart_mm:
+        unlike = "pos and size of the geoms that touch"
     return Finding(
         value=apart_mm / (1e3 * standing.height_m),
         remark=f"{names} by {apart_mm:.3g} mm in the {standing.stance.label}",
-        advice=f"the same lengths, axes and angles in both legs: {names}",
+        advice=f"the same {unlike} in both legs: {names}",
     )
 
 

@@ -1,0 +1,187 @@
+"""Judge what is joined to what: tendons, couplings and loops, fingers, motors, sensors, axes, and objects."""
+
+import re
+from collections.abc import Callable, Iterator
+from itertools import combinations
+
+import mujoco
+import numpy as np
+
+from gauge_envs.tools.sanity.robot.finding import (
+    Finding,
+    body_name,
+    joint_name,
+    name_of,
+    row,
+)
+from gauge_envs.tools.sanity.robot.joints import driven_dofs, springs
+from gauge_envs.tools.sanity.robot.mass_rows import size_m
+from gauge_envs.tools.sanity.robot.mujoco_feet import joints_of
+from gauge_envs.tools.sanity.robot.robot import (
+    Robot,
+    couplings_of,
+    grasp_kinds,
+    joints_of_motors,
+    misplaced_names,
+)
+from gauge_envs.tools.sanity.robot.sides import (
+    FEW_COPIES,
+    SAME,
+    copies_of,
+    mirror_pairs,
+    zero_pose,
+)
+from gauge_envs.tools.sanity.robot.whole_rows import are_twins
+
+ON_ONE_LINE = 0.01
+"""Distance of two parallel axes over the size of the robot up to which they are one axis."""
+
+OTHER_SIDE = {"left": "right", "right": "left"}
+"""Words of the sides of a robot, with those of the other side."""
+
+SIDE = re.compile("|".join(OTHER_SIDE))
+
+Wrong = tuple[str, str]
+"""What is wrong, and what to change."""
+
+
+@row("robot-wiring")
+def _wiring(robot: Robot) -> Finding:
+    found = [one for check in CHECKS for one in check(robot)]
+    remarks, advices = ([one[place] for one in found] for place in (0, 1))
+    return Finding(
+        value=float(len(found)),
+        parts=dict.fromkeys(remarks, 1.0),
+        remark="; ".join(remarks),
+        advice="; ".join(advices),
+    )
+
+
+def _left_out(robot: Robot) -> Iterator[Wrong]:
+    """Yield joints that nothing moves, though a motor, tendon, coupling or spring moves their copies."""
+    model = robot.model
+    is_joint, is_tendon = couplings_of(model), int(mujoco.mjtWrap.mjWRAP_JOINT)
+    several = [joints_of_motors(model), np.flatnonzero(springs(model))]
+    several += [model.eq_obj1id[is_joint], model.eq_obj2id[is_joint]]
+    several += [model.wrap_objid[model.wrap_type == is_tendon]]
+    is_moved = np.isin(np.arange(model.njnt), np.concatenate(several))
+    is_own = np.isin(model.jnt_bodyid, robot.bodies)
+    joints = np.flatnonzero(is_own & joints_of(model, "HINGE", "SLIDE"))
+    for place, is_copy in enumerate(copies_of(robot, joints)):
+        copies, name = joints[is_copy], name_of(robot, int(joints[place]))
+        is_odd = is_moved[copies].all() and not is_moved[joints[place]]
+        if is_odd and len(copies) >= FEW_COPIES:
+            others = " and ".join(name_of(robot, int(one)) for one in copies[:2])
+            remark = f"no motor, tendon or coupling moves {name}, as they move {others}"
+            yield remark, f"the joint {name} in its motor, tendon or coupling"
+
+
+def _sides(robot: Robot) -> Iterator[Wrong]:
+    """Yield couplings and loops that the other side has not, or has with another ratio."""
+    model, is_joint = robot.model, couplings_of(robot.model)
+    several = [(one.joint, one.other, one.cosine) for one in mirror_pairs(robot)]
+    cosines = {joint: one[2] for one in several for joint in one[:2]}
+    ends = np.column_stack([model.eq_obj1id, model.eq_obj2id]).tolist()
+    for number, two in enumerate(ends):
+        kind = (
+            mujoco.mjtObj.mjOBJ_JOINT if is_joint[number] else mujoco.mjtObj.mjOBJ_BODY
+        )
+        if not is_joint[number] and int(model.eq_objtype[number]) != int(kind):
+            continue
+        names = [mujoco.mj_id2name(model, kind, end) or "" for end in two]
+        others = [SIDE.sub(lambda found: OTHER_SIDE[found[0]], name) for name in names]
+        imaged = [mujoco.mj_name2id(model, kind, name) for name in others]
+        if min(imaged) < 0 or {*imaged} == {*two}:
+            continue
+        text, other = " and ".join(names), " and ".join(others)
+        if imaged not in ends and imaged[::-1] not in ends:
+            yield (
+                f"an equality joins {text}, and none {other}",
+                f"the same equality for {other}",
+            )
+        elif imaged in ends[number:]:
+            both = [number, ends.index(imaged)]
+            sign = np.sign([cosines.get(end, 1.0) for end in two]).prod()
+            first, second = model.eq_data[both, 1] * [1.0, sign]
+            if is_joint[number] and not np.isclose(first, second, rtol=SAME):
+                advice = f"polycoef of {text} and of {other}: which is the wrong one?"
+                yield (
+                    f"the equalities of {text} and of {other} are no mirror images",
+                    advice,
+                )
+
+
+def _fingers(robot: Robot) -> Iterator[Wrong]:
+    """Yield two like fingers on slides of the same range that move the same way: they close on nothing."""
+    model, axes = robot.model, zero_pose(robot).xaxis
+    is_slide = joints_of(model, "SLIDE") & (model.jnt_limited != 0)
+    is_slide &= np.isin(model.jnt_bodyid, robot.bodies)
+    for joint, other in combinations(np.flatnonzero(is_slide).tolist(), 2):
+        first, second = model.jnt_range[[joint, other]]
+        is_same, is_turned = (
+            np.allclose(first, second),
+            np.allclose(first, -second[::-1]),
+        )
+        if is_same == is_turned or not are_twins(model, joint, other):
+            continue
+        sign = 1.0 if is_same else -1.0
+        if sign * float(axes[joint] @ axes[other]) > 1.0 - SAME:
+            names = f"{name_of(robot, joint)} and {name_of(robot, other)}"
+            yield (
+                f"the fingers {names} slide the same way",
+                f"the axis or the range of {names}",
+            )
+
+
+def _sensors(robot: Robot) -> Iterator[Wrong]:
+    """Yield sensors of joints that read another one than their name says."""
+    model = robot.model
+    for of_type in (mujoco.mjtSensor.mjSENS_JOINTPOS, mujoco.mjtSensor.mjSENS_JOINTVEL):
+        sensors = np.flatnonzero(model.sensor_type == int(of_type)).tolist()
+        said = [model.sensor(sensor).name for sensor in sensors]
+        read = [name_of(robot, int(model.sensor_objid[sensor])) for sensor in sensors]
+        for place, best in misplaced_names(said, read).items():
+            yield (
+                f"sensor {said[place]} reads {read[place]}",
+                f"joint {read[best]} for the sensor {said[place]}",
+            )
+
+
+def _on_one_line(robot: Robot) -> Iterator[Wrong]:
+    """Yield a driven hinge about the same line as the one that carries it: one of them turns nothing more."""
+    model, data, driven = robot.model, zero_pose(robot), driven_dofs(robot)
+    for dof in driven:
+        carrier = int(model.dof_parentid[dof])
+        joints = model.dof_jntid[[dof, carrier]]
+        (axis, other), (place_m, other_m) = data.xaxis[joints], data.xanchor[joints]
+        off_m = np.linalg.norm(np.cross(axis, place_m - other_m))
+        is_one = np.linalg.norm(np.cross(axis, other)) < SAME
+        if carrier in driven and is_one and off_m < ON_ONE_LINE * size_m(robot):
+            name, link = (
+                joint_name(robot, dof),
+                body_name(robot, int(model.dof_bodyid[dof])),
+            )
+            advice = f"quat (w x y z) of {link}, and the axis of {name}"
+            yield f"{name} turns about the line of {joint_name(robot, carrier)}", advice
+
+
+def _objects(robot: Robot) -> Iterator[Wrong]:
+    """Yield free objects that touch something, and that no part of a robot on a fixed base can touch."""
+    model, pairs = robot.model, robot.pairs
+    if robot.standing is not None or not len(joints_of_motors(model)):
+        return
+    bodies = model.geom_bodyid[pairs.geoms]
+    held = {*bodies[grasp_kinds(model, pairs) > 0].ravel().tolist()}
+    free = {*model.jnt_bodyid[joints_of(model, "FREE")].tolist()} - {*robot.bodies}
+    for body in sorted(free & {*bodies.ravel().tolist()} - held):
+        name = body_name(robot, body)
+        yield (
+            f"no part of the robot can touch {name}, and others can",
+            f"contype and conaffinity of the robot's geoms and of {name} that match",
+        )
+
+
+CHECKS: tuple[Callable[[Robot], Iterator[Wrong]], ...] = (
+    *(_objects, _sides, _left_out, _fingers, _sensors, _on_one_line),
+)
+"""What is tried, causes before their effects."""
