@@ -78,8 +78,7 @@ def planted(mistakes):
     """
     found = {}
     for name, (row, *change) in mistakes.items():
-        is_function = callable(change[0])
-        found[name] = change[0] if is_function else replaced(*change), row
+        found[name] = change[0] if callable(change[0]) else replaced(*change), row
     return found
 
 

@@ -118,7 +118,6 @@ def test_what_models_state_is_told_in_the_approved_rows(approved):
         ("action_rad", 0.3, 0.6, False),
         ("action_rad", np.degrees(0.3), np.degrees(0.6), True),
         ("action_rad", 0.001, 0.002, True),
-        ("delay_s", 0.0, 0.0, False),
         ("delay_s", 0.02, 20.0, False),
         ("delay_s", 0.11, 110.0, True),
     ],

@@ -1,7 +1,7 @@
 """What is found of a robot for a row, and how it is judged."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -87,7 +87,7 @@ def row(
 
         def found(robot: Robot) -> Finding:
             if name not in robot.known:
-                robot.known[name] = _checked(robot, name, measured(robot))
+                robot.known[name] = measured(robot)
             known: Finding = robot.known[name]
             return known
 
@@ -95,18 +95,6 @@ def row(
         return function
 
     return keep
-
-
-def _checked(robot: Robot, name: str, found: Finding) -> Finding:
-    """Return what was found, with another advice where its own would change what a part shares with like ones."""
-    if not found.advice or name not in OF_DRIVES | {"robot-feet"}:
-        return found
-    from gauge_envs.tools.sanity.robot.likeness import unlike_others
-
-    low, high = limits_of(name)
-    off = [part for part, one in found.parts.items() if not low <= one <= high]
-    instead = unlike_others(robot, off)
-    return replace(found, advice=instead, changes={}) if instead else found
 
 
 def standing_of(robot: Robot) -> Standing:

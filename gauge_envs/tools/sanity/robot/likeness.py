@@ -1,10 +1,11 @@
 """Say in which number a joint differs from its mirror image, or from joints of the same motor."""
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
+from dataclasses import replace
 
 import numpy as np
 
-from gauge_envs.tools.sanity.robot.finding import limits_of, name_of
+from gauge_envs.tools.sanity.robot.finding import Finding, limits_of, name_of
 from gauge_envs.tools.sanity.robot.mujoco_feet import geom_name
 from gauge_envs.tools.sanity.robot.robot import Robot
 from gauge_envs.tools.sanity.robot.sides import (
@@ -15,6 +16,20 @@ from gauge_envs.tools.sanity.robot.sides import (
     odd_motors,
     quantities,
 )
+
+Row = Callable[[Robot], Finding]
+
+
+def advised(name: str, row: Row) -> Row:
+    """Return a row whose advice for joints, or their links, is the number in which they differ from like ones."""
+
+    def found(robot: Robot) -> Finding:
+        known, (low, high) = row(robot), limits_of(name)
+        off = [part for part, one in known.parts.items() if not low <= one <= high]
+        instead = unlike_others(robot, off) if known.advice else ""
+        return replace(known, advice=instead, changes={}) if instead else known
+
+    return found
 
 
 def unlike_others(robot: Robot, names: Collection[str]) -> str:

@@ -233,9 +233,9 @@ def _from_geoms(robot: Robot) -> Finding | None:
     from_geoms = int(mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE)
     if spec is None or int(spec.compiler.inertiafromgeom) != from_geoms:
         return None
-    stating = [body for body in spec.bodies if body.explicitinertial]
-    stated_kg = sum(float(body.mass) for body in stating)
-    total_kg = float(robot.model.body_mass[[body.id for body in stating]].sum())
+    stating = {body.id: body.mass for body in spec.bodies if body.explicitinertial}
+    stated_kg = sum(stating.values())
+    total_kg = float(robot.model.body_mass[[*stating]].sum())
     if abs(total_kg - stated_kg) <= SAME_KG * stated_kg:
         return None
     return Finding(

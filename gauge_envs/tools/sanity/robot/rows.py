@@ -13,7 +13,11 @@ from gauge_envs.tools.sanity.robot import (
     whole_rows,
     wiring_rows,
 )
-from gauge_envs.tools.sanity.robot.finding import ROWS
+from gauge_envs.tools.sanity.robot.finding import OF_DRIVES, ROWS
+from gauge_envs.tools.sanity.robot.likeness import advised
+
+for _name in OF_DRIVES | {"robot-feet"}:
+    ROWS[_name] = advised(_name, ROWS[_name])
 
 __all__ = [
     "ROWS",
