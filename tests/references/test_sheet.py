@@ -39,7 +39,7 @@ def sheet_and_markers(name):
 def hanging(fabric):
     """Return the hanging cloth of TextileFlinging with its rod at rest."""
     sheet, _ = sheet_and_markers(f"TextileFlinging-{fabric}")
-    return replace(sheet, held=dict.fromkeys(sheet.held))
+    return replace(sheet, end_drivers=dict.fromkeys(sheet.end_drivers))
 
 
 @pytest.mark.parametrize("fabric", ["satin", "nylon"])
@@ -52,7 +52,7 @@ def test_a_hanging_sheet_vibrates_along_its_length_as_the_wave_equation_says(fab
     sheet = hanging(fabric)
     cloth, length_m = sheet.cloth, sheet.cloth.size_m[0]
     nodes_m, _, _ = solve_sheet(sheet, cells=160, frames=8)
-    lower = 0 if "high" in sheet.held else -1
+    lower = 0 if "high" in sheet.end_drivers else -1
     found_mm = MM_PER_M * (nodes_m[0, 2, lower] - nodes_m[:, 2, lower])
 
     stiffness = cloth.stretch_stiffness_n_per_m
@@ -71,7 +71,7 @@ def test_a_hanging_sheet_vibrates_along_its_length_as_the_wave_equation_says(fab
 
 def test_a_sheet_without_moving_ends_keeps_its_energy():
     sheet, _ = sheet_and_markers("TextileBending-satin")
-    still = replace(sheet, held=dict.fromkeys(sheet.held))
+    still = replace(sheet, end_drivers=dict.fromkeys(sheet.end_drivers))
     nodes_m, energies, _ = solve_sheet(still, cells=40, frames=61)
     cloth = sheet.cloth
     weight_n_per_m = cloth.areal_density_kg_per_m2 * GRAVITY_M_PER_S2 * cloth.size_m[0]
@@ -86,8 +86,8 @@ def test_a_small_swing_of_the_sheet_has_the_period_of_a_hanging_chain():
     The chain does not stretch, so the sheet is stiffer than any fabric here.
     """
     sheet, _ = sheet_and_markers("TextileFlinging-oxford")
-    (side,) = sheet.held
-    driver = sheet.held[side]
+    (side,) = sheet.end_drivers
+    driver = sheet.end_drivers[side]
     # A thousandth of the prescribed motion, after which the sheet swings on.
     profiles = tuple(
         replace(profile, amount=1e-3 * profile.amount)
@@ -98,7 +98,7 @@ def test_a_small_swing_of_the_sheet_has_the_period_of_a_hanging_chain():
     stiff = replace(sheet.cloth, stretch_stiffness_n_per_m=stiffness)
     frames = 121
     nodes_m, _, _ = solve_sheet(
-        replace(sheet, cloth=stiff, held={side: small}), cells=32, frames=frames
+        replace(sheet, cloth=stiff, end_drivers={side: small}), cells=32, frames=frames
     )
     lower = 0 if side == "high" else -1
     swing = nodes_m[42:, 1, lower] - nodes_m[-1, 1, -1 if side == "high" else 0]
@@ -223,12 +223,12 @@ def test_a_frozen_scene_and_a_softer_or_lighter_fabric_differ_from_the_reference
 def test_a_held_end_changes_the_momentum_of_the_sheet_by_its_force():
     scene = load_experiment("TextileFlinging-satin").scene
     sheet = sheet_of(scene)
-    nodes_m, _, held = solve_sheet(sheet, cells=40, frames=13)
+    nodes_m, _, loads_n_per_m = solve_sheet(sheet, cells=40, frames=13)
     masses = node_masses_kg_per_m(sheet.cloth, 41)
     # Before the rod moves much the sheet falls and rebounds: over 0.4 s its momentum is small beside its weight.
     places = (masses * nodes_m).sum(axis=2)
     momentum = (places[12] - places[10]) / 2.0 * 30.0
-    impulse = held["high"][1:12].sum(axis=0) / 30.0
+    impulse = loads_n_per_m["high"][1:12].sum(axis=0) / 30.0
     impulse[2] -= masses.sum() * 9.80665 * 11.0 / 30.0
     assert (
         np.abs(impulse - momentum).max() < 0.01 * masses.sum() * 9.80665 * 11.0 / 30.0
