@@ -191,6 +191,9 @@ def harm(before: Behaviour, after: Behaviour, remedy: Remedy, name: str = "") ->
         if other in (name, STATED_ANYWAY.get(name), "robot-alike"):
             # Gains of one joint may change beside those of the others.
             continue
+        if name == "robot-size" and not after.row(other).verdict.is_off:
+            # In another unit of lengths it was another robot.
+            continue
         if _is_worse(before.row(other), after.row(other)):
             return f"{other} gets worse, {_change_text(before, after, other)}"
     was, now = (
