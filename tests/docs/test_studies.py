@@ -22,7 +22,7 @@ runpy.run_module(f"studies.{sys.argv[0]}", run_name="__main__", alter_sys=True)
 COMMANDS = {
     "cost": "cost results",
     "coverage": "interval_coverage out.csv 'drop, 5 % outliers'",
-    "joints": "robots 1",
+    "joints": "robots 0 1 60",
     "newtons_cradle": "cradle",
     "planted_faults": "planted_faults --only margin",
     "published_scores": "published_scores --backend mujoco --engine isaacsim --only SlopeSlider-2-wood",

@@ -21,8 +21,10 @@ from gauge_envs.tools.identify.rig import DYNAMICS, LIMIT, OFFSET, SERVO, Machin
 NEAR, CLOSE, SERVO_CLOSE, SHORT_STEPS = 1e-2, 1e-4, 1e-3, 8
 """Relative change at which a stage ends: the first, the second, that of servos; most steps of the first."""
 
-STARTS, DEADBAND_RAD = 3, 0.01
-"""Number of stiffnesses from which a servo's fit starts; angle within which dry friction holds it in one more start."""
+STARTS, ARM_STARTS, DEADBAND_RAD = 5, 3, 0.01
+"""Number of stiffnesses from which the fit of a servo starts, and of the servos of an arm, whose fit takes minutes;
+angle within which dry friction holds it in one more start.
+"""
 
 FIRST_DAMPING, LEAST_DAMPING, EASE, MOST_STEPS = 1e-2, 1e-9, 5.0, 40
 """Damping of the first step of a joint, the least, its factor after a step, and most steps."""
@@ -220,13 +222,14 @@ class Problem:
         """Return the unknowns of a few steps of least squares from the best of the first guesses.
 
         A servo's errors have several minima: with a stiffness that is far too large, and without dry friction. So the
-        search starts from three stiffnesses, and from the best of these once more with a play by dry friction of
+        search starts from several stiffnesses, and from the best of these once more with a play by dry friction of
         `DEADBAND_RAD`. As joints of an arm hardly move each other, each has the start that follows it best.
         """
         guesses = self._ranked(self.first_guesses())
         if SERVO[0] not in self.names:
             return self.solved(guesses[0], NEAR)
-        tried = [self.solved(one, NEAR, SHORT_STEPS) for one in guesses[:STARTS]]
+        starts = STARTS if self.joints == 1 else ARM_STARTS
+        tried = [self.solved(one, NEAR, SHORT_STEPS) for one in guesses[:starts]]
         best = self._ranked(tried)[0]
         if DYNAMICS[0] in self.names:
             rubbing = best.reshape(self.kinds, self.joints).copy()
