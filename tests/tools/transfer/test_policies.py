@@ -42,6 +42,12 @@ class Evil:
         return (Path.touch, (self.file,))
 
 
+def refused(reason, source, env, **options):
+    """Assert that a policy is an error with this reason."""
+    with pytest.raises(PolicyError, match=reason):
+        load_policy(str(source), env, **options)
+
+
 # --- Stable-Baselines3 ---
 
 
@@ -84,8 +90,7 @@ def test_a_network_that_weights_do_not_state_needs_trust(env, tmp_path):
     )
     file = tmp_path / "policy.zip"
     model.save(file)
-    with pytest.raises(PolicyError, match=r"gSDE.*runs code.*--trust"):
-        load_policy(str(file), env)
+    refused(r"gSDE.*runs code.*--trust", file, env)
     trusted = load_policy(str(file), env, trust=True)
     observation = observations()[0]
     assert trusted(observation) == pytest.approx(
@@ -119,18 +124,23 @@ def write_sb3(file, sizes, *, evil=None, **data):
 
 
 def test_a_policy_of_another_task_is_refused(env, tmp_path):
-    with pytest.raises(
-        PolicyError, match="7 entries of the observation, the task has 5"
-    ):
-        load_policy(str(write_sb3(tmp_path / "a.zip", (7, 4, 1))), env)
-    with pytest.raises(PolicyError, match="2 entries of the action, the task has 1"):
-        load_policy(str(write_sb3(tmp_path / "b.zip", (5, 4, 2))), env)
+    refused(
+        "7 entries of the observation, the task has 5",
+        write_sb3(tmp_path / "a.zip", (7, 4, 1)),
+        env,
+    )
+    refused(
+        "2 entries of the action, the task has 1",
+        write_sb3(tmp_path / "b.zip", (5, 4, 2)),
+        env,
+    )
 
 
 def test_weights_that_hold_code_are_refused_and_do_not_run(env, tmp_path):
     mark = tmp_path / "ran"
-    with pytest.raises(PolicyError, match="holds no weights"):
-        load_policy(str(write_sb3(tmp_path / "a.zip", (5, 4, 1), evil=mark)), env)
+    refused(
+        "holds no weights", write_sb3(tmp_path / "a.zip", (5, 4, 1), evil=mark), env
+    )
     assert not mark.exists()
 
 
@@ -150,8 +160,7 @@ def test_weights_that_hold_code_are_refused_and_do_not_run(env, tmp_path):
     ],
 )
 def test_what_may_change_the_network_needs_trust(data, reason, env, tmp_path):
-    with pytest.raises(PolicyError, match=f"{reason}.*--trust"):
-        load_policy(str(write_sb3(tmp_path / "a.zip", (5, 4, 1), **data)), env)
+    refused(f"{reason}.*--trust", write_sb3(tmp_path / "a.zip", (5, 4, 1), **data), env)
 
 
 @pytest.mark.parametrize(
@@ -161,10 +170,7 @@ def test_damaged_data_is_no_policy(data, env, tmp_path):
     with zipfile.ZipFile(tmp_path / "a.zip", "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("data", data)
         archive.writestr("policy.pth", b"PK")
-    with pytest.raises(
-        PolicyError, match=r"a\.zip: it is no policy of Stable-Baselines3"
-    ):
-        load_policy(str(tmp_path / "a.zip"), env)
+    refused(r"a\.zip: it is no policy of Stable-Baselines3", tmp_path / "a.zip", env)
 
 
 def test_weights_that_unpack_to_gigabytes_are_refused(env, tmp_path):
@@ -178,8 +184,7 @@ def test_weights_that_unpack_to_gigabytes_are_refused(env, tmp_path):
     with zipfile.ZipFile(tmp_path / "a.zip", "w") as archive:
         archive.writestr("data", "{}")
         archive.writestr("policy.pth", lied)
-    with pytest.raises(PolicyError, match=r"policy\.pth unpacks to more than 512 MB"):
-        load_policy(str(tmp_path / "a.zip"), env)
+    refused(r"policy\.pth unpacks to more than 512 MB", tmp_path / "a.zip", env)
 
 
 @pytest.mark.parametrize(
@@ -219,8 +224,7 @@ def test_damaged_weights_are_refused(change, reason, env, tmp_path):
     with zipfile.ZipFile(file, "w") as archive:
         archive.writestr("data", data)
         archive.writestr("policy.pth", stream.getvalue())
-    with pytest.raises(PolicyError, match=reason):
-        load_policy(str(file), env)
+    refused(reason, file, env)
 
 
 # --- statistics ---
@@ -277,8 +281,7 @@ def test_statistics_need_trust_and_run_nothing_without_it(env, tmp_path):
     mark = tmp_path / "ran"
     file = write_statistics(tmp_path / "norm.pkl", Evil(mark))
     onnx = str(write_onnx(tmp_path / "a.onnx", 5))
-    with pytest.raises(PolicyError, match=r"is a pickle.*--trust"):
-        load_policy(onnx, env, normalization=file)
+    refused(r"is a pickle.*--trust", onnx, env, normalization=file)
     assert not mark.exists()
 
 
@@ -286,22 +289,20 @@ def test_statistics_need_trust_and_run_nothing_without_it(env, tmp_path):
 def test_statistics_of_another_task_are_refused(env, tmp_path):
     saved = VecNormalize()
     saved.observation_space = Box(-np.inf, np.inf, (3,))
-    with pytest.raises(PolicyError, match=r"shape \(3,\), the task has \(5,\)"):
-        load_policy(
-            "numpy:mean",
-            env,
-            normalization=write_statistics(tmp_path / "a.pkl", saved),
-            trust=True,
-        )
-    with pytest.raises(
-        PolicyError, match=r"b\.pkl: expected a file of VecNormalize\.save"
-    ):
-        load_policy(
-            "numpy:mean",
-            env,
-            normalization=write_statistics(tmp_path / "b.pkl", {}),
-            trust=True,
-        )
+    refused(
+        r"shape \(3,\), the task has \(5,\)",
+        "numpy:mean",
+        env,
+        normalization=write_statistics(tmp_path / "a.pkl", saved),
+        trust=True,
+    )
+    refused(
+        r"b\.pkl: expected a file of VecNormalize\.save",
+        "numpy:mean",
+        env,
+        normalization=write_statistics(tmp_path / "b.pkl", {}),
+        trust=True,
+    )
 
 
 # --- ONNX ---
@@ -336,12 +337,12 @@ def test_an_onnx_policy_acts_as_its_network_and_is_clipped(env, tmp_path):
     for observation in observations():
         expected = np.clip(0.1 * observation.sum(), -1.0, 1.0)
         assert policy(observation) == pytest.approx(expected, abs=1e-6)
-    with pytest.raises(PolicyError, match="observation has 5 entries"):
-        load_policy(str(write_onnx(tmp_path / "b.onnx", 6)), env)
-    with pytest.raises(
-        PolicyError, match=r"action has shape \(3,\), the task takes \(1,\)"
-    ):
-        load_policy(str(write_onnx(tmp_path / "c.onnx", 5, outputs=3)), env)
+    refused("observation has 5 entries", write_onnx(tmp_path / "b.onnx", 6), env)
+    refused(
+        r"action has shape \(3,\), the task takes \(1,\)",
+        write_onnx(tmp_path / "c.onnx", 5, outputs=3),
+        env,
+    )
 
 
 def test_an_onnx_file_is_run_within_limits_first(env, tmp_path, monkeypatch):
@@ -362,10 +363,7 @@ def test_an_onnx_file_is_run_within_limits_first(env, tmp_path, monkeypatch):
     )
     file = tmp_path / "bomb.onnx"
     save_network(graph, file)
-    with pytest.raises(
-        PolicyError, match=r"bomb\.onnx: onnxruntime cannot run the network"
-    ):
-        load_policy(str(file), env)
+    refused(r"bomb\.onnx: onnxruntime cannot run the network", file, env)
     # A network that is cheap for zeros and a loop without end for the task's own observations.
     body = helper.make_graph(
         [
@@ -404,10 +402,7 @@ def test_an_onnx_file_is_run_within_limits_first(env, tmp_path, monkeypatch):
     with pytest.raises(PolicyError, match=r"bomb\.onnx: the network needs more than"):
         policy(np.ones(5))
     file.write_bytes(b"no network")
-    with pytest.raises(
-        PolicyError, match=r"bomb\.onnx: it is no network that onnxruntime can load"
-    ):
-        load_policy(str(file), env)
+    refused(r"bomb\.onnx: it is no network that onnxruntime can load", file, env)
 
 
 # --- any source ---
@@ -425,25 +420,20 @@ def test_an_onnx_file_is_run_within_limits_first(env, tmp_path, monkeypatch):
     ],
 )
 def test_what_is_no_policy_is_named(source, reason, env):
-    with pytest.raises(PolicyError, match=reason):
-        load_policy(source, env)
+    refused(reason, source, env)
 
 
 def test_a_zip_that_is_no_policy_is_named(env, tmp_path):
     with zipfile.ZipFile(tmp_path / "a.zip", "w") as archive:
         archive.writestr("readme", "hello")
-    with pytest.raises(PolicyError, match=r"expected the parts data and policy\.pth"):
-        load_policy(str(tmp_path / "a.zip"), env)
+    refused(r"expected the parts data and policy\.pth", tmp_path / "a.zip", env)
     (tmp_path / "b.zip").write_bytes(b"no archive")
-    with pytest.raises(PolicyError, match="no policy of Stable-Baselines3: "):
-        load_policy(str(tmp_path / "b.zip"), env)
+    refused("no policy of Stable-Baselines3: ", tmp_path / "b.zip", env)
 
 
 def test_a_function_of_a_module(env):
-    with pytest.raises(PolicyError, match="the policy raised TypeError"):
-        load_policy("os:getcwd", env, trust=True)
-    with pytest.raises(PolicyError, match="the import raised AttributeError"):
-        load_policy("os:nothing", env, trust=True)
+    refused("the policy raised TypeError", "os:getcwd", env, trust=True)
+    refused("the import raised AttributeError", "os:nothing", env, trust=True)
     assert load_policy("numpy:mean", env, trust=True)(np.full(5, 0.25)) == 0.25
 
 
@@ -471,8 +461,7 @@ def test_a_module_that_breaks_is_an_error(source, reason, env, tmp_path, monkeyp
         (tmp_path / f"{name}.py").write_text(text)
         monkeypatch.delitem(sys.modules, name, raising=False)
     monkeypatch.syspath_prepend(tmp_path)
-    with pytest.raises(PolicyError, match=reason):
-        load_policy(source, env, trust=True)
+    refused(reason, source, env, trust=True)
 
 
 def test_actions_are_checked(env):
