@@ -155,20 +155,22 @@ def _density(robot: Robot) -> Finding:
             found = Finding(value=density, remark=remark, advice=advice)
     found = replace(found, changes=changes, parts=densities)
     if worst <= 1.0 and (light := _thin_geoms(robot)):
-        return replace(light, parts=densities | dict(light.parts))
+        return light
     return _heavy(robot, found) if worst <= 1.0 and densities else found
 
 
 def _thin_geoms(robot: Robot) -> Finding | None:
-    """Return geoms of the robot, or of an object, with a density in g/cm^3, that touch; None without any."""
+    """Return geoms of objects with a density in g/cm^3, that touch; None without any."""
     if robot.spec is None:
         return None
     touching = {*np.unique(robot.pairs.geoms).tolist()}
     least, most = GRAMS_KG_PER_M3
+    # Links of the robot are judged by their mass.
+    touching -= {geom for body in robot.bodies for geom in geoms_of(robot, body)}
     thin = [
         geom
         for geom in robot.spec.geoms
-        if geom.id in touching and np.isnan(geom.mass) and least <= geom.density <= most
+        if geom.id in touching and least <= geom.density <= most
     ]
     if not thin:
         return None
