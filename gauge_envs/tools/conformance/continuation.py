@@ -18,7 +18,7 @@ from gauge_envs.tools.bench.parts import ball, body, box, contact, fixed_box, gr
 from gauge_envs.tools.conformance.contract import BOUNCES, bounces, one_sign
 from gauge_envs.tools.conformance.lab import STRIP_ON_ROD, Lab, push, strip_on_rod
 from gauge_envs.tools.conformance.model import REBUILT, Check, Measurement
-from gauge_envs.tools.conformance.touch import held
+from gauge_envs.tools.conformance.touch import half_fixed
 
 CONTINUATION = Check(
     "",
@@ -171,9 +171,9 @@ def _edge(_: Lab) -> Scene:
     )
 
 
-def _held(_: Lab, *, kind: str) -> Scene:
+def _half_fixed(_: Lab, *, kind: str) -> Scene:
     """Return a body of a kind that is held at one side."""
-    return held(kind)
+    return half_fixed(kind)
 
 
 def _floating(_: Lab) -> Scene:
@@ -238,6 +238,6 @@ for _kind in ("foam", "rope"):
         f"{_kind}-restore",
         title=f"{_kind}: restore continues bit for bit",
         scene=f"a body of {_kind} that is held at one side and released",
-        build=partial(_held, kind=_kind),
+        build=partial(_half_fixed, kind=_kind),
         diagnosis="state() must hold copies of the nodes' velocities and all else that the next step reads",
     )

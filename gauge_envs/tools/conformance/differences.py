@@ -29,23 +29,23 @@ def cause_of(here: Array, law: Array, others: Mapping[int, Array], mean: Array) 
         others: States of the scenes of other worlds alone, by the number of the world.
         mean: Mean of the states of all worlds, likewise.
     """
-    most = CLOSE * float(np.abs(here - law).max())
+    tolerance = CLOSE * float(np.abs(here - law).max())
     for number, course in others.items():
-        if np.abs(here - course).max() < most:
+        if np.abs(here - course).max() < tolerance:
             return (
                 f"it has the values of world {number}, of all bodies and in all intervals: that world is read, or its "
                 "scene is built"
             )
     return (
-        _reading(here, law, mean, most)
-        or _lost_intervals(here[:, BALL], law[:, BALL], most)
+        _reading(here, law, mean, tolerance)
+        or _lost_intervals(here[:, BALL], law[:, BALL], tolerance)
         or _first_part(here, law)
     )
 
 
-def _reading(here: Array, law: Array, mean: Array, most: float) -> str:
+def _reading(here: Array, law: Array, mean: Array, tolerance: float) -> str:
     """Return how states that are right are read wrongly: late, scaled, or mixed with those of other worlds."""
-    if np.abs(here[1:] - law[:-1]).max() < most:
+    if np.abs(here[1:] - law[:-1]).max() < tolerance:
         return "the states that are read are those of an interval before, also of driven bodies: the reading is late"
     for name, others in (
         ("", np.zeros_like(law)),
@@ -53,19 +53,19 @@ def _reading(here: Array, law: Array, mean: Array, most: float) -> str:
     ):
         columns = np.column_stack([law.ravel(), others.ravel()])
         share, mixed = np.linalg.lstsq(columns, here.ravel(), rcond=None)[0]
-        if np.abs(here - share * law - mixed * others).max() < most:
+        if np.abs(here - share * law - mixed * others).max() < tolerance:
             text = f"all states that are read are {share:.3g} times those of the world"
             return f"{text} and {mixed:.3g} times {name}" if name else text
     return ""
 
 
-def _lost_intervals(ball: Array, law: Array, most: float) -> str:
+def _lost_intervals(ball: Array, law: Array, tolerance: float) -> str:
     """Return how many intervals a free ball falls behind."""
     behind: list[int] = []
     for sample, state in enumerate(ball):
         before = law[max(sample - 6, 0) : sample + 1][::-1]
         apart = np.abs(before - state).max(axis=1)
-        if apart.min() > most:
+        if apart.min() > tolerance:
             return ""
         behind.append(int(apart.argmin()))
     if behind[-1] == 0 or np.any(np.diff(behind) < 0):

@@ -69,7 +69,7 @@ def _pushed(lab: Lab, scene: Scene, wrench: Callable[[float], Any]) -> Rollout:
     "a box of 0.2 kg between two pads of 20 mm by 20 mm on jaws of 2 m that press with twice its weight each, with "
     "friction 0.5: 1.5 s at rest, then 1 s under a force of half its weight on its centre, up and down with 4 Hz"
 )
-def _held(lab: Lab) -> Rollout:
+def _grasped(lab: Lab) -> Rollout:
     def shake(time_s: float) -> tuple[float, ...]:
         force = (
             SHAKE * WEIGHT_N * np.sin(2.0 * np.pi * SHAKES_HZ * time_s)
@@ -81,17 +81,17 @@ def _held(lab: Lab) -> Rollout:
     return _pushed(lab, grasp_scene(2.0 * WEIGHT_N, 2.5), shake)
 
 
-@_held.check("grasp-sink")
+@_grasped.check("grasp-sink")
 def _grasp_sink(rollout: Rollout) -> Measurement:
     return Measurement(measured=pad_depth_um(rollout))
 
 
-@_held.check("grasp-creep")
+@_grasped.check("grasp-creep")
 def _grasp_creep(rollout: Rollout) -> Measurement:
     return Measurement(measured=pad_creep_um_per_s(rollout))
 
 
-@_held.check("grasp-holds")
+@_grasped.check("grasp-holds")
 def _grasp_holds(rollout: Rollout) -> Measurement:
     places = from_pads_m(rollout.cut(SHAKEN_S, rollout.times_s[-1]))
     return Measurement(measured=1e3 * float(np.abs(places[:, 2] - places[0, 2]).max()))

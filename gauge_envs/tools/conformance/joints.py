@@ -136,7 +136,7 @@ HOLD_N_M, HELD_RAD, SLIPPING_RAD = (
     float(np.arcsin(0.24 / WEIGHT_N_M)),
     float(np.arcsin(0.375 / WEIGHT_N_M)),
 )
-_held = rollout_of(
+_sticking = rollout_of(
     "two bars at rest on hinges with a dry friction of 0.3 N m, whose weights exert 0.24 and 0.375 N m",
     _scene(
         _bar("held", HELD_RAD),
@@ -148,14 +148,14 @@ _held = rollout_of(
 )
 
 
-@_held.check("joint-stick")
+@_sticking.check("joint-stick")
 def _joint_stick(rollout: Rollout) -> Measurement:
     return Measurement(
         measured=float(np.degrees(np.abs(_turned_rad(rollout, "held")).max()))
     )
 
 
-@_held.check("joint-slip", tolerance=FRICTION)
+@_sticking.check("joint-slip", tolerance=FRICTION)
 def _joint_slip(rollout: Rollout) -> Measurement:
     at = rollout.sample_at(0.2)
     turned, rate = (

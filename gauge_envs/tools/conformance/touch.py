@@ -142,7 +142,7 @@ KINDS: dict[str, Callable[[], Sequence[Deformable]]] = {
 }
 
 
-def held(kind: str) -> Scene:
+def half_fixed(kind: str) -> Scene:
     """Return the first body of a kind, held at one side."""
     axis: Literal["x", "z"] = "z" if kind in ("foam", "rod") else "x"
     region = Region(axis=axis, side="high")

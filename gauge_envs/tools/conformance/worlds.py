@@ -102,8 +102,10 @@ def _motions(numbers: Numbers, interval: Numbers | int) -> Array:
 def _numbers(lab: Lab) -> Numbers:
     """Return the numbers of the worlds of a batch."""
     engine = lab.backend
-    own = type(engine).build_worlds is not Backend.build_worlds
-    return np.arange(TOGETHER if own and engine.worlds_mix_constants else SEPARATE)
+    builds_worlds = type(engine).build_worlds is not Backend.build_worlds
+    return np.arange(
+        TOGETHER if builds_worlds and engine.worlds_mix_constants else SEPARATE
+    )
 
 
 def _built(lab: Lab, scenes: list[Scene], **how: Any) -> Worlds:

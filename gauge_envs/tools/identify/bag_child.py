@@ -17,7 +17,7 @@ JOINT_STATE = "sensor_msgs/msg/JointState"
 TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
 
 
-def log_of_bag(path: Path, most: int) -> dict[str, Any]:
+def log_of_bag(path: Path, largest_count: int) -> dict[str, Any]:
     """Return the arrays of a log: joint states, and the commands of the one topic that names joints."""
     from rosbags import rosbag2
     from rosbags.typesys import Stores, get_typestore
@@ -52,8 +52,8 @@ def log_of_bag(path: Path, most: int) -> dict[str, Any]:
             angles = _angles(message, connection.msgtype)
             rows[connection.topic].append((stamped_s or 1e-9 * received_ns, angles))
             count += 1 + len(angles)
-            if count > most:
-                raise ValueError(f"it has more than {most} values")
+            if count > largest_count:
+                raise ValueError(f"it has more than {largest_count} values")
     states, commands = rows[measured[0]], rows[commanded[0]]
     if not states or not commands:
         raise ValueError("it has no joint states, or no commands")

@@ -135,10 +135,10 @@ def between_files(
     for row, one in enumerate(settings):
         values = np.array([file[row].value for file in files])
         stds = np.array([file[row].std for file in files])
-        tells = stds < UNTOLD * abs(one.value)
-        tells &= [file[row].unknown != NOTHING for file in files]
-        if tells.sum() > 1:
-            values, stds = values[tells], stds[tells]
+        is_determined = stds < UNTOLD * abs(one.value)
+        is_determined &= [file[row].unknown != NOTHING for file in files]
+        if is_determined.sum() > 1:
+            values, stds = values[is_determined], stds[is_determined]
         if one.is_known or not np.isfinite(stds).all():
             found.append(one)
             continue

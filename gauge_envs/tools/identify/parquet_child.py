@@ -13,7 +13,7 @@ REFUSED = 3
 """Exit code of a refusal; `files.CHILD_REFUSED`."""
 
 
-def columns(content: bytes, names: list[str], most: int) -> dict[str, Any]:
+def columns(content: bytes, names: list[str], largest_count: int) -> dict[str, Any]:
     """Return columns of numbers of a table; an error if it states more values than the limit."""
     from pyarrow import parquet
 
@@ -24,8 +24,8 @@ def columns(content: bytes, names: list[str], most: int) -> dict[str, Any]:
         for place in range(stated.num_columns):
             count += stated.row_group(group).column(place).num_values
     # A few bytes of an encoding may stand for any number of values.
-    if count > most:
-        raise ValueError(f"it states {count} values, the limit is {most}")
+    if count > largest_count:
+        raise ValueError(f"it states {count} values, the limit is {largest_count}")
     found = table.read(columns=names).to_pydict()
     return {name: np.asarray(found[name], np.float64) for name in names}
 

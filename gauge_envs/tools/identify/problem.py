@@ -91,11 +91,11 @@ class Problem:
 
     def has_parts_of(self, other: Self) -> bool:
         """Return whether another problem has the same parts of the same logs."""
-        ours, theirs = (
+        here, there = (
             [(part.name, part.times_s[0], part.times_s[-1]) for part in one.parts]
             for one in (self, other)
         )
-        return ours == theirs
+        return here == there
 
     @property
     def shifts(self) -> FloatArray:
@@ -264,7 +264,7 @@ class Problem:
         return [one.ravel() for one in ranked]
 
     def solved(
-        self, first: FloatArray, tolerance: float, most: int = MOST_STEPS
+        self, first: FloatArray, tolerance: float, step_count: int = MOST_STEPS
     ) -> FloatArray:
         """Return the unknowns of the least squares after Marquardt (SIAM J. Appl. Math. 11, 1963).
 
@@ -286,7 +286,7 @@ class Problem:
         residuals = self.residuals(scaled)
         is_limit = np.repeat([name == LIMIT for name in self.names], self.joints)
         limits = np.flatnonzero(is_limit)
-        for _ in range(most):
+        for _ in range(step_count):
             # Below a limit that holds a servo still, no other number tells anything: a step stays near.
             lowest[limits] = LEAST_LIMIT * scaled[limits]
             highest = np.where(

@@ -166,17 +166,17 @@ def _greedy(
             rank = (mended, one.name != STEP, one.name in named, closeness)
             scored.append((rank, one))
         scored.sort(key=lambda pair: pair[0], reverse=True)
-        rank, best, most = scored[0][0], scored[0][1], -math.inf
+        rank, best, largest_net = scored[0][0], scored[0][1], -math.inf
         if not rank[0]:
             return
         for one_rank, one in scored[:MOST_COMPARED]:
-            if one_rank[0] <= most:
+            if one_rank[0] <= largest_net:
                 # It mends no more than what is left of the best one after its harm.
                 break
             after = {**changes, one.name: one.value}
-            net = _net(one_rank[0], others, after, most)
-            if net > most:
-                rank, best, most = one_rank, one, net
+            net = _net(one_rank[0], others, after, largest_net)
+            if net > largest_net:
+                rank, best, largest_net = one_rank, one, net
         if not rank[0]:
             return
         changes[best.name] = best.value

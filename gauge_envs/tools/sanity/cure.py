@@ -258,8 +258,8 @@ def _ranked(
             continue
         after = {name: outcome_of(read[0], name) for name in flags if name not in slow}
         found[index] = read, after
-        most = len(slow) + _mended_count(after)
-        heappush(queue, (-most, len(changes), index))
+        mended_count = len(slow) + _mended_count(after)
+        heappush(queue, (-mended_count, len(changes), index))
     while queue:
         _, size, index = heappop(queue)
         (cured, geoms_by_setting), after = found[index]

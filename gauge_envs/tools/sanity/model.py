@@ -260,13 +260,13 @@ class TrainingConfiguration:
         """Return this with the contacts of a hand alone in use, if there is one; of its flat pads, or None without."""
         if not any(one.is_held for one in self.contact_groups):
             return self
-        held = [
+        used_groups = [
             replace(one, is_used=one.is_held and not (is_flat and one.is_point))
             for one in self.contact_groups
         ]
         return (
-            replace(self, contact_groups=tuple(held))
-            if any(one.is_used for one in held)
+            replace(self, contact_groups=tuple(used_groups))
+            if any(one.is_used for one in used_groups)
             else None
         )
 

@@ -286,17 +286,17 @@ def friction_range_row(configuration: TrainingConfiguration) -> PhenomenonResult
 
 def _range_finding(low: float, high: float) -> tuple[Verdict, str]:
     """Return the verdict on a range of friction, and why."""
-    least, most = _MATERIALS.low, _MATERIALS.high
-    shown, known = f"{low:.3g} to {high:.3g}", f"{least:.2g} to {most:.2g}"
+    smallest, largest = _MATERIALS.low, _MATERIALS.high
+    shown, known = f"{low:.3g} to {high:.3g}", f"{smallest:.2g} to {largest:.2g}"
     center = 0.5 * (low + high)
     pairs = f"{known} of {_MATERIALS.count} measured pairs"
-    if not least <= center <= most:
+    if not smallest <= center <= largest:
         deviation = abs(center - RANGE_ROW.reality.value) / RANGE_ROW.reality.tolerance
         return (
             Verdict.of(deviation),
             f"{shown} is off centre: {center:.3g} is outside {pairs}",
         )
-    if low < least or high > most:
+    if low < smallest or high > largest:
         return Verdict.VISIBLE, f"{shown} is too wide: it leaves {pairs}"
     if 0.5 * (high - low) < LEAST_SCATTER * center:
         return Verdict.VISIBLE, (

@@ -72,14 +72,14 @@ def cloth_carry() -> Phenomenon:
     )
 
 
-def _held(scene: Scene) -> Scene:
+def _hung(scene: Scene) -> Scene:
     """Return the scene with a rod that does not move."""
     return replace(scene, drivers=())
 
 
 def cloth_sag() -> Phenomenon:
     """Return the sag of a hanging cloth under its own weight."""
-    scenario = Scenario(name="hang", variant=HUNG, seconds=HANG_S, change=_held)
+    scenario = Scenario(name="hang", variant=HUNG, seconds=HANG_S, change=_hung)
     (cloth,) = scenario.scene.deformables
     assert isinstance(cloth, Cloth)
     load = cloth.areal_density_kg_per_m2 * scenario.scene.gravity_m_per_s2

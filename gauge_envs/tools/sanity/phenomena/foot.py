@@ -220,11 +220,13 @@ def slide(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
     )
 
 
-def _sliding(own: FootGeometry, kind: str, title: str, slope_deg: float) -> Phenomenon:
+def _sliding(
+    geometry: FootGeometry, kind: str, title: str, slope_deg: float
+) -> Phenomenon:
     slope, friction, foot = (
         np.radians(slope_deg),
         real_friction(MATERIAL),
-        replace(own, friction=None),
+        replace(geometry, friction=None),
     )
     real = Reality.law(
         GRAVITY_M_PER_S2 * float(np.sin(slope) - friction * np.cos(slope)),

@@ -156,13 +156,13 @@ def rest_height(material: str) -> Phenomenon:
 
 def thrown(material: str) -> Phenomenon:
     """Return the height to which a cube that touches its board at the start is thrown."""
-    held = rest_height(material)
+    at_rest = rest_height(material)
     return replace(
-        held,
+        at_rest,
         title="release: height to which a cube that touches its board is thrown, above where it settles",
         quantity="height",
         scenario=replace(
-            held.scenario,
+            at_rest.scenario,
             name=f"release-{material}",
             interval_s=Scenario.interval_s,
             released="",

@@ -56,7 +56,7 @@ HANDS: Mapping[str, tuple[Scene, Callable[[Rollout], float]]] = {
 """Scene and reading of what a robot's hand is judged by, by id of the check that has its law."""
 
 
-def held(id: str, quantity: str) -> Phenomenon:
+def grasped(id: str, quantity: str) -> Phenomenon:
     """Return a row on a box whose pads press with twice its weight, with law and tolerance of a conformance check.
 
     A hand that lifts its box with an acceleration a loads its pads as gravity g + a loads those of a hand at rest, so

@@ -49,7 +49,7 @@ def limbs_of(robot: Robot) -> list[list[int]]:
     """
     model = robot.model
     is_body = model.eq_objtype == int(mujoco.mjtObj.mjOBJ_BODY)
-    held = {*model.eq_obj1id[is_body].tolist(), *model.eq_obj2id[is_body].tolist()}
+    tied = {*model.eq_obj1id[is_body].tolist(), *model.eq_obj2id[is_body].tolist()}
     children = {
         body: [b for b in robot.bodies if int(model.body_parentid[b]) == body]
         for body in robot.bodies
@@ -57,7 +57,7 @@ def limbs_of(robot: Robot) -> list[list[int]]:
     parting = {body for body, several in children.items() if len(several) > 1}
     limbs = []
     for leaf in (body for body, several in children.items() if not several):
-        if leaf in held:
+        if leaf in tied:
             continue
         chain = [leaf]
         while (
@@ -236,7 +236,7 @@ def _floor_friction(robot: Robot) -> Finding:
     model, found = robot.model, Finding(value=1.0)
     ratios: dict[str, float] = {}
     changes: dict[str, Any] = {}
-    _, most = limits_of("robot-floor-friction")
+    _, largest = limits_of("robot-floor-friction")
     # What a geom takes from the default of all is no statement about it.
     common = 1.0 if robot.spec is None else float(robot.spec.default.geom.friction[0])
     explicit = {
@@ -247,25 +247,25 @@ def _floor_friction(robot: Robot) -> Finding:
         pair = tuple(robot.pairs.geoms[contact].tolist())
         stated = [float(model.geom_friction[geom, 0]) for geom in pair]
         alike = model.geom_priority[pair[0]] == model.geom_priority[pair[1]]
-        met, least = (
+        met, smallest = (
             float(robot.pairs.constants[contact, COLUMNS["friction"].start]),
             max(min(stated), 1e-3),
         )
         is_stated = abs(min(stated) - common) > 1e-9
         if pair in explicit or not alike or not is_stated:
             continue
-        ratios[pair_name(robot, contact)] = met / least
+        ratios[pair_name(robot, contact)] = met / smallest
         geom = pair[int(np.argmin(stated))]
         # With its priority, its condim counts too.
         condim = int(robot.pairs.constants[contact, 0])
         has_condim = int(model.geom_condim[geom]) >= condim
-        if met / least > most:
+        if met / smallest > largest:
             changes[f"geom_priority[{geom}]"] = 1
             if not has_condim:
                 changes[f"geom_condim[{geom}]"] = condim
-        if met / least > found.value:
+        if met / smallest > found.value:
             found = Finding(
-                value=met / least,
+                value=met / smallest,
                 remark=f"{geom_name(robot.model, geom)} states {min(stated):g}, and the foot meets {met:g}",
                 advice='priority="1"'
                 + ("" if has_condim else f' condim="{condim}"')

@@ -164,13 +164,13 @@ def _thin_geoms(robot: Robot) -> Finding | None:
     if robot.spec is None:
         return None
     touching = {*np.unique(robot.pairs.geoms).tolist()}
-    least, most = GRAMS_KG_PER_M3
+    lowest, highest = GRAMS_KG_PER_M3
     # Links of the robot are judged by their mass.
     touching -= {geom for body in robot.bodies for geom in geoms_of(robot, body)}
     thin = [
         geom
         for geom in robot.spec.geoms
-        if geom.id in touching and least <= geom.density <= most
+        if geom.id in touching and lowest <= geom.density <= highest
     ]
     if not thin:
         return None
@@ -197,17 +197,17 @@ def _heavy(robot: Robot, found: Finding) -> Finding:
     if not _hull_m3(robot, heaviest) or robot.mass_kg < HAND_KG:
         return found
     density = mass_kg / volume_m3
-    least, most = WHOLE_KG_PER_M3
-    if least <= density <= most:
+    lowest, highest = WHOLE_KG_PER_M3
+    if lowest <= density <= highest:
         return found
     # The limits of the row are those of one link.
     low, high = limits_of("robot-density")
-    value = high * density / most if density > most else low * density / least
+    value = high * density / highest if density > highest else low * density / lowest
     return replace(
         found,
         value=value,
         parts={**found.parts, "the robot as a whole": value},
-        remark=f"all links together have {density:.0f} kg/m^3, and those of makers {least:g} to {most:g}",
+        remark=f"all links together have {density:.0f} kg/m^3, and those of makers {lowest:g} to {highest:g}",
         advice="masses in kilograms, not in pounds, 2.2 times as much; and meshes of the size of the real part",
     )
 

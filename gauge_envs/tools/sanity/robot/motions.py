@@ -135,13 +135,13 @@ def pushed_m(robot: Robot) -> FloatArray:
     data = start(robot, model)
     for _ in range(max(1, round(HOLD_S / model.opt.timestep))):
         mujoco.mj_step(model, data)
-    held = np.empty(mujoco.mj_stateSize(model, STATE))
-    mujoco.mj_getState(model, data, held, STATE)
+    start_state = np.empty(mujoco.mj_stateSize(model, STATE))
+    mujoco.mj_getState(model, data, start_state, STATE)
     body = int(model.dof_bodyid[list(driven_dofs(robot))[-1]])
     begin_m = data.xipos[body].copy()
     moved_m = []
     for share in PUSH_SHARES:
-        mujoco.mj_setState(model, data, held, STATE)
+        mujoco.mj_setState(model, data, start_state, STATE)
         data.xfrc_applied[body, 0] = share * robot.mass_kg * GRAVITY_M_PER_S2
         for _ in range(max(1, round(PUSH_S / model.opt.timestep))):
             mujoco.mj_step(model, data)

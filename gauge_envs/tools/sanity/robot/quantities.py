@@ -74,7 +74,7 @@ def _of_links(robot: Robot) -> Iterator[tuple[str, str, float]]:
 
 
 def _of_joints(robot: Robot) -> Iterator[tuple[str, str, float]]:
-    model, data, held = robot.model, mujoco.MjData(robot.model), start(robot)
+    model, data, start_data = robot.model, mujoco.MjData(robot.model), start(robot)
     mujoco.mj_kinematics(model, data)
     is_simple = joints_of(model, "HINGE", "SLIDE")
     for dof in range(model.nv):
@@ -85,7 +85,7 @@ def _of_joints(robot: Robot) -> Iterator[tuple[str, str, float]]:
         yield "frictionloss", name, model.dof_frictionloss[dof]
         yield "armature", name, model.dof_armature[dof]
         yield "stiffness", name, model.jnt_stiffness[joint]
-        yield "pose", name, held.qpos[model.jnt_qposadr[joint]]
+        yield "pose", name, start_data.qpos[model.jnt_qposadr[joint]]
         for axis, place in enumerate("xyz"):
             yield "joint-axis", f"{name} {place}", data.xaxis[joint, axis]
         low, high = (

@@ -87,12 +87,12 @@ def weights_nm(robot: Robot) -> FloatArray:
         return largest_weights_nm(robot)
     model, data = robot.model, start(robot)
     load_n = foot_load_n(robot) * np.asarray(robot.up)
-    held = data.qfrc_bias - data.qfrc_gravcomp
+    loads_n_m = data.qfrc_bias - data.qfrc_gravcomp
     for geoms in standing_of(robot).feet.values():
         jacobian = np.zeros((3, model.nv))
         mujoco.mj_jacGeom(model, data, jacobian, None, geoms[0])
-        held = held - jacobian.T @ load_n
-    return np.abs(held)
+        loads_n_m = loads_n_m - jacobian.T @ load_n
+    return np.abs(loads_n_m)
 
 
 def _from_others(

@@ -160,7 +160,7 @@ def mirror_pairs(robot: Robot) -> list[MirrorPair]:
     ends = (model.eq_obj1id[couplings], model.eq_obj2id[couplings])
     coupled = {frozenset(two) for two in np.column_stack(ends).tolist()}
     best: list[MirrorPair] = []
-    most = 0
+    alike_count = 0
     for signs in IMAGES:
         flip = np.array(signs)
         across = int(np.argmin(flip))
@@ -200,8 +200,8 @@ def mirror_pairs(robot: Robot) -> list[MirrorPair]:
             and frozenset(joints[[one, other]].tolist()) not in coupled
         ]
         alike = sum(pair.apart_m <= SAME_PLACE_M for pair in pairs)
-        if alike > most and alike >= SYMMETRIC_SHARE * len(pairs):
-            best, most = pairs, alike
+        if alike > alike_count and alike >= SYMMETRIC_SHARE * len(pairs):
+            best, alike_count = pairs, alike
     return best
 
 

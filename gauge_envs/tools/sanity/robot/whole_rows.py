@@ -567,8 +567,8 @@ def standing_centre(robot: Robot, data: mujoco.MjData) -> FloatArray:
     here = standing.stance.positions_m[geom]
     turn = standing.stance.rotations[geom].as_matrix()
     local = data.geom_xmat[geom].reshape(3, 3).T @ (centre - data.geom_xpos[geom])
-    stands: FloatArray = here + turn @ local
-    return stands
+    centre_m: FloatArray = here + turn @ local
+    return centre_m
 
 
 def _sole_points(robot: Robot, geom: int, ground_m: float) -> FloatArray:

@@ -171,9 +171,9 @@ def _objects(robot: Robot) -> Iterator[Wrong]:
     if robot.standing is not None or not len(joints_of_motors(model)):
         return
     bodies = model.geom_bodyid[pairs.geoms]
-    held = {*bodies[grasp_kinds(model, pairs) > 0].ravel().tolist()}
+    grasping = {*bodies[grasp_kinds(model, pairs) > 0].ravel().tolist()}
     free = {*model.jnt_bodyid[joints_of(model, "FREE")].tolist()} - {*robot.bodies}
-    for body in sorted(free & {*bodies.ravel().tolist()} - held):
+    for body in sorted(free & {*bodies.ravel().tolist()} - grasping):
         name = body_name(robot, body)
         yield (
             f"no part of the robot can touch {name}, and others can",

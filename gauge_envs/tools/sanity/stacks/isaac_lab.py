@@ -388,11 +388,14 @@ def _iterations(
 ) -> tuple[int, str]:
     """Return the robot's count of iterations, clamped into the range of the scene, and its origin."""
     count = ASSET_ITERATIONS[kind] if stated is None else stated
-    least, most = f"min_{kind}_iteration_count", f"max_{kind}_iteration_count"
-    low, high = physx.whole(least), physx.whole(most)
+    smallest_key, largest_key = (
+        f"min_{kind}_iteration_count",
+        f"max_{kind}_iteration_count",
+    )
+    low, high = physx.whole(smallest_key), physx.whole(largest_key)
     if low is not None and high is not None and low > high:
         raise TargetError(
-            f"{physx.source}: {physx.name(least)} is {low}, more than the maximum of {high}: exchange them"
+            f"{physx.source}: {physx.name(smallest_key)} is {low}, more than the maximum of {high}: exchange them"
         )
     used = min(max(count, 0 if low is None else low), 255 if high is None else high)
     if stated is None:
@@ -440,12 +443,14 @@ def _materials(
     """Return the materials of the ground and of the robot, before they are combined."""
     default = stated_material(sim.table("physics_material"), "body", DEFAULT)
     ground = _ground(table, replace(default, body="ground"), values)
-    own = None if robot is None else robot.table("spawn.physics_material")
-    if own is None:
+    robot_material = None if robot is None else robot.table("spawn.physics_material")
+    if robot_material is None:
         values.notes.append(
             "a material that the robot's asset itself binds is not seen"
         )
-    foot = stated_material(own, "robot", default if own is None else DEFAULT)
+    foot = stated_material(
+        robot_material, "robot", default if robot_material is None else DEFAULT
+    )
     return ground, _randomized(table, foot, values)
 
 
