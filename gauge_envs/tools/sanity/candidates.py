@@ -58,7 +58,6 @@ MOST_COMPARED = 3
 LARGEST_DEVIATION = 1000.0
 """Deviation at which errors no longer count as larger."""
 
-
 MOST_CANDIDATES = 5
 """Most sets of changes that are applied to the target."""
 

@@ -264,11 +264,9 @@ class TrainingConfiguration:
             replace(one, is_used=one.is_held and not (is_flat and one.is_point))
             for one in self.contact_groups
         ]
-        return (
-            replace(self, contact_groups=tuple(used_groups))
-            if any(one.is_used for one in used_groups)
-            else None
-        )
+        if not any(one.is_used for one in used_groups):
+            return None
+        return replace(self, contact_groups=tuple(used_groups))
 
     @property
     def contact_sets(self) -> dict[str, dict[str, Any]]:

@@ -567,8 +567,7 @@ def standing_centre(robot: Robot, data: mujoco.MjData) -> FloatArray:
     here = standing.stance.positions_m[geom]
     turn = standing.stance.rotations[geom].as_matrix()
     local = data.geom_xmat[geom].reshape(3, 3).T @ (centre - data.geom_xpos[geom])
-    centre_m: FloatArray = here + turn @ local
-    return centre_m
+    return np.asarray(here + turn @ local)
 
 
 def _sole_points(robot: Robot, geom: int, ground_m: float) -> FloatArray:

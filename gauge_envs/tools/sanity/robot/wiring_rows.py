@@ -48,7 +48,8 @@ Wrong = tuple[str, str]
 @row("robot-wiring")
 def _wiring(robot: Robot) -> Finding:
     found = [one for check in CHECKS for one in check(robot)]
-    remarks, advices = ([one[place] for one in found] for place in (0, 1))
+    remarks = [remark for remark, _ in found]
+    advices = [advice for _, advice in found]
     return Finding(
         value=float(len(found)),
         parts=dict.fromkeys(remarks, 1.0),
@@ -182,6 +183,11 @@ def _objects(robot: Robot) -> Iterator[Wrong]:
 
 
 CHECKS: tuple[Callable[[Robot], Iterator[Wrong]], ...] = (
-    *(_objects, _sides, _left_out, _fingers, _sensors, _on_one_line),
+    _objects,
+    _sides,
+    _left_out,
+    _fingers,
+    _sensors,
+    _on_one_line,
 )
 """What is tried, causes before their effects."""
