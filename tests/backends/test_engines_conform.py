@@ -140,8 +140,8 @@ ENGINES = (
     Engine(
         name="newton",
         module="newton",
-        lacks=("air", *GUIDES, "force-"),
-        quick=(*CORE, "cloth-slide", "foam-pinned-face"),
+        lacks=("air",),
+        quick=(*CORE, *GUIDES, "force-*", "cloth-slide", "foam-pinned-face"),
     ),
     Engine(
         name="drake",

@@ -1,6 +1,6 @@
 """A scene in Drake, advanced step by step."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -217,35 +217,24 @@ class SimulationDrake(PlacedWorld, Simulation):
         self, pairs: Sequence[tuple[str, str]]
     ) -> Callable[[], NDArray[np.float64]]:
         """Return a reader of contact forces; see `World.contact_forces`."""
-        reader = MeanForces(len(pairs), lambda: self._contact_forces_n(pairs))
+        reader = MeanForces(pairs, self._touches)
         self._force_readers.append(reader)
         return reader.mean
 
-    def _contact_forces_n(
-        self, pairs: Sequence[tuple[str, str]]
-    ) -> NDArray[np.float64]:
-        """Return the forces on the first bodies of pairs in the next step [N], shape [pair_count, 3]."""
+    def _touches(self) -> Iterator[tuple[str, str, NDArray[np.float64]]]:
+        """Yield the contacts of the next step: two bodies, and the force on the first [N]."""
         names, plant = self._model.names, self._model.plant
         results = plant.get_contact_results_output_port().Eval(self._plant_context)
-        touches = []
         for index in range(results.num_point_pair_contacts()):
             point = results.point_pair_contact_info(index)
             ends = point.point_pair()
             on_first_n = -np.array(point.contact_force())
-            touches.append((names[ends.id_A], names[ends.id_B], on_first_n))
+            yield names[ends.id_A], names[ends.id_B], on_first_n
         for index in range(results.num_hydroelastic_contacts()):
             patch = results.hydroelastic_contact_info(index)
             surface = patch.contact_surface()
             on_first_n = np.array(patch.F_Ac_W().translational())
-            touches.append((names[surface.id_M()], names[surface.id_N()], on_first_n))
-        sums_n = np.zeros((len(pairs), 3))
-        for first, second, force_n in touches:
-            for sum_n, pair in zip(sums_n, pairs, strict=True):
-                if pair == (first, second):
-                    sum_n += force_n
-                elif pair == (second, first):
-                    sum_n -= force_n
-        return sums_n
+            yield names[surface.id_M()], names[surface.id_N()], on_first_n
 
     def state(self) -> Any:
         """Return the plant's state, driven motions, states of placed bodies, applied wrenches and the command."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from math import cos, hypot, sin
 from typing import Any, Protocol
@@ -332,7 +332,7 @@ class SimulationMuJoCo(Simulation):
         """Return a reader of contact forces, for which steps are taken one by one; see `World.contact_forces`."""
         model, data = self.model, self.data
         bodies = [(model.body(one).id, model.body(other).id) for one, other in pairs]
-        reader = MeanForces(len(pairs), lambda: _contact_forces_n(model, data, bodies))
+        reader = MeanForces(bodies, lambda: _touches(model, data))
         self.contact_readers.append(reader)
         return reader.mean
 
@@ -360,11 +360,10 @@ def _origin(settings: Mapping[str, Any], scene: Scene) -> StateOrigin:
     return StateOrigin(f"mujoco {mujoco.__version__}", settings, scene)
 
 
-def _contact_forces_n(
-    model: mujoco.MjModel, data: mujoco.MjData, pairs: Sequence[tuple[int, int]]
-) -> NDArray[np.float64]:
-    """Return the contact forces of the last step on the first bodies of pairs [N], shape [pair_count, 3]."""
-    sums_n = np.zeros((len(pairs), 3))
+def _touches(
+    model: mujoco.MjModel, data: mujoco.MjData
+) -> Iterator[tuple[int, int, NDArray[np.float64]]]:
+    """Yield the contacts of the last step: two bodies, and the force on the first [N]."""
     wrench = np.empty(6)
     for index in range(data.ncon):
         touch = data.contact[index]
@@ -373,13 +372,7 @@ def _contact_forces_n(
         first, second = model.geom_bodyid[touch.geom].tolist()
         mujoco.mj_contactForce(model, data, index, wrench)
         # The first row of the frame points from the first geom to the second, which the force pushes.
-        on_second_n = touch.frame.reshape(3, 3).T @ wrench[:3]
-        for sum_n, pair in zip(sums_n, pairs, strict=True):
-            if pair == (second, first):
-                sum_n += on_second_n
-            elif pair == (first, second):
-                sum_n -= on_second_n
-    return sums_n
+        yield first, second, -touch.frame.reshape(3, 3).T @ wrench[:3]
 
 
 class DrivenBody:

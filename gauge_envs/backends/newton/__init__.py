@@ -11,7 +11,7 @@ from types import MappingProxyType
 from typing import Any
 
 from gauge_envs.backends.base import Repeatability
-from gauge_envs.backends.features import GUIDES, Feature
+from gauge_envs.backends.features import Feature
 from gauge_envs.backends.newton.contacts import unsupported_surface_contacts
 from gauge_envs.backends.newton.fabrics import vbd_constants
 from gauge_envs.backends.newton.settings import (
@@ -60,7 +60,7 @@ class BackendNewton(BundledBackend):
         "the damping of a contact is derived from the restitution, whose coefficient the MuJoCo solver ignores",
         "a step of cloth starts from the last acceleration, by a subclass of SolverVBD",
     )
-    features = frozenset(Feature) - GUIDES - {Feature.AIR}
+    features = frozenset(Feature) - {Feature.AIR}
     own_defaults = frozenset({"out_of_box", "paper"})
     worlds_mix_constants = True
     worlds_restart_alone = True
@@ -184,8 +184,9 @@ def _unsupported_solids(scene: Scene) -> Iterator[str]:
     """Yield what VBD does not support of rigid bodies, attachments and soft rows in scenes with deformable bodies."""
     soft = {body.name for body in scene.deformables}
     hinged = [joint.body for joint in scene.joints if isinstance(joint, Hinge)]
-    for name in (*hinged, *(hinge.first for hinge in scene.body_hinges)):
-        yield f"{name!r} is hinged beside deformable bodies, which this backend does not support"
+    guided = [guide.body for guide in scene.guides]
+    for name in (*hinged, *guided, *(hinge.first for hinge in scene.body_hinges)):
+        yield f"{name!r} is on a joint beside deformable bodies, which this backend does not support"
     for contact in scene.contacts:
         for first, second in scene.colliding_pairs(contact):
             if (

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from gauge_envs.backends.device import DeviceWorlds
 from gauge_envs.backends.newton.kernels import bodies_to_joints
 from gauge_envs.backends.newton.model import WorldLayout
-from gauge_envs.backends.newton.rigid import StepperMuJoCo
+from gauge_envs.backends.newton.mujoco_stepper import StepperMuJoCo
 from gauge_envs.errors import UnsupportedSceneError, needs_extra
 from gauge_envs.scene import Scene
 

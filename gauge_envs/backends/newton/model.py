@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from gauge_envs.backends.newton.contacts import surface_contacts
 from gauge_envs.backends.newton.line import add_line
 from gauge_envs.backends.newton.mpm import StepperMPM, add_soft_mpm, fitted_voxel_m
+from gauge_envs.backends.newton.mujoco_stepper import StepperMuJoCo
 from gauge_envs.backends.newton.parts import Part, add_cloth, add_soft
 from gauge_envs.backends.newton.rigid import (
     RigidIndex,
     Solids,
-    StepperMuJoCo,
     add_bodies,
     add_contacts,
     add_strings,

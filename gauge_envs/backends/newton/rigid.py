@@ -10,7 +10,6 @@ m/s^2.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations, product
@@ -20,7 +19,7 @@ import newton
 import numpy as np
 import trimesh
 import warp as wp
-from newton.solvers import SolverMuJoCo, mujoco
+from newton.solvers import mujoco
 from numpy.typing import ArrayLike, NDArray
 
 from gauge_envs.backends.newton.contacts import (
@@ -30,21 +29,22 @@ from gauge_envs.backends.newton.contacts import (
     carried_constants,
     pair_constants,
 )
-from gauge_envs.backends.newton.kernels import bodies_to_joints
 from gauge_envs.backends.newton.settings import SettingsMuJoCoWarp
 from gauge_envs.backends.newton.stepper import (
-    Stepper,
-    collision_pipeline,
     warp_transform,
 )
-from gauge_envs.backends.settings import check_kept
 from gauge_envs.backends.shared.joints import (
     PlayHinge,
     joint_motors,
     joint_rate_rad_per_s,
 )
-from gauge_envs.backends.shared.rigid import centre_velocity, hinges_by_body
+from gauge_envs.backends.shared.rigid import (
+    centre_velocity,
+    guide_frame,
+    hinges_by_body,
+)
 from gauge_envs.scene import (
+    BallJoint,
     BodyHinge,
     Box,
     Capsule,
@@ -57,6 +57,7 @@ from gauge_envs.scene import (
     Plane,
     RigidBody,
     Scene,
+    Slider,
     Sphere,
     Tether,
 )
@@ -74,15 +75,6 @@ _Solid = Box | Sphere | Cylinder | Plane | ConvexUnion | Capsule | Ellipsoid
 
 SPHERE_SUBDIVISIONS = 3
 """Subdivisions of the icosahedron that is the mesh of a sphere: 642 vertices on the sphere."""
-
-CONTACT_POINTS_PER_PAIR = 8
-"""Reserved contact points per pair of shapes; Newton reduces two faces in contact to four or five points."""
-
-ROWS_PER_POINT = 4
-"""Constraints of a contact point: four for the edges of a pyramidal cone, three for an elliptic cone."""
-
-ROWS_PER_WELD = 6
-"""Constraints of a driven body."""
 
 SOLIMP_SHAPE = (0.5, 2.0)
 """Midpoint and power of the impedance curve, MuJoCo's defaults; they have no effect on a constant impedance."""
@@ -153,6 +145,7 @@ def add_bodies(
             faster than with prisms.
     """
     hinges = hinges_by_body(scene)
+    guides = {guide.body: guide for guide in scene.guides}
     index = RigidIndex()
     joined: dict[str, int] = {}
     for tree in hinge_trees(scene.body_hinges):
@@ -167,6 +160,8 @@ def add_bodies(
             place = joined[name]
         elif name in hinges:
             place = _add_articulation(builder, scene, (name,), hinges)[name]
+        elif name in guides:
+            place = _add_guided(builder, scene, body, guides[name])
         else:
             place = builder.add_body(
                 is_kinematic=body.motion is Motion.KINEMATIC, **_link_arguments(body)
@@ -232,7 +227,9 @@ def _add_articulation(
                 places[other.name],
                 wp.transform_inverse(warp_transform(other.pose)) * anchor,
             )
-        stop = hinge.stop_rad if isinstance(hinge, PlayHinge) else None
+        stops = hinge.limits_rad if isinstance(hinge, Hinge) else None
+        if isinstance(hinge, PlayHinge):
+            stops = -hinge.stop_rad, hinge.stop_rad
         joint = builder.add_joint_revolute(
             parent,
             places[name],
@@ -243,19 +240,62 @@ def _add_articulation(
             friction=hinge.dynamics.dry_friction_n_m,
             damping=hinge.dynamics.viscous_friction_n_m_s_per_rad,
             label=name,
-            limit_lower=stop and -stop,
-            limit_upper=stop,
-            custom_attributes=STIFF_STOPS
-            if stop
-            else STIFF_FRICTION
-            if hinge.dynamics.dry_friction_n_m
-            else {},
+            **_joint_arguments(
+                stops, has_friction=hinge.dynamics.dry_friction_n_m > 0.0
+            ),
             **_servo_arguments(hinge.motor),
         )
         joints.append(joint)
         builder.joint_qd[-1] = joint_rate_rad_per_s(scene, name, hinge)
     builder.add_articulation(joints, label=names[0])
     return places
+
+
+def _add_guided(
+    builder: newton.ModelBuilder,
+    scene: Scene,
+    body: RigidBody,
+    guide: Slider | BallJoint,
+) -> int:
+    """Add a body on a slider or a ball joint as an articulation, and return its index."""
+    place = builder.add_link(**_link_arguments(body))
+    _set_velocity(builder, place, body)
+    origin = wp.transform(
+        wp.vec3(*guide_frame(scene, guide).position_m), wp.quat_identity()
+    )
+    frames = {
+        "parent_xform": origin,
+        "child_xform": wp.transform_inverse(warp_transform(body.pose)) * origin,
+    }
+    if isinstance(guide, BallJoint):
+        joint = builder.add_joint_ball(WORLD, place, **frames)
+        builder.joint_qd[-3:] = list(body.angular_velocity_rad_per_s)
+    else:
+        joint = builder.add_joint_prismatic(
+            WORLD,
+            place,
+            axis=wp.vec3(*guide.axis),
+            **frames,
+            **_joint_arguments(guide.limits_m),
+        )
+        speed = np.dot(body.linear_velocity_m_per_s, guide.axis)
+        builder.joint_qd[-1] = float(speed)
+    builder.add_articulation([joint], label=body.name)
+    return place
+
+
+def _joint_arguments(
+    stops: tuple[float, float] | None, *, has_friction: bool = False
+) -> dict[str, Any]:
+    """Return the arguments of a joint with limits [rad or m], or with dry friction."""
+    if stops is not None:
+        lower, upper = stops
+        return {
+            "limit_lower": lower,
+            "limit_upper": upper,
+            "custom_attributes": STIFF_STOPS,
+        }
+    return {"custom_attributes": STIFF_FRICTION} if has_friction else {}
 
 
 def _servo_arguments(motor: Motor | None) -> dict[str, Any]:
@@ -452,6 +492,8 @@ def add_contacts(
         for shape in one:
             _carry(builder, shape, constants, newton_material=keeps_material)
     keep_apart(builder, scene, index, layers)
+    for (name, _), added in copies.items():
+        index.shapes[name] += added
 
 
 def add_strings(
@@ -511,112 +553,3 @@ def _carry(
     for key, value in attributes.items():
         attribute = builder.custom_attributes[f"mujoco:{key}"]
         attribute.values = (attribute.values or {}) | {shape: value}
-
-
-class StepperMuJoCo(Stepper):
-    """Stepper of rigid bodies with MuJoCo Warp.
-
-    Args:
-        model: The finalized model.
-        driven: Indices of the kinematic bodies.
-        settings: Settings of the solver.
-    """
-
-    def __init__(
-        self,
-        model: newton.Model,
-        *,
-        driven: Sequence[int],
-        settings: SettingsMuJoCoWarp,
-    ) -> None:
-        pair_count = model.shape_contact_pair_count // model.world_count
-        strings = (
-            model.custom_frequency_counts.get("mujoco:tendon", 0) // model.world_count
-        )
-        with warnings.catch_warnings():
-            # Newton 1.8 asks for MuJoCo 3.17, but this package needs 4.0; tests/backends/newton verify the combination.
-            warnings.filterwarnings(
-                "ignore", message="MuJoCo dependency version mismatch"
-            )
-            solver = SolverMuJoCo(
-                model,
-                solver="newton",
-                integrator=settings.integrator,
-                cone=settings.cone,
-                jacobian=settings.jacobian,
-                impratio=settings.impratio,
-                iterations=settings.iterations,
-                ls_iterations=settings.line_search_iterations,
-                tolerance=settings.tolerance,
-                # Otherwise Newton adds a weld for each body that could become kinematic, and many constraints.
-                kinematic_switchable_roots=False,
-                use_mujoco_contacts=settings.mujoco_contacts or not pair_count,
-                disable_contacts=not pair_count,
-                nconmax=CONTACT_POINTS_PER_PAIR * pair_count or None,
-                njmax=ROWS_PER_POINT * CONTACT_POINTS_PER_PAIR * pair_count
-                + ROWS_PER_WELD * len(driven)
-                + strings
-                or None,
-            )
-        option = solver.mjw_model.opt
-        kept = {
-            "iterations": option.iterations,
-            "line_search_iterations": option.ls_iterations,
-        }
-        kept |= {
-            "tolerance": option.tolerance.numpy()[0],
-            "impratio": option.impratio_invsqrt.numpy()[0] ** -2,
-        }
-        check_kept("Newton", settings.model_dump(), kept)
-        has_pipeline = pair_count and not settings.mujoco_contacts
-        self._pipeline = collision_pipeline(model) if has_pipeline else None
-        self._contacts = self._pipeline.contacts() if self._pipeline else None
-        super().__init__(model, solver, driven=driven, timestep_s=settings.timestep_s)
-        # This solver reads joint coordinates, so driven bodies are written to both bodies and joints.
-        with wp.ScopedDevice(model.device):
-            self._coordinates, self._freedoms = (
-                wp.array(one, dtype=wp.int32) for one in self.free_joints(driven)[1:]
-            )
-
-    def free_joints(self, bodies: Sequence[int]) -> list[NDArray[np.int32]]:
-        """Return indices of bodies, and of the first coordinate and the first velocity of their joints."""
-        model = self.model
-        joints = {
-            body: joint for joint, body in enumerate(model.joint_child.numpy().tolist())
-        }
-        chosen = [joints[body] for body in bodies]
-        found = [
-            np.array(bodies, dtype=np.int32),
-            model.joint_q_start.numpy()[chosen],
-            model.joint_qd_start.numpy()[chosen],
-        ]
-        return [one.astype(np.int32) for one in found]
-
-    def apply_wrench(self, body: int, wrench: NDArray[np.float64]) -> None:
-        """Apply a force and a torque to a body; see `World.apply_wrench`."""
-        # Steps alternate between the two states, and each step reads the wrenches of its start state.
-        for state in self.states:
-            given = wp.array(wrench[None], dtype=wp.spatial_vector, device="cpu")
-            wp.copy(state.body_f, given, dest_offset=body)
-
-    def _step(self, state: newton.State, after: newton.State) -> None:
-        self._prescribe(state.body_q, state.body_qd, counts=False)
-        if len(self._driven):
-            wp.launch(
-                bodies_to_joints,
-                dim=len(self._driven),
-                inputs=[
-                    self._driven,
-                    self._coordinates,
-                    self._freedoms,
-                    state.body_q,
-                    state.body_qd,
-                ],
-                outputs=[state.joint_q, state.joint_qd],
-                device=self.model.device,
-            )
-        if self._pipeline is not None:
-            self._pipeline.collide(state, self._contacts)
-        self.solver.step(state, after, self.control, self._contacts, self.timestep_s)
-        # The solver does not move driven bodies.
-        self._prescribe(after.body_q, after.body_qd, steps_ahead=1)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from importlib.metadata import version
 from typing import cast
 
@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from gauge_envs.backends.device import DeviceWorlds
 from gauge_envs.backends.newton.model import WorldLayout, build_model
-from gauge_envs.backends.newton.rigid import StepperMuJoCo
+from gauge_envs.backends.newton.mujoco_stepper import StepperMuJoCo
 from gauge_envs.backends.newton.settings import SettingsNewton
 from gauge_envs.backends.newton.stepper import HostState, Stepper
-from gauge_envs.backends.shared.rigid import PlacedWorld, placed_states
+from gauge_envs.backends.shared.rigid import MeanForces, PlacedWorld, placed_states
 from gauge_envs.backends.shared.states import Snapshot, StateOrigin
 from gauge_envs.backends.world import Simulation
 from gauge_envs.backends.worlds import Worlds
@@ -90,6 +90,27 @@ class SimulationNewton(_WorldNewton, Simulation):
     def reset(self, seed: int) -> None:
         """Return to the scene's start. Newton draws no random numbers here, so the seed has no effect."""
         self._stepper.reset()
+
+    def contact_forces(
+        self, pairs: Sequence[tuple[str, str]]
+    ) -> Callable[[], NDArray[np.float64]] | None:
+        """Return a reader of contact forces, or None where the solver is not MuJoCo's; see `World.contact_forces`."""
+        stepper = self._stepper
+        if not isinstance(stepper, StepperMuJoCo):
+            return None
+        names = {
+            shape: name
+            for name, shapes in self._layout.rigid.shapes.items()
+            for shape in shapes
+        }
+
+        def touches() -> Iterator[tuple[str, str, NDArray[np.float64]]]:
+            for first, second, force_n in stepper.touches():
+                yield names[first], names[second], force_n
+
+        reader = MeanForces(pairs, touches)
+        stepper.force_readers.append(reader)
+        return reader.mean
 
     def advance(self, seconds: float) -> None:
         """Step the model."""

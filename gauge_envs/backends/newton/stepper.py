@@ -20,6 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.newton.kernels import begin_drives, prescribe, write
 from gauge_envs.backends.shared.bundled import replaced
+from gauge_envs.backends.shared.rigid import MeanForces
 from gauge_envs.errors import BackendError
 from gauge_envs.scene import Pose
 
@@ -69,6 +70,7 @@ class Stepper(ABC):
         states: The two states between which steps alternate.
         current: Number of the state that the last step wrote.
         control: What the motors follow.
+        force_readers: Readers of contact forces.
         sent: Drives on the device, shape [driven_count, 20]: rows of `Worlds.drive`, and 1 for those that are new.
     """
 
@@ -105,6 +107,7 @@ class Stepper(ABC):
         # last column for those that are new.
         self._drives = np.zeros((count, 20), dtype=np.float32)
         self.current = 0
+        self.force_readers: list[MeanForces] = []
         self._graphs: list[Any] = []
         self._first: Snapshot = []
 
@@ -210,9 +213,13 @@ class Stepper(ABC):
     def advance(self, seconds: float) -> None:
         """Replay the recorded step."""
         self._send_drives()
+        for reader in self.force_readers:
+            reader.clear()
         for _ in range(round(seconds / self.timestep_s)):
             wp.capture_launch(self._graphs[self.current])
             self.current = 1 - self.current
+            for reader in self.force_readers:
+                reader.add()
 
     def _send_drives(self) -> None:
         """Copy the collected drives to the device, if there are any."""

@@ -1,6 +1,6 @@
 """A PyBullet simulation: driving, stepping and reading of its state."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -261,27 +261,22 @@ class SimulationPyBullet(PlacedWorld, Simulation):
         self, pairs: Sequence[tuple[str, str]]
     ) -> Callable[[], NDArray[np.float64]]:
         """Return a reader of contact forces; see `World.contact_forces`."""
-
-        def forces_n() -> NDArray[np.float64]:
-            return np.array([self._contact_force_n(*pair) for pair in pairs])
-
-        reader = MeanForces(len(pairs), forces_n)
+        reader = MeanForces(pairs, self._touches)
         self._force_readers.append(reader)
         return reader.mean
 
-    def _contact_force_n(self, first: str, second: str) -> NDArray[np.float64]:
-        """Return the force of the last step of one body on another [N], shape [3], of all copies of both."""
-        world, total = self.world, np.zeros(3)
-        for one in (world.handles[first], *world.copies.get(first, [])):
-            for other in (world.handles[second], *world.copies.get(second, [])):
-                numbers = (one.body, other.body, one.link, other.link)
-                for touch in world.call("getContactPoints", *numbers):
-                    normal, normal_force = np.array(touch[7]), touch[9]
-                    friction = touch[10] * np.array(touch[11])
-                    friction += touch[12] * np.array(touch[13])
-                    sign = 1.0 if touch[1] == one.body else -1.0
-                    total += sign * (normal_force * normal + friction)
-        return total / self._scale
+    def _touches(self) -> Iterator[tuple[str, str, NDArray[np.float64]]]:
+        """Yield the contacts of the last step: two bodies, and the force on the first [N]."""
+        world, names = self.world, {}
+        for name, handle in world.handles.items():
+            for copy in (handle, *world.copies.get(name, [])):
+                names[copy.body, copy.link] = name
+        for touch in world.call("getContactPoints"):
+            first = names.get((touch[1], touch[3]), "")
+            second = names.get((touch[2], touch[4]), "")
+            force = touch[9] * np.array(touch[7])
+            force += touch[10] * np.array(touch[11]) + touch[12] * np.array(touch[13])
+            yield first, second, force / self._scale
 
     def close(self) -> None:
         """Free the world. A second call does nothing."""

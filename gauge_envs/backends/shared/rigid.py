@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any
 
@@ -61,25 +61,32 @@ class MeanForces:
     """Mean contact forces of pairs of bodies over the steps of an interval; see `World.contact_forces`.
 
     Args:
-        pair_count: Number of pairs.
-        forces_n: Function that returns the forces of a step [N], shape [pair_count, 3].
+        pairs: Two bodies each.
+        touches: Function that yields the contacts of a step: two bodies, and the force on the first [N], shape [3].
     """
 
     def __init__(
-        self, pair_count: int, forces_n: Callable[[], NDArray[np.float64]]
+        self,
+        pairs: Sequence[tuple[Hashable, Hashable]],
+        touches: Callable[[], Iterable[tuple[Hashable, Hashable, NDArray[np.float64]]]],
     ) -> None:
-        self._shape = (pair_count, 3)
-        self._forces_n = forces_n
+        self._pairs = pairs
+        self._touches = touches
         self.clear()
 
     def clear(self) -> None:
         """Begin an interval."""
-        self._sums_n = np.zeros(self._shape)
+        self._sums_n = np.zeros((len(self._pairs), 3))
         self._count = 0
 
     def add(self) -> None:
         """Add the forces of a step."""
-        self._sums_n += self._forces_n()
+        for first, second, force_n in self._touches():
+            for sum_n, pair in zip(self._sums_n, self._pairs, strict=True):
+                if pair == (first, second):
+                    sum_n += force_n
+                elif pair == (second, first):
+                    sum_n -= force_n
         self._count += 1
 
     def mean(self) -> NDArray[np.float64]:
