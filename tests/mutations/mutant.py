@@ -9,13 +9,14 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from gauge_envs.backends import Backend, Simulation
+from gauge_envs.backends import Backend
 from gauge_envs.backends.mujoco.versions import FAULTY_SPARSE
+from gauge_envs.backends.shared.wrapped import WrappedSimulation
 from gauge_envs.scene import Motion, Scene
 from gauge_envs.tools.conformance.run import run_checks
 
 
-class Passed(Simulation):
+class Passed(WrappedSimulation):
     """A healthy simulation, passed through; fixed bodies report the poses of the original scene.
 
     Args:
@@ -24,30 +25,9 @@ class Passed(Simulation):
     """
 
     def __init__(self, inner, scene):
-        self.inner = inner
+        super().__init__(inner)
         self.scene = scene
-        self.settings = inner.settings
         self._fixed = {one.name for one in scene.bodies if one.motion is Motion.FIXED}
-
-    def reset(self, seed):
-        """Pass on."""
-        self.inner.reset(seed)
-
-    def drive(self, body, pose, velocity, acceleration):
-        """Pass on."""
-        self.inner.drive(body, pose, velocity, acceleration)
-
-    def apply_wrench(self, body, wrench):
-        """Pass on."""
-        self.inner.apply_wrench(body, wrench)
-
-    def command(self, values):
-        """Pass on."""
-        self.inner.command(values)
-
-    def advance(self, seconds):
-        """Pass on."""
-        self.inner.advance(seconds)
 
     def body_states(self, names):
         """Pass on, with the original poses of fixed bodies."""
@@ -61,27 +41,6 @@ class Passed(Simulation):
     def nodes(self, name):
         """Pass on."""
         return np.array(self.inner.nodes(name))
-
-    def track(self, name, points_m):
-        """Pass on."""
-        found = self.inner.track(name, points_m)
-        return found
-
-    def contact_forces(self, pairs):
-        """Pass on."""
-        return self.inner.contact_forces(pairs)
-
-    def state(self):
-        """Pass on."""
-        return self.inner.state()
-
-    def restore(self, state):
-        """Pass on."""
-        self.inner.restore(state)
-
-    def close(self):
-        """Pass on."""
-        self.inner.close()
 
 
 def _same(scene):

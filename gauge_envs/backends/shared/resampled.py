@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.backends.base import Backend, worlds_of
+from gauge_envs.backends.shared.wrapped import WrappedSimulation
 from gauge_envs.backends.world import Simulation
 from gauge_envs.backends.worlds import Worlds, separate_worlds
 from gauge_envs.scene import Pose, Scene
@@ -58,7 +59,7 @@ def worlds_in_intervals(
     )
 
 
-class ResampledSimulation(Simulation):
+class ResampledSimulation(WrappedSimulation):
     """A simulation in steps of h that is read between them.
 
     What is read at a time is interpolated linearly between the last step before it and the first one after it;
@@ -73,8 +74,8 @@ class ResampledSimulation(Simulation):
     """
 
     def __init__(self, simulation: Simulation, scene: Scene, step_s: float) -> None:
+        super().__init__(simulation)
         self.settings = {**simulation.settings, "drive_interval_s": DRIVE_INTERVAL_S}
-        self._inner = simulation
         self._step_s = step_s
         self._bodies = [body.name for body in scene.bodies]
         self._rows = {name: row for row, name in enumerate(self._bodies)}
@@ -92,7 +93,7 @@ class ResampledSimulation(Simulation):
 
     def reset(self, seed: int) -> None:
         """Return to the scene's start."""
-        self._inner.reset(seed)
+        self.inner.reset(seed)
         self._begin()
 
     def drive(
@@ -110,8 +111,8 @@ class ResampledSimulation(Simulation):
             self._before = self._read()
             since_s = self._stepped_s - self._driven_s
             for body, given in self._drives.items():
-                self._inner.drive(body, *_moved(*given, since_s))
-            self._inner.advance(self._step_s)
+                self.inner.drive(body, *_moved(*given, since_s))
+            self.inner.advance(self._step_s)
             self._step_count += 1
 
     @property
@@ -120,11 +121,11 @@ class ResampledSimulation(Simulation):
 
     def _read(self) -> dict[str, Any]:
         """Return all that may be read between the state now and the next one."""
-        found: dict[str, Any] = {"bodies": self._inner.body_states(self._bodies)}
-        found |= {name: self._inner.nodes(name).copy() for name in self._nodes}
+        found: dict[str, Any] = {"bodies": self.inner.body_states(self._bodies)}
+        found |= {name: self.inner.nodes(name).copy() for name in self._nodes}
         found |= {f"reader {n}": one() for n, one in enumerate(self._readers)}
         if self._holders:
-            found["wrenches"] = self._inner.grip_wrenches(self._holders)
+            found["wrenches"] = self.inner.grip_wrenches(self._holders)
         return found
 
     @property
@@ -141,7 +142,7 @@ class ResampledSimulation(Simulation):
 
     def body_states(self, names: Sequence[str]) -> Array:
         """Return the states at the time now; see `World.body_states`."""
-        now = self._inner.body_states(names)
+        now = self.inner.body_states(names)
         if self._share > 1.0 - ROUNDING_S:
             return now
         before = self._before["bodies"][[self._rows[name] for name in names]]
@@ -153,55 +154,33 @@ class ResampledSimulation(Simulation):
 
     def nodes(self, name: str) -> Array:
         """Return the nodes at the time now [m]."""
-        return self._between(name, self._inner.nodes(name))
+        return self._between(name, self.inner.nodes(name))
 
     def track(self, name: str, points_m: Array) -> Callable[[], Array] | None:
         """Return a reader of material points; see `World.track`."""
-        read = self._inner.track(name, points_m)
+        read = self.inner.track(name, points_m)
         if read is None:
             return None
         key = f"reader {len(self._readers)}"
         self._readers.append(read)
         return lambda: self._between(key, read())
 
-    def contact_forces(
-        self, pairs: Sequence[tuple[str, str]]
-    ) -> Callable[[], Array] | None:
-        """Return contact forces; see `World.contact_forces`."""
-        return self._inner.contact_forces(pairs)
-
     def grip_wrenches(self, names: Sequence[str]) -> Array | None:
         """Return the wrenches at the time now; those of other bodies than the scene's holders at the last step."""
-        now = self._inner.grip_wrenches(names)
+        now = self.inner.grip_wrenches(names)
         is_kept = tuple(names) == tuple(self._holders)
         return self._between("wrenches", now) if now is not None and is_kept else now
-
-    def apply_wrench(self, body: str, wrench: Array) -> None:
-        """Apply a force and a torque from the next step on."""
-        self._inner.apply_wrench(body, wrench)
-
-    def command(self, values: Array) -> None:
-        """Set what the motors follow from the next step on."""
-        self._inner.command(values)
-
-    def fault(self) -> str | None:
-        """Return why the engine gave up the state, or None."""
-        return self._inner.fault()
 
     def state(self) -> Any:
         """Return a snapshot."""
         times = (self._time_s, self._step_count, self._driven_s)
-        return self._inner.state(), times, self._before, dict(self._drives)
+        return self.inner.state(), times, self._before, dict(self._drives)
 
     def restore(self, state: Any) -> None:
         """Restore a snapshot."""
         inner, times, self._before, self._drives = state
         self._time_s, self._step_count, self._driven_s = times
-        self._inner.restore(inner)
-
-    def close(self) -> None:
-        """Free the engine's resources."""
-        self._inner.close()
+        self.inner.restore(inner)
 
 
 def _moved(

@@ -9,7 +9,6 @@ of the step, and at most what the law holds, with the mass matrix M and the torq
 Bodies in contact are not part of the load, and a servo's torque is that of the state before the step.
 """
 
-from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.shared.joints import joint_motors, linked_hinges
 from gauge_envs.backends.shared.rigid import DrivenMotion
+from gauge_envs.backends.shared.wrapped import WrappedSimulation
 from gauge_envs.backends.world import Simulation
 from gauge_envs.errors import BackendError
 from gauge_envs.scene import BodyHinge, Hinge, Pose, Scene, body_mass_properties
@@ -48,7 +48,7 @@ class _Joint(NamedTuple):
     axis: Array
 
 
-class ResistedSimulation(Simulation):
+class ResistedSimulation(WrappedSimulation):
     """A simulation whose joints have friction that the engine has not.
 
     Attributes:
@@ -61,7 +61,7 @@ class ResistedSimulation(Simulation):
     """
 
     def __init__(self, scene: Scene, inner: Simulation, *, drags: bool) -> None:
-        self.settings, self.inner = inner.settings, inner
+        super().__init__(inner)
         self._scene, self._step_s = scene, float(inner.settings["timestep_s"])
         linked = linked_hinges(scene, single=True)
         self._names = list(linked)
@@ -137,32 +137,6 @@ class ResistedSimulation(Simulation):
             self.inner.advance(self._step_s)
         self._motions = {}
 
-    def body_states(self, names: Sequence[str]) -> Array:
-        """Return poses and velocities of bodies, shape [len(names), 13]; see `World.body_states`."""
-        return self.inner.body_states(names)
-
-    def nodes(self, name: str) -> Array:
-        """Return the nodes of a deformable body [m], shape [node_count, 3]; see `Simulation.nodes`."""
-        return self.inner.nodes(name)
-
-    def track(self, name: str, points_m: Array) -> Callable[[], Array] | None:
-        """Return a reader of material points of a deformable body; see `Simulation.track`."""
-        return self.inner.track(name, points_m)
-
-    def contact_forces(
-        self, pairs: Sequence[tuple[str, str]]
-    ) -> Callable[[], Array] | None:
-        """Return contact forces; see `World.contact_forces`."""
-        return self.inner.contact_forces(pairs)
-
-    def grip_wrenches(self, names: Sequence[str]) -> Array | None:
-        """Return the wrenches on attached deformable bodies, shape [len(names), 6]; see `Simulation.grip_wrenches`."""
-        return self.inner.grip_wrenches(names)
-
-    def fault(self) -> str | None:
-        """Return why the engine gave up the state; see `World.fault`."""
-        return self.inner.fault()
-
     def state(self) -> Any:
         """Return a snapshot of the engine, the commands and the wrenches."""
         terms = [one.hinge.dynamics for one in self._joints]
@@ -181,10 +155,6 @@ class ResistedSimulation(Simulation):
         self._start()
         self._commands = commands.copy()
         self._wrenches = {name: one.copy() for name, one in wrenches.items()}
-
-    def close(self) -> None:
-        """Free the engine's resources."""
-        self.inner.close()
 
     def accelerations(self) -> Array:
         """Return the accelerations of the joints without friction and motors [rad/s^2], shape [joint_count]."""

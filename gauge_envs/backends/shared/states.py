@@ -4,13 +4,14 @@ An engine that cannot restore a state bit for bit replays all calls since the re
 """
 
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gauge_envs.backends.shared.wrapped import WrappedSimulation
 from gauge_envs.backends.world import Simulation
 from gauge_envs.errors import BackendError
 from gauge_envs.scene import Hinge, JointDynamics, Pose, Scene
@@ -29,7 +30,7 @@ class ReplayedState:
     calls: tuple[tuple[str, tuple[Any, ...]], ...]
 
 
-class ReplayedSimulation(Simulation):
+class ReplayedSimulation(WrappedSimulation):
     """A simulation whose `restore` resets the engine and repeats all calls since the reset.
 
     `build` returns it around a simulation that implements neither `state` nor `restore`. The same seed must give the
@@ -40,15 +41,14 @@ class ReplayedSimulation(Simulation):
     """
 
     def __init__(self, inner: Simulation) -> None:
-        self.settings = inner.settings
-        self._inner = inner
+        super().__init__(inner)
         self._seed = 0
         self._calls: list[tuple[str, tuple[Any, ...]]] = []
 
     def reset(self, seed: int) -> None:
         """Return to the scene's start and forget all calls."""
         self._seed, self._calls = seed, []
-        self._inner.reset(seed)
+        self.inner.reset(seed)
 
     def drive(
         self,
@@ -78,34 +78,6 @@ class ReplayedSimulation(Simulation):
         """Advance and return positions; see `Simulation.sample_positions`."""
         return self._call("sample_positions", tuple(names), count, interval_s)
 
-    def body_states(self, names: Sequence[str]) -> NDArray[np.float64]:
-        """Return poses and velocities of bodies, shape [len(names), 13]; see `World.body_states`."""
-        return self._inner.body_states(names)
-
-    def fault(self) -> str | None:
-        """Return why the engine gave up the state; see `World.fault`."""
-        return self._inner.fault()
-
-    def nodes(self, name: str) -> NDArray[np.float64]:
-        """Return the positions of a deformable body's nodes [m], shape [node_count, 3]."""
-        return self._inner.nodes(name)
-
-    def contact_forces(
-        self, pairs: Sequence[tuple[str, str]]
-    ) -> Callable[[], NDArray[np.float64]] | None:
-        """Return contact forces; see `World.contact_forces`."""
-        return self._inner.contact_forces(pairs)
-
-    def grip_wrenches(self, names: Sequence[str]) -> NDArray[np.float64] | None:
-        """Return the wrenches of attachments; see `World.grip_wrenches`."""
-        return self._inner.grip_wrenches(names)
-
-    def track(
-        self, name: str, points_m: NDArray[np.float64]
-    ) -> Callable[[], NDArray[np.float64]] | None:
-        """Return a reader of material points; see `World.track`."""
-        return self._inner.track(name, points_m)
-
     def state(self) -> ReplayedState:
         """Return the seed and all calls since the reset."""
         return ReplayedState(self._seed, tuple(self._calls))
@@ -116,12 +88,8 @@ class ReplayedSimulation(Simulation):
         for name, arguments in state.calls:
             self._call(name, *arguments)
 
-    def close(self) -> None:
-        """Free the engine's resources."""
-        self._inner.close()
-
     def _call(self, name: str, *arguments: Any) -> Any:
-        result = getattr(self._inner, name)(*arguments)
+        result = getattr(self.inner, name)(*arguments)
         self._calls.append((name, arguments))
         return result
 

@@ -212,8 +212,8 @@ class _DisturbedSimulation(ReplayedSimulation):
 
     def reset(self, seed: int) -> None:
         """Build the simulation anew and reset it."""
-        self._inner.close()
-        self._inner = self._build()
+        self.inner.close()
+        self.inner = self._build()
         super().reset(seed)
 
 

@@ -111,7 +111,7 @@ def test_thin_and_round_pieces_keep_their_vertices():
         PHYSX.build(scene_of(*bodies, plane_deg(), contacts=(touch,)))
     ) as simulation:
         for one in bodies:
-            component = simulation._inner._model.parts[one.name].component
+            component = simulation.inner._model.parts[one.name].component
             (shape,) = component.collision_shapes
             apart = (
                 np.asarray(one.shape.pieces_m[0])[:, None]
