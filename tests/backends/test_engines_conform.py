@@ -118,7 +118,7 @@ ENGINES = (
         name="rapier",
         module="rapier3d",
         lacks=(*DEFORMABLE, *TURNING, "force-"),
-        quick=(*CORE, *GUIDES, "joint-*", "tether-*"),
+        quick=(*CORE, *GUIDES, "joint-*", "tether-*", "roll-cylinder"),
         long=LONG,
     ),
     Engine(

@@ -5,7 +5,7 @@ An engine that cannot restore a state bit for bit replays all calls since the re
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,13 @@ from numpy.typing import NDArray
 from gauge_envs.backends.shared.wrapped import WrappedSimulation
 from gauge_envs.backends.world import Simulation
 from gauge_envs.errors import BackendError
-from gauge_envs.scene import Hinge, JointDynamics, Pose, Scene
+from gauge_envs.scene import Pose, Scene
+
+HASHED = (
+    *("bodies", "deformables", "joints", "body_hinges", "guides", "attachments"),
+    *("contacts", "gravity_m_per_s2", "air"),
+)
+"""Parts of a scene in which those of two states must agree."""
 
 
 @dataclass(frozen=True)
@@ -163,51 +169,9 @@ class StateOrigin:
 
     def _scene_hash(self) -> str:
         if not self._hash:
-            one = self._scene
-            parts = (
-                one.bodies,
-                one.deformables,
-                one.joints,
-                one.attachments,
-                one.contacts,
-                one.gravity_m_per_s2,
-            )
-            # Parts that few scenes have follow, so that the hashes of the others stay.
-            dynamics = [
-                hinge.dynamics
-                for hinge in one.hinges
-                if hinge.dynamics != JointDynamics()
-            ]
-            resists = (
-                (at, touch.torsion_m, touch.rolling_m)
-                for at, touch in enumerate(one.contacts)
-            )
-            turned = [values for values in resists if any(values[1:])]
-            plays, drags, servos = (
-                [
-                    (at, term)
-                    for at, hinge in enumerate(one.hinges)
-                    if (term := getattr(hinge.dynamics, name))
-                ]
-                for name in (
-                    "backlash_rad",
-                    "quadratic_friction_n_m_s2_per_rad2",
-                    "servo",
-                )
-            )
-            few = (
-                *(one.air, one.body_hinges, dynamics, one.motors, turned, plays, drags),
-                servos,
-                one.guides,
-                [
-                    (at, joint.limits_rad)
-                    for at, joint in enumerate(one.joints)
-                    if isinstance(joint, Hinge) and joint.limits_rad
-                ],
-            )
-            self._hash = hashlib.sha256(
-                "".join(map(repr, (parts, *filter(None, few)))).encode()
-            ).hexdigest()
+            parts = asdict(self._scene)
+            texts = [repr(parts[name]) for name in HASHED]
+            self._hash = hashlib.sha256("".join(texts).encode()).hexdigest()
         return self._hash
 
 

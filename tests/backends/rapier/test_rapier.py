@@ -7,7 +7,6 @@ from itertools import permutations, product
 import numpy as np
 import pytest
 from rigid import plane_deg, scene_of, solid, states
-from scipy.spatial.transform import Rotation
 
 from gauge_envs import Jitter, load_experiment
 from gauge_envs.runs.episodes import run_episode
@@ -198,32 +197,6 @@ def test_as_many_contacts_as_there_are_groups_work():
     assert heights[-1] < -0.1
 
 
-# --- masses -----------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("radius_m", "length_m", "mass_kg"),
-    [(0.03, 0.06, 0.1), (0.03, 0.06, 0.001), (0.01, 0.2, 0.01)],
-)
-def test_light_cylinders_turn_by_their_own_inertia(radius_m, length_m, mass_kg):
-    # With masses in kg, Rapier's sum over colliders swaps the moments of such cylinders.
-    rod = solid("rod", Cylinder(radius_m=radius_m, length_m=length_m), mass_kg=mass_kg)
-    names = ("far", "further")
-    scene = scene_of(
-        rod,
-        *(fixed_box(name, (9.0, 0.0, 0.0), (1.0,) * 3) for name in names),
-        contacts=tuple(contact("rod", name, friction=0.1) for name in names),
-        gravity_m_per_s2=0.0,
-    )
-    across = mass_kg * (3.0 * radius_m**2 + length_m**2) / 12.0
-    for axis, moment in enumerate((across, across, 0.5 * mass_kg * radius_m**2)):
-        simulation = RAPIER.build(scene)
-        simulation.apply_wrench("rod", 0.9 * moment * np.eye(6)[3 + axis])
-        simulation.advance(0.1)
-        spin = simulation.body_states(["rod"])[0, 10:]
-        assert spin == pytest.approx(0.09 * np.eye(3)[axis], abs=1e-4)
-
-
 # --- joints -----------------------------------------------------------------------------------------------------------
 
 
@@ -249,22 +222,6 @@ def test_impulse_hinges_lose_energy_in_the_stabilization():
         ).max()
         < 0.01
     )
-
-
-@pytest.mark.parametrize("axis", [(0.0, 1.0, 0.0), (-1.0, 0.0, 0.0), (0.6, 0.0, 0.8)])
-def test_a_hinged_body_starts_with_its_velocity(axis):
-    place, spin = np.array([0.1, -0.2, -0.15]), 3.0 * np.array(axis)
-    bob = replace(
-        box("bob", tuple(place), (0.1, 0.06, 0.04), euler_deg=(20.0, 30.0, 40.0)),
-        angular_velocity_rad_per_s=tuple(spin),
-        linear_velocity_m_per_s=tuple(np.cross(spin, place)),
-    )
-    hinge = Hinge(body="bob", anchor_m=(0.0, 0.0, 0.0), axis=axis)
-    scene = scene_of(bob, joints=(hinge,), gravity_m_per_s2=0.0)
-    times, rows = course(scene, "bob", 0.5)
-    expected = Rotation.from_rotvec(np.outer(times, spin)).apply(place)
-    assert rows[:, :3] == pytest.approx(expected, abs=1e-4)
-    assert np.abs(rows[:, 10:] - spin).max() < 1e-3
 
 
 # --- states -----------------------------------------------------------------------------------------------------------
