@@ -537,6 +537,12 @@ FURTHER = planted(
             '<body name="link2"',
             '<body name="link2" quat=".70711 .70711 0 0"',
         ),
+        "arm, a sensor of another joint": (
+            "robot-wiring",
+            "</mujoco>",
+            '<sensor><jointvel name="joint1_vel" joint="joint1"/><jointvel name="joint2_vel" joint="joint3"/>'
+            '<jointvel name="joint3_vel" joint="joint3"/></sensor></mujoco>',
+        ),
         "arm, a lost armature": (
             "robot-rotor",
             '(name="joint3".*?armature=)"0.1"',

@@ -193,6 +193,20 @@ def test_a_row_is_flagged_for_its_mistake(name):
     assert robot_row(expected, robot_of(changed)).is_flag
 
 
+@pytest.mark.parametrize(("axis", "is_flag"), [("0 -1 0", False), ("0 1 0", True)])
+def test_fingers_that_slide_the_same_way_are_flagged(axis, is_flag):
+    finger = (
+        '<body pos="0 {} .1"><joint type="slide" axis="{}" range="0 .04" limited="true"/>'
+        '<geom size=".01 .01 .03" type="box" mass=".05"/></body>'
+    )
+    fingers = finger.format(-0.05, "0 1 0") + finger.format(0.05, axis)
+    gripper = (
+        '<mujoco><worldbody><geom type="plane" size="1 1 1"/><body pos="0 0 .3"><geom size=".04" mass=".5"/>'
+        f"{fingers}</body></worldbody></mujoco>"
+    )
+    assert robot_row("robot-wiring", robot_of(gripper)).is_flag == is_flag
+
+
 def test_a_robot_without_servos_has_no_gains_to_scale():
     motors = re.sub(r'<position (joint="[^"]*")[^>]*>', r"<motor \1/>", biped_xml())
     motors = re.sub(r'ctrl="[^"]*"', "", motors)

@@ -2,7 +2,7 @@
 
 import copy
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, wraps
 from itertools import product
@@ -489,16 +489,30 @@ def swapped_motors(model: mujoco.MjModel) -> dict[int, int]:
     return {motors[place]: joints[to] for place, to in _moved(best).items()}
 
 
-def misplaced_names(names: list[str], others: list[str]) -> dict[int, int]:
-    """Return the place of the name that fits, by that of each name beside which another one stands; of most none."""
-    best = _fitting(names, others)
-    return {} if best is None else _moved(best)
+def misread_joints(
+    sensors: Sequence[str], read: Sequence[str], joints: Sequence[str]
+) -> dict[int, str]:
+    """Return the joint that the name of a sensor says, by the place of each that reads another one; of most none.
+
+    Args:
+        sensors: Names of the sensors.
+        read: Name of the joint that each reads.
+        joints: Names of all joints.
+    """
+    best = _fitting(sensors, joints)
+    if best is None:
+        return {}
+    meant = [joints[to] for to in best]
+    misread = {at: name for at, name in enumerate(meant) if name != read[at]}
+    return {} if 2 * len(misread) > len(sensors) else misread
 
 
-def _fitting(names: list[str], others: list[str]) -> NDArray[np.int_] | None:
+def _fitting(names: Sequence[str], others: Sequence[str]) -> NDArray[np.int_] | None:
     """Return the place of the other name that shares most words with each name; None where words do not say it."""
+    if len(names) > len(others):
+        return None
     said, known = _distinct(names), _distinct(others)
-    fits = 1e-6 * np.eye(len(names))
+    fits = 1e-6 * np.eye(len(names), len(others))
     for place in np.ndindex(fits.shape):
         one, other = said[place[0]], known[place[1]]
         fits[place] += len(one & other) / max(len(one | other), 1)
@@ -518,7 +532,7 @@ FEW_MOTORS = 4
 """Motors from which on two out of the order of their joints are an exception."""
 
 
-def _distinct(names: list[str]) -> list[set[str]]:
+def _distinct(names: Sequence[str]) -> list[set[str]]:
     """Return the words and numbers of each name that not all of them have."""
     words = [set(re.findall("[a-z]+|[0-9]+", name.lower())) for name in names]
     common = set.intersection(*words) if len(words) > 1 else set()

@@ -22,7 +22,7 @@ from gauge_envs.tools.sanity.robot.robot import (
     couplings_of,
     grasp_kinds,
     joints_of_motors,
-    misplaced_names,
+    misread_joints,
 )
 from gauge_envs.tools.sanity.robot.sides import (
     FEW_COPIES,
@@ -137,14 +137,15 @@ def _fingers(robot: Robot) -> Iterator[Wrong]:
 def _sensors(robot: Robot) -> Iterator[Wrong]:
     """Yield sensors of joints that read another one than their name says."""
     model = robot.model
+    joints = [name_of(robot, joint) for joint in range(model.njnt)]
     for of_type in (mujoco.mjtSensor.mjSENS_JOINTPOS, mujoco.mjtSensor.mjSENS_JOINTVEL):
         sensors = np.flatnonzero(model.sensor_type == int(of_type)).tolist()
         said = [model.sensor(sensor).name for sensor in sensors]
         read = [name_of(robot, int(model.sensor_objid[sensor])) for sensor in sensors]
-        for place, best in misplaced_names(said, read).items():
+        for place, meant in misread_joints(said, read, joints).items():
             yield (
                 f"sensor {said[place]} reads {read[place]}",
-                f"joint {read[best]} for the sensor {said[place]}",
+                f"joint {meant} for the sensor {said[place]}",
             )
 
 
