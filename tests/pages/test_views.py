@@ -166,7 +166,7 @@ def test_an_import_fits_the_terminal(width):
         BaselineRow(
             metric=metric,
             unit="mm",
-            own=SpreadRecord(unit="mm", mean=12.3456, std=4.5678, trial_count=20),
+            imported=SpreadRecord(unit="mm", mean=12.3456, std=4.5678, trial_count=20),
             published=line,
         )
         for metric, line in lines.items()

@@ -115,34 +115,30 @@ def _density(robot: Robot) -> Finding:
     model, worst = robot.model, 0.0
     found = Finding(declined="the shape of no link is known")
     changes: dict[str, Any] = {}
+    of_placeholders: dict[str, Any] = {}
     densities: dict[str, float] = {}
     low, high = limits_of("robot-density")
     masses_kg = model.body_mass[robot.bodies]
     middle_kg = float(np.median([0.0, *masses_kg[masses_kg > MASSLESS_KG]]))
     for body in robot.bodies:
         mass_kg = float(model.body_mass[body])
-        geom_m3, hull_m3, _ = extent(robot, body)
-        if not (mass_kg > MASSLESS_KG and geom_m3 > 0.0):
+        density, ratio = _link_density(robot, body)
+        if not density:
             continue
-        # The largest density that its largest geom allows, and the least one in the room around all of them [kg/m^3].
-        dense, thin = mass_kg / geom_m3, mass_kg / max(hull_m3, geom_m3)
-        if dense < low and (mesh_m3 := _hull_m3(robot, body)):
-            # The box around a mesh can be mostly empty, as that of a drone.
-            dense = mass_kg / mesh_m3
-        density = dense if dense < low else max(thin, low)
-        if density > high and mass_kg < middle_kg:
-            # A light link whose geoms are smaller yet: they hold the place of its shape.
-            continue
+        # A light link whose geoms are smaller yet: they hold the place of its shape.
+        is_placeholder = density > high and mass_kg < middle_kg
         name = body_name(robot, body)
-        densities[name] = density
-        ratio = max(low / dense, thin / high)
         factor = min(UNIT_ERRORS, key=lambda one: abs(np.log(1000.0 / density / one)))
         remark = f"{name} with {mass_kg:.3g} kg of {robot.mass_kg:.3g} kg"
         is_unit = abs(np.log(1000.0 / density / factor)) < np.log(UNIT_WITHIN)
         if ratio > 1.0 and is_unit:
             remark += f": {UNIT_ERRORS[factor]}?"
-            changes[f"body_mass[{body}]"] = model.body_mass[body] * factor
-            changes[f"body_inertia[{body}]"] = model.body_inertia[body] * factor
+            several = of_placeholders if is_placeholder else changes
+            several[f"body_mass[{body}]"] = model.body_mass[body] * factor
+            several[f"body_inertia[{body}]"] = model.body_inertia[body] * factor
+        if is_placeholder:
+            continue
+        densities[name] = density
         if found.declined or ratio > worst:
             worst = ratio
             links = f"{name} and links like it"
@@ -153,10 +149,29 @@ def _density(robot: Robot) -> Finding:
                 geom = max(geoms_of(robot, body), key=lambda g: model.geom_rbound[g])
                 advice += f", or give {geom_name(model, geom)} its size"
             found = Finding(value=density, remark=remark, advice=advice)
+    if densities and not any(low <= one <= high for one in densities.values()):
+        # All links are in another unit, and so are light ones.
+        changes |= of_placeholders
     found = replace(found, changes=changes, parts=densities)
     if worst <= 1.0 and (light := _thin_geoms(robot)):
         return light
     return _heavy(robot, found) if worst <= 1.0 and densities else found
+
+
+def _link_density(robot: Robot, body: int) -> tuple[float, float]:
+    """Return the density of a link [kg/m^3], and by how much it is outside the limits; 0 and 0 if it is not known."""
+    mass_kg = float(robot.model.body_mass[body])
+    geom_m3, hull_m3, _ = extent(robot, body)
+    if not (mass_kg > MASSLESS_KG and geom_m3 > 0.0):
+        return 0.0, 0.0
+    low, high = limits_of("robot-density")
+    # The largest density that its largest geom allows, and the least one in the room around all of them [kg/m^3].
+    dense, thin = mass_kg / geom_m3, mass_kg / max(hull_m3, geom_m3)
+    if dense < low and (mesh_m3 := _hull_m3(robot, body)):
+        # The box around a mesh can be mostly empty, as that of a drone.
+        dense = mass_kg / mesh_m3
+    density = dense if dense < low else max(thin, low)
+    return density, max(low / dense, thin / high)
 
 
 def _thin_geoms(robot: Robot) -> Finding | None:
