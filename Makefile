@@ -34,7 +34,7 @@ test: $(VENV)/.installed
 
 # Slow checks train policies, simulate for long, or need packages that the other tests do without, as Drake.
 slow: $(VENV)/.installed
-	$(BIN)/pip install --quiet -e ".[drake,onnx,ray,rerun,rl,slurm]"
+	$(BIN)/pip install --quiet -e ".[drake,onnx,ray,rl,slurm]"
 	$(PYTEST) tests/backends -k drake
 	$(PYTEST) -m slow
 

@@ -26,7 +26,7 @@ from gauge_envs.pages.document import as_markdown
 from gauge_envs.references.bands import Band
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-from gauge_envs.tools.film import film_writer
+from gauge_envs.tools.video import film_writer
 from scripts.environment_page import family_document
 from scripts.generated import ROOT, SCORING, Request, markdown_table
 from scripts.pictures import shrink

@@ -26,7 +26,6 @@ DISTRIBUTION = {
     "genesis": "genesis-world",
     "pydrake": "drake",
     "pxr": "usd-core",
-    "rerun": "rerun-sdk",
     "warp": "warp-lang",
     "yaml": "pyyaml",
 }
@@ -46,7 +45,7 @@ NOT_OF_USERS = {"bench", "dev", "docs"}
 """Extras of benchmarks, development and guides; the package imports nothing of theirs."""
 
 
-INSTALLED_LATER = {"bench", "data", "docs", "logs", "onnx", "ray", "rerun", "rl"}
+INSTALLED_LATER = {"bench", "data", "docs", "logs", "onnx", "ray", "rl"}
 """Extras that the default tests do without; `scripts/newest_versions.py` adds those with which slow ones ran."""
 
 

@@ -24,7 +24,7 @@ STATED = re.compile(
 
 VERSION = re.compile(
     r"(?:Apache|Python|MuJoCo|Newton|PhysX|SAPIEN(?: \d with PhysX)?|PyBullet|Rapier|Drake|Genesis|genesis-world"
-    r"|PyTorch|Rerun|three\.js|arXiv|version)(?:\]\([^)]*\))? v?\d[\d.]*(?:(?:,| to| and| on Python| or) \d[\d.]*)*"
+    r"|PyTorch|three\.js|arXiv|version)(?:\]\([^)]*\))? v?\d[\d.]*(?:(?:,| to| and| on Python| or) \d[\d.]*)*"
     rf"(?![\w.]|[ -]?(?:{UNIT})(?!\w))"
 )
 """A version after the name of what has it: no measurement."""

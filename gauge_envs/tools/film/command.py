@@ -104,12 +104,12 @@ def video_film(
     out: Annotated[
         Path | None,
         arguments.target(
-            "Film, .mp4, .webp or .gif; strip, .png or .webp; or .rrd for the Rerun viewer, of one result.",
+            "Film, .mp4, .webp or .gif; strip, .png or .webp.",
             show_default="film.mp4, or strip.png",
         ),
     ] = None,
 ) -> bool:
-    """Film results of one experiment side by side, or write one for the Rerun viewer.
+    """Film results of one experiment side by side.
 
     Each panel has its reference, its tracked points and its score. The episodes are run again. A result without the
     same g(t), bit for bit, has no panel. Exit code 1 when a file was skipped or a result has no panel; 2 when none is
@@ -122,7 +122,6 @@ def video_film(
         save_film,
         save_strip,
     )
-    from gauge_envs.tools.film.rerun_file import write_rerun
 
     file = out or Path("film.mp4" if strip is None else "strip.png")
     used = arguments.parsed_use(use, "use_withheld")
@@ -145,14 +144,6 @@ def video_film(
         ),
         **used,
     )
-    if file.suffix == ".rrd":
-        results = results_of_one_experiment(loaded, only)
-        if options != FilmOptions(**used) or strip is not None or len(results) != 1:
-            raise ParameterError(
-                f"{file}: a recording for Rerun shows one result, and has no options of a film"
-            )
-        echo(write_rerun(next(iter(results.values())), file, **used))
-        return bool(skipped)
     results = results_of_one_experiment(loaded, only)
     with Progress("episodes", None) as progress:
 

@@ -3,11 +3,13 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from gauge_envs.backends.registry import backend_title
 from gauge_envs.errors import GaugeError, ParameterError, ResultFileError
@@ -23,7 +25,7 @@ from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.replay import VIEWS_PER_FRAME, ReplayError
 from gauge_envs.runs.result import Result
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-from gauge_envs.tools.film.layout import Caption, FilmLayout, strip_picture
+from gauge_envs.tools.film.layout import Caption, FilmLayout, PanelText
 from gauge_envs.tools.film.panel import (
     Panel,
     RecordedPanel,
@@ -31,12 +33,11 @@ from gauge_envs.tools.film.panel import (
     Take,
     take_of,
 )
-from gauge_envs.tools.film.writer import (
-    STRIP_SUFFIXES,
+from gauge_envs.tools.video.writer import (
     check_film_format,
     check_suffix,
     film_writer,
-    save_still,
+    written_whole,
 )
 
 MOST_PANELS = 12
@@ -54,6 +55,12 @@ LIMITS = {
 
 MOST_FRAMES = 20_000
 """Largest number of frames of a film."""
+
+STRIP_FORMATS: dict[str, dict[str, Any]] = {
+    ".png": {"optimize": True},
+    ".webp": {"quality": 82, "method": 6},
+}
+"""Options of Pillow by the suffix of a strip."""
 
 Progress = Callable[[int, int], None]
 """Receiver of the number of pictures that are done, and of all."""
@@ -135,6 +142,11 @@ class FilmOptions:
             )
 
     @property
+    def size(self) -> dict[str, int]:
+        """Width and height of the picture of a panel [pixels], by name."""
+        return {"width": self.width, "height": self.height}
+
+    @property
     def views_per_frame(self) -> int:
         """Views of a replay in each 30 Hz frame that the film can show."""
         wanted = self.fps / self.speed / FRAME_RATE_HZ
@@ -208,26 +220,23 @@ def save_film(
     """
     check_film_format(out)
     with ExitStack() as stack:
-        panels, takes, left_out = _panels(results, options, stack)
+        panels, caption, left_out = _panels(results, options, stack)
         times_s = film_times(options, max(panel.last_s for panel in panels))
-        size = {"width": options.width, "height": options.height}
         layout = FilmLayout(
             [panel.text for panel in panels],
-            _caption(takes, options),
+            caption,
             columns=options.columns,
-            **size,
+            **options.size,
         )
         last_frames = round(options.hold_s * options.fps)
         writer = stack.enter_context(
             film_writer(out, size=layout.size, fps=options.fps)
         )
-        for number, time_s in enumerate(times_s):
+        for number, time_s in enumerate(times_s, 1):
             pictures = [panel.picture(float(time_s)) for panel in panels]
             frame = layout.frame(pictures, f"t = {time_s:.3f} s")
-            writer.add(
-                frame, times=1 + last_frames if number == len(times_s) - 1 else 1
-            )
-            progress(number + 1, len(times_s))
+            writer.add(frame, times=1 + last_frames * (number == len(times_s)))
+            progress(number, len(times_s))
     return left_out
 
 
@@ -248,27 +257,33 @@ def save_strip(
         count: Number of pictures in a row, the first and the last one included.
         progress: Receiver of what is done.
     """
-    check_suffix(out, STRIP_SUFFIXES)
+    check_suffix(out, list(STRIP_FORMATS))
     if not 1 <= count <= MOST_PANELS:
         raise ParameterError(f"a strip of {count} pictures: choose 1 to {MOST_PANELS}")
     with ExitStack() as stack:
-        panels, takes, left_out = _panels(results, options, stack)
+        panels, caption, left_out = _panels(results, options, stack)
         last_s = max(panel.last_s for panel in panels)
         film_times(options, last_s)
-        times_s = np.linspace(
-            options.from_s, last_s if options.to_s is None else options.to_s, count
-        )
-        rows: list[list[NDArray[np.uint8]]] = []
-        for number, panel in enumerate(panels):
-            rows.append([panel.picture(float(time_s)) for time_s in times_s])
-            progress(number + 1, len(panels))
-        clocks = [f"{time_s:.2f} s" for time_s in times_s]
-        save_still(
-            strip_picture(
-                rows, [panel.text for panel in panels], _caption(takes, options), clocks
-            ),
-            out,
-        )
+        end_s = last_s if options.to_s is None else options.to_s
+        times_s = np.linspace(options.from_s, end_s, count)
+        pictures: list[NDArray[np.uint8]] = []
+        texts: list[PanelText] = []
+        for number, panel in enumerate(panels, 1):
+            pictures += [panel.picture(float(time_s)) for time_s in times_s]
+            row = [
+                PanelText(title="", detail=f"{time_s:.2f} s", note="")
+                for time_s in times_s
+            ]
+            # A row has its title and its score under the first picture, and its versions under the last one.
+            row[-1] = replace(row[-1], note=panel.text.detail)
+            row[0] = replace(row[0], title=panel.text.title, note=panel.text.note)
+            texts += row
+            progress(number, len(panels))
+        layout = FilmLayout(texts, caption, columns=count, **options.size)
+        with written_whole(out) as part:
+            Image.fromarray(layout.frame(pictures)).save(
+                part, format=out.suffix[1:], **STRIP_FORMATS[out.suffix.lower()]
+            )
     return left_out
 
 
@@ -277,8 +292,8 @@ def save_strip(
 
 def _panels(
     results: Mapping[Path, Result], options: FilmOptions, stack: ExitStack
-) -> tuple[list[Panel], list[Take], list[LeftOut]]:
-    """Return the panels, which the stack closes, the episodes that they show, and the results that have none."""
+) -> tuple[list[Panel], Caption, list[LeftOut]]:
+    """Return the panels, which the stack closes, the text of all, and the results that have none."""
     recording = options.recording
     count = len(results) + (recording is not None)
     if count > MOST_PANELS:
@@ -286,7 +301,6 @@ def _panels(
             f"{count} panels: at most {MOST_PANELS} have room; name fewer result files"
         )
     panels: list[Panel] = []
-    size = {"width": options.width, "height": options.height}
     # Before the runs, which may take minutes.
     if recording is not None:
         panels.append(
@@ -294,7 +308,7 @@ def _panels(
                 recording.file,
                 start_s=recording.start_s,
                 rate_hz=recording.rate_hz,
-                **size,
+                **options.size,
             )
         )
         stack.callback(panels[-1].close)
@@ -315,13 +329,10 @@ def _panels(
     for take, configuration, title in zip(
         takes, configurations, _titles(configurations), strict=True
     ):
-        panels.append(
-            SimulatedPanel(
-                take, title=title, detail=versions_text(configuration), **size
-            )
-        )
+        detail = versions_text(configuration)
+        panels.append(SimulatedPanel(take, title=title, detail=detail, **options.size))
         stack.callback(panels[-1].close)
-    return panels, takes, left_out
+    return panels, _caption(takes, options), left_out
 
 
 def _titles(configurations: Sequence[RunConfiguration]) -> list[str]:

@@ -1,4 +1,4 @@
-"""Frames of films and strips: pictures side by side with small text."""
+"""Frames of films, and strips: pictures side by side with small text."""
 
 from __future__ import annotations
 
@@ -48,14 +48,12 @@ class Caption:
         subtitle: What happens in it.
         reference: What is drawn in the colour of the reference; empty if nothing is.
         remark: Further words below the pictures.
-        simulated: What is drawn in the colour of the simulation; empty if nothing is.
     """
 
     title: str
     subtitle: str
     reference: str
     remark: str = ""
-    simulated: str = "simulated"
 
 
 @dataclass(frozen=True)
@@ -108,43 +106,57 @@ class FilmLayout:
         height: int,
         columns: int | None = None,
     ) -> None:
-        scale = _Scale(height)
+        self._scale = scale = _Scale(height)
+        legend: list[tuple[Color | None, str]] = [
+            (SIMULATED_COLOR, "simulated"),
+            (RECORDED_COLOR, caption.reference),
+            (None, caption.remark),
+        ]
+        legend = [(color, text) for color, text in legend if text]
         # Rows are as even as possible: five panels are three and two.
         rows = -(-len(texts) // (columns or MOST_ROW))
         in_row = min(columns or -(-len(texts) // rows), len(texts))
-        step = (
-            width + scale.gap,
-            scale.large_line + height + scale.small_line + scale.gap,
+        across = width + scale.gap
+        down = scale.large_line + height + scale.small_line + scale.gap
+        top = scale.gap + scale.large_line + scale.small_line
+        low = top + rows * down
+        right = scale.gap + in_row * across
+        bottom = low + len(legend) * scale.small_line + scale.gap
+        self.size = (right + right % 2, bottom + bottom % 2)
+        self._image = Image.new("RGB", self.size, GROUND)
+        left, room = scale.gap, right - 2 * scale.gap
+        middle = scale.gap + 0.5 * scale.large_line
+        self._write(
+            (left, middle), caption.title, room - CLOCK * scale.large, is_large=True
         )
-        sheet = _Sheet(
-            scale.gap + in_row * step[0], rows * step[1], caption, scale, is_even=True
-        )
-        self._sheet, self.size = sheet, sheet.image.size
-        sheet.head(caption, self.size[0] - 2 * scale.gap - CLOCK * scale.large)
+        self._write((left, top - 0.5 * scale.small_line), caption.subtitle, room, QUIET)
         self._places = [
             (
-                scale.gap + (index % in_row) * step[0],
-                sheet.top + (index // in_row) * step[1] + scale.large_line,
+                left + (index % in_row) * across,
+                top + (index // in_row) * down + scale.large_line,
             )
             for index in range(len(texts))
         ]
-        for text, (left, top) in zip(texts, self._places, strict=True):
-            above, under = (
-                top - 0.5 * scale.large_line,
-                top + height + 0.5 * scale.small_line,
+        for text, (x, y) in zip(texts, self._places, strict=True):
+            above, under = y - 0.5 * scale.large_line, y + height
+            used = self._write((x, above), text.title, width, is_large=True)
+            end = (x + width, above)
+            self._write(
+                end, text.detail, width - used - scale.gap, QUIET, from_right=True
             )
-            used = sheet.write((left, above), text.title, width, is_large=True)
-            sheet.write(
-                (left + width, above),
-                text.detail,
-                width - used - scale.gap,
-                color=QUIET,
-                from_right=True,
-            )
-            sheet.write((left, under), text.note, width)
+            self._write((x, under + 0.5 * scale.small_line), text.note, width)
+        for number, (color, words) in enumerate(legend):
+            line = low + (number + 0.5) * scale.small_line
+            start = left + (0.0 if color is None else 1.4 * scale.small)
+            self._write((start, line), words, room, QUIET)
+            if color is not None:
+                radius = 0.38 * scale.small
+                box = (left, line - radius, left + 2.0 * radius, line + radius)
+                red, green, blue = (round(255 * part) for part in color[:3])
+                ImageDraw.Draw(self._image).ellipse(box, fill=(red, green, blue))
 
     def frame(
-        self, pictures: Sequence[NDArray[np.uint8]], clock: str
+        self, pictures: Sequence[NDArray[np.uint8]], clock: str = ""
     ) -> NDArray[np.uint8]:
         """Return a frame, shape [height, width, 3].
 
@@ -152,131 +164,24 @@ class FilmLayout:
             pictures: Picture of each panel, shape [height, width, 3].
             clock: The time, in words.
         """
-        sheet, scale = self._sheet, self._sheet.scale
+        scale = self._scale
         for picture, place in zip(pictures, self._places, strict=True):
-            sheet.image.paste(Image.fromarray(picture), place)
-        right, middle = self.size[0] - scale.gap, scale.gap + scale.large_line // 2
-        low = scale.gap + scale.large_line
-        sheet.image.paste(GROUND, (right - CLOCK * scale.large, scale.gap, right, low))
-        sheet.write((right, middle), clock, is_large=True, from_right=True)
-        return np.array(sheet.image)
+            self._image.paste(Image.fromarray(picture), place)
+        right, low = self.size[0] - scale.gap, scale.gap + scale.large_line
+        box = (right - CLOCK * scale.large, scale.gap, right, low)
+        self._image.paste(GROUND, box)
+        middle = scale.gap + scale.large_line // 2
+        self._write((right, middle), clock, is_large=True, from_right=True)
+        return np.array(self._image)
 
-
-def strip_picture(
-    rows: Sequence[Sequence[NDArray[np.uint8]]],
-    texts: Sequence[PanelText],
-    caption: Caption,
-    clocks: Sequence[str],
-) -> NDArray[np.uint8]:
-    """Return pictures at a few times beside each other, a row for each panel, shape [height, width, 3].
-
-    Args:
-        rows: Pictures of each panel, shape [height, width, 3] each.
-        texts: Text of each panel.
-        caption: Text of the strip.
-        clocks: The times, in words.
-    """
-    height, width = rows[0][0].shape[:2]
-    scale = _Scale(height)
-    row_height = scale.large_line + height + scale.gap
-    sheet = _Sheet(
-        scale.gap + len(clocks) * (width + scale.gap),
-        len(rows) * row_height,
-        caption,
-        scale,
-    )
-    room = sheet.image.width - 2 * scale.gap
-    sheet.head(caption, room)
-    for number, (pictures, text) in enumerate(zip(rows, texts, strict=True)):
-        top = sheet.top + number * row_height
-        middle = top + 0.5 * scale.large_line
-        left = (
-            sheet.write((scale.gap, middle), text.title, room, is_large=True)
-            + 2 * scale.gap
-        )
-        taken = sheet.write(
-            (scale.gap + room, middle), text.note, room - left, from_right=True
-        )
-        sheet.write(
-            (scale.gap + left, middle),
-            text.detail,
-            room - left - taken - scale.gap,
-            color=QUIET,
-        )
-        for column, (picture, clock) in enumerate(zip(pictures, clocks, strict=True)):
-            corner = (scale.gap + column * (width + scale.gap), top + scale.large_line)
-            sheet.image.paste(Image.fromarray(picture), corner)
-            sheet.tag(clock, corner)
-    return np.array(sheet.image)
-
-
-# --- text ---
-
-
-class _Sheet:
-    """A white picture with a head, room for panels, and a legend below them.
-
-    Args:
-        width: Its width [pixels].
-        height: Height of the panels [pixels].
-        caption: Its text.
-        scale: Sizes of text.
-        is_even: Whether its sides are rounded up to even numbers.
-
-    Attributes:
-        image: The picture.
-        top: Upper end of the panels [pixels].
-    """
-
-    def __init__(
-        self,
-        width: int,
-        height: int,
-        caption: Caption,
-        scale: _Scale,
-        *,
-        is_even: bool = False,
-    ) -> None:
-        self.scale = scale
-        self.top = scale.gap + scale.large_line + scale.small_line
-        legend: list[tuple[Color | None, str]] = [
-            (SIMULATED_COLOR, caption.simulated),
-            (RECORDED_COLOR, caption.reference),
-            (None, caption.remark),
-        ]
-        legend = [(color, text) for color, text in legend if text]
-        bottom = self.top + height + len(legend) * scale.small_line + scale.gap
-        size = (width, bottom)
-        if is_even:
-            size = (width + width % 2, bottom + bottom % 2)
-        self.image = Image.new("RGB", size, GROUND)
-        for number, (color, text) in enumerate(legend):
-            left: float = scale.gap
-            middle = self.top + height + (number + 0.5) * scale.small_line
-            if color is not None:
-                radius = 0.38 * scale.small
-                box = (left, middle - radius, left + 2.0 * radius, middle + radius)
-                red, green, blue = (round(255 * part) for part in color[:3])
-                ImageDraw.Draw(self.image).ellipse(box, fill=(red, green, blue))
-                left += 1.4 * scale.small
-            self.write((left, middle), text, width - scale.gap - left, color=QUIET)
-
-    def head(self, caption: Caption, width: float) -> None:
-        """Write title and subtitle."""
-        left, scale = self.scale.gap, self.scale
-        middle = scale.gap + 0.5 * scale.large_line
-        self.write((left, middle), caption.title, width, is_large=True)
-        middle = scale.gap + scale.large_line + 0.5 * scale.small_line
-        self.write((left, middle), caption.subtitle, width, color=QUIET)
-
-    def write(
+    def _write(
         self,
         place: tuple[float, float],
         text: str,
         room: float = math.inf,
+        color: tuple[int, int, int] = INK,
         *,
         is_large: bool = False,
-        color: tuple[int, int, int] = INK,
         from_right: bool = False,
     ) -> float:
         """Write a text in a line, cut to its room, and return its width [pixels].
@@ -285,28 +190,20 @@ class _Sheet:
             place: Left end of the line and its middle [pixels].
             text: The text.
             room: Largest width [pixels].
-            is_large: Whether the letters are large.
             color: Colour.
+            is_large: Whether the letters are large.
             from_right: Whether the place is the right end.
         """
-        font = _font(self.scale.large if is_large else self.scale.small)
+        font = _font(self._scale.large if is_large else self._scale.small)
         shown = text
         while shown and font.getlength(shown) > room:
             text = text[:-1].rstrip()
             shown = f"{text} ..." if text else ""
         anchor = "rm" if from_right else "lm"
-        ImageDraw.Draw(self.image).text(
+        ImageDraw.Draw(self._image).text(
             place, shown, fill=color, font=font, anchor=anchor
         )
         return float(font.getlength(shown))
-
-    def tag(self, text: str, corner: tuple[int, int]) -> None:
-        """Write a time on a light field in the corner of a picture."""
-        left, top = corner
-        font, pad = _font(self.scale.small), self.scale.small // 2
-        right = left + round(font.getlength(text)) + 2 * pad
-        self.image.paste(GROUND, (left, top, right, top + self.scale.small_line))
-        self.write((left + pad, top + 0.5 * self.scale.small_line), text)
 
 
 @cache

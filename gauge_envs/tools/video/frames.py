@@ -1,4 +1,4 @@
-"""Read the frames of a video, on the grid of the first frames, and their times; write pictures as a video.
+"""Read the frames of a video, on the grid of the first frames, and their times.
 
 A source is read more than once, so frames are decoded again instead of being kept: ten seconds of video at full size
 would take gigabytes.
@@ -7,7 +7,7 @@ would take gigabytes.
 import io
 import subprocess
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -123,7 +123,7 @@ def _resized(picture: NDArray[np.uint8], size_px: tuple[int, int]) -> Picture:
     return np.asarray(cv2.resize(picture, size_px, interpolation=method))
 
 
-# --- reading and writing ----------------------------------------------------------------------------------------------
+# --- reading ----------------------------------------------------------------------------------------------------------
 
 
 MOST_BYTES = 2000 * MEGABYTE
@@ -378,26 +378,6 @@ def read_picture(path: Path) -> NDArray[np.uint8]:
             f"{path}: OpenCV cannot decode it; give the first frame as PNG or JPEG"
         )
     return np.asarray(picture)
-
-
-def write_mp4(path: Path, pictures: Iterable[NDArray[np.uint8]], fps: float) -> None:
-    """Write pictures in blue, green and red as MP4; the folder is created."""
-    with os_errors(lambda cause: VideoError(f"{path}: cannot be written: {cause}")):
-        path.parent.mkdir(parents=True, exist_ok=True)
-    writer = None
-    for picture in pictures:
-        if writer is None:
-            size = (picture.shape[1], picture.shape[0])
-            writer = cv2.VideoWriter(
-                str(path), cv2.VideoWriter_fourcc(*"mp4v"), fps, size
-            )
-            if not writer.isOpened():
-                raise VideoError(
-                    f"{path}: cannot be written as MP4; choose another folder or name"
-                )
-        writer.write(picture)
-    if writer is not None:
-        writer.release()
 
 
 # --- cadence ----------------------------------------------------------------------------------------------------------

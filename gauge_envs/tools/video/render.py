@@ -25,7 +25,6 @@ from gauge_envs.scene import Hinge, Motion as BodyMotion, RigidBody, Scene
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.jitter import swung
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
-from gauge_envs.tools.video.frames import write_mp4
 from gauge_envs.tools.video.tasks import (
     REFERENCE_SIZE_PX,
     Motion,
@@ -33,6 +32,7 @@ from gauge_envs.tools.video.tasks import (
     video_task,
 )
 from gauge_envs.tools.video.track import Track, save_track
+from gauge_envs.tools.video.writer import film_writer
 
 SAMPLE_RATE_HZ = round(1.0 / SAMPLE_INTERVAL_S)
 """Rate at which an engine is read [Hz]."""
@@ -70,7 +70,9 @@ class Film:
 
     def save(self, path: Path) -> Path:
         """Write the film as MP4 and its exact track beside it, as `NAME.track.csv`; return the path of the track."""
-        write_mp4(path, (picture[:, :, ::-1] for picture in self.pictures), self.fps)
+        with film_writer(path, size=REFERENCE_SIZE_PX, fps=self.fps) as writer:
+            for picture in self.pictures:
+                writer.add(picture)
         return save_track(self.track, path.with_suffix(".track.csv"))
 
 

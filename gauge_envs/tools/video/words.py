@@ -27,9 +27,14 @@ from gauge_envs.tools.video import (
 )
 from gauge_envs.tools.video.agreement import agreement
 from gauge_envs.tools.video.check import Finding
-from gauge_envs.tools.video.frames import FileFrames, Frames, Picture, cv2, write_mp4
+from gauge_envs.tools.video.frames import FileFrames, Frames, Picture, cv2
 from gauge_envs.tools.video.submission import FILE, Results
-from gauge_envs.tools.video.tasks import Measured, published_results
+from gauge_envs.tools.video.tasks import (
+    REFERENCE_SIZE_PX,
+    Measured,
+    published_results,
+)
+from gauge_envs.tools.video.writer import film_writer
 
 TITLES = {
     "a": "a [m/s^2]",
@@ -459,7 +464,9 @@ def save_overlay(source: Frames, result: VideoScore, path: Path) -> Path:
         result: Its result.
         path: File to write, MP4.
     """
-    write_mp4(path, drawn_frames(source, result), source.fps)
+    with film_writer(path, size=REFERENCE_SIZE_PX, fps=source.fps) as writer:
+        for picture in drawn_frames(source, result):
+            writer.add(picture[:, :, ::-1])
     return path
 
 

@@ -16,7 +16,7 @@ from gauge_envs.errors import (
     GaugeError,
     MissingExtraError,
     RenderError,
-    ResultFileError,
+    VideoError,
 )
 from gauge_envs.evaluation.reference_path import reference_words
 from gauge_envs.references.grades import BandGrade
@@ -140,7 +140,7 @@ def test_other_formats_have_the_length_of_the_film(results, tmp_path, suffix):
     )
     frames, length_s = shown(out)
     # Equal frames may be joined; a tick of a GIF is 10 ms.
-    assert len(frames) == 7
+    assert len({frame.tobytes() for frame in frames}) == 7
     assert length_s == pytest.approx((7 + 12) / 24, abs=0.0051)
 
 
@@ -171,8 +171,8 @@ def test_a_strip_shows_the_poses_of_g_at_its_times(results, tmp_path):
             nodes_m={},
             overlay=overlay,
         )
-        # A tag with the time covers a corner; rasterizers round a pixel now and then.
-        assert np.abs(drawn - expected)[40:].max() <= 12
+        # Rasterizers round a pixel now and then.
+        assert np.abs(drawn - expected).max() <= 12
         assert overlay.markers_m[0] == pytest.approx(1e-3 * samples[sample], abs=1e-6)
     own.close()
     panel.close()
@@ -357,7 +357,7 @@ def test_films_that_cannot_be_made_are_named(results, tmp_path, approved):
         "panels": film(shown=many),
     }
     approved("film/refused_films", refused_calls(GaugeError, calls))
-    with pytest.raises(ResultFileError, match=r"a\.gif: cannot be written"):
+    with pytest.raises(VideoError, match=r"a\.gif: cannot be written"):
         film("file/a.gif", fps=2)()
     assert list(tmp_path.glob("a*")) == []
     chosen = results_of_one_experiment(mixed, "GAUGE/SlopeSlider-2-wood")
@@ -376,9 +376,7 @@ def test_wrong_commands_are_named(folder, tmp_path, gauge):
 
 def test_an_mp4_without_its_extra_names_it(results, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
-    with pytest.raises(
-        MissingExtraError, match=r"a WebP or GIF needs no FFmpeg.*gauge-envs\[video\]"
-    ):
+    with pytest.raises(MissingExtraError, match=r"a film needs.*gauge-envs\[video\]"):
         save_film(results, tmp_path / "a.mp4", FilmOptions(**SIZE))
 
 
