@@ -1,7 +1,7 @@
 """Find the printed board of a film: in which frames, by which lens, and how the camera sees the plane of motion."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -167,7 +167,8 @@ def board_views(
         pairs = PointPairs(
             px=plane_px.tolist(), m=outer_m[:, :2].tolist(), **uncertainty
         )
-        views.append(replace(view, lens=pose.lens, source=pairs))
+        placed = {"lens": pose.lens, "points": pairs, "board": None}
+        views.append(view.model_copy(update=placed))
     return views
 
 

@@ -32,8 +32,8 @@ MOST_AWAY = 6.0
 MOST_SCALE_SIGMA = 0.005
 """Largest standard uncertainty of the scale in the plane of the motion by the focal length."""
 
-GRID_M = 0.1
-"""Spacing of the grid that is drawn in the plane of the motion."""
+AXIS_M = 0.1
+"""Length of the axes that are drawn on the board [m]."""
 
 CHANGED = 40.0
 """Change of the brightest channel with which a place of the first frame shows the object."""
@@ -44,8 +44,8 @@ LATER_FRAMES = 25
 LEAST_OBJECT_PX = 30
 """Fewest pixels of an object on the frontal grid."""
 
-GREEN, RED, BLUE = (60, 200, 60), (40, 40, 230), (230, 120, 30)
-"""Colours of the board, the object and the grid: blue, green, red."""
+GREEN, RED = (60, 200, 60), (40, 40, 230)
+"""Colours of the board and the object: blue, green, red."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,20 +95,19 @@ def check_film(
         fault = str(error).removeprefix(f"{source.name}: ")
         findings.append(
             Finding(
-                name="board" if isinstance(view.source, Board) else "view",
+                name="view" if view.board is None else "board",
                 text="it cannot be placed",
                 advice=fault,
             )
         )
         return findings, picture
     first = film.poses[0] if film.poses else None
-    if first is not None and isinstance(view.source, Board):
-        findings += _board_findings(picture, view.source, film.poses, first)
+    if first is not None and view.board is not None:
+        findings += _board_findings(picture, view.board, film.poses, first)
     is_proposed = box_px is None
     box = moved_box(film) if box_px is None else box_px
-    board = view.source if isinstance(view.source, Board) else None
-    findings += _object_findings(film, board, box, is_proposed=is_proposed)
-    _draw(picture, film, first, box)
+    findings += _object_findings(film, view.board, box, is_proposed=is_proposed)
+    _draw(picture, first, box)
     return findings, picture
 
 
@@ -298,34 +297,14 @@ def picture_bytes(picture: Picture) -> bytes:
     return bytes(cv2.imencode(".png", picture)[1])
 
 
-def _draw(
-    picture: Picture, film: FrontalFilm, first: BoardPose | None, box_px: Box | None
-) -> None:
-    """Draw the corners of the board, a grid in the plane of the motion, and the box of the object."""
-    height, width = picture.shape[:2]
-    thick = max(1, width // 640)
-    border = np.array([[0, 0], [width, 0], [width, height], [0, height]], float)
-    places_m = film.camera.to_plane_m(border)
-    low = np.floor(places_m.min(axis=0) / GRID_M).astype(int)
-    high = np.ceil(places_m.max(axis=0) / GRID_M).astype(int)
-    for axis in (0, 1):
-        for line in range(low[axis], high[axis] + 1):
-            ends = np.empty((2, 2))
-            ends[:, axis] = line
-            ends[:, 1 - axis] = low[1 - axis], high[1 - axis]
-            start, end = film.camera.to_picture_px(GRID_M * ends).round().astype(int)
-            # The axes through the middle of the board are thicker.
-            cv2.line(
-                picture,
-                start.tolist(),
-                end.tolist(),
-                BLUE,
-                2 * thick if line == 0 else 1,
-                cv2.LINE_AA,
-            )
+def _draw(picture: Picture, first: BoardPose | None, box_px: Box | None) -> None:
+    """Draw the corners of the board, axes from its middle to the right, up and off it, and the box of the object."""
+    thick = max(1, picture.shape[1] // 640)
     if first is not None:
-        for place in first.corners[1].round().astype(int):
-            cv2.circle(picture, place.tolist(), 3 * thick, GREEN, thick, cv2.LINE_AA)
+        corners = first.corners[1][:, None].astype(np.float32)
+        cv2.aruco.drawDetectedCornersCharuco(picture, corners, cornerColor=GREEN)
+        pose = (*first.lens.coefficients, first.rotation_rad, first.translation_m)
+        cv2.drawFrameAxes(picture, *pose, AXIS_M, 2 * thick)
     if box_px is not None:
         corners = box_corners(box_px).round().astype(int)
         cv2.rectangle(picture, corners[0].tolist(), corners[2].tolist(), RED, 2 * thick)

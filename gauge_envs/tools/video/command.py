@@ -18,7 +18,7 @@ from gauge_envs.cli.output import (
     message,
     print_document,
 )
-from gauge_envs.errors import ParameterError, VideoError
+from gauge_envs.errors import GaugeError, ParameterError, VideoError
 
 if TYPE_CHECKING:
     from gauge_envs.pages.table import Table
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 CAMERA = arguments.option(
     arguments.SCENE,
-    "How the camera sees the plane, TOML or JSON; a board in the film.",
+    "How the camera sees the plane, TOML; a board in the film.",
     "--camera",
     metavar="FILE",
 )
@@ -310,7 +310,7 @@ def video_report(
         }
         try:
             faults += submission_faults(folder / model, clips_of_tasks)
-        except VideoError as error:
+        except GaugeError as error:
             faults.append(str(error))
     for text in broken:
         message(text, "left out")

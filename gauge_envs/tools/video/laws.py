@@ -119,7 +119,7 @@ def fit_constant_acceleration(
     release = float(times[0]) if release_s is None else release_s
     if release_within_s > 0.0:
         found = minimize_scalar(
-            lambda shift: _rest_residual_square(times - release - shift, values),
+            lambda shift: _residual_square(_from_rest(times - release - shift), values),
             bounds=(-release_within_s, release_within_s),
             method="bounded",
             options={"xatol": 1e-3 * release_within_s},
@@ -128,9 +128,7 @@ def fit_constant_acceleration(
     basis = _from_rest(times - release)
     coefficients, residual = _least_squares(basis, values)
     linear = float(residual @ residual)
-    u = basis[:, 1]
-    _, rest = _least_squares(np.column_stack([basis, u**2]), values)
-    quadratic = float(rest @ rest)
+    quadratic = _residual_square(np.column_stack([basis, basis[:, 1] ** 2]), values)
     spread = float(((values - values.mean()) ** 2).sum())
     # Residuals of rounding size say nothing on the form of the relation.
     is_exact = linear <= 1e-24 * max(spread, float((values**2).sum()), 1e-300)
@@ -298,19 +296,8 @@ def _least_squares(
 
 
 def _residual_square(basis: FloatArray, values: FloatArray) -> float:
-    """Return the squared residual of least squares, of columns that are independent."""
-    axes, _ = np.linalg.qr(basis)
-    residual = values - axes @ (axes.T @ values)
-    return float(residual @ residual)
-
-
-def _rest_residual_square(times_s: FloatArray, values: FloatArray) -> float:
-    """Return the squared residual of a straight line over the squared time after the release."""
-    squared = _from_rest(times_s)[:, 1]
-    squared = squared - squared.mean()
-    centred = values - values.mean()
-    slope = (squared @ centred) / max(float(squared @ squared), 1e-300)
-    residual = centred - slope * squared
+    """Return the squared residual of least squares."""
+    _, residual = _least_squares(basis, values)
     return float(residual @ residual)
 
 

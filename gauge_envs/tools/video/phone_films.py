@@ -20,7 +20,6 @@ from gauge_envs.tools.video import laws
 from gauge_envs.tools.video.board import BoardPose, board_poses, board_views
 from gauge_envs.tools.video.frames import Frames, Picture, cv2
 from gauge_envs.tools.video.plane import (
-    Board,
     PlaneView,
     frontal_task,
     frontal_track,
@@ -100,9 +99,9 @@ class FrontalFilm(Frames):
         self.camera = view
         self.poses: list[BoardPose | None] = []
         self._views: list[PlaneView | None] | None = None
-        if isinstance(view.source, Board):
-            self.poses = board_poses(source, view, view.source)
-            self._views = board_views(self.poses, view, view.source)
+        if view.board is not None:
+            self.poses = board_poses(source, view, view.board)
+            self._views = board_views(self.poses, view, view.board)
             self.camera = self._views[0] or view
         width, height = source.size_px
         border = np.array(
@@ -248,7 +247,7 @@ def score_phone_film(
         Earth's, or a constant that no material has: the rate or the calibration is wrong.
     """
     task = film.task(motion, box_px)
-    inertia = film.camera.inertia_factor
+    inertia = film.camera.motion.inertia_factor
     if (motion == "roll") != (inertia is not None):
         raise VideoError(
             f"{film.name}: a roll, and no other motion, needs motion.inertia_factor in the camera file"

@@ -5,17 +5,23 @@ homography from pictures without lens distortion to the plane. Hartley and Zisse
 section 4.1.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, NonNegativeFloat, PositiveFloat, ValidationError
+from pydantic import (
+    Field,
+    NonNegativeFloat,
+    PositiveFloat,
+    field_validator,
+    model_validator,
+)
 
-from gauge_envs.errors import VideoError, first_fault
-from gauge_envs.files import MEGABYTE, json_document, read_regular, toml_document
-from gauge_envs.references.tables import FileModel, Model
+from gauge_envs.errors import VideoError
+from gauge_envs.files import MEGABYTE, toml_document
+from gauge_envs.references.tables import FileModel, Model, faults_of, read_content
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.video.frames import cv2
 from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX, Motion, VideoTask
@@ -23,6 +29,9 @@ from gauge_envs.tools.video.track import Track
 
 ORIGIN_PX = 0.5 * np.array(REFERENCE_SIZE_PX)
 """Place of the origin of the plane in the frontal picture [px]."""
+
+LEAST_SPREAD = 0.02
+"""Smallest ratio of the shorter to the longer spread of the points: below, they lie on a line and span no plane."""
 
 Pair: TypeAlias = tuple[float, float]
 Triple: TypeAlias = tuple[float, float, float]
@@ -39,6 +48,13 @@ class Lens(FileModel):
 
     matrix: tuple[Triple, Triple, Triple]
     distortion: Pair = (0.0, 0.0)
+
+    @field_validator("matrix")
+    @classmethod
+    def _is_camera(cls, matrix: tuple[Triple, ...]) -> tuple[Triple, ...]:
+        if min(matrix[0][0], matrix[1][1]) <= 0.0 or matrix[2] != (0.0, 0.0, 1.0):
+            raise ValueError("no camera matrix: [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]")
+        return matrix
 
     @property
     def coefficients(self) -> tuple[FloatArray, FloatArray]:
@@ -67,6 +83,23 @@ class PointPairs(FileModel):
     m: list[Pair]
     sigma_px: NonNegativeFloat
     sigma_m: NonNegativeFloat
+
+    @model_validator(mode="after")
+    def _span_a_plane(self) -> Self:
+        """Check that points span a plane: without any one of them, the others are no line."""
+        if not len(self.px) == len(self.m) >= 4:
+            raise ValueError(
+                f"px has {len(self.px)} and m {len(self.m)} points; give at least 4 of each, in the same order"
+            )
+        for name, places in (("px", self.px), ("m", self.m)):
+            for left_out in range(len(places)):
+                kept = np.delete(places, left_out, axis=0)
+                spreads = np.linalg.svd(kept - kept.mean(axis=0), compute_uv=False)
+                if spreads[1] <= LEAST_SPREAD * spreads[0]:
+                    raise ValueError(
+                        f"{name} has three of four points on a line: they span no plane"
+                    )
+        return self
 
     def to_plane(self, lens: Lens | None) -> FloatArray:
         """Return the homography from straight coordinates to the plane, shape [3, 3]."""
@@ -106,38 +139,71 @@ class Board(FileModel):
             "[board] needs the film that shows it; a track goes with [points]"
         )
 
-    def drawn(self, rng: np.random.Generator) -> Self:
-        """Return the board itself."""
-        return self
 
-
-@dataclass(frozen=True, kw_only=True)
-class PlaneView:
-    """How a recording sees the plane of the motion.
+class Swing(FileModel):
+    """What is known of the motion in the plane: table `[motion]` of a camera file.
 
     Attributes:
-        size_px: Width and height of the pictures in which the calibration is stated [px].
-        source: Where the plane lies.
-        lens: Lens; None for pictures without distortion, of point pairs alone.
-        pivot_m: Pivot of a swing in the plane [m], shape [2]; None where there is none.
+        pivot_m: Pivot of a swing [m]; None where there is none.
         pivot_sigma_m: Standard uncertainty of each of its coordinates [m].
         length_m: Distance of the ball's centre from the pivot [m]; None where it is not needed.
         release_height_m: Height from which the incoming ball of a cradle is released [m]; the task's if None.
-        direction: Direction of a slide in the plane, shape [2]; fitted to the track if None.
+        direction: Direction of a slide; fitted to the track if None.
         inertia_factor: Moment of inertia of a rolling body, in its mass times squared radius; None where none rolls.
+    """
+
+    pivot_m: Pair | None = None
+    pivot_sigma_m: NonNegativeFloat | None = None
+    length_m: PositiveFloat | None = None
+    release_height_m: PositiveFloat | None = None
+    direction: Pair | None = None
+    inertia_factor: Annotated[float, Field(gt=0.0, le=1.0)] | None = None
+
+    @model_validator(mode="after")
+    def _is_whole(self) -> Self:
+        if (self.pivot_m is None) != (self.pivot_sigma_m is None):
+            raise ValueError("pivot_m and pivot_sigma_m go together: give both or none")
+        if self.direction is not None and not any(self.direction):
+            raise ValueError("direction is zero")
+        return self
+
+
+class PlaneView(FileModel):
+    """How a recording sees the plane of the motion: a camera file.
+
+    Attributes:
+        size_px: Width and height of the pictures in which the calibration is stated [px].
+        points: Points of the plane that are known, or None.
+        board: Board beside the motion, or None.
+        lens: Lens; None for pictures without distortion, of point pairs alone.
+        motion: What is known of the motion.
         readout_s: Time from the first to the last row of a picture, by a rolling shutter [s].
     """
 
-    size_px: tuple[int, int]
-    source: PointPairs | Board
+    size_px: tuple[Side, Side]
+    points: PointPairs | None = None
+    board: Board | None = None
     lens: Lens | None = None
-    pivot_m: FloatArray | None = None
-    pivot_sigma_m: float = 0.0
-    length_m: float | None = None
-    release_height_m: float | None = None
-    direction: FloatArray | None = None
-    inertia_factor: float | None = None
-    readout_s: float = 0.0
+    motion: Swing = Swing()
+    readout_s: Annotated[float, Field(ge=0.0, le=0.1)] = 0.0
+
+    @model_validator(mode="after")
+    def _has_a_source(self) -> Self:
+        if (self.points is None) == (self.board is None):
+            raise ValueError("give either [points] or [board]")
+        return self
+
+    @property
+    def source(self) -> PointPairs | Board:
+        """Where the plane lies."""
+        source = self.points or self.board
+        assert source is not None
+        return source
+
+    @property
+    def pivot_m(self) -> FloatArray | None:
+        """Pivot of a swing in the plane [m], shape [2]; None where there is none."""
+        return None if self.motion.pivot_m is None else np.array(self.motion.pivot_m)
 
     def to_plane_m(self, points_px: FloatArray) -> FloatArray:
         """Return places in the plane [m] of places in the picture [px], both of shape [count, 2]."""
@@ -160,12 +226,14 @@ class PlaneView:
 
     def drawn(self, rng: np.random.Generator) -> Self:
         """Return the view with calibration and pivot moved within their uncertainty."""
-        pivot = (
-            None
-            if self.pivot_m is None
-            else self.pivot_m + rng.normal(0.0, self.pivot_sigma_m, 2)
-        )
-        return replace(self, source=self.source.drawn(rng), pivot_m=pivot)
+        moved: dict[str, Any] = {}
+        pivot_m, sigma_m = self.motion.pivot_m, self.motion.pivot_sigma_m
+        if pivot_m is not None and sigma_m is not None:
+            pivot = {"pivot_m": tuple(rng.normal(pivot_m, sigma_m))}
+            moved["motion"] = self.motion.model_copy(update=pivot)
+        if self.points is not None:
+            moved["points"] = self.points.drawn(rng)
+        return self.model_copy(update=moved)
 
     def grid_to_plane_m(self, points_px: FloatArray) -> FloatArray:
         """Return places in the plane [m] of places on the reference grid [px]; NaN stays NaN."""
@@ -215,16 +283,16 @@ def frontal_task(
         else scale_m_per_px
     )
     places_m = view.grid_to_plane_m(seen)
-    pivot, rest = None, None
+    pivot, rest, motion = None, None, view.motion
     if view.pivot_m is not None:
         pivot = _frontal_px(view.pivot_m, scale)
-        if view.length_m is not None:
-            rest = _frontal_px(view.pivot_m - [0.0, view.length_m], scale)
+        if motion.length_m is not None:
+            rest = _frontal_px(view.pivot_m - [0.0, motion.length_m], scale)
     direction = None
     if task.motion is Motion.FALL:
         direction = (0.0, 1.0)
     elif task.motion is Motion.SLIDE:
-        along = _main_direction(places_m) if view.direction is None else view.direction
+        along = np.array(motion.direction or _main_direction(places_m))
         along = along / np.linalg.norm(along)
         direction = (float(along[0]), float(-along[1]))
     return replace(
@@ -234,9 +302,7 @@ def frontal_task(
         direction=direction,
         pivot_px=pivot,
         rest_px=rest,
-        release_height_m=task.release_height_m
-        if view.release_height_m is None
-        else view.release_height_m,
+        release_height_m=motion.release_height_m or task.release_height_m,
     )
 
 
@@ -270,15 +336,16 @@ def metric_view(track: Track, task: VideoTask) -> tuple[Track, PlaneView]:
     corners_px = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * REFERENCE_SIZE_PX
     corners_m = (corners_px - ORIGIN_PX) * scale * [1.0, -1.0]
     places_m = 1e-3 * track.points_px
-    swings = task.motion in (Motion.PENDULUM, Motion.CRADLE)
-    view = PlaneView(
-        size_px=REFERENCE_SIZE_PX,
-        source=PointPairs(
-            px=corners_px.tolist(), m=corners_m.tolist(), sigma_px=0.0, sigma_m=0.0
-        ),
-        pivot_m=np.zeros(2) if swings else None,
+    # A swing counts from its pivot.
+    motion = Swing(
+        pivot_m=(0.0, 0.0),
+        pivot_sigma_m=0.0,
         length_m=float(np.nanmedian(np.linalg.norm(places_m, axis=1))),
     )
+    points = PointPairs(
+        px=corners_px.tolist(), m=corners_m.tolist(), sigma_px=0.0, sigma_m=0.0
+    )
+    view = PlaneView(size_px=REFERENCE_SIZE_PX, points=points, motion=motion)
     places_px = places_m / scale * [1.0, -1.0] + ORIGIN_PX
     return replace(track, points_px=places_px, is_metric=False), view
 
@@ -288,11 +355,12 @@ def _frontal_px(place_m: FloatArray, scale_m_per_px: float) -> tuple[float, floa
     return float(x), float(y)
 
 
-def _main_direction(places_m: FloatArray) -> FloatArray:
+def _main_direction(places_m: FloatArray) -> Pair:
     """Return the direction in which places spread most, away from the first one."""
     centred = places_m - places_m.mean(axis=0)
-    direction: FloatArray = np.linalg.svd(centred, full_matrices=False)[2][0]
-    return direction * float(np.sign((places_m[-1] - places_m[0]) @ direction) or 1.0)
+    x, y = np.linalg.svd(centred, full_matrices=False)[2][0]
+    sign = float(np.sign((places_m[-1] - places_m[0]) @ [x, y]) or 1.0)
+    return sign * float(x), sign * float(y)
 
 
 def _homogeneous(matrix: NDArray[np.floating], points: FloatArray) -> FloatArray:
@@ -302,55 +370,6 @@ def _homogeneous(matrix: NDArray[np.floating], points: FloatArray) -> FloatArray
 
 # --- camera file -----------------------------------------------------------------------------------------------------
 
-LEAST_SPREAD = 0.02
-"""Smallest ratio of the shorter to the longer spread of the points: below, they lie on a line and span no plane."""
-
-
-class Swing(FileModel):
-    """Table `[motion]` of a camera file."""
-
-    pivot_m: Pair | None = None
-    pivot_sigma_m: NonNegativeFloat | None = None
-    length_m: PositiveFloat | None = None
-    release_height_m: PositiveFloat | None = None
-    direction: Pair | None = None
-    inertia_factor: Annotated[float, Field(gt=0.0, le=1.0)] | None = None
-
-
-class CameraFile(FileModel):
-    """A camera file."""
-
-    size_px: tuple[Side, Side]
-    points: PointPairs | None = None
-    board: Board | None = None
-    lens: Lens | None = None
-    motion: Swing = Swing()
-    readout_s: Annotated[float, Field(ge=0.0, le=0.1)] = 0.0
-
-
-def read_model(path: Path, model: type[Model]) -> Model:
-    """Return the content of a file of TOML or, where it ends in `.json`, JSON.
-
-    Raises:
-        VideoError: It cannot be read, or a key is missing, unknown or of another type.
-    """
-    is_json = path.suffix == ".json"
-    try:
-        content = read_regular(path, MEGABYTE).removeprefix(b"\xef\xbb\xbf")
-        return model.model_validate(
-            json_document(content) if is_json else toml_document(content)
-        )
-    except ValidationError as error:
-        raise VideoError("{}: {}: {}".format(path, *first_fault(error))) from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise VideoError(
-            f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}"
-        ) from None
-    except ValueError as error:
-        raise VideoError(
-            f"{path}: is no {'JSON' if is_json else 'TOML'}: {error}"
-        ) from None
-
 
 def read_camera(path: Path | str) -> PlaneView:
     """Return the view that a camera file describes.
@@ -359,63 +378,16 @@ def read_camera(path: Path | str) -> PlaneView:
     are in metres, pixels in pictures of the stated size.
 
     Args:
-        path: The file; one that ends in `.json` is JSON, any other is TOML.
+        path: The file, TOML.
 
     Raises:
-        VideoError: The file cannot be read, a key is missing, unknown or of another shape, or the points span no plane.
-        MissingExtraError: OpenCV is not installed.
+        ReferenceFileError: The file cannot be read, a key is missing, unknown or of another shape, or the points span
+            no plane.
     """
-    path = Path(path)
-    file = read_model(path, CameraFile)
-    motion, lens = file.motion, file.lens
-    if (file.points is None) == (file.board is None):
-        raise VideoError(f"{path}: give either [points] or [board]")
-    if (motion.pivot_m is None) != (motion.pivot_sigma_m is None):
-        raise VideoError(
-            f"{path}: motion.pivot_m and motion.pivot_sigma_m go together: give both or none"
-        )
-    if motion.direction is not None and not any(motion.direction):
-        raise VideoError(f"{path}: motion.direction is zero; give a direction")
-    if lens is not None and (
-        lens.matrix[0][0] <= 0.0
-        or lens.matrix[1][1] <= 0.0
-        or lens.matrix[2] != (0.0, 0.0, 1.0)
-    ):
-        raise VideoError(
-            f"{path}: lens.matrix is no camera matrix: [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]"
-        )
-    if file.points is not None:
-        _check(path, file.points)
-    known: dict[str, Any] = {
-        name: np.array(one) if isinstance(one, tuple) else one
-        for name, one in motion
-        if one is not None
-    }
-    source = file.board or file.points
-    assert source is not None
-    return PlaneView(
-        size_px=file.size_px,
-        source=source,
-        lens=lens,
-        readout_s=file.readout_s,
-        **known,
-    )
+    return read_model(Path(path), PlaneView)
 
 
-def _check(path: Path, points: PointPairs) -> None:
-    """Check that points span a plane: without any one of them, the others are no line."""
-    if not len(points.px) == len(points.m) >= 4:
-        counts = f"points.px has {len(points.px)} and points.m {len(points.m)} points"
-        raise VideoError(
-            f"{path}: {counts}; give at least 4 of each, in the same order"
-        )
-    for name, places in (("px", points.px), ("m", points.m)):
-        for left_out in range(len(places)):
-            kept = np.delete(places, left_out, axis=0)
-            longer, shorter = np.linalg.svd(kept - kept.mean(axis=0), compute_uv=False)[
-                :2
-            ]
-            if shorter <= LEAST_SPREAD * longer:
-                raise VideoError(
-                    f"{path}: points.{name} has three of four points on a line: they span no plane"
-                )
+def read_model(path: Path, model: type[Model]) -> Model:
+    """Return the content of a TOML file."""
+    with faults_of(path):
+        return model.model_validate(toml_document(read_content(path, MEGABYTE)))

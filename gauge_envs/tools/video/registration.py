@@ -98,34 +98,18 @@ def registration_by_first_frame(
     """
     finder = cv2.SIFT_create(3000, contrastThreshold=LEAST_CONTRAST)
     small, factor = _shrunk(picture)
-    found_points, found_features = finder.detectAndCompute(small, None)
     whole = stretched((first_frame.shape[1], first_frame.shape[0])).applied(first_frame)
-    known_points, known_features = finder.detectAndCompute(whole, None)
-    if (
-        found_features is None
-        or known_features is None
-        or min(len(found_points), len(known_points)) < LEAST_INLIERS
-    ):
-        found = [
-            0 if points is None else len(points)
-            for points in (found_features, known_features)
-        ]
-        raise VideoError(
-            f"the first frames have {found[0]} and {found[1]} points; {LEAST_INLIERS} of each are needed"
-        )
-    pairs = [
-        pair
-        for pair in cv2.BFMatcher().knnMatch(found_features, known_features, k=2)
-        if len(pair) == 2
-    ]
-    good = [first for first, second in pairs if first.distance < 0.75 * second.distance]
-    # Points count from the middle of a pixel.
-    seen = (
-        np.array([found_points[one.queryIdx].pt for one in good]).reshape(-1, 2) + 0.5
-    ) / factor
-    wanted = (
-        np.array([known_points[one.trainIdx].pt for one in good]).reshape(-1, 2) + 0.5
+    (found, features), (known, known_features) = (
+        finder.detectAndCompute(one, None) for one in (small, whole)
     )
+    good = []
+    if min(len(found), len(known)) > 1:
+        pairs = cv2.BFMatcher().knnMatch(features, known_features, k=2)
+        good = [one for one, other in pairs if one.distance < 0.75 * other.distance]
+    # Points count from the middle of a pixel.
+    seen = np.array([found[one.queryIdx].pt for one in good]).reshape(-1, 2)
+    seen = (seen + 0.5) / factor
+    wanted = np.array([known[one.trainIdx].pt for one in good]).reshape(-1, 2) + 0.5
     matrix, agree = np.eye(2, 3), np.zeros(len(good), dtype=bool)
     if len(good) >= LEAST_INLIERS:
         matrix, inliers = cv2.estimateAffine2D(

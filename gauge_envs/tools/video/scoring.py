@@ -329,7 +329,7 @@ def score_track(
             raise VideoError(
                 f"{name}: {task.id} needs motion.pivot_m in the camera file: {what}"
             )
-        if task.motion is Motion.CRADLE and view.length_m is None:
+        if task.motion is Motion.CRADLE and view.motion.length_m is None:
             raise VideoError(
                 f"{name}: {task.id} needs motion.length_m in the camera file: from the pivot to the ball"
             )

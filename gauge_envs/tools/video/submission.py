@@ -92,7 +92,7 @@ def submission_faults(folder: Path, clips: Mapping[str, list[Path]]) -> list[str
         clips: Its clips by task.
 
     Raises:
-        VideoError: The file cannot be read, or has another key or type.
+        ReferenceFileError: The file cannot be read, or has another key or type.
     """
     submission = read_model(folder / FILE, Submission)
     faults = []

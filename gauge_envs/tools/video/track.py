@@ -1,17 +1,17 @@
 """The track of an object in a video: what every tracker writes, and all that the physics is judged by."""
 
 import csv
-import io
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Annotated, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel, BeforeValidator, Field, ValidationError
 
-from gauge_envs.errors import VideoError
-from gauge_envs.files import MEGABYTE, os_errors, read_regular, write_whole
+from gauge_envs.errors import VideoError, first_fault
+from gauge_envs.files import MEGABYTE, csv_text, os_errors, read_regular, write_whole
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.video.frames import Registration, stretched
 from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX
@@ -107,6 +107,28 @@ class Track:
         return self.frames / self.fps if self.clock_s is None else self.clock_s
 
 
+Cell: TypeAlias = Annotated[
+    Annotated[float, Field(ge=-MOST_NUMBER, le=MOST_NUMBER)] | None,
+    BeforeValidator(lambda text: (text or "").strip() or None),
+]
+"""Number of a cell; None for an empty one."""
+
+
+class _Row(BaseModel):
+    """Row of a track; other columns are ignored."""
+
+    time: Cell = None
+    frame: Annotated[Cell, Field(ge=0, le=LAST_FRAME, multiple_of=1)] = None
+    x: Cell = None
+    y: Cell = None
+    x_grid: Cell = None
+    y_grid: Cell = None
+    x_mm: Cell = None
+    y_mm: Cell = None
+    size: Cell = None
+    confidence: Cell = None
+
+
 def read_track(
     path: Path | str,
     *,
@@ -134,21 +156,23 @@ def read_track(
             f"fps is {fps}: state the frame rate of the video, as --fps 30"
         )
     rows = _rows(path)
-    names = set(rows[0])
+    names = rows[0].model_fields_set
     unit = next((u for u in ("_mm", "_grid") if {f"x{u}", f"y{u}"} <= names), "")
-    x_name, y_name = f"x{unit}", f"y{unit}"
-    missing = sorted({x_name, y_name} - names)
+    missing = sorted({f"x{unit}", f"y{unit}"} - names)
     if missing or not names & {"time", "frame"}:
         raise VideoError(
             f"{path}: there is no column {', '.join(missing) or 'time'}; the first line must name time or frame, then "
             "x and y, x_grid and y_grid, or x_mm and y_mm"
         )
+    # An empty cell is NaN.
     values = {
-        name: np.array([_number(path, n, name, row) for n, row in enumerate(rows, 2)])
-        for name in ("time", "frame", x_name, y_name, "size", "confidence")
-        if name in names
+        name: np.array([getattr(row, name) for row in rows], dtype=float)
+        for name in _Row.model_fields
     }
-    frames = _frame_numbers(path, values.get("frame", np.arange(len(rows))))
+    numbers = values["frame"] if "frame" in names else np.arange(len(rows))
+    if not np.isfinite(numbers).all() or not (np.diff(numbers) > 0.0).all():
+        raise VideoError(f"{path}: frame must increase from row to row")
+    frames = numbers.astype(np.int64)
     clock_s = None
     if "time" in names and fps is None:
         clock_s = values["time"]
@@ -160,21 +184,19 @@ def read_track(
         raise VideoError(
             f"{path}: it has no column time: give the frame rate, as --fps 30"
         )
-    places = np.column_stack([values[x_name], values[y_name]])
+    places = np.column_stack([values[f"x{unit}"], values[f"y{unit}"]])
     if not unit:
         places = places * np.array(REFERENCE_SIZE_PX) / np.array(size_px, dtype=float)
     is_found = np.isfinite(places).all(axis=1)
     places[~is_found] = np.nan
-    confidence = values.get("confidence", np.ones(len(rows)))
-    sizes = values.get("size", np.full(len(rows), np.nan))
+    sizes = values["size"]
     known = sizes[np.isfinite(sizes) & is_found]
     return Track(
         frames=frames,
         fps=fps,
         points_px=places,
-        confidence=np.where(
-            is_found, np.clip(np.nan_to_num(confidence, nan=1.0), 0, 1), 0.0
-        ),
+        confidence=is_found
+        * np.clip(np.nan_to_num(values["confidence"], nan=1.0), 0.0, 1.0),
         size_ratio=sizes / known[0] if len(known) else sizes,
         events=(
             Event(
@@ -215,46 +237,19 @@ def save_track(track: Track, path: Path) -> Path:
     return path
 
 
-def _rows(path: Path) -> list[dict[str, str]]:
+def _rows(path: Path) -> list[_Row]:
     """Return the rows of a CSV file."""
+    with os_errors(lambda cause: VideoError(f"{path}: cannot be read: {cause}")):
+        content = read_regular(path, MOST_TRACK_BYTES)
+    rows: list[_Row] = []
     try:
-        text = read_regular(path, MOST_TRACK_BYTES).decode("utf-8-sig")
-        rows = list(csv.DictReader(io.StringIO(text, newline="")))
-    except (OSError, UnicodeDecodeError) as error:
-        raise VideoError(
-            f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}"
-        ) from None
-    except csv.Error as error:
+        for cells in csv.DictReader(csv_text(content)):
+            rows.append(_Row.model_validate(cells))
+    except ValidationError as error:
+        name, cause = first_fault(error)
+        raise VideoError(f"{path}: line {len(rows) + 2}: {name}: {cause}") from None
+    except (ValueError, csv.Error) as error:
         raise VideoError(f"{path}: it is no CSV: {error}") from error
     if not rows:
         raise VideoError(f"{path}: there is no row below the names of the columns")
     return rows
-
-
-def _frame_numbers(path: Path, values: FloatArray) -> NDArray[np.int64]:
-    """Return numbers of frames, which increase."""
-    for line, value in enumerate(values, 2):
-        if value != np.floor(value) or not 0 <= value <= LAST_FRAME:
-            raise VideoError(
-                f"{path}: line {line}: frame is {value:g}; it must be a whole number from 0 to {LAST_FRAME}"
-            )
-    frames = values.astype(np.int64)
-    if not (np.diff(frames) > 0).all():
-        raise VideoError(f"{path}: frame must increase from row to row")
-    return frames
-
-
-def _number(path: Path, line: int, name: str, row: Mapping[str, str | None]) -> float:
-    """Return the number of a cell; NaN for an empty one."""
-    text = (row[name] or "").strip()
-    if not text:
-        return math.nan
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not abs(value) <= MOST_NUMBER:
-        raise VideoError(
-            f"{path}: line {line}: {name} is {text!r}; it must be a finite number of at most {MOST_NUMBER:g}, or empty"
-        )
-    return value

@@ -62,7 +62,7 @@ class Camera:
             px=places.tolist(), m=corners.tolist(), sigma_px=sigma_px, sigma_m=sigma_m
         )
         lens = Lens(matrix=self.matrix.tolist(), distortion=tuple(self.distortion))
-        return PlaneView(size_px=SIZE_PX, source=pairs, lens=lens, **motion)
+        return PlaneView(size_px=SIZE_PX, points=pairs, lens=lens, motion=motion)
 
 
 def oblique_clip(name, rng):
@@ -78,7 +78,7 @@ def oblique_clip(name, rng):
     if task.motion in (Motion.PENDULUM, Motion.CRADLE):
         origin_px = task.pivot_px
         middle_m = np.array([0.0, 0.18 if task.motion is Motion.PENDULUM else 0.07])
-        motion = {"pivot_m": middle_m, "pivot_sigma_m": 0.0005}
+        motion = {"pivot_m": tuple(middle_m), "pivot_sigma_m": 0.0005}
     if task.motion is Motion.CRADLE:
         length_px = np.linalg.norm(np.subtract(task.rest_px, task.pivot_px))
         motion["length_m"] = float(length_px * task.scale_m_per_px)

@@ -144,9 +144,7 @@ def test_the_recorded_pendulum_has_its_period():
     used = recorded["used"] == 1
     # The camera looks along -y: to the right is -x.
     camera = _recording((0.36, 0.4705, 0.3), ((-1, 0, 0), (0, 0, 1)))
-    view = camera.view(
-        sigma_m=0.003, pivot_m=np.array([0.0005, 0.1634]), pivot_sigma_m=0.008
-    )
+    view = camera.view(sigma_m=0.003, pivot_m=(0.0005, 0.1634), pivot_sigma_m=0.008)
     places = (
         np.column_stack([360.0 - recorded["x_mm"], recorded["z_mm"] - 300.0])[used]
         / 1e3

@@ -3,7 +3,6 @@
 import json
 import math
 import re
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -164,18 +163,18 @@ def test_a_film_without_the_board_says_how_many_frames_lack_it():
     ):
         FrontalFilm(
             frames,
-            PlaneView(size_px=SIZE_PX, source=Board(square_m=0.035, offset_m=0.0)),
+            PlaneView(size_px=SIZE_PX, board=Board(square_m=0.035, offset_m=0.0)),
         )
     with pytest.raises(VideoError, match="the camera file states"):
         FrontalFilm(
             frames,
-            PlaneView(size_px=(640, 480), source=Board(square_m=0.035, offset_m=0.0)),
+            PlaneView(size_px=(640, 480), board=Board(square_m=0.035, offset_m=0.0)),
         )
 
 
 SQUARE_M, EDGE_M = 0.03, 0.05
 BOARD_VIEW = PlaneView(
-    size_px=SIZE_PX, source=Board(square_m=SQUARE_M, offset_m=0.0, offset_sigma_m=0.0)
+    size_px=SIZE_PX, board=Board(square_m=SQUARE_M, offset_m=0.0, offset_sigma_m=0.0)
 )
 
 
@@ -254,7 +253,7 @@ def test_a_film_in_which_nothing_moves_or_no_board_is_seen_says_what_to_mend():
 
 
 def test_a_camera_that_faces_the_board_does_not_tell_its_focal_length():
-    film, board = wall_film(frames=3), BOARD_VIEW.source
+    film, board = wall_film(frames=3), BOARD_VIEW.board
     faces = board_poses(film, BOARD_VIEW, board)[0]
     aside = board_poses(wall_film(yaw_deg=20.0, frames=3), BOARD_VIEW, board)[0]
     for pose, largest in ((faces, 0.3), (aside, 0.03)):
@@ -262,7 +261,7 @@ def test_a_camera_that_faces_the_board_does_not_tell_its_focal_length():
         assert abs(error) < 2.0 * pose.focal_sigma < 2.0 * largest
     # What is 35 mm before the board has an unknown scale then.
     behind = board.model_copy(update={"offset_m": 0.035})
-    before = replace(BOARD_VIEW, source=behind)
+    before = BOARD_VIEW.model_copy(update={"board": behind})
     advice = [one.advice for one in check_film(film, before)[0] if one.name == "camera"]
     assert advice == ["state its [lens], or let it look from the side"]
 
@@ -334,7 +333,7 @@ def slope_film(a_m_s2, slope_rad, **view):
     }
     camera = PlaneView(
         size_px=(832, 480),
-        source=PointPairs(**pairs, sigma_px=0.0, sigma_m=0.0),
+        points=PointPairs(**pairs, sigma_px=0.0, sigma_m=0.0),
         **view,
     )
     frames, down = np.arange(60), np.array([-math.cos(slope_rad), math.sin(slope_rad)])
@@ -376,7 +375,7 @@ def test_a_rolling_shutter_is_corrected_when_it_is_stated():
     task = video_task("SlopeSlider-2-wood")
     found = score_track(track, task, camera=camera).metrics["acceleration_m_s2"]
     blind = score_track(
-        track, task, camera=PlaneView(size_px=camera.size_px, source=camera.source)
+        track, task, camera=PlaneView(size_px=camera.size_px, points=camera.points)
     ).metrics["acceleration_m_s2"]
     assert found == pytest.approx(3.0, rel=2e-3)
     assert blind is not None and blind > 1.03 * 3.0

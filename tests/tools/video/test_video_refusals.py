@@ -1,14 +1,12 @@
 """Hostile or damaged tracks, camera files, films and options of the video commands end in an error for people."""
 
-import json
-
 import numpy as np
 import pytest
 from approval import refused_commands
 
 cv2 = pytest.importorskip("cv2")
 
-from gauge_envs.errors import UnknownNameError, VideoError  # noqa: E402
+from gauge_envs.errors import GaugeError, UnknownNameError, VideoError  # noqa: E402
 from gauge_envs.tools.video import read_camera, read_track, score, video_task  # noqa: E402
 from gauge_envs.tools.video.frames import FileFrames, read_picture  # noqa: E402
 
@@ -23,19 +21,19 @@ SAME = "[points]\npx = {0}\nm = {0}\nsigma_px = 1\nsigma_m = 0\n"
 
 # What is written to a file, how it is read, and the place and the fault in the words of the error.
 TRACKS = [
-    ("frame,x,y\n1e11,1,2\n", "a whole number from 0 to 1000000000"),
-    (f"frame,x,y\n{HUGE},1,2\n", "must be a finite number"),
+    ("frame,x,y\n1e11,1,2\n", "line 2: frame: .*less than or equal to 1000000000"),
+    (f"frame,x,y\n{HUGE},1,2\n", "line 2: frame: .*less than or equal to"),
     ("frame,x,y\n1,2," + "3" * 200_000, "it is no CSV: "),
-    ("frame,x,y\n\x001,2,3", "it is no CSV: |finite number"),
+    ("frame,x,y\n\x001,2,3", "it is no CSV: |valid number"),
     ("\x00", "there is no row|it is no CSV"),
     ("frame,x\n0,1\n", "no column y"),
-    ("frame,x,y\n0,1,abc\n", "line 2: y is 'abc'"),
-    ("frame,x,y\n0.5,1,1\n", "line 2: frame is 0.5"),
+    ("frame,x,y\n0,1,abc\n", "line 2: y: .*given: 'abc'"),
+    ("frame,x,y\n0.5,1,1\n", "line 2: frame: .*multiple of 1"),
     ("frame,x,y\n3,1,1\n3,1,1\n", "frame must increase"),
     ("time,x,y\n0.1,1,1\n0,1,1\n", "time must increase"),
     ("x_mm,y_mm\n1,1\n", "no column time"),
     ("frame,x,y\n", "no row"),
-    ("frame,x,y\n0,inf,1\n", "line 2: x is 'inf'"),
+    ("frame,x,y\n0,inf,1\n", "line 2: x: .*given: 'inf'"),
 ]
 CAMERAS = [
     (SIZE, "either"),
@@ -48,11 +46,11 @@ CAMERAS = [
     (CAMERA + "[motion]\ndirection = [0, 0]\n", "direction is zero"),
     (
         CAMERA + "[lens]\nmatrix = [[1, 0, 9], [0, 1, 9], [0, 0, 2]]\n",
-        "no camera matrix",
+        "lens.matrix: .*no camera matrix",
     ),
     (SIZE + SAME.format("[[0, 0], [1, 0], [1, 1]]"), "at least 4"),
     (SIZE + SAME.format("[[0, 0], [1, 0], [2, 0], [1, 1]]"), "on a line"),
-    ("size_px = [1280", "TOML"),
+    ("size_px = [1280", "Unclosed array"),
     ("a = " + "[" * 5000, "nested too deeply"),
     ("a." * 5000 + "b = 1", "dots between two delimiters"),
     (CAMERA.replace("1280", HUGE), "size_px.0: "),
@@ -71,7 +69,6 @@ def tracked(file):
     [
         *(("track.csv", tracked, *row) for row in TRACKS),
         *(("camera.toml", read_camera, *row) for row in CAMERAS),
-        ("camera.json", read_camera, "[" * 100_000, "nested too deeply"),
         ("text.mp4", FileFrames, "no video\n" * 100, "it is a text and no video"),
         (
             "list.mp4",
@@ -94,7 +91,7 @@ def test_a_damaged_file_is_an_error_that_names_it(name, read, content, words, tm
     file = tmp_path / name
     if content is not None:
         file.write_text(content, newline="")
-    with pytest.raises(VideoError, match=words) as caught:
+    with pytest.raises(GaugeError, match=words) as caught:
         read(file)
     assert str(file) in str(caught.value)
 
@@ -140,18 +137,11 @@ def test_wrong_options_are_named(tmp_path, gauge, approved):
     approved("video/wrong_options", refused_commands(gauge, *commands))
 
 
-def test_a_camera_is_the_same_in_json_and_toml(tmp_path):
+def test_a_camera_file_maps_pixels_to_its_plane(tmp_path):
     """A square of 0.4 m that a camera without distortion sees as a trapezium; its diagonals cross in its centre."""
-    px = [[400, 600], [900, 600], [800, 300], [500, 300]]
-    m = [[-0.2, -0.2], [0.2, -0.2], [0.2, 0.2], [-0.2, 0.2]]
-    points = {"px": px, "m": m, "sigma_px": 0.5, "sigma_m": 0.001}
-    texts = {
-        ".json": json.dumps({"size_px": [1280, 720], "points": points}),
-        ".toml": CAMERA,
-    }
-    places, expected = np.array([*px, [650.0, 412.5]]), np.array([*m, [0.0, 0.0]])
-    for suffix, text in texts.items():
-        file = tmp_path / f"camera{suffix}"
-        file.write_text(text, encoding="utf-8")
-        found = read_camera(file).to_plane_m(places)
-        assert found == pytest.approx(expected, abs=1e-7)
+    px = [[400, 600], [900, 600], [800, 300], [500, 300], [650, 412.5]]
+    m = [[-0.2, -0.2], [0.2, -0.2], [0.2, 0.2], [-0.2, 0.2], [0.0, 0.0]]
+    file = tmp_path / "camera.toml"
+    file.write_text(CAMERA, encoding="utf-8")
+    found = read_camera(file).to_plane_m(np.array(px, dtype=float))
+    assert found == pytest.approx(np.array(m), abs=1e-7)

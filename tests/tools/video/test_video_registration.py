@@ -113,9 +113,7 @@ def test_another_first_frame_is_an_error_that_says_what_is_needed():
         registration_by_first_frame(
             first_picture("BouncingBall-rubber", 2), first_picture("Turntable-2-wood")
         )
-    with pytest.raises(
-        VideoError, match=r"have 0 and \d+ points; 12 of each are needed"
-    ):
+    with pytest.raises(VideoError, match=r"only 0 of 0 points .* 12 are needed"):
         registration_by_first_frame(
             np.full((480, 832, 3), 90, np.uint8), first_picture("Turntable-2-wood")
         )

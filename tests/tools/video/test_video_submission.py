@@ -9,7 +9,7 @@ pytest.importorskip("cv2")
 
 from clips import track_of
 
-from gauge_envs.errors import VideoError
+from gauge_envs.errors import ReferenceFileError
 from gauge_envs.tools.video import score_track, video_task, video_tasks
 from gauge_envs.tools.video.prompts import COMMIT
 from gauge_envs.tools.video.submission import (
@@ -55,7 +55,9 @@ def test_a_submission_that_lacks_a_clip_or_has_one_twice_is_named(tmp_path):
     ):
         assert words in found
     (tmp_path / FILE).write_text(SUBMISSION + "price = 1\n")
-    with pytest.raises(VideoError, match=r"submission\.toml: price: unknown key"):
+    with pytest.raises(
+        ReferenceFileError, match=r"submission\.toml: price: unknown key"
+    ):
         submission_faults(tmp_path, clips)
 
 
