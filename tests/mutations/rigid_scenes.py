@@ -144,10 +144,6 @@ def _all_collide(scene):
     return replace(scene, contacts=(*scene.contacts, *more))
 
 
-def _first_contact_only(scene):
-    return replace(scene, contacts=scene.contacts[:1])
-
-
 def _one_friction(scene):
     if not scene.contacts:
         return scene
@@ -186,24 +182,18 @@ def _random_friction(scene):
     )(scene)
 
 
+def _loose(one):
+    if one.motion is not Motion.FIXED or isinstance(one.shape, Plane):
+        return one
+    return replace(one, motion=Motion.DYNAMIC)
+
+
 def _nothing_fixed(scene):
-    if scene.deformables:
-        return scene
-    return change_bodies(
-        lambda one: (
-            replace(one, motion=Motion.DYNAMIC)
-            if one.motion is Motion.FIXED and not isinstance(one.shape, Plane)
-            else one
-        )
-    )(scene)
+    return scene if scene.deformables else change_bodies(_loose)(scene)
 
 
 def _tilted(axis, degrees):
     return vector(Rotation.from_euler("x", degrees, degrees=True).apply(axis))
-
-
-def _gravity_twice(scene):
-    return replace(scene, gravity_m_per_s2=2.0 * scene.gravity_m_per_s2)
 
 
 def _scalar_read_last(one):
@@ -570,7 +560,7 @@ FAULTS = dict(
             "first contact of a scene only",
             "slide",
             "has no contact",
-            scene=_first_contact_only,
+            scene=lambda scene: replace(scene, contacts=scene.contacts[:1]),
         ),
         fault(
             "friction-product",
@@ -591,7 +581,7 @@ FAULTS = dict(
             "gravity twice",
             "free-fall",
             "gravity acts twice",
-            scene=_gravity_twice,
+            scene=_gravity(lambda g: 2.0 * g),
         ),
         fault(
             "quaternion-inside",

@@ -200,6 +200,11 @@ def build_model(
             add_flex_contact(scene, contact, parts, geoms, settings, bit=1 << index)
         else:
             _add_contact(spec, scene, contact, geoms, settings, bit=1 << index)
+    moves = any(
+        start_rates(scene, body, joints.get(body.name)).any()
+        for body in scene.dynamic_bodies
+    )
+    key = spec.add_key(name=START_KEY) if moves else None
     try:
         model = spec.compile()
     except ValueError as error:
@@ -207,10 +212,9 @@ def build_model(
         raise ParameterError(
             f"MuJoCo cannot build the scene with these settings: {reason}"
         ) from error
-    velocities = start_velocities(scene, model)
-    if velocities.any():
-        spec.add_key(name=START_KEY, qvel=velocities)
-        model = spec.compile()
+    if key is not None:
+        # The compiled model says in which order the velocities are.
+        model.key_qvel[0] = key.qvel = start_velocities(scene, model)
     for part in dict.fromkeys(parts.values()):
         part.complete(model)
     if settings.inverse_weight_scale != 1.0:

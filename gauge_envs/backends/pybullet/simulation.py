@@ -83,7 +83,9 @@ class SimulationPyBullet(PlacedWorld, Simulation):
 
     def apply_wrench(self, body: str, wrench: NDArray[np.float64]) -> None:
         """Apply a force and a torque to a dynamic body; see `World.apply_wrench`."""
-        self._wrenches[body] = np.array(wrench)
+        self._wrenches.pop(body, None)
+        if np.any(wrench):
+            self._wrenches[body] = np.array(wrench)
 
     def command(self, values: NDArray[np.float64]) -> None:
         """Set what the motors follow; see `World.command`."""

@@ -34,6 +34,7 @@ from gauge_envs.scene import (
 )
 from gauge_envs.scene.drivers import Driver, DriverMotion
 from gauge_envs.scene.fabrics import Fabric
+from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 from gauge_envs.tools.bench.parts import driven_box, fixed_box, ramp
 
 T = TypeVar("T")
@@ -116,18 +117,28 @@ class Lab:
             scenes[-1],
         )
 
-    def rollout(self, scene: Scene, seconds: float | None = None) -> Rollout:
-        """Build a scene, reset it, drive it and record it.
+    def rollout(
+        self,
+        scene: Scene,
+        seconds: float | None = None,
+        *,
+        interval_s: float = SAMPLE_INTERVAL_S,
+        wrenches: Mapping[str, ArrayLike] = {},
+    ) -> Rollout:
+        """Build a scene, reset it, push and drive it, and record it.
 
         Args:
             scene: The scene.
             seconds: Time to simulate [s]; None for the duration of the scene.
+            interval_s: Time between samples [s].
+            wrenches: Force and torque on each body that is pushed all the time [N, N m], shape [6].
         """
+        whole_s = scene.duration_s if seconds is None else seconds
         with closing(self.build(scene)) as simulation:
             simulation.reset(0)
-            found = record(
-                simulation, scene, scene.duration_s if seconds is None else seconds
-            )
+            for name, wrench in wrenches.items():
+                push(simulation, name, wrench)
+            found = record(simulation, scene, whole_s, interval_s=interval_s)
         self.rollouts.append(found)
         return found
 

@@ -170,6 +170,18 @@ def worst_ratio(ratios: Mapping[str, float], what: str) -> Measurement:
     )
 
 
+def furthest(sizes: Mapping[str, float]) -> Measurement:
+    """Return the largest of some sizes, with the name of what it belongs to."""
+    worst = max(sizes, key=lambda one: sizes[one])
+    return Measurement(measured=sizes[worst], hint=f"it is furthest for the {worst}")
+
+
+def furthest_from(expected: float, values: NDArray[np.float64]) -> Measurement:
+    """Return the value that is furthest from what is expected."""
+    worst = float(values[np.abs(values - expected).argmax()])
+    return Measurement(measured=worst, expected=expected)
+
+
 def bounds_error(
     nodes_m: NDArray[np.float64], size_m: tuple[float, ...]
 ) -> Measurement:

@@ -17,7 +17,12 @@ from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.profiles import TrapezoidProfile
 from gauge_envs.tools.bench.parts import driver, fixed_box
 from gauge_envs.tools.conformance.lab import FRAME
-from gauge_envs.tools.conformance.laws import PLACE_TOLERANCE_M, largest_mm, worst_ratio
+from gauge_envs.tools.conformance.laws import (
+    PLACE_TOLERANCE_M,
+    furthest,
+    largest_mm,
+    worst_ratio,
+)
 from gauge_envs.tools.conformance.model import Measurement, Recorded, rollout_of
 
 HELD_M = 1e-7
@@ -160,10 +165,7 @@ class Lift:
                 # Nodes that are elsewhere at the start are not in the clamp.
                 furthest_mm = largest_mm(moved) if inside.any() else np.inf
                 errors[name] = max(errors.get(name, 0.0), furthest_mm)
-        worst = max(errors, key=lambda one: errors[one])
-        return Measurement(
-            measured=errors[worst], hint=f"it is furthest for the {worst}"
-        )
+        return furthest(errors)
 
     def clamp_excess(self, rollout: Rollout) -> Measurement:
         """Measure how far beyond its clamp a node of a body is still while the frame stands still [mm]."""
@@ -177,10 +179,7 @@ class Lift:
             depths_m = _depths_m(local, body, attachment.region)
             deepest_m = float(depths_m.max(initial=0.0))
             excesses[name] = 1e3 * max(0.0, deepest_m - attachment.region.depth_m)
-        worst = max(excesses, key=lambda one: excesses[one])
-        return Measurement(
-            measured=excesses[worst], hint=f"it is furthest for the {worst}"
-        )
+        return furthest(excesses)
 
 
 def _depths_m(local_m: Any, body: Any, region: Region) -> Any:

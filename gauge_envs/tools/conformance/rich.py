@@ -30,6 +30,7 @@ from gauge_envs.tools.bench.parts import (
     ramp,
 )
 from gauge_envs.tools.conformance.laws import (
+    furthest_from,
     largest_mm,
     spin_from_orientations,
     worst_ratio,
@@ -292,5 +293,4 @@ OFF_CENTRE = ConvexUnion(
 ).check("tether-origin")
 def _tether_origin(rollout: Rollout) -> Measurement:
     distance = np.linalg.norm(rollout.position("block") - STRING_TOP_M, axis=1)
-    worst = float(distance[np.abs(distance - STRING_M).argmax()])
-    return Measurement(measured=1e3 * worst, expected=1e3 * STRING_M)
+    return furthest_from(1e3 * STRING_M, 1e3 * distance)

@@ -24,6 +24,7 @@ from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 from gauge_envs.tools.bench.parts import box_inertia_kg_m2
 from gauge_envs.tools.conformance.lab import Lab
 from gauge_envs.tools.conformance.laws import (
+    furthest_from,
     inertia_kg_m2,
     largest_mm,
     spin_from_orientations,
@@ -277,6 +278,4 @@ def _spin_fast(rollout: Rollout) -> Measurement:
 @_fast_spin.check("orientation-unit")
 def _orientation_unit(rollout: Rollout) -> Measurement:
     lengths = np.linalg.norm(rollout.states["thrown"][:, 3:7], axis=1)
-    return Measurement(
-        measured=float(lengths[np.abs(lengths - 1.0).argmax()]), expected=1.0
-    )
+    return furthest_from(1.0, lengths)

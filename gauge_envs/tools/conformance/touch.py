@@ -5,7 +5,6 @@ Momentum is conserved whatever the contact and the material do, so that it shows
 
 import math
 from collections.abc import Callable, Sequence
-from contextlib import closing
 from dataclasses import replace
 from typing import Any, Literal
 
@@ -13,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.evaluation.estimators import acceleration_m_per_s2
-from gauge_envs.runs.rollout import Rollout, record
+from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2 as G,
     Attachment,
@@ -43,7 +42,6 @@ from gauge_envs.tools.conformance.lab import (
     Lab,
     clamped,
     fabric,
-    push,
     sheet,
 )
 from gauge_envs.tools.conformance.laws import (
@@ -350,12 +348,14 @@ def _towed() -> Scene:
 )
 def _pulled(lab: Lab) -> Rollout:
     scene = _towed()
-    with closing(lab.build(scene)) as simulation:
-        simulation.reset(0)
-        for bob, line in zip(scene.bodies, scene.deformables, strict=True):
-            force_n = PULL_M_PER_S2 * (bob.mass_kg + line.mass_kg)
-            push(simulation, bob.name, [force_n, 0.0, 0.0, 0.0, 0.0, 0.0])
-        return record(simulation, scene, scene.duration_s)
+    ahead = PULL_M_PER_S2 * np.eye(6)[0]
+    pairs = zip(scene.bodies, scene.deformables, strict=True)
+    return lab.rollout(
+        scene,
+        wrenches={
+            bob.name: (bob.mass_kg + line.mass_kg) * ahead for bob, line in pairs
+        },
+    )
 
 
 @_pulled.check("rope-mass")
