@@ -5,10 +5,10 @@ from dataclasses import asdict, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.scene import Air, Cloth, Pose, Rod, Rope, SoftBody
+from gauge_envs.scene import Air, Cloth, Pose, Rod, Rope
 from gauge_envs.scene.geometry import vector
 from mutations.mutant import fault
-from mutations.scenes import change_contacts, change_deformables
+from mutations.scenes import change_deformables
 
 
 def _random_fabric(scene):
@@ -16,16 +16,6 @@ def _random_fabric(scene):
         Cloth,
         stretch_stiffness_n_per_m=1.0 + 1e-9 * float(np.random.default_rng().random()),
     )(scene)
-
-
-def _warp_along_y(scene):
-    changed = [
-        replace(one, size_m=(one.size_m[1], one.size_m[0]))
-        if isinstance(one, Cloth)
-        else one
-        for one in scene.deformables
-    ]
-    return replace(scene, deformables=tuple(changed))
 
 
 def _edge_only(scene):
@@ -107,50 +97,11 @@ FAULTS = dict(
             scene=change_deformables(Cloth, stretch_stiffness_n_per_m=1.3),
         ),
         fault(
-            "cloth-shear",
-            "shear stiffness of cloth times 1.35",
-            "cloth-shear",
-            "shear",
-            scene=change_deformables(Cloth, shear_stiffness_n_per_m=1.35),
-        ),
-        fault(
-            "cloth-bending",
-            "bending stiffness of cloth times 2",
-            "cloth-bending",
-            "bends 0.",
-            scene=change_deformables(Cloth, bend_stiffness_n_m_per_rad=2.0),
-        ),
-        fault(
             "cloth-limp",
             "no bending stiffness of cloth",
             "cloth-bending",
             "bends",
             scene=change_deformables(Cloth, bend_stiffness_n_m_per_rad=0.05),
-        ),
-        fault(
-            "cloth-mass",
-            "mass per area of cloth times 1.3",
-            "cloth-stretch",
-            "mass of the nodes",
-            scene=change_deformables(Cloth, mass_kg=1.3, areal_density_kg_per_m2=1.3),
-        ),
-        fault(
-            "cloth-sides",
-            "warp and weft of cloth exchanged",
-            "cloth-start",
-            "warp along x",
-            scene=_warp_along_y,
-        ),
-        fault(
-            "cloth-friction",
-            "friction of cloth 20 % low",
-            "cloth-slide",
-            "friction were 0.24",
-            scene=lambda scene: (
-                change_contacts(friction=lambda mu: 0.8 * mu)(scene)
-                if scene.deformables
-                else scene
-            ),
         ),
         fault(
             "cloth-itself",
@@ -200,22 +151,6 @@ FAULTS = dict(
             scene=_one_row_more,
         ),
         fault(
-            "air-ignored",
-            "air ignored",
-            "air-terminal",
-            "no effect",
-            scene=lambda scene: replace(scene, air=None),
-        ),
-        fault(
-            "air-doubled",
-            "drag without the factor 1/2, or areas counted twice",
-            "air-terminal",
-            "2 times",
-            scene=_air(
-                lambda air: replace(air, density_kg_per_m3=2.0 * air.density_kg_per_m3)
-            ),
-        ),
-        fault(
             "air-wind",
             "wind from the other side",
             "air-pressure",
@@ -227,24 +162,6 @@ FAULTS = dict(
             ),
         ),
         fault(
-            "air-friction",
-            "friction of one side of the cloth",
-            "air-friction",
-            "counts both sides",
-            scene=_air(
-                lambda air: replace(
-                    air, tangential_coefficient=0.5 * air.tangential_coefficient
-                )
-            ),
-        ),
-        fault(
-            "air-lift",
-            "no lift",
-            "air-lift",
-            "perpendicular",
-            scene=_air(lambda air: replace(air, lift_coefficient=0.0)),
-        ),
-        fault(
             "air-pumps",
             "forces of the air along the motion, where there is lift as well as drag and no wind",
             "air-energy",
@@ -252,32 +169,11 @@ FAULTS = dict(
             scene=_air(_pumping),
         ),
         fault(
-            "foam-young",
-            "Young's modulus of foam 10 % high",
-            "foam-tension",
-            "stretches 0.9",
-            scene=change_deformables(SoftBody, young_modulus_pa=1.1),
-        ),
-        fault(
-            "foam-poisson",
-            "Poisson's ratio of foam 0",
-            "foam-poisson",
-            "nu = 0",
-            scene=change_deformables(SoftBody, poisson_ratio=0.0),
-        ),
-        fault(
             "lines-turned",
             "ropes and rods turned by 3 degrees",
             "rope-start",
             "another position, orientation or length",
             scene=_lines_turned,
-        ),
-        fault(
-            "rope-length",
-            "rope 3 % long",
-            "rope-start",
-            "or length",
-            scene=change_deformables(Rope, length_m=1.03),
         ),
     )
 )

@@ -7,7 +7,6 @@ import numpy as np
 from gauge_envs.scene import Box, JointDynamics, Sphere
 from gauge_envs.scene.motors import Servo
 from mutations.mutant import Passed, fault
-from mutations.scenes import change_contacts
 
 
 def _hinges(change):
@@ -142,15 +141,6 @@ class _TiredMotors(Passed):
 FAULTS = dict(
     (
         fault(
-            "joint-dry-high",
-            "dry friction of joints times 1.05",
-            "joint-dry",
-            "the unit of the joint's friction",
-            scene=_terms(
-                lambda one: replace(one, dry_friction_n_m=1.05 * one.dry_friction_n_m)
-            ),
-        ),
-        fault(
             "joint-dry-viscous",
             "dry friction of joints is viscous",
             "joint-dry",
@@ -174,34 +164,6 @@ FAULTS = dict(
             "the joint creeps",
             simulation=_SoftFriction,
             engine="mujoco",
-        ),
-        fault(
-            "joint-viscous-degrees",
-            "viscous friction of joints per degree",
-            "joint-viscous",
-            "radians",
-            scene=_terms(
-                lambda one: replace(
-                    one,
-                    viscous_friction_n_m_s_per_rad=float(
-                        np.degrees(one.viscous_friction_n_m_s_per_rad)
-                    ),
-                )
-            ),
-        ),
-        fault(
-            "joint-armature-none",
-            "no armature",
-            "joint-armature",
-            "the armature adds to the inertia",
-            scene=_terms(lambda one: replace(one, armature_kg_m2=0.0)),
-        ),
-        fault(
-            "joint-backlash-twice",
-            "the whole play is to either side",
-            "joint-backlash",
-            "half of the play",
-            scene=_terms(lambda one: replace(one, backlash_rad=2.0 * one.backlash_rad)),
         ),
         fault(
             "joint-backlash-rotor",
@@ -233,13 +195,6 @@ FAULTS = dict(
             scene=_servos(
                 lambda one: replace(one, kv_n_m_s_per_rad=-one.kv_n_m_s_per_rad)
             ),
-        ),
-        fault(
-            "servo-unlimited",
-            "servos without a largest torque",
-            "joint-limit",
-            "the limit is a torque",
-            scene=_servos(lambda one: replace(one, torque_limit_n_m=None)),
         ),
         fault(
             "servo-for-friction",
@@ -283,13 +238,6 @@ FAULTS = dict(
             "grasp-holds",
             "than torque over length",
             simulation=_TiredMotors,
-        ),
-        fault(
-            "grasp-friction",
-            "friction of pads times 0.95",
-            "grasp-slips",
-            "that both pads rub",
-            scene=_grasps(change_contacts(friction=lambda mu: 0.95 * mu)),
         ),
         fault(
             "grasp-points",

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from gauge_envs.scene import Box, Compound, ConvexUnion, Rope
-from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.hinged import parent_hinges
 from gauge_envs.scene.meshes import mass_properties
 from mutations.mutant import Passed, fault
-from mutations.rigid_scenes import _tilted
 
 
 def _model(change):
@@ -72,7 +71,7 @@ def _hanging(change):
 
 def _hinge_tilted(model, name):
     joint = model.joint(name)
-    joint.axis[:] = _tilted(vector(joint.axis), 3.0)
+    joint.axis[:] = Rotation.from_euler("x", 3.0, degrees=True).apply(joint.axis)
 
 
 def _hinge_shifted(model, name):

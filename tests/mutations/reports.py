@@ -27,10 +27,6 @@ def _reporting(change):
     return Misreported
 
 
-def _rotations(states):
-    return Rotation.from_quat(states[:, 3:7], scalar_first=True)
-
-
 def _scalar_last(states):
     states[:, 3:7] = np.roll(states[:, 3:7], -1, axis=1)
 
@@ -41,14 +37,6 @@ def _inverse(states):
 
 def _millimetres(states):
     states[:, :3] *= 1e3
-
-
-def _spin_in_body(states):
-    states[:, 10:] = _rotations(states).apply(states[:, 10:], inverse=True)
-
-
-def _velocity_in_body(states):
-    states[:, 7:10] = _rotations(states).apply(states[:, 7:10], inverse=True)
 
 
 def _spin_in_degrees(states):
@@ -249,25 +237,11 @@ FAULTS = dict(
             simulation=_reporting(_millimetres),
         ),
         fault(
-            "velocity-frame",
-            "velocity in the body frame",
-            "velocity-of-origin",
-            "body frame",
-            simulation=_reporting(_velocity_in_body),
-        ),
-        fault(
             "velocity-point",
             "velocity of the centre of mass",
             "velocity-of-origin",
             "velocity of the centre of mass",
             simulation=_VelocityOfCentre,
-        ),
-        fault(
-            "spin-frame",
-            "angular velocity in the body frame",
-            "angular-velocity",
-            "body frame",
-            simulation=_reporting(_spin_in_body),
         ),
         fault(
             "spin-degrees",

@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from gauge_envs.scene import (
     Box,
@@ -11,12 +10,10 @@ from gauge_envs.scene import (
     ContactMode,
     ConvexUnion,
     Cylinder,
-    Hinge,
     Motion,
     Plane,
     Pose,
     Sphere,
-    Tether,
 )
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.meshes import mass_properties
@@ -24,7 +21,6 @@ from mutations.mutant import Passed, fault
 from mutations.scenes import (
     change_bodies,
     change_contacts,
-    change_joints,
     change_shapes,
 )
 
@@ -89,19 +85,6 @@ def _cylinder(radius=1.0, length=1.0):
         Cylinder(radius_m=radius * shape.radius_m, length_m=length * shape.length_m)
         if isinstance(shape, Cylinder)
         else shape
-    )
-
-
-def _box_twice(shape):
-    if not isinstance(shape, Box):
-        return shape
-    x, y, z = (2.0 * size for size in shape.size_m)
-    return Box(size_m=(x, y, z))
-
-
-def _sphere_larger(shape):
-    return (
-        Sphere(radius_m=1.05 * shape.radius_m) if isinstance(shape, Sphere) else shape
     )
 
 
@@ -192,10 +175,6 @@ def _nothing_fixed(scene):
     return scene if scene.deformables else change_bodies(_loose)(scene)
 
 
-def _tilted(axis, degrees):
-    return vector(Rotation.from_euler("x", degrees, degrees=True).apply(axis))
-
-
 def _scalar_read_last(one):
     x, y, z, w = one.pose.quaternion
     return replace(one, pose=replace(one.pose, quaternion=(w, x, y, z)))
@@ -246,36 +225,6 @@ class _AsIs(Passed):
         return np.array(self.inner.body_states(names))
 
 
-def _of_pairs(chosen, change):
-    """Return a fault that changes the friction of some contacts of a scene."""
-
-    def changed(scene):
-        contacts = (
-            replace(one, friction=change(one.friction)) if chosen(scene, one) else one
-            for one in scene.contacts
-        )
-        return replace(scene, contacts=tuple(contacts))
-
-    return changed
-
-
-def _is_impact(scene, contact):
-    return contact.mode is ContactMode.IMPACT
-
-
-def _is_of_two_moving(scene, contact):
-    moving = {body.name for body in scene.dynamic_bodies}
-    return (
-        set(contact.first) <= moving
-        and set(contact.second) <= moving
-        and contact.first != contact.second
-    )
-
-
-def _turning(change):
-    return lambda scene: replace(scene, contacts=tuple(map(change, scene.contacts)))
-
-
 def _without_products(scene):
     """Return the scene with the diagonals of stated tensors."""
     bodies = [
@@ -295,22 +244,6 @@ FAULTS = dict(
             "stated-tensor",
             "the products of inertia are left out",
             scene=_without_products,
-        ),
-        fault(
-            "torsion-share",
-            "torsional friction times friction",
-            "torsion",
-            "a share of the friction",
-            scene=_turning(
-                lambda one: replace(one, torsion_m=one.torsion_m * one.friction)
-            ),
-        ),
-        fault(
-            "rolling-none",
-            "no rolling friction",
-            "rolling",
-            "the dimension of rolling friction",
-            scene=_turning(lambda one: replace(one, rolling_m=0.0)),
         ),
         fault(
             "margin",
@@ -355,13 +288,6 @@ FAULTS = dict(
             scene=_no_slow_rebound,
         ),
         fault(
-            "gravity-1-percent",
-            "gravity 1 % high",
-            "free-fall",
-            "gravity",
-            scene=_gravity(lambda g: 1.01 * g),
-        ),
-        fault(
             "gravity-upward",
             "gravity upward",
             "free-fall",
@@ -397,27 +323,6 @@ FAULTS = dict(
             scene=change_contacts(friction=lambda mu: 0.8 * mu),
         ),
         fault(
-            "friction-none",
-            "no friction",
-            "slide",
-            "friction were",
-            scene=change_contacts(friction=lambda mu: 0.0),
-        ),
-        fault(
-            "restitution-none",
-            "no restitution",
-            "rebound-0.2",
-            "restitution",
-            scene=change_contacts(restitution=lambda e: 0.0),
-        ),
-        fault(
-            "restitution-high",
-            "restitution 0.02 high",
-            "rebound-0.2",
-            "restitution",
-            scene=change_contacts(restitution=lambda e: e + 0.02 if e else 0.0),
-        ),
-        fault(
             "restitution-shared",
             "largest restitution for all pairs",
             "rebound-of-pair",
@@ -441,40 +346,6 @@ FAULTS = dict(
                 if any(one.restitution for one in scene.contacts)
                 else scene
             ),
-        ),
-        fault(
-            "mass-high",
-            "masses 10 % high",
-            "wrench-force",
-            "mass were 1.1",
-            scene=change_bodies(lambda one: replace(one, mass_kg=1.1 * one.mass_kg)),
-        ),
-        fault(
-            "mass-of-one",
-            "mass of one body 1.5 times too large",
-            "volley-momentum",
-            "the mass of a body is not the scene's",
-            scene=change_bodies(
-                lambda one: (
-                    replace(one, mass_kg=1.5 * one.mass_kg)
-                    if one.name.startswith("target")
-                    else one
-                )
-            ),
-        ),
-        fault(
-            "box-half-sizes",
-            "full sizes of a box taken for half sizes",
-            "inertia-box",
-            "edges were 200, 120, 60 mm",
-            scene=change_shapes(_box_twice),
-        ),
-        fault(
-            "sphere-larger",
-            "sphere 5 % larger",
-            "contact-listed",
-            "radius is too large",
-            scene=change_shapes(_sphere_larger),
         ),
         fault(
             "union-hull",
@@ -503,57 +374,6 @@ FAULTS = dict(
             "determinism",
             "random numbers",
             scene=_random_friction,
-        ),
-        fault(
-            "hinge-anchor",
-            "anchor of the hinge 2 mm off",
-            "pendulum-period",
-            "anchor of its hinge",
-            scene=change_joints(
-                Hinge,
-                lambda one: replace(
-                    one, anchor_m=(one.anchor_m[0] + 2e-3, *one.anchor_m[1:])
-                ),
-            ),
-        ),
-        fault(
-            "no-joints",
-            "no hinges and strings",
-            "pendulum-period",
-            "hinge is missing",
-            scene=lambda scene: replace(scene, joints=()),
-        ),
-        fault(
-            "hinged-missing",
-            "no hinges between bodies",
-            "hinged-closed",
-            "the hinge is missing",
-            scene=lambda scene: replace(scene, body_hinges=()),
-        ),
-        fault(
-            "tether-length",
-            "string 5 % long",
-            "tether-length",
-            "315",
-            scene=change_joints(
-                Tether, lambda one: replace(one, length_m=1.05 * one.length_m)
-            ),
-        ),
-        fault(
-            "tether-short",
-            "string 20 % short",
-            "tether-slack",
-            "shorter than its length_m",
-            scene=change_joints(
-                Tether, lambda one: replace(one, length_m=0.7 * one.length_m)
-            ),
-        ),
-        fault(
-            "no-contacts",
-            "no contacts",
-            "contact-listed",
-            "does not collide",
-            scene=lambda scene: replace(scene, contacts=()),
         ),
         fault(
             "first-contact",
@@ -645,36 +465,6 @@ FAULTS = dict(
             simulation=_AsIs,
         ),
         fault(
-            "impact-frictionless",
-            "no friction in impacts",
-            "oblique-grip-speed",
-            "the impact has no friction",
-            scene=_of_pairs(_is_impact, lambda mu: 0.0),
-        ),
-        fault(
-            "friction-capped",
-            "friction of at most 0.6",
-            "hold-steep",
-            "limits friction",
-            scene=change_contacts(friction=lambda mu: min(mu, 0.6)),
-        ),
-        fault(
-            "friction-between-halved",
-            "half the friction between two moving bodies",
-            "slide-between",
-            "two dynamic bodies",
-            scene=_of_pairs(_is_of_two_moving, lambda mu: 0.5 * mu),
-        ),
-        fault(
-            "tether-2-mm",
-            "string 2 mm too long",
-            "tether-rest",
-            "its length is not length_m",
-            scene=change_joints(
-                Tether, lambda one: replace(one, length_m=one.length_m + 2e-3)
-            ),
-        ),
-        fault(
             "mass-in-grams",
             "masses rounded to grams",
             "masses",
@@ -682,13 +472,6 @@ FAULTS = dict(
             scene=change_bodies(
                 lambda one: replace(one, mass_kg=max(round(one.mass_kg, 3), 1e-3))
             ),
-        ),
-        fault(
-            "inertia-uniform",
-            "stated inertia ignored",
-            "stated-inertia",
-            "the inertia of uniform density",
-            scene=change_bodies(lambda one: replace(one, inertia_kg_m2=None)),
         ),
     )
 )

@@ -41,9 +41,6 @@ def _in_degrees(rates):
     return np.concatenate([rates[:3], np.degrees(rates[3:])])
 
 
-SWAPPED = [0, 1, 2, 4, 3, 5]
-
-
 class _ReadsFirst(Passed):
     """Reads positions before it advances."""
 
@@ -179,20 +176,6 @@ FAULTS = dict(
             "start-position",
             "step",
             simulation=_StepsAtBuild,
-        ),
-        fault(
-            "teleport",
-            "driven bodies without velocity",
-            "driven-velocity",
-            "no velocity",
-            simulation=_driving(lambda rate, change: np.zeros((2, 6))),
-        ),
-        fault(
-            "drive-acceleration",
-            "acceleration of driven bodies ignored",
-            "driven-turned-path",
-            "acceleration that drive() gives",
-            simulation=_driving(lambda rate, change: (rate, 0.0 * change)),
         ),
         fault(
             "drive-late",

@@ -7,31 +7,6 @@ from gauge_envs.scene.meshes import mass_properties
 from mutations.mutant import Passed, fault
 
 
-class _WrenchIgnored(Passed):
-    """Ignores wrenches."""
-
-    def apply_wrench(self, body, wrench):
-        pass
-
-
-class _TorqueIgnored(Passed):
-    """Ignores torques."""
-
-    def apply_wrench(self, body, wrench):
-        super().apply_wrench(body, np.concatenate([wrench[:3], np.zeros(3)]))
-
-
-class _WrenchInBody(Passed):
-    """Takes the wrench in the body frame of the start."""
-
-    def apply_wrench(self, body, wrench):
-        rotation = self.scene.body(body).pose.rotation
-        super().apply_wrench(
-            body,
-            np.concatenate([rotation.apply(wrench[:3]), rotation.apply(wrench[3:])]),
-        )
-
-
 class _Pushed(Passed):
     """Knows the bodies with a wrench."""
 
@@ -140,13 +115,6 @@ FAULTS = dict(
             simulation=_RollingFriction,
         ),
         fault(
-            "wrench-ignored",
-            "wrench ignored",
-            "wrench-force",
-            "the wrench is ignored",
-            simulation=_WrenchIgnored,
-        ),
-        fault(
             "reset-wrench",
             "reset keeps wrenches",
             "wrench-reset",
@@ -159,20 +127,6 @@ FAULTS = dict(
             "restore-wrench",
             "wrench",
             simulation=_RestoreForgetsWrench,
-        ),
-        fault(
-            "torque-ignored",
-            "torque ignored",
-            "inertia-box",
-            "torque",
-            simulation=_TorqueIgnored,
-        ),
-        fault(
-            "wrench-body",
-            "wrench in the body frame",
-            "wrench-frame",
-            "world frame",
-            simulation=_WrenchInBody,
         ),
         fault(
             "wrench-once",

@@ -21,120 +21,163 @@ from gauge_envs.tools.conformance.facts import facts
 MUJOCO = backend("mujoco")
 
 ALSO = """
-angular-velocity         quaternion-order      another order inside
-angular-velocity         spin-frame            body frame
-carry-line               drive-acceleration    drive() gives is ignored
-carry-line               teleport              must have a velocity
-carry-slip               friction-low          is not the pair's
-carry-turn               teleport              must have a velocity
-cloth-reset              no-reset              positions and velocities of nodes
-cloth-rests              no-contacts           falls through
-cloth-restore            restore-velocity      velocities
-drop-energy              gains-energy          the engine makes energy
-foam-pinned-face         nodes-lag             one interval (1/180 s) late
-foam-start               nodes-millimetres     nodes are world positions
-free-fall-turn           starts-turning        convention
-hold                     friction-none         creeps
-inertia-box              quaternion-inside     w, x, y, z was read as x, y, z, w
-inertia-sphere           sphere-larger         its radius were 31.5 mm
-joint-slip               joint-dry-high        friction at rest
-joint-stick              joint-dry-viscous     viscous at low speed
-oblique-grip-spin        impact-frictionless   the impact has no friction
-oblique-slip-friction    impact-frictionless   the impact has no friction
-oblique-slip-rebound     restitution-none      slip adds to the rebound
-pendulum-energy          hinge-damping         damped
-pendulum-long-energy     hinge-damping         damped slowly
-pendulum-long-period     hinge-damping         damped slowly
-pile-sinks               no-contacts           tunnel
-pushed-ball              teleport              without velocity
-rebound-0.5              restitution-none      restitution enters
-rebound-0.95             restitution-high      restitution
-reset-course             reset-velocity        does not restore velocities
-rest-box                 margin                half sizes
-rest-convex              margin                a margin, or its size
-rest-cylinder            cylinder-length       its length is half
-rest-driven              margin                a margin, or its size
-rest-lying-cylinder      cylinder-radius       its radius is half
-rest-sphere              margin                a margin, or its size
-foam-restore             restore-velocity      after restore()
-rope-restore             restore-velocity      after restore()
-copies-alike             engine.spin:side:negative     the order of bodies and pairs
-tether-place             Tether.anchor_m:offset:0-False       furthest for the
-restore-edge             restore-velocity      after restore()
-restore-rest             restore-warm-start    after restore()
-rod-start                lines-turned          z for a rod
-roll-cylinder            rolling-friction      rolling friction were
-rope-length              rope-length           another length
-slide-plane              plane-level           that the plane's normal
-slide-plane              friction-holds        friction holds the brick
-spin-momentum            hinge-damping         angular damping
-start-rest               steps-at-build        must not step
-start-velocity-reset     reset-start-velocity  at rest after the reset
-tether-length            no-joints             missing
-centre-union             centre-elsewhere      centre of mass should be
-new-arrays               buffer.states:stale:reused                  reused buffer
-cloth-new-arrays         buffer.nodes:stale:reused                   reused buffer
-settings-step            settings.timestep_s:scale:0.1               settings state
-two-at-once              Scene.gravity_m_per_s2:stale:last-built     share constants
-reset-command            reset.command:stale:all                     outlives reset
-restore-command          restore.command:stale:all                   the command of a motor
-glide-speed              engine.velocity:saturate:3                  a limit of speed
-glide-turn               engine.hinge_rate:scale:damped-0.05         damping
-driven-turned-path       drive.position:kth:first             the first block is off
-glide-reports report.spin:side:negative the reported angular velocity
-volley-order             Contact.restitution:side:fixed-first-0.8    is first
-volley-fast              Contact.restitution:threshold:above-8m/s    depends on speed
-volley-late              Contact.restitution:threshold:after-2s      depends on time
-volley-momentum          RigidBody.mass_kg:kth:third-0.5              mass of a body
-crossed-edges            Contact.pair:frame:crossed-boxes            fall through each other
-pucks-friction           Contact.friction:side:fixed-first-0.8       is listed first
-carry-late               Contact.friction:threshold:after-1s         depends on time
-driven-turned-path       drive.spin:frame:body                       its orientation by
-driven-turned-rate       report.spin:frame:body                      in the body frame
-cloth-rests-on           Contact.pair:side:deformable-Cloth-dynamic  falls through the free
-foam-rests-on            Contact.pair:side:deformable-SoftBody-fixed falls through the fixed
-rope-rests-on            Contact.pair:side:deformable-Rope-kinematic falls through the driven
-rod-rests-on             Contact.pair:side:deformable-Rod-fixed      falls through the fixed
-cloth-carry-slip         Contact.friction:side:driven-0.5            carried as if
-cloth-strike           Cloth.areal_density_kg_per_m2:scale:1.25     the momentum is
-foam-strike            SoftBody.mass_kg:scale:1.25                  the momentum is
-rope-strike            Rope.mass_kg:scale:1.25                      the momentum is
-rod-strike             Rod.mass_kg:scale:1.25                       the momentum is
-rope-mass              Rope.mass_kg:threshold:after-1s              from 0 to 0.9 s
-rope-pulled-length     Rope.length_m:kth:second-1.25                right: rope 0, rope 2
-cloth-held             Region.depth_m:scale:0.5                     not attached over its depth
-foam-held              attachments-drift                            an attachment drifts
-rod-held               attachments-drift                            an attachment drifts
-foam-clamp             Region.depth_m:kth:second-1.25               furthest for the second bar
-slider-fall            Scene.gravity_m_per_s2:scale:0.8             acceleration along the axis
-slider-line            Slider.joint:drop:all                        leaves its line
-slider-limit           Slider.limits_m:scale:1.25                   goes as far as
-hinge-limit            Hinge.limits_rad:scale:1.25                  goes as far as
-hinge-radius           Hinge.anchor_m:offset:2-False                mm from the anchor
-joint-dry              Hinge.axis:swap:0-2                          from the axis of its hinge
-all-bodies-move        Scene.gravity_m_per_s2:crowd:above-2-bodies-0.5  times the gravity
-rest-driven            drive.position:offset:1                      from where it is driven
-worlds-single          batch.Contact.friction:stale:first-for-all   friction
-start-velocity         RigidBody.linear_velocity_m_per_s:drop:zero  at rest
-driven-turned-path     drive.spin:swap:0-1                          orientation by
-worlds-reset           batch.reset:kth:last                         reset must return all worlds
-worlds-restart         batch.restart:crowd:all                      which goes on, differs most
-worlds-restart         batch.restart:crowd:next-too                 which goes on, differs most
-worlds-wrench          batch.RigidBody.mass_kg:kth:second-0.8       the mass of another world
-worlds-command         batch.command:stale:first-for-all            the command of another world
-rod-bending            Rod.young_modulus_pa:scale:1.25              bends
-rod-bending            Rod.radius_m:scale:1.25                      radius
-rod-bending            Rod.mass_kg:scale:1.25                       mass of the nodes
-foam-tension           SoftBody.mass_kg:scale:1.25                  mass of the nodes
-worlds-single          batch.states:stale:one-before                has the values of world 0, of all
-worlds-single          batch.states:side:odd-0.8                    that are read are 0.8 times
-worlds-single          batch.states:mixed:half                      0.5 times the mean
-worlds-single          batch.states:kth:second-late                 the reading is late
-worlds-single          batch.drive:kth:second-0.8                   driven plate is elsewhere
-worlds-single          batch.Contact.restitution:kth:second-0.8     its restitution is
-worlds-single          batch.advance:kth:second-10th                leave the world out
-worlds-restart         batch.restart:swap:reversed                  restart must return
-ball-joint-cone        BallJoint.anchor_m:offset:2-True             its height changes
+angular-velocity         quaternion-order                                   another order inside
+carry-slip               friction-low                                       is not the pair's
+cloth-reset              no-reset                                           positions and velocities of nodes
+cloth-restore            restore-velocity                                   velocities
+drop-energy              gains-energy                                       the engine makes energy
+foam-pinned-face         nodes-lag                                          one interval (1/180 s) late
+foam-start               nodes-millimetres                                  nodes are world positions
+free-fall-turn           starts-turning                                     convention
+inertia-box              quaternion-inside                                  w, x, y, z was read as x, y, z, w
+joint-stick              joint-dry-viscous                                  viscous at low speed
+pendulum-energy          hinge-damping                                      damped
+pendulum-long-energy     hinge-damping                                      damped slowly
+pendulum-long-period     hinge-damping                                      damped slowly
+reset-course             reset-velocity                                     does not restore velocities
+rest-box                 margin                                             half sizes
+rest-convex              margin                                             a margin, or its size
+rest-cylinder            cylinder-length                                    its length is half
+rest-driven              margin                                             a margin, or its size
+rest-lying-cylinder      cylinder-radius                                    its radius is half
+rest-sphere              margin                                             a margin, or its size
+foam-restore             restore-velocity                                   after restore()
+rope-restore             restore-velocity                                   after restore()
+copies-alike             engine.spin:side:negative                          the order of bodies and pairs
+tether-place             Tether.anchor_m:offset:0-False                     furthest for the
+restore-edge             restore-velocity                                   after restore()
+restore-rest             restore-warm-start                                 after restore()
+rod-start                lines-turned                                       z for a rod
+roll-cylinder            rolling-friction                                   rolling friction were
+slide-plane              plane-level                                        that the plane's normal
+slide-plane              friction-holds                                     friction holds the brick
+spin-momentum            hinge-damping                                      angular damping
+start-rest               steps-at-build                                     must not step
+start-velocity-reset     reset-start-velocity                               at rest after the reset
+centre-union             centre-elsewhere                                   centre of mass should be
+new-arrays               buffer.states:stale:reused                         reused buffer
+cloth-new-arrays         buffer.nodes:stale:reused                          reused buffer
+settings-step            settings.timestep_s:scale:0.1                      settings state
+two-at-once              Scene.gravity_m_per_s2:stale:last-built            share constants
+reset-command            reset.command:stale:all                            outlives reset
+restore-command          restore.command:stale:all                          the command of a motor
+glide-speed              engine.velocity:saturate:3                         a limit of speed
+glide-turn               engine.hinge_rate:scale:damped-0.05                damping
+driven-turned-path       drive.position:kth:first                           the first block is off
+glide-reports            report.spin:side:negative                          the reported angular velocity
+volley-order             Contact.restitution:side:fixed-first-0.8           is first
+volley-fast              Contact.restitution:threshold:above-8m/s           depends on speed
+volley-late              Contact.restitution:threshold:after-2s             depends on time
+volley-momentum          RigidBody.mass_kg:kth:third-0.5                    mass of a body
+crossed-edges            Contact.pair:frame:crossed-boxes                   fall through each other
+pucks-friction           Contact.friction:side:fixed-first-0.8              is listed first
+carry-late               Contact.friction:threshold:after-1s                depends on time
+driven-turned-path       drive.spin:frame:body                              its orientation by
+driven-turned-rate       report.spin:frame:body                             in the body frame
+cloth-rests-on           Contact.pair:side:deformable-Cloth-dynamic         falls through the free
+foam-rests-on            Contact.pair:side:deformable-SoftBody-fixed        falls through the fixed
+rope-rests-on            Contact.pair:side:deformable-Rope-kinematic        falls through the driven
+rod-rests-on             Contact.pair:side:deformable-Rod-fixed             falls through the fixed
+cloth-carry-slip         Contact.friction:side:driven-0.5                   carried as if
+cloth-strike             Cloth.areal_density_kg_per_m2:scale:1.25           the momentum is
+foam-strike              SoftBody.mass_kg:scale:1.25                        the momentum is
+rope-strike              Rope.mass_kg:scale:1.25                            the momentum is
+rod-strike               Rod.mass_kg:scale:1.25                             the momentum is
+rope-mass                Rope.mass_kg:threshold:after-1s                    from 0 to 0.9 s
+rope-pulled-length       Rope.length_m:kth:second-1.25                      right: rope 0, rope 2
+cloth-held               Region.depth_m:scale:0.5                           not attached over its depth
+foam-held                attachments-drift                                  an attachment drifts
+rod-held                 attachments-drift                                  an attachment drifts
+foam-clamp               Region.depth_m:kth:second-1.25                     furthest for the second bar
+slider-fall              Scene.gravity_m_per_s2:scale:0.8                   acceleration along the axis
+slider-line              Slider.joint:drop:all                              leaves its line
+slider-limit             Slider.limits_m:scale:1.25                         goes as far as
+hinge-limit              Hinge.limits_rad:scale:1.25                        goes as far as
+hinge-radius             Hinge.anchor_m:offset:2-False                      mm from the anchor
+joint-dry                Hinge.axis:swap:0-2                                from the axis of its hinge
+all-bodies-move          Scene.gravity_m_per_s2:crowd:above-2-bodies-0.5    times the gravity
+rest-driven              drive.position:offset:1                            from where it is driven
+worlds-single            batch.Contact.friction:stale:first-for-all         friction
+start-velocity           RigidBody.linear_velocity_m_per_s:drop:zero        at rest
+driven-turned-path       drive.spin:swap:0-1                                orientation by
+worlds-reset             batch.reset:kth:last                               reset must return all worlds
+worlds-restart           batch.restart:crowd:all                            which goes on, differs most
+worlds-restart           batch.restart:crowd:next-too                       which goes on, differs most
+worlds-wrench            batch.RigidBody.mass_kg:kth:second-0.8             the mass of another world
+worlds-command           batch.command:stale:first-for-all                  the command of another world
+rod-bending              Rod.young_modulus_pa:scale:1.25                    bends
+rod-bending              Rod.radius_m:scale:1.25                            radius
+rod-bending              Rod.mass_kg:scale:1.25                             mass of the nodes
+foam-tension             SoftBody.mass_kg:scale:1.25                        mass of the nodes
+worlds-single            batch.states:stale:one-before                      has the values of world 0, of all
+worlds-single            batch.states:side:odd-0.8                          that are read are 0.8 times
+worlds-single            batch.states:mixed:half                            0.5 times the mean
+worlds-single            batch.states:kth:second-late                       the reading is late
+worlds-single            batch.drive:kth:second-0.8                         driven plate is elsewhere
+worlds-single            batch.Contact.restitution:kth:second-0.8           its restitution is
+worlds-single            batch.advance:kth:second-10th                      leave the world out
+worlds-restart           batch.restart:swap:reversed                        restart must return
+ball-joint-cone          BallJoint.anchor_m:offset:2-True                   its height changes
+cloth-shear              Cloth.shear_stiffness_n_per_m:scale:1.25           shear
+cloth-bending            Cloth.bend_stiffness_n_m_per_rad:scale:1.6         bends 0.
+cloth-stretch            Cloth.areal_density_kg_per_m2:scale:1.25           mass of the nodes
+cloth-slide              Contact.friction:scale:0.8                         friction were 0.24
+cloth-start              Cloth.size_m:swap:0-1                              warp along x
+cloth-rests              Contact.pair:drop:all                              falls through
+foam-tension             SoftBody.young_modulus_pa:scale:1.25               stretches 0.
+foam-poisson             SoftBody.poisson_ratio:drop:none                   nu = 0
+rope-start               Rope.length_m:scale:1.25                           or length
+air-terminal             Air.normal_coefficient:drop:none                   no effect
+air-terminal             Air.density_kg_per_m3:scale:1.6                    times
+air-friction             Air.tangential_coefficient:scale:0.5               counts both sides
+air-lift                 Air.lift_coefficient:drop:none                     perpendicular
+tether-rest              Tether.length_m:scale:1.25                         its length is not length_m
+tether-length            Tether.length_m:scale:1.25                         375
+rope-length              Rope.length_m:scale:1.25                           another length
+tether-length            Tether.joint:drop:all                              missing
+tether-slack             Tether.length_m:scale:0.8                          shorter than its length_m
+wrench-force             RigidBody.mass_kg:scale:1.25                       mass were 1.25
+wrench-force             wrench.force:drop:all                              the wrench is ignored
+inertia-box              wrench.torque:drop:all                             torque
+inertia-box              Box.size_m:scale:1.6                               edges were
+inertia-sphere           Sphere.radius_m:scale:1.25                         its radius were
+contact-listed           Sphere.radius_m:scale:1.25                         radius is too large
+contact-listed           Contact.pair:drop:all                              does not collide
+pile-sinks               Contact.pair:drop:all                              tunnel
+wrench-frame             wrench.force:frame:body                            world frame
+stated-inertia           RigidBody.inertia_kg_m2:drop:none                  the inertia of uniform density
+pendulum-period          Hinge.joint:drop:all                               hinge is missing
+pendulum-period          Hinge.anchor_m:offset:0-False                      anchor of its hinge
+hinged-closed            BodyHinge.joint:drop:all                           the hinge is missing
+joint-dry                JointDynamics.dry_friction_n_m:scale:1.25          the unit of the joint's friction
+joint-slip               JointDynamics.dry_friction_n_m:scale:1.25          friction at rest
+joint-viscous            JointDynamics.viscous_friction_n_m_s_per_rad:scale:1.25 radians
+joint-armature           JointDynamics.armature_kg_m2:drop:none             the armature adds to the inertia
+joint-backlash           JointDynamics.backlash_rad:scale:1.6               half of the play
+joint-limit              Servo.torque_limit_n_m:drop:none                   the limit is a torque
+grasp-slips              Contact.friction:scale:0.8                         that both pads rub
+driven-velocity          drive.velocity:drop:all                            no velocity
+carry-line               drive.velocity:drop:all                            must have a velocity
+carry-turn               drive.spin:drop:all                                must have a velocity
+carry-slip               Contact.friction:scale:0.8                         is not the pair's
+pushed-ball              drive.velocity:drop:all                            without velocity
+driven-turned-path       drive.acceleration:drop:all                        acceleration that drive() gives
+carry-line               drive.acceleration:drop:all                        drive() gives is ignored
+angular-velocity         report.spin:frame:body                             body frame
+velocity-of-origin       report.velocity:frame:body                         body frame
+rebound-0.2              Contact.restitution:drop:none                      restitution
+rebound-0.5              Contact.restitution:drop:none                      restitution enters
+rebound-0.95             Contact.restitution:offset:True                    restitution
+oblique-slip-rebound     Contact.restitution:drop:none                      slip adds to the rebound
+oblique-grip-speed       Contact.friction:drop:none                         the impact has no friction
+oblique-grip-spin        Contact.friction:drop:none                         the impact has no friction
+oblique-slip-friction    Contact.friction:drop:none                         the impact has no friction
+hold                     Contact.friction:drop:none                         creeps
+slide                    Contact.friction:drop:none                         friction were
+slide-between            Contact.friction:side:dynamic-pair-0.5             two dynamic bodies
+hold-steep               Contact.friction:saturate:most                     limits friction
+rolling                  Contact.rolling_m:drop:none                        the dimension of rolling friction
+torsion                  Contact.torsion_m:scale:0.5                        a share of the friction
 """
 """Further checks that see a fault: check, fault (of the table, or a generated one), and words of the diagnosis."""
 ALL = FAULTS | {name: one.fault for name, one in generated().items()}
@@ -364,7 +407,6 @@ CONSEQUENCES = {
 """Faults of which an earlier check sees a consequence, without their name."""
 
 FOUND_BEFORE = {
-    "drive-acceleration": "carry-line",
     "friction-across": "slide",
     "attachments-drift": "cloth-reset",
     "attachment-depth": "cloth-held",
