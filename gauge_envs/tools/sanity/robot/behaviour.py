@@ -25,7 +25,7 @@ ORDER = (
     *("robot-sides", "robot-alike", "robot-overlap"),
     *("robot-stops", "robot-coupling"),
     *("robot-wiring", "robot-joined", "robot-solref"),
-    *("robot-keyframe", "robot-free"),
+    *("robot-keyframe", "robot-free", "robot-maker"),
     *("robot-feet", "robot-friction", "robot-torsion", "robot-floor-friction"),
     *("floor-tilt", "robot-level", "robot-balance"),
     *("robot-torque", "robot-rotor", "robot-armature", "robot-stiffness"),

@@ -6,7 +6,6 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.robot.finding import (
@@ -17,7 +16,12 @@ from gauge_envs.tools.sanity.robot.finding import (
     row,
 )
 from gauge_envs.tools.sanity.robot.joints import placed_bodies, servos, speed_servos
-from gauge_envs.tools.sanity.robot.robot import Robot, acts_on_joints, swapped_motors
+from gauge_envs.tools.sanity.robot.robot import (
+    Robot,
+    acts_on_joints,
+    swapped_motors,
+    tendon_joints,
+)
 
 SAME_ANGLE = 0.05
 """Difference from 1 up to which a command counts as the angle of its joint."""
@@ -195,29 +199,17 @@ def _tendon_servos(robot: Robot) -> list[int]:
     is_servo = is_tendon & has_gain & servos(model) & (model.actuator_ctrllimited != 0)
     found = []
     for actuator in np.flatnonzero(is_servo).tolist():
-        joints, _ = _tendon(model, actuator)
+        joints, _ = tendon_joints(model, int(model.actuator_trnid[actuator, 0]))
         is_own = np.isin(model.jnt_bodyid[joints], robot.bodies)
         if len(joints) and is_own.all() and model.jnt_limited[joints].all():
             found.append(actuator)
     return found
 
 
-def _tendon(
-    model: mujoco.MjModel, actuator: int
-) -> tuple[NDArray[np.int32], FloatArray]:
-    """Return the joints and coefficients of the fixed tendon of an actuator, shape [count]; none of a spatial one."""
-    tendon = int(model.actuator_trnid[actuator, 0])
-    first = int(model.tendon_adr[tendon])
-    places = np.arange(first, first + int(model.tendon_num[tendon]))
-    is_joint = model.wrap_type[places] == int(mujoco.mjtWrap.mjWRAP_JOINT)
-    places = places[is_joint]
-    return model.wrap_objid[places], model.wrap_prm[places]
-
-
 def _pulled(robot: Robot, actuator: int, name: str) -> Finding:
     """Return the part of the range of the joints of a fixed tendon that the commands of its servo reach."""
     model = robot.model
-    joints, coefficients = _tendon(model, actuator)
+    joints, coefficients = tendon_joints(model, int(model.actuator_trnid[actuator, 0]))
     gear = float(model.actuator_gear[actuator, 0])
     gain = float(model.actuator_gainprm[actuator, 0])
     bias = model.actuator_biasprm[actuator]

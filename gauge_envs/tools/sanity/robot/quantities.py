@@ -1,16 +1,25 @@
 """What a robot's model states of each link, joint and motor, by names that two models share."""
 
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from itertools import combinations_with_replacement
 
 import mujoco
 import numpy as np
+from scipy.spatial.transform import Rotation
 
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.phenomena.base import facts
-from gauge_envs.tools.sanity.robot.finding import body_name, joint_name
+from gauge_envs.tools.sanity.robot.finding import body_name, joint_name, name_of
 from gauge_envs.tools.sanity.robot.joints import servos, start
 from gauge_envs.tools.sanity.robot.mujoco_feet import joints_of
-from gauge_envs.tools.sanity.robot.robot import JOINT_TRANSMISSIONS, Robot
+from gauge_envs.tools.sanity.robot.robot import (
+    JOINT_TRANSMISSIONS,
+    Robot,
+    couplings_of,
+    tendon_joints,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,19 +47,28 @@ QUANTITIES: Mapping[str, Quantity] = {
 TASK = "the task"
 """Part of what a task states of the robot as a whole."""
 
+PREFIX = re.compile(r"\S*/")
+"""Prefix of a scene in a name, as `robot/`."""
+
 
 def quantities(robot: Robot) -> dict[str, dict[str, float]]:
     """Return the value of each part of a robot by the name of the part, for each quantity that the model states.
 
-    Names have no prefix of a scene, as `robot/`. Values without a limit are infinite.
+    Names have no prefix of a scene, as `robot/`, unless prefixes tell its sides. Values without a limit are infinite.
     """
+    names = [body_name(robot, body) for body in robot.bodies]
+    is_unique = len({PREFIX.sub("", name) for name in names}) == len(names)
     found: dict[str, dict[str, float]] = {name: {} for name in QUANTITIES}
     for name, part, value in (
         *_of_links(robot),
         *_of_joints(robot),
         *_of_motors(robot),
+        *_of_contacts(robot),
+        *_of_tendons(robot),
+        *_of_couplings(robot),
+        *_of_sensors(robot),
     ):
-        found[name][part.rpartition("/")[2]] = float(value)
+        found[name][PREFIX.sub("", part) if is_unique else part] = float(value)
     if robot.delay_s is not None:
         found["delay"][TASK] = robot.delay_s
     if robot.action_rad is not None:
@@ -71,12 +89,40 @@ def _of_links(robot: Robot) -> Iterator[tuple[str, str, float]]:
             yield "centre-of-mass", f"{name} {place}", model.body_ipos[body, axis]
             if model.body_parentid[body]:
                 yield "link-place", f"{name} {place}", model.body_pos[body, axis]
+        axes = _axes(model.body_iquat[body])
+        tensor = (axes * model.body_inertia[body]) @ axes.T
+        trace = max(float(np.trace(tensor)), 1e-12)
+        for first, second in combinations_with_replacement(range(3), 2):
+            entry = f"{name} {'xyz'[first]}{'xyz'[second]}"
+            yield "inertia-axes", entry, tensor[first, second] / trace
+        if model.body_parentid[body]:
+            turn_rad = _turn_rad(model.body_quat[body])
+            for where, angle_rad in zip("xyz", turn_rad, strict=True):
+                yield "link-turn", f"{name} {where}", angle_rad
+        yield "gravcomp", name, model.body_gravcomp[body]
+
+
+def _axes(quaternion: FloatArray) -> FloatArray:
+    """Return the rotation matrix of a quaternion, w first, shape [3, 3]."""
+    matrix = np.zeros(9)
+    mujoco.mju_quat2Mat(matrix, quaternion)
+    return matrix.reshape(3, 3)
+
+
+def _turn_rad(quaternion: FloatArray) -> FloatArray:
+    """Return the rotation vector of a quaternion [rad], shape [3]; of a half turn its first part is positive."""
+    turn_rad: FloatArray = Rotation.from_quat(quaternion, scalar_first=True).as_rotvec()
+    is_half = np.linalg.norm(turn_rad) > np.pi - 1e-4
+    first = turn_rad[np.abs(turn_rad) > 1e-4][:1]
+    return -turn_rad if is_half and first < 0.0 else turn_rad
 
 
 def _of_joints(robot: Robot) -> Iterator[tuple[str, str, float]]:
     model, data, start_data = robot.model, mujoco.MjData(robot.model), start(robot)
     mujoco.mj_kinematics(model, data)
     is_simple = joints_of(model, "HINGE", "SLIDE")
+    carriers = data.xmat[model.body_parentid[model.jnt_bodyid]].reshape(-1, 3, 3)
+    axes = np.einsum("jba,jb->ja", carriers, data.xaxis)
     for dof in range(model.nv):
         joint, name = int(model.dof_jntid[dof]), joint_name(robot, dof)
         if int(model.dof_bodyid[dof]) not in robot.bodies or not is_simple[joint]:
@@ -85,9 +131,17 @@ def _of_joints(robot: Robot) -> Iterator[tuple[str, str, float]]:
         yield "frictionloss", name, model.dof_frictionloss[dof]
         yield "armature", name, model.dof_armature[dof]
         yield "stiffness", name, model.jnt_stiffness[joint]
-        yield "pose", name, start_data.qpos[model.jnt_qposadr[joint]]
+        place = model.jnt_qposadr[joint]
+        yield "pose", name, start_data.qpos[place]
+        yield "joint-zero", name, model.qpos0[place]
+        if model.jnt_stiffness[joint]:
+            yield "spring-zero", name, model.qpos_spring[place]
+        for axis, where in enumerate("xyz"):
+            yield "joint-place", f"{name} {where}", model.jnt_pos[joint, axis]
+        if model.jnt_actfrclimited[joint]:
+            yield "joint-force", name, np.abs(model.jnt_actfrcrange[joint]).max()
         for axis, place in enumerate("xyz"):
-            yield "joint-axis", f"{name} {place}", data.xaxis[joint, axis]
+            yield "joint-axis", f"{name} {place}", axes[joint, axis]
         low, high = (
             model.jnt_range[joint] if model.jnt_limited[joint] else (-np.inf, np.inf)
         )
@@ -105,6 +159,7 @@ def _of_motors(robot: Robot) -> Iterator[tuple[str, str, float]]:
             if int(model.jnt_bodyid[joint]) not in robot.bodies:
                 continue
             name = joint_name(robot, int(model.jnt_dofadr[joint]))
+        yield "motor-gear", name, model.actuator_gear[actuator, 0]
         gear = abs(float(model.actuator_gear[actuator, 0]))
         bias = model.actuator_biasprm[actuator]
         if is_servo[actuator]:
@@ -133,3 +188,93 @@ def _of_motors(robot: Robot) -> Iterator[tuple[str, str, float]]:
             several = getattr(model, f"actuator_{attribute}", np.zeros(model.nu))
             yield f"motor-{attribute}", name, several[actuator]
         yield "motor-order", name, actuator
+
+
+def _of_contacts(robot: Robot) -> Iterator[tuple[str, str, float]]:
+    """Yield the numbers of the shapes of each link that can touch something, without those that are drawn only."""
+    model = robot.model
+    solid = (model.geom_contype | model.geom_conaffinity) != 0
+    is_mesh = model.geom_type == int(mujoco.mjtGeom.mjGEOM_MESH)
+    for body in robot.bodies:
+        name, is_own = body_name(robot, body), model.geom_bodyid == body
+        geoms = np.flatnonzero(is_own & solid)
+        if not is_own.any():
+            continue
+        yield "geoms", name, len(geoms)
+        if not len(geoms):
+            continue
+        yield "contype", name, np.bitwise_or.reduce(model.geom_contype[geoms])
+        yield "conaffinity", name, np.bitwise_or.reduce(model.geom_conaffinity[geoms])
+        yield "condim", name, model.geom_condim[geoms].max()
+        for kind, word in enumerate(("sliding", "torsional", "rolling")):
+            yield (
+                "geom-friction",
+                f"{name} {word}",
+                model.geom_friction[geoms, kind].max(),
+            )
+        yield "geom-solref", name, model.geom_solref[geoms, 0].min()
+        yield "geom-margin", name, model.geom_margin[geoms].max()
+        primitive = geoms[~is_mesh[geoms]]
+        if len(primitive):
+            yield "geom-size", name, model.geom_rbound[primitive].sum()
+            centre_m = model.geom_pos[primitive].mean(axis=0)
+            for axis, place_m in zip("xyz", centre_m, strict=True):
+                yield "geom-place", f"{name} {axis}", place_m
+    for signature in model.exclude_signature.tolist():
+        two = sorted(
+            body_name(robot, one) for one in (signature >> 16, signature & 0xFFFF)
+        )
+        yield "exclude", " and ".join(two), 1.0
+
+
+def _of_tendons(robot: Robot) -> Iterator[tuple[str, str, float]]:
+    model, data = robot.model, mujoco.MjData(robot.model)
+    mujoco.mj_fwdPosition(model, data)
+    for tendon in range(model.ntendon):
+        name = model.tendon(tendon).name or f"tendon {tendon}"
+        for joint, coefficient in zip(*tendon_joints(model, tendon), strict=True):
+            yield (
+                "tendon-coefficient",
+                f"{name} of {name_of(robot, joint)}",
+                coefficient,
+            )
+        yield "tendon-length", name, data.ten_length[tendon]
+        yield "tendon-stiffness", name, np.ravel(model.tendon_stiffness[tendon])[0]
+        yield "tendon-damping", name, np.ravel(model.tendon_damping[tendon])[0]
+        yield "tendon-friction", name, model.tendon_frictionloss[tendon]
+
+
+def _of_couplings(robot: Robot) -> Iterator[tuple[str, str, float]]:
+    model, is_joint = robot.model, couplings_of(robot.model)
+    for number in range(model.neq):
+        kind = (
+            mujoco.mjtObj.mjOBJ_JOINT if is_joint[number] else model.eq_objtype[number]
+        )
+        ends = (model.eq_obj1id[number], model.eq_obj2id[number])
+        names = [mujoco.mj_id2name(model, kind, end) or "" for end in ends if end >= 0]
+        name = " and ".join(names)
+        values = (
+            model.eq_data[number, :5] if is_joint[number] else model.eq_data[number, :3]
+        )
+        for place, value in enumerate(values):
+            yield "coupling", f"{name} {place}", value
+        yield "coupling-solref", name, model.eq_solref[number, 0]
+
+
+def _of_sensors(robot: Robot) -> Iterator[tuple[str, str, float]]:
+    model = robot.model
+    for sensor in range(model.nsensor):
+        name = model.sensor(sensor).name
+        if not name:
+            continue
+        kind = mujoco.mjtSensor(model.sensor_type[sensor]).name.removeprefix("mjSENS_")
+        number, of = int(model.sensor_objid[sensor]), int(model.sensor_objtype[sensor])
+        read = mujoco.mj_id2name(model, of, number) if number >= 0 else ""
+        yield "sensor", f"{name} reads {kind.lower()} of {read}", 1.0
+        yield "sensor-cutoff", name, model.sensor_cutoff[sensor]
+    for site in np.flatnonzero(np.isin(model.site_bodyid, robot.bodies)).tolist():
+        name = model.site(site).name
+        turn_rad = _turn_rad(model.site_quat[site])
+        for axis, where in enumerate("xyz" if name else ""):
+            yield "site-place", f"{name} {where}", model.site_pos[site, axis]
+            yield "site-turn", f"{name} {where}", turn_rad[axis]

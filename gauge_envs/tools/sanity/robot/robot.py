@@ -456,6 +456,17 @@ def couplings_of(model: mujoco.MjModel) -> NDArray[np.bool_]:
     return couplings
 
 
+def tendon_joints(
+    model: mujoco.MjModel, tendon: int
+) -> tuple[NDArray[np.int32], FloatArray]:
+    """Return the joints and coefficients of a fixed tendon, shape [count]; none of a spatial one."""
+    first = int(model.tendon_adr[tendon])
+    places = np.arange(first, first + int(model.tendon_num[tendon]))
+    is_joint = model.wrap_type[places] == int(mujoco.mjtWrap.mjWRAP_JOINT)
+    places = places[is_joint]
+    return model.wrap_objid[places], model.wrap_prm[places]
+
+
 def coupled_joints(model: mujoco.MjModel, joint: int) -> list[int]:
     """Return a joint, those that equalities couple to it, those coupled to these, and so on."""
     pairs = np.column_stack([model.eq_obj1id, model.eq_obj2id])[couplings_of(model)]

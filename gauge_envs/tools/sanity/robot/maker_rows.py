@@ -1,0 +1,326 @@
+"""Judge a robot beside the same one as its maker or MuJoCo Menagerie published it: numbers of few parts that differ."""
+
+import csv
+import math
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache, cached_property
+
+import numpy as np
+
+from gauge_envs.files import csv_text, data_folder, read_regular
+from gauge_envs.tools.sanity.robot.finding import Finding, NotApplicableError, row
+from gauge_envs.tools.sanity.robot.quantities import QUANTITIES, quantities
+from gauge_envs.tools.sanity.robot.robot import Robot
+
+FOLDER = data_folder("scoring") / "facts" / "robots"
+"""Numbers of each published model (`<name>.csv`), and where they are from (`index.csv`); see studies/robots."""
+
+MOST_TABLE_BYTES = 1_000_000
+
+GEOMETRY = (
+    *("mass", "inertia", "inertia-axes", "centre-of-mass", "link-place", "link-turn"),
+    *("joint-place", "joint-axis", "joint-range"),
+)
+"""Quantities that tell whether two models are of one robot."""
+
+HARDWARE = (*GEOMETRY, "joint-zero", "coupling", "tendon-coefficient")
+"""Quantities that a robot has, whoever trains it; others, as gains and contacts, are choices."""
+
+CONTACTS = (
+    *("geoms", "contype", "conaffinity", "condim", "geom-friction", "geom-solref"),
+    *("geom-margin", "geom-size", "geom-place"),
+)
+"""Quantities of shapes, which are often modelled anew as a whole."""
+
+FREE = ("site-place", "site-turn")
+"""Quantities that are always a choice, as where a task reads an IMU."""
+
+LEFT_OUT = ("motor-order", "delay", "action-scale")
+"""Quantities of a task, or of what else its model has."""
+
+FEW_LINKS = 2
+"""Links up to which differences of their shapes are mistakes."""
+
+SOME_PARTS = 6
+"""Links and joints up to which differences of their geometry are mistakes; if more differ, it is another version."""
+
+CONNECTIONS = ("sensor", "exclude", "coupling", "tendon-coefficient")
+"""Quantities whose parts are connections: one that only the published model has is lost or leads elsewhere."""
+
+FEW_JOINTS = 3
+"""Joints from which on their names say which robot it is."""
+
+SAME_JOINTS = 0.7
+"""Share of the joints of the smaller of two models that the other one has too, from which on they may be one robot."""
+
+SAME_ROBOT = 0.9
+"""Share of the numbers of a quantity that are equal, in the middle one of `GEOMETRY`, from which on it is one robot."""
+
+MINORITY = 0.34
+"""Share of the parts up to which those that differ are mistakes; if more differ, it is a choice or another version."""
+
+WORD = re.compile(r"[A-Z](?=[A-Z]?_)|[A-Z]+(?![a-z])|[A-Za-z][a-z]*|\d+|\S")
+"""Words of a part's name, as `F`, `L`, `_` and `calf` of `FL_calf`."""
+
+SAME_FACTOR = 0.01
+"""Difference of the factors of all parts up to which they are one factor."""
+
+UNIT_FACTORS = (180.0 / math.pi, 1000.0, 9.80665, 0.45359237, 0.0254, 100.0)
+"""Factors between units: degrees, grams or millimetres, kp by weight, pounds, inches, centimetres; also inverse."""
+
+CHOICES = "all parts of a kind differ, as if they were chosen"
+"""Why differences do not count."""
+
+SHOWN = 4
+"""Differences that a remark has in full."""
+
+
+Numbers = Mapping[str, Mapping[str, float]]
+"""Value of each part of a robot, by quantity, as `quantities` returns it."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Published:
+    """A published model of a robot.
+
+    Attributes:
+        name: Its name in the table.
+        robot: Maker and model of the robot.
+        source: Repository and version of the file.
+    """
+
+    name: str
+    robot: str
+    source: str
+
+    @cached_property
+    def numbers(self) -> Numbers:
+        """Value of each part, by quantity."""
+        found: dict[str, dict[str, float]] = {}
+        for line in _table(self.name):
+            found.setdefault(line["quantity"], {})[line["part"]] = float(line["value"])
+        return found
+
+
+@dataclass(frozen=True, kw_only=True)
+class Difference:
+    """A number of a robot that is not that of the published model.
+
+    Attributes:
+        quantity: Id of the quantity.
+        part: Name of the part.
+        value: Value of the robot; NaN where it has no such part.
+        published: Value of the published model.
+    """
+
+    quantity: str
+    part: str
+    value: float
+    published: float
+
+    @property
+    def factor(self) -> float:
+        """Factor on the published value; NaN where that is 0 or not finite."""
+        is_usual = self.published != 0.0 and math.isfinite(self.published)
+        return self.value / self.published if is_usual else math.nan
+
+
+def _table(name: str) -> "csv.DictReader[str]":
+    return csv.DictReader(
+        csv_text(read_regular(FOLDER / f"{name}.csv", MOST_TABLE_BYTES))
+    )
+
+
+@cache
+def published_models() -> tuple[Published, ...]:
+    """Return all published models."""
+    return tuple(
+        Published(name=line["name"], robot=line["robot"], source=line["source"])
+        for line in _table("index")
+    )
+
+
+def likeness(known: Numbers, model: Published) -> float:
+    """Return which share of a published model's geometry a robot has: that of the middle one of `GEOMETRY`.
+
+    Args:
+        known: Value of each part of the robot, by quantity.
+        model: The published model.
+    """
+    joints, others = known["joint-zero"], model.numbers.get("joint-zero", {})
+    shared = len(joints.keys() & others)
+    if shared < max(FEW_JOINTS, SAME_JOINTS * min(len(joints), len(others))):
+        return 0.0
+    shares = []
+    for name in GEOMETRY:
+        parts = known[name].keys() & model.numbers.get(name, {})
+        if parts:
+            shares.append(1.0 - len(differing(name, known, model)) / len(parts))
+    has_links = 2 * len(known["mass"].keys() & model.numbers["mass"]) > shared
+    return float(np.median(shares)) if has_links else 0.0
+
+
+def same_robots(known: Numbers) -> list[list[Published]]:
+    """Return the versions of each published robot that is in a model, as an arm and a gripper, the likeliest first."""
+    likely = {model: likeness(known, model) for model in published_models()}
+    order = sorted(
+        (model for model, share in likely.items() if share >= SAME_ROBOT),
+        key=lambda model: (-likely[model], -len(model.numbers["joint-zero"])),
+    )
+    robots: list[list[Published]] = []
+    for model in order:
+        joints = model.numbers["joint-zero"].keys() & known["joint-zero"]
+        for versions in robots:
+            if joints & versions[0].numbers["joint-zero"].keys():
+                versions.append(model)
+                break
+        else:
+            robots.append([model])
+    return robots
+
+
+def differing(name: str, known: Numbers, model: Published) -> list[Difference]:
+    """Return the parts of a quantity whose values differ; of connections also those that are missing."""
+    quantity, parts = QUANTITIES[name], known[name]
+    found = []
+    for part, published in model.numbers.get(name, {}).items():
+        if part not in parts and name not in CONNECTIONS:
+            continue
+        value = parts.get(part, math.nan)
+        tolerance = max(quantity.least, quantity.ratio * abs(published))
+        is_same = value == published or abs(value - published) <= tolerance
+        if not is_same:
+            found.append(
+                Difference(quantity=name, part=part, value=value, published=published)
+            )
+    return found
+
+
+def is_version(differences: Sequence[Difference], count: int) -> bool:
+    """Return whether so many parts of a quantity differ that it is another version of the robot, or a choice.
+
+    Not if all of the hardware differ by one factor, or by that of a unit.
+
+    Args:
+        differences: Parts of one quantity that differ.
+        count: Number of all its parts.
+    """
+    if len(differences) <= MINORITY * count:
+        return False
+    factors = np.array([one.factor for one in differences])
+    factors = factors[np.isfinite(factors)]
+    if not len(factors) or np.ptp(factors) > SAME_FACTOR * abs(factors[0]):
+        return True
+    units = [*UNIT_FACTORS, *(1.0 / one for one in UNIT_FACTORS)]
+    is_unit = bool(np.isclose(abs(factors[0]), units, rtol=SAME_FACTOR).any())
+    return not is_unit and differences[0].quantity not in HARDWARE
+
+
+def families(parts: Iterable[str]) -> dict[str, list[frozenset[str]]]:
+    """Return the families of each part: like parts, whose names differ in one word, as of all legs or both sides."""
+    found: dict[tuple[str, ...], set[str]] = {}
+    for part in parts:
+        words = WORD.findall(part)
+        for place in range(len(words)):
+            pattern = (*words[:place], "*", *words[place + 1 :])
+            found.setdefault(pattern, set()).add(part)
+    several: dict[str, list[frozenset[str]]] = {}
+    for family in found.values():
+        for part in family if len(family) > 1 else ():
+            several.setdefault(part, []).append(frozenset(family))
+    return several
+
+
+def chosen(
+    differences: Sequence[Difference], parts: Iterable[str]
+) -> Iterator[Difference]:
+    """Yield differences that a whole family shares: someone chose the gains of all knees."""
+    values = {one.part: one for one in differences}
+    like = families(parts)
+    for one in differences:
+        for family in like.get(one.part, ()):
+            others = [values[part].value for part in family if part in values]
+            if len(others) == len(family) and np.allclose(
+                np.abs(others), abs(one.value)
+            ):
+                yield one
+                break
+
+
+@dataclass(frozen=True, kw_only=True)
+class Compared:
+    """A robot beside the published model that it is most alike.
+
+    Attributes:
+        model: The published model.
+        mistakes: Numbers of single parts that differ, or all of the hardware by one factor.
+        choices: Other numbers that differ.
+    """
+
+    model: Published
+    mistakes: Sequence[Difference]
+    choices: Sequence[Difference]
+
+
+def compared(known: Numbers, versions: Sequence[Published]) -> Compared:
+    """Return a robot beside its published model; a number that another version states is no difference.
+
+    Args:
+        known: Value of each part of the robot, by quantity.
+        versions: Versions of the published model, the likeliest first.
+    """
+    scaled: list[Difference] = []
+    mistakes: list[Difference] = []
+    choices: list[Difference] = []
+    for name in (one for one in QUANTITIES if one not in LEFT_OUT):
+        several = [differing(name, known, model) for model in versions]
+        everywhere = set.intersection(*({one.part for one in s} for s in several))
+        off = [one for one in several[0] if one.part in everywhere]
+        parts = versions[0].numbers.get(name, {}).keys() & known[name].keys()
+        is_chosen = name in FREE or (name == "pose" and len(off) > 1)
+        if is_chosen or is_version(off, len(parts)):
+            choices += off
+            continue
+        if len(off) > MINORITY * len(parts):
+            scaled += off
+            continue
+        shared = [] if name in HARDWARE else list(chosen(off, parts))
+        choices += shared
+        mistakes += [one for one in off if one not in shared]
+    for group, most_parts, dropped in (
+        (CONTACTS, FEW_LINKS, CONTACTS),
+        (GEOMETRY, SOME_PARTS, tuple(QUANTITIES)),
+    ):
+        off = [one for one in (*mistakes, *choices) if one.quantity in group]
+        if len({one.part.split(" ")[0] for one in off}) > most_parts:
+            choices += [one for one in mistakes if one.quantity in dropped]
+            mistakes = [one for one in mistakes if one.quantity not in dropped]
+    return Compared(model=versions[0], mistakes=[*scaled, *mistakes], choices=choices)
+
+
+@row("robot-maker")
+def _maker(robot: Robot) -> Finding:
+    known = quantities(robot)
+    several = [compared(known, versions) for versions in same_robots(known)]
+    if not several:
+        raise NotApplicableError("no published model of this robot is in the table")
+    beside = max(several, key=lambda one: (len(one.mistakes) > 0, len(one.choices) > 0))
+    model, shown = beside.model, beside.mistakes or beside.choices
+    words = list(_words(shown))
+    more = f"; {len(words) - SHOWN} more" if len(words) > SHOWN else ""
+    return Finding(
+        value=float(bool(shown)),
+        parts={f"{one.quantity} of {one.part}": 1.0 for one in shown},
+        remark=f"{'; '.join(words[:SHOWN])}{more} ({model.robot}: {model.source})",
+        advice=f"the numbers of {model.robot}, where yours are not meant",
+        advisory="" if beside.mistakes else CHOICES,
+    )
+
+
+def _words(found: Sequence[Difference]) -> Iterator[str]:
+    for one in found:
+        title = QUANTITIES[one.quantity].title
+        value = "missing" if math.isnan(one.value) else f"{one.value:.4g}"
+        yield f"{one.part}: {title} is {value}, published {one.published:.4g}"
