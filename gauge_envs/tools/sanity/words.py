@@ -122,8 +122,21 @@ def _cut(text: str) -> str:
 def top_line(report: Report) -> str:
     """Return wrong rows of the robot that no change mends, then the change that mends most rows.
 
-    Without a change, what the check found in one line.
+    Numbers that a published model of the robot states otherwise come first. Without a change, what the check found.
     """
+    mended = () if report.cure is None else report.cure.mended
+    unlike = [
+        f"Unlike the published robot: {row.remark}. "
+        for row in report.rows
+        if row.phenomenon == "robot-maker"
+        and row.is_flag
+        and row.phenomenon not in mended
+    ]
+    return "".join(unlike) + _advice_line(report)
+
+
+def _advice_line(report: Report) -> str:
+    """Return the change that mends most rows, and what is left; without one, what the check found."""
     flags = sum(row.is_flag for row in report.rows)
     if report.cure is not None:
         left = [

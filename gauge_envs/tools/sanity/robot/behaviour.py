@@ -19,13 +19,14 @@ from gauge_envs.tools.sanity.robot.rollout import half_step_s
 from gauge_envs.tools.sanity.robot.rows import ROWS
 
 ORDER = (
+    "robot-maker",
     *("robot-size", "robot-density", "robot-bound", "robot-visual-mass"),
     *("robot-inertia", "robot-gravcomp", "robot-medium"),
     *("robot-range", "robot-unlimited", "robot-command", "robot-mirror"),
     *("robot-sides", "robot-alike", "robot-overlap"),
     *("robot-stops", "robot-coupling"),
     *("robot-wiring", "robot-joined", "robot-solref"),
-    *("robot-keyframe", "robot-free", "robot-maker"),
+    *("robot-keyframe", "robot-free"),
     *("robot-feet", "robot-friction", "robot-torsion", "robot-floor-friction"),
     *("floor-tilt", "robot-level", "robot-balance"),
     *("robot-torque", "robot-rotor", "robot-armature", "robot-stiffness"),

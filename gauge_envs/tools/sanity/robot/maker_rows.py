@@ -6,12 +6,22 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
+from typing import Any
 
+import mujoco
 import numpy as np
 
 from gauge_envs.files import csv_text, data_folder, read_regular
-from gauge_envs.tools.sanity.robot.finding import Finding, NotApplicableError, row
-from gauge_envs.tools.sanity.robot.quantities import QUANTITIES, quantities
+from gauge_envs.tools.sanity.robot.finding import (
+    Finding,
+    NotApplicableError,
+    body_name,
+    joint_name,
+    row,
+)
+from gauge_envs.tools.sanity.robot.joints import motors_of
+from gauge_envs.tools.sanity.robot.mended_model import class_words
+from gauge_envs.tools.sanity.robot.quantities import QUANTITIES, quantities, short_name
 from gauge_envs.tools.sanity.robot.robot import Robot
 
 FOLDER = data_folder("scoring") / "facts" / "robots"
@@ -308,19 +318,113 @@ def _maker(robot: Robot) -> Finding:
         raise NotApplicableError("no published model of this robot is in the table")
     beside = max(several, key=lambda one: (len(one.mistakes) > 0, len(one.choices) > 0))
     model, shown = beside.model, beside.mistakes or beside.choices
+    changes = published_changes(robot, beside.mistakes)
+    meant = f"the numbers of {model.robot}, where yours are not meant"
     words = list(_words(shown))
     more = f"; {len(words) - SHOWN} more" if len(words) > SHOWN else ""
     return Finding(
         value=float(bool(shown)),
         parts={f"{one.quantity} of {one.part}": 1.0 for one in shown},
         remark=f"{'; '.join(words[:SHOWN])}{more} ({model.robot}: {model.source})",
-        advice=f"the numbers of {model.robot}, where yours are not meant",
+        advice=class_words(robot, changes) or meant,
+        changes=changes,
         advisory="" if beside.mistakes else CHOICES,
     )
 
 
+OF_BODIES = {"mass": "body_mass", "gravcomp": "body_gravcomp"}
+OF_DOFS = {
+    "damping": "dof_damping",
+    "frictionloss": "dof_frictionloss",
+    "armature": "dof_armature",
+}
+"""Arrays of the model with one number for each link and each degree of freedom, by quantity."""
+
+
+def published_changes(
+    robot: Robot, differences: Sequence[Difference]
+) -> dict[str, Any]:
+    """Return the published numbers as changes of the model, by names that `Robot.changed` knows; empty unless of all.
+
+    Args:
+        robot: The robot.
+        differences: Its numbers that are not those of the published model.
+    """
+    model = robot.model
+    changes: dict[str, Any] = {}
+    bodies = {short_name(body_name(robot, body)): body for body in robot.bodies}
+    dofs = {short_name(joint_name(robot, dof)): dof for dof in range(model.nv)}
+    motors = {int(model.actuator_trnid[a, 0]): a for a in motors_of(robot)}
+    for one in differences:
+        part, _, end = one.part.partition(" ")
+        if one.quantity in OF_BODIES and part in bodies:
+            changes[f"{OF_BODIES[one.quantity]}[{bodies[part]}]"] = one.published
+        elif one.quantity == "inertia" and part in bodies:
+            body, scale = bodies[part], _one_factor(differences, part)
+            if not scale:
+                return {}
+            changes[f"body_inertia[{body}]"] = model.body_inertia[body] / scale
+        elif one.quantity in OF_DOFS and part in dofs:
+            changes[f"{OF_DOFS[one.quantity]}[{dofs[part]}]"] = one.published
+        elif one.quantity == "joint-range" and part in dofs:
+            joint = int(model.dof_jntid[dofs[part]])
+            name = f"jnt_range[{joint}]"
+            limits = changes.setdefault(name, model.jnt_range[joint].copy())
+            limits[("low", "high").index(end)] = one.published
+        elif one.quantity in ("kp", "kv", "motor-limit") and part in dofs:
+            actuator = motors.get(int(model.dof_jntid[dofs[part]]), -1)
+            gear = abs(float(model.actuator_gear[actuator, 0]))
+            if actuator < 0 or not gear or not math.isfinite(one.published):
+                return {}
+            changes |= _of_servo(model, actuator, one, gear, changes)
+        else:
+            return {}
+    return changes
+
+
+def _one_factor(differences: Sequence[Difference], link: str) -> float:
+    """Return the factor of all moments of inertia of a link; 0 where they differ in several."""
+    factors = [
+        one.factor
+        for one in differences
+        if one.quantity == "inertia" and one.part.split(" ")[0] == link
+    ]
+    is_one = len(factors) == 3 and np.allclose(factors, factors[0], rtol=SAME_FACTOR)
+    return factors[0] if is_one else 0.0
+
+
+def _of_servo(
+    model: mujoco.MjModel,
+    actuator: int,
+    one: Difference,
+    gear: float,
+    changes: Mapping[str, Any],
+) -> dict[str, Any]:
+    """Return a published gain or largest force as changes of an actuator, beside changes before."""
+    if one.quantity == "motor-limit":
+        limit = one.published / gear
+        return {f"actuator_forcerange[{actuator}]": np.array([-limit, limit])}
+    names = [f"actuator_{kind}prm[{actuator}]" for kind in ("gain", "bias")]
+    gain, bias = (
+        changes.get(name, getattr(model, name.partition("[")[0])[actuator]).copy()
+        for name in names
+    )
+    value = one.published / gear**2
+    if one.quantity == "kp":
+        gain[0], bias[1] = value, -value
+    else:
+        bias[2] = -value
+    return dict(zip(names, (gain, bias), strict=True))
+
+
 def _words(found: Sequence[Difference]) -> Iterator[str]:
+    """Yield what differs, a text for each part of a quantity: of several components the first one."""
+    several: dict[tuple[str, str], list[Difference]] = {}
     for one in found:
-        title = QUANTITIES[one.quantity].title
-        value = "missing" if math.isnan(one.value) else f"{one.value:.4g}"
-        yield f"{one.part}: {title} is {value}, published {one.published:.4g}"
+        several.setdefault((one.quantity, one.part.split(" ")[0]), []).append(one)
+    for (name, _), (first, *others) in several.items():
+        unit = QUANTITIES[name].unit
+        unit = "" if unit == "1" or " or " in unit else f" {unit}"
+        value = "missing" if math.isnan(first.value) else f"{first.value:.4g}"
+        more = f" (and {len(others)} more)" if others else ""
+        yield f"{name} of {first.part}: {value} instead of {first.published:.4g}{unit}{more}"

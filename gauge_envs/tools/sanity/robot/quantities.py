@@ -57,7 +57,7 @@ def quantities(robot: Robot) -> dict[str, dict[str, float]]:
     Names have no prefix of a scene, as `robot/`, unless prefixes tell its sides. Values without a limit are infinite.
     """
     names = [body_name(robot, body) for body in robot.bodies]
-    is_unique = len({PREFIX.sub("", name) for name in names}) == len(names)
+    is_unique = len(set(map(short_name, names))) == len(names)
     found: dict[str, dict[str, float]] = {name: {} for name in QUANTITIES}
     for name, part, value in (
         *_of_links(robot),
@@ -68,12 +68,17 @@ def quantities(robot: Robot) -> dict[str, dict[str, float]]:
         *_of_couplings(robot),
         *_of_sensors(robot),
     ):
-        found[name][PREFIX.sub("", part) if is_unique else part] = float(value)
+        found[name][short_name(part) if is_unique else part] = float(value)
     if robot.delay_s is not None:
         found["delay"][TASK] = robot.delay_s
     if robot.action_rad is not None:
         found["action-scale"][TASK] = robot.action_rad
     return found
+
+
+def short_name(part: str) -> str:
+    """Return the name of a part without the prefix of a scene."""
+    return PREFIX.sub("", part)
 
 
 def _of_links(robot: Robot) -> Iterator[tuple[str, str, float]]:

@@ -18,6 +18,7 @@ EITHER_SIDE = "either side can be the wrong one, and the model does not say whic
 
 NO_REMEDY: Mapping[str, str] = {
     "robot-size": "no unit of lengths fits alone: scale every pos, size, fromto and mesh; the rest is judged then",
+    "robot-maker": "write the published numbers, or keep yours with --baseline; the rest is judged then",
     "robot-balance": "masses, lengths or the pose can be wrong, and the model does not say which",
     "robot-level": "either leg can be the wrong one, or a foot itself, and the model does not say which",
     "robot-mirror": EITHER_SIDE,
@@ -112,8 +113,8 @@ def find_remedies(robot: Robot, flags: Collection[str]) -> Remedies:
                 break
         else:
             unmended.append(name)
-            if name == "robot-size":
-                # Nothing else can be judged before the unit of lengths is right.
+            if name in ("robot-maker", "robot-size"):
+                # Nothing else can be judged before published numbers, or the unit of lengths, are right.
                 break
     # What mends a row may mend one before it too.
     left = [name for name in unmended if now.row(name).is_flag]
