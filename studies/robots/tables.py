@@ -69,14 +69,15 @@ def _is_same(first: float, second: float) -> bool:
 
 
 def write(model: Mapping[str, str]) -> int:
-    """Write the table of a model, and return the count of its numbers."""
+    """Write the table of a model, a line for each quantity, and return the count of its numbers."""
+    lines: dict[str, list[str]] = {}
     known = numbers(Path(model["path"]))
-    with (FOLDER / f"{model['name']}.csv").open(
-        "w", encoding="utf-8", newline=""
-    ) as stream:
+    for (quantity, part), value in known.items():
+        lines.setdefault(quantity, []).append(f"{part}={value:.6g}")
+    file = FOLDER / f"{model['name']}.csv"
+    with file.open("w", encoding="utf-8", newline="") as stream:
         writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(["quantity", "part", "value"])
-        writer.writerows([*key, f"{value:.6g}"] for key, value in known.items())
+        writer.writerows([quantity, *cells] for quantity, cells in lines.items())
     return len(known)
 
 
@@ -86,10 +87,7 @@ def main(listing: Path) -> None:
     with listing.open(encoding="utf-8") as stream:
         models = list(csv.DictReader(stream))
     for model in models:
-        try:
-            print(model["name"], write(model), flush=True)
-        except ValueError as error:
-            print(model["name"], "left out:", " ".join(str(error).split()), flush=True)
+        print(model["name"], write(model), flush=True)
     with (FOLDER / "index.csv").open("w", encoding="utf-8", newline="") as stream:
         columns = ["name", "robot", "source", "licence"]
         writer = csv.DictWriter(

@@ -230,6 +230,39 @@ CHANGES = {
         "robot-gravcomp",
         set(),
     ),
+    "a leg without weight": (
+        ('<body name="RL_calf"', '<body name="RL_calf" gravcomp="1"'),
+        "gravcomp",
+        {"RL_calf"},
+    ),
+    "a foot that touches nothing": (
+        ('name="FL_foot"', 'name="FL_foot" contype="0" conaffinity="0"'),
+        "geoms",
+        {"FL_calf"},
+    ),
+    "a larger foot": (
+        (
+            'name="RR_foot" pos=".15 0 -.15" size=".022"',
+            'name="RR_foot" pos=".15 0 -.15" size=".033"',
+        ),
+        "geom-size",
+        {"RR_calf"},
+    ),
+    "a slippery foot": (
+        ('name="RR_foot"', 'name="RR_foot" friction="2"'),
+        "geom-friction",
+        {"RR_calf sliding"},
+    ),
+    "a turned link": (
+        ('<body name="FR_calf"', '<body name="FR_calf" euler="90 0 0"'),
+        "link-turn",
+        {"FR_calf x"},
+    ),
+    "a joint elsewhere": (
+        ('name="RL_knee" axis', 'name="RL_knee" pos="0 0 .02" axis'),
+        "joint-place",
+        {"RL_knee z"},
+    ),
 }
 """Changes of a robot: texts, row, and parts that it names."""
 
@@ -242,6 +275,49 @@ def test_a_change_of_the_robot_is_named(name):
     found = rows(compare(trained, deployed, only=[row]))[row]
     assert found.change in (Change.VISIBLE, Change.LARGE)
     assert parts <= {one.name for one in found.parts}
+
+
+PARTS = """<mujoco><worldbody><body name="hand"><joint name="wrist"/><geom size=".05"/><site name="imu"/>
+  <body name="left" pos=".1 0 0"><joint name="left" type="slide"/><geom size=".02"/></body>
+  <body name="right" pos="-.1 0 0"><joint name="right" type="slide"/><geom size=".02"/></body></body></worldbody>
+  <tendon><fixed name="split"><joint joint="left" coef="1"/><joint joint="right" coef=".5"/></fixed></tendon>
+  <equality><joint joint1="left" joint2="right" polycoef="0 1 0 0 0"/></equality>
+  <contact><exclude body1="hand" body2="left"/></contact>
+  <actuator><position name="grip" tendon="split" kp="10"/><motor name="turn" joint="wrist" gear="2"/></actuator>
+  <sensor><jointpos name="s" joint="left"/><gyro name="g" site="imu" cutoff="9"/></sensor></mujoco>"""
+
+PART_CHANGES = {
+    'coef=".5"': ('coef="-.5"', "tendon-coefficient", "split of right"),
+    "0 1 0 0 0": ("0 -1 0 0 0", "coupling", "left and right 1"),
+    'body2="left"': ('body2="right"', "exclude", "hand and left"),
+    'gear="2"': ('gear="-2"', "motor-gear", "wrist"),
+    'joint="left"/><gyro': (
+        'joint="right"/><gyro',
+        "sensor",
+        "s reads jointpos of left",
+    ),
+    'cutoff="9"': ('cutoff="90"', "sensor-cutoff", "g"),
+    '"imu"/>': ('"imu" pos="0 .03 0"/>', "site-place", "imu y"),
+}
+"""Texts of `PARTS`, what they become, the row that changes and a part that it names."""
+
+
+@pytest.mark.parametrize("old", PART_CHANGES)
+def test_a_change_of_what_joins_parts_is_named(old):
+    new, row, part = PART_CHANGES[old]
+    assert PARTS.count(old) == 1
+    found = rows(compare(robot(PARTS), robot(PARTS.replace(old, new)), only=[row]))[row]
+    assert found.change is Change.LARGE
+    assert part in {one.name for one in found.parts}
+
+
+def test_sides_with_a_prefix_each_stay_apart():
+    arms = """<mujoco><worldbody><body name="l/arm"><joint name="l/elbow"/><geom size=".1" mass="1"/></body>
+      <body name="r/arm" pos="1 0 0"><joint name="r/elbow"/><geom size=".1" mass="1"/></body></worldbody>
+      <actuator><motor joint="l/elbow"/><motor joint="r/elbow"/></actuator></mujoco>"""
+    heavier = arms.replace('mass="1"/></body></w', 'mass="2"/></body></w')
+    found = rows(compare(robot(arms), robot(heavier), only=["mass"]))["mass"]
+    assert {one.name for one in found.parts} == {"r/arm"}
 
 
 def test_motors_in_another_order_are_named():

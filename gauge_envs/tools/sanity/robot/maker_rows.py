@@ -109,8 +109,9 @@ class Published:
     def numbers(self) -> Numbers:
         """Value of each part, by quantity."""
         found: dict[str, dict[str, float]] = {}
-        for line in _table(self.name):
-            found.setdefault(line["quantity"], {})[line["part"]] = float(line["value"])
+        for quantity, *cells in _table(self.name):
+            pairs = (cell.rpartition("=") for cell in cells)
+            found[quantity] = {part: float(value) for part, _, value in pairs}
         return found
 
 
@@ -137,18 +138,19 @@ class Difference:
         return self.value / self.published if is_usual else math.nan
 
 
-def _table(name: str) -> "csv.DictReader[str]":
-    return csv.DictReader(
-        csv_text(read_regular(FOLDER / f"{name}.csv", MOST_TABLE_BYTES))
-    )
+def _table(name: str) -> Iterator[list[str]]:
+    """Yield the lines of a table."""
+    content = read_regular(FOLDER / f"{name}.csv", MOST_TABLE_BYTES)
+    yield from csv.reader(csv_text(content))
 
 
 @cache
 def published_models() -> tuple[Published, ...]:
     """Return all published models."""
+    _, *lines = _table("index")
     return tuple(
-        Published(name=line["name"], robot=line["robot"], source=line["source"])
-        for line in _table("index")
+        Published(name=name, robot=robot, source=source)
+        for name, robot, source, _ in lines
     )
 
 
