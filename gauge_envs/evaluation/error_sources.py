@@ -10,6 +10,7 @@ from functools import cache
 import numpy as np
 
 from gauge_envs.evaluation.dependence import LEAST_TRIALS
+from gauge_envs.evaluation.numerics import tall_product
 from gauge_envs.references.bands import Band
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.sensitivities import input_uncertainties
@@ -110,7 +111,7 @@ def baseline_draws(influence: FloatArray) -> FloatArray:
         influence: Relative effect of each trial on the mean distance, shape [trial_count].
     """
     count = len(influence)
-    return np.asarray(trial_weights(count) @ influence - _unseen_outliers(count))
+    return np.asarray(tall_product(trial_weights(count), influence) - _unseen_outliers(count))
 
 
 @cache

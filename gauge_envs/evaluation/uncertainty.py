@@ -53,6 +53,7 @@ from gauge_envs.evaluation.error_sources import (
     trial_weights,
 )
 from gauge_envs.evaluation.metrics.trajectory import MAX_RELEASE_OFFSET_S
+from gauge_envs.evaluation.numerics import tall_product
 from gauge_envs.references.bands import Band
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.published import Baseline
@@ -310,7 +311,7 @@ class BandErrors:
         for one, factors in others:
             rows = along[first : first + factors.shape[1]]
             first += len(rows)
-            errors = factors @ rows
+            errors = tall_product(factors, rows)
             of_others += errors
             if one.kind == "smear":
                 of_smear = errors
@@ -318,7 +319,7 @@ class BandErrors:
                 variance += float(np.square(rows).sum())
         return _Components(
             shapes=right[kept],
-            of_trials=trial_weights(count) @ along[:count],
+            of_trials=tall_product(trial_weights(count), along[:count]),
             of_others=of_others,
             of_smear=of_smear,
             variance=variance,
@@ -402,7 +403,7 @@ class BandErrors:
         drawn, size = self._components.drawn(wider), float(np.linalg.norm(vector))
         squares = np.einsum("kc,kc->k", drawn, drawn)
         # e . d and |d - e| of each draw
-        along = drawn @ (self._components.shapes @ vector)
+        along = tall_product(drawn, self._components.shapes @ vector)
         added = np.sqrt(np.maximum(size**2 - 2.0 * along + squares, 0.0))
         # The direction of the true deviation is not that of the observed one: it has the errors of the next draw.
         products = np.einsum("kc,kc->k", drawn[:-1], drawn[1:])
@@ -448,8 +449,9 @@ class BandErrors:
         wider = widening(series)
         shapes = (errors.shapes * scale).reshape(-1, *self.known.shape)[:, path[:, 1]]
         count = max(min(DRAW_COUNT, PATH_NUMBERS // difference.size), 100)
-        cells = np.tensordot(errors.drawn(wider)[:count], shapes, axes=1)
-        cells += difference
+        flat = shapes.reshape(len(shapes), -1)
+        cells = tall_product(errors.drawn(wider)[:count], flat)
+        cells = cells.reshape(-1, *difference.shape) + difference
         drawn = np.sqrt(np.einsum("kpc,kpc->kp", cells, cells)).mean(axis=1)
         ratio = self._ratio(wider, over_baseline=True)[:count]
         tail = 0.5 * (1.0 - LEVEL)
@@ -474,7 +476,7 @@ class BandErrors:
             + self._components.variance
         )
         ratio, square = self._ratio(1.0, over_baseline=True), float(vector @ vector)
-        along = 2.0 * drawn @ (self._components.shapes @ vector)
+        along = 2.0 * tall_product(drawn, self._components.shapes @ vector)
         squares = np.square(drawn).sum(axis=1)
         lengths = square - along + squares - expected
         return np.asarray(np.sign(lengths) * np.sqrt(np.abs(lengths)) * ratio)
@@ -500,7 +502,7 @@ class BandErrors:
             effects = shapes @ (vector / size) if size > 0.0 else shapes
             freedom = count * (count - 1) if count and source.kind in TRIAL_KINDS else 1
             if source.kind == "smear":
-                effects = np.std(factors @ effects, axis=0)
+                effects = np.std(tall_product(factors, effects), axis=0)
             stds.append(
                 (source, float(np.linalg.norm(effects)) / math.sqrt(freedom) / baseline)
             )
