@@ -429,7 +429,6 @@ def jittered_experiment(
     jitter: Jitter | TrialStart | None,
     *,
     seed: int,
-    backend: str,
 ) -> Experiment:
     """Return an experiment with a start that is moved at random, or with the start of an imported trial.
 
@@ -437,23 +436,18 @@ def jittered_experiment(
         experiment: The experiment.
         jitter: Standard deviations of the start, or the imported or single-shot trial; None keeps the start.
         seed: Seed of the random numbers.
-        backend: Name of the engine that will build the scene.
     """
     if jitter is None:
         return experiment
     if isinstance(jitter, TrialStart) and shots_of(experiment) is not None:
-        moved = with_trial(experiment, jitter.trial)
-    elif isinstance(jitter, TrialStart):
+        return with_trial(experiment, jitter.trial)
+    if isinstance(jitter, TrialStart):
         from gauge_envs.envs.trial_start import driven_trial, trial_scene
 
-        moved = driven_trial(experiment, jitter.trial) or replace(
+        return driven_trial(experiment, jitter.trial) or replace(
             experiment, scene=trial_scene(experiment, jitter.trial)
         )
-    else:
-        scene = scattered(experiment.scene, jitter, seed=seed)
-        moved = replace(experiment, scene=scene)
-    check_support(moved, backend)
-    return moved
+    return replace(experiment, scene=scattered(experiment.scene, jitter, seed=seed))
 
 
 def start_of(

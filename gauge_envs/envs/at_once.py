@@ -16,7 +16,7 @@ from gauge_envs.backends.device import HOST, DeviceWorlds, HostArrays
 from gauge_envs.backends.registry import backend_for
 from gauge_envs.backends.shared.resampled import worlds_in_intervals
 from gauge_envs.backends.worlds import Worlds
-from gauge_envs.envs.arguments import EnvArguments
+from gauge_envs.envs.arguments import EnvArguments, check_support
 from gauge_envs.envs.divergence import DeformableBoundsOfWorlds, RigidBoundsOfWorlds
 from gauge_envs.envs.episode import Episode
 from gauge_envs.envs.lockstep import AddInfo, EpisodesOneByOne, Numbers
@@ -110,6 +110,12 @@ class EpisodesAtOnce(EpisodesOneByOne):
                     self._faults.get(number),
                 )
         return self._episodes
+
+    def start_at(self, experiments: Sequence[Experiment]) -> bool:
+        """Take other starts in the next episodes, or return False; see `Episode.start_at`."""
+        is_same = super().start_at(experiments)
+        self._bounds = RigidBoundsOfWorlds([one.scene for one in experiments])
+        return is_same
 
     @property
     def running(self) -> Numbers:
@@ -408,6 +414,8 @@ def episodes_in_lockstep(
         worlds: Worlds at the starts of the experiments, which are built otherwise.
     """
     if worlds is None:
+        for one in experiments:
+            check_support(one, arguments.backend)
         engine = backend_for(arguments.backend, stated.model_file)
         scenes = [one.scene for one in experiments]
         worlds = worlds_in_intervals(

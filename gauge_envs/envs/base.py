@@ -135,8 +135,8 @@ class SimulationEnvironment(EngineEnvironment, gymnasium.Env[ObsType, ActType]):
     REBUILT: ClassVar[tuple[str, ...]] = ("simulation",)
     """Attributes that `_build` makes and that do not pickle."""
 
-    def _build(self, experiment: Experiment) -> None:
-        """Build the simulation, unless there is one that takes the start.
+    def _build(self, experiment: Experiment) -> bool:
+        """Build the simulation, unless there is one that takes the start, and return whether there was.
 
         Args:
             experiment: The experiment with the start that applies now.
@@ -146,10 +146,12 @@ class SimulationEnvironment(EngineEnvironment, gymnasium.Env[ObsType, ActType]):
         if "simulation" in vars(self):
             if self.simulation.start_at(scene):
                 self._pictures.free()
-                return
+                return True
+            check_support(experiment, self.backend_name)
             self._free()
         built = self._engine.build(scene, self._settings)
         self.simulation: Simulation = in_intervals(built, scene)
+        return False
 
     def _state(self) -> dict[str, Any]:
         """Return the state of what `_build` makes."""

@@ -138,8 +138,10 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
         self.action_space = self.episode.action_space
         self.observation_space = self.episode.observation_space
 
-    def _build(self, experiment: Experiment) -> None:
-        super()._build(experiment)
+    def _build(self, experiment: Experiment) -> bool:
+        is_kept = super()._build(experiment)
+        if is_kept and self.episode.start_at(experiment):
+            return True
         self.episode = Episode(
             experiment,
             self.simulation,
@@ -147,6 +149,7 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
             marker_proxy=self.arguments.proxy,
             backend=self.arguments.default_backend,
         )
+        return is_kept
 
     def _state(self) -> dict[str, Any]:
         return super()._state() | {"episode": self.episode.state()}
@@ -183,7 +186,7 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
         jitter = start_of(self.experiment, scatter, seed=self.seed_used)
         if jitter is not None or self.jitter is not None:
             experiment = jittered_experiment(
-                self.experiment, jitter, seed=self.seed_used, backend=self.backend_name
+                self.experiment, jitter, seed=self.seed_used
             )
             self.band = self._stated_band
             if experiment.trial is not None:

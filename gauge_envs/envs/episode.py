@@ -211,6 +211,23 @@ class Episode:
         self._samples[0] = self.observer.now(self._world)
         self._record()
 
+    def start_at(self, experiment: Experiment) -> bool:
+        """Take another start of rigid bodies in the next episode, or return False.
+
+        Args:
+            experiment: The same experiment, whose start or trial may be another one.
+        """
+        scene, now = experiment.scene, self.experiment.scene
+        is_same = (
+            not scene.deformables
+            and scene.drivers == now.drivers
+            and experiment.trial is self.experiment.trial is None
+        )
+        if is_same:
+            self.experiment = experiment
+            self._rigid_bounds = RigidBounds(scene)
+        return is_same
+
     def restart(self) -> None:
         """Return to frame 0 without recording it, for a caller that records it in the arrays of `record_in`."""
         self._drivers.reset()

@@ -266,7 +266,7 @@ def _swinging(
         arm = rotation.apply(arm)
         angular = np.cross(arm, velocity) / (arm @ arm)
     return replace(
-        swung(body, rotation, anchor),
+        swung(body, rotation.as_quat(scalar_first=True), anchor),
         linear_velocity_m_per_s=vector(np.cross(angular, arm)),
         angular_velocity_rad_per_s=vector(angular),
     )

@@ -172,8 +172,10 @@ class GaugeVectorEnv(WorldsEnvironment[Observation]):
         kept: Worlds | None = None
         if "_lockstep" in vars(self):
             if self.worlds.start_at([one.scene for one in experiments]):
-                kept = self.worlds
                 self._pictures.free()
+                if self._lockstep.start_at(experiments):
+                    return
+                kept = self.worlds
             else:
                 self._free()
         self._lockstep = episodes_in_lockstep(
@@ -223,7 +225,7 @@ class GaugeVectorEnv(WorldsEnvironment[Observation]):
         starts = [start_of(self.experiment, jitter, seed=one) for one in seeds]
         if any(starts) or self.jitter is not None:
             experiments = [
-                jittered_experiment(stated, start, seed=one, backend=self.backend_name)
+                jittered_experiment(stated, start, seed=one)
                 for stated, start, one in zip(self._stated, starts, seeds, strict=True)
             ]
             self._build(experiments)

@@ -111,7 +111,9 @@ def baseline_draws(influence: FloatArray) -> FloatArray:
         influence: Relative effect of each trial on the mean distance, shape [trial_count].
     """
     count = len(influence)
-    return np.asarray(tall_product(trial_weights(count), influence) - _unseen_outliers(count))
+    return np.asarray(
+        tall_product(trial_weights(count), influence) - _unseen_outliers(count)
+    )
 
 
 @cache

@@ -96,7 +96,9 @@ def tall_product(tall: FloatArray, other: FloatArray) -> FloatArray:
     """
     limit = 8_000 if other.ndim == 1 else 200_000
     count = 1 + limit // (1 + other.size)
-    parts = [tall[first : first + count] @ other for first in range(0, len(tall), count)]
+    parts = [
+        tall[first : first + count] @ other for first in range(0, len(tall), count)
+    ]
     return np.concatenate(parts)
 
 

@@ -13,7 +13,6 @@ from gauge_envs.backends.settings import settings_record
 from gauge_envs.envs.arguments import (
     EnvArguments,
     TrialStart,
-    check_support,
     jittered_experiment,
     start_of,
 )
@@ -69,10 +68,9 @@ def run_episodes(request: RunRequest) -> list[Result]:
         for seed in seeds
     ]
     runs = [
-        jittered_experiment(experiment, start, seed=seed, backend=request.backend)
+        jittered_experiment(experiment, start, seed=seed)
         for start, seed in zip(starts, seeds, strict=True)
     ]
-    check_support(runs[0], request.backend)
     lockstep = episodes_in_lockstep(
         request, runs, experiment, request.band(experiment), together=together
     )

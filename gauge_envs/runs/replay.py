@@ -74,9 +74,7 @@ def replayed_experiment(result: Result) -> Experiment:
         raise ReplayError(
             f"the scene is in the file {result.asset['file']}, which is no part of the result"
         )
-    return jittered_experiment(
-        experiment, _start(result), seed=result.seed or 0, backend=result.backend or ""
-    )
+    return jittered_experiment(experiment, _start(result), seed=result.seed or 0)
 
 
 def replay(result: Result, *, views_per_frame: int | None = None) -> Replay:

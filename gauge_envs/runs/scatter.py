@@ -91,10 +91,7 @@ def scattered_runs(
     """
     spread = asdict(request.jitter or Jitter())
     jitter = Jitter(**{name: share * std for name, std in spread.items()})
-    experiments = [
-        jittered_experiment(experiment, jitter, seed=seed, backend=request.backend)
-        for seed in seeds
-    ]
+    experiments = [jittered_experiment(experiment, jitter, seed=seed) for seed in seeds]
     lockstep = episodes_in_lockstep(request, experiments, experiment, None)
     try:
         lockstep.play(seeds[0])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import StrEnum
+from functools import cached_property
 from typing import Literal
 
 from gauge_envs.errors import ParameterError
@@ -68,6 +69,12 @@ class RigidBody:
         return not any(
             (*self.linear_velocity_m_per_s, *self.angular_velocity_rad_per_s)
         )
+
+    @cached_property
+    def heights_m(self) -> tuple[float, float]:
+        """Least and largest height of its corners at the start [m]."""
+        heights_m = self.pose.to_world(self.shape.corners_m)[:, 2]
+        return float(heights_m.min()), float(heights_m.max())
 
 
 @dataclass(frozen=True, kw_only=True)

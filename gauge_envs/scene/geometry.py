@@ -140,7 +140,10 @@ def rotation_matrices(quaternions: FloatArray) -> FloatArray:
         [2 * (x * y + z * w), -x * x + y * y - z * z + w * w, 2 * (y * z - x * w)],
         [2 * (x * z - y * w), 2 * (y * z + x * w), -x * x - y * y + z * z + w * w],
     ]
-    return np.ascontiguousarray(np.moveaxis(np.array(rows), (0, 1), (-2, -1)))
+    matrices = np.array(rows)
+    if matrices.ndim == 2:
+        return matrices
+    return np.ascontiguousarray(np.moveaxis(matrices, -1, 0))
 
 
 CORNER_SIGNS = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T

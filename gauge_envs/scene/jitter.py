@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,12 +13,19 @@ from numpy.typing import ArrayLike
 from gauge_envs.errors import ParameterError
 from gauge_envs.scene.bodies import BodyHinge, Cloth, Hinge, Motion, RigidBody, Tether
 from gauge_envs.scene.contact_faces import blocked_directions, face_normal
-from gauge_envs.scene.geometry import FloatArray, Pose, Sphere, Vector, vector
+from gauge_envs.scene.geometry import (
+    FloatArray,
+    Pose,
+    Sphere,
+    Vector,
+    quaternion_products,
+    rotation_matrices,
+    unit_quaternions,
+    vector,
+    vector_quaternions,
+)
 from gauge_envs.scene.hinged import carried, moved_along, other_end, parent_hinges
 from gauge_envs.scene.scene import Scene
-
-if TYPE_CHECKING:
-    from scipy.spatial.transform import Rotation
 
 JITTER_FORMAT = 2
 """Number of this way to draw a start; another way gets another number, so that a sweep runs its repeats again."""
@@ -93,8 +100,6 @@ def jittered(scene: Scene, jitter: Jitter, *, seed: int) -> Scene:
         jitter: Standard deviations of the start.
         seed: Seed of the random numbers, 0 or more.
     """
-    from scipy.spatial.transform import Rotation
-
     _refuse_guides(scene)
     random, random_velocity = (
         np.random.default_rng(seed),
@@ -118,15 +123,13 @@ def jittered(scene: Scene, jitter: Jitter, *, seed: int) -> Scene:
             moved += 1
             if body.name in hinges:
                 hinge = hinges[body.name]
-                turned = Rotation.from_rotvec(
+                turn = _turn(
                     jitter.angle_rad * random.standard_normal() * np.asarray(hinge.axis)
                 )
-                body = swung(body, turned, np.asarray(hinge.anchor_m))
+                body = swung(body, turn, np.asarray(hinge.anchor_m))
             elif body.name in tethers:
-                swing = Rotation.from_rotvec(
-                    jitter.angle_rad * random.standard_normal(3)
-                )
-                body = swung(body, swing, np.asarray(tethers[body.name].anchor_m))
+                turn = _turn(jitter.angle_rad * random.standard_normal(3))
+                body = swung(body, turn, np.asarray(tethers[body.name].anchor_m))
             else:
                 body = groups.moved(body, random)
             if jitter.velocity_m_per_s or jitter.angular_velocity_rad_per_s:
@@ -149,8 +152,8 @@ def jittered(scene: Scene, jitter: Jitter, *, seed: int) -> Scene:
             "nothing to jitter: every body of this scene is fixed, driven, or attached to one that is"
         )
     joined, body_hinges = _joined(bodies, scene)
-    return replace(
-        scene, bodies=joined, body_hinges=body_hinges, deformables=tuple(deformables)
+    return scene.started(
+        bodies=joined, body_hinges=body_hinges, deformables=tuple(deformables)
     )
 
 
@@ -222,20 +225,17 @@ class _Move:
     """A rotation about a point, and a translation.
 
     Attributes:
-        rotation: The rotation.
+        turn: Unit quaternion w, x, y, z of the rotation, shape [4].
         point_m: The point [m], shape [3].
         shift_m: The translation [m], shape [3].
     """
 
-    rotation: Rotation
+    turn: FloatArray
     point_m: FloatArray
     shift_m: FloatArray
 
     def __call__(self, pose: Pose) -> Pose:
-        rotated = _rotated(pose, self.rotation, self.point_m)
-        return replace(
-            rotated, position_m=vector(np.asarray(rotated.position_m) + self.shift_m)
-        )
+        return _rotated(pose, self.turn, self.point_m, self.shift_m)
 
 
 def _drawn(
@@ -247,14 +247,12 @@ def _drawn(
     is_ball: bool = False,
 ) -> _Move:
     """Return a random move about a point that keeps the contacts with faces of given normals; a ball has none."""
-    from scipy.spatial.transform import Rotation
-
     shift = jitter.position_m * random.standard_normal(3)
     angle_rad = jitter.angle_rad * random.standard_normal()
     if not is_ball:
         shift = _along(shift, blocked)
     turn = angle_rad * blocked[0] if len(blocked) == 1 else np.zeros(3)
-    return _Move(Rotation.from_rotvec(turn), np.asarray(point_m), shift)
+    return _Move(_turn(turn), np.asarray(point_m), shift)
 
 
 def _along(vector_3: FloatArray, blocked: FloatArray) -> FloatArray:
@@ -340,18 +338,17 @@ class _Groups:
         return _faster(body, linear, angular)
 
 
-def swung(body: RigidBody, rotation: Rotation, point_m: FloatArray) -> RigidBody:
-    """Return a body whose pose and velocities are rotated about a world point."""
-    pose = _rotated(body.pose, rotation, point_m)
+def swung(body: RigidBody, turn: FloatArray, point_m: FloatArray) -> RigidBody:
+    """Return a body whose pose and velocities are rotated about a world point, by a unit quaternion w, x, y, z."""
+    pose = _rotated(body.pose, turn, point_m)
     if body.starts_at_rest:
         return replace(body, pose=pose)
+    matrix = rotation_matrices(turn)
     return replace(
         body,
         pose=pose,
-        linear_velocity_m_per_s=vector(rotation.apply(body.linear_velocity_m_per_s)),
-        angular_velocity_rad_per_s=vector(
-            rotation.apply(body.angular_velocity_rad_per_s)
-        ),
+        linear_velocity_m_per_s=vector(matrix @ body.linear_velocity_m_per_s),
+        angular_velocity_rad_per_s=vector(matrix @ body.angular_velocity_rad_per_s),
     )
 
 
@@ -384,9 +381,18 @@ def _faster(body: RigidBody, linear: FloatArray, angular: FloatArray) -> RigidBo
     )
 
 
-def _rotated(pose: Pose, rotation: Rotation, point_m: FloatArray) -> Pose:
-    position = rotation.apply(np.asarray(pose.position_m) - point_m) + point_m
-    return Pose.from_rotation(vector(position), rotation * pose.rotation)
+def _rotated(
+    pose: Pose, turn: FloatArray, point_m: FloatArray, shift_m: ArrayLike = 0.0
+) -> Pose:
+    arm_m = rotation_matrices(turn) @ (np.asarray(pose.position_m) - point_m)
+    now = unit_quaternions(np.array(pose.quaternion))
+    w, x, y, z = unit_quaternions(quaternion_products(turn, now)).tolist()
+    return Pose(position_m=vector(arm_m + point_m + shift_m), quaternion=(w, x, y, z))
+
+
+def _turn(rotation_rad: ArrayLike) -> FloatArray:
+    """Return the unit quaternion w, x, y, z of a rotation vector [rad], shape [4]."""
+    return vector_quaternions(np.asarray(rotation_rad)[None])[0]
 
 
 # --- tilt ----------------------------------------------------------------------------------------------------------
@@ -403,16 +409,11 @@ def tilted(scene: Scene, rotation_rad: ArrayLike, about_m: ArrayLike) -> Scene:
         rotation_rad: Rotation vector [rad], shape [3].
         about_m: Fixed point of the rotation [m], shape [3].
     """
-    from scipy.spatial.transform import Rotation
-
-    rotation, centre = (
-        Rotation.from_rotvec(rotation_rad),
-        np.asarray(about_m, dtype=np.float64),
-    )
+    turn, centre = _turn(rotation_rad), np.asarray(about_m, dtype=np.float64)
+    matrix = rotation_matrices(turn)
 
     def place(point_m: ArrayLike) -> Vector:
-        moved: FloatArray = rotation.apply(np.asarray(point_m) - centre) + centre
-        return vector(moved)
+        return vector(matrix @ (np.asarray(point_m) - centre) + centre)
 
     def turned(part: Any) -> Any:
         """Return a joint or a motion after the rotation."""
@@ -422,15 +423,15 @@ def tilted(scene: Scene, rotation_rad: ArrayLike, about_m: ArrayLike) -> Scene:
             if hasattr(part, name)
         }
         if hasattr(part, "axis"):
-            changes["axis"] = vector(rotation.apply(part.axis))
+            changes["axis"] = vector(matrix @ part.axis)
         return replace(part, **changes)
 
     markers = scene.markers
     return replace(
         scene,
-        bodies=tuple(swung(body, rotation, centre) for body in scene.bodies),
+        bodies=tuple(swung(body, turn, centre) for body in scene.bodies),
         deformables=tuple(
-            replace(body, pose=_rotated(body.pose, rotation, centre))
+            replace(body, pose=_rotated(body.pose, turn, centre))
             for body in scene.deformables
         ),
         joints=tuple(map(turned, scene.joints)),

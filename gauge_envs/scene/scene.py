@@ -7,10 +7,10 @@ experiment.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -332,25 +332,12 @@ class Scene:
         of the drivers. A perfectly elastic hit by a driven body gives a light body twice its speed. The factor three
         accounts for light bodies that heavy falling bodies hit.
         """
-        highest = max(
-            (
-                float(b.pose.to_world(b.shape.corners_m)[:, 2].max())
-                for b in self.bodies
-            ),
-            default=0.0,
-        )
+        highest = max((body.heights_m[1] for body in self.bodies), default=0.0)
         drop = max(highest - self.floor_height_m, 0.1)
-        driven = max(
-            (
-                driver.speed_limit_m_per_s(self.body(driver.body))
-                for driver in self.drivers
-            ),
-            default=0.0,
-        )
         fallen = np.sqrt(
             2.0 * self.gravity_m_per_s2 * drop + self._start_speed_m_per_s**2
         )
-        return 3.0 * float(fallen) + 2.0 * driven
+        return 3.0 * float(fallen) + 2.0 * self._driven_speed_m_per_s
 
     @cached_property
     def distance_limit_m(self) -> float:
@@ -367,16 +354,10 @@ class Scene:
         It is the potential energy above the floor, plus the energy of the start and of elastic hits by the drivers,
         times 1.25.
         """
-        driven = max(
-            (
-                driver.speed_limit_m_per_s(self.body(driver.body))
-                for driver in self.drivers
-            ),
-            default=0.0,
-        )
+        driven = self._driven_speed_m_per_s
         total = 0.0
         for body in self.dynamic_bodies:
-            lowest = float(body.pose.to_world(body.shape.corners_m)[:, 2].min())
+            lowest = body.heights_m[0]
             total += (
                 body.mass_kg
                 * self.gravity_m_per_s2
@@ -404,6 +385,20 @@ class Scene:
             for driver in self.drivers
             if driver.body == body.name
         )
+
+    @cached_property
+    def _driven_speed_m_per_s(self) -> float:
+        """Bound on the speed of a point of a driven body [m/s]."""
+        return max(
+            (one.speed_limit_m_per_s(self.body(one.body)) for one in self.drivers),
+            default=0.0,
+        )
+
+    def started(self, **starts: Any) -> Scene:
+        """Return the scene with other starts of bodies that no driver moves; what drivers decide is computed once."""
+        other = replace(self, **starts)
+        vars(other)["_driven_speed_m_per_s"] = self._driven_speed_m_per_s
+        return other
 
     @cached_property
     def _start_speed_m_per_s(self) -> float:

@@ -228,6 +228,8 @@ def start_velocities(scene: Scene, model: mujoco.MjModel) -> NDArray[np.float64]
     velocities = np.zeros(model.nv)
     joints = joints_by_body(scene)
     for body in scene.dynamic_bodies:
+        if body.starts_at_rest and not scene.body_hinges:
+            continue
         rates = start_rates(scene, body, joints.get(body.name))
         if rates.any():
             first = int(model.joint(body.name).dofadr[0])

@@ -200,8 +200,8 @@ class SimulationMuJoCo(Simulation):
         model.key_qpos[:] = model.qpos0
         self._start_velocities[:] = velocities
         self._scene = scene
-        # That of a hinged body keeps its start.
-        self._readers.clear()
+        if hinges:  # The reader of a hinged body keeps its start.
+            self._readers.clear()
         self._origin = _origin(self.settings, scene)
         self.reset(0)
         return True

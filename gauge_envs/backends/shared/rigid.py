@@ -131,6 +131,8 @@ def bodies_elsewhere(built: Scene, scene: Scene) -> list[RigidBody] | None:
         return None
     moved = []
     for old, new in zip(built.bodies, scene.bodies, strict=True):
+        if old is new:
+            continue
         started = replace(
             old,
             pose=new.pose,

@@ -56,7 +56,7 @@ def impact_speed_m_per_s(scene: Scene) -> float:
     """
     falls = []
     for body in scene.dynamic_bodies:
-        lowest = float(body.pose.to_world(body.shape.corners_m)[:, 2].min())
+        lowest = body.heights_m[0]
         fall_m = max(lowest - scene.floor_height_m, 0.0)
         speed = float(np.linalg.norm(body.linear_velocity_m_per_s))
         falls.append(float(np.sqrt(speed**2 + 2.0 * scene.gravity_m_per_s2 * fall_m)))

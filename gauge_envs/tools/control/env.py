@@ -153,9 +153,10 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
     def _label(self) -> str:
         return type(self).__name__
 
-    def _build(self, experiment: Experiment) -> None:
-        super()._build(experiment)
+    def _build(self, experiment: Experiment) -> bool:
+        is_kept = super()._build(experiment)
         self.world: World = self.simulation
+        return is_kept
 
     # --- what a task states ---
 
@@ -319,10 +320,7 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
         moved = self.experiment
         if isinstance(jitter, Jitter):
             moved = jittered_experiment(
-                moved,
-                jitter,
-                seed=int(self.np_random.integers(SEEDS)),
-                backend=self.backend_name,
+                moved, jitter, seed=int(self.np_random.integers(SEEDS))
             )
             moved = replace(moved, scene=self._cleared(moved.scene))
         self._is_moved = jitter is not None

@@ -19,7 +19,7 @@ from gauge_envs.backends.shared.resampled import (
 )
 from gauge_envs.backends.world import Simulation
 from gauge_envs.backends.worlds import Worlds, separate_worlds
-from gauge_envs.envs.arguments import Scatter, check_episode_steps
+from gauge_envs.envs.arguments import Scatter, check_episode_steps, check_support
 from gauge_envs.envs.base import WorldsEnvironment, world_constants
 from gauge_envs.envs.lockstep import check_length
 from gauge_envs.envs.pictures import WORLDS_RENDER_MODES, Pictures, Rendered
@@ -272,11 +272,13 @@ class ControlWorlds:
             self._stepper.worlds.close()
         for number, env in enumerate(self.envs):
             if number in moved or number not in worlds:
-                scene = moved.get(number, env.experiment).scene
+                experiment = moved.get(number, env.experiment)
+                scene = experiment.scene
                 if number in worlds:
                     if worlds[number].start_at(scene):
                         continue
                     worlds[number].close()
+                check_support(experiment, env.backend_name)
                 built = self._engine.build(scene, self._settings)
                 worlds[number] = in_intervals(built, scene)
         self._use(separate_worlds([worlds[number] for number in range(len(self.envs))]))

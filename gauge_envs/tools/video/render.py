@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends import Simulation
 from gauge_envs.backends.registry import backend as backend_named
@@ -22,7 +21,7 @@ from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.rendering.flat import FlatView
 from gauge_envs.rendering.renderer import SceneRenderer
 from gauge_envs.scene import Hinge, Motion as BodyMotion, RigidBody, Scene
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import FloatArray, vector_quaternions
 from gauge_envs.scene.jitter import swung
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 from gauge_envs.tools.video.tasks import (
@@ -215,7 +214,8 @@ def _as_in_first_frame(scene: Scene, task: VideoTask) -> Scene:
     wanted = np.arctan2(across, down)
     angle = wanted - np.arctan2(arm @ right, -arm[2])
     # A positive rotation about right x down moves a hanging ball to the left of the picture.
-    turn = Rotation.from_rotvec(-angle * np.cross(right, (0.0, 0.0, -1.0)))
+    rotation_rad = -angle * np.cross(right, (0.0, 0.0, -1.0))
+    turn = vector_quaternions(rotation_rad[None])[0]
     started = swung(body, turn, np.asarray(hinge.anchor_m))
     return replace(
         scene,
