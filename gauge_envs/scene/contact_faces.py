@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Collection, Iterable, Iterator, Sequence
-from itertools import combinations
 
 import numpy as np
 
@@ -76,18 +75,14 @@ class ContactFaces:
             names: Names of the bodies; contacts with others join nothing.
         """
         group = {name: {name} for name in names}
-        for first, second in combinations(names, 2):
-            if (
-                frozenset((first, second)) in self._normals
-                and group[first] is not group[second]
-            ):
+        for first, second in self._normals:
+            if first in group and second in group and group[first] is not group[second]:
                 joined = group[first] | group[second]
                 group.update(dict.fromkeys(joined, joined))
-        found: dict[str, tuple[str, ...]] = {}
+        found: dict[int, list[str]] = {}
         for name in names:
-            members = tuple(other for other in names if other in group[name])
-            found.setdefault(members[0], members)
-        return list(found.values())
+            found.setdefault(id(group[name]), []).append(name)
+        return [tuple(members) for members in found.values()]
 
     def normals(self, names: Collection[str]) -> list[FloatArray]:
         """Return the normals at which a group touches other bodies, each direction once, each of shape [3].

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import product
 from typing import TYPE_CHECKING, Any
 
@@ -99,7 +99,7 @@ class Scene:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "_by_name", {body.name: body for body in self.bodies})
-        self._check_pairs()
+        _check_pairs(self.contacts, self._moving, self.body_hinges)
         if self.air is not None and not any(
             isinstance(body, Cloth) for body in self.deformables
         ):
@@ -233,30 +233,6 @@ class Scene:
                 f"velocity {tuple(allowed[0].tolist())} m/s and the angular velocity {tuple(allowed[1].tolist())} rad/s"
             )
 
-    def _check_pairs(self) -> None:
-        """Raise an error if two contacts list the same pair."""
-        seen: set[frozenset[str]] = set()
-        for contact in self.contacts:
-            if (contact.torsion_m or contact.rolling_m) and not contact.friction:
-                raise ParameterError(
-                    f"scene: {contact.first[0]!r} and {contact.second[0]!r} touch with torsional or rolling friction "
-                    "and without sliding friction, on which engines build both: give a friction above 0"
-                )
-            for first, second in self.colliding_pairs(contact):
-                pair = frozenset((first, second))
-                if pair in seen:
-                    raise ParameterError(
-                        f"scene: two contacts list the pair {first!r} and {second!r}. A pair has one friction, "
-                        "restitution and mode: remove it from one of the contacts"
-                    )
-                seen.add(pair)
-        for hinge in self.body_hinges:
-            if {hinge.first, hinge.second} in seen:
-                raise ParameterError(
-                    f"scene: a contact lists {hinge.first!r} and {hinge.second!r}, which a hinge joins. Engines let "
-                    "joined bodies pass through each other: remove the pair from the contact"
-                )
-
     def body(self, name: str) -> RigidBody:
         """Return the rigid body of a name; raise KeyError if the scene has none."""
         return self._by_name[name]
@@ -288,19 +264,12 @@ class Scene:
 
     def colliding_pairs(self, contact: Contact) -> Iterator[tuple[str, str]]:
         """Yield the distinct pairs of a contact of which at least one body is dynamic or deformable."""
-        moving = {body.name for body in self.dynamic_bodies} | {
-            body.name for body in self.deformables
-        }
-        seen: set[tuple[str, str]] = set()
-        for pair in product(contact.first, contact.second):
-            first, second = pair
-            if (
-                first != second
-                and (first in moving or second in moving)
-                and pair not in seen
-            ):
-                seen.update((pair, (second, first)))
-                yield pair
+        yield from _colliding_pairs(contact, self._moving)
+
+    @property
+    def _moving(self) -> frozenset[str]:
+        """Names of the dynamic and the deformable bodies."""
+        return frozenset(one.name for one in (*self.dynamic_bodies, *self.deformables))
 
     @cached_property
     def contact_faces(self) -> ContactFaces:
@@ -406,6 +375,51 @@ class Scene:
         return max(
             (_point_speed_m_per_s(body) for body in self.dynamic_bodies), default=0.0
         )
+
+
+def _colliding_pairs(
+    contact: Contact, moving: frozenset[str]
+) -> Iterator[tuple[str, str]]:
+    seen: set[tuple[str, str]] = set()
+    for pair in product(contact.first, contact.second):
+        first, second = pair
+        if (
+            first != second
+            and (first in moving or second in moving)
+            and pair not in seen
+        ):
+            seen.update((pair, (second, first)))
+            yield pair
+
+
+@lru_cache(maxsize=64)
+def _check_pairs(
+    contacts: tuple[Contact, ...],
+    moving: frozenset[str],
+    body_hinges: tuple[BodyHinge, ...],
+) -> None:
+    """Raise an error if two contacts list the same pair; of scenes with other starts it is checked once."""
+    seen: set[frozenset[str]] = set()
+    for contact in contacts:
+        if (contact.torsion_m or contact.rolling_m) and not contact.friction:
+            raise ParameterError(
+                f"scene: {contact.first[0]!r} and {contact.second[0]!r} touch with torsional or rolling friction "
+                "and without sliding friction, on which engines build both: give a friction above 0"
+            )
+        for first, second in _colliding_pairs(contact, moving):
+            pair = frozenset((first, second))
+            if pair in seen:
+                raise ParameterError(
+                    f"scene: two contacts list the pair {first!r} and {second!r}. A pair has one friction, "
+                    "restitution and mode: remove it from one of the contacts"
+                )
+            seen.add(pair)
+    for hinge in body_hinges:
+        if {hinge.first, hinge.second} in seen:
+            raise ParameterError(
+                f"scene: a contact lists {hinge.first!r} and {hinge.second!r}, which a hinge joins. Engines let "
+                "joined bodies pass through each other: remove the pair from the contact"
+            )
 
 
 def _velocity_of_mass(body: RigidBody) -> tuple[FloatArray, FloatArray]:
