@@ -102,6 +102,7 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
     """
 
     REBUILT: ClassVar[tuple[str, ...]] = ("simulation", "episode")
+    episode: Episode
 
     def __init__(
         self,

@@ -38,6 +38,7 @@ from gauge_envs.envs.at_once import episodes_in_lockstep
 from gauge_envs.envs.base import WorldsEnvironment, world_constants
 from gauge_envs.envs.device import EpisodesOnDevice, dynamic_states
 from gauge_envs.envs.episode import Episode
+from gauge_envs.envs.lockstep import EpisodesOneByOne
 from gauge_envs.envs.pictures import (
     WORLDS_RENDER_MODES,
     Pictures,
@@ -114,6 +115,8 @@ class GaugeVectorEnv(WorldsEnvironment[Observation]):
         >>> [score.grade for score in infos["score"]]
         ['trials', 'trials', 'trials']
     """
+
+    _lockstep: EpisodesOneByOne
 
     def __init__(
         self,
@@ -396,22 +399,13 @@ class DeviceVectorEnv(GaugeVectorEnv):
         over = (episodes.diverged, episodes.truncations())
         return episodes.observation(), rewards, *over, episodes.info()
 
-    def _refuse(self, call: str) -> EpisodeError:
-        return EpisodeError(
-            f"{self.experiment.id}: {call} needs a record, which stays on the device; infos has scores at the end"
+    def scores(self) -> Any:
+        """Raise an error."""
+        raise EpisodeError(
+            f"{self.experiment.id}: the record stays on the device; infos has scores at the end"
         )
 
-    def scores(self) -> tuple[Any, ...]:
-        """Raise an error."""
-        raise self._refuse("scores")
-
-    def score_arrays(self) -> dict[str, Any]:
-        """Raise an error."""
-        raise self._refuse("score_arrays")
-
-    def deformations(self) -> tuple[Any, ...]:
-        """Raise an error."""
-        raise self._refuse("deformations")
+    score_arrays = deformations = scores
 
 
 class ScoreEpisodes(VectorWrapper):

@@ -64,14 +64,12 @@ class Deviation:
         return self.errors.interval(self.values, over_baseline=False)
 
     @property
-    def refusal(self) -> str | None:
-        """Why the root mean square has no interval; None if it has one."""
-        return self.errors.refusal(self.values, over_baseline=False)
-
-    @property
-    def normalized_refusal(self) -> str | None:
-        """Why the normalized root mean square has no interval; None if it has one, or without a baseline."""
-        return None if self.baseline is None else self.errors.refusal(self.values)
+    def refusals(self) -> tuple[str | None, str | None]:
+        """Why the root mean square, and the normalized one, have no interval; None if they have one."""
+        return (
+            self.errors.refusal(self.values, over_baseline=False),
+            None if self.baseline is None else self.errors.refusal(self.values),
+        )
 
     @cached_property
     def normalized_interval(self) -> tuple[float, float] | None:

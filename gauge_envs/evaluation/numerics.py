@@ -86,13 +86,9 @@ def interpolated(
 
 
 def tall_product(tall: FloatArray, other: FloatArray) -> FloatArray:
-    """Return the matrix product of an array of many rows, by parts for which OpenBLAS starts no threads.
+    """Return the product of many rows, shape [row_count, k], and shape [k] or [k, C], by parts.
 
-    Threads that wait for each other in a loop take more CPU time than these products.
-
-    Args:
-        tall: Shape [row_count, k].
-        other: Shape [k] or [k, C].
+    They are so small that OpenBLAS starts no threads, whose waiting takes more CPU time than the product.
     """
     limit = 8_000 if other.ndim == 1 else 200_000
     count = 1 + limit // (1 + other.size)

@@ -638,16 +638,10 @@ def _percentiles(
 
 def _refused(deviations: Deviations) -> Iterator[str]:
     for name, one in (("rmse", deviations.raw), ("rmse_aligned", deviations.aligned)):
-        if one is not None:
-            reasons = {
-                f"{name}_95": one.refusal,
-                f"{name}_normalized_95": one.normalized_refusal,
-            }
-            yield from (
-                f"{interval}: {reason}"
-                for interval, reason in reasons.items()
-                if reason is not None
-            )
+        refusals = (None, None) if one is None else one.refusals
+        for end, reason in zip(("", "normalized_"), refusals, strict=True):
+            if reason is not None:
+                yield f"{name}_{end}95: {reason}"
 
 
 def _origin(sensitivities: Sensitivities) -> str:

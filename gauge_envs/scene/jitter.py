@@ -232,10 +232,14 @@ class _Move:
 
     turn: FloatArray
     point_m: FloatArray
-    shift_m: FloatArray
+    shift_m: FloatArray | float = 0.0
 
     def __call__(self, pose: Pose) -> Pose:
-        return _rotated(pose, self.turn, self.point_m, self.shift_m)
+        arm_m = rotation_matrices(self.turn) @ (pose.position_m - self.point_m)
+        position_m = arm_m + self.point_m + self.shift_m
+        now = unit_quaternions(np.array(pose.quaternion))
+        w, x, y, z = unit_quaternions(quaternion_products(self.turn, now)).tolist()
+        return Pose(position_m=vector(position_m), quaternion=(w, x, y, z))
 
 
 def _drawn(
@@ -340,7 +344,7 @@ class _Groups:
 
 def swung(body: RigidBody, turn: FloatArray, point_m: FloatArray) -> RigidBody:
     """Return a body whose pose and velocities are rotated about a world point, by a unit quaternion w, x, y, z."""
-    pose = _rotated(body.pose, turn, point_m)
+    pose = _Move(turn, point_m)(body.pose)
     if body.starts_at_rest:
         return replace(body, pose=pose)
     matrix = rotation_matrices(turn)
@@ -379,15 +383,6 @@ def _faster(body: RigidBody, linear: FloatArray, angular: FloatArray) -> RigidBo
         linear_velocity_m_per_s=vector(linear + body.linear_velocity_m_per_s),
         angular_velocity_rad_per_s=vector(angular + body.angular_velocity_rad_per_s),
     )
-
-
-def _rotated(
-    pose: Pose, turn: FloatArray, point_m: FloatArray, shift_m: ArrayLike = 0.0
-) -> Pose:
-    arm_m = rotation_matrices(turn) @ (np.asarray(pose.position_m) - point_m)
-    now = unit_quaternions(np.array(pose.quaternion))
-    w, x, y, z = unit_quaternions(quaternion_products(turn, now)).tolist()
-    return Pose(position_m=vector(arm_m + point_m + shift_m), quaternion=(w, x, y, z))
 
 
 def _turn(rotation_rad: ArrayLike) -> FloatArray:
@@ -431,7 +426,7 @@ def tilted(scene: Scene, rotation_rad: ArrayLike, about_m: ArrayLike) -> Scene:
         scene,
         bodies=tuple(swung(body, turn, centre) for body in scene.bodies),
         deformables=tuple(
-            replace(body, pose=_rotated(body.pose, turn, centre))
+            replace(body, pose=_Move(turn, centre)(body.pose))
             for body in scene.deformables
         ),
         joints=tuple(map(turned, scene.joints)),

@@ -18,6 +18,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import TypeAdapter
 
 import gauge_envs  # noqa: F401  registers the ids
 from gauge_envs.envs.env import GaugeEnv
@@ -86,17 +87,8 @@ class StepError:
 def read_rows(file: Path = FILE) -> list[StepError]:
     """Read the table."""
     with file.open(newline="", encoding="utf-8") as lines:
-        return [
-            StepError(
-                id=row["id"],
-                start=row["start"],
-                steps_per_s=int(row["steps_per_s"]),
-                error=float(row["error"]),
-                unit=row["unit"],
-                uncertainty=float(row["uncertainty"]),
-            )
-            for row in csv.DictReader(lines)
-        ]
+        rows = [*csv.DictReader(lines)]
+    return TypeAdapter(list[StepError]).validate_python(rows)
 
 
 def longest_step(rows: Iterable[StepError], share: float) -> int | None:
@@ -126,9 +118,13 @@ def band_uncertainty(band: Band) -> float:
     values = band.sigma
     if not band.grade.is_real and band.uncertainty is not None:
         values = band.uncertainty
-    squares = values[band.measured] ** 2
-    known = np.isfinite(squares).any(axis=1)
-    return math.sqrt(float(np.nansum(squares[known], axis=1).mean()))
+    return root_mean_square(values[band.measured])
+
+
+def root_mean_square(values: NDArray[np.float64]) -> float:
+    """Return the root of the mean over frames with a known value, shape [T, C], of the squares."""
+    known = np.isfinite(values).any(axis=1)
+    return math.sqrt(float(np.nansum(values[known] ** 2, axis=1).mean()))
 
 
 def episode(name: str, steps_per_s: int, seed: int | None) -> Trajectory:
@@ -139,14 +135,7 @@ def episode(name: str, steps_per_s: int, seed: int | None) -> Trajectory:
     env = GaugeEnv(name, settings=settings, marker_proxy="material")
     options = None if seed is None else {"jitter": True}
     env.reset(seed=seed or 0, options=options)
-    space = env.action_space
-    action: Any = 0
-    if isinstance(space, gymnasium.spaces.Box):
-        action = np.zeros(space.shape)
-    over = False
-    while not over:
-        *_, terminated, truncated, _ = env.step(action)
-        over = terminated or truncated
+    env.episode.play()
     env.close()
     return env.trajectory()
 
@@ -155,9 +144,7 @@ def distance(coarse: NDArray[np.float64], fine: NDArray[np.float64]) -> float:
     """Return the distance of two motions, rms over the frames; infinite if one of them diverged."""
     if coarse.shape != fine.shape:
         return math.inf
-    squares = (coarse - fine) ** 2
-    known = np.isfinite(squares).any(axis=1)
-    return math.sqrt(float(np.nansum(squares[known], axis=1).mean()))
+    return root_mean_square(coarse - fine)
 
 
 def experiment_errors(name: str, seed: int | None) -> Iterator[StepError]:

@@ -679,10 +679,11 @@ def test_a_distance_and_its_ratio_to_the_baseline_are_refused_apart():
         errors=replace(errors, influence=1e6 * np.linspace(-1.0, 1.0, 20)),
         baseline=2.0,
     )
-    assert one.refusal is None and one.interval is not None
-    assert "alike" in one.normalized_refusal and one.normalized_interval is None
+    refusal, normalized_refusal = one.refusals
+    assert refusal is None and one.interval is not None
+    assert "alike" in normalized_refusal and one.normalized_interval is None
     alone = replace(one, baseline=None)
-    assert alone.normalized_refusal is None and alone.normalized_interval is None
+    assert alone.refusals == (None, None) and alone.normalized_interval is None
     assert alone.interval == one.interval
 
 
