@@ -70,13 +70,6 @@ class Jitter:
         }
 
 
-def _refuse_guides(scene: Scene) -> None:
-    if scene.guides:
-        raise ParameterError(
-            "the scene has sliders or ball joints, along which no start is scattered: leave out the jitter"
-        )
-
-
 def jittered(scene: Scene, jitter: Jitter, *, seed: int) -> Scene:
     """Return the scene with random start poses and velocities that keep the contacts of the start.
 
@@ -100,54 +93,29 @@ def jittered(scene: Scene, jitter: Jitter, *, seed: int) -> Scene:
         jitter: Standard deviations of the start.
         seed: Seed of the random numbers, 0 or more.
     """
-    _refuse_guides(scene)
-    random, random_velocity = (
-        np.random.default_rng(seed),
-        np.random.default_rng((seed, 1)),
-    )
-    hinges = {joint.body: joint for joint in scene.joints if isinstance(joint, Hinge)}
-    tethers = {joint.body: joint for joint in scene.joints if isinstance(joint, Tether)}
+    if scene.guides:
+        raise ParameterError(
+            "the scene has sliders or ball joints, along which no start is scattered: leave out the jitter"
+        )
+    random = np.random.default_rng(seed)
     attached = {attachment.deformable for attachment in scene.attachments} | {
         a.to for a in scene.attachments
     }
-    groups = _Groups(
-        scene,
-        {*attached, *parent_hinges(scene.body_hinges, scene.hung)},
-        {*hinges, *tethers},
-        jitter,
-    )
-    moved = 0
-    bodies: list[RigidBody] = []
-    for body in scene.bodies:
-        if body.name in groups.free:
-            moved += 1
-            if body.name in hinges:
-                hinge = hinges[body.name]
-                turn = _turn(
-                    jitter.angle_rad * random.standard_normal() * np.asarray(hinge.axis)
-                )
-                body = swung(body, turn, np.asarray(hinge.anchor_m))
-            elif body.name in tethers:
-                turn = _turn(jitter.angle_rad * random.standard_normal(3))
-                body = swung(body, turn, np.asarray(tethers[body.name].anchor_m))
-            else:
-                body = groups.moved(body, random)
-            if jitter.velocity_m_per_s or jitter.angular_velocity_rad_per_s:
-                joint = hinges.get(body.name) or tethers.get(body.name)
-                if joint is None:
-                    body = groups.pushed(body, random_velocity)
-                else:
-                    body = _swinging(body, joint, jitter, random_velocity)
-        bodies.append(body)
+    kept = {*attached, *parent_hinges(scene.body_hinges, scene.hung)}
+    is_pushed = jitter.velocity_m_per_s or jitter.angular_velocity_rad_per_s
+    pushes = np.random.default_rng((seed, 1)) if is_pushed else None
+    groups = _Groups(scene, kept, jitter, random, pushes)
+    is_moved = bool(groups.free)
+    bodies = [groups.started(one) for one in scene.bodies]
     deformables: list[Any] = []
     for deformable in scene.deformables:
         if isinstance(deformable, Cloth) and deformable.name not in attached:
-            moved += 1
+            is_moved = True
             pose = deformable.pose
             move = _drawn(pose.position_m, face_normal(pose)[None], jitter, random)
             deformable = replace(deformable, pose=move(pose))
         deformables.append(deformable)
-    if not moved:
+    if not is_moved:
         raise ParameterError(
             "nothing to jitter: every body of this scene is fixed, driven, or attached to one that is"
         )
@@ -272,8 +240,9 @@ class _Groups:
     Args:
         scene: The scene.
         kept: Names of bodies that do not move, or follow another one.
-        jointed: Names of bodies on a hinge or a string.
         jitter: Standard deviations of the start.
+        random: Random numbers of the places.
+        pushes: Random numbers of the velocities; None keeps those of the scene.
 
     Attributes:
         free: Names of the bodies that can start elsewhere, those on joints included.
@@ -283,10 +252,14 @@ class _Groups:
         self,
         scene: Scene,
         kept: Collection[str],
-        jointed: Collection[str],
         jitter: Jitter,
+        random: np.random.Generator,
+        pushes: np.random.Generator | None,
     ) -> None:
         self._jitter = jitter
+        self._random = random
+        self._random_push = pushes
+        self._joints = {joint.body: joint for joint in scene.joints}
         bodies = {body.name: body for body in scene.bodies}
         self.free = {
             name
@@ -298,7 +271,7 @@ class _Groups:
         self._normals: dict[tuple[str, ...], list[FloatArray]] = {}
         self._centre_m: dict[tuple[str, ...], FloatArray] = {}
         for members in faces.groups(
-            [name for name in bodies if name in self.free and name not in jointed]
+            [name for name in bodies if name in self.free - {*self._joints}]
         ):
             self._members.update(dict.fromkeys(members, members))
             self._normals[members] = faces.normals(members)
@@ -308,18 +281,37 @@ class _Groups:
         self._moves: dict[tuple[str, ...], _Move] = {}
         self._pushes: dict[tuple[str, ...], FloatArray] = {}
 
-    def moved(self, body: RigidBody, random: np.random.Generator) -> RigidBody:
-        """Return a body at its random start."""
+    def started(self, body: RigidBody) -> RigidBody:
+        """Return a body at its random start; one that cannot start elsewhere as it is."""
+        if body.name not in self.free:
+            return body
+        jitter, joint = self._jitter, self._joints.get(body.name)
+        random = self._random_push
+        if joint is None:
+            body = self._moved(body)
+            return body if random is None else self._pushed(body, random)
+        if isinstance(joint, Hinge):
+            angles_rad = jitter.angle_rad * self._random.standard_normal(1) * joint.axis
+        else:
+            angles_rad = jitter.angle_rad * self._random.standard_normal(3)
+        body = swung(body, _turn(angles_rad), np.asarray(joint.anchor_m))
+        return body if random is None else _swinging(body, joint, jitter, random)
+
+    def _moved(self, body: RigidBody) -> RigidBody:
         members = self._members[body.name]
         if members not in self._moves:
             blocked = blocked_directions(body.pose, self._normals[members])
             is_ball = isinstance(body.shape, Sphere)
             self._moves[members] = _drawn(
-                self._centre_m[members], blocked, self._jitter, random, is_ball=is_ball
+                self._centre_m[members],
+                blocked,
+                self._jitter,
+                self._random,
+                is_ball=is_ball,
             )
         return replace(body, pose=self._moves[members](body.pose))
 
-    def pushed(self, body: RigidBody, random: np.random.Generator) -> RigidBody:
+    def _pushed(self, body: RigidBody, random: np.random.Generator) -> RigidBody:
         """Return a body that has moved, with a random velocity in addition to its own."""
         members = self._members[body.name]
         if members not in self._pushes:

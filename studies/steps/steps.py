@@ -12,6 +12,7 @@ import math
 import sys
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass, fields
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -127,6 +128,7 @@ def root_mean_square(values: NDArray[np.float64]) -> float:
     return math.sqrt(float(np.nansum(values[known] ** 2, axis=1).mean()))
 
 
+@cache
 def episode(name: str, steps_per_s: int, seed: int | None) -> Trajectory:
     """Run an episode without actions."""
     settings: dict[str, Any] = {"timestep_s": 1.0 / steps_per_s}
@@ -157,13 +159,9 @@ def experiment_errors(name: str, seed: int | None) -> Iterator[StepError]:
         return
     start = CHOSEN_ON if seed is None else f"random start {seed}"
     holders = experiment.scene.holders
-    runs: dict[int, Trajectory] = {}
     is_deformable = bool(experiment.scene.deformables)
     for count in DEFORMABLE_STEPS_PER_S if is_deformable else RIGID_STEPS_PER_S:
-        for each in (count, 2 * count):
-            if each not in runs:
-                runs[each] = episode(name, each, seed)
-        coarse, fine = runs[count], runs[2 * count]
+        coarse, fine = episode(name, count, seed), episode(name, 2 * count, seed)
         yield StepError(
             id=name,
             start=start,
@@ -188,35 +186,37 @@ def experiment_errors(name: str, seed: int | None) -> Iterator[StepError]:
             )
 
 
-def reached(env: ControlEnv, seed: int | None) -> float:
-    """Return the share of its limit that the law's policy reaches in a control task; NaN where it fails."""
-    if type(env).__name__.startswith(REACHING):
+@cache
+def reached(task: str, steps_per_s: int, seed: int | None) -> tuple[float, float]:
+    """Return the share of its limit that the law's policy reaches in a control task, and that limit's uncertainty.
+
+    The share is NaN where the policy fails; the uncertainty is over the limit.
+    """
+    settings = {"preset": "training", "timestep_s": 1.0 / steps_per_s}
+    env = gymnasium.make(f"GAUGE/{task}", settings=settings).unwrapped
+    assert isinstance(env, ControlEnv)
+    if task.startswith(REACHING):
         share = play(env, lambda _: env.law_action(0.98), seed=seed or 0).ratio
-        return share if share > 0.0 else math.nan
-    try:
-        return engine_limit(env, bounds=(0.8, 1.2), resolution=0.0005)
-    except ParameterError:
-        return math.nan
+    else:
+        try:
+            share = engine_limit(env, bounds=(0.8, 1.2), resolution=0.0005)
+        except ParameterError:
+            share = 0.0
+    env.close()
+    return share if share > 0.0 else math.nan, env.limit.sigma / env.limit.value
 
 
 def task_errors(task: str, seed: int | None) -> Iterator[StepError]:
     """Yield the error of each step of a control task, from one goal."""
-    runs: dict[int, float] = {}
     for count in RIGID_STEPS_PER_S:
-        for each in (count, 2 * count):
-            if each not in runs:
-                settings = {"preset": "training", "timestep_s": 1.0 / each}
-                env = gymnasium.make(f"GAUGE/{task}", settings=settings).unwrapped
-                assert isinstance(env, ControlEnv)
-                runs[each], limit = reached(env, seed), env.limit
-                env.close()
+        share, uncertainty = reached(task, count, seed)
         yield StepError(
             id=task,
             start=CHOSEN_ON if seed is None else f"goal {seed}",
             steps_per_s=count,
-            error=abs(runs[count] - runs[2 * count]),
+            error=abs(share - reached(task, 2 * count, seed)[0]),
             unit="1",
-            uncertainty=limit.sigma / limit.value,
+            uncertainty=uncertainty,
         )
 
 
