@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import json
 import os
-import platform
 import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
@@ -27,7 +26,7 @@ from pydantic import TypeAdapter
 from gauge_envs import load_experiment
 from gauge_envs.backends import backend
 from gauge_envs.errors import MissingExtraError
-from gauge_envs.files import json_ready, write_whole
+from gauge_envs.files import json_ready, processor, write_whole
 from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Result
@@ -274,18 +273,10 @@ def _rounded(value: Any) -> Any:
 
 def provenance() -> dict[str, Any]:
     """Return when and on what kind of machine the results were made."""
-    cpuinfo = Path("/proc/cpuinfo")
-    lines = (
-        cpuinfo.read_text(encoding="utf-8").splitlines() if cpuinfo.is_file() else []
-    )
-    model = next(
-        (line.partition(": ")[2] for line in lines if line.startswith("model name")),
-        platform.machine(),
-    )
     return {
         "written by": "scripts/build_pareto.py",
         "date": datetime.now(UTC).date().isoformat(),
-        "machine": f"{os.cpu_count()} cores of {model}, shared with other work",
+        "machine": f"{os.cpu_count()} cores of {processor()}, shared with other work",
     }
 
 

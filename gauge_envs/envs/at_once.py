@@ -44,7 +44,6 @@ class EpisodesAtOnce(EpisodesOneByOne):
         self._recorded = experiment.recorded
         self._dynamic = tuple(body.name for body in scenes[0].dynamic_bodies)
         self._rows = [self._dynamic.index(name) for name in self._recorded]
-        self._bounds = RigidBoundsOfWorlds(scenes)
         # The bounds of each deformable body, over the worlds.
         self._deformable_bounds = [
             DeformableBoundsOfWorlds(bounds)
@@ -111,12 +110,6 @@ class EpisodesAtOnce(EpisodesOneByOne):
                 )
         return self._episodes
 
-    def start_at(self, experiments: Sequence[Experiment]) -> bool:
-        """Take other starts in the next episodes, or return False; see `Episode.start_at`."""
-        is_same = super().start_at(experiments)
-        self._bounds = RigidBoundsOfWorlds([one.scene for one in experiments])
-        return is_same
-
     @property
     def running(self) -> Numbers:
         """Numbers of the worlds whose episodes are not over."""
@@ -138,6 +131,9 @@ class EpisodesAtOnce(EpisodesOneByOne):
             driver.reset()
         for episode in self._episodes:
             episode.restart()
+        self._bounds = RigidBoundsOfWorlds(
+            [episode.experiment.scene for episode in self._episodes]
+        )
         self._samples[0] = self._observed(0)
         self._record(self._every, self.worlds.body_states(self._dynamic))
 

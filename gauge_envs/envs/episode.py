@@ -217,10 +217,10 @@ class Episode:
         Args:
             experiment: The same experiment, whose start or trial may be another one.
         """
-        scene, now = experiment.scene, self.experiment.scene
+        scene = experiment.scene
         is_same = (
             not scene.deformables
-            and scene.drivers == now.drivers
+            and scene.drivers == self.experiment.scene.drivers
             and experiment.trial is self.experiment.trial is None
         )
         if is_same:

@@ -17,7 +17,6 @@ from gauge_envs.envs.episode import Episode, run_on_together
 from gauge_envs.envs.spaces import Observation
 from gauge_envs.envs.stepper import Stepper
 from gauge_envs.errors import ActionError
-from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.scene.geometry import FloatArray
 
 Numbers = NDArray[np.intp]
@@ -51,13 +50,6 @@ class EpisodesOneByOne:
     def episodes(self) -> Sequence[Episode]:
         """The episode of each world."""
         return self._episodes
-
-    def start_at(self, experiments: Sequence[Experiment]) -> bool:
-        """Take other starts in the next episodes, or return False; see `Episode.start_at`."""
-        return all(
-            episode.start_at(experiment)
-            for episode, experiment in zip(self._episodes, experiments, strict=True)
-        )
 
     @property
     def running(self) -> Numbers:

@@ -176,7 +176,7 @@ class GaugeVectorEnv(WorldsEnvironment[Observation]):
         if "_lockstep" in vars(self):
             if self.worlds.start_at([one.scene for one in experiments]):
                 self._pictures.free()
-                if self._lockstep.start_at(experiments):
+                if all(map(Episode.start_at, self.episodes, experiments)):
                     return
                 kept = self.worlds
             else:

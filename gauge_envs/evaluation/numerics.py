@@ -91,11 +91,8 @@ def tall_product(tall: FloatArray, other: FloatArray) -> FloatArray:
     They are so small that OpenBLAS starts no threads, whose waiting takes more CPU time than the product.
     """
     limit = 8_000 if other.ndim == 1 else 200_000
-    count = 1 + limit // (1 + other.size)
-    parts = [
-        tall[first : first + count] @ other for first in range(0, len(tall), count)
-    ]
-    return np.concatenate(parts)
+    parts = np.array_split(tall, 1 + len(tall) * other.size // limit)
+    return np.concatenate([part @ other for part in parts])
 
 
 def bounded_minimum(

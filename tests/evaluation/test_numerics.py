@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 import pytest
 from scipy import special
@@ -11,6 +13,7 @@ from gauge_envs.evaluation.numerics import (
     bounded_minimum,
     normal_probability,
     share_interval,
+    tall_product,
 )
 
 
@@ -39,3 +42,16 @@ def test_the_minimum_of_a_parabola_is_found_inside_and_at_a_bound(place):
 def test_a_minimum_with_a_kink_is_found():
     argument, _ = bounded_minimum(lambda x: np.abs(x - 0.2), 0.0, 1.0, tolerance=1e-9)
     assert argument == pytest.approx(0.2, abs=1e-9)
+
+
+def test_no_threads_wait_in_a_tall_product():
+    tall = np.arange(80_000.0).reshape(4000, 20)
+    # Threads of an earlier product wait for a while.
+    time.sleep(0.2)
+    own_s, all_s = time.thread_time(), time.process_time()
+    for other in (np.ones(20), np.ones((20, 19)), np.ones((20, 300))):
+        for _ in range(50):
+            product = tall_product(tall, other)
+        assert np.array_equal(product, tall @ other)
+        time.sleep(0.2)
+    assert time.process_time() - all_s < 1.5 * (time.thread_time() - own_s)
