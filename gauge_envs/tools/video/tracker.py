@@ -163,8 +163,8 @@ def followed(candidates: list[list[Sight]], task: VideoTask, fps: float) -> list
         chosen, best_likeness = Sight(), 0.0
         for one in ones:
             away_px = math.dist(one.place, place + gap * step)
-            if task.motion is Motion.FALL:
-                # An impact turns the velocity; when it came between two frames is unknown.
+            if task.direction is not None:
+                # An impact stops a body or turns its velocity; when it came between two frames is unknown.
                 away_px = min(away_px, math.dist(one.place, place))
             most_px = gap * max(usual_px, *speeds_px)
             cost = BEND_COST * (away_px / most_px) ** 2
