@@ -47,9 +47,12 @@ LEAST_CONTRAST = 40.0
 LEAST_KNOWN_SHARE = 0.25
 """Smallest share of the outline before such a background."""
 
-LINE, LEAST_KNOWN_LINE = 1.5, 0.9
-"""Half of the length of the lines along the motion by which size and shape are measured, in sizes, and smallest share
-of a line before another colour than the object's."""
+LINE, NEAR_LINE, LEAST_KNOWN_LINE = 1.5, 0.75, 0.9
+"""Half of the length of the lines along the motion by which size and shape are measured, and of their parts at the
+object, in sizes, and smallest share of those parts before another colour than the object's."""
+
+GAP_SHARE = 0.15
+"""Covered share, in the largest along the motion, below which there is a gap."""
 
 NOISE_SHARE = 0.15
 """Covered share that noise and texture leave to the bare background."""
@@ -98,7 +101,8 @@ class ShapeFollower:
 
     def __init__(self, first: Picture, last: Picture, task: VideoTask) -> None:
         self._task, self._size_px = task, task.size_px
-        start = np.array(task.rest_px or task.centre_px)
+        self._start = start = np.array(task.rest_px or task.centre_px)
+        self._profile_px: FloatArray | None = None
         self._colour = _look(first, start, task.size_px)
         self._half = math.ceil(0.5 * AROUND * task.size_px) + 2
         self._outline = self._drawn(1.0)
@@ -137,9 +141,15 @@ class ShapeFollower:
         )
         cv2.accumulateWeighted(picture, self._scene, ADAPTATION, mask=still)
         found = [one for one in found if one.likeness > 0.0]
-        for one in found:
+        for one in sorted(found, key=lambda one: math.dist(one.place, self._start)):
             self._measure(one, picture)
         return found
+
+    def known_share(self, place: FloatArray) -> float:
+        """Return on which share of the outline the background at a place has another colour than the object."""
+        bare, _ = _cut(self._scene, place[0], place[1], self._half)
+        _, known = _covered(bare, bare, self._colour)
+        return float((known * self._outline).sum() / self._outline.sum())
 
     def _drawn(self, share: float) -> NDArray[np.float32]:
         """Return a filled outline in a square of the template, of a share of the size; its edge is soft."""
@@ -197,11 +207,31 @@ class ShapeFollower:
             wanted_px = self._size_px * share
         else:
             wanted_px = 2.0 * np.sqrt(np.maximum(radius_px**2 - across_px**2, 0.0))
-        is_known = known.mean(axis=1) > LEAST_KNOWN_LINE
+        is_near = np.abs(across_px) <= NEAR_LINE * self._size_px
+        is_known = known[:, is_near].mean(axis=1) > LEAST_KNOWN_LINE
+        if self._profile_px is not None:
+            wanted_px = self._profile_px
         whole_px2 = float(wanted_px[is_known].sum())
         if whole_px2 < LEAST_KNOWN_SHARE * self._size_px**2:
             return
-        seen_px = (covered * known).sum(axis=1)[is_known]
+        seen = (covered * known)[is_known]
+        # Blur leaves no gap: what lies beyond one is another object, or its other half.
+        along = seen.mean(axis=0)
+        gaps = np.flatnonzero(along < GAP_SHARE * along.max())
+        start = gaps[gaps < half].max(initial=-1) + 1
+        end = gaps[gaps > half].min(initial=len(along))
+        seen_px = seen[:, start:end].sum(axis=1)
+        is_first = math.dist(sight.place, self._start) < NEAR * self._size_px
+        if (
+            self._profile_px is None
+            and is_first
+            and self._task.motion is not Motion.CRADLE
+        ):
+            # The object's own profile holds its other sides too.
+            self._profile_px = wanted_px.copy()
+            self._profile_px[is_known] = seen_px
+            wanted_px = self._profile_px
+            whole_px2 = float(seen_px.sum())
         sight.size_ratio = math.sqrt(float(seen_px.sum()) / whole_px2)
         misses_px = np.abs(seen_px - wanted_px[is_known])
         sight.misfit = float(misses_px.sum()) / whole_px2
@@ -305,12 +335,23 @@ def _areas(covered: NDArray[np.float32]) -> Areas:
     return labels, stats[:, cv2.CC_STAT_AREA], middles
 
 
-def _area_at(areas: Areas, place: FloatArray) -> float:
-    """Return the size of the largest covered area that a place of the whole picture is in or beside; 0 without one."""
+def _area_at(areas: Areas, place: FloatArray) -> tuple[float, float, FloatArray]:
+    """Return the largest covered area that a place of the whole picture is in or beside.
+
+    Returns:
+        Its size, 0 where there is none; the ratio of its axes; and its middle, from the place [px].
+    """
     column, row = (COARSE * place).astype(int)
-    labels, _ = _cut(areas[0], column, row, 2)
-    sizes = areas[1][labels[labels > 0]]
-    return float(sizes.max(initial=0))
+    labels = np.unique(_cut(areas[0], column, row, 2)[0])
+    sizes = areas[1] * np.isin(np.arange(len(areas[1])), labels[labels > 0])
+    if not sizes.any():
+        return 0.0, 1.0, np.zeros(2)
+    largest = sizes.argmax()
+    one = cv2.moments((areas[0] == largest).astype(np.uint8), binaryImage=True)
+    spreads = [[one["mu20"], one["mu11"]], [one["mu11"], one["mu02"]]]
+    shorter, longer = np.linalg.eigvalsh(spreads)
+    ratio = math.sqrt(longer / max(shorter, 1e-9))
+    return float(sizes.max()), ratio, areas[2][largest] / COARSE - place
 
 
 def _look(picture: NDArray[Any], place: FloatArray, size_px: float) -> FloatArray:
@@ -338,8 +379,9 @@ def _cut(
 
 # --- a face that turns ------------------------------------------------------------------------------------------------
 
-FACE, WINDOW = 0.6, 0.4
-"""Half of the followed square, and how far around it the next one is looked for, in sizes of the object."""
+FACE, WINDOW, INNER = 0.6, 0.4, 0.42
+"""Half of the followed square, how far around it the next one is looked for, and half of the part of it that shows the
+face alone, in sizes of the object."""
 
 RENEWAL = 0.2
 """Share of a frame that the template takes over: metal changes its brightness as it turns to the lamp."""
@@ -358,6 +400,9 @@ TINT_GAIN, DARK = 768.0, 20.0
 
 TWIN_SHARE = 0.4
 """Smallest area of a second object, in that of the first."""
+
+MOST_SLIP = 0.25
+"""Largest distance of the template from the middle of the object's area, beyond that in the first frame, in sizes."""
 
 LEAST_OUTLINE = 0.75
 """Smallest strength of the edges at the object's sides, in that of the strongest around: a plate has its own."""
@@ -394,7 +439,7 @@ class FaceFollower:
         self._size_px = task.size_px
         self._is_shiny = task.is_shiny
         self._colour = _look(first, self._pose[1:], task.size_px)
-        self._pattern = None if task.is_shiny else _pattern(self._face)
+        self._pattern = None if task.is_shiny else self._pattern_of(self._face)
         width, height = REFERENCE_SIZE_PX
         rows, columns = np.mgrid[0:height, 0:width]
         away = np.hypot(*np.subtract([columns, rows], self._pivot[:, None, None]))
@@ -407,7 +452,10 @@ class FaceFollower:
         self._counted = (abs(away - 1.0) > RIM).astype(np.float32)
         self._known = _look(shown, COARSE * self._pose[1:], COARSE * task.size_px)
         is_clear = np.linalg.norm(plate - self._known) > CLEAR_CONTRAST
-        self._area = _area_at(self._areas(first), self._pose[1:]) if is_clear else 0.0
+        found = _area_at(self._areas(first), self._pose[1:])
+        self._area, self._longer, self._middle = found
+        if not is_clear:
+            self._area = 0.0
 
     def candidates(self, picture: Picture) -> list[Sight]:
         """Return the place in the next frame; none where it is lost."""
@@ -427,16 +475,27 @@ class FaceFollower:
         self._face = (1.0 - RENEWAL) * self._face + RENEWAL * face
         if self._pattern is not None:
             # The renewed template would follow a cube that melts; its square has the threshold of all likenesses.
-            value = max(0.0, float((_pattern(face) * self._pattern).mean())) ** 2
-            if self._outline(grey) < LEAST_OUTLINE:
-                return []
+            value = (
+                max(0.0, float((self._pattern_of(face) * self._pattern).mean())) ** 2
+            )
+        is_measured = self._is_shiny and self._area > 0.0
+        if not is_measured and self._outline(grey) < LEAST_OUTLINE:
+            return []
         sight = Sight(place=pose[1:], likeness=min(1.0, value))
-        return [sight] if self._area == 0.0 else [sight, *self._others(picture, sight)]
+        if self._area == 0.0:
+            return [sight]
+        others = self._others(picture, sight)
+        return [sight, *others] if sight.likeness > 0.0 else []
 
     def _others(self, picture: Picture, found: Sight) -> list[Sight]:
-        """Return what else looks like the object, and by how much the area around it has grown."""
+        """Return what else looks like the object, and by how much the area around it has changed in size and shape."""
         areas = self._areas(picture)
-        found.size_ratio = math.sqrt(_area_at(areas, found.place) / self._area)
+        size, longer, middle = _area_at(areas, found.place)
+        found.size_ratio = math.sqrt(size / self._area)
+        found.misfit = abs(longer / self._longer - 1.0)
+        slip_px = math.dist(middle, _rotation(self._pose[0]) @ self._middle)
+        if slip_px > MOST_SLIP * self._size_px:
+            found.likeness = 0.0
         _, sizes, middles = areas
         is_large = sizes > TWIN_SHARE * self._area
         # The first area is all that is not covered.
@@ -457,6 +516,14 @@ class FaceFollower:
             return small
         brightness = small.mean(axis=2, keepdims=True)
         return TINT_GAIN * (small - brightness) / (brightness + DARK)
+
+    def _pattern_of(self, face: NDArray[np.floating]) -> NDArray[np.floating]:
+        """Return the inner face, beside which a camera sees other sides, at mean 0 and contrast 1, without grain."""
+        margin = self._half - int(INNER * self._size_px)
+        smooth = cv2.GaussianBlur(face, (0, 0), SMOOTH_PX)[
+            margin:-margin, margin:-margin
+        ]
+        return (smooth - smooth.mean()) / max(float(smooth.std()), 1e-9)
 
     def _outline(self, grey: NDArray[np.float32]) -> float:
         """Return how strong the edges are at the object's sides, against the strongest ones around each of them."""
@@ -487,12 +554,6 @@ class FaceFollower:
         shown = _look(picture, found[1:], self._size_px)
         is_on_plate = math.dist(found[1:], self._pivot) < PLATE_RADIUS_PX
         return found, is_on_plate * value * _likeness(shown, self._colour)
-
-
-def _pattern(face: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Return a face at the mean brightness 0 and the contrast 1, without its grain."""
-    smooth = cv2.GaussianBlur(face, (0, 0), SMOOTH_PX)
-    return (smooth - smooth.mean()) / max(float(smooth.std()), 1e-9)
 
 
 def _grey(picture: Picture) -> NDArray[np.float32]:

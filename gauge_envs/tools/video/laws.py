@@ -399,7 +399,9 @@ def retained(track: Track, task: VideoTask) -> tuple[int, int] | None:
     return first, len(track.frames) - 1 if goes_on else last
 
 
-def apices(times_s: FloatArray, angles_rad: FloatArray) -> NDArray[np.intp]:
+def apices(
+    times_s: FloatArray, angles_rad: FloatArray, step_s: float
+) -> NDArray[np.intp]:
     """Return the rows of the apices of a ball that swings out, in order.
 
     An apex is the largest angle within `APEX_SEPARATION_S` on both sides, and the ball is seen next to it on both. It
@@ -408,9 +410,9 @@ def apices(times_s: FloatArray, angles_rad: FloatArray) -> NDArray[np.intp]:
     Args:
         times_s: Times of the frames in which the ball was found [s], shape [frame_count].
         angles_rad: Its angles from the vertical [rad], shape [frame_count].
+        step_s: Time from frame to frame of the video [s].
     """
     found: list[int] = []
-    step_s = float(np.median(np.diff(times_s))) if len(times_s) > 1 else 0.0
     for row in range(1, len(times_s) - 1):
         near = np.abs(times_s - times_s[row]) <= APEX_SEPARATION_S
         is_highest = angles_rad[row] >= angles_rad[near].max()
@@ -443,7 +445,7 @@ def swings_without_apex(track: Track, task: VideoTask) -> list[NDArray[np.intp]]
     """Return the rows of each swing of a cradle's ball, an event of unknown height, unless the video ends in it."""
     rows = np.flatnonzero(track.is_found)
     angles_rad, times_s = swing_angles_rad(track, task)[rows], track.times_s[rows]
-    known = rows[apices(times_s, angles_rad)]
+    known = rows[apices(times_s, angles_rad, 1.0 / track.fps)]
     rows = rows[angles_rad >= LEAST_APEX_RAD]
     swings = np.split(rows, np.flatnonzero(np.diff(rows) > MOST_APEX_STEPS) + 1)
     return [

@@ -457,7 +457,7 @@ def paper_metrics(
             "amplitude_deg": math.degrees(swing.amplitude_rad),
         }
     assert task.rest_px is not None
-    events = laws.apices(times_s, angles)
+    events = laws.apices(times_s, angles, 1.0 / track.fps)
     rises_m = (task.rest_px[1] - track.points_px[rows, 1]) * scale_m_per_px
     heights = np.array(
         [laws.peak(times_s[i - 1 : i + 2], rises_m[i - 1 : i + 2]) for i in events]
