@@ -405,7 +405,7 @@ MOST_SLIP = 0.25
 """Largest distance of the template from the middle of the object's area, beyond that in the first frame, in sizes."""
 
 LEAST_OUTLINE = 0.75
-"""Smallest strength of the edges at the object's sides, in that of the strongest around: a plate has its own."""
+"""Smallest strength of the edges at the object's sides, against the strongest around, in that of the first frame."""
 
 SIDE, NEAR, EDGE_PX = 0.3, 0.1, 1.5
 """Half of the part of a side whose edge counts, and distance in which it lies, in sizes; blur of its profile [px]."""
@@ -437,6 +437,7 @@ class FaceFollower:
         self._step = np.zeros(3)
         self._face = _turned(_grey(first), self._pose, self._half)
         self._size_px = task.size_px
+        self._least_outline = LEAST_OUTLINE * self._outline(_grey(first))
         self._is_shiny = task.is_shiny
         self._colour = _look(first, self._pose[1:], task.size_px)
         self._pattern = None if task.is_shiny else self._pattern_of(self._face)
@@ -479,7 +480,7 @@ class FaceFollower:
                 max(0.0, float((self._pattern_of(face) * self._pattern).mean())) ** 2
             )
         is_measured = self._is_shiny and self._area > 0.0
-        if not is_measured and self._outline(grey) < LEAST_OUTLINE:
+        if not is_measured and self._outline(grey) < self._least_outline:
             return []
         sight = Sight(place=pose[1:], likeness=min(1.0, value))
         if self._area == 0.0:

@@ -49,6 +49,9 @@ MOST_STEP = 4.0
 FIRST_STEP, FIRST_FRAMES = 0.4, 3
 """Largest distance from the known place, in sizes, and frames in which the object is seen there."""
 
+MOST_SWING_RAD = 0.65 * math.pi
+"""Largest angle of a cradle's outgoing ball: one that gains momentum rises above its pivot."""
+
 CRADLE_BALLS, ARC_PLACES = 5, 30
 """Balls of the cradle, and places of an arc at which its background is looked at."""
 
@@ -245,7 +248,7 @@ def _is_allowed(sight: Sight, task: VideoTask) -> bool:
         return 0.8 * length <= math.hypot(x, y) <= 1.2 * length
     return (
         0.92 * length <= math.hypot(x, y) <= 1.08 * length
-        and 0.05 < math.atan2(x, y) < 0.5 * math.pi
+        and 0.05 < math.atan2(x, y) < MOST_SWING_RAD
     )
 
 
