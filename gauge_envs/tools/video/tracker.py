@@ -357,9 +357,6 @@ STRIDE = 3
 CHANGED = 30.0
 """Difference of the brightness with which a place has changed since the first frame."""
 
-LIT_AREA, LIT_GAIN = (25, 25), (0.6, 1.6)
-"""Part of the small picture that a lamp lights alike [px], and factors by which it may."""
-
 BLACK = 16.0
 """Brightness that no row or column of a bar beside the picture exceeds."""
 
@@ -396,6 +393,8 @@ class SceneWatch:
         lit = self._first > BLACK
         self._counted = shrunk(ignored.astype(np.uint8)) == 0
         self._counted &= lit.any(axis=1, keepdims=True) & lit.any(axis=0, keepdims=True)
+        rows, columns = np.indices(self._first.shape) / len(self._first)
+        self._sides = np.stack([np.ones_like(rows), columns, rows], axis=-1)
         mask = np.where(ignored, 0, 255).astype(np.uint8)
         points = cv2.goodFeaturesToTrack(self._grey, 150, 0.02, 12, mask=mask)
         self._points = np.zeros((0, 1, 2), np.float32) if points is None else points
@@ -436,10 +435,10 @@ class SceneWatch:
         if frame % STRIDE == 0:
             grey = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
             small = shrunk(grey)
-            # A lamp that moves or fades changes the brightness of whole parts of the scene alike.
-            levels = [cv2.blur(one, LIT_AREA) + 1.0 for one in (small, self._first)]
-            gain = np.clip(levels[0] / levels[1], *LIT_GAIN)
-            difference = np.abs(small - gain * self._first)
+            # A lamp that moves or fades changes the brightness by a factor, which is even or rises to one side.
+            lit = self._sides[self._counted] * self._first[self._counted, None]
+            factors = np.linalg.lstsq(lit, small[self._counted], rcond=None)[0]
+            difference = np.abs(small - (self._sides @ factors) * self._first)
             self._changed[frame] = (
                 float((difference[self._counted] > CHANGED).mean())
                 if self._counted.any()
