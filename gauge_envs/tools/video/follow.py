@@ -383,6 +383,9 @@ FACE, WINDOW, INNER = 0.6, 0.4, 0.42
 """Half of the followed square, how far around it the next one is looked for, and half of the part of it that shows the
 face alone, in sizes of the object."""
 
+LEAST_PATTERN = 8.0
+"""Smallest contrast of a pattern of a face, as the standard deviation of its brightness."""
+
 RENEWAL = 0.2
 """Share of a frame that the template takes over: metal changes its brightness as it turns to the lamp."""
 
@@ -440,7 +443,9 @@ class FaceFollower:
         self._least_outline = LEAST_OUTLINE * self._outline(_grey(first))
         self._is_shiny = task.is_shiny
         self._colour = _look(first, self._pose[1:], task.size_px)
-        self._pattern = None if task.is_shiny else self._pattern_of(self._face)
+        self._pattern: NDArray[np.floating] | None = None
+        if not task.is_shiny:
+            self._pattern = self._pattern_of(self._face)
         width, height = REFERENCE_SIZE_PX
         rows, columns = np.mgrid[0:height, 0:width]
         away = np.hypot(*np.subtract([columns, rows], self._pivot[:, None, None]))
@@ -519,12 +524,17 @@ class FaceFollower:
         return TINT_GAIN * (small - brightness) / (brightness + DARK)
 
     def _pattern_of(self, face: NDArray[np.floating]) -> NDArray[np.floating]:
-        """Return the inner face, beside which a camera sees other sides, at mean 0 and contrast 1, without grain."""
+        """Return the followed square at the mean brightness 0 and the contrast 1, without its grain.
+
+        A face with a pattern of its own is known by that alone: beside it a camera sees other sides, which change.
+        """
+        smooth = cv2.GaussianBlur(face, (0, 0), SMOOTH_PX)
         margin = self._half - int(INNER * self._size_px)
-        smooth = cv2.GaussianBlur(face, (0, 0), SMOOTH_PX)[
-            margin:-margin, margin:-margin
-        ]
-        return (smooth - smooth.mean()) / max(float(smooth.std()), 1e-9)
+        inner = smooth[margin:-margin, margin:-margin]
+        if self._pattern is None:
+            self._has_own = bool(inner.std() > LEAST_PATTERN)
+        shown = inner if self._has_own else smooth
+        return (shown - shown.mean()) / max(float(shown.std()), 1e-9)
 
     def _outline(self, grey: NDArray[np.float32]) -> float:
         """Return how strong the edges are at the object's sides, against the strongest ones around each of them."""
