@@ -543,6 +543,16 @@ FURTHER = planted(
             '<sensor><jointvel name="joint1_vel" joint="joint1"/><jointvel name="joint2_vel" joint="joint3"/>'
             '<jointvel name="joint3_vel" joint="joint3"/></sensor></mujoco>',
         ),
+        "hand, a fingertip that touches nothing": (
+            "robot-wiring",
+            'name="ring_pad"',
+            'name="ring_pad" contype="0" conaffinity="0"',
+        ),
+        "arm, a keyframe beyond a range": (
+            "robot-wiring",
+            'qpos="0 -.5 1.2',
+            'qpos="0 -.5 4.2',
+        ),
         "arm, a lost armature": (
             "robot-rotor",
             '(name="joint3".*?armature=)"0.1"',

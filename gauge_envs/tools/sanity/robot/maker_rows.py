@@ -3,6 +3,7 @@
 import csv
 import math
 import re
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
@@ -40,11 +41,17 @@ HARDWARE = (*GEOMETRY, "joint-zero", "coupling", "tendon-coefficient")
 
 CONTACTS = (
     *("geoms", "contype", "conaffinity", "condim", "geom-friction", "geom-solref"),
-    *("geom-margin", "geom-size", "geom-place"),
+    *("geom-margin", "geom-size", "geom-place", "geom-priority"),
 )
 """Quantities of shapes, which are often modelled anew as a whole."""
 
-FREE = ("site-place", "site-turn")
+OF_MOTORS = (
+    *("kp", "kv", "motor-gain", "motor-limit", "control-range", "motor-gear"),
+    *("motor-lag", "motor-delay", "motor-damping", "motor-armature"),
+)
+"""Quantities of a motor, which go by its joint: they are another motor's where a motor moves another joint."""
+
+FREE = ("site-place", "site-turn", "option")
 """Quantities that are always a choice, as where a task reads an IMU."""
 
 LEFT_OUT = ("motor-order", "delay", "action-scale")
@@ -56,7 +63,7 @@ FEW_LINKS = 2
 SOME_PARTS = 6
 """Links and joints up to which differences of their geometry are mistakes; if more differ, it is another version."""
 
-CONNECTIONS = ("sensor", "exclude", "coupling", "tendon-coefficient")
+CONNECTIONS = ("sensor", "motor", "exclude", "coupling", "tendon-coefficient")
 """Quantities whose parts are connections: one that only the published model has is lost or leads elsewhere."""
 
 FEW_JOINTS = 3
@@ -68,6 +75,12 @@ SAME_JOINTS = 0.7
 SAME_ROBOT = 0.9
 """Share of the numbers of a quantity that are equal, in the middle one of `GEOMETRY`, from which on it is one robot."""
 
+SAME_FILE = 0.98
+"""Share of equal numbers from which on a robot is from this very file: other versions excuse nothing."""
+
+STRENGTHS = ("motor-limit", "joint-force")
+"""Quantities of the real motors, which whoever edits this very file has no reason to choose."""
+
 MINORITY = 0.34
 """Share of the parts up to which those that differ are mistakes; if more differ, it is a choice or another version."""
 
@@ -77,8 +90,8 @@ WORD = re.compile(r"[A-Z](?=[A-Z]?_)|[A-Z]+(?![a-z])|[A-Za-z][a-z]*|\d+|\S")
 SAME_FACTOR = 0.01
 """Difference of the factors of all parts up to which they are one factor."""
 
-UNIT_FACTORS = (180.0 / math.pi, 1000.0, 9.80665, 0.45359237, 0.0254, 100.0)
-"""Factors between units: degrees, grams or millimetres, kp by weight, pounds, inches, centimetres; also inverse."""
+UNIT_FACTORS = (180.0 / math.pi, 1000.0, 9.80665, 0.45359237, 0.0254, 100.0, 10.0)
+"""Factors between units, also inverse: degrees, grams, kp by weight, pounds, inches, centimetres; a decimal place."""
 
 CHOICES = "all parts of a kind differ, as if they were chosen"
 """Why differences do not count."""
@@ -179,7 +192,7 @@ def same_robots(known: Numbers) -> list[list[Published]]:
     likely = {model: likeness(known, model) for model in published_models()}
     order = sorted(
         (model for model, share in likely.items() if share >= SAME_ROBOT),
-        key=lambda model: (-likely[model], -len(model.numbers["joint-zero"])),
+        key=lambda model: -equal_count(known, model),
     )
     robots: list[list[Published]] = []
     for model in order:
@@ -191,6 +204,51 @@ def same_robots(known: Numbers) -> list[list[Published]]:
         else:
             robots.append([model])
     return robots
+
+
+def equal_count(known: Numbers, model: Published) -> int:
+    """Return how many numbers of a robot are those of a published model."""
+    count = 0
+    for name, parts in model.numbers.items():
+        count += len(parts.keys() & known[name].keys())
+        count -= len(
+            [one for one in differing(name, known, model) if one.part in known[name]]
+        )
+    return count
+
+
+def is_stated(one: Difference, known: Numbers, version: Published) -> bool:
+    """Return whether another version of the published model states what differs as the robot does.
+
+    Args:
+        one: The difference.
+        known: Value of each part of the robot, by quantity.
+        version: The other version.
+    """
+    stated = version.numbers.get(one.quantity, {})
+    if not math.isnan(one.value):
+        differences = differing(one.quantity, known, version)
+        return one.part in stated and one.part not in {d.part for d in differences}
+    own = [part for part in known[one.quantity] if _end(part) == _end(one.part)]
+    if own:
+        return any(part in stated for part in own)
+    return _end(one.part) not in map(_end, stated)
+
+
+def _end(connection: str) -> str:
+    """Return the name of the motor, sensor or tendon of a connection; of others the whole."""
+    return re.split(" moves | reads | of ", connection)[0]
+
+
+def _is_left_out(one: Difference, known: Numbers) -> bool:
+    """Return whether a missing connection may be left out on purpose: its motor, sensor or tendon, or all its like."""
+    stated = known[one.quantity]
+    if not math.isnan(one.value):
+        return False
+    has_end = _end(one.part) != one.part
+    return not (
+        any(_end(part) == _end(one.part) for part in stated) if has_end else stated
+    )
 
 
 def differing(name: str, known: Numbers, model: Published) -> list[Difference]:
@@ -283,22 +341,35 @@ def compared(known: Numbers, versions: Sequence[Published]) -> Compared:
         known: Value of each part of the robot, by quantity.
         versions: Versions of the published model, the likeliest first.
     """
+    total = sum(map(len, versions[0].numbers.values()))
+    is_same_file = equal_count(known, versions[0]) >= SAME_FILE * total
+    versions = versions[:1] if is_same_file else versions
+    hardware = (*HARDWARE, *(STRENGTHS if is_same_file else ()))
     scaled: list[Difference] = []
     mistakes: list[Difference] = []
     choices: list[Difference] = []
     for name in (one for one in QUANTITIES if one not in LEFT_OUT):
-        several = [differing(name, known, model) for model in versions]
-        everywhere = set.intersection(*({one.part for one in s} for s in several))
-        off = [one for one in several[0] if one.part in everywhere]
+        off = [
+            one
+            for one in differing(name, known, versions[0])
+            if not any(is_stated(one, known, model) for model in versions[1:])
+        ]
         parts = versions[0].numbers.get(name, {}).keys() & known[name].keys()
         is_chosen = name in FREE or (name == "pose" and len(off) > 1)
-        if is_chosen or is_version(off, len(parts)):
+        if name in CONNECTIONS:
+            lost = [one for one in off if _is_left_out(one, known)]
+            choices += lost
+            off = [one for one in off if one not in lost]
+            is_chosen = len(off) > FEW_LINKS and is_version(off, len(parts))
+        elif not is_chosen:
+            is_chosen = is_version(off, len(parts))
+        if is_chosen:
             choices += off
             continue
         if len(off) > MINORITY * len(parts):
             scaled += off
             continue
-        shared = [] if name in HARDWARE else list(chosen(off, parts))
+        shared = [] if name in hardware else list(chosen(off, parts))
         choices += shared
         mistakes += [one for one in off if one not in shared]
     for group, most_parts, dropped in (
@@ -309,7 +380,18 @@ def compared(known: Numbers, versions: Sequence[Published]) -> Compared:
         if len({one.part.split(" ")[0] for one in off}) > most_parts:
             choices += [one for one in mistakes if one.quantity in dropped]
             mistakes = [one for one in mistakes if one.quantity not in dropped]
-    return Compared(model=versions[0], mistakes=[*scaled, *mistakes], choices=choices)
+    moved = [one for one in mistakes if one.quantity == "motor"]
+    ends = {_end(one.part) for one in moved}
+    parts_moved = [part for part in known["motor"] if _end(part) in ends]
+    joints = {
+        part.split(" moves ")[-1] for part in (*(m.part for m in moved), *parts_moved)
+    }
+    mistakes = [
+        one
+        for one in (*scaled, *mistakes)
+        if one.quantity not in OF_MOTORS or one.part.split(" ")[0] not in joints
+    ]
+    return Compared(model=versions[0], mistakes=mistakes, choices=choices)
 
 
 @row("robot-maker")
@@ -424,7 +506,10 @@ def _words(found: Sequence[Difference]) -> Iterator[str]:
     several: dict[tuple[str, str], list[Difference]] = {}
     for one in found:
         several.setdefault((one.quantity, one.part.split(" ")[0]), []).append(one)
-    for (name, _), (first, *others) in several.items():
+    # The pose is that of a task; what few parts have says most.
+    counts = Counter(name for name, _ in several)
+    order = sorted(several, key=lambda key: (key[0] == "pose", counts[key[0]]))
+    for (name, _), (first, *others) in ((key, several[key]) for key in order):
         unit = QUANTITIES[name].unit
         unit = "" if unit == "1" or " or " in unit else f" {unit}"
         value = "missing" if math.isnan(first.value) else f"{first.value:.4g}"

@@ -47,6 +47,19 @@ QUANTITIES: Mapping[str, Quantity] = {
 TASK = "the task"
 """Part of what a task states of the robot as a whole."""
 
+TRANSMISSIONS = {
+    int(mujoco.mjtTrn.mjTRN_JOINT): mujoco.mjtObj.mjOBJ_JOINT,
+    int(mujoco.mjtTrn.mjTRN_JOINTINPARENT): mujoco.mjtObj.mjOBJ_JOINT,
+    int(mujoco.mjtTrn.mjTRN_TENDON): mujoco.mjtObj.mjOBJ_TENDON,
+}
+"""Kind of object that a motor moves, by its transmission."""
+
+OPTIONS = (
+    *("integrator", "cone", "impratio", "solver", "iterations", "ls_iterations"),
+    *("density", "viscosity", "noslip_iterations"),
+)
+"""Options of the engine beside the step, which a comparison has a row for."""
+
 PREFIX = re.compile(r"\S*/")
 """Prefix of a scene in a name, as `robot/`."""
 
@@ -67,6 +80,7 @@ def quantities(robot: Robot) -> dict[str, dict[str, float]]:
         *_of_tendons(robot),
         *_of_couplings(robot),
         *_of_sensors(robot),
+        *_of_options(robot),
     ):
         found[name][short_name(part) if is_unique else part] = float(value)
     if robot.delay_s is not None:
@@ -158,6 +172,10 @@ def _of_motors(robot: Robot) -> Iterator[tuple[str, str, float]]:
     model, is_servo = robot.model, servos(robot.model)
     for actuator in range(model.nu):
         name = model.actuator(actuator).name or f"motor {actuator}"
+        kind = TRANSMISSIONS.get(int(model.actuator_trntype[actuator]))
+        if kind is not None and model.actuator(actuator).name:
+            moved = mujoco.mj_id2name(model, kind, model.actuator_trnid[actuator, 0])
+            yield "motor", f"{name} moves {moved}", 1.0
         # A motor goes by its joint, whose name models of one robot share more often.
         if model.actuator_trntype[actuator] in JOINT_TRANSMISSIONS:
             joint = int(model.actuator_trnid[actuator, 0])
@@ -218,6 +236,7 @@ def _of_contacts(robot: Robot) -> Iterator[tuple[str, str, float]]:
                 model.geom_friction[geoms, kind].max(),
             )
         yield "geom-solref", name, model.geom_solref[geoms, 0].min()
+        yield "geom-priority", name, model.geom_priority[geoms].max()
         yield "geom-margin", name, model.geom_margin[geoms].max()
         primitive = geoms[~is_mesh[geoms]]
         if len(primitive):
@@ -283,3 +302,8 @@ def _of_sensors(robot: Robot) -> Iterator[tuple[str, str, float]]:
         for axis, where in enumerate("xyz" if name else ""):
             yield "site-place", f"{name} {where}", model.site_pos[site, axis]
             yield "site-turn", f"{name} {where}", turn_rad[axis]
+
+
+def _of_options(robot: Robot) -> Iterator[tuple[str, str, float]]:
+    for name in OPTIONS:
+        yield "option", name, getattr(robot.model.opt, name)

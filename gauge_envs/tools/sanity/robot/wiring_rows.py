@@ -14,7 +14,7 @@ from gauge_envs.tools.sanity.robot.finding import (
     name_of,
     row,
 )
-from gauge_envs.tools.sanity.robot.joints import driven_dofs, springs
+from gauge_envs.tools.sanity.robot.joints import driven_dofs, home_key, springs
 from gauge_envs.tools.sanity.robot.mass_rows import size_m
 from gauge_envs.tools.sanity.robot.mujoco_feet import joints_of
 from gauge_envs.tools.sanity.robot.robot import (
@@ -32,6 +32,9 @@ from gauge_envs.tools.sanity.robot.sides import (
     zero_pose,
 )
 from gauge_envs.tools.sanity.robot.whole_rows import are_twins
+
+BEYOND = 0.02
+"""Distance of a pose beyond a range over the range up to which it is at the stop."""
 
 ON_ONE_LINE = 0.01
 """Distance of two parallel axes over the size of the robot up to which they are one axis."""
@@ -149,6 +152,56 @@ def _sensors(robot: Robot) -> Iterator[Wrong]:
             )
 
 
+def _ghosts(robot: Robot) -> Iterator[Wrong]:
+    """Yield a jaw or fingertip of a fixed base none of whose shapes touch anything, though those of the others do.
+
+    Where there are no others, those of the link that carries it.
+    """
+    if robot.is_floating:
+        return
+    model = robot.model
+    is_solid = (model.geom_contype | model.geom_conaffinity) != 0
+    carriers = {int(model.body_weldid[model.body_parentid[b]]) for b in robot.bodies}
+    lasts = [
+        body
+        for body in robot.bodies
+        if model.body_dofnum[body] and body not in carriers
+    ]
+    touching = {}
+    for body in {*lasts, *carriers}:
+        geoms = np.flatnonzero(model.body_weldid[model.geom_bodyid] == body)
+        if len(geoms):
+            touching[body] = bool(is_solid[geoms].any())
+    for body in lasts:
+        carrier = int(model.body_weldid[model.body_parentid[body]])
+        others = [touching[one] for one in lasts if one != body and one in touching]
+        compared = others or [touching.get(carrier, False)]
+        if not touching.get(body, True) and all(compared):
+            name = body_name(robot, body)
+            yield (
+                f"no shape of {name} can touch anything",
+                f"contype and conaffinity of a shape of {name}",
+            )
+
+
+def _beyond(robot: Robot) -> Iterator[Wrong]:
+    """Yield joints that the first keyframe places beyond their range."""
+    model = robot.model
+    if not model.nkey:
+        return
+    pose = model.key_qpos[home_key(model)]
+    is_own = np.isin(model.jnt_bodyid, robot.bodies) & (model.jnt_limited != 0)
+    for joint in np.flatnonzero(is_own & joints_of(model, "HINGE", "SLIDE")).tolist():
+        low, high = model.jnt_range[joint]
+        place = float(pose[model.jnt_qposadr[joint]])
+        if not low - BEYOND * (high - low) <= place <= high + BEYOND * (high - low):
+            name = name_of(robot, joint)
+            yield (
+                f"the keyframe places {name} at {place:.3g}, beyond its range of {low:.3g} to {high:.3g}",
+                f"the range of {name}, or its place in the keyframe",
+            )
+
+
 def _on_one_line(robot: Robot) -> Iterator[Wrong]:
     """Yield a driven hinge about the same line as the one that carries it: one of them turns nothing more."""
     model, data, driven = robot.model, zero_pose(robot), driven_dofs(robot)
@@ -190,5 +243,7 @@ CHECKS: tuple[Callable[[Robot], Iterator[Wrong]], ...] = (
     _fingers,
     _sensors,
     _on_one_line,
+    _ghosts,
+    _beyond,
 )
 """What is tried, causes before their effects."""
