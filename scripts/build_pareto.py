@@ -155,17 +155,6 @@ def sweeps(engine: str) -> Iterator[Sweep]:
             )
 
 
-def request_of(sweep: Sweep, settings: Mapping[str, Any], seed: int) -> RunRequest:
-    """Return the request of one run."""
-    return RunRequest(
-        sweep.variant,
-        backend=sweep.engine,
-        settings=dict(settings),
-        parameters=sweep.parameters,
-        seed=seed,
-    )
-
-
 def run_engine(engine: str, folder: Path) -> None:
     """Run what a folder lacks of one engine."""
     try:
@@ -202,7 +191,14 @@ def run_engine(engine: str, folder: Path) -> None:
 
 def run(sweep: Sweep, settings: Mapping[str, Any], seed: int, folder: Path) -> Result:
     """Return one run, from a folder that has it or a new one."""
-    (result,) = run_many([request_of(sweep, settings, seed)], out=folder, resume=True)
+    request = RunRequest(
+        sweep.variant,
+        backend=sweep.engine,
+        settings=dict(settings),
+        parameters=sweep.parameters,
+        seed=seed,
+    )
+    (result,) = run_many([request], out=folder, resume=True)
     outcome = f"{result.outcome.value} {result.cpu_s or 0.0:.2f} s {result.error or ''}".rstrip()
     print(f"{sweep.engine} {sweep.variant} {dict(settings)} {outcome}", flush=True)
     return result
@@ -308,17 +304,10 @@ def sufficient(family: Family | None) -> str:
     """Return the sufficient step of a series and its cost over MuJoCo's; empty if the series did not run."""
     if family is None:
         return ""
-    point = next(
-        (
-            p
-            for p in family.points
-            if p.is_on_main_line and p.step_s == family.sufficient_step_s
-        ),
-        None,
-    )
-    if family.sufficient_step_s is None or point is None:
-        return "not resolved"
-    return f"{step_text(family.sufficient_step_s)}, {point.cost_ratio:.2g}"
+    for point in family.points:
+        if point.is_on_main_line and point.step_s == family.sufficient_step_s:
+            return f"{step_text(point.step_s)}, {point.cost_ratio:.2g}"
+    return "not resolved"
 
 
 def stored() -> tuple[dict[str, Any], Tradeoff]:

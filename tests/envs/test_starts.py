@@ -116,6 +116,12 @@ def test_a_world_that_starts_elsewhere_has_the_bits_of_a_new_one(name, speed):
     assert env.simulation is first
     assert env.trajectory().samples.tobytes() == anew.trajectory().samples.tobytes()
     assert np.array_equal(env.trajectory().bodies, anew.trajectory().bodies)
+    # So are the bounds of divergence.
+    scene = anew.episode.experiment.scene
+    places = np.zeros((2, len(scene.dynamic_bodies), 13))
+    places[:, :1, 0] = scene.distance_limit_m * np.array([[1 - 1e-9], [1 + 1e-9]])
+    faults = [env.episode.fault_of(one) is not None for one in places]
+    assert faults == [False, places.any()]
     # A copy is built at the start that holds now.
     other = copy.deepcopy(env)
     for one in (env, other):
@@ -134,9 +140,10 @@ def test_starts_stay_without_scatter():
 
 def test_seeds_mean_what_gymnasium_says():
     env = gym.make(SLIDE, jitter="real")
-    first = [start_mm(env, seed=2), *(start_mm(env) for _ in range(3))]
+    first, again = (
+        [start_mm(env, seed=2), *(start_mm(env) for _ in range(3))] for _ in "12"
+    )
     assert len(np.unique(np.round(first, 6), axis=0)) == 4
-    again = [start_mm(env, seed=2), *(start_mm(env) for _ in range(3))]
     assert np.array_equal(first, again)
     other = gym.make(SLIDE, jitter="real")
     assert not np.allclose(start_mm(other), start_mm(gym.make(SLIDE, jitter="real")))
@@ -239,12 +246,8 @@ def test_worlds_of_a_control_task_scatter_after_autoreset(arguments, options):
     task = "GAUGE/Throw-Limit-rubber"
     envs = gym.make_vec(task, num_envs=2, **arguments)
     sync = SyncVectorEnv([lambda: gym.make(task, **arguments)] * 2)
-
-    def copied(observations):
-        return np.array(observations)
-
     found, singles = (
-        starts_of_episodes(one, 3, {"seed": 0, "options": options}, copied)
+        starts_of_episodes(one, 3, {"seed": 0, "options": options}, np.array)
         for one in (envs, sync)
     )
     assert np.array_equal(found, singles)
