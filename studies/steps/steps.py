@@ -88,8 +88,7 @@ class StepError:
 def read_rows(file: Path = FILE) -> list[StepError]:
     """Read the table."""
     with file.open(newline="", encoding="utf-8") as lines:
-        rows = [*csv.DictReader(lines)]
-    return TypeAdapter(list[StepError]).validate_python(rows)
+        return TypeAdapter(list[StepError]).validate_python([*csv.DictReader(lines)])
 
 
 def longest_step(rows: Iterable[StepError], share: float) -> int | None:
@@ -135,8 +134,7 @@ def episode(name: str, steps_per_s: int, seed: int | None) -> Trajectory:
     if not name.startswith(DEFAULT_TOLERANCE):
         settings["preset"] = "training"
     env = GaugeEnv(name, settings=settings, marker_proxy="material")
-    options = None if seed is None else {"jitter": True}
-    env.reset(seed=seed or 0, options=options)
+    env.reset(seed=seed or 0, options={"jitter": seed is not None})
     env.episode.play()
     env.close()
     return env.trajectory()
