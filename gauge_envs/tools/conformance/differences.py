@@ -7,6 +7,9 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from gauge_envs.scene import GRAVITY_M_PER_S2 as G
+from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
+
 Array = NDArray[np.float64]
 
 LEAST = 1e-4
@@ -16,6 +19,10 @@ CLOSE = 1e-3
 
 A true cause leaves rounding, 1e-6 in single precision; another start of a ball may leave 4e-3 of a late reading.
 """
+SHARE = 1e-2
+"""Share of an acceleration by which a world may be off."""
+FALL = np.array([0.0, 0.0, G * SAMPLE_INTERVAL_S])
+"""What a free body has lost of its velocity after the first interval [m/s]."""
 BALL, BRICK, PLATE = range(3)
 """Columns of the bodies."""
 
@@ -39,7 +46,7 @@ def cause_of(here: Array, law: Array, others: Mapping[int, Array], mean: Array) 
     return (
         _reading(here, law, mean, tolerance)
         or _lost_intervals(here[:, BALL], law[:, BALL], tolerance)
-        or _first_part(here, law)
+        or _first_part(here, law, others)
     )
 
 
@@ -77,7 +84,75 @@ def _lost_intervals(ball: Array, law: Array, tolerance: float) -> str:
     )
 
 
-def _first_part(here: Array, law: Array) -> str:
+def which(wrong: NDArray[np.bool_]) -> str:
+    """Return which worlds are wrong in words, from a mark for each."""
+    count, numbers = len(wrong), np.arange(len(wrong))
+    for text, marks in (
+        ("all worlds", numbers >= 0),
+        ("the odd worlds", numbers % 2 == 1),
+        ("the even worlds", numbers % 2 == 0),
+        ("the second half of the worlds", numbers >= count // 2),
+        ("the first half of the worlds", numbers < count // 2),
+        ("the last world alone", numbers == count - 1),
+        ("all worlds but the first", numbers > 0),
+    ):
+        if np.array_equal(wrong, marks):
+            return text
+    return f"{wrong.sum()} of {count} worlds, the first of them world {wrong.argmax()}"
+
+
+def cause_of_told(told: Mapping[str, Array], shares: Array) -> str:
+    """Return what explains that worlds do not follow what they are told; empty where nothing known does.
+
+    Args:
+        told: What sets the acceleration of each world in proportion, the amount that is told first, by name, shape
+            [world_count].
+        shares: Acceleration in each interval over what it should be, shape [T, world_count].
+    """
+    ratios = shares.mean(axis=0)
+    wrong = np.abs(ratios - 1.0) > SHARE
+    if not wrong.any():
+        return ""
+    part, what = shares[:, wrong], next(iter(told))
+    missing = np.abs(part - 1.0).max(axis=1) > 0.1
+    count = int(missing.sum())
+    start = f"in {which(wrong)} "
+    if 0 < count < len(part):
+        when = (
+            f"in {count} of {len(part)} intervals, first in interval {missing.argmax()}"
+        )
+        if missing[:count].all():
+            late = (
+                "the first interval" if count == 1 else f"the first {count} intervals"
+            )
+            when = f"in {late}, and right after: it comes late, or is lost there"
+        return f"{start}the {what} is wrong {when}"
+    if np.ptp(ratios[wrong]) < SHARE:
+        share = float(part.mean())
+        mass = f", or {1.0 / share:.3g} times the mass" if len(told) > 1 else ""
+        return f"{start}{share:.3g} times the {what} acts{mass}, at all times"
+    numbers = np.arange(len(wrong))
+    for name, amounts in told.items():
+        acts = amounts * ratios
+        others = {
+            "of the world before": np.roll(amounts, 1),
+            "of the world after": np.roll(amounts, -1),
+            "of the neighbour in a pair": amounts[np.minimum(numbers ^ 1, numbers[-1])],
+            "of the first world": np.full_like(acts, amounts[0]),
+            "of the last world": np.full_like(acts, amounts[-1]),
+            "of the worlds in reverse": amounts[::-1],
+            "in the mean of all worlds": np.full_like(acts, amounts.mean()),
+        }
+        for whose, other in others.items():
+            for share in (1.0, 0.5):
+                mixed = share * other + (1.0 - share) * amounts
+                if np.abs(acts / mixed - 1.0)[wrong].max() < SHARE:
+                    half = "" if share == 1.0 else "half of its own and half of "
+                    return f"{start}{half}the {name} {whose} acts"
+    return ""
+
+
+def _first_part(here: Array, law: Array, others: Mapping[int, Array]) -> str:
     """Return the body that differs alone or first, and what its first difference is of."""
     apart = np.abs(here - law)
     if apart[:, PLATE].max() > LEAST:
@@ -87,6 +162,17 @@ def _first_part(here: Array, law: Array) -> str:
         return ""
     name, body = ("brick", BRICK) if other > LEAST else ("ball", BALL)
     alone = f"the {name} alone differs, "
+    if apart[0, body, 7:10].max() > LEAST:
+        start = (
+            f"{alone}from the first interval on by its velocity: its start velocity is "
+        )
+        speeds = [one[0, body, 7:10] + FALL for one in (here, law)]
+        for number, course in others.items():
+            if np.abs(course[0, body, 7:10] + FALL - speeds[0]).max() < LEAST:
+                return f"{start}that of world {number}"
+        share = float(speeds[0] @ speeds[1] / (speeds[1] @ speeds[1]))
+        is_scaled = np.abs(speeds[0] - share * speeds[1]).max() < LEAST
+        return start + (f"{share:.3g} times its own" if is_scaled else "another one")
     if apart[0, body, :3].max() > LEAST:
         return f"{alone}from the first interval on by its place: its start position is that of another world"
     first = int(np.flatnonzero(apart[:, body].max(axis=1) > LEAST)[0])
@@ -94,8 +180,6 @@ def _first_part(here: Array, law: Array) -> str:
         return (
             f"{alone}which slides on the plate: its friction is that of another world"
         )
-    if first == 0:
-        return f"{alone}from the first interval on by its velocity: its start velocity is that of another world"
     # The course before is free flight, in which contacts have no part.
     turns = apart[first, body, 10:].max() > apart[first, body, 7:10].max()
     what = "friction" if turns else "restitution"

@@ -19,6 +19,8 @@ Array = NDArray[np.float64]
 
 FAR_MM, FAR_DEG = 0.5, 0.5
 """Distances and angles from which on they are facts."""
+LEAST_DRIVE = 5e-5
+"""Distance [m] or angle [rad] from where it is driven from which on the motion of a driven body shows its cause."""
 LEAST_TURN_RAD = 0.05
 """Rotation from which on a hinge shows its anchor."""
 
@@ -38,6 +40,18 @@ def _starts(rollout: Rollout) -> Iterator[str]:
             yield f"the position of the {body.name} at the start is off by {_vector(off_mm)} mm"
         if turned_deg > FAR_DEG:
             yield f"the orientation of the {body.name} at the start is off by {turned_deg:.3g} degrees"
+    for body in rollout.scene.dynamic_bodies:
+        start = rollout.states[body.name][0]
+        for what, found, stated, unit in (
+            ("velocity", start[7:10], body.linear_velocity_m_per_s, "m/s"),
+            ("angular velocity", start[10:], body.angular_velocity_rad_per_s, "rad/s"),
+        ):
+            asked = np.array(stated)
+            if np.linalg.norm(found - asked) > 1e-3 + 5e-3 * np.linalg.norm(asked):
+                yield (
+                    f"the {what} of the {body.name} at the start is {_vector(found)} {unit} instead of "
+                    f"{_vector(asked)}"
+                )
 
 
 def _driven(rollout: Rollout) -> Iterator[str]:
@@ -55,6 +69,52 @@ def _driven(rollout: Rollout) -> Iterator[str]:
             if off[1:].min() > max(least, 0.7 * off.max()):
                 text = what.format(off.max())
                 yield f"the driven {name} has a {text} from where it is driven at all times"
+        law = np.hstack([_course(asked[:, :3], turns), asked[:, 7:13]])
+        found = _course(rollout.position(name), rollout.rotation(name))
+        if cause := _wrong_drive(found, law, rollout.interval_s):
+            yield f"the driven {name} {cause}"
+
+
+def _course(places_m: Array, rotations: Rotation) -> Array:
+    """Return places [m] and rotations from the start [rad], shape [T, 6]."""
+    return np.hstack([places_m, (rotations * rotations[0].inv()).as_rotvec()])
+
+
+def _wrong_drive(found: Array, law: Array, interval_s: float) -> str:
+    """Return what alone explains how a driven body moves; empty where it moves as driven, or nothing known does.
+
+    Args:
+        found: Course of the body, shape [T, 6].
+        law: Course that is driven, and its rates, shape [T, 12].
+        interval_s: Time between samples [s].
+    """
+    asked, steps = law[:, :6], interval_s * law[:-1, 6:]
+    off = found - asked
+    apart = np.abs(off).max(axis=1)
+    size = float(apart.max())
+    if size < LEAST_DRIVE:
+        return ""
+    for lag in range(1, len(asked) - 1):
+        late = asked[np.maximum(np.arange(len(asked)) - lag, 0)]
+        if np.abs(found - late).max() < 0.1 * size:
+            without = ", or must have a velocity" if lag == 1 else ""
+            return f"comes {lag * interval_s:.3g} s late{without}"
+    # An interval starts where the body is driven, and ends by the velocity and the acceleration that drive() gives.
+    for what, parts in (
+        ("displacement", asked[1:] - asked[0]),
+        ("velocity that drive() gives", steps),
+        ("acceleration that drive() gives", np.diff(asked, axis=0) - steps),
+    ):
+        share = float((off[1:] * parts).sum() / max(np.square(parts).sum(), 1e-12))
+        if np.abs(off[1:] - share * parts).max() < 0.1 * size:
+            return f"moves as if the {what} were {1.0 + share:.3g} times what it is"
+        if np.abs(off[2:] + np.diff(parts, axis=0)).max() < 0.1 * size:
+            return f"moves as if the {what} were that of the interval before"
+    wrong = interval_s * np.flatnonzero(apart > 0.1 * size)
+    # Each interval starts anew, so that what is further off than one interval moves is a place.
+    if size < 2.0 * np.abs(steps).max() or apart[-1] > 0.1 * size:
+        return ""
+    return f"is elsewhere from {wrong[0]:.3g} to {wrong[-1]:.3g} s alone, by up to {1e3 * size:.3g} mm"
 
 
 def _hinges(rollout: Rollout) -> Iterator[str]:

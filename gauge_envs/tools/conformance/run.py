@@ -146,22 +146,30 @@ def _eliminated(failed: str, run: Callable[[Check], _Run]) -> tuple[str, bool]:
         run: Function that runs a check.
     """
     passed: list[str] = []
-    for name in texts_of_checks()["elementary"]:
+    texts, simplest, found = texts_of_checks(), failed, "No simpler check fails."
+
+    def outcome_of(name: str) -> Outcome | None:
+        return run(*checks([name])).outcome
+
+    for name in texts["elementary"]:
         if name == failed:
             break
-        if _kind_of_body(name) != _kind_of_body(failed):
+        if not _may_show(name, failed):
             continue
-        (one,) = checks([name])
-        outcome = run(one).outcome
+        outcome = outcome_of(name)
         if outcome is None or outcome.status is Status.DECLINED:
             continue
         if outcome.status is not Status.PASS:
-            return (
-                f"{_tried(passed)}The simplest that fails is {name}: {outcome.diagnosis}",
-                True,
-            )
+            simplest = name
+            found = f"The simplest that fails is {name}: {outcome.diagnosis}"
+            break
         passed.append(name)
-    return f"{_tried(passed)}No simpler check fails.", False
+    if simplest in texts["excludes"]:
+        other, left = texts["excludes"][simplest]
+        outcome = outcome_of(other)
+        if outcome is not None and outcome.status is Status.PASS:
+            found += f"{'' if found.endswith('.') else '.'} {other} passes: {left}."
+    return f"{_tried(passed)}{found}", simplest != failed
 
 
 def _tried(passed: Sequence[str]) -> str:
@@ -171,10 +179,13 @@ def _tried(passed: Sequence[str]) -> str:
     return f"Tried: {passed[0]} to {passed[-1]} ({len(passed)} checks) pass. "
 
 
-def _kind_of_body(name: str) -> str:
-    """Return the kind of deformable body of a check; empty for rigid bodies."""
-    kind = name.split("-")[0]
-    return kind if kind in ("cloth", "foam", "rope", "rod", "air") else ""
+def _may_show(name: str, failed: str) -> bool:
+    """Return whether a check has the kind of deformable body of one that failed; those of batches may follow others."""
+    kind, kind_of_failed = (
+        one if one in ("cloth", "foam", "rope", "rod", "air", "worlds") else ""
+        for one in (name.split("-")[0], failed.split("-")[0])
+    )
+    return kind == kind_of_failed or (kind_of_failed == "worlds" and not kind)
 
 
 def _run_there(worker: Worker, task: bytes, one: Check) -> _Run:

@@ -7,7 +7,7 @@ all are compared with a batch of the same scenes that are each one place further
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import replace
 from typing import Any
@@ -34,7 +34,7 @@ from gauge_envs.tools.bench.parts import (
 )
 from gauge_envs.tools.conformance import joints
 from gauge_envs.tools.conformance.contract import one_sign, parts_apart
-from gauge_envs.tools.conformance.differences import LEAST, cause_of
+from gauge_envs.tools.conformance.differences import LEAST, cause_of, cause_of_told
 from gauge_envs.tools.conformance.lab import Lab
 from gauge_envs.tools.conformance.model import Check, Measurement, Recorded
 
@@ -272,13 +272,14 @@ def _worlds_restart(lab: Lab) -> Measurement:
     return _difference(found, expected, restarted)
 
 
-PUSH_N, PUSHED_S = 0.2, 30 * SAMPLE_INTERVAL_S
+PUSH_N, TOLD = 0.2, 30
+"""Force [N], and number of intervals."""
 
 
 def _told(
     lab: Lab, scenes: list[Scene], tell: Callable[[Worlds, Numbers], None]
 ) -> Array:
-    """Return the states of the body of each world, shape [world_count, 13].
+    """Return the states of the body of each world, shape [TOLD, world_count, 13].
 
     In each interval half of the worlds are told first, and then the others.
 
@@ -290,22 +291,35 @@ def _told(
     with closing(_built(lab, scenes)) as worlds:
         worlds.reset(0)
         every = np.arange(len(scenes))
-        for _ in range(30):
+        (name,) = (one.name for one in scenes[0].bodies)
+        rows = []
+        for _ in range(TOLD):
             for numbers in (every[::2], every[1::2]):
                 try:
                     tell(worlds, numbers)
                 except BackendError as error:
                     raise DeclinedError((str(error),)) from error
             worlds.advance(SAMPLE_INTERVAL_S)
-        (name,) = (one.name for one in scenes[0].bodies)
-        return np.array(worlds.body_states([name]))[:, 0]
+            rows.append(np.array(worlds.body_states([name]))[:, 0])
+        return np.array(rows)
 
 
-def _worst(ratios: Array) -> Measurement:
-    """Return the ratio that is farthest from 1, and name its world."""
+def _worst(told: Mapping[str, Array], rates: Array, gains: Array) -> Measurement:
+    """Return the ratio that is farthest from 1, name its world, and find what explains it.
+
+    Args:
+        told: What sets the acceleration of each world, as in `cause_of_told`.
+        rates: Velocity of each world at the end of each interval, shape [TOLD, world_count].
+        gains: What the velocity should gain in an interval in each world, shape [world_count].
+    """
+    shares = np.diff(rates, axis=0, prepend=0.0 * rates[:1]) / gains
+    ratios = shares.mean(axis=0)
     world = int(np.abs(ratios - 1.0).argmax())
     hint = f"in world {world}; {np.sum(np.abs(ratios - 1.0) > 0.01)} of {len(ratios)} are off by more than 1 %"
-    return Measurement(measured=float(ratios[world]), expected=1.0, hint=hint)
+    cause = cause_of_told(told, shares)
+    return Measurement(
+        measured=float(ratios[world]), expected=1.0, hint=hint, cause=cause
+    )
 
 
 @Check(
@@ -319,7 +333,7 @@ def _worlds_wrench(lab: Lab) -> Measurement:
             bodies=(
                 replace(box("brick", (0.0, 0.0, 0.0), (0.06, 0.05, 0.03)), mass_kg=one),
             ),
-            duration_s=PUSHED_S,
+            duration_s=TOLD * SAMPLE_INTERVAL_S,
             gravity_m_per_s2=0.0,
         )
         for one in masses_kg.tolist()
@@ -331,7 +345,8 @@ def _worlds_wrench(lab: Lab) -> Measurement:
         scenes,
         lambda worlds, some: worlds.apply_wrench("brick", wrenches[some], some),
     )
-    return _worst(states[:, 8] * masses_kg / (forces_n * PUSHED_S))
+    gains = forces_n / masses_kg * SAMPLE_INTERVAL_S
+    return _worst({"force": forces_n, "mass": 1.0 / masses_kg}, states[..., 8], gains)
 
 
 @Check("worlds-command", scene="worlds of a bar on a hinge, each with another torque")
@@ -343,8 +358,9 @@ def _worlds_command(lab: Lab) -> Measurement:
         [joints.motor_scene()] * len(numbers),
         lambda worlds, some: worlds.command(torques_n_m[some, None], some),
     )
-    rates = states[:, 10:] @ joints.AXIS
-    return _worst(rates * joints.INERTIA / (torques_n_m * PUSHED_S))
+    gains = torques_n_m / joints.INERTIA * SAMPLE_INTERVAL_S
+    rates = states[..., 10:] @ joints.AXIS
+    return _worst({"command": torques_n_m}, rates, gains)
 
 
 @Check("worlds-device", scene=f"{WHAT}, in arrays of the device")
