@@ -129,7 +129,13 @@ def cause_of_told(told: Mapping[str, Array], shares: Array) -> str:
         return f"{start}the {what} is wrong {when}"
     if np.ptp(ratios[wrong]) < SHARE:
         share = float(part.mean())
-        mass = f", or {1.0 / share:.3g} times the mass" if len(told) > 1 else ""
+        if abs(share) < SHARE:
+            return f"{start}no {what} acts: it is ignored, or they lose it when others are told"
+        mass = (
+            f", or {1.0 / share:.3g} times the mass"
+            if share and told.keys() - {what}
+            else ""
+        )
         return f"{start}{share:.3g} times the {what} acts{mass}, at all times"
     numbers = np.arange(len(wrong))
     for name, amounts in told.items():
@@ -162,7 +168,7 @@ def _first_part(here: Array, law: Array, others: Mapping[int, Array]) -> str:
         return ""
     name, body = ("brick", BRICK) if other > LEAST else ("ball", BALL)
     alone = f"the {name} alone differs, "
-    if apart[0, body, 7:10].max() > LEAST:
+    if body == BALL and apart[0, body, 7:10].max() > LEAST:
         start = (
             f"{alone}from the first interval on by its velocity: its start velocity is "
         )

@@ -28,7 +28,7 @@ cloth-restore            restore-velocity                                   velo
 drop-energy              gains-energy                                       the engine makes energy
 foam-pinned-face         nodes-lag                                          one interval (1/180 s) late
 foam-start               nodes-millimetres                                  nodes are world positions
-free-fall-turn           starts-turning                                     convention
+free-fall-turn           starts-turning                                     of the brick at the start is
 inertia-box              quaternion-inside                                  w, x, y, z was read as x, y, z, w
 joint-stick              joint-dry-viscous                                  viscous at low speed
 pendulum-energy          hinge-damping                                      damped
@@ -103,8 +103,8 @@ driven-turned-path       drive.spin:swap:0-1                                orie
 worlds-reset             batch.reset:kth:last                               reset must return all worlds
 worlds-restart           batch.restart:crowd:all                            which goes on, differs most
 worlds-restart           batch.restart:crowd:next-too                       which goes on, differs most
-worlds-wrench            batch.RigidBody.mass_kg:kth:second-0.8             the mass of another world
-worlds-command           batch.command:stale:first-for-all                  the command of another world
+worlds-wrench            batch.RigidBody.mass_kg:kth:second-0.8             0.8 times the mass
+worlds-command           batch.command:stale:first-for-all                  command of the first world
 rod-bending              Rod.young_modulus_pa:scale:1.25                    bends
 rod-bending              Rod.radius_m:scale:1.25                            radius
 rod-bending              Rod.mass_kg:scale:1.25                             mass of the nodes
@@ -156,9 +156,9 @@ joint-armature           JointDynamics.armature_kg_m2:drop:none             the 
 joint-backlash           JointDynamics.backlash_rad:scale:1.6               half of the play
 joint-limit              Servo.torque_limit_n_m:drop:none                   the limit is a torque
 grasp-slips              Contact.friction:scale:0.8                         that both pads rub
-driven-velocity          drive.velocity:drop:all                            no velocity
-carry-line               drive.velocity:drop:all                            must have a velocity
-carry-turn               drive.spin:drop:all                                must have a velocity
+driven-velocity          drive.velocity:drop:all                            without velocity
+carry-line               drive.velocity:drop:all                            without velocity
+carry-turn               drive.spin:drop:all                                without velocity
 carry-slip               Contact.friction:scale:0.8                         is not the pair's
 pushed-ball              drive.velocity:drop:all                            without velocity
 driven-turned-path       drive.acceleration:drop:all                        acceleration that drive() gives
