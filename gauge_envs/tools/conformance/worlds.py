@@ -327,7 +327,8 @@ def _worst(told: Mapping[str, Array], rates: Array, gains: Array) -> Measurement
 )
 def _worlds_wrench(lab: Lab) -> Measurement:
     numbers = _numbers(lab)
-    masses_kg, forces_n = 0.2 + 0.01 * numbers, PUSH_N * (1 + numbers % 5)
+    masses_kg: Array = 0.2 + 0.01 * numbers.astype(np.float64)
+    forces_n: Array = PUSH_N * (1 + numbers % 5).astype(np.float64)
     scenes = [
         Scene(
             bodies=(
@@ -345,8 +346,9 @@ def _worlds_wrench(lab: Lab) -> Measurement:
         scenes,
         lambda worlds, some: worlds.apply_wrench("brick", wrenches[some], some),
     )
+    told = {"force": forces_n, "mass": 1.0 / masses_kg}
     gains = forces_n / masses_kg * SAMPLE_INTERVAL_S
-    return _worst({"force": forces_n, "mass": 1.0 / masses_kg}, states[..., 8], gains)
+    return _worst(told, states[..., 8], gains)
 
 
 @Check("worlds-command", scene="worlds of a bar on a hinge, each with another torque")
