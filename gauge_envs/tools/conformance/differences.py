@@ -94,7 +94,6 @@ def which(wrong: NDArray[np.bool_]) -> str:
         ("the second half of the worlds", numbers >= count // 2),
         ("the first half of the worlds", numbers < count // 2),
         ("the last world alone", numbers == count - 1),
-        ("all worlds but the first", numbers > 0),
     ):
         if np.array_equal(wrong, marks):
             return text
@@ -146,7 +145,6 @@ def cause_of_told(told: Mapping[str, Array], shares: Array) -> str:
             "of the neighbour in a pair": amounts[np.minimum(numbers ^ 1, numbers[-1])],
             "of the first world": np.full_like(acts, amounts[0]),
             "of the last world": np.full_like(acts, amounts[-1]),
-            "of the worlds in reverse": amounts[::-1],
             "in the mean of all worlds": np.full_like(acts, amounts.mean()),
         }
         for whose, other in others.items():
