@@ -82,7 +82,10 @@ def faults_of(
     usual = float(np.median(early)) if is_first else 1.0
     changes = np.nan_to_num(track.size_ratio[found] / usual - 1.0)
     odd = np.abs(changes) > MOST_SIZE_CHANGE
-    if np.count_nonzero(odd) > MOST_MISSING * len(rows):
+    inside = [one for one in track.events if _counts(one, track, first, last)]
+    # Two alike objects that meet are seen as one, of another size and shape.
+    is_alone = all(one.kind != "duplicated" for one in inside)
+    if is_alone and np.count_nonzero(odd) > MOST_MISSING * len(rows):
         worst = changes[np.abs(changes).argmax()]
         faults.append(
             f"the object changes its size by up to {worst:+.0%} in frames {_runs(track.frames[found[odd]])}"
@@ -102,8 +105,11 @@ def faults_of(
         "" if span is None else clock_fault(track, task, span, noise_px(track, span))
     )
     faults += [clock] if clock else []
-    inside = [one for one in track.events if _counts(one, track, first, last)]
-    faults += [one.text for one in inside if not one.is_note]
+    faults += [
+        one.text
+        for one in inside
+        if not one.is_note and (is_alone or one.kind != "shape")
+    ]
     return faults, [one.text for one in inside if one.is_note]
 
 
