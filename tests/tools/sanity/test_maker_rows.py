@@ -169,6 +169,26 @@ def test_the_published_numbers_are_the_cure(tmp_path, gauge):
     assert row((tmp_path / "mended.xml").read_text()).configured == 0.0
 
 
+def test_what_is_left_out_with_its_joint_is_no_mistake():
+    known = {
+        "motor": {"grip moves finger": 1.0, "lift moves arm": 1.0},
+        "joint-zero": {"arm": 0.0},
+        "tendon-length": {},
+        "site-place": {},
+        "mass": {"hand": 1.0},
+    }
+
+    def is_left_out(part):
+        one = maker_rows.Difference(
+            quantity="motor", part=part, value=float("nan"), published=1.0
+        )
+        return maker_rows.is_left_out(one, known)
+
+    assert not is_left_out("grip moves arm")
+    assert is_left_out("grip moves thumb")
+    assert is_left_out("turn moves arm")
+
+
 def test_families_are_parts_that_differ_in_one_word():
     found = families(["FL_calf", "FR_calf", "RL_calf", "RR_calf", "trunk"])
     assert frozenset({"FL_calf", "FR_calf"}) in found["FL_calf"]

@@ -240,15 +240,23 @@ def _end(connection: str) -> str:
     return re.split(" moves | reads | of ", connection)[0]
 
 
-def _is_left_out(one: Difference, known: Numbers) -> bool:
-    """Return whether a missing connection may be left out on purpose: its motor, sensor or tendon, or all its like."""
+def is_left_out(one: Difference, known: Numbers) -> bool:
+    """Return whether a missing connection may be left out on purpose.
+
+    That is with its motor, sensor or tendon, with what that moves or reads, or with all its like.
+    """
     stated = known[one.quantity]
     if not math.isnan(one.value):
         return False
-    has_end = _end(one.part) != one.part
-    return not (
-        any(_end(part) == _end(one.part) for part in stated) if has_end else stated
+    end, target = _end(one.part), one.part.split(" ")[-1]
+    if end == one.part:
+        return not stated
+    has_target = any(
+        part.split(" ")[0] == target
+        for name in ("joint-zero", "tendon-length", "site-place", "mass")
+        for part in known[name]
     )
+    return not has_target or all(_end(part) != end for part in stated)
 
 
 def differing(name: str, known: Numbers, model: Published) -> list[Difference]:
@@ -357,7 +365,7 @@ def compared(known: Numbers, versions: Sequence[Published]) -> Compared:
         parts = versions[0].numbers.get(name, {}).keys() & known[name].keys()
         is_chosen = name in FREE or (name == "pose" and len(off) > 1)
         if name in CONNECTIONS:
-            lost = [one for one in off if _is_left_out(one, known)]
+            lost = [one for one in off if is_left_out(one, known)]
             choices += lost
             off = [one for one in off if one not in lost]
             is_chosen = len(off) > FEW_LINKS and is_version(off, len(parts))
