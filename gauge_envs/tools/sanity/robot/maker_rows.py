@@ -229,9 +229,9 @@ def is_stated(one: Difference, known: Numbers, version: Published) -> bool:
     if not math.isnan(one.value):
         differences = differing(one.quantity, known, version)
         return one.part in stated and one.part not in {d.part for d in differences}
-    own = [part for part in known[one.quantity] if _end(part) == _end(one.part)]
-    if own:
-        return any(part in stated for part in own)
+    same_end = [part for part in known[one.quantity] if _end(part) == _end(one.part)]
+    if same_end:
+        return any(part in stated for part in same_end)
     return _end(one.part) not in map(_end, stated)
 
 
