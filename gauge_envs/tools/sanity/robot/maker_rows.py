@@ -449,6 +449,8 @@ def published_changes(
     motors = {int(model.actuator_trnid[a, 0]): a for a in motors_of(robot)}
     for one in differences:
         part, _, end = one.part.partition(" ")
+        if not math.isfinite(one.published):
+            return {}
         if one.quantity in OF_BODIES and part in bodies:
             changes[f"{OF_BODIES[one.quantity]}[{bodies[part]}]"] = one.published
         elif one.quantity == "inertia" and part in bodies:
@@ -466,7 +468,7 @@ def published_changes(
         elif one.quantity in ("kp", "kv", "motor-limit") and part in dofs:
             actuator = motors.get(int(model.dof_jntid[dofs[part]]), -1)
             gear = abs(float(model.actuator_gear[actuator, 0]))
-            if actuator < 0 or not gear or not math.isfinite(one.published):
+            if actuator < 0 or not gear:
                 return {}
             changes |= _of_servo(model, actuator, one, gear, changes)
         else:
