@@ -6,7 +6,7 @@ experiment.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from itertools import product
@@ -99,7 +99,16 @@ class Scene:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "_by_name", {body.name: body for body in self.bodies})
-        _check_pairs(self.contacts, self._moving, self.body_hinges)
+        for contact in self.contacts:
+            if (contact.torsion_m or contact.rolling_m) and not contact.friction:
+                raise ParameterError(
+                    f"scene: {contact.first[0]!r} and {contact.second[0]!r} touch with torsional or rolling friction "
+                    "and without sliding friction, on which engines build both: give a friction above 0"
+                )
+        # Names alone, which have a hash: what users put into a contact or a motor may have none.
+        touching = tuple((tuple(one.first), tuple(one.second)) for one in self.contacts)
+        joined = tuple((hinge.first, hinge.second) for hinge in self.body_hinges)
+        _check_pairs(touching, self._moving, joined)
         if self.air is not None and not any(
             isinstance(body, Cloth) for body in self.deformables
         ):
@@ -264,7 +273,7 @@ class Scene:
 
     def colliding_pairs(self, contact: Contact) -> Iterator[tuple[str, str]]:
         """Yield the distinct pairs of a contact of which at least one body is dynamic or deformable."""
-        yield from _colliding_pairs(contact, self._moving)
+        yield from _colliding_pairs(contact.first, contact.second, self._moving)
 
     @property
     def _moving(self) -> frozenset[str]:
@@ -378,10 +387,10 @@ class Scene:
 
 
 def _colliding_pairs(
-    contact: Contact, moving: frozenset[str]
+    first_names: Iterable[str], second_names: Iterable[str], moving: frozenset[str]
 ) -> Iterator[tuple[str, str]]:
     seen: set[tuple[str, str]] = set()
-    for pair in product(contact.first, contact.second):
+    for pair in product(first_names, second_names):
         first, second = pair
         if (
             first != second
@@ -394,19 +403,20 @@ def _colliding_pairs(
 
 @lru_cache(maxsize=64)
 def _check_pairs(
-    contacts: tuple[Contact, ...],
+    touching: tuple[tuple[tuple[str, ...], tuple[str, ...]], ...],
     moving: frozenset[str],
-    body_hinges: tuple[BodyHinge, ...],
+    joined: tuple[tuple[str, str], ...],
 ) -> None:
-    """Raise an error if two contacts list the same pair; of scenes with other starts it is checked once."""
+    """Raise an error if two contacts list the same pair; of scenes with other starts it is checked once.
+
+    Args:
+        touching: Names of both sides of each contact.
+        moving: Names of the dynamic and the deformable bodies.
+        joined: Names of the bodies of each hinge.
+    """
     seen: set[frozenset[str]] = set()
-    for contact in contacts:
-        if (contact.torsion_m or contact.rolling_m) and not contact.friction:
-            raise ParameterError(
-                f"scene: {contact.first[0]!r} and {contact.second[0]!r} touch with torsional or rolling friction "
-                "and without sliding friction, on which engines build both: give a friction above 0"
-            )
-        for first, second in _colliding_pairs(contact, moving):
+    for first_names, second_names in touching:
+        for first, second in _colliding_pairs(first_names, second_names, moving):
             pair = frozenset((first, second))
             if pair in seen:
                 raise ParameterError(
@@ -414,10 +424,10 @@ def _check_pairs(
                     "restitution and mode: remove it from one of the contacts"
                 )
             seen.add(pair)
-    for hinge in body_hinges:
-        if {hinge.first, hinge.second} in seen:
+    for first, second in joined:
+        if {first, second} in seen:
             raise ParameterError(
-                f"scene: a contact lists {hinge.first!r} and {hinge.second!r}, which a hinge joins. Engines let "
+                f"scene: a contact lists {first!r} and {second!r}, which a hinge joins. Engines let "
                 "joined bodies pass through each other: remove the pair from the contact"
             )
 

@@ -33,7 +33,7 @@ from gauge_envs.tools.film.panel import (
     Take,
     take_of,
 )
-from gauge_envs.tools.video.writer import (
+from gauge_envs.tools.video import (
     check_film_format,
     check_suffix,
     film_writer,

@@ -38,6 +38,11 @@ if TYPE_CHECKING:
         read_track as read_track,
         save_track as save_track,
     )
-    from gauge_envs.tools.video.writer import film_writer as film_writer
+    from gauge_envs.tools.video.writer import (
+        check_film_format as check_film_format,
+        check_suffix as check_suffix,
+        film_writer as film_writer,
+        written_whole as written_whole,
+    )
 else:
     __getattr__, __all__ = door(__name__)

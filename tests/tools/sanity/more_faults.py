@@ -553,6 +553,22 @@ FURTHER = planted(
             'qpos="0 -.5 1.2',
             'qpos="0 -.5 4.2',
         ),
+        "arm, a gyro of another site": (
+            "robot-wiring",
+            several(
+                replaced('(<body name="link1"[^>]*>)', r'\1<site name="base"/>'),
+                replaced('(<body name="link3"[^>]*>)', r'\1<site name="tip"/>'),
+                replaced(
+                    "</mujoco>",
+                    '<sensor><gyro name="tip_gyro" site="base"/><gyro name="base_gyro" site="base"/></sensor></mujoco>',
+                ),
+            ),
+        ),
+        "arm, a site in millimetres": (
+            "robot-wiring",
+            '(<body name="link3"[^>]*>)',
+            r'\1<site name="imu" pos="30 0 20"/>',
+        ),
         "arm, a lost armature": (
             "robot-rotor",
             '(name="joint3".*?armature=)"0.1"',

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Callable, Iterator
-from itertools import combinations
+from itertools import combinations, product
 
 import mujoco
 import numpy as np
@@ -35,6 +35,9 @@ from gauge_envs.tools.sanity.robot.whole_rows import are_twins
 
 BEYOND = 0.02
 """Distance of a pose beyond a range over the range up to which it is at the stop."""
+
+FAR = 2.0
+"""Distance of a site from its link over the size of the robot from which on it is not on the robot."""
 
 ON_ONE_LINE = 0.01
 """Distance of two parallel axes over the size of the robot up to which they are one axis."""
@@ -138,17 +141,35 @@ def _fingers(robot: Robot) -> Iterator[Wrong]:
 
 
 def _sensors(robot: Robot) -> Iterator[Wrong]:
-    """Yield sensors of joints that read another one than their name says."""
-    model = robot.model
+    """Yield sensors of joints and sites that read another one than their name says, and sites far away."""
+    model, data = robot.model, zero_pose(robot)
     joints = [name_of(robot, joint) for joint in range(model.njnt)]
-    for of_type in (mujoco.mjtSensor.mjSENS_JOINTPOS, mujoco.mjtSensor.mjSENS_JOINTVEL):
-        sensors = np.flatnonzero(model.sensor_type == int(of_type)).tolist()
+    sites = [model.site(site).name for site in range(model.nsite)]
+    is_of_site = model.sensor_objtype == int(mujoco.mjtObj.mjOBJ_SITE)
+    is_of_joint = model.sensor_objtype == int(mujoco.mjtObj.mjOBJ_JOINT)
+    for of_type, is_site in product(np.unique(model.sensor_type).tolist(), (0, 1)):
+        is_asked = is_of_site if is_site else is_of_joint
+        is_asked = is_asked & (model.sensor_type == of_type)
+        sensors = np.flatnonzero(is_asked).tolist()
+        names = sites if is_site else joints
         said = [model.sensor(sensor).name for sensor in sensors]
-        read = [name_of(robot, int(model.sensor_objid[sensor])) for sensor in sensors]
-        for place, meant in misread_joints(said, read, joints).items():
+        read = [names[model.sensor_objid[sensor]] for sensor in sensors]
+        for place, meant in misread_joints(said, read, names).items():
+            # Sites have names of many kinds: only one that two sensors of a type read was copied.
+            if is_site and read.count(read[place]) < 2:
+                continue
             yield (
                 f"sensor {said[place]} reads {read[place]}",
-                f"joint {meant} for the sensor {said[place]}",
+                f"{'site' if is_site else 'joint'} {meant} for the sensor {said[place]}",
+            )
+    for site in np.flatnonzero(np.isin(model.site_bodyid, robot.bodies)).tolist():
+        away_m = np.linalg.norm(
+            data.site_xpos[site] - data.xipos[model.site_bodyid[site]]
+        )
+        if away_m > FAR * size_m(robot):
+            yield (
+                f"site {sites[site]} lies {away_m:.3g} m away from its link",
+                f"pos of the site {sites[site]} in metres",
             )
 
 
