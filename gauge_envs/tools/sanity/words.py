@@ -180,7 +180,8 @@ def _advice_line(report: Report) -> str:
     off = [row.phenomenon for row in report.rows if row.verdict.is_off]
     if off:
         texts.append(f"advice that does not count: {', '.join(off)}")
-    if any(row.phenomenon == "robot-density" and row.parts for row in report.rows):
+    measured_rows = {row.phenomenon for row in report.rows if row.parts}
+    if "robot-density" in measured_rows and "robot-maker" not in measured_rows:
         texts.append(NOT_CHECKED)
     return "; ".join(texts)
 

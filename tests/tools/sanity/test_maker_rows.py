@@ -43,10 +43,10 @@ def test_each_published_model_has_a_source_and_known_quantities():
 
 
 @pytest.fixture
-def published(tmp_path, monkeypatch):
-    """The tests' own quadruped as the only published model."""
+def published(request, tmp_path, monkeypatch):
+    """The tests' own quadruped, or a changed one, as the only published model."""
     path = tmp_path / "quadruped.xml"
-    path.write_text(good_xml())
+    path.write_text(getattr(request, "param", good_xml()))
     for module in (maker_rows, tables):
         monkeypatch.setattr(module, "FOLDER", tmp_path)
     model = {"name": "dog", "robot": "Dog", "source": "1234567", "licence": "MIT"}
@@ -167,6 +167,17 @@ def test_the_published_numbers_are_the_cure(tmp_path, gauge):
     assert model.actuator("RR_knee").gainprm[0] == pytest.approx(80.0)
     assert model.joint("FL_knee").damping[0] == pytest.approx(0.5)
     assert row((tmp_path / "mended.xml").read_text()).configured == 0.0
+
+
+RUSTY = good_xml().replace('frictionloss="0.2"', 'frictionloss="20"')
+
+
+@pytest.mark.parametrize("published", [RUSTY], indirect=True)
+def test_a_published_mistake_is_cured_too(published, tmp_path, gauge):
+    (tmp_path / "dog.xml").write_text(RUSTY)
+    outcome = gauge("sanity", "dog.xml", "--only", "robot-maker,robot-frictionloss")
+    assert outcome.stdout.startswith("Mends most")
+    assert "frictionloss" in outcome.stdout.splitlines()[0]
 
 
 def test_what_is_left_out_with_its_joint_is_no_mistake():

@@ -447,7 +447,7 @@ def _armature(robot: Robot) -> Iterator[Remedy]:
     yield from elements_remedy(robot, of_elements("dof_armature", others))
     small = {dof: 1e-4 * armatures[dof] for dof in limits}
     rates = [limits[dof] / small[dof] for dof in wrong]
-    if LEAST_RAD_PER_S2 < np.median(rates) < 3.0 * FAIR_RAD_PER_S2:
+    if rates and LEAST_RAD_PER_S2 < np.median(rates) < 3.0 * FAIR_RAD_PER_S2:
         # Catalogues of motors state kg cm^2.
         yield from elements_remedy(robot, of_elements("dof_armature", small))
     yield from elements_remedy(
