@@ -30,18 +30,17 @@ from gauge_envs.evaluation.deviation import (
     sampled_frames,
     trial_distances,
 )
+from gauge_envs.evaluation.explained import Explained, explained
 from gauge_envs.evaluation.implied import ImpliedParameter, implied_parameters
 from gauge_envs.evaluation.likely_mistakes import value_mistake
 from gauge_envs.evaluation.metrics.trajectory import (
     band_coverage,
     dtw_path,
     mean_abs_z,
-    release_offsets,
     signed_error,
     trajectory_rmse,
     z_scores,
 )
-from gauge_envs.evaluation.numerics import interpolated
 from gauge_envs.evaluation.reference import reference_loads
 from gauge_envs.evaluation.swing import (
     EventTime,
@@ -57,141 +56,11 @@ from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.metrics import METRICS
 from gauge_envs.references.models import solved_model
 from gauge_envs.references.published import Baseline
-from gauge_envs.references.sensitivities import InputUncertainty, Sensitivities
+from gauge_envs.references.sensitivities import Sensitivities
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 VERIFICATION = "verification"
 """Value of `Score.primary` for a law and a solved model."""
-
-LEAST_SHARE = 0.01
-"""Share of an error below which an input explains nothing."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Explained:
-    """What one uncertain input can explain of the error that reports show first.
-
-    Attributes:
-        name: Name of the input, as `restitution ball/ground`.
-        kind: `constant`, `start`, `tilt` or `discretization`.
-        std: Its standard uncertainty, in `unit`.
-        unit: Unit of `std`.
-        source: Origin of `std`.
-        change: Change of the input that leaves the smallest error, in standard uncertainties, -1 to 1.
-        left: That error, in the unit of the score.
-    """
-
-    name: str
-    kind: str
-    std: float
-    unit: str
-    source: str
-    change: float
-    left: float
-
-
-def explained(
-    experiment: Experiment,
-    band: Band,
-    sensitivities: Sensitivities,
-    deviations: Deviations,
-    *,
-    times_s: FloatArray,
-    values: FloatArray,
-) -> tuple[Explained, ...]:
-    """Return what each input can explain of an error, the one that leaves the smallest first.
-
-    The change of an input is chosen to first order; the error that it leaves is then computed as that of a simulation.
-
-    Args:
-        experiment: Experiment that was simulated. An overridden constant has no published uncertainty.
-        band: Its reference. A law has the constants, the start and the tilt of the simulation.
-        sensitivities: Changes of the motion.
-        deviations: Deviations of the simulation from the band.
-        times_s: Times of its samples [s], shape [sample_count].
-        values: g(t) at those times, shape [sample_count, coordinate_count].
-    """
-    first, values = deviations.first, band.project(values)
-    offset_s = (deviations.release_offset_s or 0.0) if deviations.is_aligned else 0.0
-
-    def distances(moved: FloatArray) -> FloatArray:
-        if deviations.is_aligned:
-            return release_offsets(
-                times_s, moved, band.mean, frame_rate_hz=FRAME_RATE_HZ
-            )[1]
-        frames = (sampled_frames(experiment, times_s, one) for one in moved)
-        return np.array([trajectory_rmse(one, band.mean) for one in frames])
-
-    frames_s = np.arange(len(band.mean)) / FRAME_RATE_HZ
-    known = np.isfinite(first.values)
-    flat = np.where(known, first.values, 0.0).ravel()
-    along = (
-        np.zeros_like(flat)
-        if first.velocity is None
-        else np.where(known, first.velocity, 0.0).ravel()
-    )
-    along = along / max(float(np.linalg.norm(along)), 1e-300)
-    tried: list[tuple[InputUncertainty, float]] = []
-    moved_values: list[FloatArray] = []
-    for one in _inputs(experiment, band, sensitivities):
-        below = -one.change if one.change_below is None else one.change_below
-        for sign, table in ((1.0, one.change), (-1.0, below)):
-            moved = band.project(table[: len(band.mean)])
-            shape = np.where(known, _at(moved, frames_s - offset_s), 0.0).ravel()
-            shape = shape - (shape @ along) * along
-            slope, size = float(flat @ shape), float(shape @ shape)
-            if slope >= 0.0 or size == 0.0:
-                continue
-            change = _at(moved, times_s)
-            for share in {min(-slope / size, 1.0), 1.0}:
-                tried.append((one, sign * share))
-                moved_values.append(values + share * change)
-    if not tried:
-        return ()
-    found: dict[int, Explained] = {}
-    rests = distances(np.array(moved_values)).tolist()
-    limit = (1.0 - LEAST_SHARE) * first.rmse
-    for (one, change_share), rest in zip(tried, rests, strict=True):
-        best = found.get(id(one))
-        if rest < (limit if best is None else best.left):
-            found[id(one)] = Explained(
-                name=one.name,
-                kind=one.kind,
-                std=one.std,
-                unit=one.unit,
-                source=one.source,
-                change=change_share,
-                left=rest,
-            )
-    return tuple(sorted(found.values(), key=lambda one: one.left))
-
-
-def _inputs(
-    experiment: Experiment, band: Band, sensitivities: Sensitivities
-) -> Iterator[InputUncertainty]:
-    for one in sensitivities.inputs:
-        fits = (
-            len(one.change) >= len(band.mean)
-            and one.change.shape[1] == band.projection.shape[1]
-        )
-        is_shared = not band.grade.is_real and one.kind != "discretization"
-        is_replaced = bool(experiment.overrides) and one.kind == "constant"
-        if fits and not is_shared and not is_replaced:
-            yield one
-
-
-def _at(table: FloatArray, times_s: FloatArray) -> FloatArray:
-    """Return a change at any times: none before the start, and on the last line after the end."""
-    frames_s = np.arange(len(table)) / FRAME_RATE_HZ
-    last = (
-        table[-1]
-        + (table[-1] - table[-2])
-        * FRAME_RATE_HZ
-        * np.maximum(times_s - frames_s[-1], 0.0)[:, None]
-    )
-    inside = interpolated(times_s, frames_s, table)
-    return np.where(times_s[:, None] > frames_s[-1], last, inside)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,7 +12,8 @@ import pytest
 from hypothesis import example, given, settings, strategies as st
 from rich.console import Console
 
-from gauge_envs.evaluation.score import Explained, Score, Validation
+from gauge_envs.evaluation.explained import Explained
+from gauge_envs.evaluation.score import Score, Validation
 from gauge_envs.evaluation.verification import Verification
 from gauge_envs.pages.document import Terminal, as_markdown, as_rows
 from gauge_envs.pages.results import (
