@@ -81,6 +81,15 @@ SAME_FILE = 0.98
 STRENGTHS = ("motor-limit", "joint-force")
 """Quantities of the real motors, which whoever edits this very file has no reason to choose."""
 
+OF_TASKS = ("pose", "option", "exclude", "contype", "conaffinity")
+"""Quantities that those who train a robot of this very file change."""
+
+ALONE = (
+    *(("armature",), ("damping",), ("frictionloss",), ("stiffness",), STRENGTHS),
+    *(("geom-priority",), ("condim",), ("geom-friction",), ("site-place", "site-turn")),
+)
+"""Quantities that are no choice where all else is of this very file: it was edited in this alone."""
+
 MINORITY = 0.34
 """Share of the parts up to which those that differ are mistakes; if more differ, it is a choice or another version."""
 
@@ -388,6 +397,12 @@ def compared(known: Numbers, versions: Sequence[Published]) -> Compared:
         if len({one.part.split(" ")[0] for one in off}) > most_parts:
             choices += [one for one in mistakes if one.quantity in dropped]
             mistakes = [one for one in mistakes if one.quantity not in dropped]
+    off = [one for one in (*scaled, *mistakes, *choices) if one.quantity not in OF_TASKS]
+    is_rest_equal = equal_count(known, versions[0]) + len(off) >= SAME_FILE * total
+    names = {one.quantity for one in off}
+    if is_rest_equal and any(names <= {*group} for group in ALONE):
+        mistakes += [one for one in choices if one.quantity in names]
+        choices = [one for one in choices if one.quantity not in names]
     moved = [one for one in mistakes if one.quantity == "motor"]
     ends = {_end(one.part) for one in moved}
     parts_moved = [part for part in known["motor"] if _end(part) in ends]

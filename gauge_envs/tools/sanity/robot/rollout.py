@@ -216,6 +216,9 @@ def _energy(robot: Robot) -> Finding:
 
 # --- joint by joint --------------------------------------------------------------------------------------------------
 
+MOST_FACTOR = 10.0
+"""Factor of a gain up to which it is advised without a unit that explains it."""
+
 SWING_RAD = 0.1
 """Swing of a joint for which dry friction counts as damping [rad]."""
 
@@ -435,6 +438,16 @@ def deflecting_nm(robot: Robot) -> FloatArray:
     return loads
 
 
+def _sag_advice(name: str, sag_mrad: float) -> str:
+    """Return what may be wrong with a servo that sags too little or too much; a factor only where it is a likely one."""
+    low_mrad, high_mrad = limits_of("robot-sag")
+    factor = sag_mrad / (0.3 * high_mrad)
+    if sag_mrad < low_mrad:
+        return f"the masses that {name} carries in kg, or its kp in Nm/rad"
+    times = f": times {factor:.2g}" if factor <= MOST_FACTOR else ", or the masses that it carries"
+    return f"kp of {name} in Nm/rad, not per degree{times}"
+
+
 @row("robot-sag")
 def _sag(robot: Robot) -> Finding:
     weights, gains = deflecting_nm(robot), servo_gains(robot.model, 1)
@@ -464,7 +477,7 @@ def _sag(robot: Robot) -> Finding:
         value=sags[dof],
         parts=by_joint(robot, sags),
         remark=remark,
-        advice=f"kp of {joint_name(robot, dof)} in Nm/rad, not per degree: times {sags[dof] / (0.3 * high_mrad):.2g}",
+        advice=_sag_advice(joint_name(robot, dof), sags[dof]),
         advisory="a controller that knows its load does not sag"
         if sags[dof] < low_mrad
         else "",

@@ -25,6 +25,7 @@ from gauge_envs.tools.sanity.robot.remedy import (
 )
 from gauge_envs.tools.sanity.robot.robot import Robot
 from gauge_envs.tools.sanity.robot.rollout import (
+    MOST_FACTOR,
     deflecting_nm,
     has_stiff_servos,
     lone_half_step_s,
@@ -38,6 +39,9 @@ from gauge_envs.tools.sanity.robot.row_remedies import (
     weights_nm,
 )
 from gauge_envs.tools.sanity.robot.rows import ROWS
+
+LEAST_SAG_MRAD = 20.0
+"""Largest sag below which gains in another unit are too stiff: 12 to 97 in models of makers, 12 in a soft G1 [mrad]."""
 
 LARGEST_SAG_RAD = 0.15
 """Largest angle by which the weight may deflect a servo whose gain is scaled [rad]."""
@@ -180,11 +184,14 @@ def _sag(robot: Robot) -> Iterator[Remedy]:
     )
     yield from gear_remedies(robot)
     every = position_servos(robot)
-    for several in (every, soft) if len(soft) < len(every) else (every,):
+    largest_mrad = max(sags_mrad[a] for a in soft)
+    per_degree = (every, soft) if len(soft) < len(every) else (every,)
+    # Soft gains that are meant would make a servo stiffer than those of makers.
+    for several in per_degree if largest_mrad > PER_DEGREE * LEAST_SAG_MRAD else ():
         yield gains(robot, several, kp=PER_DEGREE)
         yield gains(robot, several, kp=PER_DEGREE, kv=PER_DEGREE)
-    scale = rounded(max(sags_mrad[a] for a in soft) / (0.3 * high_mrad))
-    for kv in (1.0, rounded(scale**0.5), scale):
+    scale = rounded(largest_mrad / (0.3 * high_mrad))
+    for kv in (1.0, rounded(scale**0.5), scale) if scale <= MOST_FACTOR else ():
         yield gains(robot, soft, kp=scale, kv=kv)
 
 
@@ -236,5 +243,6 @@ def _lag(robot: Robot) -> Iterator[Remedy]:
             if drag > 0.0:
                 yield from drag_remedies(robot, "damping", (PER_DEGREE,))
         scale = rounded(max(alone_ms[a] for a in slow) / (0.3 * high_ms))
-        yield gains(robot, slow, kv=rounded(1.0 / scale))
-        yield gains(robot, slow, kp=scale)
+        if scale <= MOST_FACTOR:
+            yield gains(robot, slow, kv=rounded(1.0 / scale))
+            yield gains(robot, slow, kp=scale)

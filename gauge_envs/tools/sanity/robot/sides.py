@@ -232,12 +232,18 @@ def _mirror(robot: Robot) -> Finding:
     if not parts:
         return Finding(declined="no two driven hinges with limits mirror each other")
     name = max(parts, key=parts.__getitem__)
+    worst = pairs[list(parts).index(name)]
     return Finding(
         value=parts[name],
         parts=parts,
-        remark=_ranges_text(robot, pairs[list(parts).index(name)]),
-        advice=f"the axis and range of {name} as on the other side: which way does it bend?",
+        remark=_ranges_text(robot, worst),
+        advice=f"the axis and range of {_both(robot, worst)}: which way does the real one bend?",
     )
+
+
+def _both(robot: Robot, pair: MirrorPair) -> str:
+    """Return the names of two joints of which the model does not say which is wrong."""
+    return f"{name_of(robot, pair.joint)} or {name_of(robot, pair.other)}"
 
 
 def _ranges_text(robot: Robot, pair: MirrorPair) -> str:
@@ -278,6 +284,9 @@ def _sides(robot: Robot) -> Finding:
         return Finding(declined=NOT_SYMMETRIC)
     worst = max(parts, key=parts.__getitem__)
     value, advice = parts[worst], f"the same for both: {worst}"
+    if worst.startswith(OWN_RANGE):
+        name = worst.removeprefix(f"{OWN_RANGE} of ").partition(" and ")[0]
+        advice = f"the ctrlrange of {name}, or its range: which is that of the real joint?"
     if worst.startswith(OF_GEOMETRY) and (pair := _first_misplaced(robot)):
         both = f"{name_of(robot, pair.joint)} and {name_of(robot, pair.other)}"
         several = [f"{quantity} of {both}" for quantity in OF_GEOMETRY]
