@@ -86,6 +86,13 @@ def _feet(robot: Robot) -> Finding:
     if (plane := _untouched_plane(robot)) is not None:
         name = geom_name(robot.model, plane)
         keys = ("geom_contype", "geom_conaffinity")
+        own = np.isin(robot.model.geom_bodyid, robot.bodies)
+        if not (robot.model.geom_contype | robot.model.geom_conaffinity)[own].any():
+            return Finding(
+                value=1.0,
+                remark=f"no shape of the robot can touch anything, so that it falls through {name}",
+                advice="contype and conaffinity of the class of its shapes that touch",
+            )
         return Finding(
             value=1.0,
             remark=f"{name}: the robot falls through it",

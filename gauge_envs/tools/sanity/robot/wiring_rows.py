@@ -7,6 +7,7 @@ from itertools import combinations, product
 import mujoco
 import numpy as np
 
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.robot.finding import (
     Finding,
     body_name,
@@ -15,6 +16,7 @@ from gauge_envs.tools.sanity.robot.finding import (
     row,
 )
 from gauge_envs.tools.sanity.robot.joints import driven_dofs, home_key, springs
+from gauge_envs.tools.sanity.robot.maker_rows import families
 from gauge_envs.tools.sanity.robot.mass_rows import size_m
 from gauge_envs.tools.sanity.robot.mujoco_feet import joints_of
 from gauge_envs.tools.sanity.robot.robot import (
@@ -23,6 +25,7 @@ from gauge_envs.tools.sanity.robot.robot import (
     grasp_kinds,
     joints_of_motors,
     misread_joints,
+    tendon_joints,
 )
 from gauge_envs.tools.sanity.robot.sides import (
     FEW_COPIES,
@@ -46,6 +49,9 @@ OTHER_SIDE = {"left": "right", "right": "left"}
 """Words of the sides of a robot, with those of the other side."""
 
 SIDE = re.compile("|".join(OTHER_SIDE))
+
+QUATERNIONS = (("body_quat", 0.35, 0.7), ("body_iquat", 0.03, 0.08))
+"""Arrays of quaternions, and differences of a matrix up to which links of a family are turned alike, or unlike."""
 
 Wrong = tuple[str, str]
 """What is wrong, and what to change."""
@@ -116,6 +122,31 @@ def _sides(robot: Robot) -> Iterator[Wrong]:
                     f"the equalities of {text} and of {other} are no mirror images",
                     advice,
                 )
+
+
+def _tendons(robot: Robot) -> Iterator[Wrong]:
+    """Yield fixed tendons whose coefficients are not those of the mirror image, or of the tendons of like fingers."""
+    model = robot.model
+    images = {one.joint: one.other for one in mirror_pairs(robot)}
+    images |= {other: joint for joint, other in images.items()}
+    several = {
+        tendon: dict(zip(joints.tolist(), np.abs(sizes), strict=True))
+        for tendon in range(model.ntendon)
+        for joints, sizes in [tendon_joints(model, tendon)]
+        if len(joints) > 1
+    }
+    for (one, first), (other, second) in combinations(several.items(), 2):
+        partners = [images.get(joint, -1) for joint in first]
+        if {*partners} != {*second}:
+            continue
+        sizes = np.array([[*first.values()], [second[joint] for joint in partners]])
+        if not np.allclose(*sizes, rtol=SAME):
+            both = f"{model.tendon(one).name} and {model.tendon(other).name}"
+            text = " and ".join(str(one) for one in sizes.tolist())
+            yield (
+                f"the coefficients of the tendons {both} are no mirror images: {text}",
+                f"the coef of {both}: which is the wrong one?",
+            )
 
 
 def _fingers(robot: Robot) -> Iterator[Wrong]:
@@ -241,6 +272,71 @@ def _on_one_line(robot: Robot) -> Iterator[Wrong]:
             yield f"{name} turns about the line of {joint_name(robot, carrier)}", advice
 
 
+def _quaternions(robot: Robot) -> Iterator[Wrong]:
+    """Yield links whose quaternion turns them unlike all of their family, and like them in the order x y z w."""
+    model, data = robot.model, zero_pose(robot)
+    bodies = {body_name(robot, body): body for body in robot.bodies}
+    several = families(bodies)
+    for array, near, far in QUATERNIONS:
+        is_of_link = array == "body_quat"
+        stated, read = (
+            {body: _turned(model, data, body, array, roll) for body in bodies.values()}
+            for roll in (0, 1)
+        )
+        for name, body in bodies.items():
+            moments = np.sort(model.body_inertia[body])
+            for family in several.get(name, ()):
+                others = [bodies[one] for one in family if one != name]
+                if not is_of_link:
+                    others = [
+                        one
+                        for one in others
+                        if np.allclose(
+                            np.sort(model.body_inertia[one]), moments, rtol=SAME
+                        )
+                    ]
+                if len(others) < FEW_COPIES - (not is_of_link):
+                    continue
+                places = np.array([stated[one] for one in others])
+                is_family = np.abs(places - places[0]).max() < near
+                off = np.abs(places - stated[body]).max(axis=(1, 2)).min()
+                if (
+                    is_family
+                    and off > far
+                    and np.abs(places - read[body]).max() < near
+                ):
+                    what = "" if is_of_link else "inertial "
+                    yield (
+                        f"{name} is turned unlike {body_name(robot, others[0])}, and like it with its {what}quat "
+                        "in the order x y z w",
+                        f"the {what}quat of {name} in the order w x y z",
+                    )
+                    break
+
+
+def _turned(
+    model: mujoco.MjModel, data: mujoco.MjData, body: int, array: str, roll: int
+) -> FloatArray:
+    """Return how a quaternion turns a link in the world, or the sizes of its inertia over their trace, shape [3, 3].
+
+    Args:
+        model: The model.
+        data: Its pose.
+        body: The link.
+        array: Array of the quaternion.
+        roll: 1 for the quaternion taken in the order x y z w, 0 for the order of the engine.
+    """
+    matrix = np.zeros(9)
+    mujoco.mju_quat2Mat(matrix, np.roll(getattr(model, array)[body], roll))
+    axes = matrix.reshape(3, 3)
+    if array == "body_quat":
+        turned: FloatArray = data.xmat[model.body_parentid[body]].reshape(3, 3) @ axes
+        return turned
+    inertia = model.body_inertia[body]
+    sizes: FloatArray = np.abs((axes * inertia) @ axes.T) / max(inertia.sum(), 1e-12)
+    return sizes
+
+
 def _objects(robot: Robot) -> Iterator[Wrong]:
     """Yield free objects that touch something, and that no part of a robot on a fixed base can touch."""
     model, pairs = robot.model, robot.pairs
@@ -260,9 +356,11 @@ def _objects(robot: Robot) -> Iterator[Wrong]:
 CHECKS: tuple[Callable[[Robot], Iterator[Wrong]], ...] = (
     _objects,
     _sides,
+    _tendons,
     _left_out,
     _fingers,
     _sensors,
+    _quaternions,
     _on_one_line,
     _ghosts,
     _beyond,
