@@ -397,7 +397,9 @@ def compared(known: Numbers, versions: Sequence[Published]) -> Compared:
         if len({one.part.split(" ")[0] for one in off}) > most_parts:
             choices += [one for one in mistakes if one.quantity in dropped]
             mistakes = [one for one in mistakes if one.quantity not in dropped]
-    off = [one for one in (*scaled, *mistakes, *choices) if one.quantity not in OF_TASKS]
+    off = [
+        one for one in (*scaled, *mistakes, *choices) if one.quantity not in OF_TASKS
+    ]
     is_rest_equal = equal_count(known, versions[0]) + len(off) >= SAME_FILE * total
     names = {one.quantity for one in off}
     if is_rest_equal and any(names <= {*group} for group in ALONE):

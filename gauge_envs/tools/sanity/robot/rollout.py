@@ -439,12 +439,16 @@ def deflecting_nm(robot: Robot) -> FloatArray:
 
 
 def _sag_advice(name: str, sag_mrad: float) -> str:
-    """Return what may be wrong with a servo that sags too little or too much; a factor only where it is a likely one."""
+    """Return what may be wrong with a servo that sags too little or too much; a factor only where it is likely."""
     low_mrad, high_mrad = limits_of("robot-sag")
     factor = sag_mrad / (0.3 * high_mrad)
     if sag_mrad < low_mrad:
         return f"the masses that {name} carries in kg, or its kp in Nm/rad"
-    times = f": times {factor:.2g}" if factor <= MOST_FACTOR else ", or the masses that it carries"
+    times = (
+        f": times {factor:.2g}"
+        if factor <= MOST_FACTOR
+        else ", or the masses that it carries"
+    )
     return f"kp of {name} in Nm/rad, not per degree{times}"
 
 

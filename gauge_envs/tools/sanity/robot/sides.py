@@ -71,6 +71,9 @@ SHARED = ("largest torque", "kp", "damping", "armature", "frictionloss")
 OWN_RANGE = "limits"
 """What two joints differ in that have the same commands, and of which one has another range."""
 
+OF_MOTOR, FEW_MOTORS, FEW_ODD = ("largest torque", "armature"), 3, 2
+"""Quantities that tell motors apart, motors whose joints all agree, and odd joints of one that do not, at most."""
+
 FEW_SERVOS, ODD_KP = 5, 0.5
 """Servos from which on all but one say what the last should be, and the difference of its kp over the larger one."""
 
@@ -85,6 +88,19 @@ SAME = 0.01
 
 STRAIGHT = 0.9999
 """Cosine of half of an angle, from which on a quaternion turns nothing."""
+
+EXACT = dict.fromkeys(
+    (
+        "place",
+        "axis",
+        "kp",
+        "largest torque",
+        "torque per control",
+        "spring",
+    ),
+    3.0,
+) | {"trunk": 1.25}
+"""Factor by which a difference counts more, of quantities that makers state more alike on both sides."""
 
 SHARE_OF = {
     "place": "its distance from the origin of the robot",
@@ -267,7 +283,7 @@ def _sides(robot: Robot) -> Finding:
         for of_pair in differences(robot, one)
     )
     parts.update(_trunk_shares(robot))
-    odd = (*odd_copies(robot), *_odd_servos(robot))
+    odd = (*odd_copies(robot), *_odd_servos(robot), *_odd_gains(robot))
     for joint, other, quantity, difference in (*mirrored, *odd):
         name = f"{quantity} of {name_of(robot, joint)} and {name_of(robot, other)}"
         parts[name] = difference
@@ -286,16 +302,22 @@ def _sides(robot: Robot) -> Finding:
     value, advice = parts[worst], f"the same for both: {worst}"
     if worst.startswith(OWN_RANGE):
         name = worst.removeprefix(f"{OWN_RANGE} of ").partition(" and ")[0]
-        advice = f"the ctrlrange of {name}, or its range: which is that of the real joint?"
+        advice = (
+            f"the ctrlrange of {name}, or its range: which is that of the real joint?"
+        )
     if worst.startswith(OF_GEOMETRY) and (pair := _first_misplaced(robot)):
         both = f"{name_of(robot, pair.joint)} and {name_of(robot, pair.other)}"
         several = [f"{quantity} of {both}" for quantity in OF_GEOMETRY]
         worst = max(several, key=parts.__getitem__)
         advice = _placing(robot, pair)
+    is_trunk = worst.endswith((" ahead", " aside"))
     base = SHARE_OF.get(worst.partition(" of ")[0], "the larger one")
-    if worst.endswith((" ahead", " aside")):
+    if is_trunk:
         base, advice = "the distance of its hips", f"the {worst}, between its hips"
-    differs = f"{100.0 * parts[worst]:.3g} % of {base}"
+    share = parts[worst] / EXACT.get(
+        "trunk" if is_trunk else worst.partition(" of ")[0], 1.0
+    )
+    differs = f"{100.0 * share:.3g} % of {base}"
     remark = f"{worst}: {texts.get(worst, differs)}" if value > 1e-3 else ""
     return Finding(
         value=value,
@@ -368,7 +390,7 @@ def _trunk_shares(robot: Robot) -> Iterator[tuple[str, float]]:
         if high_m - low_m > 2.0 * SAME_PLACE_M:
             off_m = abs(float(centre_m[axis] - 0.5 * (low_m + high_m)))
             name = f"centre of mass of {body_name(robot, standing.body)} {word}"
-            yield name, off_m / float(high_m - low_m)
+            yield name, EXACT["trunk"] * off_m / float(high_m - low_m)
 
 
 def _places(robot: Robot, quantity: str) -> FloatArray:
@@ -423,7 +445,8 @@ def odd_copies(robot: Robot) -> Iterator[tuple[int, int, str, float]]:
     driven["obliqueness"] = np.sqrt(np.maximum(1.0 - along**2, 0.0))
     for quantity, values in driven.items():
         for place, other, difference in _odd_ones(values, is_copy, SAME):
-            yield int(joints[place]), int(joints[other]), quantity, difference
+            counts = EXACT.get(quantity, 1.0) * difference
+            yield int(joints[place]), int(joints[other]), quantity, counts
 
 
 def _odd_servos(robot: Robot) -> Iterator[tuple[int, int, str, float]]:
@@ -450,6 +473,29 @@ def _odd_servos(robot: Robot) -> Iterator[tuple[int, int, str, float]]:
     copies = np.flatnonzero(alike & ~is_odd)
     if len(copies) >= FEW_COPIES:
         yield int(joints[odd]), int(joints[copies[0]]), OWN_RANGE, ODD_DIRECTION
+
+
+def _odd_gains(robot: Robot) -> Iterator[tuple[int, int, str, float]]:
+    """Yield joints whose gain alone is not that of its motor, by which all other gains were chosen; visible."""
+    known, model = quantities(robot), robot.model
+    dofs = model.jnt_dofadr[model.actuator_trnid[position_servos(robot), 0]]
+    for source in OF_MOTOR:
+        motors = [
+            dofs[known[source][dofs] == one] for one in np.unique(known[source][dofs])
+        ]
+        for quantity in ("kp", "damping"):
+            several = [known[quantity][motor] for motor in motors if len(motor) > 1]
+            even = [one[0] for one in several if (apart(one) <= SAME).all()]
+            if len(even) != len(several) - 1 or len({*even}) < FEW_MOTORS:
+                continue
+            motor = next(m for m in motors if (apart(known[quantity][m]) > SAME).any())
+            is_like = apart(known[quantity][motor]) <= SAME
+            usual = int(is_like.sum(axis=1).argmax())
+            odd = motor[~is_like[usual]]
+            if len(odd) <= min(FEW_ODD, is_like[usual].sum() - 1):
+                other = int(model.dof_jntid[motor[usual]])
+                for joint in model.dof_jntid[odd].tolist():
+                    yield joint, other, quantity, ODD_DIRECTION
 
 
 @once
@@ -480,6 +526,12 @@ def apart(values: FloatArray) -> FloatArray:
 
 
 def differences(robot: Robot, pair: MirrorPair) -> Iterator[tuple[str, float]]:
+    """Yield quantities of two joints and their links, and what their difference counts."""
+    for name, difference in _shares(robot, pair):
+        yield name, EXACT.get(name, 1.0) * difference
+
+
+def _shares(robot: Robot, pair: MirrorPair) -> Iterator[tuple[str, float]]:
     """Yield quantities of two joints and their links, and how they differ over the larger one; 2 for another sign."""
     model = robot.model
     bodies = model.jnt_bodyid[[pair.joint, pair.other]].tolist()

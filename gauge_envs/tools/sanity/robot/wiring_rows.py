@@ -30,6 +30,7 @@ from gauge_envs.tools.sanity.robot.robot import (
 from gauge_envs.tools.sanity.robot.sides import (
     FEW_COPIES,
     SAME,
+    STRAIGHT,
     copies_of,
     mirror_pairs,
     zero_pose,
@@ -140,7 +141,7 @@ def _tendons(robot: Robot) -> Iterator[Wrong]:
         if {*partners} != {*second}:
             continue
         sizes = np.array([[*first.values()], [second[joint] for joint in partners]])
-        if not np.allclose(*sizes, rtol=SAME):
+        if not np.allclose(sizes[0], sizes[1], rtol=SAME):
             both = f"{model.tendon(one).name} and {model.tendon(other).name}"
             text = " and ".join(str(one) for one in sizes.tolist())
             yield (
@@ -277,34 +278,42 @@ def _quaternions(robot: Robot) -> Iterator[Wrong]:
     model, data = robot.model, zero_pose(robot)
     bodies = {body_name(robot, body): body for body in robot.bodies}
     several = families(bodies)
+    depths = np.zeros(model.nbody, int)
+    for body in range(1, model.nbody):
+        depths[body] = depths[model.body_parentid[body]] + 1
     for array, near, far in QUATERNIONS:
         is_of_link = array == "body_quat"
         stated, read = (
             {body: _turned(model, data, body, array, roll) for body in bodies.values()}
             for roll in (0, 1)
         )
-        for name, body in bodies.items():
+        turning = {
+            n: b
+            for n, b in bodies.items()
+            if abs(getattr(model, array)[b, 0]) < STRAIGHT
+        }
+        for name, body in turning.items():
             moments = np.sort(model.body_inertia[body])
             for family in several.get(name, ()):
-                others = [bodies[one] for one in family if one != name]
-                if not is_of_link:
-                    others = [
-                        one
-                        for one in others
-                        if np.allclose(
-                            np.sort(model.body_inertia[one]), moments, rtol=SAME
+                others = [
+                    bodies[one]
+                    for one in family - {name}
+                    if depths[bodies[one]] == depths[body]
+                    and (
+                        is_of_link
+                        or np.allclose(
+                            np.sort(model.body_inertia[bodies[one]]), moments, rtol=SAME
                         )
-                    ]
-                if len(others) < FEW_COPIES - (not is_of_link):
+                    )
+                ]
+                # One of three fingers may be turned by half on purpose, as an identity in another order is.
+                is_half_turn = abs(model.body_quat[body, 0]) < SAME
+                if len(others) < (FEW_COPIES + is_half_turn if is_of_link else 1):
                     continue
                 places = np.array([stated[one] for one in others])
                 is_family = np.abs(places - places[0]).max() < near
                 off = np.abs(places - stated[body]).max(axis=(1, 2)).min()
-                if (
-                    is_family
-                    and off > far
-                    and np.abs(places - read[body]).max() < near
-                ):
+                if is_family and off > far and np.abs(places - read[body]).max() < near:
                     what = "" if is_of_link else "inertial "
                     yield (
                         f"{name} is turned unlike {body_name(robot, others[0])}, and like it with its {what}quat "
