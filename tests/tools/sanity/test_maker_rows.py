@@ -104,6 +104,7 @@ MISTAKES = {
         'density="2645.55"',
         "mass of FL_thigh",
     ),
+    "damping alone": ('damping="0.5"', 'damping="1"', "damping of FL_hip"),
     "a motor without its limit": (
         '(joint="FL_hip" kp="80" kv="2") forcerange="-40 40"',
         r"\1",
@@ -130,7 +131,7 @@ CHOICES = {
     "all gains": ('kp="80"', 'kp="40"'),
     "gains of all knees": ('(_knee" kp=)"80"', r'\1"40"'),
     "friction": ('friction="0.8', 'friction="1'),
-    "damping": ('damping="0.5"', 'damping="1"'),
+    "damping and dry friction": ('damping="0.5" frictionloss="0.2"', 'damping="1"'),
     "another pose": ('qpos="0 0 .322 1 0 0 0 0 0', 'qpos="0 0 .322 1 0 0 0 .1 -.1'),
 }
 

@@ -157,6 +157,28 @@ def chain(*, kp=200, last_range="-1 1"):
       <actuator>{servos}</actuator></mujoco>"""
 
 
+def paw(*, quat=".7071 .7071 0 0", kp=10, coefficient=1):
+    """Return six fingers of four joints, each with a tendon; one may be turned, one pair of joints driven otherwise."""
+    fingers, servos, tendons = "", "", ""
+    for finger, name in enumerate(("ann", "bob", "cid", "dan", "eve", "fay")):
+        turn = quat if name == "cid" else ".7071 .7071 0 0"
+        fingers += (
+            f'<body name="{name}" pos=".05 {0.05 * finger - 0.125} 0" quat="{turn}">'
+        )
+        for joint in range(4):
+            part = f"{name}{joint}"
+            fingers += f'''<joint name="{part}" axis="0 0 1" range="-1 1" damping=".1"/>
+              <geom type="capsule" fromto="0 0 0 .04 0 0" size=".008"/><body pos=".04 0 0">'''
+            gain = kp if joint == 0 and name in ("bob", "eve") else 10 * (joint + 1)
+            servos += f'<position joint="{part}" kp="{gain}" forcerange="-{4 - joint} {4 - joint}"/>'
+        fingers += '<geom size=".008"/>' + "</body>" * 5
+        ratio = coefficient if name == "ann" else 1
+        tendons += f'''<fixed name="{name}"><joint joint="{name}2" coef="1"/>
+          <joint joint="{name}3" coef="{ratio}"/></fixed>'''
+    return f"""<mujoco><compiler angle="radian"/><worldbody><body name="palm"><geom type="box" size=".05 .15 .02"/>
+      {fingers}</body></worldbody><tendon>{tendons}</tendon><actuator>{servos}</actuator></mujoco>"""
+
+
 UNEQUAL = '<joint joint1="right" joint2="left" polycoef="0 .5 0 0 0" solref=".005 1"/>'
 ODD_PARTS = [
     ("robot-command", pulled(), pulled(coefficient=-0.5), "coefficient of right"),
@@ -168,7 +190,10 @@ ODD_PARTS = [
         "ratio of 1 or -1: right and left",
     ),
     ("robot-sides", chain(), chain(kp=50), "kp of j4"),
-    ("robot-sides", chain(), chain(last_range="-1.2 .8"), "limits of j4"),
+    ("robot-sides", chain(), chain(last_range="-1.2 .8"), "ctrlrange of j4"),
+    ("robot-sides", paw(), paw(kp=8), "kp of bob0"),
+    ("robot-wiring", paw(), paw(quat=".7071 0 0 .7071"), "quat of cid"),
+    ("robot-wiring", paw(), paw(coefficient=0.8), "coef of ann and fay"),
 ]
 
 

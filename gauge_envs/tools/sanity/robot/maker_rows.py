@@ -86,7 +86,7 @@ OF_TASKS = ("pose", "option", "exclude", "contype", "conaffinity")
 
 ALONE = (
     *(("armature",), ("damping",), ("frictionloss",), ("stiffness",), STRENGTHS),
-    *(("geom-priority",), ("condim",), ("geom-friction",), ("site-place", "site-turn")),
+    *(("geom-priority",), ("site-place", "site-turn")),
 )
 """Quantities that are no choice where all else is of this very file: it was edited in this alone."""
 
