@@ -93,6 +93,7 @@ EXACT = dict.fromkeys(
     (
         "place",
         "axis",
+        "obliqueness",
         "kp",
         "largest torque",
         "torque per control",
