@@ -15,7 +15,6 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.errors import RenderError, UnknownNameError
 from gauge_envs.rendering.camera import FIELD_OF_VIEW_DEG, View, scene_view
-from gauge_envs.rendering.flat import FlatView, flat_model, light_camera
 from gauge_envs.rendering.materials import STRING, look_of
 from gauge_envs.rendering.overlay import RECORDED_COLOR, SIMULATED_COLOR, Color, Overlay
 from gauge_envs.rendering.skin import Skin
@@ -25,10 +24,8 @@ from gauge_envs.scene import Cloth, Rod, Rope, Scene, SoftBody
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
-STRING_RADIUS_M = 0.0015
-"""Radius of a string in pictures [m]."""
 STRING_PX = 1.1
-"""Smallest radius of strings and ropes in pictures of a perspective camera [pixels]."""
+"""Smallest radius of strings and ropes in pictures [pixels]."""
 MARKER_PX = 4.0
 """Radius of a marker [pixels]."""
 RECORDED_MARKER_PX = 3.4
@@ -93,13 +90,12 @@ class SceneRenderer:
         rest_nodes_m: For each deformable body its nodes at the start [m], shape [node_count, 3].
         width: Picture width [pixels].
         height: Picture height [pixels].
-        view: Perspective camera, or a parallel projection; None for a camera by the rule.
-        materials: Material of bodies by name, as `wood`; others have colours by how they move. A parallel projection
-                states its own colours.
+        view: The camera; None for one by the rule.
+        materials: Material of bodies by name, as `wood`; others have colours by how they move.
         window: Window that `show` draws in, or None for pictures alone.
 
     Attributes:
-        camera: The perspective camera; None for a parallel projection.
+        camera: The camera.
     """
 
     def __init__(
@@ -109,7 +105,7 @@ class SceneRenderer:
         width: int,
         height: int,
         *,
-        view: View | FlatView | None = None,
+        view: View | None = None,
         materials: Mapping[str, str] | None = None,
         window: Window | None = None,
     ) -> None:
@@ -133,33 +129,25 @@ class SceneRenderer:
             body.name: look_of(body, (materials or {}).get(body.name))
             for body in self._lines
         }
-        self._flat = view if isinstance(view, FlatView) else None
-        self.camera: View | None = None
-        if isinstance(view, FlatView):
-            self._model = flat_model(scene, self._skins, width, height, view)
-            self._pixel_m, self._least_radius_m = view.scale_m_per_px, 0.0
-        else:
-            self.camera = view or scene_view(scene)
-            self._model = studio_model(
-                scene,
-                self._skins,
-                rest_nodes_m,
-                materials or {},
-                self.camera,
-                width,
-                height,
-            )
-            # Size of a pixel in the middle of the scene.
-            self._pixel_m = (
-                2.0
-                * self.camera.distance_m
-                * np.tan(np.radians(0.5 * FIELD_OF_VIEW_DEG))
-                / height
-            )
-            self._least_radius_m = STRING_PX * self._pixel_m
-        self._free_camera = (
-            light_camera(scene) if self.camera is None else self.camera.mujoco_camera()
+        self.camera = view or scene_view(scene)
+        self._model = studio_model(
+            scene,
+            self._skins,
+            rest_nodes_m,
+            materials or {},
+            self.camera,
+            width,
+            height,
         )
+        # Size of a pixel in the middle of the scene.
+        self._pixel_m = (
+            2.0
+            * self.camera.distance_m
+            * np.tan(np.radians(0.5 * FIELD_OF_VIEW_DEG))
+            / height
+        )
+        self._least_radius_m = STRING_PX * self._pixel_m
+        self._free_camera = self.camera.mujoco_camera()
         if window is not None:
             # The next renderer of a window keeps what the mouse has done.
             window.camera = window.camera or self._free_camera
@@ -283,10 +271,6 @@ class SceneRenderer:
             self._drawing,
         )
         self._add_lines(nodes_m)
-        if self._flat is not None:
-            self._flat.aim(
-                self._drawing, width=self._viewport.width, height=self._viewport.height
-            )
 
     def _with_overlay(
         self, picture: NDArray[np.uint8], overlay: Overlay
@@ -318,9 +302,7 @@ class SceneRenderer:
 
     def _add_lines(self, nodes_m: Mapping[str, FloatArray]) -> None:
         """Add strings, ropes and rods; far ones are drawn thicker than they are, so that they stay visible."""
-        radius_m = max(
-            STRING_RADIUS_M if self._flat is not None else 0.0, self._least_radius_m
-        )
+        radius_m = self._least_radius_m
         for joint in self._scene.joints:
             end = self._data.mocap_pos[self._mocap_ids[joint.body]]
             _add_tube(
@@ -357,11 +339,7 @@ class SceneRenderer:
 
     def _drawing_of(self, geom_count: int) -> mujoco.MjvScene:
         """Return an empty drawing with room for a number of shapes."""
-        drawing = mujoco.MjvScene(self._model, maxgeom=geom_count)
-        if self._flat is not None:
-            drawing.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = 0
-            drawing.flags[mujoco.mjtRndFlag.mjRND_HAZE] = 0
-        return drawing
+        return mujoco.MjvScene(self._model, maxgeom=geom_count)
 
     def close(self) -> None:
         """Free the OpenGL context."""

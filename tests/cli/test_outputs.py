@@ -115,7 +115,6 @@ recipe friktion=0.3
 recipe --mass 1
 recipe mass_kg=1
 recipe --damping 1 --backend mujoco
-video film --recording-rate-hz 1
 video film --only X
 sweep --shard 3 --only SlopeSlider-2-wood
 """

@@ -10,7 +10,6 @@ from opengl import needs_opengl
 
 from gauge_envs import GaugeEnv, load_experiment
 from gauge_envs.rendering.camera import FIELD_OF_VIEW_DEG, View, experiment_view
-from gauge_envs.rendering.flat import FlatView, flat_model
 from gauge_envs.rendering.materials import LOOKS, USUAL, look_of
 from gauge_envs.rendering.renderer import SceneRenderer
 from gauge_envs.rendering.skin import Skin
@@ -237,21 +236,7 @@ def test_the_look_of_a_scene_is_the_approved_one(
     studio = studio_model(
         scene, skins, nodes_m, experiment.materials, view, width=320, height=240
     )
-    flat = flat_model(
-        scene,
-        skins,
-        320,
-        240,
-        FlatView(
-            centre_m=np.array([0.1, 0.2, 0.3]),
-            right=np.array([0.0, 1.0, 0.0]),
-            down=np.array([0.0, 0.0, -1.0]),
-            scale_m_per_px=1e-3,
-            colors={scene.bodies[-1].name: (0.1, 0.2, 0.3, 1.0)},
-            grain=frozenset([scene.bodies[0].name]),
-        ),
-    )
-    approved(f"rendering/{name}", f"{look_words(studio)}\n---\n{look_words(flat)}")
+    approved(f"rendering/{name}", look_words(studio))
 
 
 def test_materials_are_those_of_the_task_file_or_of_the_variant():

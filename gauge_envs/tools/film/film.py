@@ -1,15 +1,13 @@
-"""Films and strips of result files: the episodes are run again and drawn side by side."""
+"""Films of result files: the episodes are run again and drawn side by side."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
 from gauge_envs.backends.registry import backend_title
 from gauge_envs.errors import GaugeError, ParameterError, ResultFileError
@@ -25,20 +23,9 @@ from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.replay import VIEWS_PER_FRAME, ReplayError
 from gauge_envs.runs.result import Result
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-from gauge_envs.tools.film.layout import Caption, FilmLayout, PanelText
-from gauge_envs.tools.film.panel import (
-    Panel,
-    RecordedPanel,
-    SimulatedPanel,
-    Take,
-    take_of,
-)
-from gauge_envs.tools.video import (
-    check_film_format,
-    check_suffix,
-    film_writer,
-    written_whole,
-)
+from gauge_envs.tools.film.layout import Caption, FilmLayout
+from gauge_envs.tools.film.panel import SimulatedPanel, Take, take_of
+from gauge_envs.tools.video import check_film_format, film_writer
 
 MOST_PANELS = 12
 """Largest number of panels of a film."""
@@ -46,21 +33,16 @@ MOST_PANELS = 12
 LIMITS = {
     "width": (120, 4096, " pixels"),
     "height": (120, 4096, " pixels"),
-    "columns": (1, MOST_PANELS, ""),
     "fps": (1.0, 120.0, ""),
     "speed": (0.001, 100.0, ""),
-    "hold_s": (0.0, 60.0, ""),
 }
 """Ranges of options; the text of a picture needs some room."""
 
+HOLD_S = 1.0
+"""Time for which the last frame stays [s]."""
+
 MOST_FRAMES = 20_000
 """Largest number of frames of a film."""
-
-STRIP_FORMATS: dict[str, dict[str, Any]] = {
-    ".png": {"optimize": True},
-    ".webp": {"quality": 82, "method": 6},
-}
-"""Options of Pillow by the suffix of a strip."""
 
 Progress = Callable[[int, int], None]
 """Receiver of the number of pictures that are done, and of all."""
@@ -68,21 +50,6 @@ Progress = Callable[[int, int], None]
 
 def _no_progress(done: int, count: int) -> None:
     """Receive the progress, and drop it."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Recording:
-    """A real recording beside the simulations.
-
-    Attributes:
-        file: Video file.
-        start_s: Time in the video at which the experiment starts [s].
-        rate_hz: Pictures that the camera took in a second of the experiment; None for the times in the file.
-    """
-
-    file: Path
-    start_s: float = 0.0
-    rate_hz: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,37 +67,31 @@ class LeftOut:
 
 @dataclass(frozen=True, kw_only=True)
 class FilmOptions:
-    """How a film or a strip shows its results.
+    """How a film shows its results.
 
     Attributes:
         width: Width of the picture of a panel [pixels].
         height: Height of the picture of a panel [pixels].
-        columns: Panels in a row of a film; None for at most four.
         from_s: Time of the first picture [s].
         to_s: Time of the last picture [s]; None for the end of the longest episode.
         fps: Frames a second of a film.
         speed: Seconds of the experiment in a second of a film.
-        hold_s: Time for which the last frame of a film stays [s].
         use_withheld: Whether to draw also a reference of low quality.
-        recording: A real recording as the first panel, or None.
     """
 
     width: int = 480
     height: int = 360
-    columns: int | None = None
     from_s: float = 0.0
     to_s: float | None = None
     fps: float = 30.0
     speed: float = 1.0
-    hold_s: float = 1.0
     use_withheld: bool = False
-    recording: Recording | None = None
 
     def __post_init__(self) -> None:
         for name, (smallest, largest, unit) in LIMITS.items():
             value = getattr(self, name)
             # A comparison with NaN is false.
-            if value is not None and not smallest <= value <= largest:
+            if not smallest <= value <= largest:
                 raise ParameterError(
                     f"{name} is {value:g}, expected {smallest:g} to {largest:g}{unit}"
                 )
@@ -225,10 +186,9 @@ def save_film(
         layout = FilmLayout(
             [panel.text for panel in panels],
             caption,
-            columns=options.columns,
             **options.size,
         )
-        last_frames = round(options.hold_s * options.fps)
+        last_frames = round(HOLD_S * options.fps)
         writer = stack.enter_context(
             film_writer(out, size=layout.size, fps=options.fps)
         )
@@ -240,78 +200,17 @@ def save_film(
     return left_out
 
 
-def save_strip(
-    results: Mapping[Path, Result],
-    out: Path,
-    options: FilmOptions,
-    *,
-    count: int = 3,
-    progress: Progress = _no_progress,
-) -> list[LeftOut]:
-    """Write pictures at a few times beside each other, a row for each result, and return the results without a row.
-
-    Args:
-        results: Results by file, in the order of the rows.
-        out: The strip: `*.png` or `*.webp`.
-        options: How it shows them; speed and frame rate do not matter.
-        count: Number of pictures in a row, the first and the last one included.
-        progress: Receiver of what is done.
-    """
-    check_suffix(out, list(STRIP_FORMATS))
-    if not 1 <= count <= MOST_PANELS:
-        raise ParameterError(f"a strip of {count} pictures: choose 1 to {MOST_PANELS}")
-    with ExitStack() as stack:
-        panels, caption, left_out = _panels(results, options, stack)
-        last_s = max(panel.last_s for panel in panels)
-        film_times(options, last_s)
-        end_s = last_s if options.to_s is None else options.to_s
-        times_s = np.linspace(options.from_s, end_s, count)
-        pictures: list[NDArray[np.uint8]] = []
-        texts: list[PanelText] = []
-        for number, panel in enumerate(panels, 1):
-            pictures += [panel.picture(float(time_s)) for time_s in times_s]
-            row = [
-                PanelText(title="", detail=f"{time_s:.2f} s", note="")
-                for time_s in times_s
-            ]
-            # A row has its title and its score under the first picture, and its versions under the last one.
-            row[-1] = replace(row[-1], note=panel.text.detail)
-            row[0] = replace(row[0], title=panel.text.title, note=panel.text.note)
-            texts += row
-            progress(number, len(panels))
-        layout = FilmLayout(texts, caption, columns=count, **options.size)
-        with written_whole(out) as part:
-            Image.fromarray(layout.frame(pictures)).save(
-                part, format=out.suffix[1:], **STRIP_FORMATS[out.suffix.lower()]
-            )
-    return left_out
-
-
 # --- panels ---
 
 
 def _panels(
     results: Mapping[Path, Result], options: FilmOptions, stack: ExitStack
-) -> tuple[list[Panel], Caption, list[LeftOut]]:
+) -> tuple[list[SimulatedPanel], Caption, list[LeftOut]]:
     """Return the panels, which the stack closes, the text of all, and the results that have none."""
-    recording = options.recording
-    count = len(results) + (recording is not None)
-    if count > MOST_PANELS:
+    if len(results) > MOST_PANELS:
         raise ParameterError(
-            f"{count} panels: at most {MOST_PANELS} have room; name fewer result files"
+            f"{len(results)} panels: at most {MOST_PANELS} have room; name fewer result files"
         )
-    panels: list[Panel] = []
-    # Before the runs, which may take minutes.
-    if recording is not None:
-        panels.append(
-            RecordedPanel(
-                recording.file,
-                start_s=recording.start_s,
-                rate_hz=recording.rate_hz,
-                **options.size,
-            )
-        )
-        stack.callback(panels[-1].close)
     takes: list[Take] = []
     left_out: list[LeftOut] = []
     views, use_withheld = options.views_per_frame, options.use_withheld
@@ -325,6 +224,7 @@ def _panels(
     if not takes:
         reasons = "; ".join(f"{one.file.name}: {one.reason}" for one in left_out)
         raise ReplayError(f"no result can be drawn: {reasons}")
+    panels: list[SimulatedPanel] = []
     configurations = [RunConfiguration.of(take.result) for take in takes]
     for take, configuration, title in zip(
         takes, configurations, _titles(configurations), strict=True

@@ -1,4 +1,4 @@
-"""Frames of films, and strips: pictures side by side with small text."""
+"""Frames of films: pictures side by side with small text."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ CLOCK = 9
 """Width of the time, in sizes of its letters."""
 
 MOST_ROW = 4
-"""Largest number of panels in a row, if no number is chosen."""
+"""Largest number of panels in a row."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,7 +41,7 @@ class PanelText:
 
 @dataclass(frozen=True, kw_only=True)
 class Caption:
-    """Text of a film or a strip.
+    """Text of a film.
 
     Attributes:
         title: Id of the experiment.
@@ -91,7 +91,6 @@ class FilmLayout:
         caption: Text of the film.
         width: Width of a picture [pixels].
         height: Height of a picture [pixels].
-        columns: Panels in a row; None for at most four.
 
     Attributes:
         size: Width and height of a frame [pixels], both even.
@@ -104,7 +103,6 @@ class FilmLayout:
         *,
         width: int,
         height: int,
-        columns: int | None = None,
     ) -> None:
         self._scale = scale = _Scale(height)
         legend: list[tuple[Color | None, str]] = [
@@ -114,8 +112,8 @@ class FilmLayout:
         ]
         legend = [(color, text) for color, text in legend if text]
         # Rows are as even as possible: five panels are three and two.
-        rows = -(-len(texts) // (columns or MOST_ROW))
-        in_row = min(columns or -(-len(texts) // rows), len(texts))
+        rows = -(-len(texts) // MOST_ROW)
+        in_row = -(-len(texts) // rows)
         across = width + scale.gap
         down = scale.large_line + height + scale.small_line + scale.gap
         top = scale.gap + scale.large_line + scale.small_line
@@ -156,7 +154,7 @@ class FilmLayout:
                 ImageDraw.Draw(self._image).ellipse(box, fill=(red, green, blue))
 
     def frame(
-        self, pictures: Sequence[NDArray[np.uint8]], clock: str = ""
+        self, pictures: Sequence[NDArray[np.uint8]], clock: str
     ) -> NDArray[np.uint8]:
         """Return a frame, shape [height, width, 3].
 

@@ -1,16 +1,12 @@
-"""Panels of a film: episodes of engines with references, tracked points and their paths so far, and real recordings."""
+"""Panels of a film: episodes of engines with references, tracked points and their paths so far."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageOps
 
 from gauge_envs.envs.pictures import Pictures
-from gauge_envs.errors import VideoError
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.evaluation.reference_path import ReferencePath, reference_path
 from gauge_envs.experiments.experiment import Experiment
@@ -34,7 +30,6 @@ from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.film.layout import PanelText
-from gauge_envs.tools.video import FileFrames
 
 PATH_STEP = 3
 """Samples between the points of a path, which are 60 a second."""
@@ -44,27 +39,6 @@ PATH_POINTS = 239
 
 SHOWN_SCORES = 2
 """Number of scores below a panel."""
-
-GREY = (225, 228, 232)
-"""Ground of a recording with another shape than its panel."""
-
-
-class Panel(Protocol):
-    """One panel of a film.
-
-    Attributes:
-        text: What the panel shows.
-        last_s: Time of its last picture [s].
-    """
-
-    text: PanelText
-    last_s: float
-
-    def picture(self, time_s: float) -> NDArray[np.uint8]:
-        """Return the picture at a time [s] that is not before that of the last call, shape [height, width, 3]."""
-
-    def close(self) -> None:
-        """Free what the panel holds."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,6 +112,10 @@ class SimulatedPanel:
         detail: Versions.
         width: Width of the pictures [pixels].
         height: Height of the pictures [pixels].
+
+    Attributes:
+        text: What the panel shows.
+        last_s: Time of its last picture [s].
     """
 
     def __init__(
@@ -225,82 +203,6 @@ def score_line(result: Result, band: Band | None) -> str:
     if texts:
         return ", ".join(texts[:SHOWN_SCORES])
     return "not scored" if band is None else "not scored: the reference is withheld"
-
-
-class RecordedPanel:
-    """Pictures of a video file; each is shown from its time to that of the next one.
-
-    Args:
-        file: The video.
-        start_s: Time in the video at which the experiment starts [s].
-        rate_hz: Pictures that the camera took in a second of the experiment; None for the times in the file.
-        width: Width of the pictures [pixels].
-        height: Height of the pictures [pixels].
-    """
-
-    def __init__(
-        self,
-        file: Path,
-        *,
-        start_s: float,
-        rate_hz: float | None,
-        width: int,
-        height: int,
-    ) -> None:
-        self._frames = FileFrames(file, fps=rate_hz)
-        self._size = (width, height)
-        count = sum(1 for _ in self._frames.native())
-        times_s = self._frames.times_s
-        # With a stated rate the times follow from it.
-        self._times_s = (
-            np.arange(count) / self._frames.fps if times_s is None else times_s
-        )
-        ends_s = float(self._times_s[-1])
-        if not 0.0 <= start_s <= ends_s:
-            raise VideoError(
-                f"{file}: its pictures are from 0 s to {ends_s:.3f} s; the start is at {start_s:g} s"
-            )
-        self.text = PanelText(
-            title="real",
-            detail=file.name,
-            note=f"recording from {start_s:.3f} s of the file",
-        )
-        self.last_s = ends_s - start_s
-        self._start_s = start_s
-        self._pictures: Iterator[NDArray[np.uint8]] = iter(())
-        self._index = -1
-        self._shown = np.zeros((height, width, 3), dtype=np.uint8)
-
-    def picture(self, time_s: float) -> NDArray[np.uint8]:
-        """Return the picture that is shown at a time [s], shape [height, width, 3]; the last one stays."""
-        # Times in files are whole milliseconds or ticks.
-        wanted = (
-            int(
-                np.searchsorted(
-                    self._times_s, self._start_s + time_s + 5e-4, side="right"
-                )
-            )
-            - 1
-        )
-        if self._index < 0:
-            self._pictures = self._frames.native()
-        latest = None
-        while self._index < wanted:
-            latest = next(self._pictures)
-            self._index += 1
-        if latest is not None:
-            self._shown = self._fitted(latest)
-        return self._shown
-
-    def close(self) -> None:
-        """Close the file."""
-        self._pictures = iter(())
-        self._index = -1
-
-    def _fitted(self, picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Return a picture of blue, green and red as one of red, green and blue that fits, on a grey ground."""
-        image = Image.fromarray(np.ascontiguousarray(picture[:, :, ::-1]))
-        return np.asarray(ImageOps.pad(image, self._size, color=GREY))
 
 
 # --- between views ---

@@ -40,9 +40,7 @@ if TYPE_CHECKING:
     )
     from gauge_envs.tools.video.writer import (
         check_film_format as check_film_format,
-        check_suffix as check_suffix,
         film_writer as film_writer,
-        written_whole as written_whole,
     )
 else:
     __getattr__, __all__ = door(__name__)

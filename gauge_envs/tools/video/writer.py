@@ -1,6 +1,6 @@
 """Write films frame by frame with FFmpeg, whole or not at all."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -70,52 +70,41 @@ def film_writer(
 
     suffix = file.suffix.lower()
     codec, pixels, options = FORMATS[suffix]
-    with written_whole(file) as part:
-        stream = imageio_ffmpeg.write_frames(
-            str(part),
-            size,
-            fps=fps,
-            codec=codec,
-            pix_fmt_out=pixels,
-            quality=None,
-            macro_block_size=1,
-            ffmpeg_log_level="error",
-            output_params=f"{options} {SAME}".split(),
-        )
-        try:
-            stream.send(None)
-            yield FilmWriter(
-                stream, MOST_HELD_BYTES if suffix == ".gif" else float("inf")
+    with os_errors(lambda cause: VideoError(f"{file}: cannot be written: {cause}")):
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with replaced_whole(file) as part:
+            stream = imageio_ffmpeg.write_frames(
+                str(part),
+                size,
+                fps=fps,
+                codec=codec,
+                pix_fmt_out=pixels,
+                quality=None,
+                macro_block_size=1,
+                ffmpeg_log_level="error",
+                output_params=f"{options} {SAME}".split(),
             )
-        finally:
-            stream.close()
-        if not part.is_file() or not part.stat().st_size:
-            raise VideoError(f"{file}: ffmpeg has written nothing")
+            try:
+                stream.send(None)
+                yield FilmWriter(
+                    stream, MOST_HELD_BYTES if suffix == ".gif" else float("inf")
+                )
+            finally:
+                stream.close()
+            if not part.is_file() or not part.stat().st_size:
+                raise VideoError(f"{file}: ffmpeg has written nothing")
 
 
 def check_film_format(file: Path) -> None:
     """Check that films of the format of a file can be written here."""
-    check_suffix(file, list(FORMATS))
+    if file.suffix.lower() not in FORMATS:
+        *others, last = FORMATS
+        raise ParameterError(
+            f"{file}: the suffix states the format: choose {', '.join(others)} or {last}"
+        )
     with needs_extra("a film", "video"):
         import imageio_ffmpeg
     try:
         imageio_ffmpeg.get_ffmpeg_exe()
     except RuntimeError as error:
         raise VideoError(f"there is no ffmpeg: {error}") from error
-
-
-def check_suffix(file: Path, known: Sequence[str]) -> None:
-    """Check that the suffix of a file names a known format."""
-    if file.suffix.lower() not in known:
-        raise ParameterError(
-            f"{file}: the suffix states the format: choose {', '.join(known[:-1])} or {known[-1]}"
-        )
-
-
-@contextmanager
-def written_whole(file: Path) -> Iterator[Path]:
-    """Yield a path for the content of a file, whole or not at all; its folder is created."""
-    with os_errors(lambda cause: VideoError(f"{file}: cannot be written: {cause}")):
-        file.parent.mkdir(parents=True, exist_ok=True)
-        with replaced_whole(file) as part:
-            yield part

@@ -11,7 +11,6 @@ from approval import refused_calls
 from opengl import needs_opengl
 from PIL import Image
 
-from gauge_envs.envs.pictures import Pictures
 from gauge_envs.errors import (
     GaugeError,
     MissingExtraError,
@@ -34,7 +33,6 @@ from gauge_envs.tools.film.film import (
     film_times,
     results_of_one_experiment,
     save_film,
-    save_strip,
 )
 from gauge_envs.tools.film.layout import _Scale
 from gauge_envs.tools.film.panel import SimulatedPanel, score_line, take_of
@@ -107,11 +105,11 @@ def shown(file):
 def test_an_mp4_has_the_frames_and_the_clock_of_the_episode(results, tmp_path):
     pytest.importorskip("imageio_ffmpeg", reason="extra 'video' is not installed")
     out = tmp_path / "folder" / "ball.mp4"
-    options = FilmOptions(**SIZE, fps=10, speed=0.5, hold_s=0.4)
+    options = FilmOptions(**SIZE, fps=10, speed=0.5)
     assert save_film(results, out, options) == []
     frames, fps = decoded(out)
-    # The ball has 18 frames at 30 Hz, so 17/30 s: 11 steps of 0.05 s, the first picture, and 4 that hold the last one.
-    assert (len(frames), fps) == (12 + 4, 10.0)
+    # The ball has 18 frames at 30 Hz, so 17/30 s: 11 steps of 0.05 s, the first picture, and 10 that hold the last one.
+    assert (len(frames), fps) == (12 + 10, 10.0)
     panel_width = SIZE["width"] + _Scale(SIZE["height"]).gap
     assert frames[0].shape[1] == 2 * panel_width + _Scale(SIZE["height"]).gap
     assert frames[0].shape[0] % 2 == 0
@@ -135,47 +133,11 @@ def test_an_mp4_has_the_frames_and_the_clock_of_the_episode(results, tmp_path):
 @pytest.mark.parametrize("suffix", [".webp", ".gif"])
 def test_other_formats_have_the_length_of_the_film(results, tmp_path, suffix):
     out = tmp_path / f"ball{suffix}"
-    save_film(
-        results, out, FilmOptions(**SIZE, fps=24, speed=1.0, to_s=0.25, hold_s=0.5)
-    )
+    save_film(results, out, FilmOptions(**SIZE, fps=24, speed=1.0, to_s=0.25))
     frames, length_s = shown(out)
     # Equal frames may be joined; a tick of a GIF is 10 ms.
     assert len({frame.tobytes() for frame in frames}) == 7
-    assert length_s == pytest.approx((7 + 12) / 24, abs=0.0051)
-
-
-@needs_opengl
-def test_a_strip_shows_the_poses_of_g_at_its_times(results, tmp_path):
-    save_strip(results, tmp_path / "ball.png", FilmOptions(**SIZE, to_s=0.4), count=3)
-    sheet = np.asarray(Image.open(tmp_path / "ball.png"))
-    file, result = next(iter(results.items()))
-    take = take_of(result, file)
-    rows, columns = picture_place()
-    step = SIZE["width"] + _Scale(SIZE["height"]).gap
-    times_s, samples = result.trajectory.arrays()
-    own = Pictures("rgb_array", **SIZE)
-    panel = SimulatedPanel(take, title="", detail="", **SIZE)
-    for column, time_s in enumerate((0.0, 0.2, 0.4)):
-        drawn = sheet[
-            rows, columns.start + column * step : columns.stop + column * step
-        ].astype(int)
-        sample = int(np.argmin(np.abs(times_s - time_s)))
-        pose = np.array([*1e-3 * samples[sample], 1.0, 0.0, 0.0, 0.0])
-        overlay = panel.overlay(time_s, {"ball": pose})
-        poses = {"ball": pose}
-        expected = own.draw(
-            take.experiment,
-            {},
-            band=take.band,
-            poses=poses,
-            nodes_m={},
-            overlay=overlay,
-        )
-        # Rasterizers round a pixel now and then.
-        assert np.abs(drawn - expected).max() <= 12
-        assert overlay.markers_m[0] == pytest.approx(1e-3 * samples[sample], abs=1e-6)
-    own.close()
-    panel.close()
+    assert length_s == pytest.approx((7 + 24) / 24, abs=0.0051)
 
 
 def test_slow_films_use_more_views_of_the_episode():
@@ -316,8 +278,8 @@ def test_a_result_without_its_engine_has_no_panel_and_a_reason(
     for file in folder.glob("*.npz"):
         file.unlink()
     monkeypatch.setattr(replay_module, "versions_of", without_rapier)
-    out = tmp_path / "ball.png"
-    shape = ["--width=160", "--height=120", "--strip=2"]
+    out = tmp_path / "ball.mp4"
+    shape = ["--width=160", "--height=120", "--until=0.1"]
     run = gauge("video", "film", folder, "--out", out, *shape)
     assert run.exit_code == 1
     assert "left out: BouncingBall-rubber.rapier.effective.json" in run.stderr
@@ -325,7 +287,7 @@ def test_a_result_without_its_engine_has_no_panel_and_a_reason(
     assert out.is_file()
     rapier = next(folder.glob("*.rapier.*.json"))
     with pytest.raises(ReplayError, match=r"no result can be drawn: .*rapier3d"):
-        save_strip({rapier: load_result(rapier)}, out, FilmOptions(**SIZE))
+        save_film({rapier: load_result(rapier)}, out, FilmOptions(**SIZE))
 
 
 # --- errors ----------------------------------------------------------------------------------------------------------
@@ -350,7 +312,6 @@ def test_films_that_cannot_be_made_are_named(results, tmp_path, approved):
         "fps": film(fps=0.0),
         "speed": film(speed=float("nan")),
         "to_s": film(from_s=2.0, to_s=1.0),
-        "columns": film(columns=0),
         "format": film("a.avi"),
         "span": film(from_s=9.0),
         "frames": film(speed=0.001, fps=120.0),
@@ -370,8 +331,6 @@ def test_wrong_commands_are_named(folder, tmp_path, gauge):
     damaged = gauge("video", "film", "a.json", "--out", "a.gif")
     assert damaged.exit_code == 2 and "not a result file" in damaged.stderr
     assert not (tmp_path / "a.gif").exists()
-    alone = gauge("video", "film", folder, "--recording-start=1")
-    assert alone.exit_code == 2 and "need --recording" in alone.stderr
 
 
 def test_an_mp4_without_its_extra_names_it(results, tmp_path, monkeypatch):
@@ -408,65 +367,3 @@ def test_an_interrupted_film_leaves_the_earlier_one(results, tmp_path, suffix):
         save_film(results, out, FilmOptions(**SIZE, fps=10), progress=interrupt)
     assert out.read_bytes() == b"earlier"
     assert [file.name for file in tmp_path.iterdir()] == [out.name]
-
-
-# --- real recording --------------------------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def clip(tmp_path):
-    """Writes a video of 30 frames, each brighter by 7 levels."""
-    imageio_ffmpeg = pytest.importorskip(
-        "imageio_ffmpeg", reason="extra 'video' is not installed"
-    )
-    pytest.importorskip("cv2", reason="extra 'video' is not installed")
-
-    def write(fps):
-        file = tmp_path / "real.mp4"
-        stream = imageio_ffmpeg.write_frames(
-            str(file), (64, 32), fps=fps, macro_block_size=2, quality=9
-        )
-        stream.send(None)
-        for index in range(30):
-            stream.send(np.full((32, 64, 3), 20 + 7 * index, dtype=np.uint8))
-        stream.close()
-        return file
-
-    return write
-
-
-@pytest.mark.parametrize(
-    ("rate_hz", "start_s", "time_s", "index"),
-    [
-        (None, 0.0, 0.0, 0),
-        (None, 0.2, 0.0, 5),
-        (None, 0.2, 0.1, 7),
-        (None, 0.2, 5.0, 29),
-        (250.0, 0.02, 0.01, 7),
-    ],
-    ids=["first", "start", "later", "after the end", "slow motion"],
-)
-def test_a_recording_is_on_the_clock_of_the_simulation(
-    clip, rate_hz, start_s, time_s, index
-):
-    from gauge_envs.tools.film.panel import RecordedPanel
-
-    panel = RecordedPanel(
-        clip(25.0), start_s=start_s, rate_hz=rate_hz, width=120, height=120
-    )
-    panel.picture(0.0)
-    picture = panel.picture(time_s)
-    panel.close()
-    assert picture.shape == (120, 120, 3)
-    # The video is twice as wide as high, so it fills the middle half.
-    assert picture[60, 60].mean() == pytest.approx(20 + 7 * index, abs=3.0)
-    assert picture[10, 60].tolist() == picture[110, 60].tolist() == [225, 228, 232]
-
-
-def test_a_start_outside_of_the_recording_is_named(clip):
-    from gauge_envs.tools.film.panel import RecordedPanel
-
-    with pytest.raises(
-        GaugeError, match=r"its pictures are from 0 s to 1\.160 s; the start is at 3 s"
-    ):
-        RecordedPanel(clip(25.0), start_s=3.0, rate_hz=None, width=120, height=120)
