@@ -48,6 +48,9 @@ LOOKS: Mapping[str, Look] = {
 }
 """Looks by the name of a material."""
 
+STRING_RADIUS_M = 0.0015
+"""Radius of a string in the scenes of the site [m]."""
+
 STRING = Look(color=(0.25, 0.25, 0.25, 1.0), specular=0.0)
 """Look of strings, and of the light rods of pendulums."""
 

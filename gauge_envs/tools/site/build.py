@@ -43,8 +43,7 @@ from gauge_envs.references.bands import Band
 from gauge_envs.references.convergence import convergence_rows
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.rendering.camera import FIELD_OF_VIEW_DEG, experiment_view
-from gauge_envs.rendering.materials import USUAL
-from gauge_envs.rendering.renderer import STRING_RADIUS_M
+from gauge_envs.rendering.materials import STRING_RADIUS_M, USUAL
 from gauge_envs.rendering.skin import Skin
 from gauge_envs.runs.replay import (
     Replay,
