@@ -157,6 +157,17 @@ def chain(*, kp=200, last_range="-1 1"):
       <actuator>{servos}</actuator></mujoco>"""
 
 
+def table(*, axis="1 0 0"):
+    """Return four legs that swing aside, of which one may turn the other way."""
+    legs, servos = "", ""
+    for leg, (x, y) in enumerate(((0.3, 0.1), (0.3, -0.1), (-0.3, 0.1), (-0.3, -0.1))):
+        legs += f'''<body pos="{x} {y} 0"><joint name="leg{leg}" axis="{axis if leg == 3 else "1 0 0"}" range="-1 1"/>
+          <geom type="capsule" fromto="0 0 0 0 0 -.3" size=".03"/></body>'''
+        servos += f'<position joint="leg{leg}" kp="100" kv="5"/>'
+    return f"""<mujoco><compiler angle="radian"/><worldbody><body><geom type="box" size=".4 .1 .05"/>{legs}</body>
+      </worldbody><actuator>{servos}</actuator></mujoco>"""
+
+
 def paw(*, quat=".7071 .7071 0 0", kp=10, coefficient=1):
     """Return six fingers of four joints, each with a tendon; one may be turned, one pair of joints driven otherwise."""
     fingers, servos, tendons = "", "", ""
@@ -191,6 +202,7 @@ ODD_PARTS = [
     ),
     ("robot-sides", chain(), chain(kp=50), "kp of j4"),
     ("robot-sides", chain(), chain(last_range="-1.2 .8"), "ctrlrange of j4"),
+    ("robot-sides", table(), table(axis="-1 0 0"), "axis or the gear of one"),
     ("robot-sides", paw(), paw(kp=8), "kp of bob0"),
     ("robot-wiring", paw(), paw(quat=".7071 0 0 .7071"), "quat of cid"),
     ("robot-wiring", paw(), paw(coefficient=0.8), "coef of ann and fay"),

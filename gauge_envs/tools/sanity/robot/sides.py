@@ -89,18 +89,13 @@ SAME = 0.01
 STRAIGHT = 0.9999
 """Cosine of half of an angle, from which on a quaternion turns nothing."""
 
-EXACT = dict.fromkeys(
-    (
-        "place",
-        "axis",
-        "obliqueness",
-        "kp",
-        "largest torque",
-        "torque per control",
-        "spring",
-    ),
-    3.0,
-) | {"trunk": 1.25}
+EXACT = (
+    dict.fromkeys(
+        ("place", "kp", "largest torque", "torque per control", "spring"), 3.0
+    )
+    | dict.fromkeys(("axis", "obliqueness"), 2.0)
+    | {"trunk": 1.25}
+)
 """Factor by which a difference counts more, of quantities that makers state more alike on both sides."""
 
 SHARE_OF = {
@@ -289,7 +284,7 @@ def _sides(robot: Robot) -> Finding:
         name = f"{quantity} of {name_of(robot, joint)} and {name_of(robot, other)}"
         parts[name] = difference
         if quantity == DIRECTION:
-            texts[name] = "not as in the other joints about this axis"
+            texts[name] = f"not as in {_other_pairs(robot, joint)}"
         elif quantity == OWN_RANGE:
             texts[name] = (
                 "both have the same commands, and all other servos have those of the limits of their joint"
@@ -301,6 +296,8 @@ def _sides(robot: Robot) -> Finding:
         return Finding(declined=NOT_SYMMETRIC)
     worst = max(parts, key=parts.__getitem__)
     value, advice = parts[worst], f"the same for both: {worst}"
+    if worst.startswith(DIRECTION):
+        advice = "the axis or the gear of one of these joints, unless they are mounted so"
     if worst.startswith(OWN_RANGE):
         name = worst.removeprefix(f"{OWN_RANGE} of ").partition(" and ")[0]
         advice = (
@@ -326,6 +323,21 @@ def _sides(robot: Robot) -> Finding:
         remark=remark + also(parts, worst, limits_of("robot-sides")[1]),
         advice=advice,
     )
+
+
+def _other_pairs(robot: Robot, joint: int) -> str:
+    """Return the names of the first pairs of joints about the same axis as a joint."""
+    pairs = mirror_pairs(robot)
+    along = next(one.along for one in pairs if joint in (one.joint, one.other))
+    others = [
+        one
+        for one in pairs
+        if one.along == along and joint not in (one.joint, one.other)
+    ]
+    names = [
+        f"{name_of(robot, one.joint)} and {name_of(robot, one.other)}" for one in others
+    ]
+    return ", ".join(names[:3])
 
 
 def _first_misplaced(robot: Robot) -> MirrorPair | None:
@@ -541,11 +553,19 @@ def _shares(robot: Robot, pair: MirrorPair) -> Iterator[tuple[str, float]]:
     yield "place", max(pair.apart_m - SAME_PLACE_M, 0.0) / pair.distance_m
     yield "axis", float(np.sqrt(max(1.0 - pair.cosine**2, 0.0)))
     others = [
-        one.cosine > 0.0
+        one
         for one in mirror_pairs(robot)
         if one.along == pair.along and one.joint != pair.joint
     ]
-    is_odd = len(others) >= FEW_PAIRS and others.count(pair.cosine > 0.0) == 0
+    # Hips of four legs are two pairs.
+    has_copy = any(
+        one.depth == pair.depth
+        and apart(model.body_mass[[model.jnt_bodyid[one.joint], bodies[0]]])[0, 1]
+        <= SAME
+        for one in others
+    )
+    is_alone = not any((one.cosine > 0.0) == (pair.cosine > 0.0) for one in others)
+    is_odd = is_alone and (has_copy or len(others) >= FEW_PAIRS)
     yield DIRECTION, ODD_DIRECTION * is_odd
     yield "centre of mass", float(np.linalg.norm(pair.centres_apart_m)) / size_m
     couplings = couplings_of(model)
