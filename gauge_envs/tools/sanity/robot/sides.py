@@ -62,6 +62,9 @@ POSE = "place in the keyframe"
 SHAPES = "shapes that touch"
 """Difference of two sides in the boxes around their shapes that touch."""
 
+INERTIA_AXES = "inertia axes"
+"""Difference of two sides in how their inertia lies, over its trace."""
+
 FOOT_SHARE = 0.3
 """What the shapes of two feet may differ by counts, over that of other links."""
 
@@ -297,7 +300,9 @@ def _sides(robot: Robot) -> Finding:
     worst = max(parts, key=parts.__getitem__)
     value, advice = parts[worst], f"the same for both: {worst}"
     if worst.startswith(DIRECTION):
-        advice = "the axis or the gear of one of these joints, unless they are mounted so"
+        advice = (
+            "the axis or the gear of one of these joints, unless they are mounted so"
+        )
     if worst.startswith(OWN_RANGE):
         name = worst.removeprefix(f"{OWN_RANGE} of ").partition(" and ")[0]
         advice = (
@@ -587,13 +592,16 @@ def _shares(robot: Robot, pair: MirrorPair) -> Iterator[tuple[str, float]]:
 def _images(
     robot: Robot, pair: MirrorPair, size_m: float
 ) -> Iterator[tuple[str, float]]:
-    """Yield how shapes that touch, and places in the keyframe, of two joints are no mirror images."""
+    """Yield how the inertia, shapes that touch, and places in the keyframe, of two joints are no mirror images."""
     model, data = robot.model, zero_pose(robot)
     root = 0 if robot.standing is None else robot.standing.body
     frame, touching = data.xmat[root].reshape(3, 3), np.unique(robot.pairs.geoms)
-    boxes_m = []
-    for joint, flip in ((pair.joint, pair.flip), (pair.other, 1.0)):
+    boxes_m, tensors = [], []
+    for joint, flip in ((pair.joint, pair.flip), (pair.other, np.ones(3))):
         body = int(model.jnt_bodyid[joint])
+        axes = frame.T @ data.ximat[body].reshape(3, 3) * flip[:, None]
+        inertia = model.body_inertia[body]
+        tensors.append((axes * inertia) @ axes.T / max(inertia.sum(), 1e-12))
         geoms = [geom for geom in geoms_of(robot, body) if geom in touching]
         corners_m = box_corners(model, geoms) @ data.xmat[body].reshape(3, 3).T
         corners_m = (corners_m + data.xpos[body] - data.xanchor[joint]) @ frame * flip
@@ -604,6 +612,7 @@ def _images(
         if robot.standing and body in robot.standing.feet:
             size_m = FOOT_SHARE * float(np.ptp(first_m, axis=0).max())
         yield SHAPES, float(np.abs(first_m - second_m).max()) / size_m
+    yield INERTIA_AXES, float(np.abs(tensors[0] - tensors[1]).max())
     places = model.jnt_qposadr[[pair.joint, pair.other]]
     if model.nkey:
         first, second = model.key_qpos[home_key(model), places] - model.qpos0[places]
