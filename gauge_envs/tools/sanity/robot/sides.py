@@ -503,8 +503,10 @@ def _odd_gains(robot: Robot) -> Iterator[tuple[int, int, str, float]]:
         ]
         for quantity in ("kp", "damping"):
             several = [known[quantity][motor] for motor in motors if len(motor) > 1]
-            even = [one[0] for one in several if (apart(one) <= SAME).all()]
-            if len(even) != len(several) - 1 or len({*even}) < FEW_MOTORS:
+            even = [one for one in several if (apart(one) <= SAME).all()]
+            # The same joints left and right say nothing of their motor.
+            gains = {one[0] for one in even if len(one) > 2}
+            if len(even) != len(several) - 1 or len(gains) < FEW_MOTORS:
                 continue
             motor = next(m for m in motors if (apart(known[quantity][m]) > SAME).any())
             is_like = apart(known[quantity][motor]) <= SAME
