@@ -105,6 +105,9 @@ UNIT_FACTORS = (180.0 / math.pi, 1000.0, 9.80665, 0.45359237, 0.0254, 100.0, 10.
 CHOICES = "all parts of a kind differ, as if they were chosen"
 """Why differences do not count."""
 
+OTHER_END = {"low": "high", "high": "low"}
+"""Ends of a range, with the other ones."""
+
 SHOWN = 4
 """Differences that a remark has in full."""
 
@@ -323,17 +326,27 @@ def families(parts: Iterable[str]) -> dict[str, list[frozenset[str]]]:
 def chosen(
     differences: Sequence[Difference], parts: Iterable[str]
 ) -> Iterator[Difference]:
-    """Yield differences that a whole family shares: someone chose the gains of all knees."""
+    """Yield differences that a whole family shares, or its mirror images: someone chose the gains of all knees."""
     values = {one.part: one for one in differences}
     like = families(parts)
     for one in differences:
         for family in like.get(one.part, ()):
-            others = [values[part].value for part in family if part in values]
-            if len(others) == len(family) and np.allclose(
-                np.abs(others), abs(one.value)
+            if all(
+                any(
+                    np.isclose(abs(values[end].value), abs(one.value))
+                    for end in (part, _other_end(part))
+                    if end in values
+                )
+                for part in family
             ):
                 yield one
                 break
+
+
+def _other_end(part: str) -> str:
+    """Return the other end of a range, which is that of its mirror image; of other parts the part itself."""
+    name, _, end = part.rpartition(" ")
+    return f"{name} {OTHER_END[end]}" if end in OTHER_END else part
 
 
 @dataclass(frozen=True, kw_only=True)

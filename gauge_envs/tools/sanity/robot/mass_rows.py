@@ -10,7 +10,13 @@ from scipy.spatial import ConvexHull, QhullError
 
 from gauge_envs.scene import GRAVITY_M_PER_S2, Vector
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.tools.sanity.robot.finding import Finding, body_name, limits_of, row
+from gauge_envs.tools.sanity.robot.finding import (
+    ROWS,
+    Finding,
+    body_name,
+    limits_of,
+    row,
+)
 from gauge_envs.tools.sanity.robot.ground_rows import geoms_of
 from gauge_envs.tools.sanity.robot.joints import placed_bodies, start
 from gauge_envs.tools.sanity.robot.mujoco_feet import geom_name, shortened
@@ -209,14 +215,16 @@ def _heavy(robot: Robot, found: Finding) -> Finding:
             mass_kg += float(model.body_mass[body])
     heaviest = max(robot.bodies, key=model.body_mass.__getitem__)
     # Without the shape of its trunk a robot is denser than it is.
-    if not _hull_m3(robot, heaviest) or robot.mass_kg < HAND_KG:
+    is_published = not ROWS["robot-maker"](robot).declined
+    if is_published or not _hull_m3(robot, heaviest) or robot.mass_kg < HAND_KG:
         return found
     density = mass_kg / volume_m3
     lowest, highest = WHOLE_KG_PER_M3
-    if lowest <= density <= highest:
-        return found
     # The limits of the row are those of one link.
     low, high = limits_of("robot-density")
+    # Meshes of which all links together are denser than lead hold the place of others.
+    if lowest <= density <= highest or density > high:
+        return found
     value = high * density / highest if density > highest else low * density / lowest
     return replace(
         found,
