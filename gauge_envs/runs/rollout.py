@@ -27,6 +27,10 @@ REST_S = 0.05
 """Time for which bodies are slow when they are at rest [s]: longer than what they stop at the turn of a vibration."""
 
 
+NO_STATES, NO_MARKERS = np.zeros((0, 13)), np.zeros((0, 3))
+"""States of a scene without rigid bodies that move, and markers of one without markers."""
+
+
 class DeclinedError(GaugeError):
     """The backend cannot build a scene, or refuses the settings for it.
 
@@ -143,29 +147,38 @@ def record(
         observer = ObserverMarkers(
             scene, Observable.MARKER_POSITION, simulation, MarkerProxy.MATERIAL
         )
-    last: _Sample | None = None
-    samples: list[_Sample] = []
     names = [body.name for body in scene.bodies]
-    dynamic = [
+    start_states = states_now(simulation, names)
+    # Fixed bodies stay where they are.
+    moving = [
         index
         for index, body in enumerate(scene.bodies)
-        if body.motion is Motion.DYNAMIC
+        if body.motion is not Motion.FIXED
     ]
+    moving_names = [names[index] for index in moving]
+    dynamic = [
+        place
+        for place, index in enumerate(moving)
+        if scene.bodies[index].motion is Motion.DYNAMIC
+    ]
+    last: _Sample | None = None
+    samples: list[_Sample] = []
     last_motion = 0
     for index in range(count + 1):
         time = f"after {index * interval_s:.3g} s"
-        now = _read(simulation, scene, names, observer)
+        now = _read(simulation, scene, moving_names, observer)
         if fault := simulation.fault():
             raise DivergedError(f"{time} {fault}")
-        if name := _not_finite(names, now):
+        if name := _not_finite(moving_names, now):
             raise NotFiniteError(f"{time} {name!r} is not finite")
-        speeds = _speeds_m_per_s(names, dynamic, last or now, now, interval_s)
-        for name in (
-            name for name, speed in speeds.items() if speed > speed_limit_m_per_s
-        ):
+        speeds = _speeds_m_per_s(dynamic, last or now, now, interval_s)
+        fastest_m_per_s = max(speeds, default=0.0)
+        if fastest_m_per_s > speed_limit_m_per_s:
+            several = [*(moving_names[place] for place in dynamic), *now.nodes_m]
+            name = several[speeds.index(fastest_m_per_s)]
             limit = f"the scene allows {speed_limit_m_per_s:.3g} m/s at most"
             raise DivergedError(
-                f"{time} {name!r} moves at {speeds[name]:.3g} m/s; {limit}"
+                f"{time} {name!r} moves at {fastest_m_per_s:.3g} m/s; {limit}"
             )
         kept = {
             name: nodes
@@ -174,14 +187,15 @@ def record(
         }
         samples.append(now._replace(nodes_m=kept) if now.nodes_m else now)
         last = now
-        if max(speeds.values(), default=0.0) >= rest_m_per_s:
+        if fastest_m_per_s >= rest_m_per_s:
             last_motion = index
         is_at_rest = (index - last_motion) * interval_s >= REST_S
         if is_at_rest or _has_left(samples[0], now, ends_beyond_m):
             break
         if index < count:
             _advance(simulation, paths, index, time)
-    states = np.stack([sample.states for sample in samples])
+    states = np.repeat(start_states[None], len(samples), axis=0)
+    states[:, moving] = np.stack([sample.states for sample in samples])
     return Rollout(
         scene=scene,
         times_s=interval_s * np.arange(len(samples), dtype=np.float64),
@@ -236,7 +250,7 @@ class _Sample(NamedTuple):
     """All bodies at one time.
 
     Attributes:
-        states: States of the rigid bodies in the scene's order, shape [body_count, 13].
+        states: States of the rigid bodies that can move, in the scene's order, shape [body_count, 13].
         nodes_m: Nodes of the deformable bodies by name [m], shape [node_count, 3].
         markers_m: The scene's markers [m], shape [marker_count, 3].
     """
@@ -255,12 +269,12 @@ def _read(
     if observer is not None:
         observer.now(simulation)
     return _Sample(
-        states=states_now(simulation, names),
+        states=states_now(simulation, names) if names else NO_STATES,
         nodes_m={
             body.name: np.array(simulation.nodes(body.name), dtype=np.float64)
             for body in scene.deformables
         },
-        markers_m=np.zeros((0, 3)) if observer is None else observer.markers_m,
+        markers_m=NO_MARKERS if observer is None else observer.markers_m,
     )
 
 
@@ -299,26 +313,17 @@ def _not_finite(names: Sequence[str], now: _Sample) -> str:
 
 
 def _speeds_m_per_s(
-    names: Sequence[str],
-    dynamic: Sequence[int],
-    last: _Sample,
-    now: _Sample,
-    interval_s: float,
-) -> dict[str, float]:
-    """Return the largest speed along an axis of each dynamic or deformable body, reported or from displacements.
+    dynamic: Sequence[int], last: _Sample, now: _Sample, interval_s: float
+) -> list[float]:
+    """Return the largest speed along an axis of each dynamic and deformable body, reported or from displacements.
 
     The displacement is bounded like the speed, since an engine may set diverged bodies back to the start.
     """
-    between = np.abs(now.states[:, :3] - last.states[:, :3]) / interval_s
-    largest = (
-        np.maximum(np.abs(now.states[:, 7:10]), between)
-        .max(axis=1, initial=0.0)
-        .tolist()
-    )
-    moved = {
-        name: np.abs(nodes - last.nodes_m[name]).max(initial=0.0)
-        for name, nodes in now.nodes_m.items()
-    }
-    return {names[index]: largest[index] for index in dynamic} | {
-        name: float(distance_m) / interval_s for name, distance_m in moved.items()
-    }
+    speeds = np.abs(now.states[:, 7:10])
+    between = np.abs(now.states[:, :3] - last.states[:, :3])
+    between /= interval_s
+    largest: list[float] = np.maximum(speeds, between).max(axis=1).take(dynamic).tolist()
+    for name, nodes in now.nodes_m.items():
+        moved_m = np.abs(nodes - last.nodes_m[name]).max(initial=0.0)
+        largest.append(float(moved_m) / interval_s)
+    return largest
