@@ -322,7 +322,9 @@ def _speeds_m_per_s(
     speeds = np.abs(now.states[:, 7:10])
     between = np.abs(now.states[:, :3] - last.states[:, :3])
     between /= interval_s
-    largest: list[float] = np.maximum(speeds, between).max(axis=1).take(dynamic).tolist()
+    largest: list[float] = (
+        np.maximum(speeds, between).max(axis=1).take(dynamic).tolist()
+    )
     for name, nodes in now.nodes_m.items():
         moved_m = np.abs(nodes - last.nodes_m[name]).max(initial=0.0)
         largest.append(float(moved_m) / interval_s)

@@ -19,7 +19,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
-from scipy.signal import argrelmax
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends import Simulation
@@ -105,7 +104,10 @@ FRICTION = Tolerance(
 
 def _dry_n_m(from_rest_rad: Array, energy_j: Array, expected: float) -> Measurement:
     """Measure dry friction by the energy that is lost from the first stop to the last one, over the angle between."""
-    tops = [0, *argrelmax(np.abs(from_rest_rad))[0]]
+    away_rad = np.abs(from_rest_rad)
+    middle = away_rad[1:-1]
+    is_top = (middle > away_rad[:-2]) & (middle > away_rad[2:])
+    tops = [0, *(1 + np.flatnonzero(is_top))]
     between = float(np.abs(np.diff(from_rest_rad[tops])).sum())
     lost = float(energy_j[0] - energy_j[tops[-1]])
     return Measurement(

@@ -27,6 +27,7 @@ from gauge_envs.tools.bench.slope import moved_m
 from gauge_envs.tools.sanity.model import COVERAGE, Reality
 from gauge_envs.tools.sanity.phenomena.base import Phenomenon, Trace
 from gauge_envs.tools.sanity.phenomena.friction import (
+    CALM_INTERVAL_S,
     HOLD_S,
     SLIDE_S,
     creeping,
@@ -135,15 +136,16 @@ def _scenario(
     seconds: float,
     slope_deg: float,
     lift_m: float = 0.0,
-    steep: bool = True,
+    is_calm: bool = False,
 ) -> Scenario:
     softening = (
         {} if foot.softening is None else {"inverse_weight_scale": foot.softening}
     )
     return Scenario(
         name=f"foot-{kind}-{foot.digest}",
-        variant=f"SlopeSlider-{2 if steep else 1}-{MATERIAL}",
+        variant=f"SlopeSlider-{1 if is_calm else 2}-{MATERIAL}",
         seconds=seconds,
+        interval_s=CALM_INTERVAL_S if is_calm else Scenario.interval_s,
         change=partial(
             _replaced,
             foot=foot,
@@ -194,7 +196,7 @@ def creep(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
     slope = min(HOLD_DEG, steepest)
     made = creeping(
         f"foot of the robot: creep on {slope:.3g} degrees with a friction of {_friction(foot):.3g}",
-        _scenario("hold", foot, seconds=HOLD_S, slope_deg=slope, steep=False),
+        _scenario("hold", foot, seconds=HOLD_S, slope_deg=slope, is_calm=True),
         _downhill_mm,
         source=_source(f"law: Coulomb, tan {slope:.3g} deg < mu", foot),
         rationale=f"measured: the published trials of the {MATERIAL} cube allow no faster creep (paper, Table 5)",

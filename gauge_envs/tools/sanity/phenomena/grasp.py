@@ -6,6 +6,7 @@ The contacts have the target's constants, and friction 0.5.
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
+from importlib import import_module
 from typing import Any
 
 from gauge_envs.runs.rollout import Rollout
@@ -62,6 +63,8 @@ def grasped(id: str, quantity: str) -> Phenomenon:
     A hand that lifts its box with an acceleration a loads its pads as gravity g + a loads those of a hand at rest, so
     that the friction m (g + a) / (2 N) is needed. Here it is half of the pads' own: they hold while a is below g.
     """
+    # The other families take a second to import.
+    import_module("gauge_envs.tools.conformance.grasp")
     (known,), (scene, measure) = checks([id]), HANDS[id]
     name, law = (id, MIDDLE) if id == "grasp-torsion" else ("grasp", 0.0)
     source, allowed = f"{known.source}: {known.law}", known.tolerance
