@@ -184,7 +184,7 @@ def row_of(
     """Return the row of one set of settings, JSON-ready."""
     read = report.configuration
     by_id = {row.phenomenon: row for row in report.rows}
-    flags = [row for row in report.rows if row.is_flag]
+    flags = report.flags.values()
     return {
         "package": package,
         "version": packages,

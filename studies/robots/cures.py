@@ -168,7 +168,7 @@ def applied(path: Path, only: list[str]) -> dict[str, str]:
     begin_s = time.process_time()
     report = check(str(path), only=only)
     cpu_s = time.process_time() - begin_s
-    flags = [row.phenomenon for row in report.rows if row.is_flag]
+    flags = report.flags
     row = {"rows": " ".join(only) or "all", "cpu_s": f"{cpu_s:.3g}"}
     row["flags"] = " ".join(flags)
     row["refused"] = str(len(report.tried))
@@ -186,7 +186,7 @@ def applied(path: Path, only: list[str]) -> dict[str, str]:
             row["left"] = f"not written: {error}"
             return row
         after = check(str(file), only=only, explain=False)
-        row["left"] = " ".join(one.phenomenon for one in after.rows if one.is_flag)
+        row["left"] = " ".join(after.flags)
         keys = ("pose", "step", "push")
         units = ("mrad", "ms", "mm")
         for key, unit, was, now in zip(

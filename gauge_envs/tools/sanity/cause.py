@@ -11,6 +11,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from gauge_envs.pages.text import with_unit
 from gauge_envs.runs.rollout import DeclinedError
 from gauge_envs.tools.sanity.measure import Measured, Measurements
 from gauge_envs.tools.sanity.model import (
@@ -73,7 +74,7 @@ def find_cause(
     if nothing_to_explain or default.verdict is Verdict.DECLINED:
         return None
     search = _Search(measurements, phenomenon, settings, configured, default, dialect)
-    return search.put_back_one() or search.default_is_no_better() or search.several()
+    return search.put_back_one() or search.unexplained()
 
 
 @dataclass
@@ -174,22 +175,12 @@ class _Search:
             return alone.deviation
         return math.copysign(1.0, configured - default) * (alone.value - default)
 
-    def several(self) -> Cause:
-        """Return that no setting explains the error alone."""
-        return self._unexplained(
-            f"no reset of one explains it: {', '.join(self._others)}"
-        )
-
-    def default_is_no_better(self) -> Cause | None:
-        """Return that this package's preset has at least half of the error, if it has."""
-        if self._explains(self.default):
-            return None
-        text = self._measured_text(self.default)
-        return self._unexplained(
-            f"no setting alone explains it; this package's preset: {text}"
-        )
-
-    def _unexplained(self, line: str) -> Cause:
+    def unexplained(self) -> Cause:
+        """Return that no setting explains the error alone, or that this package's preset has at least half of it."""
+        line = f"no reset of one explains it: {', '.join(self._others)}"
+        if not self._explains(self.default):
+            preset = self._measured_text(self.default)
+            line = f"no setting alone explains it; this package's preset: {preset}"
         return Cause(settings=(), line=line, tried=tuple(self._tried))
 
     # --- changes ---
@@ -212,8 +203,7 @@ class _Search:
     def _measured_text(self, measured: Measured) -> str:
         if measured.value is None:
             return measured.remark
-        unit = "" if self.phenomenon.unit == "1" else f" {self.phenomenon.unit}"
-        return f"{measured.value:.3g}{unit}"
+        return with_unit(f"{measured.value:.3g}", self.phenomenon.unit)
 
     def _assignment(self, name: str) -> str:
         text = self.dialect.assignment(name, self._best[name].value)

@@ -253,7 +253,7 @@ def _judged_by(
     )
 
     def exit_code(report: Report) -> int:
-        is_bad = any(row.is_flag and row.verdict in bad for row in report.rows)
+        is_bad = any(row.verdict in bad for row in report.flags.values())
         if before is not None:
             worse = regressions(report, before, least=least)
             for one in worse:

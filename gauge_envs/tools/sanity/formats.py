@@ -42,20 +42,15 @@ def _unmeasured_text(row: PhenomenonResult) -> str:
 
 def junit_text(report: Report) -> str:
     """Return a report as a test suite: a flag is a failure, a row that should have been measured an error."""
-    unmeasured = set(report.unmeasured)
-    failures = [row for row in report.rows if row.is_flag]
-    skipped = [
-        row
-        for row in report.rows
-        if row.verdict is Verdict.DECLINED and row.phenomenon not in unmeasured
-    ]
+    unmeasured = report.unmeasured
+    declined = [row for row in report.rows if row.verdict is Verdict.DECLINED]
     suite = ElementTree.Element(
         "testsuite",
         name=f"gauge sanity {report.configuration.name}",
         tests=str(len(report.rows)),
-        failures=str(len(failures)),
+        failures=str(len(report.flags)),
         errors=str(len(unmeasured)),
-        skipped=str(len(skipped)),
+        skipped=str(len(declined) - len(unmeasured)),
         time=f"{report.wall_s:.3f}",
     )
     for row in report.rows:
@@ -68,7 +63,7 @@ def junit_text(report: Report) -> str:
             )
         elif row.phenomenon in unmeasured:
             ElementTree.SubElement(case, "error", type="unmeasured", message=row.remark)
-        elif row in skipped:
+        elif row in declined:
             ElementTree.SubElement(case, "skipped", message=row.remark)
     ElementTree.indent(suite)
     return ElementTree.tostring(suite, encoding="unicode")
@@ -99,8 +94,7 @@ def sarif_text(report: Report) -> str:
             "message": {"text": _message(row)},
             **locations,
         }
-        for row in report.rows
-        if row.is_flag
+        for row in report.flags.values()
     ]
     unmeasured = set(report.unmeasured)
     notes = [
@@ -138,8 +132,7 @@ def github_text(report: Report) -> str:
     """Return a report as workflow commands: an annotation for each flag, and one with the first line of the report."""
     lines = [
         _command(LEVELS[r.verdict], f"gauge sanity {r.phenomenon}", _message(r))
-        for r in report.rows
-        if r.is_flag
+        for r in report.flags.values()
     ]
     lines += [
         _command("error", f"gauge sanity {row.phenomenon}", _unmeasured_text(row))

@@ -506,12 +506,7 @@ def _states_impact(subject: Subject, settings: Settings) -> bool:
     if solref is None:
         return True
     first, second = solref
+    if first > 0.0:
+        return bool(second < 1.0)
     # In the direct format, minus stiffness and damping, the damping ratio is b / (2 sqrt(k)).
-    ratio = (
-        second
-        if first > 0.0
-        else -second / (2.0 * (-first) ** 0.5)
-        if first < 0.0
-        else 1.0
-    )
-    return bool(ratio < 1.0)
+    return bool(-second < 2.0 * (-first) ** 0.5)

@@ -41,7 +41,7 @@ def write_mended(report: Report, file: Path) -> str:
     from gauge_envs.tools.sanity.robot.mended_model import mended_xml
 
     checked, cure = report.configuration, report.cure
-    before = {row.phenomenon for row in report.rows if row.is_flag}
+    before = set(report.flags)
     if cure is None:
         reason = "no change mends a flag" if before else "nothing is flagged"
         return f"{file} is not written: {reason}"
@@ -73,12 +73,9 @@ def write_mended(report: Report, file: Path) -> str:
 
 def _flags(file: Path, report: Report) -> set[str]:
     """Return the flagged rows of a file."""
-    read = configuration_of(
-        str(file),
-        pair=report.configuration.robot.pair if report.configuration.robot else None,
-    )
-    if read.robot is not None and report.configuration.robot is not None:
-        was = report.configuration.robot
+    was = report.configuration.robot
+    read = configuration_of(str(file), pair=was.pair)
+    if read.robot is not None:
         robot = replace(read.robot, action_rad=was.action_rad, delay_s=was.delay_s)
         read = replace(read, robot=robot)
     measured = [
@@ -86,5 +83,5 @@ def _flags(file: Path, report: Report) -> set[str]:
         for row in report.rows
         if row.configured is not None or row.is_flag
     ]
-    rows = check(read, only=measured, include_deformables=True, explain=False).rows
-    return {row.phenomenon for row in rows if row.is_flag}
+    after = check(read, only=measured, include_deformables=True, explain=False)
+    return set(after.flags)

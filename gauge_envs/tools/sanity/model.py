@@ -560,6 +560,11 @@ class Report:
     asked: tuple[str, ...] = ()
 
     @property
+    def flags(self) -> dict[str, PhenomenonResult]:
+        """Rows that are visible or wrong, and count, by id."""
+        return {row.phenomenon: row for row in self.rows if row.is_flag}
+
+    @property
     def unmeasured(self) -> tuple[str, ...]:
         """Ids of rows that apply, or were asked for by name, and were not measured; all rows when none was measured."""
         declined = [row for row in self.rows if row.verdict is Verdict.DECLINED]

@@ -125,27 +125,22 @@ def top_line(report: Report) -> str:
     Numbers that a published model of the robot states otherwise come first. Without a change, what the check found.
     """
     mended = () if report.cure is None else report.cure.mended
-    unlike = [
-        f"Unlike the published robot: {row.remark}. "
-        for row in report.rows
-        if row.phenomenon == "robot-maker"
-        and row.is_flag
-        and row.phenomenon not in mended
-    ]
-    return "".join(unlike) + _advice_line(report)
+    unlike = report.flags.get("robot-maker")
+    if unlike is None or "robot-maker" in mended:
+        return _advice_line(report)
+    return f"Unlike the published robot: {unlike.remark}. {_advice_line(report)}"
 
 
 def _advice_line(report: Report) -> str:
     """Return the change that mends most rows, and what is left; without one, what the check found."""
-    flags = sum(row.is_flag for row in report.rows)
+    flags = report.flags
     if report.cure is not None:
         left = [
-            row.phenomenon
-            for row in report.rows
+            name
+            for name, row in flags.items()
             if row.verdict is Verdict.WRONG
-            and row.is_flag
-            and row.phenomenon.startswith("robot-")
-            and row.phenomenon not in report.cure.mended
+            and name.startswith("robot-")
+            and name not in report.cure.mended
         ]
         first = (
             f"Wrong in the robot itself, mend by hand: {', '.join(left)}. "
@@ -154,7 +149,7 @@ def _advice_line(report: Report) -> str:
         )
         return f"{first}Mends most: {report.cure.line}"
     if flags:
-        text = f"{flags} {'flags' if flags > 1 else 'flag'}"
+        text = counted(len(flags), "flag")
         if report.tried:
             more = len(report.tried) - MOST_TRIED
             several = [
@@ -164,9 +159,7 @@ def _advice_line(report: Report) -> str:
             return (
                 f"{text}. Tried, and none mends one without harm: {'; '.join(several)}"
             )
-        return (
-            f"{text}: {', '.join(row.phenomenon for row in report.rows if row.is_flag)}"
-        )
+        return f"{text}: {', '.join(flags)}"
     measured, missing = report.counts["measured"], report.unmeasured
     if not measured:
         reasons = dict.fromkeys(row.remark for row in report.rows if row.remark)
@@ -195,7 +188,7 @@ def counts_text(report: Report) -> str:
 
 def is_clean(report: Report) -> bool:
     """Return whether all that was asked for was measured, and nothing is flagged."""
-    return not report.unmeasured and not any(row.is_flag for row in report.rows)
+    return not report.unmeasured and not report.flags
 
 
 def phenomena_table(
@@ -279,14 +272,7 @@ def setting_text(value: Any) -> str:
 
 def contact_table(checked: TrainingConfiguration) -> Table:
     """Return the contact constants of each group of pairs."""
-    names = {
-        "condim": False,
-        "friction": False,
-        "solref": False,
-        "solimp": False,
-        "margin": True,
-        "gap": True,
-    }
+    names = ("condim", "friction", "solref", "solimp", "margin", "gap")
     return Table(
         title="Contacts of the model",
         columns=(
@@ -294,8 +280,10 @@ def contact_table(checked: TrainingConfiguration) -> Table:
             Column("geoms", "geoms", place=Place.HEADING),
             Column("pair_count", "pairs", is_number=True),
             *(
-                Column(f"constants.{name}", name, setting_text, wide_only=wide_only)
-                for name, wide_only in names.items()
+                Column(
+                    f"constants.{name}", name, setting_text, wide_only=name in names[4:]
+                )
+                for name in names
             ),
         ),
         rows=checked.contact_groups,

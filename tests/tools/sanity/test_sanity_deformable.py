@@ -212,7 +212,7 @@ def test_an_engine_that_raises_has_diverged(monkeypatch):
         ),
         pytest.param(
             "rope-length",
-            {"timestep_s": 0.005, "integrator": "Euler"},
+            {"timestep_s": 0.0008, "integrator": "Euler"},
             "timestep_s",
             marks=pytest.mark.slow,
         ),

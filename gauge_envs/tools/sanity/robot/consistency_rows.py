@@ -105,19 +105,16 @@ def _damping_ratio(solref: FloatArray) -> float:
 @row("robot-solref")
 def _solref(robot: Robot) -> Finding:
     model = robot.model
-    parts: dict[str, float] = {}
+    stated: dict[str, FloatArray] = {}
     for geom in np.unique(robot.pairs.geoms).tolist():
-        ratio = _damping_ratio(model.geom_solref[geom])
-        parts[f"contacts of {geom_name(model, geom)}"] = ratio
-    for number in range(model.npair):
-        ratio = _damping_ratio(model.pair_solref[number])
-        parts[f"contacts of pair {model.pair(number).name or number}"] = ratio
+        stated[f"contacts of {geom_name(model, geom)}"] = model.geom_solref[geom]
+    for number, solref in enumerate(model.pair_solref):
+        stated[f"contacts of pair {model.pair(number).name or number}"] = solref
     for joint in np.flatnonzero(model.jnt_limited).tolist():
-        ratio = _damping_ratio(model.jnt_solref[joint])
-        parts[f"the limit of {name_of(robot, joint)}"] = ratio
-    for number in range(model.neq):
-        ratio = _damping_ratio(model.eq_solref[number])
-        parts[f"equality {model.eq(number).name or number}"] = ratio
+        stated[f"the limit of {name_of(robot, joint)}"] = model.jnt_solref[joint]
+    for number, solref in enumerate(model.eq_solref):
+        stated[f"equality {model.eq(number).name or number}"] = solref
+    parts = {name: _damping_ratio(solref) for name, solref in stated.items()}
     if not parts:
         return Finding(
             declined="no contact, limit or equality of the model has a solref"

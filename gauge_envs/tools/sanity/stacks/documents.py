@@ -12,11 +12,13 @@ from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from gauge_envs.errors import TargetError, needs_extra
 from gauge_envs.files import MEGABYTE, printable, read_regular
 from gauge_envs.tools.sanity.model import Settings
+
+T = TypeVar("T")
 
 MOST_YAML_BYTES = MEGABYTE
 """Largest size of a YAML file. Dumps of training runs have some 30 kB."""
@@ -240,17 +242,17 @@ class Table:
 
     def flag(self, key: str) -> bool | None:
         """Return a Boolean value."""
-        value = self.value(key)
-        if value is None or isinstance(value, bool):
-            return value
-        raise self._wrong(key, value, "true or false")
+        return self._of(bool, key, "true or false")
 
     def text(self, key: str) -> str | None:
         """Return a text."""
+        return self._of(str, key, "a text")
+
+    def _of(self, kind: type[T], key: str, what: str) -> T | None:
         value = self.value(key)
-        if value is None or isinstance(value, str):
+        if value is None or isinstance(value, kind):
             return value
-        raise self._wrong(key, value, "a text")
+        raise self._wrong(key, value, what)
 
     def choice(self, key: str, known: Collection[str]) -> str | None:
         """Return one of some texts."""
