@@ -51,10 +51,13 @@ import runpy, sys
 memory, seconds = int(sys.argv.pop(1)), int(sys.argv.pop(1))
 if sys.platform != "win32":
     import resource
-    resource.setrlimit(resource.RLIMIT_DATA, (memory, memory))
-    resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds))
-    resource.setrlimit(resource.RLIMIT_FSIZE, (memory, memory))
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    limits = {"DATA": memory, "CPU": seconds, "FSIZE": memory, "CORE": 0}
+    for name, most in limits.items():
+        kind = getattr(resource, f"RLIMIT_{name}")
+        hard = resource.getrlimit(kind)[1]
+        # A limit of the session that is lower cannot be raised.
+        most = most if hard == resource.RLIM_INFINITY else min(most, hard)
+        resource.setrlimit(kind, (most, most))
 sys.argv.pop(0)
 runpy.run_path(sys.argv[0], run_name="__main__")
 """

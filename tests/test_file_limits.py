@@ -7,6 +7,8 @@ import io
 import os
 import stat
 import struct
+import subprocess
+import sys
 import tracemalloc
 import zipfile
 from pathlib import Path
@@ -324,6 +326,17 @@ def test_a_model_that_takes_all_memory_is_refused(body, reason, tmp_path, monkey
     file.write_text(f"<mujoco>{body}</mujoco>")
     with pytest.raises(AssetError, match=reason):
         load_experiment_from_asset(NAME, file)
+
+
+@pytest.mark.usefixtures("real_children")
+def test_a_lower_limit_of_the_session_refuses_no_file(tmp_path):
+    script = tmp_path / "script.py"
+    script.write_text("print(1)")
+    program = (
+        f"from gauge_envs import files; files.child_output({str(script)!r}, cpu_s=60)"
+    )
+    command = ["bash", "-c", 'ulimit -t 30; "$0" -c "$1"', sys.executable, program]
+    assert subprocess.run(command, check=False).returncode == 0
 
 
 def test_a_file_of_states_that_never_ends_is_refused(tmp_path, monkeypatch):

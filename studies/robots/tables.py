@@ -86,15 +86,20 @@ def main(listing: Path) -> None:
     FOLDER.mkdir(exist_ok=True)
     with listing.open(encoding="utf-8") as stream:
         models = list(csv.DictReader(stream))
+    known: dict[bytes, dict[str, str]] = {}
     for model in models:
         print(model["name"], write(model), flush=True)
+        file = FOLDER / f"{model['name']}.csv"
+        if known.setdefault(file.read_bytes(), model) is not model:
+            # An earlier model has the same numbers.
+            file.unlink()
     with (FOLDER / "index.csv").open("w", encoding="utf-8", newline="") as stream:
         columns = ["name", "robot", "source", "licence"]
         writer = csv.DictWriter(
             stream, columns, lineterminator="\n", extrasaction="ignore"
         )
         writer.writeheader()
-        writer.writerows(models)
+        writer.writerows(known.values())
 
 
 if __name__ == "__main__":
