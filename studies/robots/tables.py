@@ -5,9 +5,9 @@ replaced by boxes, and numbers that change with the size of the box are left out
 """
 
 import csv
+import io
 import math
 import sys
-from collections.abc import Mapping
 from pathlib import Path
 
 import mujoco
@@ -68,38 +68,32 @@ def _is_same(first: float, second: float) -> bool:
     return first == second or math.isclose(first, second, rel_tol=1e-6, abs_tol=1e-9)
 
 
-def write(model: Mapping[str, str]) -> int:
-    """Write the table of a model, a line for each quantity, and return the count of its numbers."""
+def table(path: Path) -> str:
+    """Return the table of a model, a line for each quantity."""
     lines: dict[str, list[str]] = {}
-    known = numbers(Path(model["path"]))
-    for (quantity, part), value in known.items():
-        lines.setdefault(quantity, []).append(f"{part}={value:.6g}")
-    file = FOLDER / f"{model['name']}.csv"
-    with file.open("w", encoding="utf-8", newline="") as stream:
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerows([quantity, *cells] for quantity, cells in lines.items())
-    return len(known)
+    for (quantity, part), value in numbers(path).items():
+        lines.setdefault(quantity, [quantity]).append(f"{part}={value:.6g}")
+    stream = io.StringIO()
+    csv.writer(stream, lineterminator="\n").writerows(lines.values())
+    return stream.getvalue()
 
 
 def main(listing: Path) -> None:
-    """Write the tables of all models of a list, and the index."""
+    """Write the tables of all models of a list that differ in a number, and the index."""
     FOLDER.mkdir(exist_ok=True)
+    models: dict[str, dict[str, str]] = {}
     with listing.open(encoding="utf-8") as stream:
-        models = list(csv.DictReader(stream))
-    known: dict[bytes, dict[str, str]] = {}
-    for model in models:
-        print(model["name"], write(model), flush=True)
-        file = FOLDER / f"{model['name']}.csv"
-        if known.setdefault(file.read_bytes(), model) is not model:
-            # An earlier model has the same numbers.
-            file.unlink()
+        for model in csv.DictReader(stream):
+            models.setdefault(table(Path(model["path"])), model)
+    for text, model in models.items():
+        (FOLDER / f"{model['name']}.csv").write_text(text, encoding="utf-8")
     with (FOLDER / "index.csv").open("w", encoding="utf-8", newline="") as stream:
         columns = ["name", "robot", "source", "licence"]
         writer = csv.DictWriter(
             stream, columns, lineterminator="\n", extrasaction="ignore"
         )
         writer.writeheader()
-        writer.writerows(known.values())
+        writer.writerows(models.values())
 
 
 if __name__ == "__main__":

@@ -62,10 +62,6 @@ def report(settings, only=QUICK):
     )
 
 
-def flagged(rows):
-    return {row.phenomenon: row for row in rows if row.is_flag}
-
-
 # --- planted in MuJoCo -----------------------------------------------------------------------------------------------
 
 
@@ -78,7 +74,7 @@ def test_settings_that_need_each_other_are_both_reported():
 
 def test_good_configuration_raises_no_flag():
     found = report(GOOD)
-    assert flagged(found.rows) == {}
+    assert found.flags == {}
     assert found.worst is Verdict.INSIDE
     assert all(row.cause is None for row in found.rows)
     assert {row.experiment for row in found.rows} >= {
@@ -98,7 +94,7 @@ def test_half_cheetah_is_flagged_with_a_cause_each():
         notify=seen.append,
     )
     assert seen == list(found.rows)
-    bad = flagged(found.rows)
+    bad = found.flags
     # Once it has sunk in, the cube slides by Coulomb's law.
     assert set(bad) == {"creep-wood", "rest-height"}
     # One solref without rebound serves all contacts, so that the model does not state what the row depends on.
@@ -176,7 +172,7 @@ def test_divergence_is_a_row():
 @pytest.mark.parametrize("name", PLANTS)
 def test_planted_setting_is_found_in_every_flagged_row(name):
     """It is the cause, or is named among the settings that suffice, where it is not the default of the scene."""
-    bad = flagged(report({**GOOD, name: PLANTS[name][0]}, only=()).rows)
+    bad = report({**GOOD, name: PLANTS[name][0]}, only=()).flags
     assert PLANTS[name][1] in bad
     causes = {
         phenomenon: row.cause
@@ -196,7 +192,7 @@ def test_planted_setting_is_found_in_every_flagged_row(name):
 
 @pytest.mark.slow
 def test_good_configuration_raises_no_flag_anywhere():
-    assert flagged(report(GOOD, only=()).rows) == {}
+    assert report(GOOD, only=()).flags == {}
 
 
 def test_a_wall_that_has_fallen_is_simulated_no_longer():

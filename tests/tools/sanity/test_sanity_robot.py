@@ -81,11 +81,8 @@ def test_a_good_robot_has_no_flag():
 def test_a_mistake_is_found_and_named(name):
     fault = FAULTS[name]
     only = [one for one in fault.rows if one in (*ROBOT_IDS, "gravity")]
-    flags = {
-        row.phenomenon: row
-        for row in rows_of(fault.xml(), only).values()
-        if row.is_flag
-    }
+    found = rows_of(fault.xml(), only)
+    flags = {name: row for name, row in found.items() if row.is_flag}
     named = set(flags) & set(fault.rows)
     assert named or not set(fault.rows) <= {*ROBOT_IDS, "gravity"}, flags
     assert all(flags[one].consequence for one in named - {"gravity"})

@@ -1,9 +1,10 @@
 """What a robot's model states of each link, joint and motor, by names that two models share."""
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import combinations_with_replacement
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -95,6 +96,18 @@ def short_name(part: str) -> str:
     return PREFIX.sub("", part)
 
 
+ENDS, UNLIMITED = ("low", "high"), (-np.inf, np.inf)
+"""Ends of a range, and those of one without limits."""
+
+
+def _each(
+    quantity: str, name: str, values: Iterable[float], words: Iterable[Any] = "xyz"
+) -> Iterator[tuple[str, str, float]]:
+    """Yield each component of a quantity of a part, by its word."""
+    for word, value in zip(words, values, strict=True):
+        yield quantity, f"{name} {word}", value
+
+
 def _of_links(robot: Robot) -> Iterator[tuple[str, str, float]]:
     model = robot.model
     for body in robot.bodies:
@@ -102,22 +115,18 @@ def _of_links(robot: Robot) -> Iterator[tuple[str, str, float]]:
         yield "mass", name, model.body_mass[body]
         # The order of principal axes is the compiler's choice.
         moments = np.sort(model.body_inertia[body])
-        for word, value in zip(("least", "middle", "largest"), moments, strict=True):
-            yield "inertia", f"{name} {word}", value
-        for axis, place in enumerate("xyz"):
-            yield "centre-of-mass", f"{name} {place}", model.body_ipos[body, axis]
-            if model.body_parentid[body]:
-                yield "link-place", f"{name} {place}", model.body_pos[body, axis]
+        yield from _each("inertia", name, moments, ("least", "middle", "largest"))
+        yield from _each("centre-of-mass", name, model.body_ipos[body])
+        if model.body_parentid[body]:
+            yield from _each("link-place", name, model.body_pos[body])
+            turn_rad = _turn_rad(model.body_quat[body])
+            yield from _each("link-turn", name, turn_rad)
         axes = _axes(model.body_iquat[body])
         tensor = (axes * model.body_inertia[body]) @ axes.T
         trace = max(float(np.trace(tensor)), 1e-12)
         for first, second in combinations_with_replacement(range(3), 2):
             entry = f"{name} {'xyz'[first]}{'xyz'[second]}"
             yield "inertia-axes", entry, tensor[first, second] / trace
-        if model.body_parentid[body]:
-            turn_rad = _turn_rad(model.body_quat[body])
-            for where, angle_rad in zip("xyz", turn_rad, strict=True):
-                yield "link-turn", f"{name} {where}", angle_rad
         yield "gravcomp", name, model.body_gravcomp[body]
 
 
@@ -155,17 +164,12 @@ def _of_joints(robot: Robot) -> Iterator[tuple[str, str, float]]:
         yield "joint-zero", name, model.qpos0[place]
         if model.jnt_stiffness[joint]:
             yield "spring-zero", name, model.qpos_spring[place]
-        for axis, where in enumerate("xyz"):
-            yield "joint-place", f"{name} {where}", model.jnt_pos[joint, axis]
+        yield from _each("joint-place", name, model.jnt_pos[joint])
         if model.jnt_actfrclimited[joint]:
             yield "joint-force", name, np.abs(model.jnt_actfrcrange[joint]).max()
-        for axis, place in enumerate("xyz"):
-            yield "joint-axis", f"{name} {place}", axes[joint, axis]
-        low, high = (
-            model.jnt_range[joint] if model.jnt_limited[joint] else (-np.inf, np.inf)
-        )
-        yield "joint-range", f"{name} low", low
-        yield "joint-range", f"{name} high", high
+        yield from _each("joint-axis", name, axes[joint])
+        limits = model.jnt_range[joint] if model.jnt_limited[joint] else UNLIMITED
+        yield from _each("joint-range", name, limits, ENDS)
 
 
 def _of_motors(robot: Robot) -> Iterator[tuple[str, str, float]]:
@@ -196,13 +200,9 @@ def _of_motors(robot: Robot) -> Iterator[tuple[str, str, float]]:
             else np.inf
         )
         yield "motor-limit", name, limit
-        low, high = (
-            model.actuator_ctrlrange[actuator]
-            if model.actuator_ctrllimited[actuator]
-            else (-np.inf, np.inf)
-        )
-        yield "control-range", f"{name} low", low
-        yield "control-range", f"{name} high", high
+        is_limited = model.actuator_ctrllimited[actuator]
+        limits = model.actuator_ctrlrange[actuator] if is_limited else UNLIMITED
+        yield from _each("control-range", name, limits, ENDS)
         has_lag = int(model.actuator_dyntype[actuator]) != int(mujoco.mjtDyn.mjDYN_NONE)
         lag_s = float(model.actuator_dynprm[actuator, 0]) if has_lag else 0.0
         yield "motor-lag", name, lag_s
@@ -229,12 +229,9 @@ def _of_contacts(robot: Robot) -> Iterator[tuple[str, str, float]]:
         yield "contype", name, np.bitwise_or.reduce(model.geom_contype[geoms])
         yield "conaffinity", name, np.bitwise_or.reduce(model.geom_conaffinity[geoms])
         yield "condim", name, model.geom_condim[geoms].max()
-        for kind, word in enumerate(("sliding", "torsional", "rolling")):
-            yield (
-                "geom-friction",
-                f"{name} {word}",
-                model.geom_friction[geoms, kind].max(),
-            )
+        friction = model.geom_friction[geoms].max(axis=0)
+        words = ("sliding", "torsional", "rolling")
+        yield from _each("geom-friction", name, friction, words)
         yield "geom-solref", name, model.geom_solref[geoms, 0].min()
         yield "geom-priority", name, model.geom_priority[geoms].max()
         yield "geom-margin", name, model.geom_margin[geoms].max()
@@ -242,8 +239,7 @@ def _of_contacts(robot: Robot) -> Iterator[tuple[str, str, float]]:
         if len(primitive):
             yield "geom-size", name, model.geom_rbound[primitive].sum()
             centre_m = model.geom_pos[primitive].mean(axis=0)
-            for axis, place_m in zip("xyz", centre_m, strict=True):
-                yield "geom-place", f"{name} {axis}", place_m
+            yield from _each("geom-place", name, centre_m)
     for signature in model.exclude_signature.tolist():
         two = sorted(
             body_name(robot, one) for one in (signature >> 16, signature & 0xFFFF)
@@ -277,11 +273,8 @@ def _of_couplings(robot: Robot) -> Iterator[tuple[str, str, float]]:
         ends = (model.eq_obj1id[number], model.eq_obj2id[number])
         names = [mujoco.mj_id2name(model, kind, end) or "" for end in ends if end >= 0]
         name = " and ".join(names)
-        values = (
-            model.eq_data[number, :5] if is_joint[number] else model.eq_data[number, :3]
-        )
-        for place, value in enumerate(values):
-            yield "coupling", f"{name} {place}", value
+        values = model.eq_data[number, : 5 if is_joint[number] else 3]
+        yield from _each("coupling", name, values, range(len(values)))
         yield "coupling-solref", name, model.eq_solref[number, 0]
 
 
@@ -298,10 +291,9 @@ def _of_sensors(robot: Robot) -> Iterator[tuple[str, str, float]]:
         yield "sensor-cutoff", name, model.sensor_cutoff[sensor]
     for site in np.flatnonzero(np.isin(model.site_bodyid, robot.bodies)).tolist():
         name = model.site(site).name
-        turn_rad = _turn_rad(model.site_quat[site])
-        for axis, where in enumerate("xyz" if name else ""):
-            yield "site-place", f"{name} {where}", model.site_pos[site, axis]
-            yield "site-turn", f"{name} {where}", turn_rad[axis]
+        if name:
+            yield from _each("site-place", name, model.site_pos[site])
+            yield from _each("site-turn", name, _turn_rad(model.site_quat[site]))
 
 
 def _of_options(robot: Robot) -> Iterator[tuple[str, str, float]]:
