@@ -58,7 +58,8 @@ def write_mended(report: Report, file: Path) -> str:
         try:
             part.write_text(text, encoding="utf-8", newline="\n")
             after = _flags(part, report)
-            new, left = after - before, after & before
+            # The published number can be the mistake that is mended.
+            new, left = after - before - {"robot-maker"}, after & before
             if new or len(left) > cure.flag_count - cure.mended_count:
                 raise TargetError(
                     f"{file} is not written: the mended model, read again, has the flags "

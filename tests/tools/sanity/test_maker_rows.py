@@ -7,6 +7,7 @@ import mujoco
 import pytest
 from robot_faults import good_xml
 
+from gauge_envs.tools.sanity import mended
 from gauge_envs.tools.sanity.model import Verdict
 from gauge_envs.tools.sanity.robot import maker_rows
 from gauge_envs.tools.sanity.robot.maker_rows import families, published_models
@@ -174,11 +175,14 @@ RUSTY = good_xml().replace('frictionloss="0.2"', 'frictionloss="20"')
 
 
 @pytest.mark.parametrize("published", [RUSTY], indirect=True)
-def test_a_published_mistake_is_cured_too(published, tmp_path, gauge):
+def test_a_published_mistake_is_cured_too(published, tmp_path, gauge, monkeypatch):
+    # The cure leaves the published numbers.
+    monkeypatch.setattr(mended, "_flags", lambda *_: {"robot-maker"})
     (tmp_path / "dog.xml").write_text(RUSTY)
-    outcome = gauge("sanity", "dog.xml", "--only", "robot-maker,robot-frictionloss")
+    only = ("--only", "robot-maker,robot-frictionloss")
+    outcome = gauge("sanity", "dog.xml", *only, "--fix", "mended.xml")
     assert outcome.stdout.startswith("Mends most")
-    assert "frictionloss" in outcome.stdout.splitlines()[0]
+    assert "frictionloss was 20" in (tmp_path / "mended.xml").read_text()
 
 
 def test_what_is_left_out_with_its_joint_is_no_mistake():

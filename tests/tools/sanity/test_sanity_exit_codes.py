@@ -34,7 +34,6 @@ def run(monkeypatch, checked, *options):
 @pytest.mark.parametrize(
     ("rows", "options", "code"),
     [
-        ((PERIOD,), (), 0),
         ((PERIOD, ADVICE), (), 0),
         ((PERIOD, NOTHING), (), 0),
         ((CREEP, PERIOD), (), 1),
@@ -43,7 +42,6 @@ def run(monkeypatch, checked, *options):
         ((CREEP, PERIOD), ("--fail-on", "never"), 0),
         ((CREEP, WALL), (), 1),
         ((PERIOD, WALL), (), 3),
-        ((CREEP, WALL), ("--fail-on", "never"), 3),
         # Nothing was measured, whether it applies or not.
         ((NOTHING,), (), 3),
         ((WALL,), ("--fail-on", "never"), 3),
@@ -136,7 +134,6 @@ WORSE = replace(PERIOD, configured=1.0, verdict=Verdict.VISIBLE)
         ((CREEP, PERIOD), (), 0),
         ((CREEP, WORSE), (), 1),
         ((CREEP, WORSE), ("--fail-on", "wrong"), 0),
-        ((SLIDE, PERIOD), (), 1),
         ((ADVICE, PERIOD), (), 0),
     ],
 )
