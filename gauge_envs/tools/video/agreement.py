@@ -1,7 +1,7 @@
 """Say how a clip meets the values that are published for it, whose frames are not published."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 
@@ -17,23 +17,6 @@ from gauge_envs.tools.video.tasks import Motion, VideoTask
 
 CLOSE = 0.1
 """Largest relative difference with which a value agrees with a published one."""
-
-MOST_SHIFT = 24
-"""Frames by which an interval is moved at either end in search of published values."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Interval:
-    """Metrics in an interval, and by how many frames its ends differ from the retained one."""
-
-    frames: tuple[int, int]
-    moved: tuple[int, int]
-    metrics: Metrics
-
-    @property
-    def is_near(self) -> bool:
-        """Whether the paper's window may have chosen it: a release within six frames, and an earlier end."""
-        return abs(self.moved[0]) <= laws.WINDOW >= self.moved[1]
 
 
 def agreement(
@@ -63,53 +46,51 @@ def agreement(
         return "within the interval"
     if task.direction is None:
         return _difference(result, task, published)
-    intervals = sorted(
-        _intervals(result, task),
-        key=lambda one: abs(one.moved[0]) + abs(one.moved[1]),
-    )
-    near = [one for one in intervals if one.is_near]
-    for searched, words in ((near, ""), (intervals, "weak: only ")):
-        found = [one for one in searched if _is_close(one.metrics, published)]
-        if found:
+    intervals = sorted(_intervals(result, task), key=lambda one: sum(map(abs, one[0])))
+    for (later_start, later_end), (first, last), metrics in intervals:
+        if _is_close(metrics, published):
             met = [
-                any(_is_close(one.metrics, other) for one in searched)
+                any(_is_close(found, other) for *_, found in intervals)
                 for other in others
             ]
-            (first, last), moved = found[0].frames, found[0].moved
             return (
-                f"{words}in frames {first} to {last}, {moved[0]:+d} and {moved[1]:+d} from those here; so are "
+                f"in frames {first} to {last}, {later_start:+d} and {later_end:+d} from those here; so are "
                 f"{sum(met)} of {len(met)} values of other clips"
             )
     counts = []
     for name, value in published.items():
-        count = sum(_is_close(one.metrics, {name: value}) for one in intervals)
+        count = sum(_is_close(found, {name: value}) for *_, found in intervals)
         counts.append(f"{name} holds in {count}")
-    return f"in no frames within {MOST_SHIFT}: of {len(intervals)}, {', '.join(counts)}"
+    return f"in no frames near: of {len(intervals)}, {', '.join(counts)}"
 
 
-def _intervals(result: VideoScore, task: VideoTask) -> Iterator[_Interval]:
-    """Yield the metrics in each interval whose release is near the retained one, or whose ends both are."""
+Span: TypeAlias = tuple[int, int]
+"""First and last frame, or by how many frames both are later."""
+
+
+def _intervals(
+    result: VideoScore, task: VideoTask
+) -> Iterator[tuple[Span, Span, Metrics]]:
+    """Yield the intervals that the paper's window may have chosen, and their metrics.
+
+    They have a release within its six frames of the retained one, and an end that is no more than six later.
+    """
     assert result.interval_frames is not None
     track = result.track
     start, end = np.searchsorted(track.frames, result.interval_frames)
     row_count = len(track.frames)
-    for first in range(max(0, start - MOST_SHIFT), min(row_count, start + MOST_SHIFT)):
-        is_release = abs(first - start) <= laws.WINDOW
-        earliest = first + LEAST_RETAINED + 1
-        if not is_release:
-            earliest = max(earliest, end - MOST_SHIFT)
-        for last in range(earliest, min(row_count, end + MOST_SHIFT)):
+    window = laws.WINDOW
+    for first in range(max(0, start - window), start + window + 1):
+        for last in range(first + LEAST_RETAINED + 1, min(row_count, end + window + 1)):
             try:
                 metrics, _ = paper_metrics(
                     track, task, (first, last), task.scale_m_per_px
                 )
             except ParameterError:
                 continue
-            yield _Interval(
-                frames=(int(track.frames[first]), int(track.frames[last])),
-                moved=(int(first - start), int(last - end)),
-                metrics=metrics,
-            )
+            later = (int(first - start), int(last - end))
+            frames = (int(track.frames[first]), int(track.frames[last]))
+            yield later, frames, metrics
 
 
 def _difference(result: VideoScore, task: VideoTask, published: Metrics) -> str:

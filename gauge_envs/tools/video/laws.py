@@ -61,21 +61,6 @@ class AccelerationFit:
 
 
 @dataclass(frozen=True, kw_only=True)
-class DynamicError:
-    """Force that a motion needs beyond the available friction.
-
-    Attributes:
-        de_n: Mean exceedance over all inner samples [N].
-        accelerations_m_per_s2: Size of the acceleration at inner samples [m/s^2], shape [sample_count - 2].
-        exceedance_n: Exceedance at inner samples [N], shape [sample_count - 2].
-    """
-
-    de_n: float
-    accelerations_m_per_s2: FloatArray
-    exceedance_n: FloatArray
-
-
-@dataclass(frozen=True, kw_only=True)
 class OscillationFit:
     """Damped oscillation of an angle.
 
@@ -149,8 +134,10 @@ def fit_constant_acceleration(
 
 def dynamic_error(
     times_s: ArrayLike, positions_m: ArrayLike, *, mass_kg: float, friction: float
-) -> DynamicError:
-    """Return by how much the force that a motion needs exceeds the available friction.
+) -> tuple[float, FloatArray]:
+    """Return by how much the force that a motion needs exceeds the available friction, on average [N].
+
+    The accelerations at inner samples come with it [m/s^2], shape [sample_count - 2].
 
     Equations "c4-acceleration", "c4-unequal", "c4-friction" and "c4-de" of the paper's appendix: three-point
     accelerations of unsmoothed positions, without their direction.
@@ -169,11 +156,7 @@ def dynamic_error(
     exceedance: FloatArray = np.maximum(
         0.0, mass_kg * sizes - friction * mass_kg * GRAVITY_M_PER_S2
     )
-    return DynamicError(
-        de_n=float(exceedance.mean()),
-        accelerations_m_per_s2=sizes,
-        exceedance_n=exceedance,
-    )
+    return float(exceedance.mean()), sizes
 
 
 def momentum_transfer(release_height_m: float, apex_heights_m: ArrayLike) -> float:
@@ -188,14 +171,6 @@ def momentum_transfer(release_height_m: float, apex_heights_m: ArrayLike) -> flo
     heights = np.asarray(apex_heights_m, dtype=float).ravel()
     if not heights.size:
         raise ParameterError("momentum transfer: there is no apex of the outgoing ball")
-    if not (
-        np.isfinite(heights).all()
-        and (heights >= 0.0).all()
-        and np.isfinite(release_height_m)
-    ):
-        raise ParameterError(
-            "momentum transfer: heights must be finite and not negative"
-        )
     if release_height_m <= 0.0:
         raise ParameterError(
             f"momentum transfer: the release height is {release_height_m} m; it must be positive"

@@ -307,12 +307,10 @@ def _twins(
                 break
     if len(frames) < LEAST_TWIN_FRAMES:
         return []
-    text = f"a second object of the same shape and colour is seen in {len(frames)} frames, {frames[0]} to {frames[-1]}"
-    return [
-        Event(
-            kind="duplicated", first_frame=frames[0], last_frame=frames[-1], text=text
-        )
-    ]
+    text = (
+        f"a second object of the same shape and colour is seen in {len(frames)} frames"
+    )
+    return [_event("duplicated", frames, text)]
 
 
 def _hidden(follower: ShapeFollower, task: VideoTask) -> list[Event]:
