@@ -1,16 +1,19 @@
-"""Conversion of scenes to one Newton model and its stepper, for each of Newton's solvers."""
+"""Conversion of scenes to one Newton model and its stepper, for each of Newton's solvers.
 
-from collections.abc import Sequence
+The modules of a solver are imported where a scene needs it: those of VBD and of the material point method take a
+sixth of the time of a first rigid scene.
+"""
+
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import newton
 import numpy as np
-from newton.solvers import SolverImplicitMPM, SolverMuJoCo
+from newton.solvers import SolverMuJoCo
 from numpy.typing import NDArray
 
-from gauge_envs.backends.newton.contacts import surface_contacts
+from gauge_envs.backends.newton.contacts import SurfaceContacts, surface_contacts
 from gauge_envs.backends.newton.line import add_line
-from gauge_envs.backends.newton.mpm import StepperMPM, add_soft_mpm, fitted_voxel_m
 from gauge_envs.backends.newton.mujoco_stepper import StepperMuJoCo
 from gauge_envs.backends.newton.parts import Part, add_cloth, add_soft
 from gauge_envs.backends.newton.rigid import (
@@ -30,7 +33,6 @@ from gauge_envs.backends.newton.settings import (
     SettingsVBD,
 )
 from gauge_envs.backends.newton.stepper import Stepper
-from gauge_envs.backends.newton.vbd import StepperVBD, apply_contacts, passing_pairs
 from gauge_envs.backends.shared.attachments import rigid_attachments
 from gauge_envs.backends.shared.soft_rows import soft_rows
 from gauge_envs.scene import (
@@ -89,6 +91,10 @@ def build_model(
     if isinstance(settings, SettingsMuJoCoWarp):
         SolverMuJoCo.register_custom_attributes(builder)
     elif isinstance(settings, SettingsMPM):
+        from newton.solvers import SolverImplicitMPM
+
+        from gauge_envs.backends.newton.mpm import fitted_voxel_m
+
         SolverImplicitMPM.register_custom_attributes(builder)
         # All soft rows share one grid, fitted to the grips of the first one.
         voxel_m = fitted_voxel_m(soft_rows(scenes[0])[0], settings)
@@ -123,11 +129,15 @@ def build_model(
     if isinstance(settings, SettingsMuJoCoWarp):
         stepper: Stepper = StepperMuJoCo(model, driven=driven, settings=settings)
     elif isinstance(settings, SettingsMPM):
+        from gauge_envs.backends.newton.mpm import StepperMPM
+
         stepper = StepperMPM(
             model, driven=driven, pins=pins, voxel_m=voxel_m, settings=settings
         )
     else:
         assert isinstance(settings, SettingsVBD | SettingsLines)
+        from gauge_envs.backends.newton.vbd import StepperVBD
+
         stepper = StepperVBD(
             model,
             driven=driven,
@@ -160,6 +170,8 @@ def _add_scene(
     if isinstance(settings, SettingsVBD):
         return _with_particles(builder, scene, settings, layout)
     assert isinstance(settings, SettingsMPM)
+    from gauge_envs.backends.newton.mpm import add_soft_mpm
+
     spacing_m = voxel_m / settings.points_per_voxel_edge
     for row in soft_rows(scene):
         soft = add_soft_mpm(
@@ -170,7 +182,7 @@ def _add_scene(
             damping_s=settings.soft_damping_s,
         )
         layout.parts.update(dict.fromkeys(soft.names, soft))
-    apply_contacts(surface_contacts(scene), builder, layout.rigid.shapes)
+    _apply_contacts(surface_contacts(scene), builder, layout.rigid.shapes)
     return layout
 
 
@@ -205,9 +217,9 @@ def _with_particles(
             soft.add_block_shapes(builder, settings.soft_contact_radius_m)
         )
     contacts = surface_contacts(scene, per_body=_collides_per_body(settings))
-    apply_contacts(contacts, builder, rigid.shapes)
+    _apply_contacts(contacts, builder, rigid.shapes)
     keep_apart(builder, scene, rigid)
-    return replace(layout, passing=passing_pairs(contacts, particles, rigid.shapes))
+    return replace(layout, passing=_passing_pairs(contacts, particles, rigid.shapes))
 
 
 def _add_line_scene(
@@ -235,7 +247,7 @@ def _add_line_scene(
             ),
         )
         rigid.shapes[line.name] = list(part.shapes)
-    apply_contacts(surface_contacts(scene), builder, rigid.shapes)
+    _apply_contacts(surface_contacts(scene), builder, rigid.shapes)
     keep_apart(builder, scene, rigid)
     return layout
 
@@ -277,6 +289,55 @@ def _moved(scene: Scene, displacement_m: Vector) -> Scene:
             for hinge in scene.body_hinges
         ),
     )
+
+
+def _apply_contacts(
+    contacts: SurfaceContacts,
+    builder: newton.ModelBuilder,
+    shapes: Mapping[str, Sequence[int]],
+) -> None:
+    """Write the friction and the collision flags of shapes, given by name of their rigid body, to a builder."""
+    for name, indices in shapes.items():
+        for shape in indices:
+            if name in contacts.shape_friction:
+                builder.shape_material_mu[shape] = contacts.shape_friction[name]
+            flag = int(newton.ShapeFlags.COLLIDE_PARTICLES)
+            flags = int(builder.shape_flags[shape]) & ~flag
+            builder.shape_flags[shape] = (
+                flags | flag if name in contacts.touched else flags
+            )
+
+
+def _passing_pairs(
+    contacts: SurfaceContacts,
+    particles: Mapping[str, NDArray[np.intp]],
+    shapes: Mapping[str, Sequence[int]],
+) -> NDArray[np.intp]:
+    """Return the pairs of a particle and a shape that are excluded from collision.
+
+    Args:
+        contacts: Collision partners of the scene.
+        particles: Model indices of each body's particles, by name. A particle on a bonded face belongs to both bodies
+            and collides if either of them does.
+        shapes: Model indices of the shapes of each rigid body, by name.
+
+    Returns:
+        Index of the particle and of the shape of each pair, shape [pair_count, 2].
+    """
+    pairs = [np.zeros((0, 2), dtype=np.intp)]
+    for rigid, through in contacts.passed.items():
+        colliding = [
+            indices for name, indices in particles.items() if name not in through
+        ]
+        free = np.setdiff1d(
+            np.concatenate([particles[name] for name in through]),
+            np.concatenate(colliding),
+        )
+        pairs.extend(
+            np.column_stack([free, np.full_like(free, shape)])
+            for shape in shapes[rigid]
+        )
+    return np.concatenate(pairs)
 
 
 def _collides_per_body(settings: SettingsVBD | SettingsLines) -> bool:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator, Sequence
+from functools import cache
+from importlib import metadata
 from typing import Any
 
 import newton
@@ -17,6 +19,7 @@ from gauge_envs.backends.newton.kernels import bodies_to_joints
 from gauge_envs.backends.newton.settings import SettingsMuJoCoWarp
 from gauge_envs.backends.newton.stepper import Stepper, collision_pipeline
 from gauge_envs.backends.settings import check_kept
+from gauge_envs.backends.shared.bundled import replaced
 
 CONTACT_POINTS_PER_PAIR = 8
 """Reserved contact points per pair of shapes; Newton reduces two faces in contact to four or five points."""
@@ -26,6 +29,9 @@ ROWS_PER_POINT = 4
 
 ROWS_PER_WELD = 6
 """Constraints of a driven body."""
+
+installed = cache(metadata.version)
+"""Version of an installed package, which MuJoCo Warp reads from its files five times for each model."""
 
 
 class StepperMuJoCo(Stepper):
@@ -48,7 +54,7 @@ class StepperMuJoCo(Stepper):
         strings = (
             model.custom_frequency_counts.get("mujoco:tendon", 0) // model.world_count
         )
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(), replaced(metadata, version=installed):
             # Newton 1.8 asks for MuJoCo 3.17, but this package needs 4.0; tests/backends/newton verify the combination.
             warnings.filterwarnings(
                 "ignore", message="MuJoCo dependency version mismatch"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from importlib.metadata import version
 from typing import cast
 
 import newton
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 
 from gauge_envs.backends.device import DeviceWorlds
 from gauge_envs.backends.newton.model import WorldLayout, build_model
-from gauge_envs.backends.newton.mujoco_stepper import StepperMuJoCo
+from gauge_envs.backends.newton.mujoco_stepper import StepperMuJoCo, installed
 from gauge_envs.backends.newton.settings import SettingsNewton
 from gauge_envs.backends.newton.stepper import HostState, Stepper
 from gauge_envs.backends.shared.rigid import MeanForces, PlacedWorld, placed_states
@@ -85,7 +84,9 @@ class SimulationNewton(_WorldNewton, Simulation):
     def __init__(self, scene: Scene, settings: SettingsNewton) -> None:
         stepper, layouts = build_model([scene], settings)
         super().__init__(scene, layouts[0], stepper, settings)
-        self._origin = StateOrigin(f"newton {version('newton')}", self.settings, scene)
+        self._origin = StateOrigin(
+            f"newton {installed('newton')}", self.settings, scene
+        )
 
     def reset(self, seed: int) -> None:
         """Return to the scene's start. Newton draws no random numbers here, so the seed has no effect."""

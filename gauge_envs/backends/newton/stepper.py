@@ -24,9 +24,6 @@ from gauge_envs.backends.shared.rigid import MeanForces
 from gauge_envs.errors import BackendError
 from gauge_envs.scene import Pose
 
-WARM_UP_STEPS = 2
-"""Number of steps before recording, in which solvers allocate their arrays; even, so that both states end in place."""
-
 _shared = {
     name: cache(factory)
     for name, factory in vars(narrow_phase).items()
@@ -119,9 +116,8 @@ class Stepper(ABC):
         """Record the step in both directions between the two states, then return to the start."""
         states = self.states
         first = {id(array): array.numpy().copy() for array in self._arrays()}
-        for _ in range(WARM_UP_STEPS // 2):
-            self._step(states[0], states[1])
-            self._step(states[1], states[0])
+        # Solvers allocate their arrays in the first step.
+        self._step(*states)
         for state, after in (states, states[::-1]):
             with wp.ScopedCapture(device=self.model.device) as capture:
                 self._step(state, after)

@@ -8,7 +8,7 @@ than few long steps with many.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import newton
@@ -27,58 +27,6 @@ SPEED_HEADROOM = 1.5
 
 LINE_GAP_M = 0.002
 """Distance from a shape at which Newton detects a contact in scenes of ropes and rods [m]."""
-
-
-def apply_contacts(
-    contacts: SurfaceContacts,
-    builder: newton.ModelBuilder,
-    shapes: Mapping[str, Sequence[int]],
-) -> None:
-    """Write the friction and the collision flags of shapes, given by name of their rigid body, to a builder."""
-    for name, indices in shapes.items():
-        for shape in indices:
-            if name in contacts.shape_friction:
-                builder.shape_material_mu[shape] = contacts.shape_friction[name]
-            flag = int(newton.ShapeFlags.COLLIDE_PARTICLES)
-            flags = int(builder.shape_flags[shape]) & ~flag
-            builder.shape_flags[shape] = (
-                flags | flag if name in contacts.touched else flags
-            )
-
-
-def passing_pairs(
-    contacts: SurfaceContacts,
-    particles: Mapping[str, NDArray[np.intp]],
-    shapes: Mapping[str, Sequence[int]],
-) -> NDArray[np.intp]:
-    """Return the pairs of a particle and a shape that are excluded from collision.
-
-    Args:
-        contacts: Collision partners of the scene.
-        particles: Model indices of each body's particles, by name. A particle on a bonded face belongs to both bodies
-            and collides if either of them does.
-        shapes: Model indices of the shapes of each rigid body, by name.
-
-    Returns:
-        Index of the particle and of the shape of each pair, shape [pair_count, 2].
-    """
-    pairs = [np.zeros((0, 2), dtype=np.intp)]
-    for rigid, through in contacts.passed.items():
-        colliding = [
-            indices for name, indices in particles.items() if name not in through
-        ]
-        free = np.setdiff1d(
-            np.concatenate([particles[name] for name in through]),
-            np.concatenate(colliding),
-        )
-        pairs.extend(
-            np.column_stack([free, np.full_like(free, shape)])
-            for shape in shapes[rigid]
-        )
-    return np.concatenate(pairs)
-
-
-# --- stepping --------------------------------------------------------------------------------------------------------
 
 
 class _Solver(newton.solvers.SolverVBD):
@@ -148,7 +96,7 @@ class StepperVBD(Stepper):
         contacts: Collision partners and friction of particles.
         contact_stiffness_n_per_m: Contact stiffness of a particle against a rigid shape or another surface of
             particles. Newton averages it with that of the shape, which is set to the same value.
-        passing: Pairs of a particle and a shape that do not collide, from `passing_pairs`, shape [pair_count, 2]. The
+        passing: Pairs of a particle and a shape that do not collide, shape [pair_count, 2]. The
             model then needs an inactive particle, which replaces those of the pairs in the solver's list.
     """
 
