@@ -24,14 +24,14 @@ COMMANDS = {
     "coverage": "interval_coverage out.csv 'drop, 5 % outliers'",
     "joints": "robots 0 1 60",
     "newtons_cradle": "cradle",
-    "planted_faults": "planted_faults --only margin",
+    "planted_faults": "random_faults rates",
     "published_scores": "published_scores --backend mujoco --engine isaacsim --only SlopeSlider-2-wood",
     "pushes": "pushes slide",
     "robots": "makers",
     "steps": "steps SlopeSlider-1-wood",
     "what_changed": "what_changed models",
 }
-SLOW = {"coverage", "joints", "planted_faults", "steps"}
+SLOW = {"coverage", "joints", "steps"}
 
 
 def test_every_study_has_a_command_of_a_script_and_its_note_names_all_scripts():

@@ -172,17 +172,9 @@ FAILS_ITSELF = {
 """Checks that a healthy engine fails by a physics of its own, as its page says."""
 
 
-def first_failure(mutant, only=()):
-    """Return the result of the first check that fails on a mutant, but not on its engine; None when it passes all.
-
-    Args:
-        mutant: The mutant.
-        only: Ids or patterns of checks; all when empty.
-    """
-    return next(
-        (one for one in run_checks(mutant, only=only) if is_of_the_fault(mutant, one)),
-        None,
-    )
+def first_failure(mutant):
+    """Return the result of the first check that fails on a mutant, but not on its engine."""
+    return next(one for one in run_checks(mutant) if is_of_the_fault(mutant, one))
 
 
 def is_of_the_fault(mutant, result):

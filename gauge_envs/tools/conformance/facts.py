@@ -1,4 +1,4 @@
-"""Say what the record of a failed check shows for certain: starts, driven motion, hinges and gravity.
+"""Say what the record of a failed check shows for certain: starts, driven motion, hinges, sliders and gravity.
 
 Each is compared with the scene where no contact or force has a part, so that it needs no hypothesis.
 """
@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.evaluation.estimators import acceleration_m_per_s2
 from gauge_envs.runs.rollout import Rollout
-from gauge_envs.scene import Hinge, RigidBody
+from gauge_envs.scene import BodyHinge, Hinge, Slider
 
 Array = NDArray[np.float64]
 
@@ -23,11 +23,16 @@ LEAST_DRIVE = 5e-5
 """Distance [m] or angle [rad] from where it is driven from which on the motion of a driven body shows its cause."""
 LEAST_TURN_RAD = 0.05
 """Rotation from which on a hinge shows its anchor."""
+LEAST_SLIDE_M = 0.005
+"""Displacement from which on a slider shows its axis."""
 
 
 def facts(rollout: Rollout) -> str:
     """Return what is otherwise than the scene states, the first of a kind; empty where nothing is."""
-    found = [next(kind(rollout), "") for kind in (_starts, _driven, _hinges, _gravity)]
+    found = [
+        next(kind(rollout), "")
+        for kind in (_starts, _driven, _hinges, _sliders, _gravity)
+    ]
     return "; ".join(filter(None, found))
 
 
@@ -126,36 +131,83 @@ def _wrong_drive(found: Array, law: Array, interval_s: float) -> str:
 
 
 def _hinges(rollout: Rollout) -> Iterator[str]:
-    for hinge in rollout.scene.joints:
-        if not isinstance(hinge, Hinge):
+    scene = rollout.scene
+    for hinge in (*scene.joints, *scene.body_hinges):
+        if not isinstance(hinge, Hinge | BodyHinge):
             continue
-        body = rollout.scene.body(hinge.body)
-        turns = rollout.rotation(body.name)
+        axis = np.array(hinge.axis)
+        anchor_m = np.array(hinge.anchor_m)
+        if isinstance(hinge, Hinge):
+            name, places_m, turns = hinge.body, *_motion(rollout, hinge.body)
+        else:
+            # Motion of the second body in the frame of the first one.
+            name, first = hinge.second, scene.body(hinge.first)
+            origins_m, frames = _motion(rollout, first.name)
+            places_m, turns = _motion(rollout, name)
+            places_m = frames.apply(places_m - origins_m, inverse=True)
+            turns = frames.inv() * turns
+            axis, anchor_m = axis @ first.pose.matrix, first.pose.to_body(anchor_m)
         angles = (turns * turns[0].inv()).as_rotvec()
         largest = int(np.linalg.norm(angles, axis=1).argmax())
         angle = float(np.linalg.norm(angles[largest]))
         if angle < LEAST_TURN_RAD:
             continue
-        axis = np.array(hinge.axis) / np.linalg.norm(hinge.axis)
-        cosine = abs(float(angles[largest] @ axis)) / angle
-        off_deg = np.degrees(np.arccos(min(cosine, 1.0)))
+        off_deg = _between_deg(angles[largest], axis)
         if off_deg > FAR_DEG:
-            yield f"the {body.name} turns about an axis {off_deg:.3g} degrees from the axis of its hinge"
-        off_m, left_m = _pivot(rollout, body, hinge)
+            yield f"the {name} turns about an axis {off_deg:.3g} degrees from the axis of its hinge"
+        local_m = scene.body(name).pose.to_body(np.array(hinge.anchor_m))
+        off_m, left_m = _pivot(places_m, turns.as_matrix(), local_m, anchor_m)
         across_mm = 1e3 * (off_m - (off_m @ axis) * axis)
         size_mm = float(np.linalg.norm(across_mm))
         if size_mm > FAR_MM and 1e3 * left_m < 0.1 * size_mm:
             yield (
-                f"the {body.name} turns about a point {size_mm:.3g} mm from the anchor of its hinge, off by "
+                f"the {name} turns about a point {size_mm:.3g} mm from the anchor of its hinge, off by "
                 f"{_vector(across_mm)} mm"
             )
 
 
-def _pivot(rollout: Rollout, body: RigidBody, hinge: Hinge) -> tuple[Array, float]:
-    """Return how far the point about which a body turns is from the anchor [m], shape [3], and what it moves [m]."""
-    turns = rollout.rotation(body.name).as_matrix()
-    local = body.pose.to_body(np.array(hinge.anchor_m))
-    moved = rollout.position(body.name) + turns @ local - hinge.anchor_m
+def _sliders(rollout: Rollout) -> Iterator[str]:
+    for slider in rollout.scene.guides:
+        if not isinstance(slider, Slider):
+            continue
+        places_m = rollout.position(slider.body)
+        moved_m = places_m - places_m[0]
+        lengths_m = np.linalg.norm(moved_m, axis=1)
+        furthest_m = moved_m[lengths_m.argmax()]
+        if lengths_m.max() < LEAST_SLIDE_M:
+            continue
+        # What bends is no other axis.
+        along = furthest_m / lengths_m.max()
+        bent_m = np.linalg.norm(moved_m - np.outer(moved_m @ along, along), axis=1)
+        off_deg = _between_deg(along, np.array(slider.axis))
+        if off_deg > FAR_DEG and bent_m.max() < 0.1 * lengths_m.max() * np.radians(
+            off_deg
+        ):
+            yield f"the {slider.body} moves along a line {off_deg:.3g} degrees from the axis of its slider"
+
+
+def _motion(rollout: Rollout, name: str) -> tuple[Array, Rotation]:
+    return rollout.position(name), rollout.rotation(name)
+
+
+def _between_deg(first: Array, second: Array) -> float:
+    """Return the angle between two lines [degrees]."""
+    cosine = abs(first @ second) / (np.linalg.norm(first) * np.linalg.norm(second))
+    return float(np.degrees(np.arccos(min(cosine, 1.0))))
+
+
+def _pivot(
+    places_m: Array, turns: Array, local_m: Array, anchor_m: Array
+) -> tuple[Array, float]:
+    """Return how far the point about which a body turns is from an anchor [m], shape [3], and what it moves [m].
+
+    Args:
+        places_m: Places of the body, shape [T, 3].
+        turns: Its rotations, shape [T, 3, 3].
+        local_m: The anchor in the body, shape [3].
+        anchor_m: The anchor, shape [3].
+    """
+    moved = places_m + turns @ local_m - anchor_m
     # turn @ (local + change) + position = anchor + off, for all samples.
     columns = np.hstack([turns.reshape(-1, 3), np.tile(-np.eye(3), (len(turns), 1))])
     solution = np.linalg.lstsq(columns, -moved.ravel(), rcond=1e-6)[0]

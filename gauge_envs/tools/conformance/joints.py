@@ -282,7 +282,8 @@ def _limit_check(id: str, scene: str, step_rad: float) -> None:
     def measure(rollout: Rollout) -> Measurement:
         measured = acceleration_m_per_s2(rollout.times_s, _turned_rad(rollout))
         expected = float(np.copysign(LIMIT_N_M / INERTIA, step_rad))
-        return Measurement(measured=measured, expected=expected)
+        hint = f"the largest torque is {measured / expected:.4g} times the torque limit"
+        return Measurement(measured=measured, expected=expected, hint=hint)
 
 
 _limit_check(

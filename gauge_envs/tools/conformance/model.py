@@ -260,14 +260,14 @@ def texts_of_checks() -> dict[str, Any]:
     """Return texts and tolerances of the checks of this package by id.
 
     `canonical` has one id for each phenomenon, `elementary` those that are tried after a failure, and
-    `excludes` what then tells two causes apart. A check is `like`
+    `left` which cause is left where some checks fail and others pass. A check is `like`
     another one: what it does not state itself is that of the other.
     """
     texts = tomllib.loads(
         (Path(__file__).parent / "checks.toml").read_text(encoding="utf-8")
     )
     found: dict[str, Any] = {
-        name: texts.pop(name) for name in ("canonical", "elementary", "excludes")
+        name: texts.pop(name) for name in ("canonical", "elementary", "left")
     }
     for id, one in texts.items():
         stated = {**texts[one.pop("like")], **one} if "like" in one else dict(one)

@@ -164,11 +164,18 @@ def _eliminated(failed: str, run: Callable[[Check], _Run]) -> tuple[str, bool]:
             found = f"The simplest that fails is {name}: {outcome.diagnosis}"
             break
         passed.append(name)
-    if simplest in texts["excludes"]:
-        other, left = texts["excludes"][simplest]
-        outcome = outcome_of(other)
-        if outcome is not None and outcome.status is Status.PASS:
-            found += f"{'' if found.endswith('.') else '.'} {other} passes: {left}."
+    for fails, passes, left in texts["left"]:
+        first, *others = fails.split()
+        wanted = dict.fromkeys(others, Status.FAIL) | dict.fromkeys(
+            passes.split(), Status.PASS
+        )
+        if first in (failed, simplest) and all(
+            getattr(outcome_of(name), "status", None) is status
+            for name, status in wanted.items()
+        ):
+            pattern = "; ".join(f"{name}: {one}" for name, one in wanted.items())
+            found += f"{'' if found.endswith('.') else '.'} Left ({pattern}): {left}."
+            break
     return f"{_tried(passed)}{found}", simplest != failed
 
 
