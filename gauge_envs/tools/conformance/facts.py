@@ -156,7 +156,7 @@ def _hinges(rollout: Rollout) -> Iterator[str]:
         if off_deg > FAR_DEG:
             yield f"the {name} turns about an axis {off_deg:.3g} degrees from the axis of its hinge"
         local_m = scene.body(name).pose.to_body(np.array(hinge.anchor_m))
-        off_m, left_m = _pivot(places_m, turns.as_matrix(), local_m, anchor_m)
+        off_m, left_m = _pivot(places_m, turns, local_m, anchor_m)
         across_mm = 1e3 * (off_m - (off_m @ axis) * axis)
         size_mm = float(np.linalg.norm(across_mm))
         if size_mm > FAR_MM and 1e3 * left_m < 0.1 * size_mm:
@@ -192,21 +192,22 @@ def _motion(rollout: Rollout, name: str) -> tuple[Array, Rotation]:
 
 def _between_deg(first: Array, second: Array) -> float:
     """Return the angle between two lines [degrees]."""
-    cosine = abs(first @ second) / (np.linalg.norm(first) * np.linalg.norm(second))
-    return float(np.degrees(np.arccos(min(cosine, 1.0))))
+    lengths = np.linalg.norm(first) * np.linalg.norm(second)
+    return float(np.degrees(np.arccos(min(float(abs(first @ second) / lengths), 1.0))))
 
 
 def _pivot(
-    places_m: Array, turns: Array, local_m: Array, anchor_m: Array
+    places_m: Array, rotations: Rotation, local_m: Array, anchor_m: Array
 ) -> tuple[Array, float]:
     """Return how far the point about which a body turns is from an anchor [m], shape [3], and what it moves [m].
 
     Args:
         places_m: Places of the body, shape [T, 3].
-        turns: Its rotations, shape [T, 3, 3].
+        rotations: Its rotations, T of them.
         local_m: The anchor in the body, shape [3].
         anchor_m: The anchor, shape [3].
     """
+    turns = rotations.as_matrix()
     moved = places_m + turns @ local_m - anchor_m
     # turn @ (local + change) + position = anchor + off, for all samples.
     columns = np.hstack([turns.reshape(-1, 3), np.tile(-np.eye(3), (len(turns), 1))])
