@@ -1,8 +1,8 @@
 """Measure error over cost for every installed engine; write the table of `docs/accuracy_and_cost.md`.
 
 The folder of results holds result files of `gauge run`, so the builder can be stopped at any time, and goes on where it
-was. Engines that live in another environment run there, with `--engine` and the same folder. Engines that are not
-installed are left out with a note. Phenomena that the folder lacks stay as `scoring/pareto.json` has them.
+was. Engines that live in another environment run there, with `--engine`. Engines that are not installed are left out
+with a note. What the folder lacks stays as `scoring/pareto.json` has it, and the page states the date of each engine.
 
 Repeats differ in their seed alone, which changes no start without jitter, and so are the same episode. They run in
 rounds: each round runs every setting once, so that other work on the machine does not fall on one setting alone. A run
@@ -31,6 +31,7 @@ from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Result
 from gauge_envs.runs.result_file import load_result
+from gauge_envs.scene.timing import DRIVE_INTERVAL_S
 from gauge_envs.tools.compare.cost import ErrorMeasure, step_text
 from scripts.generated import (
     ROOT,
@@ -55,9 +56,6 @@ REPEATS = 3
 
 REPEAT_BELOW_S = 3.0
 """CPU time of an episode above which it runs once [s]: its timing is no longer dominated by short disturbances."""
-
-INTERVAL_S = 1 / 180
-"""Interval of the environments [s]; every step divides it."""
 
 SLIDES = ("SlopeSlider-2-wood", "SlopeSlider-2-plastic", "SlopeSlider-2-metal")
 BALL, CRADLE, PENDULUM = "BouncingBall-rubber", "NewtonsCradle-metal", "Pendulum-metal"
@@ -118,15 +116,12 @@ class Sweep:
 def sweeps(engine: str) -> Iterator[Sweep]:
     """Yield the sweeps of an engine, the quick variants first."""
     for variant in FEW.get(engine, VARIANTS):
-        impact = variant in (BALL, CRADLE)
-        steps = (
-            IMPACT_STEPS.get(engine, DEFAULT_STEPS[engine])
-            if impact
-            else DEFAULT_STEPS[engine]
-        )
+        steps = DEFAULT_STEPS[engine]
+        if variant in (BALL, CRADLE):
+            steps = IMPACT_STEPS.get(engine, steps)
         if engine in EVERY_OTHER and variant in LONG:
             steps = steps[::2]
-        points = tuple({"timestep_s": INTERVAL_S / count} for count in steps)
+        points = tuple({"timestep_s": DRIVE_INTERVAL_S / count} for count in steps)
         yield Sweep(engine=engine, variant=variant, points=({}, *points))
         if variant == BALL:
             yield Sweep(
@@ -139,10 +134,11 @@ def sweeps(engine: str) -> Iterator[Sweep]:
         chosen: dict[str, Any] = {"preset": "out_of_box"}
         if engine == "mujoco":
             # Its own interval of 2 ms does not divide that of the environments.
-            chosen["drive_interval_s"] = INTERVAL_S
+            chosen["drive_interval_s"] = DRIVE_INTERVAL_S
         for variant in CONTACTS:
             own_steps = tuple(
-                chosen | {"timestep_s": INTERVAL_S / count} for count in PRESET_STEPS
+                chosen | {"timestep_s": DRIVE_INTERVAL_S / count}
+                for count in PRESET_STEPS
             )
             yield Sweep(engine=engine, variant=variant, points=own_steps)
     if engine in ITERATIONS:
@@ -172,10 +168,8 @@ def run_engine(engine: str, folder: Path) -> None:
         for sweep in chosen:
             before: Result | None = None
             for settings in sweep.points:
-                if (
-                    settings in sweep.skipped
-                    or _predicted_s(before, settings) > LIMIT_S
-                ):
+                is_long = _predicted_s(before, settings) > LIMIT_S
+                if settings in sweep.skipped or is_long:
                     sweep.skipped.append(settings)
                     continue
                 results = [run(sweep, settings, seed, folder) for seed in seeds]
@@ -221,21 +215,29 @@ def _predicted_s(before: Result | None, settings: Mapping[str, Any]) -> float:
 
 
 def gathered(folder: Path, stored: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the data with the phenomena of the results in a folder, the others as they are stored."""
+    """Return the data with the results in a folder; other engines and phenomena stay as they are stored."""
     found = tradeoff([load_result(file) for file in sorted(folder.glob("*.json"))])
     for note in found.notes:
         print(f"note: {note}", file=sys.stderr)
-    new, made = asdict(found), provenance()
-    names = {one.name for one in found.phenomena}
-    kept = [one for one in stored["tradeoff"]["phenomena"] if one["name"] not in names]
-    if kept:
-        made["date"] = " and ".join(
-            sorted({*stored["provenance"]["date"].split(" and "), made["date"]})
-        )
+    new = asdict(found)
+    before = {str(one["name"]): one for one in stored["tradeoff"]["phenomena"]}
+    dates = dict(stored["provenance"]["dates"])
+    for phenomenon in new["phenomena"]:
+        families = list(phenomenon["families"])
+        engines = {family["backend"] for family in families}
+        dates |= dict.fromkeys(engines, datetime.now(UTC).date().isoformat())
+        kept = before.pop(phenomenon["name"], {}).get("families", [])
+        families += [one for one in kept if one["backend"] not in engines]
+        phenomenon["families"] = sorted(families, key=lambda one: str(one["backend"]))
     new["phenomena"] = sorted(
-        [*new["phenomena"], *kept], key=lambda one: str(one["name"])
+        [*new["phenomena"], *before.values()], key=lambda one: str(one["name"])
     )
-    return {"provenance": made, "tradeoff": _rounded(json_ready(new))}
+    provenance = {
+        "written by": SCRIPT,
+        "dates": dates,
+        "machine": f"{os.cpu_count()} cores of {processor()}, shared with other work",
+    }
+    return {"provenance": provenance, "tradeoff": _rounded(json_ready(new))}
 
 
 def with_floors(found: Tradeoff) -> Tradeoff:
@@ -267,15 +269,6 @@ def _rounded(value: Any) -> Any:
     return float(f"{value:.4g}") if isinstance(value, float) else value
 
 
-def provenance() -> dict[str, Any]:
-    """Return when and on what kind of machine the results were made."""
-    return {
-        "written by": "scripts/build_pareto.py",
-        "date": datetime.now(UTC).date().isoformat(),
-        "machine": f"{os.cpu_count()} cores of {processor()}, shared with other work",
-    }
-
-
 def page(notes: Mapping[str, Any], found: Tradeoff) -> str:
     """Return the generated part of the page: the sufficient steps of the default presets, with their costs."""
     families = {
@@ -291,11 +284,12 @@ def page(notes: Mapping[str, Any], found: Tradeoff) -> str:
             sufficient(families.get((phenomenon.name, engine))) for engine in engines
         ]
         rows.append([phenomenon.name.replace(", ", " "), *cells])
+    dates = ", ".join(f"{name} {date}" for name, date in sorted(notes["dates"].items()))
     lines = [
         *stale_note("pareto-data"),
         *markdown_table(("experiment", *engines), rows),
         "",
-        f"Measured on {notes['date']}, {notes['machine']}.",
+        f"Measured: {dates}; {notes['machine']}. Each has the inputs of its date, and is over MuJoCo's cost of then.",
     ]
     return "\n".join(lines)
 
@@ -330,9 +324,8 @@ def contents(scoring: Path = SCORING) -> dict[Path, str]:
 
 
 def measure(request: Request) -> None:
-    """Run what the folder lacks; without a choice of engines, write the data."""
+    """Run what the folder lacks, of all engines or of some, and write the data."""
     for engine in request.engines or DEFAULT_STEPS:
         run_engine(engine, request.results)
-    if not request.engines:
-        values = gathered(request.results, json.loads(DATA.read_text(encoding="utf-8")))
-        write_whole(DATA, (json.dumps(values, separators=(",", ":")) + "\n").encode())
+    values = gathered(request.results, json.loads(DATA.read_text(encoding="utf-8")))
+    write_whole(DATA, (json.dumps(values, separators=(",", ":")) + "\n").encode())

@@ -71,11 +71,11 @@ def closed_form(experiment: Experiment) -> FloatArray | None:
         return None
     body = scene.body(experiment.recorded[0])
     if any(isinstance(joint, Hinge) for joint in scene.joints):
-        return (
-            None
-            if scene.contacts or scene.drivers
-            else _swing(scene, body.name, experiment.frame_count)
-        )
+        if scene.contacts or scene.drivers:
+            return None
+        pendulum = Pendulum.of(scene, body.name)
+        times_s = np.arange(experiment.frame_count) / FRAME_RATE_HZ
+        return pendulum.positions_mm(pendulum.released_rad(times_s))
     stated = _stated(experiment)
     if stated is not None:
         return stated
@@ -96,13 +96,6 @@ def _stated(experiment: Experiment) -> FloatArray | None:
     ):
         return None
     return np.asarray(band.mean @ np.linalg.inv(band.projection).T)
-
-
-def _swing(scene: Scene, body: str, frame_count: int) -> FloatArray:
-    pendulum = Pendulum.of(scene, body)
-    return pendulum.positions_mm(
-        pendulum.released_rad(np.arange(frame_count) / FRAME_RATE_HZ)
-    )
 
 
 def _slide(scene: Scene, body: RigidBody, frame_count: int) -> FloatArray | None:
@@ -133,10 +126,8 @@ def _rebounds(scene: Scene, ball: RigidBody, frame_count: int) -> FloatArray | N
     start = np.array(ball.pose.position_m)
     times_s = np.arange(frame_count) / FRAME_RATE_HZ
     heights_m = np.maximum(drop_m - 0.5 * gravity * times_s**2, 0.0)
-    speed, begin_s = (
-        restitution * math.sqrt(2.0 * gravity * drop_m),
-        math.sqrt(2.0 * drop_m / gravity),
-    )
+    speed = restitution * math.sqrt(2.0 * gravity * drop_m)
+    begin_s = math.sqrt(2.0 * drop_m / gravity)
     while begin_s < times_s[-1] and speed**2 / (2.0 * gravity) > LEAST_APEX_M:
         since_s = times_s - begin_s
         inside = (since_s >= 0.0) & (since_s <= 2.0 * speed / gravity)

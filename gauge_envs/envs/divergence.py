@@ -40,14 +40,8 @@ class RigidBounds:
             [body.mass_kg for body in scene.dynamic_bodies]
         ).reshape(-1, 1)
         self._energy_j = scene.kinetic_energy_limit_j
-        self._limits = np.concatenate(
-            [
-                np.full(3, scene.distance_limit_m),
-                np.full(4, 2.0),
-                np.full(3, scene.speed_limit_m_per_s),
-                np.full(3, np.inf),
-            ]
-        )
+        limits = (scene.distance_limit_m, 2.0, scene.speed_limit_m_per_s, np.inf)
+        self._limits = np.repeat(limits, (3, 4, 3, 3))
 
     def fault(self, states: FloatArray) -> str | None:
         """Return why the bodies are out of bounds, or None.
