@@ -284,7 +284,10 @@ def page(notes: Mapping[str, Any], found: Tradeoff) -> str:
             sufficient(families.get((phenomenon.name, engine))) for engine in engines
         ]
         rows.append([phenomenon.name.replace(", ", " "), *cells])
-    dates = ", ".join(f"{name} {date}" for name, date in sorted(notes["dates"].items()))
+    of_date: dict[str, list[str]] = {}
+    for engine, date in sorted(notes["dates"].items()):
+        of_date.setdefault(date, []).append(engine)
+    dates = "; ".join(f"{', '.join(of_date[date])} {date}" for date in sorted(of_date))
     lines = [
         *stale_note("pareto-data"),
         *markdown_table(("experiment", *engines), rows),
