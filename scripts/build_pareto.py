@@ -1,8 +1,8 @@
 """Measure error over cost for every installed engine; write the table of `docs/accuracy_and_cost.md`.
 
 The folder of results holds result files of `gauge run`, so the builder can be stopped at any time, and goes on where it
-was. Engines that live in another environment run there, with `--engine`. Engines that are not installed are left out
-with a note. What the folder lacks stays as `scoring/pareto.json` has it, and the page states the date of each engine.
+was. Engines that live in another environment run there, with `--engine` and the same folder. Engines that are not
+installed are left out with a note. What the folder lacks stays as `scoring/pareto.json` has it, with its date.
 
 Repeats differ in their seed alone, which changes no start without jitter, and so are the same episode. They run in
 rounds: each round runs every setting once, so that other work on the machine does not fall on one setting alone. A run
@@ -15,7 +15,7 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -168,18 +168,18 @@ def run_engine(engine: str, folder: Path) -> None:
         for sweep in chosen:
             before: Result | None = None
             for settings in sweep.points:
-                is_long = _predicted_s(before, settings) > LIMIT_S
-                if settings in sweep.skipped or is_long:
+                predicted_s = 0.0
+                if before is not None and not before.diverged:
+                    steps = before.settings["timestep_s"] / settings["timestep_s"]
+                    predicted_s = steps * (before.cpu_s or 0.0)
+                if settings in sweep.skipped or predicted_s > LIMIT_S:
                     sweep.skipped.append(settings)
                     continue
                 results = [run(sweep, settings, seed, folder) for seed in seeds]
-                spent_s = results[0].cpu_s or 0.0
-                if (
-                    any(one.error is not None for one in results)
-                    or spent_s > REPEAT_BELOW_S
-                ):
+                failed = any(one.error is not None for one in results)
+                if failed or (results[0].cpu_s or 0.0) > REPEAT_BELOW_S:
                     sweep.skipped.append(settings)
-                if settings.get("timestep_s"):
+                if "timestep_s" in settings:
                     before = results[0]
 
 
@@ -193,30 +193,14 @@ def run(sweep: Sweep, settings: Mapping[str, Any], seed: int, folder: Path) -> R
         seed=seed,
     )
     (result,) = run_many([request], out=folder, resume=True)
-    outcome = f"{result.outcome.value} {result.cpu_s or 0.0:.2f} s {result.error or ''}".rstrip()
+    outcome = f"{result.outcome.value} {result.cpu_s} s {result.error}"
     print(f"{sweep.engine} {sweep.variant} {dict(settings)} {outcome}", flush=True)
     return result
 
 
-def _predicted_s(before: Result | None, settings: Mapping[str, Any]) -> float:
-    """Return the CPU time that a run will take, from that with a coarser step; 0 without one."""
-    if (
-        before is None
-        or not before.cpu_s
-        or before.diverged
-        or not settings.get("timestep_s")
-    ):
-        return 0.0
-    return (
-        before.cpu_s
-        * float(before.settings["timestep_s"])
-        / float(settings["timestep_s"])
-    )
-
-
-def gathered(folder: Path, stored: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the data with the results in a folder; other engines and phenomena stay as they are stored."""
-    found = tradeoff([load_result(file) for file in sorted(folder.glob("*.json"))])
+def gathered(results: Iterable[Result], stored: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the data with those of results; other engines and phenomena stay as they are stored."""
+    found = tradeoff(results)
     for note in found.notes:
         print(f"note: {note}", file=sys.stderr)
     new = asdict(found)
@@ -240,25 +224,6 @@ def gathered(folder: Path, stored: Mapping[str, Any]) -> dict[str, Any]:
     return {"provenance": provenance, "tradeoff": _rounded(json_ready(new))}
 
 
-def with_floors(found: Tradeoff) -> Tradeoff:
-    """Return stored errors with the parametric floors of today, and the steps that are sufficient for them."""
-    phenomena = []
-    for one in found.phenomena:
-        parameters = one.name.partition(", ")[2] or "calibrated"
-        measures = [
-            ErrorMeasure.of(load_experiment(name, parameters=parameters))
-            for name in one.ids
-        ]
-        over_scatter = one.unit == "scatter"
-        families = [
-            with_floor(family, measures, over_scatter=over_scatter)
-            for family in one.families
-        ]
-        phenomena.append(replace(one, families=tuple(families)))
-    values = asdict(replace(found, phenomena=tuple(phenomena)))
-    return TypeAdapter(Tradeoff).validate_python(_rounded(json_ready(values)))
-
-
 def _rounded(value: Any) -> Any:
     if isinstance(value, dict):
         return {
@@ -280,10 +245,9 @@ def page(notes: Mapping[str, Any], found: Tradeoff) -> str:
     engines = sorted({backend for _, backend in families})
     rows = []
     for phenomenon in found.phenomena:
-        cells = [
-            sufficient(families.get((phenomenon.name, engine))) for engine in engines
-        ]
-        rows.append([phenomenon.name.replace(", ", " "), *cells])
+        name = phenomenon.name
+        cells = [sufficient(families.get((name, engine))) for engine in engines]
+        rows.append([name.replace(", ", " "), *cells])
     of_date: dict[str, list[str]] = {}
     for engine, date in sorted(notes["dates"].items()):
         of_date.setdefault(date, []).append(engine)
@@ -308,11 +272,24 @@ def sufficient(family: Family | None) -> str:
 
 
 def stored() -> tuple[dict[str, Any], Tradeoff]:
-    """Return the data, and their errors with the parametric floors of today."""
+    """Return the data, and their errors with the parametric floors of today, and the steps that suffice for them."""
     values = json.loads(DATA.read_text(encoding="utf-8"))
-    return values, with_floors(
-        TypeAdapter(Tradeoff).validate_python(values["tradeoff"])
-    )
+    adapter = TypeAdapter(Tradeoff)
+    found = adapter.validate_python(values["tradeoff"])
+    phenomena = []
+    for one in found.phenomena:
+        parameters = one.name.partition(", ")[2] or "calibrated"
+        measures = [
+            ErrorMeasure.of(load_experiment(name, parameters=parameters))
+            for name in one.ids
+        ]
+        families = tuple(
+            with_floor(family, measures, over_scatter=one.unit == "scatter")
+            for family in one.families
+        )
+        phenomena.append(replace(one, families=families))
+    today = _rounded(json_ready(asdict(replace(found, phenomena=tuple(phenomena)))))
+    return values, adapter.validate_python(today)
 
 
 def contents(scoring: Path = SCORING) -> dict[Path, str]:
@@ -330,5 +307,6 @@ def measure(request: Request) -> None:
     """Run what the folder lacks, of all engines or of some, and write the data."""
     for engine in request.engines or DEFAULT_STEPS:
         run_engine(engine, request.results)
-    values = gathered(request.results, json.loads(DATA.read_text(encoding="utf-8")))
+    results = [load_result(file) for file in sorted(request.results.glob("*.json"))]
+    values = gathered(results, json.loads(DATA.read_text(encoding="utf-8")))
     write_whole(DATA, (json.dumps(values, separators=(",", ":")) + "\n").encode())

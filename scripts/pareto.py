@@ -50,7 +50,7 @@ LEAST_APEX_M = 1e-9
 def closed_form(experiment: Experiment) -> FloatArray | None:
     """Return the exact g(t) of an experiment at its frames.
 
-    - Where the package states a law in place of trials, as for a carried body, it is that law.
+    - Where the package states a law of all coordinates in place of trials, as for a carried body, it is that law.
     - A body that starts on the face of a fixed one slides with g (sin - mu cos), until it tips over the edge.
     - A ball above a level plane falls, and each rebound has `e` times the speed of the impact, in no time.
     - A body on a hinge that touches nothing swings as a physical pendulum, for all frames.
@@ -76,26 +76,14 @@ def closed_form(experiment: Experiment) -> FloatArray | None:
         pendulum = Pendulum.of(scene, body.name)
         times_s = np.arange(experiment.frame_count) / FRAME_RATE_HZ
         return pendulum.positions_mm(pendulum.released_rad(times_s))
-    stated = _stated(experiment)
-    if stated is not None:
-        return stated
+    band = reference_band(experiment)
+    if band and band.grade is BandGrade.LAW and band.projection.shape == (3, 3):
+        return np.asarray(band.mean @ np.linalg.inv(band.projection).T)
     if scene.drivers or body.motion is not Motion.DYNAMIC or not body.starts_at_rest:
         return None
     if isinstance(body.shape, Sphere):
         return _rebounds(scene, body, experiment.frame_count)
     return _slide(scene, body, experiment.frame_count)
-
-
-def _stated(experiment: Experiment) -> FloatArray | None:
-    """Return the law that the package states for an experiment, if it gives all three coordinates."""
-    band = reference_band(experiment)
-    if (
-        band is None
-        or band.grade is not BandGrade.LAW
-        or band.projection.shape != (3, 3)
-    ):
-        return None
-    return np.asarray(band.mean @ np.linalg.inv(band.projection).T)
 
 
 def _slide(scene: Scene, body: RigidBody, frame_count: int) -> FloatArray | None:
@@ -323,7 +311,8 @@ def _family(
         found = [
             (member, number)
             for member in group
-            for number in _numbers(member.curve, one.effort)
+            for number, setting in enumerate(member.curve.settings)
+            if setting.effort == one.effort
         ]
         if len(found) == len(group):
             points.append(_point(found, units, unit_cost))
@@ -346,11 +335,6 @@ def _family(
     return with_floor(
         family, [curve.measure for curve in curves], over_scatter=over_scatter
     )
-
-
-def _numbers(curve: CostCurve, effort: dict[str, float]) -> list[int]:
-    """Return the number of the setting with an effort, if there is one."""
-    return [number for number, one in enumerate(curve.settings) if one.effort == effort]
 
 
 def with_floor(

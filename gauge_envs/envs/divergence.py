@@ -91,13 +91,12 @@ class RigidBoundsOfWorlds:
                 [[body.mass_kg for body in scene.dynamic_bodies] for scene in scenes]
             )
         )
-        self.distances_m = put(np.array([scene.distance_limit_m for scene in scenes]))
-        self.speeds_m_per_s = put(
-            np.array([scene.speed_limit_m_per_s for scene in scenes])
-        )
-        self.energies_j = put(
-            np.array([scene.kinetic_energy_limit_j for scene in scenes])
-        )
+        limits = [
+            (one.distance_limit_m, one.speed_limit_m_per_s, one.kinetic_energy_limit_j)
+            for one in scenes
+        ]
+        columns = np.array(limits).T.copy()
+        self.distances_m, self.speeds_m_per_s, self.energies_j = map(put, columns)
 
     def suspects(self, states: Any) -> Any:
         """Return which worlds may be out of bounds; `RigidBounds.fault` decides, and gives the reason.

@@ -74,12 +74,10 @@ class Deviation:
     @cached_property
     def normalized_interval(self) -> tuple[float, float] | None:
         """95 % interval of the normalized root mean square; None without a baseline, or if refused."""
-        ends = None if self.baseline is None else self.errors.interval(self.values)
-        return (
-            None
-            if ends is None or self.baseline is None
-            else (ends[0] / self.baseline, ends[1] / self.baseline)
-        )
+        if self.baseline is None:
+            return None
+        ends = self.errors.interval(self.values)
+        return ends and (ends[0] / self.baseline, ends[1] / self.baseline)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -107,11 +105,7 @@ class Deviations:
     @property
     def first(self) -> Deviation:
         """The deviation of the primary score."""
-        return (
-            self.aligned
-            if self.primary == "rmse_aligned" and self.aligned is not None
-            else self.raw
-        )
+        return self.aligned if self.is_aligned and self.aligned else self.raw
 
 
 def experiment_sensitivities(

@@ -25,6 +25,7 @@ import gauge_envs  # noqa: F401  registers the ids
 from gauge_envs.envs.env import GaugeEnv
 from gauge_envs.envs.episode import Trajectory
 from gauge_envs.errors import ParameterError
+from gauge_envs.evaluation.metrics.trajectory import trajectory_rmse
 from gauge_envs.evaluation.reference import reference_loads
 from gauge_envs.evaluation.verification import load_length
 from gauge_envs.references.bands import Band
@@ -123,8 +124,7 @@ def band_uncertainty(band: Band) -> float:
 
 def root_mean_square(values: NDArray[np.float64]) -> float:
     """Return the root of the mean over frames with a known value, shape [T, C], of the squares."""
-    known = np.isfinite(values).any(axis=1)
-    return math.sqrt(float(np.nansum(values[known] ** 2, axis=1).mean()))
+    return trajectory_rmse(values, np.zeros_like(values), allow_missing=True)
 
 
 @cache
@@ -160,27 +160,23 @@ def experiment_errors(name: str, seed: int | None) -> Iterator[StepError]:
     is_deformable = bool(experiment.scene.deformables)
     for count in DEFORMABLE_STEPS_PER_S if is_deformable else RIGID_STEPS_PER_S:
         coarse, fine = episode(name, count, seed), episode(name, 2 * count, seed)
-        yield StepError(
-            id=name,
-            start=start,
-            steps_per_s=count,
-            error=distance(
-                band.project(coarse.frames[: experiment.frame_count]),
-                band.project(fine.frames[: experiment.frame_count]),
-            ),
-            unit=band.unit,
-            uncertainty=band_uncertainty(band),
+        motion = distance(
+            band.project(coarse.frames[: experiment.frame_count]),
+            band.project(fine.frames[: experiment.frame_count]),
         )
+        quantities = [(motion, band.unit, band_uncertainty(band))]
         for load in reference_loads(experiment, band):
             values = load.values(holders, coarse.wrenches)
-            half = load.values(holders, fine.wrenches)
+            change = load_length(values - load.values(holders, fine.wrenches))
+            quantities.append((change, load.unit, load_length(load.uncertainty)))
+        for error, unit, uncertainty in quantities:
             yield StepError(
                 id=name,
                 start=start,
                 steps_per_s=count,
-                error=load_length(values - half),
-                unit=load.unit,
-                uncertainty=load_length(load.uncertainty),
+                error=error,
+                unit=unit,
+                uncertainty=uncertainty,
             )
 
 
