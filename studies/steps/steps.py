@@ -25,7 +25,7 @@ import gauge_envs  # noqa: F401  registers the ids
 from gauge_envs.envs.env import GaugeEnv
 from gauge_envs.envs.episode import Trajectory
 from gauge_envs.errors import ParameterError
-from gauge_envs.evaluation.metrics.trajectory import trajectory_rmse
+from gauge_envs.evaluation.metrics.trajectory import trajectory_rmse as rmse
 from gauge_envs.evaluation.reference import reference_loads
 from gauge_envs.evaluation.verification import load_length
 from gauge_envs.references.bands import Band
@@ -119,12 +119,8 @@ def band_uncertainty(band: Band) -> float:
     values = band.sigma
     if not band.grade.is_real and band.uncertainty is not None:
         values = band.uncertainty
-    return root_mean_square(values[band.measured])
-
-
-def root_mean_square(values: NDArray[np.float64]) -> float:
-    """Return the root of the mean over frames with a known value, shape [T, C], of the squares."""
-    return trajectory_rmse(values, np.zeros_like(values), allow_missing=True)
+    measured = values[band.measured]
+    return rmse(np.zeros_like(measured), measured)
 
 
 @cache
@@ -144,7 +140,7 @@ def distance(coarse: NDArray[np.float64], fine: NDArray[np.float64]) -> float:
     """Return the distance of two motions, rms over the frames; infinite if one of them diverged."""
     if coarse.shape != fine.shape:
         return math.inf
-    return root_mean_square(coarse - fine)
+    return rmse(coarse, fine)
 
 
 def experiment_errors(name: str, seed: int | None) -> Iterator[StepError]:
