@@ -46,7 +46,7 @@ TURN_S = 94 / 30
 """Time of the published frames of the turntable [s]."""
 
 CALM_INTERVAL_S = 0.01
-"""Time between samples of a body that rests, or turns with a plate [s]: a third of a published frame."""
+"""Time between samples of a body that rests, or turns with a slow plate [s]: a third of a published frame."""
 
 STEADY_S = (2.3, 3.0)
 """Time between the acceleration after the first stop and the last published frame [s]."""
@@ -338,11 +338,7 @@ def carry(material: str) -> Phenomenon:
 def slip() -> Phenomenon:
     """Return the slip of a cube when the turntable reverses."""
     scenario = Scenario(
-        name="stop",
-        variant="Turntable-3-metal",
-        seconds=TURN_S,
-        interval_s=CALM_INTERVAL_S,
-        released="cube",
+        name="stop", variant="Turntable-3-metal", seconds=TURN_S, released="cube"
     )
     radius_mm = recorded("turntable", "radius_at_start_mm")["value"]
 
