@@ -143,13 +143,14 @@ def pulled(*, coefficient=0.5, kp=500.0, per_control=1.0):
     return hand_of_two(extra=servo).replace("</mujoco>", tendon)
 
 
-def chain(*, kp=200, last_range="-1 1"):
-    """Return an arm of five joints in a row, whose last servo or whose last limits are another one's."""
+def chain(*, kp=200, last_range="-1 1", armature=0.02, last_armature=None):
+    """Return an arm of five joints in a row, whose last servo, limits or armature are another one's."""
     bodies, servos = "", ""
     for number in range(5):
         is_last = number == 4
         joint_range = last_range if is_last else "-1 1"
-        bodies += f'''<body pos=".2 0 0"><joint name="j{number}" axis="0 1 0" range="{joint_range}" armature=".02"
+        rotor = last_armature if is_last and last_armature else armature
+        bodies += f'''<body pos=".2 0 0"><joint name="j{number}" axis="0 1 0" range="{joint_range}" armature="{rotor}"
             damping="1" frictionloss=".3"/><geom type="capsule" fromto=".06 0 0 .2 0 0" size=".03"/>'''
         gain = kp if is_last else 200
         servos += f'<position joint="j{number}" kp="{gain}" kv="12" forcerange="-30 30" ctrlrange="-1 1"/>'
@@ -157,15 +158,40 @@ def chain(*, kp=200, last_range="-1 1"):
       <actuator>{servos}</actuator></mujoco>"""
 
 
-def table(*, axis="1 0 0"):
-    """Return four legs that swing aside, of which one may turn the other way."""
+def table(*, axis="1 0 0", last_range="-1 1"):
+    """Return four legs that swing aside, of which one may turn the other way, and two have other ranges."""
     legs, servos = "", ""
     for leg, (x, y) in enumerate(((0.3, 0.1), (0.3, -0.1), (-0.3, 0.1), (-0.3, -0.1))):
-        legs += f'''<body pos="{x} {y} 0"><joint name="leg{leg}" axis="{axis if leg == 3 else "1 0 0"}" range="-1 1"/>
+        legs += f'''<body pos="{x} {y} 0"><joint name="leg{leg}" axis="{axis if leg == 3 else "1 0 0"}"
+          range="{last_range if leg > 1 else "-1 1"}"/>
           <geom type="capsule" fromto="0 0 0 0 0 -.3" size=".03"/></body>'''
         servos += f'<position joint="leg{leg}" kp="100" kv="5"/>'
     return f"""<mujoco><compiler angle="radian"/><worldbody><body><geom type="box" size=".4 .1 .05"/>{legs}</body>
       </worldbody><actuator>{servos}</actuator></mujoco>"""
+
+
+def claw(*, last_m=0.01):
+    """Return three fingers around a palm, which swing aside; two are images of each other but for their ranges."""
+    fingers, motors = "", ""
+    for finger, turn in enumerate(np.radians((330.0, 90.0, 210.0))):
+        place = f"{0.1 * np.cos(turn)} {0.1 * np.sin(turn)} 0"
+        size = last_m if finger == 2 else 0.01
+        fingers += f'''<body pos="{place}" euler="0 0 {turn}"><joint name="f{finger}" axis="1 0 0" range="-.4 1.3"/>
+          <geom type="capsule" fromto="0 0 0 0 0 .1" size="{size}"/></body>'''
+        motors += f'<motor joint="f{finger}" forcerange="-1 1" ctrlrange="-1 1"/>'
+    return f"""<mujoco><compiler angle="radian"/><worldbody><body><geom size=".05"/>{fingers}</body></worldbody>
+      <actuator>{motors}</actuator></mujoco>"""
+
+
+def four_bar(*, kv=1):
+    """Return a servo that turns a parallelogram, which a `connect` closes."""
+    bar = 'type="capsule" size=".01" contype="0" conaffinity="0"'
+    return f"""<mujoco><default><joint axis="0 1 0" damping=".01"/></default><worldbody>
+      <body><joint name="driven"/><geom {bar} fromto="0 0 0 0 0 .1"/>
+        <body name="coupler" pos="0 0 .1"><joint/><geom {bar} fromto="0 0 0 .1 0 0"/></body></body>
+      <body name="follower" pos=".1 0 0"><joint/><geom {bar} fromto="0 0 0 0 0 .1"/></body></worldbody>
+      <equality><connect body1="coupler" body2="follower" anchor=".1 0 0"/></equality>
+      <actuator><position joint="driven" kp="10" kv="{kv}" forcerange="-20 20"/></actuator></mujoco>"""
 
 
 def paw(*, quat=".7071 .7071 0 0", kp=10, coefficient=1):
@@ -214,6 +240,32 @@ def test_a_part_that_contradicts_those_like_it_is_named(row, good, odd, words):
     assert not robot_row(row, robot_of(good)).verdict.is_off
     found = robot_row(row, robot_of(odd))
     assert found.is_flag and words in found.cause.line
+
+
+AFLOAT = (
+    table()
+    .replace("<body><geom", '<body><freejoint/><geom condim="1"')
+    .replace('size=".03"/>', 'size=".03" condim="1"/>')
+)
+ON_PURPOSE = [
+    ("robot-friction", AFLOAT, AFLOAT.replace("<freejoint/>", "")),
+    ("robot-rotor", chain(armature=1e-3), chain(last_armature=1e-5)),
+    ("robot-lag", four_bar(), four_bar(kv=20)),
+    ("robot-mirror", claw(), claw(last_m=0.011)),
+    (
+        "robot-sides",
+        table(axis="-1 0 0", last_range="-.3 1"),
+        table(axis="-1 0 0"),
+    ),
+]
+
+
+@pytest.mark.parametrize(("row", "good", "odd"), ON_PURPOSE)
+def test_what_a_good_robot_has_is_no_mistake_where_a_like_one_is_flagged(
+    row, good, odd
+):
+    assert not robot_row(row, robot_of(good)).is_flag
+    assert robot_row(row, robot_of(odd)).is_flag
 
 
 def test_a_keyframe_that_commands_another_angle_than_its_own_slows_no_servo():

@@ -150,7 +150,9 @@ def geoms_of(robot: Robot, body: int) -> list[int]:
 
 def fingers(robot: Robot) -> list[int]:
     """Return the bodies of the fingers of a robot on a fixed base: the last ones of limbs that part from one body."""
-    if robot.standing is not None:
+    model = robot.model
+    is_free = joints_of(model, "FREE") & np.isin(model.jnt_bodyid, robot.bodies)
+    if robot.standing is not None or is_free.any():
         return []
     limbs = limbs_of(robot)
     origins = [int(robot.model.body_parentid[limb[-1]]) for limb in limbs]

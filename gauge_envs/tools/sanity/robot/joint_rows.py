@@ -351,11 +351,13 @@ def _rotor(robot: Robot) -> Finding:
     if not armatures:
         return Finding(declined="no hinge of the robot is driven")
     limits_nm = driven_dofs(robot)
+    # One number for all joints is no rotor, but a constant for stability.
+    is_constant = len(armatures) > FEW_JOINTS and len({*armatures.values()}) == 1
     fast = []
     for dof, armature in armatures.items():
         is_fast = MOST_RAD_PER_S2 * armature < limits_nm[dof] < np.inf
         is_light = armature < LEAST_ROTOR * joint_inertias(robot)[dof]
-        if armature > 0.0 and (is_fast or is_light):
+        if armature > 0.0 and (is_fast or (is_light and not is_constant)):
             fast.append(dof)
     without_rotor = [dof for dof, armature in armatures.items() if armature <= 0.0]
     without_rotor += fast

@@ -480,6 +480,40 @@ def coupled_joints(model: mujoco.MjModel, joint: int) -> list[int]:
     return found
 
 
+def loop_joints(model: mujoco.MjModel, joint: int) -> list[int]:
+    """Return the joints of the closed chains of which a joint is part, those of chains that share one, and so on.
+
+    A chain is closed by an equality that holds two bodies, or sites of theirs, at one place.
+    """
+    closes = np.isin(model.eq_type, [mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD])
+    of_sites = model.eq_objtype == int(mujoco.mjtObj.mjOBJ_SITE)
+    chains = []
+    for one in np.flatnonzero(closes & model.eq_active0.astype(bool)).tolist():
+        ends = [int(model.eq_obj1id[one]), int(model.eq_obj2id[one])]
+        if of_sites[one]:
+            ends = model.site_bodyid[ends].tolist()
+        bodies = _ancestors(model, ends[0]) ^ _ancestors(model, ends[1])
+        chains.append(
+            {*np.flatnonzero(np.isin(model.jnt_bodyid, list(bodies))).tolist()}
+        )
+    found: set[int] = set()
+    joined = [chain for chain in chains if joint in chain]
+    while joined:
+        found = found.union(*joined)
+        chains = [chain for chain in chains if not chain <= found]
+        joined = [chain for chain in chains if chain & found]
+    return sorted(found)
+
+
+def _ancestors(model: mujoco.MjModel, body: int) -> set[int]:
+    """Return a body and all that carry it, but the world."""
+    found = set()
+    while body > 0:
+        found.add(body)
+        body = int(model.body_parentid[body])
+    return found
+
+
 def swapped_motors(model: mujoco.MjModel) -> dict[int, int]:
     """Return the joint on which a motor should act, by the motor, where it acts on another one.
 

@@ -49,6 +49,8 @@ from gauge_envs.tools.sanity.robot.robot import (
     acts_on_joints,
     coupled_joints,
     enabling,
+    joints_of_motors,
+    loop_joints,
     once,
     switched_off,
 )
@@ -372,8 +374,11 @@ def lone_half_step_s(robot: Robot, actuator: int, dof: int) -> float:
     """Return the time in which a servo covers half of a step alone [s], at most 1 s; NaN without room."""
     alone = robot.without("contact", "gravity", "limit")
     # What a linkage couples to the joint moves with it.
-    joints = coupled_joints(robot.model, int(alone.dof_jntid[dof]))
-    moves = np.isin(alone.dof_jntid, joints)
+    joint = int(alone.dof_jntid[dof])
+    joints = coupled_joints(robot.model, joint)
+    motors = {*joints_of_motors(robot.model).tolist()}
+    passive = [one for one in loop_joints(robot.model, joint) if one not in motors]
+    moves = np.isin(alone.dof_jntid, [*joints, *passive])
     alone.dof_armature[:] = np.where(moves, robot.model.dof_armature, 1e6)
     # Another servo of these joints would hold its own command.
     others = acts_on_joints(alone) & np.isin(alone.actuator_trnid[:, 0], joints)

@@ -78,7 +78,10 @@ OF_MOTOR, FEW_MOTORS, FEW_ODD = ("largest torque", "armature"), 3, 2
 """Quantities that tell motors apart, motors whose joints all agree, and odd joints of one that do not, at most."""
 
 FEW_SERVOS, ODD_KP = 5, 0.5
-"""Servos from which on all but one say what the last should be, and the difference of its kp over the larger one."""
+"""Servos from which on all but one say what the last should be, and the difference of its kp over the larger one.
+
+A factor of two is a choice: the first joint of a thumb.
+"""
 
 LEAST_SIZE_M = 0.01
 """Radius of a link without geoms [m]."""
@@ -88,6 +91,9 @@ FEW_COPIES = 2
 
 SAME = 0.01
 """Difference of two numbers over the larger one up to which they are the same."""
+
+ALONG = 0.95
+"""Cosine of the angle between two frames, or its opposite, from which on they lie along each other."""
 
 STRAIGHT = 0.9999
 """Cosine of half of an angle, from which on a quaternion turns nothing."""
@@ -127,6 +133,7 @@ class MirrorPair:
         centres_apart_m: Centre of mass of one link from the mirror image of the other, each seen from its joint [m].
         ranges_rad: Range of each, from the pose of the model [rad or m], shape [2].
         flip: Signs of the mirror image of a place in the frame of the robot, shape [3].
+        is_turned: Whether one is the other one, turned, as fingers around a palm: their ranges are the same.
     """
 
     joint: int
@@ -139,6 +146,7 @@ class MirrorPair:
     centres_apart_m: FloatArray
     ranges_rad: Mapping[int, FloatArray]
     flip: FloatArray
+    is_turned: bool
 
     @property
     def range_apart_rad(self) -> float:
@@ -146,11 +154,21 @@ class MirrorPair:
         mirrored = self.range_of(self.other)
         return float(np.abs(mirrored - self.ranges_rad[self.other]).max())
 
+    @property
+    def is_meant(self) -> bool:
+        """Whether the axes are meant as they are: of a turned copy, and where uneven ranges mirror each other."""
+        if self.is_turned:
+            return True
+        same_rad = limits_of("robot-mirror")[1]
+        is_uneven = abs(float(self.ranges_rad[self.joint].sum())) > same_rad
+        return is_uneven and self.range_apart_rad <= same_rad
+
     def range_of(self, joint: int) -> FloatArray:
         """Return the range that a joint has as the mirror image of the other one [rad], shape [2]."""
         (other,) = {self.joint, self.other} - {joint}
         mirrored: FloatArray = self.ranges_rad[other]
-        return -mirrored[::-1] if self.cosine < 0.0 else mirrored
+        is_opposite = self.cosine < 0.0 and not self.is_turned
+        return -mirrored[::-1] if is_opposite else mirrored
 
 
 @once
@@ -203,6 +221,7 @@ def mirror_pairs(robot: Robot) -> list[MirrorPair]:
                     for j in joints[[one, other]]
                 },
                 flip=flip,
+                is_turned=_is_turned_copy(model, data, *joints[[one, other]].tolist()),
             )
             for one, other in enumerate(images)
             if one < other
@@ -218,6 +237,22 @@ def mirror_pairs(robot: Robot) -> list[MirrorPair]:
         if alike > alike_count and alike >= SYMMETRIC_SHARE * len(pairs):
             best, alike_count = pairs, alike
     return best
+
+
+def _is_turned_copy(
+    model: mujoco.MjModel, data: mujoco.MjData, one: int, other: int
+) -> bool:
+    """Return whether a joint and its link are those of another one, turned, as the fingers around a palm."""
+    bodies = model.jnt_bodyid[[one, other]]
+    frames = data.xmat[bodies].reshape(2, 3, 3)
+    cosine = 0.5 * (float(np.trace(frames[0].T @ frames[1])) - 1.0)
+    if abs(cosine) > ALONG:
+        return False
+    numbers = (
+        *(model.jnt_axis[[one, other]], model.jnt_range[[one, other]]),
+        *(model.body_ipos[bodies], model.body_inertia[bodies]),
+    )
+    return all(np.allclose(a, b, rtol=SAME, atol=1e-9) for a, b in numbers)
 
 
 def depth_of(model: mujoco.MjModel, joint: int) -> int:
@@ -479,7 +514,7 @@ def _odd_servos(robot: Robot) -> Iterator[tuple[int, int, str, float]]:
     joints = model.actuator_trnid[motors, 0]
     kp = quantities(robot)["kp"][model.jnt_dofadr]
     for joint, (quantity, other) in odd_motors(robot).items():
-        if quantity == "kp" and apart(kp[[joint, other]])[0, 1] >= ODD_KP:
+        if quantity == "kp" and apart(kp[[joint, other]])[0, 1] > ODD_KP:
             yield joint, other, "kp", ODD_DIRECTION
     commands, ranges = model.actuator_ctrlrange[motors], model.jnt_range[joints]
     gaps = np.abs(commands - ranges).max(axis=1)
@@ -562,7 +597,7 @@ def _shares(robot: Robot, pair: MirrorPair) -> Iterator[tuple[str, float]]:
     others = [
         one
         for one in mirror_pairs(robot)
-        if one.along == pair.along and one.joint != pair.joint
+        if one.along == pair.along and one.joint != pair.joint and not one.is_meant
     ]
     # Hips of four legs are two pairs.
     has_copy = any(
@@ -573,6 +608,7 @@ def _shares(robot: Robot, pair: MirrorPair) -> Iterator[tuple[str, float]]:
     )
     is_alone = not any((one.cosine > 0.0) == (pair.cosine > 0.0) for one in others)
     is_odd = is_alone and (has_copy or len(others) >= FEW_PAIRS)
+    is_odd &= not pair.is_meant
     yield DIRECTION, ODD_DIRECTION * is_odd
     yield "centre of mass", float(np.linalg.norm(pair.centres_apart_m)) / size_m
     couplings = couplings_of(model)
