@@ -47,10 +47,10 @@ LEAST_CONTRAST = 40.0
 LEAST_KNOWN_SHARE = 0.25
 """Smallest share of the outline before such a background."""
 
-LINE, NEAR_LINE, LEAST_KNOWN_LINE = 1.5, 0.75, 0.5
+LINE, NEAR_LINE, KNOWN_LINES = 1.5, 0.75, ((0.9, 0.75), (0.5, LEAST_KNOWN_SHARE))
 """Half of the length of the lines along the motion by which size and shape are measured, and of their parts at the
-object, in sizes, and smallest share of those parts before another colour than the object's; the rest of a line is
-taken as the outline has it."""
+object, in sizes; smallest shares of those parts before another colour than the object's, with the area in squared
+sizes that such lines must have, or else the next ones count. The rest of a line is taken as the outline has it."""
 
 GAP_SHARE = 0.15
 """Covered share, in the largest along the motion, below which there is a gap."""
@@ -212,11 +212,15 @@ class ShapeFollower:
         else:
             wanted_px = 2.0 * np.sqrt(np.maximum(radius_px**2 - across_px**2, 0.0))
         is_near = np.abs(across_px) <= NEAR_LINE * self._size_px
-        is_known = known[:, is_near].mean(axis=1) > LEAST_KNOWN_LINE
         if self._profile_px is not None:
             wanted_px = self._profile_px
-        whole_px2 = float(wanted_px[is_known].sum())
-        if whole_px2 < LEAST_KNOWN_SHARE * self._size_px**2:
+        share = known[:, is_near].mean(axis=1)
+        for least, enough in KNOWN_LINES:
+            is_known = share > least
+            whole_px2 = float(wanted_px[is_known].sum())
+            if whole_px2 >= enough * self._size_px**2:
+                break
+        else:
             return
         inside = np.abs(across_px) <= 0.5 * wanted_px[:, None]
         seen = np.where(known > 0.0, covered, inside)[is_known]

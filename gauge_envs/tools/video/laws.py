@@ -45,18 +45,14 @@ class AccelerationFit:
 
     Attributes:
         a_m_per_s2: Acceleration [m/s^2], twice the slope over squared time.
-        start_m: Displacement at the release [m].
         release_s: Time of the release, on the clock of the samples [s].
         qfi: Quadratic form improvement: F statistic of a further term in the fourth power of time, 1.
-        r2: Coefficient of determination of the linear relation, 1.
         form: Root-mean-square residual in travelled distances, 1: the same for any acceleration and camera.
     """
 
     a_m_per_s2: float
-    start_m: float
     release_s: float
     qfi: float
-    r2: float
     form: float
 
 
@@ -68,7 +64,6 @@ class OscillationFit:
         period_s: Period of the damped oscillation [s].
         damping_per_s: Rate at which the amplitude decays [1/s]; negative for a growing one.
         equilibrium_rad: Angle of equilibrium [rad].
-        amplitude_rad: Amplitude at the first sample [rad].
         r2: Coefficient of determination, 1.
         residuals_rad: What the law does not explain [rad], shape [sample_count].
     """
@@ -76,7 +71,6 @@ class OscillationFit:
     period_s: float
     damping_per_s: float
     equilibrium_rad: float
-    amplitude_rad: float
     r2: float
     residuals_rad: FloatArray
 
@@ -124,10 +118,8 @@ def fit_constant_acceleration(
     )
     return AccelerationFit(
         a_m_per_s2=2.0 * float(coefficients[1]),
-        start_m=float(coefficients[0]),
         release_s=release,
         qfi=qfi,
-        r2=1.0 - linear / spread if spread > 0.0 else float("nan"),
         form=float(np.sqrt(linear / len(values)) / max(float(np.ptp(values)), 1e-300)),
     )
 
@@ -229,14 +221,13 @@ def fit_damped_oscillation(
     options = {"xatol": fine, "fatol": fine**2 * spread, "maxiter": 2000}
     found = minimize(cost, best, method="Nelder-Mead", options=options)
     beta, omega = float(found.x[0]) / window, abs(float(found.x[1])) / window
-    (equilibrium, cosine, sine), residual = _least_squares(
+    (equilibrium, *_), residual = _least_squares(
         _oscillation(clock, beta, omega), values
     )
     return OscillationFit(
         period_s=2.0 * np.pi / omega,
         damping_per_s=beta,
         equilibrium_rad=float(equilibrium),
-        amplitude_rad=float(np.hypot(cosine, sine)),
         r2=1.0 - float(residual @ residual) / spread,
         residuals_rad=residual,
     )

@@ -443,7 +443,7 @@ def paper_metrics(
     if task.motion in (Motion.SLIDE, Motion.FALL):
         along_m = laws.displacement_px(track, task)[rows] * scale_m_per_px
         fit = laws.fit_constant_acceleration(times_s, along_m)
-        return {"a": fit.a_m_per_s2, "qfi": fit.qfi}, {"linear_r2": fit.r2}
+        return {"a": fit.a_m_per_s2, "qfi": fit.qfi}, {}
     if task.motion is Motion.TURN:
         de_n, sizes = laws.dynamic_error(
             times_s,
@@ -461,8 +461,6 @@ def paper_metrics(
         swing = laws.fit_damped_oscillation(times_s, angles, guess=guess)
         return {"r2": swing.r2, "pd": swing.period_s}, {
             "damping_per_s": swing.damping_per_s,
-            "equilibrium_deg": math.degrees(swing.equilibrium_rad),
-            "amplitude_deg": math.degrees(swing.amplitude_rad),
         }
     assert task.rest_px is not None
     events = laws.apices(times_s, angles, 1.0 / track.fps)

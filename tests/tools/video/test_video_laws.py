@@ -20,9 +20,7 @@ TIMES_S = np.arange(40) / 30.0
 def test_acceleration_from_rest_is_exact():
     fit = fit_constant_acceleration(TIMES_S, 0.01 + 0.5 * 2.58 * TIMES_S**2)
     assert fit.a_m_per_s2 == pytest.approx(2.58, rel=1e-12)
-    assert fit.start_m == pytest.approx(0.01, rel=1e-9)
     assert fit.qfi == 0.0
-    assert fit.r2 == pytest.approx(1.0, abs=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -303,6 +303,12 @@ def test_a_cube_that_breaks_the_law_has_a_sound_track_until_it_may_be_another_on
     assert still.metrics["de"] == 0.0 and "says little" in still.findings[-1]
     assert found[0.0].metrics["de"] == 0.0 and found[39.0].metrics["de"] > 0.05
     assert "jumps" in found[130.0].reasons[0]
+    # A cube that stops at once at the end of its board is no other one; one that goes back is.
+    slide = video_task("SlopeSlider-2-wood")
+    for way_px, is_sound in ((405.0, True), (325.0, False)):
+        way = np.r_[np.zeros(8), 5.0 * np.arange(10.0) ** 2, way_px, way_px]
+        places = slide.centre_px + way[:, None] * np.array(slide.direction)
+        assert score_track(track_of(places, 24.0), slide).is_sound is is_sound
 
 
 @pytest.mark.parametrize("column", ["size", "confidence"])
