@@ -47,16 +47,12 @@ LEAST_CONTRAST = 40.0
 LEAST_KNOWN_SHARE = 0.25
 """Smallest share of the outline before such a background."""
 
-LINE, NEAR_LINE, KNOWN_LINES = 1.5, 0.75, ((0.9, 0.75), (0.5, LEAST_KNOWN_SHARE))
+LINE, NEAR_LINE, LEAST_KNOWN_LINE = 1.5, 0.75, 0.9
 """Half of the length of the lines along the motion by which size and shape are measured, and of their parts at the
-object, in sizes; smallest shares of those parts before another colour than the object's, with the area in squared
-sizes that such lines must have, or else the next ones count. The rest of a line is taken as the outline has it."""
+object, in sizes, and smallest share of those parts before another colour than the object's."""
 
 GAP_SHARE = 0.15
 """Covered share, in the largest along the motion, below which there is a gap."""
-
-SHADOW = 0.65
-"""Covered share up to which a dark object's shadow may seem to cover a place."""
 
 NOISE_SHARE = 0.15
 """Covered share that noise and texture leave to the bare background."""
@@ -212,18 +208,13 @@ class ShapeFollower:
         else:
             wanted_px = 2.0 * np.sqrt(np.maximum(radius_px**2 - across_px**2, 0.0))
         is_near = np.abs(across_px) <= NEAR_LINE * self._size_px
+        is_known = known[:, is_near].mean(axis=1) > LEAST_KNOWN_LINE
         if self._profile_px is not None:
             wanted_px = self._profile_px
-        share = known[:, is_near].mean(axis=1)
-        for least, enough in KNOWN_LINES:
-            is_known = share > least
-            whole_px2 = float(wanted_px[is_known].sum())
-            if whole_px2 >= enough * self._size_px**2:
-                break
-        else:
+        whole_px2 = float(wanted_px[is_known].sum())
+        if whole_px2 < LEAST_KNOWN_SHARE * self._size_px**2:
             return
-        inside = np.abs(across_px) <= 0.5 * wanted_px[:, None]
-        seen = np.where(known > 0.0, covered, inside)[is_known]
+        seen = (covered * known)[is_known]
         # Blur leaves no gap: what lies beyond one is another object, or its other half.
         along = seen.mean(axis=0)
         gaps = np.flatnonzero(along < GAP_SHARE * along.max())
@@ -338,24 +329,29 @@ Areas: TypeAlias = tuple[NDArray[np.int32], NDArray[np.int32], FloatArray]
 
 def _areas(covered: NDArray[np.float32]) -> Areas:
     """Return the connected areas of a small picture that are covered, without what is thin."""
-    whole = (covered > SHADOW).astype(np.uint8)
+    whole = (covered > 0.5).astype(np.uint8)
     whole = cv2.morphologyEx(whole, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
     _, labels, stats, middles = cv2.connectedComponentsWithStats(whole)
     return labels, stats[:, cv2.CC_STAT_AREA], middles
 
 
-def _area_at(areas: Areas, place: FloatArray) -> tuple[float, NDArray[np.float32]]:
-    """Return the size and the picture of the largest covered area that a place of the whole picture is in or beside.
+def _area_at(areas: Areas, place: FloatArray) -> tuple[float, float, FloatArray]:
+    """Return the largest covered area that a place of the whole picture is in or beside.
 
-    The size is 0 where there is none.
+    Returns:
+        Its size, 0 where there is none; the ratio of its axes; and its middle, from the place [px].
     """
     column, row = (COARSE * place).astype(int)
     labels = np.unique(_cut(areas[0], column, row, 2)[0])
     sizes = areas[1] * np.isin(np.arange(len(areas[1])), labels[labels > 0])
-    shown = cv2.resize(
-        (areas[0] == sizes.argmax()).astype(np.float32), REFERENCE_SIZE_PX
-    )
-    return float(sizes.max()), np.asarray(shown) if sizes.any() else 0.0 * shown
+    if not sizes.any():
+        return 0.0, 1.0, np.zeros(2)
+    largest = sizes.argmax()
+    one = cv2.moments((areas[0] == largest).astype(np.uint8), binaryImage=True)
+    spreads = [[one["mu20"], one["mu11"]], [one["mu11"], one["mu02"]]]
+    shorter, longer = np.linalg.eigvalsh(spreads)
+    ratio = math.sqrt(longer / max(shorter, 1e-9))
+    return float(sizes.max()), ratio, areas[2][largest] / COARSE - place
 
 
 def _look(picture: NDArray[Any], place: FloatArray, size_px: float) -> FloatArray:
@@ -408,14 +404,11 @@ TINT_GAIN, DARK = 768.0, 20.0
 TWIN_SHARE = 0.4
 """Smallest area of a second object, in that of the first."""
 
-MOST_AWAY = 0.6
-"""Largest part of the object's area that may lie elsewhere than in the first frame, seen from the template."""
+MOST_SLIP = 0.25
+"""Largest distance of the template from the middle of the object's area, beyond that in the first frame, in sizes."""
 
 LEAST_OUTLINE = 0.75
 """Smallest strength of the edges at the object's sides, against the strongest around, in that of the first frame."""
-
-LEAST_EDGE = 0.35
-"""Strength below which the edges around count as so strong, in that at the object's sides in the first frame."""
 
 SIDE, NEAR, EDGE_PX = 0.3, 0.1, 1.5
 """Half of the part of a side whose edge counts, and distance in which it lies, in sizes; blur of its profile [px]."""
@@ -447,7 +440,6 @@ class FaceFollower:
         self._step = np.zeros(3)
         self._face = _turned(_grey(first), self._pose, self._half)
         self._size_px = task.size_px
-        self._edge = 0.0
         self._least_outline = LEAST_OUTLINE * self._outline(_grey(first))
         self._is_shiny = task.is_shiny
         self._colour = _look(first, self._pose[1:], task.size_px)
@@ -466,8 +458,8 @@ class FaceFollower:
         self._counted = (abs(away - 1.0) > RIM).astype(np.float32)
         self._known = _look(shown, COARSE * self._pose[1:], COARSE * task.size_px)
         is_clear = np.linalg.norm(plate - self._known) > CLEAR_CONTRAST
-        self._area, shown = _area_at(self._areas(first), self._pose[1:])
-        self._mask = _turned(shown, self._pose, int(task.size_px))
+        found = _area_at(self._areas(first), self._pose[1:])
+        self._area, self._longer, self._middle = found
         if not is_clear:
             self._area = 0.0
 
@@ -504,11 +496,11 @@ class FaceFollower:
     def _others(self, picture: Picture, found: Sight) -> list[Sight]:
         """Return what else looks like the object, and by how much the area around it has changed in size and shape."""
         areas = self._areas(picture)
-        size, shown = _area_at(areas, found.place)
+        size, longer, middle = _area_at(areas, found.place)
         found.size_ratio = math.sqrt(size / self._area)
-        mask = _turned(shown, self._pose, int(self._size_px))
-        found.misfit = float(np.abs(mask - self._mask).sum() / self._mask.sum())
-        if found.misfit > MOST_AWAY:
+        found.misfit = abs(longer / self._longer - 1.0)
+        slip_px = math.dist(middle, _rotation(self._pose[0]) @ self._middle)
+        if slip_px > MOST_SLIP * self._size_px:
             found.likeness = 0.0
         _, sizes, middles = areas
         is_large = sizes > TWIN_SHARE * self._area
@@ -549,16 +541,14 @@ class FaceFollower:
         half = int(self._size_px)
         around = _turned(grey, self._pose, half)
         side = int(SIDE * self._size_px)
-        shares, strengths = [], []
+        shares = []
         for quarter in range(4):
             strip = np.rot90(around, quarter)[half - side : half + side + 1, half:]
             mean = cv2.GaussianBlur(strip.mean(axis=0)[None], (0, 0), EDGE_PX)[0]
             edges = np.abs(np.diff(mean))[side:]
             place, reach = half // 2 - side, int(NEAR * self._size_px)
             near = edges[place - reach : place + reach + 1]
-            strengths.append(float(near.max()))
-            shares.append(strengths[-1] / max(edges.max(), self._edge, 1e-3))
-        self._edge = self._edge or LEAST_EDGE * float(np.mean(strengths))
+            shares.append(float(near.max() / max(edges.max(), 1e-3)))
         return float(np.mean(shares))
 
     def _matched(

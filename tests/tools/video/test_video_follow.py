@@ -99,8 +99,6 @@ def test_only_balls_of_the_cradle_are_its_balls():
         ("melted", 1.0),
         ("square", 1.0),
         ("split", 1.0),
-        ("before a post", 1.0),
-        ("before a post", 1.6),
     ],
 )
 def test_an_object_has_its_size_and_shape_though_its_motion_smears_it(change, size):
@@ -108,9 +106,6 @@ def test_an_object_has_its_size_and_shape_though_its_motion_smears_it(change, si
     rows, columns = np.mgrid[:480, :832]
     down_px, right_px = rows - task.centre_px[1], columns - task.centre_px[0]
     bare = np.full((480, 832, 3), 200.0)
-    if change == "before a post":
-        # It has the object's colour and hides a third of it.
-        bare[down_px < -0.2 * task.size_px] = 30
     first, later = bare.copy(), bare.copy()
     radius_px = 0.5 * task.size_px
     first[np.hypot(down_px, right_px) < radius_px] = 25
@@ -131,8 +126,6 @@ def test_an_object_has_its_size_and_shape_though_its_motion_smears_it(change, si
     follower.candidates(first)
     sight = max(follower.candidates(later), key=lambda one: one.place[1])
     expected = 0.71 if change == "split" else size
-    # What a post hides is taken to be as before.
-    expected = 0.5 * (1.0 + size) if change == "before a post" else expected
     assert sight.size_ratio == pytest.approx(expected, rel=0.15)
     if size > 1.0 or change in ("melted", "square", "split"):
         assert sight.misfit > MOST_MISFIT
@@ -141,15 +134,14 @@ def test_an_object_has_its_size_and_shape_though_its_motion_smears_it(change, si
 
 
 @pytest.mark.parametrize(
-    "change",
-    ["none", "grows", "second", "spreads", "darkens", "flattens", "rounds"],
+    "change", ["none", "grows", "second", "spreads", "darkens", "flattens"]
 )
 def test_a_cube_on_a_turntable_keeps_its_area_and_outline(change):
     """Correlation with a template alone follows a cube that grows, and does not see a second one.
 
     The brightness of metal follows the lamp, and its tint does not.
     """
-    is_metal = change in ("darkens", "flattens", "rounds")
+    is_metal = change in ("darkens", "flattens")
     task = video_task("Turntable-2-metal" if is_metal else "Turntable-2-wood")
     # Where the plate has nearly the colour of the cube, the edges of its sides are left.
     plate = (150, 185, 205) if change == "spreads" else (210, 220, 225)
@@ -171,13 +163,8 @@ def test_a_cube_on_a_turntable_keeps_its_area_and_outline(change):
             flat = 1.2 if is_later and change == "flattens" else 1.0
             sides = half * np.array([flat, 1.0 / flat])
             low, high = (place - sides).astype(int), (place + sides).astype(int)
-            if is_later and change == "rounds":
-                cv2.circle(
-                    picture, place.astype(int).tolist(), int(0.9 * half), colour, -1
-                )
-            else:
-                cv2.rectangle(picture, low.tolist(), high.tolist(), colour, -1)
-        spots = [(-20, -8), (14, 18), (16, -16)] if not is_metal else []
+            cv2.rectangle(picture, low.tolist(), high.tolist(), colour, -1)
+        spots = [(-20, -8), (14, 18), (16, -16)] if change != "flattens" else []
         for x, y in spots:
             spot = np.add(centre, [x, y]).astype(int).tolist()
             cv2.circle(picture, spot, 9, (60, 90, 120), -1)
