@@ -27,8 +27,8 @@ REST_S = 0.05
 """Time for which bodies are slow when they are at rest [s]: longer than what they stop at the turn of a vibration."""
 
 
-NO_STATES, NO_MARKERS = np.zeros((0, 13)), np.zeros((0, 3))
-"""States of a scene without rigid bodies that move, and markers of one without markers."""
+NO_MARKERS = np.zeros((0, 3))
+"""Markers of a scene without any."""
 
 
 class DeclinedError(GaugeError):
@@ -148,33 +148,25 @@ def record(
             scene, Observable.MARKER_POSITION, simulation, MarkerProxy.MATERIAL
         )
     names = [body.name for body in scene.bodies]
-    start_states = states_now(simulation, names)
-    # Fixed bodies stay where they are.
-    moving = [
+    dynamic = [
         index
         for index, body in enumerate(scene.bodies)
-        if body.motion is not Motion.FIXED
-    ]
-    moving_names = [names[index] for index in moving]
-    dynamic = [
-        place
-        for place, index in enumerate(moving)
-        if scene.bodies[index].motion is Motion.DYNAMIC
+        if body.motion is Motion.DYNAMIC
     ]
     last: _Sample | None = None
     samples: list[_Sample] = []
     last_motion = 0
     for index in range(count + 1):
         time = f"after {index * interval_s:.3g} s"
-        now = _read(simulation, scene, moving_names, observer)
+        now = _read(simulation, scene, names, observer)
         if fault := simulation.fault():
             raise DivergedError(f"{time} {fault}")
-        if name := _not_finite(moving_names, now):
+        if name := _not_finite(names, now):
             raise NotFiniteError(f"{time} {name!r} is not finite")
         speeds = _speeds_m_per_s(dynamic, last or now, now, interval_s)
         fastest_m_per_s = max(speeds, default=0.0)
         if fastest_m_per_s > speed_limit_m_per_s:
-            several = [*(moving_names[place] for place in dynamic), *now.nodes_m]
+            several = [*(names[index] for index in dynamic), *now.nodes_m]
             name = several[speeds.index(fastest_m_per_s)]
             limit = f"the scene allows {speed_limit_m_per_s:.3g} m/s at most"
             raise DivergedError(
@@ -194,8 +186,7 @@ def record(
             break
         if index < count:
             _advance(simulation, paths, index, time)
-    states = np.repeat(start_states[None], len(samples), axis=0)
-    states[:, moving] = np.stack([sample.states for sample in samples])
+    states = np.stack([sample.states for sample in samples])
     return Rollout(
         scene=scene,
         times_s=interval_s * np.arange(len(samples), dtype=np.float64),
@@ -250,7 +241,7 @@ class _Sample(NamedTuple):
     """All bodies at one time.
 
     Attributes:
-        states: States of the rigid bodies that can move, in the scene's order, shape [body_count, 13].
+        states: States of the rigid bodies in the scene's order, shape [body_count, 13].
         nodes_m: Nodes of the deformable bodies by name [m], shape [node_count, 3].
         markers_m: The scene's markers [m], shape [marker_count, 3].
     """
@@ -269,7 +260,7 @@ def _read(
     if observer is not None:
         observer.now(simulation)
     return _Sample(
-        states=states_now(simulation, names) if names else NO_STATES,
+        states=states_now(simulation, names),
         nodes_m={
             body.name: np.array(simulation.nodes(body.name), dtype=np.float64)
             for body in scene.deformables

@@ -380,7 +380,7 @@ FAULTS = dict(
             "hinged-axis",
             "axis of a hinge between bodies tilted by 3 degrees",
             "hinged-closed",
-            "the axis in the frame of each body",
+            "degrees from the axis of its hinge",
             simulation=_model(_hanging(_hinge_tilted)),
         ),
         _own(

@@ -282,7 +282,9 @@ def _limit_check(id: str, scene: str, step_rad: float) -> None:
     def measure(rollout: Rollout) -> Measurement:
         measured = acceleration_m_per_s2(rollout.times_s, _turned_rad(rollout))
         expected = float(np.copysign(LIMIT_N_M / INERTIA, step_rad))
-        hint = f"the largest torque is {measured / expected:.4g} times the torque limit"
+        share = measured / expected
+        hint = f"the largest torque is {share:.4g} times the torque limit"
+        hint = hint if share > 0.0 else ""
         return Measurement(measured=measured, expected=expected, hint=hint)
 
 
