@@ -52,12 +52,12 @@ memory, seconds = int(sys.argv.pop(1)), int(sys.argv.pop(1))
 if sys.platform != "win32":
     import resource
     limits = {"DATA": memory, "CPU": seconds, "FSIZE": memory, "CORE": 0}
-    for name, most in limits.items():
+    for name, limit in limits.items():
         kind = getattr(resource, f"RLIMIT_{name}")
         hard = resource.getrlimit(kind)[1]
         # A limit of the session that is lower cannot be raised.
-        most = most if hard == resource.RLIM_INFINITY else min(most, hard)
-        resource.setrlimit(kind, (most, most))
+        lower = limit if hard == resource.RLIM_INFINITY else min(limit, hard)
+        resource.setrlimit(kind, (lower, lower))
 sys.argv.pop(0)
 runpy.run_path(sys.argv[0], run_name="__main__")
 """

@@ -333,9 +333,10 @@ def checks(only: Sequence[str] = ()) -> tuple[Check, ...]:
         f"gauge_envs.tools.conformance.{family}": place
         for place, family in enumerate(FAMILIES)
     }
-    is_known = bool(only) and {*only} <= {*_CHECKS}
-    for module in () if is_known else places:
-        import_module(module)
+    is_imported = bool(only) and {*only} <= {*_CHECKS}
+    if not is_imported:
+        for module in places:
+            import_module(module)
     # A module may have been imported before another one that precedes it in the table.
     known = sorted(
         _CHECKS.values(),
