@@ -158,12 +158,11 @@ def chain(*, kp=200, last_range="-1 1", armature=0.02, last_armature=None):
       <actuator>{servos}</actuator></mujoco>"""
 
 
-def table(*, axis="1 0 0", last_range="-1 1"):
-    """Return four legs that swing aside, of which one may turn the other way, and two have other ranges."""
+def table(*, axis="1 0 0"):
+    """Return four legs that swing aside, of which one may turn the other way."""
     legs, servos = "", ""
     for leg, (x, y) in enumerate(((0.3, 0.1), (0.3, -0.1), (-0.3, 0.1), (-0.3, -0.1))):
-        legs += f'''<body pos="{x} {y} 0"><joint name="leg{leg}" axis="{axis if leg == 3 else "1 0 0"}"
-          range="{last_range if leg > 1 else "-1 1"}"/>
+        legs += f'''<body pos="{x} {y} 0"><joint name="leg{leg}" axis="{axis if leg == 3 else "1 0 0"}" range="-1 1"/>
           <geom type="capsule" fromto="0 0 0 0 0 -.3" size=".03"/></body>'''
         servos += f'<position joint="leg{leg}" kp="100" kv="5"/>'
     return f"""<mujoco><compiler angle="radian"/><worldbody><body><geom type="box" size=".4 .1 .05"/>{legs}</body>
@@ -252,11 +251,6 @@ ON_PURPOSE = [
     ("robot-rotor", chain(armature=1e-3), chain(last_armature=1e-5)),
     ("robot-lag", four_bar(), four_bar(kv=20)),
     ("robot-mirror", claw(), claw(last_m=0.011)),
-    (
-        "robot-sides",
-        table(axis="-1 0 0", last_range="-.3 1"),
-        table(axis="-1 0 0"),
-    ),
 ]
 
 

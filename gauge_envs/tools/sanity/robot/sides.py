@@ -154,15 +154,6 @@ class MirrorPair:
         mirrored = self.range_of(self.other)
         return float(np.abs(mirrored - self.ranges_rad[self.other]).max())
 
-    @property
-    def is_meant(self) -> bool:
-        """Whether the axes are meant as they are: of a turned copy, and where uneven ranges mirror each other."""
-        if self.is_turned:
-            return True
-        same_rad = limits_of("robot-mirror")[1]
-        is_uneven = abs(float(self.ranges_rad[self.joint].sum())) > same_rad
-        return is_uneven and self.range_apart_rad <= same_rad
-
     def range_of(self, joint: int) -> FloatArray:
         """Return the range that a joint has as the mirror image of the other one [rad], shape [2]."""
         (other,) = {self.joint, self.other} - {joint}
@@ -597,7 +588,7 @@ def _shares(robot: Robot, pair: MirrorPair) -> Iterator[tuple[str, float]]:
     others = [
         one
         for one in mirror_pairs(robot)
-        if one.along == pair.along and one.joint != pair.joint and not one.is_meant
+        if one.along == pair.along and one.joint != pair.joint
     ]
     # Hips of four legs are two pairs.
     has_copy = any(
@@ -608,7 +599,7 @@ def _shares(robot: Robot, pair: MirrorPair) -> Iterator[tuple[str, float]]:
     )
     is_alone = not any((one.cosine > 0.0) == (pair.cosine > 0.0) for one in others)
     is_odd = is_alone and (has_copy or len(others) >= FEW_PAIRS)
-    is_odd &= not pair.is_meant
+    is_odd &= not pair.is_turned
     yield DIRECTION, ODD_DIRECTION * is_odd
     yield "centre of mass", float(np.linalg.norm(pair.centres_apart_m)) / size_m
     couplings = couplings_of(model)
