@@ -61,7 +61,7 @@ def agreement(
     for name, value in published.items():
         count = sum(_is_close(found, {name: value}) for *_, found in intervals)
         counts.append(f"{name} holds in {count}")
-    return f"in no frames near: of {len(intervals)}, {', '.join(counts)}"
+    return f"in none of {len(intervals)} intervals: {', '.join(counts)}"
 
 
 Span: TypeAlias = tuple[int, int]

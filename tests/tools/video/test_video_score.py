@@ -481,8 +481,8 @@ def test_published_values_of_other_frames_are_found_and_a_wrong_track_has_no_say
     # A release within the window of six frames may be the paper's, and a later one is not.
     assert text.startswith(f"in frames {first + 4} to {last}, +4 and +0")
     assert text.endswith("0 of 2 values of other clips")
-    assert agreement(result, task, later[1]).startswith("in no frames near")
-    assert agreement(result, task, {"a": 90.0}).startswith("in no frames")
+    assert agreement(result, task, later[1]).startswith("in none of")
+    assert agreement(result, task, {"a": 90.0}).startswith("in none of")
     wrong = replace(result, is_sound=False, reasons=("it melts",))
     agreed = agreement(wrong, task, {"a": result.metrics["a"]})
     assert agreed == "track not sound: it melts"

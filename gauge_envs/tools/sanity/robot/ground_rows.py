@@ -149,17 +149,20 @@ def geoms_of(robot: Robot, body: int) -> list[int]:
 
 
 def fingers(robot: Robot) -> list[int]:
-    """Return the bodies of the fingers of a robot on a fixed base: the last ones of limbs that part from one body."""
-    model = robot.model
-    is_free = joints_of(model, "FREE") & np.isin(model.jnt_bodyid, robot.bodies)
-    if robot.standing is not None or is_free.any():
+    """Return the bodies of the fingers of a robot: the last ones of limbs that part from one body.
+
+    Limbs that part from a floating body are legs.
+    """
+    if robot.standing is not None:
         return []
+    model = robot.model
+    floating = {*model.jnt_bodyid[joints_of(model, "FREE")].tolist()}
     limbs = limbs_of(robot)
-    origins = [int(robot.model.body_parentid[limb[-1]]) for limb in limbs]
+    origins = [int(model.body_parentid[limb[-1]]) for limb in limbs]
     return [
         limb[0]
         for limb, origin in zip(limbs, origins, strict=True)
-        if origins.count(origin) > 1
+        if origins.count(origin) > 1 and origin not in floating
     ]
 
 

@@ -351,19 +351,23 @@ def _rotor(robot: Robot) -> Finding:
     if not armatures:
         return Finding(declined="no hinge of the robot is driven")
     limits_nm = driven_dofs(robot)
-    # One number for all joints is no rotor, but a constant for stability.
-    is_constant = len(armatures) > FEW_JOINTS and len({*armatures.values()}) == 1
-    fast = []
+    fast: list[int] = []
+    light: list[int] = []
     for dof, armature in armatures.items():
         is_fast = MOST_RAD_PER_S2 * armature < limits_nm[dof] < np.inf
         is_light = armature < LEAST_ROTOR * joint_inertias(robot)[dof]
-        if armature > 0.0 and (is_fast or (is_light and not is_constant)):
-            fast.append(dof)
+        if armature > 0.0 and (is_fast or is_light):
+            (fast if is_fast else light).append(dof)
+    is_constant = len(armatures) > FEW_JOINTS and len({*armatures.values()}) == 1
+    is_choice = is_constant and not fast
+    fast += light
     without_rotor = [dof for dof, armature in armatures.items() if armature <= 0.0]
     without_rotor += fast
-    stated = sorted(armatures[dof] for dof in armatures if dof not in without_rotor)
     if not without_rotor:
         return Finding(remark="all driven joints state one")
+    # No joint gets a smaller one than it has.
+    largest = max(armatures[dof] for dof in without_rotor)
+    stated = sorted(armature for armature in armatures.values() if armature > largest)
     names = first_joints(robot, without_rotor)
     several = f"{names}: {len(without_rotor)} of {len(armatures)} driven joints"
     for dof in fast[:1]:
@@ -381,12 +385,15 @@ def _rotor(robot: Robot) -> Finding:
             remark=several,
             advisory="joints of the model state no inertia of their rotor",
         )
-    if not stated:
+    if is_choice or not stated:
         return Finding(
             value=share,
             parts=parts,
             remark=several,
             advice="armature in kg m^2, forcerange in Nm",
+            advisory="one armature of all joints can be a constant for stability"
+            if is_choice
+            else "",
         )
     least = stated[0]
     return Finding(
