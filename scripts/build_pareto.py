@@ -256,7 +256,7 @@ def page(notes: Mapping[str, Any], found: Tradeoff) -> str:
         *stale_note("pareto-data"),
         *markdown_table(("experiment", *engines), rows),
         "",
-        f"Measured: {dates}; {notes['machine']}. Each has the inputs of its date, and is over MuJoCo's cost of then.",
+        f"Measured: {dates}; {notes['machine']}. Inputs are those of the date of each engine, and costs are over MuJoCo's of that date.",
     ]
     return "\n".join(lines)
 
