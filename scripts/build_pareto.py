@@ -256,7 +256,8 @@ def page(notes: Mapping[str, Any], found: Tradeoff) -> str:
         *stale_note("pareto-data"),
         *markdown_table(("experiment", *engines), rows),
         "",
-        f"Measured: {dates}; {notes['machine']}. Inputs are those of the date of each engine, and costs are over MuJoCo's of that date.",
+        f"Measured: {dates}; {notes['machine']}. "
+        "Inputs are those of the date of each engine, and costs are over MuJoCo's of that date.",
     ]
     return "\n".join(lines)
 
