@@ -172,14 +172,16 @@ def draw(entry: Entry, file: Path) -> str:
         if isinstance(env.action_space, spaces.Discrete)
         else np.zeros(env.action_space.shape)
     )
-    with film_writer(file, size=SIZE, fps=FPS) as writer:
+    with film_writer(file, size=SIZE, fps=FPS) as add:
         for frame in range(last + 1):
             if frame:
                 env.step(zero)
             if frame % stride == 0:
                 picture = env.render()
                 assert picture is not None
-                writer.add(picture, times=round(FPS) if frame + stride > last else 1)
+                # The last picture stays for a second.
+                for _ in range(round(FPS) if frame + stride > last else 1):
+                    add(picture)
     env.close()
     shrink(file)
     return caption_of(entry, env.experiment, env.band)

@@ -21,7 +21,7 @@ from gauge_envs.backends import backend_for, engine_call, is_bundled, versions_o
 from gauge_envs.backends.shared.resampled import in_intervals
 from gauge_envs.envs.arguments import TrialStart, check_support, jittered_experiment
 from gauge_envs.envs.episode import Episode
-from gauge_envs.errors import GaugeError, ParameterError, chosen
+from gauge_envs.errors import GaugeError, chosen
 from gauge_envs.experiments.experiment import AssetKind, Experiment
 from gauge_envs.files import MEGABYTE, npz_arrays, os_errors, read_regular, write_whole
 from gauge_envs.observables.observer import MarkerProxy
@@ -36,9 +36,6 @@ PoseArray = NDArray[np.float32]
 
 RIGID_VIEWS_PER_FRAME = 2
 """Recorded views in each frame of a scene of rigid bodies, so 60 a second; deformable bodies are recorded 30 times."""
-
-VIEWS_PER_FRAME = (1, 2, 3, SAMPLES_PER_FRAME)
-"""Numbers of views in a frame that divide its samples."""
 
 MAX_REPLAY_BYTES = 512 * MEGABYTE
 
@@ -77,18 +74,12 @@ def replayed_experiment(result: Result) -> Experiment:
     return jittered_experiment(experiment, _start(result), seed=result.seed or 0)
 
 
-def replay(result: Result, *, views_per_frame: int | None = None) -> Replay:
+def replay(result: Result) -> Replay:
     """Run the episode of a result again and return where its bodies are.
 
     Args:
         result: The result.
-        views_per_frame: Recorded views in each frame: 1, 2, 3 or 6; None for the default, 2 of rigid bodies and 1 of
-            deformable ones.
     """
-    if views_per_frame is not None and views_per_frame not in VIEWS_PER_FRAME:
-        raise ParameterError(
-            f"views_per_frame is {views_per_frame!r}: choose 1, 2, 3 or 6"
-        )
     if result.backend is None or result.trajectory is None:
         raise ReplayError("the result is of a trajectory file: no engine ran it")
     if result.error is not None:
@@ -113,22 +104,14 @@ def replay(result: Result, *, views_per_frame: int | None = None) -> Replay:
                 band=None,
                 marker_proxy=chosen(MarkerProxy, result.marker_proxy, "marker_proxy"),
             )
-            views = views_per_frame or default_views_per_frame(experiment.scene)
-            recorded = _recorded(episode, experiment.scene, views)
+            recorded = _recorded(episode, experiment.scene)
     finally:
         simulation.close()
     _check_same(result, episode, installed)
     return recorded
 
 
-def default_views_per_frame(scene: Scene) -> int:
-    """Return the number of recorded views in each frame of a scene if none is chosen."""
-    return 1 if scene.deformables else RIGID_VIEWS_PER_FRAME
-
-
-def load_or_replay(
-    result: Result, file: Path, *, views_per_frame: int | None = None
-) -> Replay:
+def load_or_replay(result: Result, file: Path) -> Replay:
     """Return the replay of a result file from the file beside it, or run it and write that file.
 
     The replay file holds the hash of the result file, so that it counts for that content alone. A folder that cannot be
@@ -137,25 +120,18 @@ def load_or_replay(
     Args:
         result: Content of the result file.
         file: The result file.
-        views_per_frame: Recorded views in each frame: 1, 2, 3 or 6. A replay with another number than the default
-            is run, and neither read nor written.
     """
     with os_errors(lambda cause: ReplayError(f"{file}: cannot be read: {cause}")):
         key = np.frombuffer(hashlib.sha256(file.read_bytes()).digest(), dtype=np.uint8)
     path = replay_path(file)
-    is_default = views_per_frame is None or views_per_frame == default_views_per_frame(
-        recorded_experiment(result).scene
-    )
-    known = _stored(result, path, key) if is_default else None
+    known = _stored(result, path, key)
     if known is not None:
         return known
     if result.backend is None or is_bundled(result.backend):
-        made = replay(result, views_per_frame=views_per_frame)
+        made = replay(result)
     else:
         with Worker() as worker:
-            made = worker.call(replay, result, views_per_frame=views_per_frame)
-    if not is_default:
-        return made
+            made = worker.call(replay, result)
     stream = io.BytesIO()
     arrays: dict[str, Any] = {
         f"nodes_{index}": points for index, points in enumerate(made.nodes_m.values())
@@ -186,8 +162,9 @@ def _start(result: Result) -> Jitter | TrialStart | None:
     return Jitter(**result.jitter)
 
 
-def _recorded(episode: Episode, scene: Scene, views: int) -> Replay:
-    """Run an episode to its end with zero actions, and return its views, a number in each frame."""
+def _recorded(episode: Episode, scene: Scene) -> Replay:
+    """Run an episode to its end with zero actions, and return its views."""
+    views = 1 if scene.deformables else RIGID_VIEWS_PER_FRAME
     samples_per_view = SAMPLES_PER_FRAME // views
     names = tuple(episode.poses())
     poses: list[Any] = []

@@ -115,7 +115,7 @@ recipe friktion=0.3
 recipe --mass 1
 recipe mass_kg=1
 recipe --damping 1 --backend mujoco
-video film --only X
+score x.csv --only X
 sweep --shard 3 --only SlopeSlider-2-wood
 """
 """Requests that cannot be met, each a line; what a library adds to a message is in no approved text."""

@@ -121,7 +121,7 @@ def test_a_result_of_another_run_has_no_replay(changes, message, slide):
 # --- the file beside the result ---
 
 
-def forbidden(result, *, views_per_frame=None):
+def forbidden(result):
     raise AssertionError("the episode ran again")
 
 

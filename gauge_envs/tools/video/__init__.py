@@ -38,9 +38,6 @@ if TYPE_CHECKING:
         read_track as read_track,
         save_track as save_track,
     )
-    from gauge_envs.tools.video.writer import (
-        check_film_format as check_film_format,
-        film_writer as film_writer,
-    )
+    from gauge_envs.tools.video.writer import film_writer as film_writer
 else:
     __getattr__, __all__ = door(__name__)

@@ -464,9 +464,9 @@ def save_overlay(source: Frames, result: VideoScore, path: Path) -> Path:
         result: Its result.
         path: File to write, MP4.
     """
-    with film_writer(path, size=REFERENCE_SIZE_PX, fps=source.fps) as writer:
+    with film_writer(path, size=REFERENCE_SIZE_PX, fps=source.fps) as add:
         for picture in drawn_frames(source, result):
-            writer.add(picture[:, :, ::-1])
+            add(picture[:, :, ::-1])
     return path
 
 
