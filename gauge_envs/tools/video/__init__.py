@@ -12,12 +12,6 @@ from gauge_envs.registry import door
 
 if TYPE_CHECKING:
     from gauge_envs.tools.video.frames import FileFrames as FileFrames
-    from gauge_envs.tools.video.plane import (
-        Lens as Lens,
-        PlaneView as PlaneView,
-        PointPairs as PointPairs,
-        read_camera as read_camera,
-    )
     from gauge_envs.tools.video.scoring import (
         METRICS as METRICS,
         PAPER_METRICS as PAPER_METRICS,

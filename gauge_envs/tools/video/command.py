@@ -120,7 +120,7 @@ def video_score(
             arguments.SCENE,
             "Width and height of the pictures of a track, as 832x480.",
             metavar="px",
-            show_default="that of the camera file",
+            show_default="832x480",
         ),
     ] = None,
     object_box: ObjectOption = None,
@@ -142,11 +142,9 @@ def video_score(
     """Follow the object in videos, fit the law of the task, and report its metrics.
 
     They have intervals. Films of one's own, with --camera, give friction, rolling resistance, restitution or damping
-    too; --out also gets the log of a swing, for gauge recipe joint. Exit code 1 when a track is not sound.
+    too. Exit code 1 when a track is not sound.
     """
-    from gauge_envs.pages.document import save_file
     from gauge_envs.tools.video import (
-        read_camera,
         read_track,
         save_track,
         score_track,
@@ -157,8 +155,8 @@ def video_score(
         MOTIONS,
         FrontalFilm,
         score_phone_film,
-        swing_log,
     )
+    from gauge_envs.tools.video.plane import read_camera
     from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX
     from gauge_envs.tools.video.tracker import track_object
     from gauge_envs.tools.video.words import save_overlay, score_document
@@ -166,9 +164,9 @@ def video_score(
     size_px = None if size is None else _size(size)
     box_px = None if object_box is None else _box(object_box)
     are_tracks = {file: file.suffix.lower() == ".csv" for file in files}
-    if any(are_tracks.values()) and (out or first_frame):
+    if any(are_tracks.values()) and (out or first_frame or camera):
         raise ParameterError(
-            "--out and --first-frame need the video, and a track has none: leave out one of both"
+            "--out, --first-frame and --camera need the video, and a track has none: leave out one of both"
         )
     if not all(are_tracks.values()) and (
         size_px is not None or (camera is None) != (box_px is None)
@@ -177,9 +175,7 @@ def video_score(
             "a video states its size; a film of one's own needs --camera and --object"
         )
     view = None if camera is None else read_camera(camera)
-    # Pixels of a track are those of its camera file unless a size is stated.
-    size_px = size_px or (REFERENCE_SIZE_PX if view is None else view.size_px)
-    if task in MOTIONS and (view is None or any(are_tracks.values())):
+    if task in MOTIONS and view is None:
         raise ParameterError(
             f"--id {task} is for films of one's own, with --camera and --object"
         )
@@ -192,11 +188,11 @@ def video_score(
         else:
             chosen = video_task(task)
             track = (
-                read_track(file, fps=fps, size_px=size_px)
+                read_track(file, fps=fps, size_px=size_px or REFERENCE_SIZE_PX)
                 if source is None
                 else track_object(source, chosen, first_frame=first_frame)
             )
-            result = score_track(track, chosen, name=str(file), camera=view)
+            result = score_track(track, chosen, name=str(file))
         if out is not None and source is not None:
             message(save_overlay(source, result, out / f"{file.stem}.overlay.mp4"))
             track = (
@@ -205,10 +201,6 @@ def video_score(
                 else result.track
             )
             message(save_track(track, out / f"{file.stem}.track.csv"))
-            if isinstance(source, FrontalFilm) and task == "pendulum":
-                message(
-                    save_file(out / f"{file.stem}.swing.csv", swing_log(source, result))
-                )
         print_document(
             score_document(result, None if task in MOTIONS else video_task(task)),
             form,
@@ -364,9 +356,9 @@ def video_check(
     Exit code 1 when something is to be mended.
     """
     from gauge_envs.pages.document import save_file
-    from gauge_envs.tools.video import read_camera
     from gauge_envs.tools.video.check import check_film, picture_bytes
     from gauge_envs.tools.video.frames import FileFrames
+    from gauge_envs.tools.video.plane import read_camera
     from gauge_envs.tools.video.words import check_table
 
     box_px = None if object_box is None else _box(object_box)

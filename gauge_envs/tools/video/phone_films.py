@@ -19,11 +19,7 @@ from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.video import laws
 from gauge_envs.tools.video.board import BoardPose, board_poses, board_views
 from gauge_envs.tools.video.frames import Frames, Picture, cv2
-from gauge_envs.tools.video.plane import (
-    PlaneView,
-    frontal_task,
-    frontal_track,
-)
+from gauge_envs.tools.video.plane import Calibration, PlaneView, main_direction
 from gauge_envs.tools.video.scoring import VideoScore, noise_px, score_track
 from gauge_envs.tools.video.tasks import (
     REFERENCE_SIZE_PX,
@@ -75,6 +71,11 @@ def box_corners(box_px: Sequence[float]) -> FloatArray:
     return np.array([[left, top], [right, top], [right, bottom], [left, bottom]])
 
 
+def _area(corners: FloatArray) -> float:
+    """Return the area that points span, shape [count, 2]."""
+    return float(cv2.contourArea(cv2.convexHull(corners.astype(np.float32))))
+
+
 class FrontalFilm(Frames):
     """Frontal picture of the plane of motion in a film, on the reference grid.
 
@@ -84,6 +85,7 @@ class FrontalFilm(Frames):
 
     Attributes:
         camera: How the first frame sees the plane, with the uncertainty of the calibration.
+        calibration: The same on the grid of the frontal picture.
         poses: How each frame sees the board; None where it does not, and empty without a board.
     """
 
@@ -110,9 +112,9 @@ class FrontalFilm(Frames):
         places_m = self.camera.to_plane_m(border)
         extent_m = places_m.max(axis=0) - places_m.min(axis=0)
         # What a slanted view shows far away would leave few pixels for the rest.
-        finest_m_per_px = float(
-            self.camera.grid_scale_m_per_px(0.5 * np.array([REFERENCE_SIZE_PX]))[0]
-        )
+        pixel = box_corners((0.5 * width, 0.5 * height, 1.0, 1.0))
+        m_per_px = math.sqrt(_area(self.camera.to_plane_m(pixel)))
+        finest_m_per_px = m_per_px * width / REFERENCE_SIZE_PX[0]
         whole_m_per_px = float((extent_m / REFERENCE_SIZE_PX).max())
         self.scale = min(whole_m_per_px, MOST_COARSE * finest_m_per_px)
         self._blur_px = (
@@ -121,6 +123,14 @@ class FrontalFilm(Frames):
         middle_m = self.camera.to_plane_m(border.mean(axis=0, keepdims=True))[0]
         self._origin_px = (
             0.5 * np.array(REFERENCE_SIZE_PX) - middle_m * (1.0, -1.0) / self.scale
+        )
+        points = self.camera.points
+        assert points is not None
+        places_m = np.array(points.m)
+        points_m_per_px = math.sqrt(_area(places_m) / _area(np.array(points.px)))
+        sigma_m = math.hypot(points.sigma_m, points.sigma_px * points_m_per_px)
+        self.calibration = Calibration(
+            points_px=self._on_grid_px(places_m), sigma_px=sigma_m / self.scale
         )
         self._canvas: Picture = np.zeros((*REFERENCE_SIZE_PX[::-1], 3), np.uint8)
         # What a moving camera uncovers is seen from the start, so that the scene stays the same.
@@ -176,10 +186,7 @@ class FrontalFilm(Frames):
 
     def to_grid_px(self, points_px: FloatArray) -> FloatArray:
         """Return places on the frontal grid of places in the first frame [px], both of shape [count, 2]."""
-        return (
-            self.camera.to_plane_m(points_px) * (1.0, -1.0) / self.scale
-            + self._origin_px
-        )
+        return self._on_grid_px(self.camera.to_plane_m(points_px))
 
     def to_picture_px(self, points_px: FloatArray) -> FloatArray:
         """Return places in the first frame of places on the frontal grid [px], both of shape [count, 2]."""
@@ -187,24 +194,10 @@ class FrontalFilm(Frames):
             (points_px - self._origin_px) * (self.scale, -self.scale)
         )
 
-    def seen(self, track: Track) -> Track:
-        """Return a track of the frontal film as the first camera sees it, on the reference grid of the film."""
-        places = np.full(track.points_px.shape, np.nan)
-        if not track.is_found.any():
-            return replace(track, registration=None)
-        shrinkage = np.array(REFERENCE_SIZE_PX) / self._source.size_px
-        found_px = self.to_picture_px(track.points_px[track.is_found])
-        places[track.is_found] = found_px * shrinkage
-        return replace(
-            track,
-            points_px=places,
-            size_ratio=np.full(len(places), np.nan),
-            registration=None,
-        )
-
     def in_plane(self, track: Track) -> Track:
-        """Return a track of the frontal film in millimetres of the plane of motion."""
+        """Return a track of the frontal film in millimetres of the plane of motion, from the pivot of a swing."""
         places_m = (track.points_px - self._origin_px) * (self.scale, -self.scale)
+        places_m = places_m - np.array(self.camera.motion.pivot_m or (0.0, 0.0))
         return replace(track, points_px=1e3 * places_m, is_metric=True)
 
     def task(self, motion: str, box_px: Sequence[float]) -> VideoTask:
@@ -212,19 +205,30 @@ class FrontalFilm(Frames):
         if motion not in MOTIONS:
             raise UnknownNameError("motion of a film", motion, list(MOTIONS))
         places = self.to_grid_px(box_corners(box_px))
-        size = math.sqrt(cv2.contourArea(places.astype(np.float32)))
-        centre, pivot = places.mean(axis=0), self.camera.pivot_m
+        size = math.sqrt(_area(places))
+        centre, swing = places.mean(axis=0), self.camera.motion
+        pivot_px = None
+        if swing.pivot_m is not None:
+            x, y = self._on_grid_px(np.array([swing.pivot_m]))[0]
+            pivot_px = (float(x), float(y))
+        elif motion == "pendulum":
+            raise VideoError(
+                f"{self.name}: a swing needs motion.pivot_m in the camera file: the pivot about which it swings"
+            )
         return replace(
             video_task(MOTIONS[motion]),
             id=motion,
             size_m=size * self.scale,
             size_px=size,
             centre_px=(float(centre[0]), float(centre[1])),
-            pivot_px=None
-            if pivot is None
-            else tuple(pivot * (1.0, -1.0) / self.scale + self._origin_px),
+            pivot_px=pivot_px,
+            pivot_sigma_px=(swing.pivot_sigma_m or 0.0) / self.scale,
             law={},
         )
+
+    def _on_grid_px(self, places_m: FloatArray) -> FloatArray:
+        """Return places on the frontal grid [px] of places in the plane [m], both of shape [count, 2]."""
+        return places_m * (1.0, -1.0) / self.scale + self._origin_px
 
 
 def score_phone_film(
@@ -253,32 +257,26 @@ def score_phone_film(
             f"{film.name}: a roll, and no other motion, needs motion.inertia_factor in the camera file"
         )
     track = track_object(film, task)
-    seen = film.seen(track)
-    result = score_track(seen, task, name=film.name, camera=film.camera)
+    if task.motion is Motion.SLIDE and track.is_found.any():
+        task = replace(task, direction=main_direction(track))
+    result = score_track(track, task, name=film.name, calibration=film.calibration)
     if result.interval_frames is None:
-        return replace(result, track=track)
-    plane = frontal_task(film.camera, seen, task)
+        return result
     if task.motion is Motion.SLIDE:
         name = "friction" if inertia is None else "rolling_resistance"
-        value, interval = resistance(result, plane, angle_deg, inertia or 0.0)
+        value, interval = resistance(result, task, angle_deg, inertia or 0.0)
     else:
         name = "restitution" if task.motion is Motion.FALL else "damping_per_s"
-        value, interval = _drawn(seen, task, film.camera, result)
+        value, interval = _drawn(result, task, film.calibration)
     gravity = (
         result.metrics["acceleration_m_s2"]
         if task.motion is Motion.FALL
         else laws.GRAVITY_M_PER_S2
     )
-    if plane.pivot_px is not None and (period_s := result.metrics["pd"]):
-        arms_px = np.subtract(
-            frontal_track(film.camera, seen, plane).points_px[seen.is_found],
-            plane.pivot_px,
-        )
-        gravity = (
-            (2.0 * math.pi / period_s) ** 2
-            * plane.scale_m_per_px
-            * float(np.linalg.norm(arms_px, axis=1).mean())
-        )
+    if task.pivot_px is not None and (period_s := result.metrics["pd"]):
+        arms_px = track.points_px[track.is_found] - task.pivot_px
+        length_m = film.scale * float(np.linalg.norm(arms_px, axis=1).mean())
+        gravity = (2.0 * math.pi / period_s) ** 2 * length_m
     faults = [f"{name} is below 0"] if interval and interval[1] < 0.0 else []
     if (
         gravity is not None
@@ -290,7 +288,7 @@ def score_phone_film(
         for one in faults
     ]
     if task.motion is Motion.SLIDE and angle_deg is not None:
-        slope_deg = math.degrees(_slope_rad(plane))
+        slope_deg = math.degrees(_slope_rad(task))
         if abs(slope_deg - angle_deg) > MOST_SLOPE_DEG:
             reasons.append(
                 f"the motion descends by {slope_deg:.1f} degrees beside the board, and --angle states {angle_deg:g}: "
@@ -298,27 +296,11 @@ def score_phone_film(
             )
     return replace(
         result,
-        track=track,
         is_sound=result.is_sound and not reasons,
         reasons=(*reasons, *result.reasons),
         metrics={**result.metrics, name: value},
         uncertainty={**result.uncertainty, name: interval},
     )
-
-
-def swing_log(film: FrontalFilm, result: VideoScore) -> str:
-    """Return the swing of a scored film as a log of `gauge recipe joint`: CSV of times and angles from the release."""
-    first = 0 if result.interval_frames is None else result.interval_frames[0]
-    seen = film.seen(result.track)
-    task = frontal_task(film.camera, seen, video_task(MOTIONS["pendulum"]))
-    track = frontal_track(film.camera, seen, task)
-    used = track.is_found & (track.frames >= first)
-    clock, angles = track.times_s[used], laws.swing_angles_rad(track, task)[used]
-    rows = [
-        f"{time:.6f},{angle:.6f}"
-        for time, angle in zip(clock - clock[0], angles, strict=True)
-    ]
-    return "\n".join(["time_s,position_rad", *rows, ""])
 
 
 Estimate: TypeAlias = tuple[float | None, tuple[float, float] | None]
@@ -357,36 +339,32 @@ def _slope_rad(task: VideoTask) -> float:
     return math.atan2(task.direction[1], abs(task.direction[0]))
 
 
-def _drawn(
-    seen: Track, task: VideoTask, camera: PlaneView, result: VideoScore
-) -> Estimate:
+def _drawn(result: VideoScore, task: VideoTask, calibration: Calibration) -> Estimate:
     """Return the restitution of a drop or the damping of a swing over simulated noise and calibrations."""
     assert result.interval_frames is not None
-    first, last = np.searchsorted(seen.frames, result.interval_frames)
-    rng, noise = np.random.default_rng(0), noise_px(seen, (first, last))
-    rows = np.flatnonzero(seen.is_found[: last + 1])
+    track = result.track
+    first, last = np.searchsorted(track.frames, result.interval_frames)
+    rng, noise = np.random.default_rng(0), noise_px(track, (first, last))
+    rows = np.flatnonzero(track.is_found[: last + 1])
+    rows = rows[rows >= first]
     period, damping = result.metrics["pd"], result.details.get("damping_per_s", 0.0)
 
-    def judged(view: PlaneView, sample: Track) -> float:
-        frontal = frontal_task(view, sample, task)
-        track = frontal_track(view, sample, frontal)
+    def judged(points_px: FloatArray) -> float:
+        sample = replace(track, points_px=points_px)
         if period is None:
-            return restitution(track, frontal)
-        angles = laws.swing_angles_rad(track, frontal)
+            return restitution(sample, task)
+        angles = laws.swing_angles_rad(sample, task)
         guess = (damping, 2.0 * math.pi / period)
-        swung = rows[rows >= first]
         return laws.fit_damped_oscillation(
-            track.times_s[swung], angles[swung], guess=guess
+            track.times_s[rows], angles[rows], guess=guess
         ).damping_per_s
 
     try:
-        values = [judged(camera, seen)]
+        values = [judged(track.points_px)]
         for _ in range(DRAWS):
-            moved = replace(
-                seen,
-                points_px=seen.points_px + rng.normal(0.0, noise, seen.points_px.shape),
-            )
-            values.append(judged(camera.drawn(rng), moved))
+            moved_px = rng.normal(track.points_px, noise)
+            moved_px = calibration.drawn(moved_px, rng)
+            values.append(judged(moved_px + rng.normal(0.0, task.pivot_sigma_px, 2)))
     except ParameterError:
         return None, None
     # A few draws in which an impact is missed say nothing of the others: the scatter is that of the middle ones.

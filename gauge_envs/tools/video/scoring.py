@@ -15,12 +15,7 @@ from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.video import laws
 from gauge_envs.tools.video.clock import clock_fault
 from gauge_envs.tools.video.frames import ArrayFrames, FileFrames, Frames
-from gauge_envs.tools.video.plane import (
-    PlaneView,
-    frontal_task,
-    frontal_track,
-    metric_view,
-)
+from gauge_envs.tools.video.plane import Calibration, metric_on_grid
 from gauge_envs.tools.video.tasks import Motion, VideoTask, video_task
 from gauge_envs.tools.video.track import Event, Track
 from gauge_envs.tools.video.tracker import track_object
@@ -314,7 +309,7 @@ def score_track(
     *,
     name: str = "track",
     seed: int = 0,
-    camera: PlaneView | None = None,
+    calibration: Calibration | None = None,
 ) -> VideoScore:
     """Judge the motion of a track.
 
@@ -323,28 +318,10 @@ def score_track(
         task: The task.
         name: Name of the result.
         seed: Seed of the simulated tracks.
-        camera: How the recording sees the plane of the motion; None for the known first frame.
-
-    Raises:
-        VideoError: The camera file of a pendulum or a cradle lacks the pivot, or that of a cradle the length.
+        calibration: How a film of one's own is placed on the grid; None for the known first frame.
     """
-    is_empty = not track.is_found.any()
-    if track.is_metric and not is_empty:
-        track, camera = metric_view(track, task)
-    view = None if is_empty else camera
-    seen = track
-    if view is not None:
-        if task.motion in (Motion.PENDULUM, Motion.CRADLE) and view.pivot_m is None:
-            what = "the pivot about which it swings"
-            raise VideoError(
-                f"{name}: {task.id} needs motion.pivot_m in the camera file: {what}"
-            )
-        if task.motion is Motion.CRADLE and view.motion.length_m is None:
-            raise VideoError(
-                f"{name}: {task.id} needs motion.length_m in the camera file: from the pivot to the ball"
-            )
-        task = frontal_task(view, seen, task)
-        track = frontal_track(view, seen, task)
+    if track.is_metric and track.is_found.any():
+        track, task, calibration = metric_on_grid(track, task)
     span = laws.retained(track, task)
     if task.motion is Motion.CRADLE:
         found = np.flatnonzero(track.is_found)
@@ -371,7 +348,7 @@ def score_track(
     intervals = (
         {}
         if span is None or not metrics
-        else _intervals(seen, task, span, rng, metrics, swing, view)
+        else _intervals(track, task, span, rng, metrics, swing, calibration)
     )
     return VideoScore(
         video=name,
@@ -386,7 +363,7 @@ def score_track(
         else (int(track.frames[span[0]]), int(track.frames[span[1]])),
         scale_m_per_px=task.scale_m_per_px,
         details=details,
-        track=seen,
+        track=track,
     )
 
 
@@ -514,7 +491,7 @@ def _intervals(
     rng: np.random.Generator,
     nominal: Metrics,
     swing: laws.OscillationFit | None,
-    view: PlaneView | None,
+    calibration: Calibration | None,
 ) -> dict[str, tuple[float, float]]:
     """Return the interval of each metric, over simulated noise, scales, pivots and choices of the interval."""
     noise = noise_px(track, span)
@@ -522,6 +499,8 @@ def _intervals(
         None if swing is None else (swing.damping_per_s, 2.0 * math.pi / swing.period_s)
     )
     scale_sigma = math.hypot(FRAMING_SIGMA, 0.5 * task.size_sigma_px / task.size_px)
+    if calibration is not None:
+        scale_sigma = 0.0
     found: dict[str, list[float]] = {}
     count = SAMPLES if task.motion is not Motion.PENDULUM else SAMPLES // 5
     for _ in range(count):
@@ -533,36 +512,27 @@ def _intervals(
         sample = replace(
             track, points_px=points, size_ratio=np.full(len(points), np.nan)
         )
-        judged = task
-        if view is not None:
-            # Calibration and pivot replace the stated scale: they are drawn anew within their uncertainty.
-            drawn = view.drawn(rng)
-            judged = frontal_task(
-                drawn, sample, task, scale_m_per_px=task.scale_m_per_px
-            )
-            sample = frontal_track(drawn, sample, judged)
-        elif task.pivot_px is not None and task.motion is not Motion.TURN:
-            sample = replace(
-                sample, points_px=points + rng.normal(0.0, task.pivot_sigma_px, 2)
-            )
-        if swing is not None and judged.pivot_px is not None:
+        if calibration is not None:
+            sample = replace(sample, points_px=calibration.drawn(points, rng))
+        if task.pivot_px is not None and task.motion is not Motion.TURN:
+            moved_px = rng.normal(0.0, task.pivot_sigma_px, 2)
+            sample = replace(sample, points_px=sample.points_px + moved_px)
+        if swing is not None and task.pivot_px is not None:
             # What the law does not explain may come at any other time, with the other sign.
             rows, misfit = _found(track, span), swing.residuals_rad
             other = (
                 rng.choice([-1.0, 1.0]) * np.roll(misfit, rng.integers(len(rows)))
                 - misfit
             )
-            offset = sample.points_px[rows] - np.array(judged.pivot_px)
+            offset = sample.points_px[rows] - np.array(task.pivot_px)
             sample.points_px[rows] += other[:, None] * offset[:, ::-1] * (1.0, -1.0)
         first = max(0, span[0] + int(rng.integers(-1, 2)))
         last = min(
             len(track.frames) - 1, max(first + 4, span[1] - int(rng.integers(0, 3)))
         )
-        scale = judged.scale_m_per_px * (
-            1.0 if view is not None else 1.0 + rng.normal(0.0, scale_sigma)
-        )
+        scale = task.scale_m_per_px * (1.0 + rng.normal(0.0, scale_sigma))
         try:
-            metrics, _ = _metrics(sample, judged, (first, last), scale, guess)
+            metrics, _ = _metrics(sample, task, (first, last), scale, guess)
         except ParameterError:
             continue
         for name, value in metrics.items():
@@ -585,11 +555,9 @@ def _intervals(
             )
         )
         intervals["pd"] = (max(0.0, nominal["pd"] - away), nominal["pd"] + away)
-    if view is not None and "de" in intervals:
+    if calibration is not None and "de" in intervals:
         # A track has noise already, which excess counts as force. Simulated noise shows how much; it is reflected.
         high = intervals["de"][1]
-        intervals["de"] = (
-            max(0.0, min(nominal["de"], 2.0 * nominal["de"] - high)),
-            high,
-        )
+        low = max(0.0, min(nominal["de"], 2.0 * nominal["de"] - high))
+        intervals["de"] = (low, high)
     return intervals
