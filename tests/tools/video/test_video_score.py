@@ -75,6 +75,29 @@ def test_a_known_motion_is_recovered(task):
         )
 
 
+@pytest.mark.parametrize(
+    ("task", "metric", "power"),
+    [
+        ("SlopeSlider-2-wood", "acceleration_m_s2", 2.0),
+        ("Pendulum-metal", "pd", -1.0),
+    ],
+)
+def test_the_interval_of_a_film_holds_the_truth_and_planted_faults_are_named(
+    task, metric, power
+):
+    one = clip(task, np.random.default_rng(104), fps=20.0)
+    result, truth = scored(one), one.truth[metric]
+    low, high = result.uncertainty[metric]
+    assert result.is_sound, result.reasons
+    assert low <= truth <= high and high - low < 0.05 * truth
+    # At twice the rate the motion needs four times gravity.
+    hasty = score(one.frames, 2.0 * one.fps, task)
+    assert hasty.metrics[metric] == pytest.approx(2.0**power * truth, rel=0.02)
+    assert any("the stated rate may be wrong" in text for text in hasty.findings)
+    grown = scored(clip(task, np.random.default_rng(104), fps=20.0, growth=0.4))
+    assert any("changes its shape" in reason for reason in grown.reasons)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("task", [task.id for task in video_tasks()])
 def test_intervals_hold_the_truth(task):
