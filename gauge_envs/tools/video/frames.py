@@ -43,9 +43,8 @@ class Registration:
         offset_x_px: Place of the left edge of the video on the grid [px].
         offset_y_px: Place of the top edge of the video on the grid [px].
         method: `stretch`: width and height are scaled each on its own; `crop` and `pad`: both by one factor, about the
-            middle; `first frame`: freely, by the points of the given first frame.
-        inliers: Points of the outline, or of the first frame, that agree.
-        support: Share of the points that agree, 1.
+            middle.
+        support: Share of the outline that agrees, or correlation with the given first frame.
         problem: Why the registration is doubtful; empty when it is not.
     """
 
@@ -54,7 +53,6 @@ class Registration:
     offset_x_px: float = 0.0
     offset_y_px: float = 0.0
     method: str = "stretch"
-    inliers: int = 0
     support: float = 1.0
     problem: str = ""
 
@@ -358,26 +356,22 @@ def read_picture(path: Path) -> NDArray[np.uint8]:
     """Return a picture from a file: blue, green and red, shape [height, width, 3]."""
     with os_errors(lambda cause: VideoError(f"{path}: cannot be read: {cause}")):
         content = read_regular(path, MOST_PICTURE_BYTES)
-    # The size that a picture states comes before its pixels; OpenCV would fill them all, of whatever size.
     with needs_extra("Pillow", "video"):
         from PIL import Image
     try:
+        # The size that a picture states comes before its pixels, which are read once it is known.
         with Image.open(io.BytesIO(content)) as stated:
             width, height = stated.size
+            if max(width, height) > MOST_PICTURE_SIDE_PX:
+                raise VideoError(
+                    f"{path}: it has {width} x {height} pixels; at most {MOST_PICTURE_SIDE_PX} a side"
+                )
+            picture = np.asarray(stated.convert("RGB"))
     except (OSError, ValueError, Image.DecompressionBombError) as error:
         raise VideoError(
             f"{path}: it is no picture that Pillow reads ({error}); give the first frame as PNG or JPEG"
         ) from None
-    if max(width, height) > MOST_PICTURE_SIDE_PX:
-        raise VideoError(
-            f"{path}: it has {width} x {height} pixels; at most {MOST_PICTURE_SIDE_PX} a side"
-        )
-    picture = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), cv2.IMREAD_COLOR)
-    if picture is None:
-        raise VideoError(
-            f"{path}: OpenCV cannot decode it; give the first frame as PNG or JPEG"
-        )
-    return np.asarray(picture)
+    return np.ascontiguousarray(picture[:, :, ::-1])
 
 
 # --- cadence ----------------------------------------------------------------------------------------------------------

@@ -87,8 +87,6 @@ def test_momentum_transfer_averages_the_ratios_of_speeds():
     assert momentum_transfer(0.16, [0.04, 0.01]) == pytest.approx((0.5 + 0.25) / 2.0)
     with pytest.raises(ParameterError, match="no apex"):
         momentum_transfer(0.16, [])
-    with pytest.raises(ParameterError, match="release height"):
-        momentum_transfer(0.0, [0.1])
 
 
 @pytest.mark.parametrize(
@@ -120,23 +118,9 @@ def test_damped_oscillation_with_gaps_and_noise():
     ).period_s == pytest.approx(fit.period_s)
 
 
-@pytest.mark.parametrize(
-    ("times_s", "values", "message"),
-    [
-        ([0.0, 0.1, 0.2], [0.0, 0.1, 0.2], "too few"),
-        ([0.0, 0.1, 0.1, 0.2], [0.0, 0.1, 0.2, 0.3], "increase"),
-        ([0.0, 0.1, 0.2, 0.3], [0.0, np.nan, 0.2, 0.3], "finite"),
-        ([0.0, 0.1, 0.2, 0.3], [0.0, 0.1], "must match"),
-    ],
-)
-def test_samples_that_cannot_be_fitted_are_errors(times_s, values, message):
-    with pytest.raises(ParameterError, match=message):
-        fit_constant_acceleration(times_s, values)
-
-
-def test_an_angle_that_does_not_change_is_an_error():
-    with pytest.raises(ParameterError, match="no oscillation"):
-        fit_damped_oscillation(TIMES_S, np.full(TIMES_S.size, 0.2))
+def test_too_few_samples_are_an_error():
+    with pytest.raises(ParameterError, match="too few"):
+        fit_constant_acceleration([0.0, 0.1, 0.2], [0.0, 0.1, 0.2])
 
 
 def test_form_is_the_same_for_any_scale():
@@ -170,3 +154,5 @@ def test_an_apex_is_a_swing_that_is_seen_on_both_sides():
 def test_an_apex_lies_between_two_frames():
     times_s = np.array([0.1, 0.2, 0.35])
     assert peak(times_s, 0.05 - 3.0 * (times_s - 0.22) ** 2) == pytest.approx(0.05)
+    # Three places that are nearly a line have their other vertex far away.
+    assert peak(times_s, 0.05 - 0.1 * times_s - 1e-9 * times_s**2) < 0.05
