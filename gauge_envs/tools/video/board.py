@@ -42,7 +42,7 @@ def charuco() -> Any:
 
 
 def save_board(path: Path, square_mm: float) -> Path:
-    """Write the board with a bar of 100 mm, PNG or PDF in its true size, and return its path."""
+    """Write the board, PNG or PDF in its true size, and return its path."""
     if path.suffix not in (".png", ".pdf") or not 5.0 <= square_mm <= 200.0:
         raise ParameterError(
             f"{path}, --square {square_mm:g}: give a .png or .pdf, and squares of 5 to 200 mm"
@@ -53,18 +53,6 @@ def save_board(path: Path, square_mm: float) -> Path:
         *[side // 2] * 4,
         0,
         value=255,
-    )
-    low, bar = sheet.shape[0] - side // 3, round(100.0 * side / square_mm)
-    sheet[low : low + side // 12, side // 2 : side // 2 + bar] = 0
-    text = f"100 mm; squares {square_mm:g} mm"
-    cv2.putText(
-        sheet,
-        text,
-        (side // 2, sheet.shape[0] - side // 12),
-        0,
-        side / 250.0,
-        0,
-        max(1, side // 120),
     )
     dpi = 25.4 * side / square_mm
     with os_errors(lambda cause: VideoError(f"{path}: cannot be written: {cause}")):

@@ -166,9 +166,8 @@ class FrontalFilm(Frames):
                     if view.lens is None
                     else view.lens.coefficients
                 )
-                plane = view.source.to_plane(view.lens)
                 maps = cv2.initUndistortRectifyMap(
-                    *lens, plane, frontal, REFERENCE_SIZE_PX, cv2.CV_32FC1
+                    *lens, view.to_plane, frontal, REFERENCE_SIZE_PX, cv2.CV_32FC1
                 )
             smooth = (
                 cv2.GaussianBlur(picture, (0, 0), self._blur_px)

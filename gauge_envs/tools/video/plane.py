@@ -19,7 +19,6 @@ from pydantic import (
     model_validator,
 )
 
-from gauge_envs.errors import VideoError
 from gauge_envs.files import MEGABYTE, toml_document
 from gauge_envs.references.tables import FileModel, Model, faults_of, read_content
 from gauge_envs.scene.geometry import FloatArray
@@ -122,12 +121,6 @@ class Board(FileModel):
     offset_m: float
     offset_sigma_m: NonNegativeFloat = 0.002
 
-    def to_plane(self, lens: Lens | None) -> FloatArray:
-        """Raise an error: the place of a board is found in a film."""
-        raise VideoError(
-            "[board] needs the film that shows it; a track goes with [points]"
-        )
-
 
 class Swing(FileModel):
     """What is known of the motion in the plane: table `[motion]` of a camera file.
@@ -173,22 +166,19 @@ class PlaneView(FileModel):
         return self
 
     @property
-    def source(self) -> PointPairs | Board:
-        """Where the plane lies."""
-        source = self.points or self.board
-        assert source is not None
-        return source
+    def to_plane(self) -> FloatArray:
+        """Homography from straight coordinates to the plane, shape [3, 3], of a view by points."""
+        assert self.points is not None
+        return self.points.to_plane(self.lens)
 
     def to_plane_m(self, points_px: FloatArray) -> FloatArray:
         """Return places in the plane [m] of places in the picture [px], both of shape [count, 2]."""
         straight = points_px if self.lens is None else self.lens.straight(points_px)
-        return _homogeneous(self.source.to_plane(self.lens), straight)
+        return _homogeneous(self.to_plane, straight)
 
     def to_picture_px(self, points_m: FloatArray) -> FloatArray:
         """Return places in the picture [px] of places in the plane [m], both of shape [count, 2]."""
-        straight = _homogeneous(
-            np.linalg.inv(self.source.to_plane(self.lens)), points_m
-        )
+        straight = _homogeneous(np.linalg.inv(self.to_plane), points_m)
         if self.lens is None:
             return straight
         rays = np.column_stack([straight, np.ones(len(straight))])

@@ -35,7 +35,6 @@ from gauge_envs.tools.video.plane import (  # noqa: E402
     Board,
     Calibration,
     PlaneView,
-    PointPairs,
     read_camera,
 )
 from gauge_envs.tools.video.words import TITLES  # noqa: E402
@@ -66,8 +65,6 @@ def test_a_printed_board_has_its_size(tmp_path, suffix, gauge):
     places = corners.reshape(-1, 2) * mm_per_px
     assert len(ids) == 24
     assert np.linalg.norm(places[5] - places[0]) == pytest.approx(5 * 30.0, rel=1e-3)
-    bar = np.flatnonzero(np.asarray(picture)[-round(8.5 / mm_per_px)] < 128)
-    assert (bar[-1] - bar[0]) * mm_per_px == pytest.approx(100.0, abs=0.2)
 
 
 @pytest.mark.slow
@@ -347,5 +344,6 @@ def test_the_camera_files_of_the_guide_are_read(tmp_path):
     cameras = [text for text in blocks if "size_px" in text]
     for number, text in enumerate(cameras):
         (tmp_path / f"{number}.toml").write_text(text, encoding="utf-8")
-        kinds.append(type(read_camera(tmp_path / f"{number}.toml").source))
-    assert kinds == [Board, PointPairs]
+        view = read_camera(tmp_path / f"{number}.toml")
+        kinds.append((view.board is None, view.points is None))
+    assert kinds == [(False, True), (True, False)]
