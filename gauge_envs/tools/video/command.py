@@ -261,7 +261,6 @@ def video_report(
     from gauge_envs.tools.video.submission import FILE, ranking, submission_faults
     from gauge_envs.tools.video.tracker import track_object
     from gauge_envs.tools.video.words import (
-        agreement_table,
         find_videos,
         results_table,
         video_page,
@@ -308,7 +307,8 @@ def video_report(
         message(text, "left out")
     for text in faults:
         message(text, "to mend")
-    page = save_file(out / "index.html", video_page(results))
+    table = results_table(results)
+    page = save_file(out / "index.html", video_page(results, table))
     rows = [
         {"model": key[0], **one.to_dict()}
         for key, clips in results.items()
@@ -316,12 +316,9 @@ def video_report(
         if one
     ]
     save_file(out / "results.json", json_text(rows))
-    table = results_table(results)
     save_file(out / "table.csv", table.csv())
     save_file(out / "table.tex", table.latex())
-    agreements = agreement_table(results)
-    if agreements.rows:
-        print_document(agreements, Format.TEXT)
+    print_document(table, Format.TEXT)
     if submitted:
         ranks = ranking(results, submitted)
         save_file(out / "ranking.csv", ranks.csv())

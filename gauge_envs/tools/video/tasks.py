@@ -203,15 +203,15 @@ def video_task(name: str) -> VideoTask:
 
 
 @cache
-def published_results() -> dict[str, dict[tuple[str, str], float | None]]:
-    """Return the published values by model and by task and metric; None where the paper prints a dash.
+def published_results() -> dict[str, dict[str, dict[str, float]]]:
+    """Return the published values by model, task and metric, without those for which the paper prints a dash.
 
     They are Table 3 of GAUGE's paper: ten configurations of six models.
     """
-    found: dict[str, dict[tuple[str, str], float | None]] = {}
+    found: dict[str, dict[str, dict[str, float]]] = {}
     for row in _published_rows():
-        key = (row["variant"], row["metric"])
         for model, text in row.items():
-            if model not in ("variant", "metric", "unit", "real_baseline"):
-                found.setdefault(model, {})[key] = float(text) if text else None
+            if model not in ("variant", "metric", "unit", "real_baseline") and text:
+                values = found.setdefault(model, {}).setdefault(row["variant"], {})
+                values[row["metric"]] = float(text)
     return found

@@ -3,7 +3,7 @@
 import math
 import re
 from base64 import b64encode
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -15,11 +15,10 @@ from gauge_envs.errors import VideoError
 from gauge_envs.pages.document import Document, Heading, Paragraph, Part, page
 from gauge_envs.pages.html import Html, element, join, listed
 from gauge_envs.pages.svg import CurvePanel, curve_panel
-from gauge_envs.pages.table import Column, Table
+from gauge_envs.pages.table import Column, Place, Table
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.video import (
     METRICS,
-    PAPER_METRICS,
     VideoScore,
     VideoTask,
     video_task,
@@ -198,13 +197,10 @@ TRACK_COLOR, LAW_COLOR = "#c46a1b", "#2f7d4f"
 VALUES_NOTE = (
     "Mean over the clips (seeds) of a model whose track is sound, and their share. Interval of 95 %: of the mean by "
     "Student's t; of one clip, of simulated tracks. Spread: standard deviation over seeds. Metrics in capitals and a: "
-    "as the paper defines them. Published: GAUGE, arXiv 2608.05948, Table 3. "
-    "Law: of the ideal motion with the calibrated constants, Table 3 again. Real trials: mean of motion-capture trials."
-)
-
-AGREEMENT_NOTE = (
-    "Agrees: all values of a clip within 10 %. The paper does not publish its frames: values that hold in frames near "
-    "those that are retained here, and not for other clips, say that it took those frames."
+    "as the paper defines them. Published: GAUGE, arXiv 2608.05948, Table 3. Law: of the ideal motion with the "
+    "calibrated constants, Table 3 again. Real trials: mean of motion-capture trials. Agrees: all values of a clip "
+    "within 10 % of the published ones. The paper does not publish its frames: values that hold in frames near those "
+    "that are retained here, and not for other clips, say that it took those frames."
 )
 
 
@@ -247,54 +243,43 @@ def find_videos(folder: Path) -> tuple[list[tuple[str, str, Path]], list[Path]]:
 
 
 def results_table(results: Results) -> Table:
-    """Return a row for each model, task and metric: the mean over sound clips, and what it is worth."""
+    """Return a row for each model, task and metric: the mean over sound clips, its worth, and the published value."""
     published = published_results()
+    shown = {model.replace("-", "_") for model, _ in results}
+    tasks = dict.fromkeys(task for _, task in results)
+    others = [(m, task) for m in published if m not in shown for task in tasks]
     rows: list[dict[str, Any]] = []
-    for (model, task), clips in results.items():
+    for model, task in (*results, *others):
+        clips = results.get((model, task), {})
         sound = [one for one in clips.values() if one is not None and one.is_sound]
-        known = published.get(model.replace("-", "_"), {})
-        law = video_task(task).law
-        shown = [*law, *(name for name in METRICS if name not in PAPER_METRICS)]
-        for name in shown:
+        known = published.get(model.replace("-", "_"), {}).get(task, {})
+        law, real = video_task(task).law, video_task(task).real
+        text = _agreement(model, task, clips) if known else None
+        for name in METRICS:
             values = np.array([one.metrics[name] for one in sound], dtype=float)
             values = values[np.isfinite(values)]
             if not len(values) and name not in law:
                 continue
             mean, low, high, spread = _mean(values, name, sound)
-            trials = video_task(task).real.get(name)
             rows.append(
                 {
                     "model": model,
                     "task": task,
                     "metric": TITLES[name],
-                    "sound": len(sound) / len(clips),
+                    "sound": len(sound) / len(clips) if clips else None,
                     "mean": mean,
                     "low": low,
                     "high": high,
                     "spread": spread,
                     "law": law.get(name),
-                    "real": None if trials is None else trials.mean,
-                    "published": known.get((task, name)),
-                    "clips": len(clips),
+                    "real": real[name].mean if name in real else None,
+                    "published": known.get(name),
+                    "clips": len(clips) or None,
+                    # What is said of all metrics of a clip stands once.
+                    "agrees": text,
                 }
             )
-    shown_models = {model.replace("-", "_") for model, _ in results}
-    keys = [
-        (task, name)
-        for task in dict.fromkeys(task for _, task in results)
-        for name in video_task(task).law
-    ]
-    for model in published:
-        if model not in shown_models:
-            rows += [
-                {
-                    "model": model,
-                    "task": task,
-                    "metric": TITLES[name],
-                    "published": published[model].get((task, name)),
-                }
-                for task, name in keys
-            ]
+            text = None
     titles = {
         "mean": "mean",
         "low": "95 % from",
@@ -314,51 +299,25 @@ def results_table(results: Results) -> Table:
             Column(key, title, short_text, is_number=True)
             for key, title in titles.items()
         ),
+        Column("agrees", "agrees", place=Place.BELOW),
     )
     return Table(columns=columns, rows=rows, notes=(VALUES_NOTE,))
 
 
-def agreement_table(results: Results) -> Table:
-    """Return the table of single clips of published models: what is published, what was found, and how they agree."""
-    published = published_results()
-    rows: list[dict[str, Any]] = []
-    for (model, task), clips in results.items():
-        clip = next(iter(clips.values()))
-        values = {
-            name: {
-                metric: value
-                for (one, metric), value in known.items()
-                if one == task and value is not None
-            }
-            for name, known in published.items()
-        }
-        known = values.pop(model.replace("-", "_"), {})
-        if len(clips) != 1 or clip is None or not known:
-            continue
-        others = [one for one in values.values() if one]
-        text = agreement(clip, video_task(task), known, others)
-        for name, value in known.items():
-            rows.append(
-                {
-                    "clip": f"{model}/{task}",
-                    "metric": TITLES[name],
-                    "published": value,
-                    "here": clip.metrics[name],
-                    "interval": interval_text(clip.uncertainty[name]),
-                    "agrees": text,
-                }
-            )
-            # The reason is that of the clip, and stands once.
-            text = ""
-    columns = (
-        Column("clip", "clip"),
-        Column("metric", "metric"),
-        Column("published", "published", short_text, is_number=True),
-        Column("here", "here", short_text, is_number=True),
-        Column("interval", "95 % interval"),
-        Column("agrees", "agrees"),
+def _agreement(
+    model: str, task: str, clips: Mapping[Path, VideoScore | None]
+) -> str | None:
+    """Return how the only clip of a published model agrees with its published values; None for several clips."""
+    clip = next(iter(clips.values()), None)
+    if clip is None or len(clips) > 1:
+        return None
+    others = {
+        name: values.get(task, {}) for name, values in published_results().items()
+    }
+    known = others.pop(model.replace("-", "_"))
+    return agreement(
+        clip, video_task(task), known, [one for one in others.values() if one]
     )
-    return Table(columns=columns, rows=rows, notes=(AGREEMENT_NOTE,))
 
 
 def _mean(
@@ -376,11 +335,9 @@ def _mean(
     return mean, mean - half, mean + half, spread
 
 
-def video_page(results: Results) -> str:
-    """Return the page of many videos, without any other file."""
-    parts: list[Part] = [results_table(results)]
-    agreements = agreement_table(results)
-    parts += [agreements] if agreements.rows else []
+def video_page(results: Results, table: Table) -> str:
+    """Return the page of many videos with the table of their results, without any other file."""
+    parts: list[Part] = [table]
     last = ""
     for (model, task), clips in results.items():
         parts += [Heading(task)] if task != last else []
