@@ -411,10 +411,10 @@ def swings_without_apex(track: Track, task: VideoTask) -> list[NDArray[np.intp]]
 def _straight(
     track: Track, task: VideoTask, rows: NDArray[np.intp]
 ) -> tuple[int, int] | None:
-    along = displacement_px(track, task)[rows]
+    seen = displacement_px(track, task)[rows]
     # A place that lasts one frame is a slip of the tracker and no motion.
     along = np.median(
-        [np.r_[along[:1], along[:-1]], along, np.r_[along[1:], along[-1:]]], axis=0
+        [np.r_[seen[:1], seen[:-1]], seen, np.r_[seen[1:], seen[-1:]]], axis=0
     )
     rest = float(np.median(along[:WINDOW]))
     far = np.flatnonzero(along - rest > ESTABLISHED * task.size_px)
@@ -437,9 +437,9 @@ def _straight(
         # A ball that is lost has often hit the ground, and the last frame that shows it may contain that.
         end -= 1
     for row in range(established, len(rows) - 1):
-        # The reversal of a fall is sharp. The frame next to an impact may lie after it.
         if task.motion is Motion.FALL and along[row + 1] - along[row] < -REVERSAL_PX:
-            end = row - 1
+            # The median hides where a reversal is sharp. The frame next to an impact may lie after it.
+            end = int(seen[: row + 1].argmax()) - 1
             break
         later = min(row + WINDOW, len(rows) - 1)
         if (
