@@ -37,7 +37,7 @@ ELSEWHERE = {
     "diagnose": "tools/diagnose/test_error_budget.py",
     "sweep": "tools/sweep/test_cli_sweep.py",
     "recipe": "tools/recipes/test_recipe_requests.py",
-    "recipe joint": "tools/video/test_video_phone_films.py",
+    "recipe joint": "tools/identify/test_identify.py",
     "transfer": "tools/transfer/test_transfer.py",
     "transfer settings": "tools/transfer/test_settings_replay.py",
     "transfer randomize": "tools/transfer/test_ranges.py",

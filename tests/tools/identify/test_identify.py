@@ -1,5 +1,6 @@
 """Identification of joints against logs from SciPy's integration of their equations, and from a closed form."""
 
+import json
 from dataclasses import replace
 
 import approval
@@ -315,9 +316,9 @@ def test_an_arm_is_read_from_a_layer_and_a_urdf(tmp_path, gauge):
     )
     to_usd(one_joint(MASS_KG, LENGTH_M, INERTIA_KG_M2), tmp_path / "arm.usda")
     (tmp_path / "arm.urdf").write_text(URDF)
-    words = ["recipe", "joint", str(log), f"--fit={VISCOUS}"]
-    answers = [
-        gauge(*words, *load).stdout
+    words = ["recipe", "joint", str(log), f"--fit={VISCOUS}", "--json"]
+    layer, urdf, load = (
+        json.loads(gauge(*words, *load).stdout)["settings"][0]["value"]
         for load in (
             (f"--scene={tmp_path / 'arm.usda'}",),
             (f"--scene={tmp_path / 'arm.urdf'}",),
@@ -327,14 +328,10 @@ def test_an_arm_is_read_from_a_layer_and_a_urdf(tmp_path, gauge):
                 f"--inertia={INERTIA_KG_M2}",
             ),
         )
-    ]
-    layer, urdf, load = (
-        next(line.split()[2] for line in one.splitlines() if VISCOUS in line)
-        for one in answers
     )
-    assert layer == load
+    assert layer == pytest.approx(load, rel=1e-4)
     # MuJoCo gives a URDF Euler's step of 2 ms, its own default, and a scene `implicitfast`.
-    assert float(urdf) == pytest.approx(float(load), rel=0.01)
+    assert urdf == pytest.approx(load, rel=0.01)
     refused = gauge(*words, "--scene=arm.step")
     assert refused.exit_code == 2
     assert "an MJCF (.xml), a URDF" in " ".join(refused.stderr.split())
