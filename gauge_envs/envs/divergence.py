@@ -40,8 +40,9 @@ class RigidBounds:
             [body.mass_kg for body in scene.dynamic_bodies]
         ).reshape(-1, 1)
         self._energy_j = scene.kinetic_energy_limit_j
-        limits = (scene.distance_limit_m, 2.0, scene.speed_limit_m_per_s, np.inf)
-        self._limits = np.repeat(limits, (3, 4, 3, 3))
+        limits = [scene.distance_limit_m] * 3 + [2.0] * 4
+        limits += [scene.speed_limit_m_per_s] * 3 + [np.inf] * 3
+        self._limits = np.array(limits)
 
     def fault(self, states: FloatArray) -> str | None:
         """Return why the bodies are out of bounds, or None.

@@ -73,8 +73,8 @@ class RigidBody:
     @cached_property
     def heights_m(self) -> tuple[float, float]:
         """Least and largest height of its corners at the start [m]."""
-        heights_m = self.pose.to_world(self.shape.corners_m)[:, 2]
-        return float(heights_m.min()), float(heights_m.max())
+        heights_m = self.pose.to_world(self.shape.corners_m)[:, 2].tolist()
+        return min(heights_m), max(heights_m)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,7 +1,10 @@
 """Faces at which bodies touch at the start: along them, and not across, a body can start elsewhere."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -28,6 +31,23 @@ PartShape = Box | Sphere | Cylinder | Capsule | Ellipsoid | ConvexUnion
 
 PARALLEL = 1.0 - 1e-9
 """Smallest cosine between normals of the same direction."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TouchingGroup:
+    """Bodies that touch one another.
+
+    Attributes:
+        members: Their names.
+        normals: Normals at which they touch other bodies, each of shape [3].
+        blocked: Directions along which they cannot start elsewhere, see `blocked_directions`.
+        centre_m: Mean of their origins [m], shape [3].
+    """
+
+    members: tuple[str, ...]
+    normals: Sequence[FloatArray]
+    blocked: FloatArray
+    centre_m: FloatArray
 
 
 class ContactFaces:
@@ -68,21 +88,30 @@ class ContactFaces:
                 if normals:
                     self._normals[frozenset((first, second))] = normals
 
-    def groups(self, names: Collection[str]) -> list[tuple[str, ...]]:
-        """Return bodies joined with those that they touch, in the order of the names.
-
-        Args:
-            names: Names of the bodies; contacts with others join nothing.
-        """
-        group = {name: {name} for name in names}
+    def groups(self, bodies: Sequence[RigidBody]) -> list[TouchingGroup]:
+        """Return bodies joined with those that they touch, in their order; contacts with others join nothing."""
+        named = {body.name: body for body in bodies}
+        group = {name: {name} for name in named}
         for first, second in self._normals:
             if first in group and second in group and group[first] is not group[second]:
                 joined = group[first] | group[second]
                 group.update(dict.fromkeys(joined, joined))
         found: dict[int, list[str]] = {}
-        for name in names:
+        for name in named:
             found.setdefault(id(group[name]), []).append(name)
-        return [tuple(members) for members in found.values()]
+        groups = []
+        for members in found.values():
+            normals = self.normals(members)
+            poses = [named[name].pose for name in members]
+            groups.append(
+                TouchingGroup(
+                    members=tuple(members),
+                    normals=normals,
+                    blocked=blocked_directions(poses[0], normals),
+                    centre_m=np.mean([pose.position_m for pose in poses], axis=0),
+                )
+            )
+        return groups
 
     def normals(self, names: Collection[str]) -> list[FloatArray]:
         """Return the normals at which a group touches other bodies, each direction once, each of shape [3].

@@ -91,10 +91,15 @@ class Pose:
 # SciPy's `Rotation` has the same terms in the same order. Its import takes as long as to make an environment.
 
 
+def _components(quaternions: FloatArray) -> Any:
+    """Return w, x, y, z of one quaternion as floats, which are faster than scalars of NumPy, or of many as arrays."""
+    return quaternions.tolist() if quaternions.ndim == 1 else quaternions.T
+
+
 def quaternion_products(p: FloatArray, q: FloatArray) -> FloatArray:
     """Return the rotations q followed by p, each w, x, y, z, shape [4] or [count, 4]."""
-    pw, px, py, pz = p.T
-    qw, qx, qy, qz = q.T
+    pw, px, py, pz = _components(p)
+    qw, qx, qy, qz = _components(q)
     w = pw * qw - px * qx - py * qy - pz * qz
     x = pw * qx + qw * px + (py * qz - pz * qy)
     y = pw * qy + qw * py + (pz * qx - px * qz)
@@ -104,7 +109,7 @@ def quaternion_products(p: FloatArray, q: FloatArray) -> FloatArray:
 
 def unit_quaternions(quaternions: FloatArray) -> FloatArray:
     """Return quaternions w, x, y, z over their lengths, shape [4] or [count, 4]."""
-    w, x, y, z = quaternions.T
+    w, x, y, z = _components(quaternions)
     return (quaternions.T / np.sqrt(x * x + y * y + z * z + w * w)).T
 
 
@@ -115,7 +120,10 @@ def vector_quaternions(vectors_rad: FloatArray) -> FloatArray:
     scales = 0.5 - angles**2 / 48.0 + angles**4 / 3840.0
     large = angles > 1e-3
     scales[large] = np.sin(0.5 * angles[large]) / angles[large]
-    return np.column_stack([np.cos(0.5 * angles), scales[:, None] * vectors_rad])
+    quaternions = np.empty((len(angles), 4))
+    quaternions[:, 0] = np.cos(0.5 * angles)
+    quaternions[:, 1:] = scales[:, None] * vectors_rad
+    return quaternions
 
 
 def quaternion_vectors(quaternions: FloatArray) -> FloatArray:
@@ -134,7 +142,7 @@ def quaternion_vectors(quaternions: FloatArray) -> FloatArray:
 
 def rotation_matrices(quaternions: FloatArray) -> FloatArray:
     """Return the matrices of unit quaternions w, x, y, z, shape [3, 3] or [count, 3, 3]."""
-    w, x, y, z = quaternions.T
+    w, x, y, z = _components(quaternions)
     rows = [
         [x * x - y * y - z * z + w * w, 2 * (x * y - z * w), 2 * (x * z + y * w)],
         [2 * (x * y + z * w), -x * x + y * y - z * z + w * w, 2 * (y * z - x * w)],
@@ -162,7 +170,7 @@ class Box:
         """Volume [m^3]."""
         return float(np.prod(self.size_m))
 
-    @property
+    @cached_property
     def corners_m(self) -> FloatArray:
         """Corners in the body frame [m], shape [8, 3]."""
         return 0.5 * CORNER_SIGNS * np.asarray(self.size_m)
@@ -185,7 +193,7 @@ class Sphere:
         """Volume [m^3]."""
         return 4.0 / 3.0 * np.pi * self.radius_m**3
 
-    @property
+    @cached_property
     def corners_m(self) -> FloatArray:
         """Corners of the bounding box in the body frame [m], shape [8, 3]."""
         return Box(size_m=(2 * self.radius_m,) * 3).corners_m
@@ -209,7 +217,7 @@ class Cylinder:
         """Volume [m^3]."""
         return np.pi * self.radius_m**2 * self.length_m
 
-    @property
+    @cached_property
     def corners_m(self) -> FloatArray:
         """Corners of the bounding box in the body frame [m], shape [8, 3]."""
         return Box(
@@ -233,7 +241,7 @@ class Plane:
         """Zero, since a plane is not a solid."""
         return 0.0
 
-    @property
+    @cached_property
     def corners_m(self) -> FloatArray:
         """The body origin, shape [1, 3]."""
         return np.zeros((1, 3))
@@ -265,7 +273,7 @@ class ConvexUnion:
             sum(ConvexHull(np.asarray(piece)).volume for piece in self.pieces_m)
         )
 
-    @property
+    @cached_property
     def corners_m(self) -> FloatArray:
         """All vertices in the body frame [m], shape [vertex_count, 3]."""
         return np.concatenate([np.asarray(piece) for piece in self.pieces_m])
@@ -295,7 +303,7 @@ class Capsule:
         """Volume [m^3]."""
         return np.pi * self.radius_m**2 * (self.length_m + 4.0 / 3.0 * self.radius_m)
 
-    @property
+    @cached_property
     def corners_m(self) -> FloatArray:
         """Corners of the bounding box in the frame of the capsule [m], shape [8, 3]."""
         width = 2.0 * self.radius_m
@@ -318,7 +326,7 @@ class Ellipsoid:
         """Volume [m^3]."""
         return 4.0 / 3.0 * np.pi * float(np.prod(self.radii_m))
 
-    @property
+    @cached_property
     def corners_m(self) -> FloatArray:
         """Corners of the bounding box in the frame of the ellipsoid [m], shape [8, 3]."""
         x, y, z = self.radii_m
@@ -351,7 +359,7 @@ class Compound:
         """Volume of all parts [m^3]; overlaps count twice."""
         return float(sum(part.shape.volume_m3 for part in self.parts))
 
-    @property
+    @cached_property
     def corners_m(self) -> FloatArray:
         """Corners of all parts in the body frame [m], shape [corner_count, 3]."""
         return np.concatenate(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gauge_envs.errors import ParameterError
-from gauge_envs.scene.bodies import BodyHinge, Cloth, Hinge, Motion, RigidBody, Tether
+from gauge_envs.scene.bodies import BodyHinge, Cloth, Hinge, RigidBody, Tether
 from gauge_envs.scene.contact_faces import blocked_directions, face_normal
 from gauge_envs.scene.geometry import (
     FloatArray,
@@ -98,14 +98,11 @@ def jittered(scene: Scene, jitter: Jitter, *, seed: int) -> Scene:
             "the scene has sliders or ball joints, along which no start is scattered: leave out the jitter"
         )
     random = np.random.default_rng(seed)
-    attached = {attachment.deformable for attachment in scene.attachments} | {
-        a.to for a in scene.attachments
-    }
-    kept = {*attached, *parent_hinges(scene.body_hinges, scene.hung)}
+    attached = {attachment.deformable for attachment in scene.attachments}
     is_pushed = jitter.velocity_m_per_s or jitter.angular_velocity_rad_per_s
     pushes = np.random.default_rng((seed, 1)) if is_pushed else None
-    groups = _Groups(scene, kept, jitter, random, pushes)
-    is_moved = bool(groups.free)
+    groups = _Groups(scene, jitter, random, pushes)
+    is_moved = bool(scene.free)
     bodies = [groups.started(one) for one in scene.bodies]
     deformables: list[Any] = []
     for deformable in scene.deformables:
@@ -239,51 +236,29 @@ class _Groups:
 
     Args:
         scene: The scene.
-        kept: Names of bodies that do not move, or follow another one.
         jitter: Standard deviations of the start.
         random: Random numbers of the places.
         pushes: Random numbers of the velocities; None keeps those of the scene.
-
-    Attributes:
-        free: Names of the bodies that can start elsewhere, those on joints included.
     """
 
     def __init__(
         self,
         scene: Scene,
-        kept: Collection[str],
         jitter: Jitter,
         random: np.random.Generator,
         pushes: np.random.Generator | None,
     ) -> None:
+        self._scene = scene
         self._jitter = jitter
         self._random = random
         self._random_push = pushes
         self._joints = {joint.body: joint for joint in scene.joints}
-        bodies = {body.name: body for body in scene.bodies}
-        self.free = {
-            name
-            for name, one in bodies.items()
-            if one.motion is Motion.DYNAMIC and name not in kept
-        }
-        faces = scene.contact_faces
-        self._members: dict[str, tuple[str, ...]] = {}
-        self._normals: dict[tuple[str, ...], list[FloatArray]] = {}
-        self._centre_m: dict[tuple[str, ...], FloatArray] = {}
-        for members in faces.groups(
-            [name for name in bodies if name in self.free - {*self._joints}]
-        ):
-            self._members.update(dict.fromkeys(members, members))
-            self._normals[members] = faces.normals(members)
-            self._centre_m[members] = np.mean(
-                [bodies[name].pose.position_m for name in members], axis=0
-            )
         self._moves: dict[tuple[str, ...], _Move] = {}
         self._pushes: dict[tuple[str, ...], FloatArray] = {}
 
     def started(self, body: RigidBody) -> RigidBody:
         """Return a body at its random start; one that cannot start elsewhere as it is."""
-        if body.name not in self.free:
+        if body.name not in self._scene.free:
             return body
         jitter, joint = self._jitter, self._joints.get(body.name)
         random = self._random_push
@@ -298,28 +273,27 @@ class _Groups:
         return body if random is None else _swinging(body, joint, jitter, random)
 
     def _moved(self, body: RigidBody) -> RigidBody:
-        members = self._members[body.name]
-        if members not in self._moves:
-            blocked = blocked_directions(body.pose, self._normals[members])
-            is_ball = isinstance(body.shape, Sphere)
-            self._moves[members] = _drawn(
-                self._centre_m[members],
-                blocked,
+        group = self._scene.touching_groups[body.name]
+        if group.members not in self._moves:
+            self._moves[group.members] = _drawn(
+                group.centre_m,
+                group.blocked,
                 self._jitter,
                 self._random,
-                is_ball=is_ball,
+                is_ball=isinstance(body.shape, Sphere),
             )
-        return replace(body, pose=self._moves[members](body.pose))
+        return replace(body, pose=self._moves[group.members](body.pose))
 
     def _pushed(self, body: RigidBody, random: np.random.Generator) -> RigidBody:
         """Return a body that has moved, with a random velocity in addition to its own."""
-        members = self._members[body.name]
+        group = self._scene.touching_groups[body.name]
+        members = group.members
         if members not in self._pushes:
             self._pushes[members] = random.standard_normal((2, 3))
         linear = self._jitter.velocity_m_per_s * self._pushes[members][0]
         angular = self._jitter.angular_velocity_rad_per_s * self._pushes[members][1]
         if not isinstance(body.shape, Sphere):
-            blocked = blocked_directions(body.pose, self._normals[members])
+            blocked = blocked_directions(body.pose, group.normals)
             linear = _along(linear, blocked)
             angular = (
                 (angular @ blocked[0]) * blocked[0]
@@ -327,7 +301,7 @@ class _Groups:
                 else np.zeros(3)
             )
         if len(members) > 1:
-            centre_m = self._centre_m[members] + self._moves[members].shift_m
+            centre_m = group.centre_m + self._moves[members].shift_m
             linear = linear + np.cross(
                 angular, np.asarray(body.pose.position_m) - centre_m
             )

@@ -6,6 +6,7 @@ experiment.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
@@ -31,9 +32,9 @@ from gauge_envs.scene.bodies import (
     Slider,
     Tether,
 )
-from gauge_envs.scene.contact_faces import ContactFaces
-from gauge_envs.scene.geometry import FloatArray, Plane
-from gauge_envs.scene.hinged import UNIT, hinge_fault
+from gauge_envs.scene.contact_faces import ContactFaces, TouchingGroup
+from gauge_envs.scene.geometry import Plane
+from gauge_envs.scene.hinged import UNIT, hinge_fault, parent_hinges
 from gauge_envs.scene.meshes import body_mass_properties
 
 if TYPE_CHECKING:
@@ -246,7 +247,7 @@ class Scene:
         """Return the rigid body of a name; raise KeyError if the scene has none."""
         return self._by_name[name]
 
-    @property
+    @cached_property
     def dynamic_bodies(self) -> tuple[RigidBody, ...]:
         """Rigid bodies that move under forces, in scene order."""
         return tuple(body for body in self.bodies if body.motion is Motion.DYNAMIC)
@@ -289,6 +290,25 @@ class Scene:
         return ContactFaces(self.bodies, pairs)
 
     @cached_property
+    def free(self) -> frozenset[str]:
+        """Names of the dynamic bodies that no deformable body is attached to, and that follow no other on a hinge."""
+        attached = {attachment.to for attachment in self.attachments}
+        kept = attached | {*parent_hinges(self.body_hinges, self.hung)}
+        return frozenset(one.name for one in self.dynamic_bodies) - kept
+
+    @cached_property
+    def touching_groups(self) -> dict[str, TouchingGroup]:
+        """The group of each free body without a joint, by its name; bodies that touch one another are one group."""
+        jointed = {joint.body for joint in self.joints}
+        bodies = [
+            one
+            for one in self.bodies
+            if one.name in self.free and one.name not in jointed
+        ]
+        groups = self.contact_faces.groups(bodies)
+        return {name: group for group in groups for name in group.members}
+
+    @cached_property
     def floor_height_m(self) -> float:
         """Lowest height that a body can reach [m]: the highest level plane, or the end of free fall without one.
 
@@ -312,17 +332,15 @@ class Scene:
         """
         highest = max((body.heights_m[1] for body in self.bodies), default=0.0)
         drop = max(highest - self.floor_height_m, 0.1)
-        fallen = np.sqrt(
+        fallen = math.sqrt(
             2.0 * self.gravity_m_per_s2 * drop + self._start_speed_m_per_s**2
         )
-        return 3.0 * float(fallen) + 2.0 * self._driven_speed_m_per_s
+        return 3.0 * fallen + 2.0 * self._driven_speed_m_per_s
 
     @cached_property
     def distance_limit_m(self) -> float:
         """Upper bound on the distance of a body's origin from the world origin [m]."""
-        reach = max(
-            (float(np.linalg.norm(b.pose.position_m)) for b in self.bodies), default=0.0
-        )
+        reach = max((math.hypot(*b.pose.position_m) for b in self.bodies), default=0.0)
         return reach + 1.0 + self.speed_limit_m_per_s * self.duration_s
 
     @cached_property
@@ -341,15 +359,16 @@ class Scene:
                 * self.gravity_m_per_s2
                 * max(lowest - self.floor_height_m, 0.02)
             )
-            linear, angular = _velocity_of_mass(body)
-            # One elastic hit adds twice the driver's speed.
-            total += (
-                0.5 * body.mass_kg * (2.0 * driven + float(np.linalg.norm(linear))) ** 2
-            )
-            if angular.any():
-                inertia = body_mass_properties(body)[1]
-                spin = body.pose.rotation.apply(angular, inverse=True)
+            linear: Any = body.linear_velocity_m_per_s
+            angular = body.angular_velocity_rad_per_s
+            if any(angular):
+                centre_m, inertia = body_mass_properties(body)
+                rotation = body.pose.rotation
+                linear = linear + np.cross(angular, rotation.apply(centre_m))
+                spin = rotation.apply(angular, inverse=True)
                 total += 0.5 * float(spin @ inertia @ spin)
+            # One elastic hit adds twice the driver's speed.
+            total += 0.5 * body.mass_kg * (2.0 * driven + math.hypot(*linear)) ** 2
         return 1.25 * total
 
     def spin_limit_rad_per_s(self, body: RigidBody) -> float:
@@ -430,19 +449,6 @@ def _check_pairs(
                 f"scene: a contact lists {first!r} and {second!r}, which a hinge joins. Engines let "
                 "joined bodies pass through each other: remove the pair from the contact"
             )
-
-
-def _velocity_of_mass(body: RigidBody) -> tuple[FloatArray, FloatArray]:
-    """Return the start velocity of a body's centre of mass [m/s] and its angular velocity [rad/s], shape [3] each."""
-    linear, angular = (
-        np.array(body.linear_velocity_m_per_s),
-        np.array(body.angular_velocity_rad_per_s),
-    )
-    if angular.any():
-        linear += np.cross(
-            angular, body.pose.rotation.apply(body_mass_properties(body)[0])
-        )
-    return linear, angular
 
 
 def _point_speed_m_per_s(body: RigidBody) -> float:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Hashable, Iterable, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -39,6 +40,18 @@ if TYPE_CHECKING:
 
 CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])
 """Factors of a unit quaternion w, x, y, z that give the inverse rotation."""
+
+STARTS = ("pose", "linear_velocity_m_per_s", "angular_velocity_rad_per_s")
+"""Fields of a body that another start may have otherwise."""
+
+
+def _fields_but(kind: type, others: Iterable[str]) -> Callable[[object], object]:
+    return attrgetter(*({one.name for one in fields(kind) if one.init} - {*others}))
+
+
+_start = attrgetter(*STARTS)
+_body = _fields_but(RigidBody, STARTS)
+_scene = _fields_but(Scene, ("bodies", "drivers"))
 
 
 def body_state(
@@ -126,22 +139,16 @@ def bodies_elsewhere(built: Scene, scene: Scene) -> list[RigidBody] | None:
 
     None if anything but the motion of driven bodies differs too.
     """
-    names = {one.name for one in fields(Scene) if one.init} - {"bodies", "drivers"}
-    if any(getattr(scene, name) != getattr(built, name) for name in names):
+    # Tuples of the same objects are equal at once.
+    if _scene(built) != _scene(scene):
         return None
     moved = []
     for old, new in zip(built.bodies, scene.bodies, strict=True):
-        if old is new:
-            continue
-        started = replace(
-            old,
-            pose=new.pose,
-            linear_velocity_m_per_s=new.linear_velocity_m_per_s,
-            angular_velocity_rad_per_s=new.angular_velocity_rad_per_s,
-        )
-        if started != new or (started != old and new.motion is not Motion.DYNAMIC):
+        if _body(old) != _body(new):
             return None
-        if started != old:
+        if _start(old) != _start(new):
+            if new.motion is not Motion.DYNAMIC:
+                return None
             moved.append(new)
     return moved
 
