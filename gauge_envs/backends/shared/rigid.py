@@ -41,16 +41,15 @@ if TYPE_CHECKING:
 CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])
 """Factors of a unit quaternion w, x, y, z that give the inverse rotation."""
 
-STARTS = ("pose", "linear_velocity_m_per_s", "angular_velocity_rad_per_s")
-"""Fields of a body that another start may have otherwise."""
+_STARTS = ("pose", "linear_velocity_m_per_s", "angular_velocity_rad_per_s")
 
 
 def _fields_but(kind: type, others: Iterable[str]) -> Callable[[object], object]:
     return attrgetter(*({one.name for one in fields(kind) if one.init} - {*others}))
 
 
-_start = attrgetter(*STARTS)
-_body = _fields_but(RigidBody, STARTS)
+_start = attrgetter(*_STARTS)
+_body = _fields_but(RigidBody, _STARTS)
 _scene = _fields_but(Scene, ("bodies", "drivers"))
 
 
