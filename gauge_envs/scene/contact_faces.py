@@ -39,13 +39,11 @@ class TouchingGroup:
 
     Attributes:
         members: Their names.
-        normals: Normals at which they touch other bodies, each of shape [3].
         blocked: Directions along which they cannot start elsewhere, see `blocked_directions`.
         centre_m: Mean of their origins [m], shape [3].
     """
 
-    members: tuple[str, ...]
-    normals: Sequence[FloatArray]
+    members: Collection[str]
     blocked: FloatArray
     centre_m: FloatArray
 
@@ -88,30 +86,25 @@ class ContactFaces:
                 if normals:
                     self._normals[frozenset((first, second))] = normals
 
-    def groups(self, bodies: Sequence[RigidBody]) -> list[TouchingGroup]:
-        """Return bodies joined with those that they touch, in their order; contacts with others join nothing."""
-        named = {body.name: body for body in bodies}
-        group = {name: {name} for name in named}
+    def groups(self, bodies: Sequence[RigidBody]) -> dict[str, TouchingGroup]:
+        """Return the group of each body by its name, of those that touch one another; others join nothing."""
+        group = {body.name: {body.name} for body in bodies}
         for first, second in self._normals:
             if first in group and second in group and group[first] is not group[second]:
                 joined = group[first] | group[second]
                 group.update(dict.fromkeys(joined, joined))
-        found: dict[int, list[str]] = {}
-        for name in named:
-            found.setdefault(id(group[name]), []).append(name)
-        groups = []
-        for members in found.values():
-            normals = self.normals(members)
-            poses = [named[name].pose for name in members]
-            groups.append(
-                TouchingGroup(
-                    members=tuple(members),
-                    normals=normals,
-                    blocked=blocked_directions(poses[0], normals),
-                    centre_m=np.mean([pose.position_m for pose in poses], axis=0),
-                )
+        found: dict[str, TouchingGroup] = {}
+        for name, names in group.items():
+            if name in found:
+                continue
+            poses = [body.pose for body in bodies if body.name in names]
+            one = TouchingGroup(
+                members=names,
+                blocked=blocked_directions(poses[0], self.normals(names)),
+                centre_m=np.mean([pose.position_m for pose in poses], axis=0),
             )
-        return groups
+            found.update(dict.fromkeys(names, one))
+        return found
 
     def normals(self, names: Collection[str]) -> list[FloatArray]:
         """Return the normals at which a group touches other bodies, each direction once, each of shape [3].

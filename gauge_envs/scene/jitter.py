@@ -12,7 +12,11 @@ from numpy.typing import ArrayLike
 
 from gauge_envs.errors import ParameterError
 from gauge_envs.scene.bodies import BodyHinge, Cloth, Hinge, RigidBody, Tether
-from gauge_envs.scene.contact_faces import blocked_directions, face_normal
+from gauge_envs.scene.contact_faces import (
+    TouchingGroup,
+    blocked_directions,
+    face_normal,
+)
 from gauge_envs.scene.geometry import (
     FloatArray,
     Pose,
@@ -253,8 +257,8 @@ class _Groups:
         self._random = random
         self._random_push = pushes
         self._joints = {joint.body: joint for joint in scene.joints}
-        self._moves: dict[tuple[str, ...], _Move] = {}
-        self._pushes: dict[tuple[str, ...], FloatArray] = {}
+        self._moves: dict[TouchingGroup, _Move] = {}
+        self._pushes: dict[TouchingGroup, FloatArray] = {}
 
     def started(self, body: RigidBody) -> RigidBody:
         """Return a body at its random start; one that cannot start elsewhere as it is."""
@@ -274,34 +278,34 @@ class _Groups:
 
     def _moved(self, body: RigidBody) -> RigidBody:
         group = self._scene.touching_groups[body.name]
-        if group.members not in self._moves:
-            self._moves[group.members] = _drawn(
+        if group not in self._moves:
+            self._moves[group] = _drawn(
                 group.centre_m,
                 group.blocked,
                 self._jitter,
                 self._random,
                 is_ball=isinstance(body.shape, Sphere),
             )
-        return replace(body, pose=self._moves[group.members](body.pose))
+        return replace(body, pose=self._moves[group](body.pose))
 
     def _pushed(self, body: RigidBody, random: np.random.Generator) -> RigidBody:
         """Return a body that has moved, with a random velocity in addition to its own."""
         group = self._scene.touching_groups[body.name]
-        members = group.members
-        if members not in self._pushes:
-            self._pushes[members] = random.standard_normal((2, 3))
-        linear = self._jitter.velocity_m_per_s * self._pushes[members][0]
-        angular = self._jitter.angular_velocity_rad_per_s * self._pushes[members][1]
+        if group not in self._pushes:
+            self._pushes[group] = random.standard_normal((2, 3))
+        linear = self._jitter.velocity_m_per_s * self._pushes[group][0]
+        angular = self._jitter.angular_velocity_rad_per_s * self._pushes[group][1]
         if not isinstance(body.shape, Sphere):
-            blocked = blocked_directions(body.pose, group.normals)
+            normals = self._scene.contact_faces.normals(group.members)
+            blocked = blocked_directions(body.pose, normals)
             linear = _along(linear, blocked)
             angular = (
                 (angular @ blocked[0]) * blocked[0]
                 if len(blocked) == 1
                 else np.zeros(3)
             )
-        if len(members) > 1:
-            centre_m = group.centre_m + self._moves[members].shift_m
+        if len(group.members) > 1:
+            centre_m = group.centre_m + self._moves[group].shift_m
             linear = linear + np.cross(
                 angular, np.asarray(body.pose.position_m) - centre_m
             )

@@ -305,8 +305,7 @@ class Scene:
             for one in self.bodies
             if one.name in self.free and one.name not in jointed
         ]
-        groups = self.contact_faces.groups(bodies)
-        return {name: group for group in groups for name in group.members}
+        return self.contact_faces.groups(bodies)
 
     @cached_property
     def floor_height_m(self) -> float:
