@@ -23,7 +23,6 @@ from math import ceil
 from multiprocessing import get_context
 from pathlib import Path
 
-import cv2
 import fork_server
 import mujoco
 import numpy as np
@@ -55,7 +54,6 @@ from gauge_envs.tools.sweep.spec import load_sweep_file
 from gauge_envs.tools.usd.experiment_file import load_experiment_file
 from gauge_envs.tools.usd.reader import from_usd
 from gauge_envs.tools.versions.subject import read_states
-from gauge_envs.tools.video.frames import read_picture
 from gauge_envs.tools.video.plane import read_camera
 from gauge_envs.tools.video.track import read_track
 
@@ -206,11 +204,6 @@ def states_hdf5() -> bytes:
     return stream.getvalue()
 
 
-def picture() -> bytes:
-    values = np.arange(4800, dtype=np.uint8).reshape(40, 40, 3)
-    return cv2.imencode(".png", values)[1].tobytes()
-
-
 def track() -> bytes:
     rows = [f"{frame},{2 * frame},{3 * frame}" for frame in range(40)]
     return "\n".join(["frame,x,y", *rows]).encode()
@@ -334,7 +327,6 @@ READERS = {
     ),
     "states.npz": (states_npz, lambda file: read_states(file, file.parent)),
     "states.hdf5": (states_hdf5, lambda file: read_states(file, file.parent)),
-    "picture.png": (picture, read_picture),
     "camera.toml": (CAMERA.encode, read_camera),
     "track.csv": (track, lambda file: read_track(file, fps=30.0)),
     "expected.toml": (lambda: b'free-fall = "a reason"\n', read_expected),

@@ -14,7 +14,6 @@ import zipfile
 from pathlib import Path
 from types import SimpleNamespace
 
-import cv2
 import numpy as np
 import pytest
 from pxr import Sdf, Usd
@@ -26,7 +25,6 @@ from gauge_envs.errors import (
     ParameterError,
     ReferenceFileError,
     TrajectoryFileError,
-    VideoError,
 )
 from gauge_envs.evaluation import trajectory_file
 from gauge_envs.evaluation.trajectory_file import read_trajectory
@@ -50,7 +48,6 @@ from gauge_envs.tools.usd import source
 from gauge_envs.tools.usd.experiment_file import load_experiment_file
 from gauge_envs.tools.usd.reader import from_usd
 from gauge_envs.tools.versions.subject import read_states
-from gauge_envs.tools.video.frames import read_picture
 
 NAME = "SlopeSlider-2-wood"
 
@@ -85,7 +82,6 @@ READERS = {
     "log.csv": read_log,
     "log.npz": read_log,
     "log.mcap": read_logs,
-    "picture.png": read_picture,
 }
 
 
@@ -229,14 +225,6 @@ def test_a_log_in_a_bomb_is_refused(tmp_path):
     np.savez_compressed(file, time_s=np.zeros(10_000_000))
     with pytest.raises(AssetError, match="has 80000128 bytes, the limit of all"):
         read_log(file)
-
-
-def test_a_picture_of_too_many_pixels_is_refused_by_its_header(tmp_path):
-    file = tmp_path / "picture.png"
-    picture = np.zeros((2, 5000), np.uint8)
-    file.write_bytes(cv2.imencode(".png", picture)[1].tobytes())
-    with pytest.raises(VideoError, match="5000 x 2 pixels; at most 4096 a side"):
-        read_picture(file)
 
 
 def test_a_table_that_is_no_csv_is_refused(tmp_path):

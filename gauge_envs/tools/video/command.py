@@ -105,14 +105,6 @@ def video_score(
         ),
     ],
     camera: Annotated[Path | None, CAMERA] = None,
-    first_frame: Annotated[
-        Path | None,
-        arguments.option(
-            arguments.SCENE,
-            "Picture that the model was given, to register the videos by.",
-            metavar="FILE",
-        ),
-    ] = None,
     fps: RateOption = None,
     size: Annotated[
         str | None,
@@ -164,9 +156,9 @@ def video_score(
     size_px = None if size is None else _size(size)
     box_px = None if object_box is None else _box(object_box)
     are_tracks = {file: file.suffix.lower() == ".csv" for file in files}
-    if any(are_tracks.values()) and (out or first_frame or camera):
+    if any(are_tracks.values()) and (out or camera):
         raise ParameterError(
-            "--out, --first-frame and --camera need the video, and a track has none: leave out one of both"
+            "--out and --camera need the video, and a track has none: leave out one of both"
         )
     if not all(are_tracks.values()) and (
         size_px is not None or (camera is None) != (box_px is None)
@@ -190,7 +182,7 @@ def video_score(
             track = (
                 read_track(file, fps=fps, size_px=size_px or REFERENCE_SIZE_PX)
                 if source is None
-                else track_object(source, chosen, first_frame=first_frame)
+                else track_object(source, chosen)
             )
             result = score_track(track, chosen, name=str(file))
         if out is not None and source is not None:
@@ -240,14 +232,6 @@ def video_report(
     out: Annotated[
         Path, arguments.folder("Folder for page, results.json and tables.")
     ] = Path("video_report"),
-    first_frame: Annotated[
-        Path | None,
-        arguments.option(
-            arguments.SCENE,
-            "Folder with the pictures that models were given, TASK.png.",
-            metavar="DIR",
-        ),
-    ] = None,
 ) -> bool:
     """Score the videos of many models, and write a page with a table and pictures.
 
@@ -279,13 +263,10 @@ def video_report(
             clips[file] = None
             given = file.with_suffix(".csv")
             try:
-                picture = None if first_frame is None else first_frame / f"{task}.png"
                 track = (
                     _given_track(file, given)
                     if given.exists()
-                    else track_object(
-                        FileFrames(file), video_task(task), first_frame=picture
-                    )
+                    else track_object(FileFrames(file), video_task(task))
                 )
                 clips[file] = score_track(
                     track, video_task(task), name=str(file.relative_to(folder))

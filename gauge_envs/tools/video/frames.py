@@ -4,7 +4,6 @@ A source is read more than once, so frames are decoded again instead of being ke
 would take gigabytes.
 """
 
-import io
 import subprocess
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
@@ -17,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.errors import VideoError, needs_extra
-from gauge_envs.files import MEGABYTE, os_errors, read_regular
+from gauge_envs.files import MEGABYTE, os_errors
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX
 
@@ -44,7 +43,7 @@ class Registration:
         offset_y_px: Place of the top edge of the video on the grid [px].
         method: `stretch`: width and height are scaled each on its own; `crop` and `pad`: both by one factor, about the
             middle.
-        support: Share of the outline that agrees, or correlation with the given first frame.
+        support: Share of the outline that agrees, 1.
         problem: Why the registration is doubtful; empty when it is not.
     """
 
@@ -126,12 +125,6 @@ def _resized(picture: NDArray[np.uint8], size_px: tuple[int, int]) -> Picture:
 
 MOST_BYTES = 2000 * MEGABYTE
 """Largest size of a video file."""
-
-MOST_PICTURE_BYTES = 64 * MEGABYTE
-"""Largest size of a picture file."""
-
-MOST_PICTURE_SIDE_PX = 4096
-"""Largest width and height of a picture [px]: its points are sought in copies of several times its size."""
 
 MOST_SIDE_PX = 8192
 """Largest width and height of a video [px]: 8K."""
@@ -350,28 +343,6 @@ def _check_size(path: Path, most_bytes: int, advice: str) -> None:
         raise VideoError(
             f"{path}: it is larger than {most_bytes // MEGABYTE} MB; {advice}"
         )
-
-
-def read_picture(path: Path) -> NDArray[np.uint8]:
-    """Return a picture from a file: blue, green and red, shape [height, width, 3]."""
-    with os_errors(lambda cause: VideoError(f"{path}: cannot be read: {cause}")):
-        content = read_regular(path, MOST_PICTURE_BYTES)
-    with needs_extra("Pillow", "video"):
-        from PIL import Image
-    try:
-        # The size that a picture states comes before its pixels, which are read once it is known.
-        with Image.open(io.BytesIO(content)) as stated:
-            width, height = stated.size
-            if max(width, height) > MOST_PICTURE_SIDE_PX:
-                raise VideoError(
-                    f"{path}: it has {width} x {height} pixels; at most {MOST_PICTURE_SIDE_PX} a side"
-                )
-            picture = np.asarray(stated.convert("RGB"))
-    except (OSError, ValueError, Image.DecompressionBombError) as error:
-        raise VideoError(
-            f"{path}: it is no picture that Pillow reads ({error}); give the first frame as PNG or JPEG"
-        ) from None
-    return np.ascontiguousarray(picture[:, :, ::-1])
 
 
 # --- cadence ----------------------------------------------------------------------------------------------------------

@@ -1,8 +1,7 @@
 """Find how the first frame of a video lies on the grid of its task: stretched, cropped or padded.
 
-Video models keep other sizes than the 832 x 480 pixels of the first frames, and reach them in different ways. Without
-the first frame, the known outline of the object decides: at the right registration, edges of the picture lie on it.
-With the first frame, its details do.
+Video models keep other sizes than the 832 x 480 pixels of the first frames, and reach them in different ways. The
+known outline of the object decides: at the right registration, edges of the picture lie on it.
 """
 
 from dataclasses import replace
@@ -10,7 +9,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.errors import VideoError
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.video.frames import Registration, cv2, stretched
 from gauge_envs.tools.video.tasks import (
@@ -20,6 +18,9 @@ from gauge_envs.tools.video.tasks import (
     Motion,
     VideoTask,
 )
+
+UNSEEN = "the object is not seen at its place in the known first frame"
+"""What is said of a clip whose first frame does not show the outline."""
 
 CLOSE_PX = 2.0
 """Distance from the known outline at which an edge agrees [px]: the outlines were read by eye."""
@@ -36,10 +37,6 @@ CLEAR = 0.04
 
 LEAST_VISIBLE = 0.5
 """Smallest share of the outline that a crop must leave in the picture."""
-
-LEAST_ALIKE, DETAILS_PX = 0.4, 8.0
-"""Smallest correlation of the details of two pictures that are the same one, and their size [px]. It is 0.80 and more
-for 27 published clips and their first frames, and at most 0.05 for those of another scene."""
 
 CRADLE_ROW_PX = (367.0, 404.0, 440.5)
 """Horizontal places of the other hanging balls of the cradle in the first frame [px]."""
@@ -63,44 +60,9 @@ def registration_by_outline(
     best = max(one.support for one in candidates)
     is_square = task.motion in (Motion.SLIDE, Motion.TURN)
     if best < (LEAST_SUPPORT_SQUARES if is_square else LEAST_SUPPORT_DISKS):
-        text = "the object is not seen at its place in the known first frame; give that frame with --first-frame"
-        return replace(candidates[0], problem=text)
+        return replace(candidates[0], problem=UNSEEN)
     # The paper scales width and height each on its own: another way must be clearly better.
     return next(one for one in candidates if best - one.support < CLEAR)
-
-
-def registration_by_first_frame(
-    picture: NDArray[np.uint8], first_frame: NDArray[np.uint8]
-) -> Registration:
-    """Return the registration of a video in which its details are most like those of the given first frame.
-
-    Args:
-        picture: First frame of the video in its own size, shape [height, width, 3].
-        first_frame: The known first frame; it fills the reference grid.
-
-    Raises:
-        VideoError: The video begins with another picture.
-    """
-    plain = stretched((first_frame.shape[1], first_frame.shape[0]))
-    known = _details(plain.applied(first_frame))
-    judged = []
-    for one in _candidates((picture.shape[1], picture.shape[0])):
-        shown = _details(one.applied(picture))
-        alike = cv2.matchTemplate(shown, known, cv2.TM_CCOEFF_NORMED)
-        judged.append(replace(one, support=float(alike[0, 0])))
-    best = max(judged, key=lambda one: one.support)
-    if best.support < LEAST_ALIKE:
-        raise VideoError(
-            f"its first frame is another picture than the given one: their details correlate by {best.support:.2f}, "
-            f"at least {LEAST_ALIKE:g} is needed"
-        )
-    return best
-
-
-def _details(picture: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Return the brightness of a picture without what changes over more than some pixels, as its mean."""
-    grey = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY).astype(np.float32)
-    return np.asarray(grey - cv2.GaussianBlur(grey, (0, 0), DETAILS_PX))
 
 
 # --- outlines --------------------------------------------------------------------------------------------------------

@@ -275,8 +275,6 @@ def score(
     frames: Path | str | Sequence[NDArray[np.uint8]] | NDArray[np.uint8],
     fps: float | None = None,
     task: str = "",
-    *,
-    first_frame: Path | None = None,
 ) -> VideoScore:
     """Track the object of a task through a video, and judge its motion.
 
@@ -284,7 +282,6 @@ def score(
         frames: A video file, or pictures in red, green and blue of shape [height, width, 3] and type uint8.
         fps: Frames per second; those that the file states if None.
         task: Id of a task, such as `SlopeSlider-2-wood`; see `gauge_envs.tools.video.video_tasks`.
-        first_frame: Picture file that the model was given, by which the video is registered.
 
     Raises:
         UnknownNameError: There is no such task.
@@ -299,7 +296,7 @@ def score(
         raise VideoError("frames: state fps, the frames per second")
     else:
         source = ArrayFrames(frames, fps=fps)
-    track = track_object(source, chosen, first_frame=first_frame)
+    track = track_object(source, chosen)
     return score_track(track, chosen, name=source.name)
 
 

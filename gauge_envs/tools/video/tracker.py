@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,17 +20,11 @@ from gauge_envs.tools.video.frames import (
     Cadence,
     Frames,
     Picture,
-    Registration,
     cadence_of,
     cv2,
-    read_picture,
-    stretched,
 )
 from gauge_envs.tools.video.laws import GRAVITY_M_PER_S2, LEAST_APEX_RAD
-from gauge_envs.tools.video.registration import (
-    registration_by_first_frame,
-    registration_by_outline,
-)
+from gauge_envs.tools.video.registration import registration_by_outline
 from gauge_envs.tools.video.tasks import (
     PLATE_RADIUS_PX,
     REFERENCE_SIZE_PX,
@@ -59,12 +52,11 @@ MOST_MISFIT, MOST_ODD = 0.25, 0.15
 """Largest difference from the shape in the first frame, in parts of the area, and share of frames with a larger one.
 A disk in the place of its square differs by 0.21, a square in that of its disk by 0.27, and their sides add to it."""
 
-UNSEEN = "the object is not seen"
 FOREIGN = (
     "the first frame does not show the object of the task at its place, "
     "so its law, scale and direction do not apply"
 )
-"""What is said of a clip whose first frame, or the picture that is given as it, shows something else."""
+"""What is said of a clip whose first frame shows something else."""
 
 LOST_SHARE = 0.02
 """Share of the stated frames that a sound file may lack: some count one too many."""
@@ -73,9 +65,7 @@ TWIN_LIKENESS, LEAST_TWIN_FRAMES = 0.7, 3
 """Likeness from which another place shows a second object, and fewest frames with it that are no accident."""
 
 
-def track_object(
-    frames: Frames, task: VideoTask, *, first_frame: Path | None = None
-) -> Track:
+def track_object(frames: Frames, task: VideoTask) -> Track:
     """Return the track of the object of a task.
 
     A first pass finds the motion of the camera, and a second one the object in frames from which it is subtracted.
@@ -83,9 +73,8 @@ def track_object(
     Args:
         frames: The video; its first frame is the task's known one, in any resolution, stretched, cropped or padded.
         task: The task.
-        first_frame: Picture that the model was given, on the whole grid; the video is registered by its points.
     """
-    registration, foreign = _registered(next(frames.native()), task, first_frame)
+    registration = registration_by_outline(next(frames.native()), task)
     first = next(frames.pictures(registration))
     watch = SceneWatch(first, _moving_part(task))
     last = first
@@ -122,12 +111,11 @@ def track_object(
         for ones in candidates[:FIRST_FRAMES]
         for one in ones
     ]
-    if (
+    is_foreign = (
         task.motion is not Motion.CRADLE
         and min(early, default=math.inf) > FIRST_STEP * task.size_px
-    ):
-        foreign = FOREIGN
-    doubts = (registration.problem, foreign)
+    )
+    doubts = (registration.problem, FOREIGN if is_foreign else "")
     return Track(
         frames=np.flatnonzero(cadence.is_new),
         fps=cadence.fps,
@@ -193,21 +181,6 @@ def followed(candidates: list[list[Sight]], task: VideoTask, fps: float) -> list
                 # A ball that hangs is not looked for.
                 place, step = start, np.zeros(2)
     return path
-
-
-def _registered(
-    start: NDArray[np.uint8], task: VideoTask, first_frame: Path | None
-) -> tuple[Registration, str]:
-    """Return the registration of a video, and why its first frame is that of another scene; empty if it is not."""
-    if first_frame is None:
-        return registration_by_outline(start, task), ""
-    given = read_picture(first_frame)
-    shown = registration_by_outline(
-        stretched((given.shape[1], given.shape[0])).applied(given), task
-    )
-    return registration_by_first_frame(
-        start, given
-    ), FOREIGN if shown.problem.startswith(UNSEEN) else ""
 
 
 def _of_the_file(

@@ -94,35 +94,26 @@ def score_document(result: VideoScore, task: VideoTask | None) -> Document:
     scale = f"{1000.0 * result.scale_m_per_px:.3f} mm a pixel of the first frame"
     if result.track.registration is not None:
         scale += f"; registered by {result.track.registration.method}"
-    known = [name for name, value in result.metrics.items() if value is not None]
+    rows = [
+        {
+            "metric": TITLES[name],
+            "video": value,
+            "interval": result.uncertainty[name],
+            "law": law.get(name),
+            "real": real.get(name),
+        }
+        for name, value in result.metrics.items()
+        if value is not None
+    ]
     table = Table(
         columns=(
-            Column("", "metric", TITLES.__getitem__),
-            Column(
-                "",
-                "video",
-                lambda name: short_text(result.metrics[name]),
-                is_number=True,
-            ),
-            Column(
-                "",
-                "95 % interval",
-                lambda name: interval_text(result.uncertainty[name]),
-            ),
-            Column(
-                "",
-                "law",
-                lambda name: short_text(law[name]) if name in law else "-",
-                is_number=True,
-            ),
-            Column(
-                "",
-                "real trials",
-                lambda name: measured_text(real[name]) if name in real else "-",
-                is_number=True,
-            ),
+            Column("metric", "metric"),
+            Column("video", "video", short_text, is_number=True),
+            Column("interval", "95 % interval", interval_text),
+            Column("law", "law", short_text, is_number=True),
+            Column("real", "real trials", measured_text, is_number=True),
         ),
-        rows=known,
+        rows=rows,
     )
     return Document(
         parts=(
@@ -130,7 +121,7 @@ def score_document(result: VideoScore, task: VideoTask | None) -> Document:
                 f"{result.video}: {track_text(result)} for {result.task}; {span_text(result)}; {scale}"
             ),
             *(Paragraph(f"  {text}") for text in (*result.reasons, *result.findings)),
-            *([table] if known else []),
+            *([table] if rows else []),
         ),
         rows=[result.to_dict()],
     )
@@ -163,9 +154,9 @@ def span_text(result: VideoScore) -> str:
     )
 
 
-def short_text(value: float | None) -> str:
-    """Return a value with four digits; a dash for None."""
-    return "\u2013" if value is None else f"{value:.4g}"
+def short_text(value: float) -> str:
+    """Return a value with four digits."""
+    return f"{value:.4g}"
 
 
 def measured_text(value: Measured) -> str:
@@ -173,13 +164,9 @@ def measured_text(value: Measured) -> str:
     return f"{short_text(value.mean)} +- {value.std:.2g}"
 
 
-def interval_text(interval: tuple[float, float] | None) -> str:
-    """Return both ends of an interval; empty for None."""
-    return (
-        ""
-        if interval is None
-        else f"{short_text(interval[0])} to {short_text(interval[1])}"
-    )
+def interval_text(interval: tuple[float, float]) -> str:
+    """Return both ends of an interval."""
+    return f"{interval[0]:.4g} to {interval[1]:.4g}"
 
 
 # --- page ------------------------------------------------------------------------------------------------------------
@@ -217,15 +204,10 @@ def find_videos(folder: Path) -> tuple[list[tuple[str, str, Path]], list[Path]]:
     ]
     found = []
     for file in files:
-        model, *names = file.relative_to(folder).with_suffix("").parts
-        is_seed = len(names) == 2 and re.fullmatch("seed_[0-9]+", names[1]) is not None
-        if (
-            file.suffix.lower() in SUFFIXES
-            and names
-            and names[0] in tasks
-            and (len(names) == 1 or is_seed)
-        ):
-            found.append((model, names[0], file))
+        name = file.relative_to(folder).with_suffix("").as_posix()
+        parts = re.fullmatch("([^/]+)/([^/]+)(/seed_[0-9]+)?", name)
+        if parts and parts[2] in tasks and file.suffix.lower() in SUFFIXES:
+            found.append((parts[1], parts[2], file))
     if not found:
         raise VideoError(
             f"{folder}: it holds no video of a task; expected MODEL/TASK.mp4 with a TASK of {', '.join(tasks)}"
@@ -452,19 +434,10 @@ def _drawn(picture: Picture, result: VideoScore, number: int) -> Picture:
     if np.isfinite(places[row]).all():
         x, y = places[row]
         cv2.drawMarker(drawn, (round(x), round(y)), MARKED, cv2.MARKER_CROSS, 22, 2)
-    values = [
-        f"{name} {value:.3g}"
-        for name, value in result.metrics.items()
-        if value is not None
-    ]
-    is_counted = span is not None and span[0] <= number <= span[1]
-    state = "counted" if is_counted else "dropped"
-    seen = f"frame {number}, {state}, confidence {track.confidence[row]:.2f}"
-    lines = [seen, f"{track_text(result)}: {', '.join(values)}"]
-    for line, text in enumerate(lines):
-        place = (10, drawn.shape[0] - 30 + 20 * line)
-        # White letters on black ones that are broader.
-        for grey, width in ((0, 3), (255, 1)):
-            font, color = cv2.FONT_HERSHEY_SIMPLEX, (grey, grey, grey)
-            cv2.putText(drawn, text, place, font, 0.5, color, width, cv2.LINE_AA)
+    text = f"frame {number}, confidence {track.confidence[row]:.2f}"
+    place = (10, drawn.shape[0] - 10)
+    # White letters on black ones that are broader.
+    for grey, width in ((0, 3), (255, 1)):
+        font, color = cv2.FONT_HERSHEY_SIMPLEX, (grey, grey, grey)
+        cv2.putText(drawn, text, place, font, 0.5, color, width, cv2.LINE_AA)
     return drawn

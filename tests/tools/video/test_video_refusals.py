@@ -8,7 +8,7 @@ cv2 = pytest.importorskip("cv2")
 
 from gauge_envs.errors import GaugeError, UnknownNameError, VideoError  # noqa: E402
 from gauge_envs.tools.video import read_track, score, video_task  # noqa: E402
-from gauge_envs.tools.video.frames import FileFrames, read_picture  # noqa: E402
+from gauge_envs.tools.video.frames import FileFrames  # noqa: E402
 from gauge_envs.tools.video.plane import read_camera  # noqa: E402
 
 HUGE = "9" * 400
@@ -78,13 +78,6 @@ def tracked(file):
         ),
         ("zeros.mp4", FileFrames, "\0" * 1000, "OpenCV cannot decode it"),
         ("none.mp4", FileFrames, None, "there is no such file"),
-        (
-            "first.png",
-            read_picture,
-            "no picture",
-            "give the first frame as PNG or JPEG",
-        ),
-        ("none.png", read_picture, None, "No such file"),
     ],
 )
 def test_a_damaged_file_is_an_error_that_names_it(name, read, content, words, tmp_path):
@@ -117,7 +110,7 @@ def test_an_unknown_task_is_an_error():
 
 WRONG = """
 video board board.jpg
-video score track.csv --id SlopeSlider-2-wood --fps=30 --first-frame first.png
+video score track.csv --id SlopeSlider-2-wood --fps=30 --out drawn
 video score film.mp4 --id SlopeSlider-2-wood --camera camera.toml
 video score track.csv --id SlopeSlider-2-wood --fps=30 --camera camera.toml
 """
