@@ -82,6 +82,13 @@ class BoardPose:
     rotation_rad: FloatArray
     translation_m: FloatArray
 
+    def to_plane(self, offset_m: float) -> FloatArray:
+        """Return the homography from straight coordinates to the plane that lies before the board, shape [3, 3]."""
+        rotation, _ = cv2.Rodrigues(self.rotation_rad)
+        right, up, towards = rotation.T
+        middle = self.translation_m + offset_m * towards
+        return np.asarray(np.linalg.inv(np.column_stack([right, up, middle])))
+
     def seen_px(self, places_m: FloatArray) -> FloatArray:
         """Return where the camera sees places on the board [m], shape [count, 3], in the picture [px], [count, 2]."""
         places_px, _ = cv2.projectPoints(
@@ -128,36 +135,27 @@ def board_poses(
     return poses
 
 
-def board_views(
-    poses: list[BoardPose | None], view: PlaneView, board: Board
-) -> list[PlaneView | None]:
-    """Return how each frame sees the plane, with the uncertainty of the first; None without a board."""
+def board_camera(pose: BoardPose, view: PlaneView, board: Board) -> PlaneView:
+    """Return how a frame sees the plane before the board, by outer corners of it that have an uncertainty."""
     corners_m = corners_of_print(board)
     outer_m = corners_m[[0, SQUARES[0] - 2, -1, 1 - SQUARES[0]]]
     plane_m = outer_m + np.array([0.0, 0.0, board.offset_m])
-    uncertainty: dict[str, float] = {}
-    views: list[PlaneView | None] = []
-    for pose in poses:
-        if pose is None:
-            views.append(None)
-            continue
-        if not uncertainty:
-            places_m, places_px = pose.corners
-            missed_px = pose.seen_px(places_m) - places_px
-            # What is before the board looks larger, by its share of the distance, which grows with the focal length.
-            tilt = math.hypot(
-                board.offset_sigma_m, board.offset_m * pose.focal_sigma
-            ) / float(np.linalg.norm(pose.translation_m))
-            # Each of four points is drawn on its own, so an error that all share is counted twice as large.
-            sigma_m = 2.0 * math.hypot(board.sigma_m, tilt * np.linalg.norm(outer_m[0]))
-            uncertainty = {"sigma_px": float(missed_px.std()), "sigma_m": sigma_m}
-        plane_px = pose.seen_px(plane_m)
-        pairs = PointPairs(
-            px=plane_px.tolist(), m=outer_m[:, :2].tolist(), **uncertainty
-        )
-        placed = {"lens": pose.lens, "points": pairs, "board": None}
-        views.append(view.model_copy(update=placed))
-    return views
+    places_m, places_px = pose.corners
+    missed_px = pose.seen_px(places_m) - places_px
+    # What is before the board looks larger, by its share of the distance, which grows with the focal length.
+    tilt = math.hypot(board.offset_sigma_m, board.offset_m * pose.focal_sigma) / float(
+        np.linalg.norm(pose.translation_m)
+    )
+    # Each of four points is drawn on its own, so an error that all share is counted twice as large.
+    sigma_m = 2.0 * math.hypot(board.sigma_m, tilt * np.linalg.norm(outer_m[0]))
+    pairs = PointPairs(
+        px=pose.seen_px(plane_m).tolist(),
+        m=outer_m[:, :2].tolist(),
+        sigma_px=float(missed_px.std()),
+        sigma_m=sigma_m,
+    )
+    placed = {"lens": pose.lens, "points": pairs, "board": None}
+    return view.model_copy(update=placed)
 
 
 def _board_corners(source: Frames, corners_m: FloatArray) -> list[Corners | None]:

@@ -121,15 +121,12 @@ def _board_findings(
     places_m, places_px = first.corners
     seen = sum(pose is not None for pose in poses)
     corner_count = int((SQUARES - 1).prod())
-    area_m2 = cv2.contourArea(cv2.convexHull(places_m[:, :2].astype(np.float32)))
-    area_px2 = cv2.contourArea(cv2.convexHull(places_px.astype(np.float32)))
-    square_px = board.square_m * math.sqrt(area_px2 / area_m2)
     blur_px = edge_blur_px(picture, places_px)
     roll, yaw, pitch = board_angles_deg(first)
     distance_m = float(np.linalg.norm(first.translation_m))
-    field_deg = math.degrees(
-        2.0 * math.atan(0.5 * picture.shape[1] / first.lens.matrix[0][0])
-    )
+    focal_px = first.lens.matrix[0][0]
+    square_px = board.square_m * focal_px / distance_m
+    field_deg = math.degrees(2.0 * math.atan(0.5 * picture.shape[1] / focal_px))
     return [
         Finding(
             name="board",
@@ -197,12 +194,13 @@ def _object_findings(
         )
     ]
     if board is not None:
+        right_mm, up_mm = 1e3 * centre_m
         away_m = float(np.linalg.norm(centre_m))
         half_width_m = 0.5 * SQUARES[0] * board.square_m
         findings.append(
             Finding(
                 name="side",
-                text=f"{1e3 * away_m:.0f} mm {_side(centre_m)} the middle of the board",
+                text=f"{right_mm:+.0f} mm to the right and {up_mm:+.0f} mm up from the middle of the board",
                 advice="bring the board nearer to the motion, or print a larger one"
                 if away_m > MOST_AWAY * half_width_m
                 else "",
@@ -232,10 +230,7 @@ def edge_blur_px(picture: Picture, corners_px: FloatArray) -> float:
     high = np.ceil(corners_px.max(axis=0)).astype(int)
     part = grey[low[1] : high[1], low[0] : high[0]]
     dark, bright = np.percentile(part, [5.0, 95.0])
-    slope = np.hypot(
-        0.5 * (part[1:-1, 2:] - part[1:-1, :-2]),
-        0.5 * (part[2:, 1:-1] - part[:-2, 1:-1]),
-    )
+    slope = np.hypot(*np.gradient(part))
     steepest = float(np.percentile(slope, 97.0))
     return float(bright - dark) / (math.sqrt(2.0 * math.pi) * max(steepest, 1e-6))
 
@@ -248,8 +243,7 @@ def board_angles_deg(pose: BoardPose) -> tuple[float, float, float]:
     """
     rotation, _ = cv2.Rodrigues(pose.rotation_rad)
     # The board points to the right, up and towards the camera; the camera to the right, down and away.
-    right = rotation[:, 0]
-    towards_camera = -rotation.T @ np.array([0.0, 0.0, 1.0])
+    right, towards_camera = rotation[:, 0], -rotation[2]
     roll = math.atan2(right[1], right[0])
     yaw = math.atan2(towards_camera[0], towards_camera[2])
     pitch = math.atan2(towards_camera[1], towards_camera[2])
@@ -308,10 +302,3 @@ def _draw(picture: Picture, first: BoardPose | None, box_px: Box | None) -> None
     if box_px is not None:
         corners = box_corners(box_px).round().astype(int)
         cv2.rectangle(picture, corners[0].tolist(), corners[2].tolist(), RED, 2 * thick)
-
-
-def _side(place_m: FloatArray) -> str:
-    """Return where a place is, seen from the middle of the board."""
-    across = "to the right of" if place_m[0] > 0.0 else "to the left of"
-    up = "above" if place_m[1] > 0.0 else "below"
-    return across if abs(place_m[0]) > abs(place_m[1]) else up

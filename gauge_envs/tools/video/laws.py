@@ -63,14 +63,12 @@ class OscillationFit:
     Attributes:
         period_s: Period of the damped oscillation [s].
         damping_per_s: Rate at which the amplitude decays [1/s]; negative for a growing one.
-        equilibrium_rad: Angle of equilibrium [rad].
         r2: Coefficient of determination, 1.
         residuals_rad: What the law does not explain [rad], shape [sample_count].
     """
 
     period_s: float
     damping_per_s: float
-    equilibrium_rad: float
     r2: float
     residuals_rad: FloatArray
 
@@ -213,13 +211,10 @@ def fit_damped_oscillation(
     options = {"xatol": fine, "fatol": fine**2 * spread, "maxiter": 2000}
     found = minimize(cost, best, method="Nelder-Mead", options=options)
     beta, omega = float(found.x[0]) / window, abs(float(found.x[1])) / window
-    (equilibrium, *_), residual = _least_squares(
-        _oscillation(clock, beta, omega), values
-    )
+    _, residual = _least_squares(_oscillation(clock, beta, omega), values)
     return OscillationFit(
         period_s=2.0 * np.pi / omega,
         damping_per_s=beta,
-        equilibrium_rad=float(equilibrium),
         r2=1.0 - float(residual @ residual) / spread,
         residuals_rad=residual,
     )

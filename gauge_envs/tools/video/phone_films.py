@@ -17,7 +17,7 @@ from gauge_envs.errors import ParameterError, UnknownNameError, VideoError
 from gauge_envs.evaluation.estimators import restitution_of_flights, slide_friction
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.video import laws
-from gauge_envs.tools.video.board import BoardPose, board_poses, board_views
+from gauge_envs.tools.video.board import BoardPose, board_camera, board_poses
 from gauge_envs.tools.video.frames import Frames, Picture, cv2
 from gauge_envs.tools.video.plane import Calibration, PlaneView, main_direction
 from gauge_envs.tools.video.scoring import VideoScore, noise_px, score_track
@@ -100,11 +100,12 @@ class FrontalFilm(Frames):
         self._source = source
         self.camera = view
         self.poses: list[BoardPose | None] = []
-        self._views: list[PlaneView | None] | None = None
+        self._board = view.board
         if view.board is not None:
             self.poses = board_poses(source, view, view.board)
-            self._views = board_views(self.poses, view, view.board)
-            self.camera = self._views[0] or view
+            first = self.poses[0]
+            assert first is not None
+            self.camera = board_camera(first, view, view.board)
         width, height = source.size_px
         border = np.array(
             [[0, 0], [0.5, 0], [1, 0], [1, 0.5], [1, 1], [0.5, 1], [0, 1], [0, 0.5]]
@@ -141,9 +142,9 @@ class FrontalFilm(Frames):
     def times_s(self) -> FloatArray | None:
         """Times of the frames that show the board [s]; None when they follow from the rate."""
         times = self._source.times_s
-        if self._views is None or None not in self._views:
+        if None not in self.poses:
             return times
-        kept = np.array([one is not None for one in self._views])
+        kept = np.array([one is not None for one in self.poses])
         return (np.arange(len(kept)) / self.fps if times is None else times)[kept]
 
     def native(self) -> Iterator[Picture]:
@@ -155,19 +156,19 @@ class FrontalFilm(Frames):
                 [0, 0, 1],
             ]
         )
+        lens = self.camera.lens
+        coefficients = (np.eye(3), np.zeros(4)) if lens is None else lens.coefficients
+        to_plane = self.camera.to_plane
         maps: Any = None
         for number, picture in enumerate(self._source.native()):
-            view = self.camera if self._views is None else self._views[number]
-            if view is None:
-                continue
-            if maps is None or self._views is not None:
-                lens = (
-                    (np.eye(3), np.zeros(4))
-                    if view.lens is None
-                    else view.lens.coefficients
-                )
+            if self._board is not None:
+                pose = self.poses[number]
+                if pose is None:
+                    continue
+                to_plane = pose.to_plane(self._board.offset_m)
+            if maps is None or self._board is not None:
                 maps = cv2.initUndistortRectifyMap(
-                    *lens, view.to_plane, frontal, REFERENCE_SIZE_PX, cv2.CV_32FC1
+                    *coefficients, to_plane, frontal, REFERENCE_SIZE_PX, cv2.CV_32FC1
                 )
             smooth = (
                 cv2.GaussianBlur(picture, (0, 0), self._blur_px)

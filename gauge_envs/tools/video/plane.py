@@ -26,8 +26,8 @@ from gauge_envs.tools.video.frames import cv2
 from gauge_envs.tools.video.tasks import Motion, VideoTask
 from gauge_envs.tools.video.track import Track
 
-LEAST_SPREAD = 0.02
-"""Smallest ratio of the shorter to the longer spread of the points: below, they lie on a line and span no plane."""
+LEAST_SPREAD = 0.01
+"""Distance of a corner of the points from a line between others, in their circumference, from which it counts."""
 
 Pair: TypeAlias = tuple[float, float]
 Triple: TypeAlias = tuple[float, float, float]
@@ -82,19 +82,18 @@ class PointPairs(FileModel):
 
     @model_validator(mode="after")
     def _span_a_plane(self) -> Self:
-        """Check that points span a plane: without any one of them, the others are no line."""
+        """Check that points span a plane: they have four corners."""
         if not len(self.px) == len(self.m) >= 4:
             raise ValueError(
                 f"px has {len(self.px)} and m {len(self.m)} points; give at least 4 of each, in the same order"
             )
         for name, places in (("px", self.px), ("m", self.m)):
-            for left_out in range(len(places)):
-                kept = np.delete(places, left_out, axis=0)
-                spreads = np.linalg.svd(kept - kept.mean(axis=0), compute_uv=False)
-                if spreads[1] <= LEAST_SPREAD * spreads[0]:
-                    raise ValueError(
-                        f"{name} has three of four points on a line: they span no plane"
-                    )
+            outline = cv2.convexHull(np.array(places, dtype=np.float32))
+            slack = LEAST_SPREAD * cv2.arcLength(outline, True)
+            if len(cv2.approxPolyDP(outline, slack, True)) < 4:
+                raise ValueError(
+                    f"{name} has three of four points on a line: they span no plane"
+                )
         return self
 
     def to_plane(self, lens: Lens | None) -> FloatArray:
