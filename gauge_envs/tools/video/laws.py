@@ -149,21 +149,6 @@ def dynamic_error(
     return float(exceedance.mean()), sizes
 
 
-def momentum_transfer(release_height_m: float, apex_heights_m: ArrayLike) -> float:
-    """Return the momentum transfer efficiency of equal pendulums: mean ratio of outgoing to incoming momentum, 1.
-
-    Equations "c5-event-mte" and "c5-mte" of the paper's appendix, from heights above the hanging position.
-
-    Args:
-        release_height_m: Height from which the incoming ball is released [m].
-        apex_heights_m: Heights of the apices of the outgoing ball [m], shape [event_count].
-    """
-    heights = np.asarray(apex_heights_m, dtype=float).ravel()
-    if not heights.size:
-        raise ParameterError("momentum transfer: there is no apex of the outgoing ball")
-    return float(np.sqrt(heights / release_height_m).mean())
-
-
 def fit_damped_oscillation(
     times_s: ArrayLike,
     angles_rad: ArrayLike,
@@ -322,6 +307,8 @@ def retained(track: Track, task: VideoTask) -> tuple[int, int] | None:
         task: The task, whose kind of motion decides the rule.
     """
     rows = np.flatnonzero(track.is_found)
+    if task.motion is Motion.CRADLE:
+        return (int(rows[0]), int(rows[-1])) if len(rows) else None
     if len(rows) <= WINDOW:
         return None
     if task.motion in (Motion.SLIDE, Motion.FALL):

@@ -305,7 +305,6 @@ def score_track(
     task: VideoTask,
     *,
     name: str = "track",
-    seed: int = 0,
     calibration: Calibration | None = None,
 ) -> VideoScore:
     """Judge the motion of a track.
@@ -314,15 +313,11 @@ def score_track(
         track: The track, on the reference grid.
         task: The task.
         name: Name of the result.
-        seed: Seed of the simulated tracks.
         calibration: How a film of one's own is placed on the grid; None for the known first frame.
     """
     if track.is_metric and track.is_found.any():
         track, task, calibration = metric_on_grid(track, task)
     span = laws.retained(track, task)
-    if task.motion is Motion.CRADLE:
-        found = np.flatnonzero(track.is_found)
-        span = (int(found[0]), int(found[-1])) if len(found) else None
     metrics: Metrics = {}
     details: Metrics = {}
     faults, findings = faults_of(track, task, span)
@@ -332,20 +327,10 @@ def score_track(
         except ParameterError as error:
             findings.append(str(error))
     findings += findings_of(track, task, span, metrics)
-    swing = None
-    if task.motion is Motion.PENDULUM and metrics and span is not None:
-        rows, guess = (
-            _found(track, span),
-            (details["damping_per_s"], 2.0 * math.pi / metrics["pd"]),
-        )
-        swing = laws.fit_damped_oscillation(
-            track.times_s[rows], laws.swing_angles_rad(track, task)[rows], guess=guess
-        )
-    rng = np.random.default_rng(seed)
     intervals = (
         {}
         if span is None or not metrics
-        else _intervals(track, task, span, rng, metrics, swing, calibration)
+        else _intervals(track, task, span, metrics | details, calibration)
     )
     return VideoScore(
         video=name,
@@ -442,15 +427,14 @@ def paper_metrics(
     heights = np.array(
         [laws.peak(times_s[i - 1 : i + 2], rises_m[i - 1 : i + 2]) for i in events]
     )
-    heights = np.maximum(heights, 0.0)
-    mte = laws.momentum_transfer(task.release_height_m, heights)
-    low, high = np.sqrt(
-        np.array([heights.min(), heights.max()]) / task.release_height_m
-    )
-    return {"mte": mte}, {
+    # Equations "c5-event-mte" and "c5-mte" of the paper's appendix: outgoing over incoming momentum of equal balls.
+    transfers = np.sqrt(np.maximum(heights, 0.0) / task.release_height_m)
+    if not len(transfers):
+        raise ParameterError("momentum transfer: there is no apex of the outgoing ball")
+    return {"mte": float(transfers.mean())}, {
         "event_count": float(len(events)),
-        "least_event": float(low),
-        "largest_event": float(high),
+        "least_event": float(transfers.min()),
+        "largest_event": float(transfers.max()),
     }
 
 
@@ -481,17 +465,28 @@ def _slow_noise(track: Track, rng: np.random.Generator) -> FloatArray:
     return np.column_stack([np.interp(rows, knots, values[:, axis]) for axis in (0, 1)])
 
 
+def _swing(
+    track: Track, task: VideoTask, span: tuple[int, int], nominal: Metrics
+) -> laws.OscillationFit | None:
+    """Return the fit of a pendulum's swing in fractions of pixels; None for other motions."""
+    if task.motion is not Motion.PENDULUM:
+        return None
+    rows = _found(track, span)
+    angles_rad = laws.swing_angles_rad(track, task)[rows]
+    guess = (nominal["damping_per_s"], 2.0 * math.pi / nominal["pd"])
+    return laws.fit_damped_oscillation(track.times_s[rows], angles_rad, guess=guess)
+
+
 def _intervals(
     track: Track,
     task: VideoTask,
     span: tuple[int, int],
-    rng: np.random.Generator,
     nominal: Metrics,
-    swing: laws.OscillationFit | None,
     calibration: Calibration | None,
 ) -> dict[str, tuple[float, float]]:
     """Return the interval of each metric, over simulated noise, scales, pivots and choices of the interval."""
-    noise = noise_px(track, span)
+    noise, rng = noise_px(track, span), np.random.default_rng(0)
+    swing = _swing(track, task, span, nominal)
     guess = (
         None if swing is None else (swing.damping_per_s, 2.0 * math.pi / swing.period_s)
     )

@@ -10,7 +10,6 @@ from gauge_envs.tools.video.laws import (
     dynamic_error,
     fit_constant_acceleration,
     fit_damped_oscillation,
-    momentum_transfer,
     peak,
 )
 
@@ -81,12 +80,6 @@ def test_accelerations_over_a_gap_are_exact_for_a_parabola():
     parabola = np.column_stack([1.5 * times_s**2, 0.2 * times_s])
     _, sizes = dynamic_error(times_s, parabola, mass_kg=1.0, friction=0.0)
     assert sizes == pytest.approx(3.0)
-
-
-def test_momentum_transfer_averages_the_ratios_of_speeds():
-    assert momentum_transfer(0.16, [0.04, 0.01]) == pytest.approx((0.5 + 0.25) / 2.0)
-    with pytest.raises(ParameterError, match="no apex"):
-        momentum_transfer(0.16, [])
 
 
 @pytest.mark.parametrize(
