@@ -10,7 +10,7 @@ import numpy as np
 from gauge_envs.errors import VideoError
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.video.board import SQUARES, BoardPose
-from gauge_envs.tools.video.frames import LEAST_FRAMES, Frames, Picture, cv2
+from gauge_envs.tools.video.frames import Frames, Picture, cv2
 from gauge_envs.tools.video.phone_films import FrontalFilm, box_corners
 from gauge_envs.tools.video.plane import Board, PlaneView
 
@@ -80,15 +80,8 @@ def check_film(
     picture = next(source.native()).copy()
     frame_count = sum(1 for _ in source.native())
     width, height = source.size_px
-    findings = [
-        Finding(
-            name="film",
-            text=f"{width} x {height} pixels, {frame_count} frames, {source.fps:.4g} a second as stated",
-            advice=f"a motion needs {LEAST_FRAMES} frames"
-            if frame_count < LEAST_FRAMES
-            else "",
-        )
-    ]
+    text = f"{width} x {height} pixels, {frame_count} frames, {source.fps:.4g} a second as stated"
+    findings = [Finding(name="film", text=text)]
     try:
         film = FrontalFilm(source, view)
     except VideoError as error:
@@ -187,10 +180,11 @@ def _object_findings(
     size_mm, centre_m = 1e3 * (high - low), 0.5 * (low + high)
     box = ",".join(f"{value:.0f}" for value in box_px)
     asked = ": is this the object, whole and alone?" if is_proposed else ""
+    size_px = 1e-3 * size_mm.mean() / film.scale
     findings = [
         Finding(
             name="object",
-            text=f"--object {box}, {size_mm[0]:.0f} x {size_mm[1]:.0f} mm{asked}",
+            text=f"--object {box}, {size_mm[0]:.0f} x {size_mm[1]:.0f} mm, {size_px:.0f} px when judged{asked}",
         )
     ]
     if board is not None:
@@ -206,13 +200,6 @@ def _object_findings(
                 else "",
             )
         )
-    scale = 1e3 * film.scale
-    findings.append(
-        Finding(
-            name="scale",
-            text=f"{scale:.2f} mm a pixel of the frontal picture, {size_mm.mean() / scale:.0f} px for the object",
-        )
-    )
     return findings
 
 

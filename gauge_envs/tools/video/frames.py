@@ -419,13 +419,16 @@ def cadence_of(
             return Cadence(
                 is_new=every, times_s=times_s - times_s[0], fps=rate, text=text
             )
-    rhythm = _rhythm(differences)
+    values = np.r_[0.0, differences[1:]]
+    # The grain of a body at rest is far below its motion.
+    moves = values > max(LEAST_MOTION, REPEAT_SHARE * float(values.max()))
+    rhythm = _rhythm(values, moves)
     if rhythm is None:
         return Cadence(
             is_new=every,
             times_s=np.arange(count) / fps,
             fps=fps,
-            fault=_halts(differences),
+            fault=_halts(values, moves),
         )
     period = len(rhythm)
     is_new = ~np.resize(rhythm, count)
@@ -440,11 +443,8 @@ def cadence_of(
     )
 
 
-def _halts(differences: FloatArray) -> str:
+def _halts(values: FloatArray, moves: NDArray[np.bool_]) -> str:
     """Return which frames repeat a picture without a rhythm while something moves; empty for few."""
-    values = np.array(differences)
-    values[0] = 0.0
-    moves = values > max(LEAST_MOTION, REPEAT_SHARE * float(values.max()))
     halts = []
     for row in range(2, len(values) - 2):
         # One jump of everything beside it makes no repeat.
@@ -458,12 +458,8 @@ def _halts(differences: FloatArray) -> str:
     return f"{len(halts)} frames repeat a picture without a rhythm, so that times are unknown: {shown}"
 
 
-def _rhythm(differences: FloatArray) -> NDArray[np.bool_] | None:
+def _rhythm(values: FloatArray, moves: NDArray[np.bool_]) -> NDArray[np.bool_] | None:
     """Return which frames of one period repeat the one before, shape [period]; None without a rhythm."""
-    values = np.array(differences)
-    values[0] = 0.0
-    # The grain of a body at rest is far below its motion.
-    moves = values > max(LEAST_MOTION, REPEAT_SHARE * float(values.max()))
     count = len(values)
     near = [values[max(0, row - 2) : row + 3].max() for row in range(count)]
     repeats = values < REPEAT_SHARE * np.array(near)

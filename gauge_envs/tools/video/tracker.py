@@ -225,15 +225,18 @@ def _is_allowed(sight: Sight, task: VideoTask) -> bool:
     )
 
 
+def _row_px(task: VideoTask) -> float:
+    """Return how far to the left of the last ball the first one of a cradle hangs [px]."""
+    return (CRADLE_BALLS - 1) * task.size_px
+
+
 def _is_neighbour(sight: Sight, task: VideoTask) -> bool:
     """Return whether another ball of a cradle can be at a place: the first one on its arc, all of them near the row."""
     if task.motion is not Motion.CRADLE or _is_allowed(sight, task):
         return False
     assert task.pivot_px is not None and task.rest_px is not None
     x, y = sight.place - task.pivot_px
-    length = task.rest_px[1] - task.pivot_px[1]
-    # The incoming ball hangs as many diameters to the left as there are balls before the last one.
-    row_px = (CRADLE_BALLS - 1) * task.size_px
+    length, row_px = task.rest_px[1] - task.pivot_px[1], _row_px(task)
     first_x = x + row_px
     is_on_arc = (
         first_x < 0.0 and 0.92 * length <= math.hypot(first_x, y) <= 1.08 * length
@@ -252,8 +255,7 @@ def _moving_part(task: VideoTask) -> NDArray[np.bool_]:
     if task.motion is Motion.CRADLE:
         assert task.pivot_px is not None and task.rest_px is not None
         x, y = task.pivot_px
-        # The incoming ball hangs as many diameters to the left as there are balls before the last one.
-        first_x = x - (CRADLE_BALLS - 1) * task.size_px
+        first_x = x - _row_px(task)
         reach = task.rest_px[1] - y + task.size_px
         away = np.hypot(columns - np.clip(columns, first_x, x), rows - y)
         return (away < reach) & (rows > y - task.size_px)

@@ -214,7 +214,7 @@ def test_a_film_says_what_it_shows_before_it_is_scored():
         one.name: one.text for one in check_film(wall_film(frames=14), BOARD_VIEW)[0]
     }
     box = re.match(
-        r"--object [\d,]+, (\d+) x (\d+) mm: is this the object", level["object"]
+        r"--object [\d,]+, (\d+) x (\d+) mm, \d+ px when judged: is this the object", level["object"]
     )
     for edge_mm in map(float, box.groups()):
         assert edge_mm == pytest.approx(1e3 * EDGE_M, abs=3.0)
