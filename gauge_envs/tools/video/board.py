@@ -13,7 +13,7 @@ from gauge_envs.errors import ParameterError, VideoError
 from gauge_envs.files import os_errors
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.video.frames import Frames, cv2
-from gauge_envs.tools.video.plane import Board, Lens, PlaneView, PointPairs
+from gauge_envs.tools.video.plane import Board, CameraFile, Lens, homogeneous
 
 SQUARES = np.array([7, 5])
 """Squares of the board across and down."""
@@ -71,6 +71,7 @@ class BoardPose:
     Attributes:
         lens: Lens of the film.
         focal_sigma: Relative standard uncertainty of its focal length; 0 for a stated lens.
+        board: The board, behind the plane of the motion.
         corners: The corners that are seen.
         rotation_rad: Rotation vector from the board to the camera, as in OpenCV, shape [3].
         translation_m: Middle of the board in the frame of the camera [m], shape [3].
@@ -78,16 +79,32 @@ class BoardPose:
 
     lens: Lens
     focal_sigma: float
+    board: Board
     corners: Corners
     rotation_rad: FloatArray
     translation_m: FloatArray
 
-    def to_plane(self, offset_m: float) -> FloatArray:
-        """Return the homography from straight coordinates to the plane that lies before the board, shape [3, 3]."""
+    @property
+    def distance_m(self) -> float:
+        """Distance of the middle of the board from the camera [m]."""
+        return float(np.linalg.norm(self.translation_m))
+
+    @property
+    def to_plane(self) -> FloatArray:
+        """Homography from straight coordinates to the plane of the motion, shape [3, 3]."""
         rotation, _ = cv2.Rodrigues(self.rotation_rad)
         right, up, towards = rotation.T
-        middle = self.translation_m + offset_m * towards
+        middle = self.translation_m + self.board.offset_m * towards
         return np.asarray(np.linalg.inv(np.column_stack([right, up, middle])))
+
+    def to_plane_m(self, points_px: FloatArray) -> FloatArray:
+        """Return places in the plane [m] of places in the picture [px], both of shape [count, 2]."""
+        return homogeneous(self.to_plane, self.lens.straight(points_px))
+
+    def to_picture_px(self, points_m: FloatArray) -> FloatArray:
+        """Return places in the picture [px] of places in the plane [m], both of shape [count, 2]."""
+        offsets_m = np.full(len(points_m), self.board.offset_m)
+        return self.seen_px(np.column_stack([points_m, offsets_m]))
 
     def seen_px(self, places_m: FloatArray) -> FloatArray:
         """Return where the camera sees places on the board [m], shape [count, 3], in the picture [px], [count, 2]."""
@@ -104,18 +121,16 @@ def corners_of_print(board: Board) -> FloatArray:
     return np.asarray((inner - middle) * [1.0, -1.0, 0.0] * board.square_m)
 
 
-def board_poses(
-    source: Frames, view: PlaneView, board: Board
-) -> list[BoardPose | None]:
+def board_poses(source: Frames, camera: CameraFile) -> list[BoardPose | None]:
     """Return how each frame sees the board; None where it does not.
 
     Raises:
         VideoError: The first frame, or too many of the others, do not show it.
     """
-    found = _board_corners(source, corners_of_print(board))
+    found = _board_corners(source, corners_of_print(camera.board))
     seen = [corners for corners in found if corners is not None]
     lens, focal_sigma = (
-        _calibrated(seen, source.size_px) if view.lens is None else (view.lens, 0.0)
+        _calibrated(seen, source.size_px) if camera.lens is None else (camera.lens, 0.0)
     )
     poses: list[BoardPose | None] = []
     for corners in found:
@@ -127,6 +142,7 @@ def board_poses(
             BoardPose(
                 lens=lens,
                 focal_sigma=focal_sigma,
+                board=camera.board,
                 corners=corners,
                 rotation_rad=turn.ravel(),
                 translation_m=away.ravel(),
@@ -135,27 +151,19 @@ def board_poses(
     return poses
 
 
-def board_camera(pose: BoardPose, view: PlaneView, board: Board) -> PlaneView:
-    """Return how a frame sees the plane before the board, by outer corners of it that have an uncertainty."""
-    corners_m = corners_of_print(board)
-    outer_m = corners_m[[0, SQUARES[0] - 2, -1, 1 - SQUARES[0]]]
-    plane_m = outer_m + np.array([0.0, 0.0, board.offset_m])
+def outer_corners(pose: BoardPose) -> tuple[FloatArray, float]:
+    """Return four places in the plane by which a frame places it [m], shape [4, 2], and their uncertainty [m]."""
+    board = pose.board
+    outer_m = corners_of_print(board)[[0, SQUARES[0] - 2, -1, 1 - SQUARES[0]], :2]
     places_m, places_px = pose.corners
-    missed_px = pose.seen_px(places_m) - places_px
+    missed_px = float((pose.seen_px(places_m) - places_px).std())
     # What is before the board looks larger, by its share of the distance, which grows with the focal length.
-    tilt = math.hypot(board.offset_sigma_m, board.offset_m * pose.focal_sigma) / float(
-        np.linalg.norm(pose.translation_m)
-    )
+    depth_sigma_m = math.hypot(board.offset_sigma_m, board.offset_m * pose.focal_sigma)
+    tilt = depth_sigma_m / pose.distance_m
     # Each of four points is drawn on its own, so an error that all share is counted twice as large.
-    sigma_m = 2.0 * math.hypot(board.sigma_m, tilt * np.linalg.norm(outer_m[0]))
-    pairs = PointPairs(
-        px=pose.seen_px(plane_m).tolist(),
-        m=outer_m[:, :2].tolist(),
-        sigma_px=float(missed_px.std()),
-        sigma_m=sigma_m,
-    )
-    placed = {"lens": pose.lens, "points": pairs, "board": None}
-    return view.model_copy(update=placed)
+    shared_m = 2.0 * math.hypot(board.sigma_m, tilt * np.linalg.norm(outer_m[0]))
+    m_per_px = pose.distance_m / pose.lens.matrix[0][0]
+    return outer_m, math.hypot(shared_m, missed_px * m_per_px)
 
 
 def _board_corners(source: Frames, corners_m: FloatArray) -> list[Corners | None]:

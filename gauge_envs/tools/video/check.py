@@ -12,7 +12,7 @@ from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.video.board import SQUARES, BoardPose
 from gauge_envs.tools.video.frames import Frames, Picture, cv2
 from gauge_envs.tools.video.phone_films import FrontalFilm, box_corners
-from gauge_envs.tools.video.plane import Board, PlaneView
+from gauge_envs.tools.video.plane import CameraFile
 
 LEAST_SQUARE_PX = 15.0
 """Edge of a square of the board in the first frame [px]: the marker of 6 x 6 cells fills three quarters of it."""
@@ -68,13 +68,13 @@ Box = Sequence[float]
 
 
 def check_film(
-    source: Frames, view: PlaneView, box_px: Box | None = None
+    source: Frames, camera: CameraFile, box_px: Box | None = None
 ) -> tuple[list[Finding], Picture]:
     """Return what a film shows before anything is measured, and its first frame with that drawn in.
 
     Args:
         source: The film.
-        view: How the camera file says that it sees the plane.
+        camera: The camera file.
         box_px: Box around the object in the first frame; where something moves away from if None.
     """
     picture = next(source.native()).copy()
@@ -83,40 +83,29 @@ def check_film(
     text = f"{width} x {height} pixels, {frame_count} frames, {source.fps:.4g} a second as stated"
     findings = [Finding(name="film", text=text)]
     try:
-        film = FrontalFilm(source, view)
+        film = FrontalFilm(source, camera)
     except VideoError as error:
         fault = str(error).removeprefix(f"{source.name}: ")
-        findings.append(
-            Finding(
-                name="view" if view.board is None else "board",
-                text="it cannot be placed",
-                advice=fault,
-            )
-        )
+        findings.append(Finding(name="board", text="it cannot be placed", advice=fault))
         return findings, picture
-    first = film.poses[0] if film.poses else None
-    if first is not None and view.board is not None:
-        findings += _board_findings(picture, view.board, film.poses, first)
+    findings += _board_findings(picture, film)
     is_proposed = box_px is None
     box = moved_box(film) if box_px is None else box_px
-    findings += _object_findings(film, view.board, box, is_proposed=is_proposed)
-    _draw(picture, first, box)
+    findings += _object_findings(film, box, is_proposed=is_proposed)
+    _draw(picture, film.first, box)
     return findings, picture
 
 
-def _board_findings(
-    picture: Picture,
-    board: Board,
-    poses: list[BoardPose | None],
-    first: BoardPose,
-) -> list[Finding]:
+def _board_findings(picture: Picture, film: FrontalFilm) -> list[Finding]:
     """Return what the first frame shows of the board."""
+    first, board = film.first, film.first.board
     places_m, places_px = first.corners
+    poses = film.poses
     seen = sum(pose is not None for pose in poses)
     corner_count = int((SQUARES - 1).prod())
     blur_px = edge_blur_px(picture, places_px)
     roll, yaw, pitch = board_angles_deg(first)
-    distance_m = float(np.linalg.norm(first.translation_m))
+    distance_m = first.distance_m
     focal_px = first.lens.matrix[0][0]
     square_px = board.square_m * focal_px / distance_m
     field_deg = math.degrees(2.0 * math.atan(0.5 * picture.shape[1] / focal_px))
@@ -165,7 +154,7 @@ def _board_findings(
 
 
 def _object_findings(
-    film: FrontalFilm, board: Board | None, box_px: Box | None, *, is_proposed: bool
+    film: FrontalFilm, box_px: Box | None, *, is_proposed: bool
 ) -> list[Finding]:
     """Return what the first frame shows of the object."""
     if box_px is None:
@@ -175,7 +164,7 @@ def _object_findings(
                 name="object", text="nothing moves away from its place", advice=advice
             )
         ]
-    places_m = film.camera.to_plane_m(box_corners(box_px))
+    places_m = film.first.to_plane_m(box_corners(box_px))
     low, high = places_m.min(axis=0), places_m.max(axis=0)
     size_mm, centre_m = 1e3 * (high - low), 0.5 * (low + high)
     box = ",".join(f"{value:.0f}" for value in box_px)
@@ -187,19 +176,18 @@ def _object_findings(
             text=f"--object {box}, {size_mm[0]:.0f} x {size_mm[1]:.0f} mm, {size_px:.0f} px when judged{asked}",
         )
     ]
-    if board is not None:
-        right_mm, up_mm = 1e3 * centre_m
-        away_m = float(np.linalg.norm(centre_m))
-        half_width_m = 0.5 * SQUARES[0] * board.square_m
-        findings.append(
-            Finding(
-                name="side",
-                text=f"{right_mm:+.0f} mm to the right and {up_mm:+.0f} mm up from the middle of the board",
-                advice="bring the board nearer to the motion, or print a larger one"
-                if away_m > MOST_AWAY * half_width_m
-                else "",
-            )
+    right_mm, up_mm = 1e3 * centre_m
+    away_m = float(np.linalg.norm(centre_m))
+    half_width_m = 0.5 * SQUARES[0] * film.first.board.square_m
+    findings.append(
+        Finding(
+            name="side",
+            text=f"{right_mm:+.0f} mm to the right and {up_mm:+.0f} mm up from the middle of the board",
+            advice="bring the board nearer to the motion, or print a larger one"
+            if away_m > MOST_AWAY * half_width_m
+            else "",
         )
+    )
     return findings
 
 
@@ -249,13 +237,12 @@ def moved_box(film: FrontalFilm) -> tuple[float, ...] | None:
         return None
     change = np.abs(first - np.median(np.stack(later), axis=0)).max(axis=2)
     is_changed = (change > CHANGED).astype(np.uint8)
-    if film.poses and film.poses[0] is not None:
-        corners = film.to_grid_px(film.poses[0].corners[1])
-        middle = corners.mean(axis=0)
-        # The inner corners span two squares less than the board; a third one is its paper.
-        outline = middle + (corners - middle) * ((SQUARES + 1) / (SQUARES - 2))
-        hull = cv2.convexHull(outline.round().astype(np.int32))
-        cv2.fillConvexPoly(is_changed, hull, 0)
+    corners = film.to_grid_px(film.first.corners[1])
+    middle = corners.mean(axis=0)
+    # The inner corners span two squares less than the board; a third one is its paper.
+    outline = middle + (corners - middle) * ((SQUARES + 1) / (SQUARES - 2))
+    hull = cv2.convexHull(outline.round().astype(np.int32))
+    cv2.fillConvexPoly(is_changed, hull, 0)
     # Thin rods and wires go, and what is broader stays.
     is_changed = cv2.morphologyEx(is_changed, cv2.MORPH_OPEN, np.ones((5, 5), np.uint8))
     count, labels, stats, _ = cv2.connectedComponentsWithStats(is_changed)
@@ -278,14 +265,13 @@ def picture_bytes(picture: Picture) -> bytes:
     return bytes(cv2.imencode(".png", picture)[1])
 
 
-def _draw(picture: Picture, first: BoardPose | None, box_px: Box | None) -> None:
+def _draw(picture: Picture, first: BoardPose, box_px: Box | None) -> None:
     """Draw the corners of the board, axes from its middle to the right, up and off it, and the box of the object."""
     thick = max(1, picture.shape[1] // 640)
-    if first is not None:
-        corners = first.corners[1][:, None].astype(np.float32)
-        cv2.aruco.drawDetectedCornersCharuco(picture, corners, cornerColor=GREEN)
-        pose = (*first.lens.coefficients, first.rotation_rad, first.translation_m)
-        cv2.drawFrameAxes(picture, *pose, AXIS_M, 2 * thick)
+    seen = first.corners[1][:, None].astype(np.float32)
+    cv2.aruco.drawDetectedCornersCharuco(picture, seen, cornerColor=GREEN)
+    pose = (*first.lens.coefficients, first.rotation_rad, first.translation_m)
+    cv2.drawFrameAxes(picture, *pose, AXIS_M, 2 * thick)
     if box_px is not None:
         corners = box_corners(box_px).round().astype(int)
         cv2.rectangle(picture, corners[0].tolist(), corners[2].tolist(), RED, 2 * thick)

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 CAMERA = arguments.option(
     arguments.SCENE,
-    "How the camera sees the plane, TOML; a board in the film.",
+    "Board in the film, lens and motion, TOML.",
     "--camera",
     metavar="FILE",
 )

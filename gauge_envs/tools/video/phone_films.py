@@ -1,4 +1,4 @@
-"""Judge a film of a phone: a frontal picture of the plane of motion, made by a camera file or a board in the film.
+"""Judge a film of a phone: a frontal picture of the plane of motion, made by a board in the film.
 
 With a ChArUco board in every frame the camera may be held by hand: its lens follows from the film, and its pose from
 each frame. What is judged is the object in a box of the first frame.
@@ -8,7 +8,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +17,9 @@ from gauge_envs.errors import ParameterError, UnknownNameError, VideoError
 from gauge_envs.evaluation.estimators import restitution_of_flights, slide_friction
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.video import laws
-from gauge_envs.tools.video.board import BoardPose, board_camera, board_poses
+from gauge_envs.tools.video.board import board_poses, outer_corners
 from gauge_envs.tools.video.frames import Frames, Picture, cv2
-from gauge_envs.tools.video.plane import Calibration, PlaneView, main_direction
+from gauge_envs.tools.video.plane import Calibration, CameraFile, main_direction
 from gauge_envs.tools.video.scoring import VideoScore, noise_px, score_track
 from gauge_envs.tools.video.tasks import (
     REFERENCE_SIZE_PX,
@@ -81,57 +81,51 @@ class FrontalFilm(Frames):
 
     Args:
         source: The film.
-        view: How it sees the plane; by a board, the pose is found in each frame.
+        camera: The camera file.
 
     Attributes:
-        camera: How the first frame sees the plane, with the uncertainty of the calibration.
-        calibration: The same on the grid of the frontal picture.
-        poses: How each frame sees the board; None where it does not, and empty without a board.
+        motion: What the camera file says of the motion.
+        poses: How each frame sees the board; None where it does not.
+        first: How the first frame sees it.
+        calibration: By which points of the plane it places the frontal picture.
     """
 
-    def __init__(self, source: Frames, view: PlaneView) -> None:
-        if source.size_px != view.size_px:
+    def __init__(self, source: Frames, camera: CameraFile) -> None:
+        if source.size_px != camera.size_px:
             raise VideoError(
-                f"{source.name}: it has {source.size_px} pixels, and the camera file states {view.size_px}"
+                f"{source.name}: it has {source.size_px} pixels, and the camera file states {camera.size_px}"
             )
         self.name = source.name
         self.fps = source.fps
         self.size_px = REFERENCE_SIZE_PX
         self._source = source
-        self.camera = view
-        self.poses: list[BoardPose | None] = []
-        self._board = view.board
-        if view.board is not None:
-            self.poses = board_poses(source, view, view.board)
-            first = self.poses[0]
-            assert first is not None
-            self.camera = board_camera(first, view, view.board)
+        self.motion = camera.motion
+        self.poses = board_poses(source, camera)
+        first = self.poses[0]
+        assert first is not None
+        self.first = first
         width, height = source.size_px
         border = np.array(
             [[0, 0], [0.5, 0], [1, 0], [1, 0.5], [1, 1], [0.5, 1], [0, 1], [0, 0.5]]
         ) * (width, height)
-        places_m = self.camera.to_plane_m(border)
+        places_m = first.to_plane_m(border)
         extent_m = places_m.max(axis=0) - places_m.min(axis=0)
         # What a slanted view shows far away would leave few pixels for the rest.
         pixel = box_corners((0.5 * width, 0.5 * height, 1.0, 1.0))
-        m_per_px = math.sqrt(_area(self.camera.to_plane_m(pixel)))
+        m_per_px = math.sqrt(_area(first.to_plane_m(pixel)))
         finest_m_per_px = m_per_px * width / REFERENCE_SIZE_PX[0]
         whole_m_per_px = float((extent_m / REFERENCE_SIZE_PX).max())
         self.scale = min(whole_m_per_px, MOST_COARSE * finest_m_per_px)
         self._blur_px = (
             0.4 * self.scale / finest_m_per_px * width / REFERENCE_SIZE_PX[0]
         )
-        middle_m = self.camera.to_plane_m(border.mean(axis=0, keepdims=True))[0]
+        middle_m = first.to_plane_m(border.mean(axis=0, keepdims=True))[0]
         self._origin_px = (
             0.5 * np.array(REFERENCE_SIZE_PX) - middle_m * (1.0, -1.0) / self.scale
         )
-        points = self.camera.points
-        assert points is not None
-        places_m = np.array(points.m)
-        points_m_per_px = math.sqrt(_area(places_m) / _area(np.array(points.px)))
-        sigma_m = math.hypot(points.sigma_m, points.sigma_px * points_m_per_px)
+        corners_m, sigma_m = outer_corners(first)
         self.calibration = Calibration(
-            points_px=self._on_grid_px(places_m), sigma_px=sigma_m / self.scale
+            points_px=self._on_grid_px(corners_m), sigma_px=sigma_m / self.scale
         )
         self._canvas: Picture = np.zeros((*REFERENCE_SIZE_PX[::-1], 3), np.uint8)
         # What a moving camera uncovers is seen from the start, so that the scene stays the same.
@@ -156,20 +150,16 @@ class FrontalFilm(Frames):
                 [0, 0, 1],
             ]
         )
-        lens = self.camera.lens
-        coefficients = (np.eye(3), np.zeros(4)) if lens is None else lens.coefficients
-        to_plane = self.camera.to_plane
-        maps: Any = None
-        for number, picture in enumerate(self._source.native()):
-            if self._board is not None:
-                pose = self.poses[number]
-                if pose is None:
-                    continue
-                to_plane = pose.to_plane(self._board.offset_m)
-            if maps is None or self._board is not None:
-                maps = cv2.initUndistortRectifyMap(
-                    *coefficients, to_plane, frontal, REFERENCE_SIZE_PX, cv2.CV_32FC1
-                )
+        for pose, picture in zip(self.poses, self._source.native(), strict=True):
+            if pose is None:
+                continue
+            maps = cv2.initUndistortRectifyMap(
+                *pose.lens.coefficients,
+                pose.to_plane,
+                frontal,
+                REFERENCE_SIZE_PX,
+                cv2.CV_32FC1,
+            )
             smooth = (
                 cv2.GaussianBlur(picture, (0, 0), self._blur_px)
                 if self._blur_px > 0.5
@@ -186,18 +176,18 @@ class FrontalFilm(Frames):
 
     def to_grid_px(self, points_px: FloatArray) -> FloatArray:
         """Return places on the frontal grid of places in the first frame [px], both of shape [count, 2]."""
-        return self._on_grid_px(self.camera.to_plane_m(points_px))
+        return self._on_grid_px(self.first.to_plane_m(points_px))
 
     def to_picture_px(self, points_px: FloatArray) -> FloatArray:
         """Return places in the first frame of places on the frontal grid [px], both of shape [count, 2]."""
-        return self.camera.to_picture_px(
+        return self.first.to_picture_px(
             (points_px - self._origin_px) * (self.scale, -self.scale)
         )
 
     def in_plane(self, track: Track) -> Track:
         """Return a track of the frontal film in millimetres of the plane of motion, from the pivot of a swing."""
         places_m = (track.points_px - self._origin_px) * (self.scale, -self.scale)
-        places_m = places_m - np.array(self.camera.motion.pivot_m or (0.0, 0.0))
+        places_m = places_m - np.array(self.motion.pivot_m or (0.0, 0.0))
         return replace(track, points_px=1e3 * places_m, is_metric=True)
 
     def task(self, motion: str, box_px: Sequence[float]) -> VideoTask:
@@ -206,7 +196,7 @@ class FrontalFilm(Frames):
             raise UnknownNameError("motion of a film", motion, list(MOTIONS))
         places = self.to_grid_px(box_corners(box_px))
         size = math.sqrt(_area(places))
-        centre, swing = places.mean(axis=0), self.camera.motion
+        centre, swing = places.mean(axis=0), self.motion
         pivot_px = None
         if swing.pivot_m is not None:
             x, y = self._on_grid_px(np.array([swing.pivot_m]))[0]
@@ -251,7 +241,7 @@ def score_phone_film(
         Earth's, or a constant that no material has: the rate or the calibration is wrong.
     """
     task = film.task(motion, box_px)
-    inertia = film.camera.motion.inertia_factor
+    inertia = film.motion.inertia_factor
     if (motion == "roll") != (inertia is not None):
         raise VideoError(
             f"{film.name}: a roll, and no other motion, needs motion.inertia_factor in the camera file"

@@ -1,9 +1,4 @@
-"""How a camera sees the plane of a motion: a camera file, and how far its calibration may be off.
-
-A camera file names four points or more whose pixels and metres are known, or a board that the film shows. Both give a
-homography from pictures without lens distortion to the plane. Hartley and Zisserman, Multiple View Geometry (2004),
-section 4.1.
-"""
+"""Films of one's own: the camera file, and how far the places in their plane may be off."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -25,9 +20,6 @@ from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.video.frames import cv2
 from gauge_envs.tools.video.tasks import Motion, VideoTask
 from gauge_envs.tools.video.track import Track
-
-LEAST_SPREAD = 0.01
-"""Distance of a corner of the points from a line between others, in their circumference, from which it counts."""
 
 Pair: TypeAlias = tuple[float, float]
 Triple: TypeAlias = tuple[float, float, float]
@@ -63,46 +55,6 @@ class Lens(FileModel):
             cv2.undistortPoints(points_px[:, None], *self.coefficients)[:, 0],
             dtype=float,
         )
-
-
-class PointPairs(FileModel):
-    """Points of the plane whose place is known in the picture and in metres: table `[points]` of a camera file.
-
-    Attributes:
-        px: Places in the picture [px], at least four.
-        m: Places in the plane [m], in the same order: to the right and, in a vertical plane, up.
-        sigma_px: Standard uncertainty of each pixel coordinate [px].
-        sigma_m: Standard uncertainty of each metric coordinate [m].
-    """
-
-    px: list[Pair]
-    m: list[Pair]
-    sigma_px: NonNegativeFloat
-    sigma_m: NonNegativeFloat
-
-    @model_validator(mode="after")
-    def _span_a_plane(self) -> Self:
-        """Check that points span a plane: they have four corners."""
-        if not len(self.px) == len(self.m) >= 4:
-            raise ValueError(
-                f"px has {len(self.px)} and m {len(self.m)} points; give at least 4 of each, in the same order"
-            )
-        for name, places in (("px", self.px), ("m", self.m)):
-            outline = cv2.convexHull(np.array(places, dtype=np.float32))
-            slack = LEAST_SPREAD * cv2.arcLength(outline, True)
-            if len(cv2.approxPolyDP(outline, slack, True)) < 4:
-                raise ValueError(
-                    f"{name} has three of four points on a line: they span no plane"
-                )
-        return self
-
-    def to_plane(self, lens: Lens | None) -> FloatArray:
-        """Return the homography from straight coordinates to the plane, shape [3, 3]."""
-        px = np.array(self.px)
-        homography, _ = cv2.findHomography(
-            px if lens is None else lens.straight(px), np.array(self.m)
-        )
-        return np.asarray(homography, dtype=float)
 
 
 class Board(FileModel):
@@ -141,54 +93,24 @@ class Swing(FileModel):
         return self
 
 
-class PlaneView(FileModel):
-    """How a recording sees the plane of the motion: a camera file.
+class CameraFile(FileModel):
+    """How a film of one's own was made.
 
     Attributes:
-        size_px: Width and height of the pictures in which the calibration is stated [px].
-        points: Points of the plane that are known, or None.
-        board: Board beside the motion, or None.
-        lens: Lens; None for pictures without distortion, of point pairs alone.
+        size_px: Width and height of the film [px].
+        board: Board beside the motion.
+        lens: Lens; found from the film if None.
         motion: What is known of the motion.
     """
 
     size_px: tuple[Side, Side]
-    points: PointPairs | None = None
-    board: Board | None = None
+    board: Board
     lens: Lens | None = None
     motion: Swing = Swing()
 
-    @model_validator(mode="after")
-    def _has_a_source(self) -> Self:
-        if (self.points is None) == (self.board is None):
-            raise ValueError("give either [points] or [board]")
-        return self
 
-    @property
-    def to_plane(self) -> FloatArray:
-        """Homography from straight coordinates to the plane, shape [3, 3], of a view by points."""
-        assert self.points is not None
-        return self.points.to_plane(self.lens)
-
-    def to_plane_m(self, points_px: FloatArray) -> FloatArray:
-        """Return places in the plane [m] of places in the picture [px], both of shape [count, 2]."""
-        straight = points_px if self.lens is None else self.lens.straight(points_px)
-        return _homogeneous(self.to_plane, straight)
-
-    def to_picture_px(self, points_m: FloatArray) -> FloatArray:
-        """Return places in the picture [px] of places in the plane [m], both of shape [count, 2]."""
-        straight = _homogeneous(np.linalg.inv(self.to_plane), points_m)
-        if self.lens is None:
-            return straight
-        rays = np.column_stack([straight, np.ones(len(straight))])
-        return np.asarray(
-            cv2.projectPoints(rays, np.zeros(3), np.zeros(3), *self.lens.coefficients)[
-                0
-            ][:, 0]
-        )
-
-
-def _homogeneous(matrix: NDArray[np.floating], points: FloatArray) -> FloatArray:
+def homogeneous(matrix: NDArray[np.floating], points: FloatArray) -> FloatArray:
+    """Return points that a homography moves, both of shape [count, 2]."""
     moved = np.column_stack([points, np.ones(len(points))]) @ matrix.T
     return np.asarray(moved[:, :2] / moved[:, 2:])
 
@@ -211,7 +133,7 @@ class Calibration:
             return places_px
         moved_px = rng.normal(self.points_px, self.sigma_px)
         homography, _ = cv2.findHomography(self.points_px, moved_px)
-        return _homogeneous(homography, places_px)
+        return homogeneous(homography, places_px)
 
 
 def main_direction(track: Track) -> Pair:
@@ -241,7 +163,7 @@ def metric_on_grid(
 # --- camera file -----------------------------------------------------------------------------------------------------
 
 
-def read_camera(path: Path | str) -> PlaneView:
+def read_camera(path: Path | str) -> CameraFile:
     """Return the view that a camera file describes.
 
     The keys are on the page "World models": `size_px`, then `[points]` or `[board]`, `[lens]` and `[motion]`. Lengths
@@ -254,7 +176,7 @@ def read_camera(path: Path | str) -> PlaneView:
         ReferenceFileError: The file cannot be read, a key is missing, unknown or of another shape, or the points span
             no plane.
     """
-    return read_model(Path(path), PlaneView)
+    return read_model(Path(path), CameraFile)
 
 
 def read_model(path: Path, model: type[Model]) -> Model:

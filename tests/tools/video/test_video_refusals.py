@@ -15,10 +15,7 @@ HUGE = "9" * 400
 """An integer that no floating-point number holds."""
 
 SIZE = "size_px = [1280, 720]\n"
-POINTS = "[points]\npx = [[400, 600], [900, 600], [800, 300], [500, 300]]\n"
-METRES = "m = [[-0.2, -0.2], [0.2, -0.2], [0.2, 0.2], [-0.2, 0.2]]\nsigma_px = 0.5\nsigma_m = 0.001\n"
-CAMERA = SIZE + POINTS + METRES
-SAME = "[points]\npx = {0}\nm = {0}\nsigma_px = 1\nsigma_m = 0\n"
+CAMERA = SIZE + "[board]\nsquare_m = 0.035\noffset_m = 0.01\n"
 
 # What is written to a file, how it is read, and the place and the fault in the words of the error.
 TRACKS = [
@@ -37,25 +34,21 @@ TRACKS = [
     ("frame,x,y\n0,inf,1\n", "line 2: x: .*given: 'inf'"),
 ]
 CAMERAS = [
-    (SIZE, "either"),
-    (CAMERA + "[board]\nsquare_m = 0.035\noffset_m = 0\n", "either"),
+    (SIZE, "board: missing key"),
     (SIZE + "[board]\nsquare_m = 0.035\n", "board.offset_m: missing key"),
     (SIZE + "[board]\noffset_m = 0\nsquare_m = 0\n", "board.square_m: .*given: 0"),
     (SIZE + "[board]\nsquare = 0.035\n", "board.square_m: missing key"),
-    (CAMERA + "sigma = 1\n", "points.sigma: unknown key"),
+    (CAMERA + "sigma = 1\n", "board.sigma: unknown key"),
     (CAMERA + "[motion]\npivot_m = [0.1, 0.2]\n", "pivot_sigma_m go together"),
     (
         CAMERA + "[lens]\nmatrix = [[1, 0, 9], [0, 1, 9], [0, 0, 2]]\n",
         "lens.matrix: .*no camera matrix",
     ),
-    (SIZE + SAME.format("[[0, 0], [1, 0], [1, 1]]"), "at least 4"),
-    (SIZE + SAME.format("[[0, 0], [1, 0], [2, 0], [1, 1]]"), "on a line"),
     ("size_px = [1280", "Unclosed array"),
     ("a = " + "[" * 5000, "nested too deeply"),
     ("a." * 5000 + "b = 1", "dots between two delimiters"),
     (CAMERA.replace("1280", HUGE), "size_px.0: "),
-    (CAMERA.replace("400", HUGE), "points.px.0.0: "),
-    (CAMERA.replace("sigma_px = 0.5", f"sigma_px = {HUGE}"), "points.sigma_px: "),
+    (CAMERA.replace("0.01", HUGE), "board.offset_m: "),
 ]
 
 
@@ -129,13 +122,3 @@ def test_wrong_options_are_named(tmp_path, gauge, approved):
     scores = [f"video score {words}" for words in (*sizes, *boxes)]
     commands = [*WRONG.strip().splitlines(), *scores]
     approved("video/wrong_options", refused_commands(gauge, *commands))
-
-
-def test_a_camera_file_maps_pixels_to_its_plane(tmp_path):
-    """A square of 0.4 m that a camera without distortion sees as a trapezium; its diagonals cross in its centre."""
-    px = [[400, 600], [900, 600], [800, 300], [500, 300], [650, 412.5]]
-    m = [[-0.2, -0.2], [0.2, -0.2], [0.2, 0.2], [-0.2, 0.2], [0.0, 0.0]]
-    file = tmp_path / "camera.toml"
-    file.write_text(CAMERA, encoding="utf-8")
-    found = read_camera(file).to_plane_m(np.array(px, dtype=float))
-    assert found == pytest.approx(np.array(m), abs=1e-7)
