@@ -13,7 +13,7 @@ from gauge_envs.tools.video.scoring import (
     VideoScore,
     paper_metrics,
 )
-from gauge_envs.tools.video.tasks import Motion, VideoTask
+from gauge_envs.tools.video.tasks import VideoTask
 
 CLOSE = 0.1
 """Largest relative difference with which a value agrees with a published one."""
@@ -45,7 +45,8 @@ def agreement(
     if _is_within(result, published):
         return "within the interval"
     if task.direction is None:
-        return _difference(result, task, published)
+        numbers = [f"{name} {value:.3g}" for name, value in result.details.items()]
+        return f"differs: {', '.join(numbers)}"
     intervals = sorted(_intervals(result, task), key=lambda one: sum(map(abs, one[0])))
     for (later_start, later_end), (first, last), metrics in intervals:
         if _is_close(metrics, published):
@@ -91,41 +92,6 @@ def _intervals(
             later = (int(first - start), int(last - end))
             frames = (int(track.frames[first]), int(track.frames[last]))
             yield later, frames, metrics
-
-
-def _difference(result: VideoScore, task: VideoTask, published: Metrics) -> str:
-    """Return the numbers by which a motion that is not straight differs from what is published."""
-    if task.motion is Motion.TURN:
-        return _slip(result, task, published["de"])
-    if task.motion is Motion.CRADLE:
-        return _apices(result, task)
-    return "differs"
-
-
-def _slip(result: VideoScore, task: VideoTask, de_n: float) -> str:
-    """Return by how much the published place must slip in one frame to give a dynamic error that the track has not."""
-    track = result.track
-    limit_m_s2 = task.friction * laws.GRAVITY_M_PER_S2
-    largest_m_s2 = result.details["largest_a_m_s2"]
-    if largest_m_s2 > limit_m_s2:
-        share = result.details["exceeding_share"]
-        return f"differs: the force here is that of {share:.1%} of the frames, up to {largest_m_s2:.1f} m/s^2"
-    # A slip by d changes the second difference by 2 d.
-    per_px_m_s2 = 2.0 * task.scale_m_per_px * track.fps**2
-    slip_px = max(0.0, limit_m_s2 - largest_m_s2) / per_px_m_s2
-    return (
-        f"friction holds up to {limit_m_s2:.2f} m/s^2, and the largest acceleration here is {largest_m_s2:.2f}: "
-        f"{de_n:g} N needs a mask that slips by {slip_px:.0f} px in one frame"
-    )
-
-
-def _apices(result: VideoScore, task: VideoTask) -> str:
-    """Return between which efficiencies the apices of a cradle lie, and how many swings have none that is seen."""
-    if result.metrics["mte"] is None:
-        return "differs: no apex is seen here"
-    low, high = result.details["least_event"], result.details["largest_event"]
-    unseen = len(laws.swings_without_apex(result.track, task))
-    return f"differs: apices give {low:.2f} to {high:.2f} here, and {unseen} swings have none that is seen"
 
 
 def _is_within(result: VideoScore, published: Metrics) -> bool:
