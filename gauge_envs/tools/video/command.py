@@ -106,15 +106,6 @@ def video_score(
     ],
     camera: Annotated[Path | None, CAMERA] = None,
     fps: RateOption = None,
-    size: Annotated[
-        str | None,
-        arguments.option(
-            arguments.SCENE,
-            "Width and height of the pictures of a track, as 832x480.",
-            metavar="px",
-            show_default="832x480",
-        ),
-    ] = None,
     object_box: ObjectOption = None,
     angle_deg: Annotated[
         float | None,
@@ -137,7 +128,6 @@ def video_score(
     too. Exit code 1 when a track is not sound.
     """
     from gauge_envs.tools.video import (
-        read_track,
         save_track,
         score_track,
         video_task,
@@ -149,23 +139,17 @@ def video_score(
         score_phone_film,
     )
     from gauge_envs.tools.video.plane import read_camera
-    from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX
     from gauge_envs.tools.video.tracker import track_object
     from gauge_envs.tools.video.words import save_overlay, score_document
 
-    size_px = None if size is None else _size(size)
     box_px = None if object_box is None else _box(object_box)
     are_tracks = {file: file.suffix.lower() == ".csv" for file in files}
     if any(are_tracks.values()) and (out or camera):
         raise ParameterError(
             "--out and --camera need the video, and a track has none: leave out one of both"
         )
-    if not all(are_tracks.values()) and (
-        size_px is not None or (camera is None) != (box_px is None)
-    ):
-        raise ParameterError(
-            "a video states its size; a film of one's own needs --camera and --object"
-        )
+    if (camera is None) != (box_px is None):
+        raise ParameterError("a film of one's own needs --camera and --object")
     view = None if camera is None else read_camera(camera)
     if task in MOTIONS and view is None:
         raise ParameterError(
@@ -180,7 +164,7 @@ def video_score(
         else:
             chosen = video_task(task)
             track = (
-                read_track(file, fps=fps, size_px=size_px or REFERENCE_SIZE_PX)
+                _given_track(file, fps)
                 if source is None
                 else track_object(source, chosen)
             )
@@ -209,16 +193,6 @@ def _box(text: str) -> tuple[float, ...]:
             f"--object {text}: give left, top, width and height of the box in pixels, as 612,300,40,40"
         )
     return tuple(map(float, found.groups()))
-
-
-def _size(text: str) -> tuple[int, int]:
-    """Return width and height of `832x480`."""
-    found = re.fullmatch("([1-9][0-9]{0,4})x([1-9][0-9]{0,4})", text.lower())
-    if found is None:
-        raise ParameterError(
-            f"--size {text}: give width and height in pixels, as 832x480"
-        )
-    return int(found[1]), int(found[2])
 
 
 def video_report(
@@ -264,7 +238,7 @@ def video_report(
             given = file.with_suffix(".csv")
             try:
                 track = (
-                    _given_track(file, given)
+                    _given_track(given)
                     if given.exists()
                     else track_object(FileFrames(file), video_task(task))
                 )
@@ -308,15 +282,16 @@ def video_report(
     return bool(broken or faults)
 
 
-def _given_track(video: Path, file: Path) -> Track:
+def _given_track(file: Path, fps: float | None = None) -> Track:
     """Return a track that counts the pixels of the video beside it, or else those of the known first frame."""
     from gauge_envs.tools.video import read_track
     from gauge_envs.tools.video.frames import FileFrames
+    from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX
+    from gauge_envs.tools.video.words import VIDEO_SUFFIXES
 
-    if video == file:
-        return read_track(file)
-    source = FileFrames(video)
-    return read_track(file, size_px=source.size_px)
+    beside = [file.with_suffix(suffix) for suffix in VIDEO_SUFFIXES]
+    sizes = [FileFrames(video).size_px for video in beside if video.exists()]
+    return read_track(file, fps=fps, size_px=(*sizes, REFERENCE_SIZE_PX)[0])
 
 
 def video_check(

@@ -171,7 +171,8 @@ def interval_text(interval: tuple[float, float]) -> str:
 
 # --- page ------------------------------------------------------------------------------------------------------------
 
-SUFFIXES = (".mp4", ".webm", ".mkv", ".mov", ".avi", ".csv")
+VIDEO_SUFFIXES = (".mp4", ".webm", ".mkv", ".mov", ".avi")
+"""Suffixes of videos; a track has `.csv`."""
 
 PICTURES = 6
 """Frames of a video that the page shows."""
@@ -206,7 +207,8 @@ def find_videos(folder: Path) -> tuple[list[tuple[str, str, Path]], list[Path]]:
     for file in files:
         name = file.relative_to(folder).with_suffix("").as_posix()
         parts = re.fullmatch("([^/]+)/([^/]+)(/seed_[0-9]+)?", name)
-        if parts and parts[2] in tasks and file.suffix.lower() in SUFFIXES:
+        is_known = file.suffix.lower() in (*VIDEO_SUFFIXES, ".csv")
+        if parts and parts[2] in tasks and is_known:
             found.append((parts[1], parts[2], file))
     if not found:
         raise VideoError(

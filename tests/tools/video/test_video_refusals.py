@@ -112,13 +112,9 @@ video score track.csv --id SlopeSlider-2-wood --fps=30 --camera camera.toml
 def test_wrong_options_are_named(tmp_path, gauge, approved):
     (tmp_path / "track.csv").write_text("frame,x,y\n1,2,3\n")
     (tmp_path / "camera.toml").write_text(CAMERA)
-    sizes = [
-        f"track.csv --id SlopeSlider-2-wood --fps=30 --size={size}"
-        for size in ("²x2", "0x4", "4x", "9999999x4", "4x4x4")
-    ]
     boxes = [
         f"film.mp4 --id slide --object={box}" for box in ("1,2,3", "1,2,0,4", "a,b,c,d")
     ]
-    scores = [f"video score {words}" for words in (*sizes, *boxes)]
+    scores = [f"video score {words}" for words in boxes]
     commands = [*WRONG.strip().splitlines(), *scores]
     approved("video/wrong_options", refused_commands(gauge, *commands))

@@ -380,10 +380,19 @@ def test_the_command_scores_a_file_and_draws_the_track(tmp_path, gauge):
     drawn = FileFrames(tmp_path / "drawn" / "slide.overlay.mp4")
     assert sum(1 for _ in drawn.pictures()) == len(one.frames)
     # The track that it writes is scored as the video.
-    again = gauge(*f"video score drawn/slide.track.csv --id {one.task} --json".split())
-    for name in ("a", "acceleration_m_s2"):
-        value = json.loads(again.stdout)["metrics"][name]
-        assert value == pytest.approx(line["metrics"][name], rel=1e-3)
+    saved = tmp_path / "drawn" / "slide.track.csv"
+    # A track counts the pixels of the video beside it.
+    small = [cv2.resize(frame, (416, 240)) for frame in one.frames[:2]]
+    written(replace(one, frames=small), tmp_path / "small.mp4")
+    rows = [
+        f"{row['time']},{0.5 * float(row['x_grid'])},{0.5 * float(row['y_grid'])}"
+        for row in csv.DictReader(saved.open())
+    ]
+    (tmp_path / "small.csv").write_text("\n".join(["time,x,y", *rows]))
+    for file in (saved, tmp_path / "small.csv"):
+        again = gauge("video", "score", file, "--id", one.task, "--json")
+        value = json.loads(again.stdout)["metrics"]["acceleration_m_s2"]
+        assert value == pytest.approx(line["metrics"]["acceleration_m_s2"], rel=1e-3)
 
 
 def test_the_report_shows_every_model_and_names_broken_files(tmp_path, gauge):
