@@ -189,7 +189,13 @@ class Frames(ABC):
 
 
 def _check_container(path: Path) -> None:
-    """Check that a file holds its pictures: a playlist, as of ffconcat, is a text that names other files."""
+    """Check that a file has the size of a clip and holds its pictures: a playlist is a text that names other files."""
+    if not path.is_file():
+        raise VideoError(f"{path}: there is no such file")
+    if path.stat().st_size > MOST_BYTES:
+        raise VideoError(
+            f"{path}: it is larger than {MOST_BYTES // MEGABYTE} MB; cut the clip to the event"
+        )
     with (
         os_errors(lambda cause: VideoError(f"{path}: cannot be read: {cause}")),
         path.open("rb") as stream,
@@ -212,7 +218,6 @@ class FileFrames(Frames):
     def __init__(self, path: Path, *, fps: float | None = None) -> None:
         self.name = str(path)
         self._file = path
-        _check_size(path, MOST_BYTES, "cut the clip to the event")
         _check_container(path)
         capture = self._opened()
         try:
@@ -313,18 +318,12 @@ class ArrayFrames(Frames):
         if not len(frames):
             raise VideoError("frames: there is no frame")
         first = np.asarray(frames[0])
-        for number, frame in enumerate(frames):
-            one = np.asarray(frame)
-            if (
-                one.ndim != 3
-                or one.shape[2] != 3
-                or one.dtype != np.uint8
-                or one.shape != first.shape
-            ):
-                raise VideoError(
-                    f"frames[{number}]: shape {one.shape} and type {one.dtype}; all must be uint8 of one shape "
-                    "[height, width, 3]"
-                )
+        shapes = {np.asarray(one).shape for one in frames}
+        types = {np.asarray(one).dtype for one in frames}
+        if shapes != {(*first.shape[:2], 3)} or types != {np.dtype(np.uint8)}:
+            raise VideoError(
+                f"frames: shapes {shapes} and types {types}; all must be uint8 of one shape [height, width, 3]"
+            )
         self._frames = frames
         self.fps = float(fps)
         self.size_px = (first.shape[1], first.shape[0])
@@ -334,15 +333,6 @@ class ArrayFrames(Frames):
         """Yield all pictures in their own size."""
         for frame in self._frames:
             yield np.ascontiguousarray(np.asarray(frame)[:, :, ::-1])
-
-
-def _check_size(path: Path, most_bytes: int, advice: str) -> None:
-    if not path.is_file():
-        raise VideoError(f"{path}: there is no such file")
-    if path.stat().st_size > most_bytes:
-        raise VideoError(
-            f"{path}: it is larger than {most_bytes // MEGABYTE} MB; {advice}"
-        )
 
 
 # --- cadence ----------------------------------------------------------------------------------------------------------
