@@ -1,7 +1,4 @@
-"""Quantiles, a root and a minimum, without the parts of SciPy whose import takes longer than to score a slide.
-
-`scipy.special` is imported at the first quantile, `scipy.optimize` and `scipy.stats` never.
-"""
+"""Quantiles, a root and a minimum without SciPy, whose import takes longer than to score a slide."""
 
 from __future__ import annotations
 
@@ -34,6 +31,7 @@ def normal_probability(value: float) -> float:
     return 0.5 * math.erfc(-value / math.sqrt(2.0))
 
 
+@cache
 def share_interval(successes: float, count: float, level: float) -> tuple[float, float]:
     """Return the exact interval of the share of successes in all trials (Clopper and Pearson 1934).
 
@@ -42,28 +40,43 @@ def share_interval(successes: float, count: float, level: float) -> tuple[float,
         count: Number of trials.
         level: Coverage of the interval.
     """
-    from scipy.special import betaincinv
-
     low, high = 0.0, 1.0
     tail = 0.5 * (1.0 - level)
     if successes > 0.0:
-        low = float(betaincinv(successes, count - successes + 1.0, tail))
+        low = _beta_quantile(tail, successes, count - successes + 1.0)
     if successes < count:
-        high = float(betaincinv(successes + 1.0, count - successes, 1.0 - tail))
+        high = _beta_quantile(1.0 - tail, successes + 1.0, count - successes)
     return low, high
 
 
 @cache
 def student_quantile(freedom: float, probability: float) -> float:
-    """Return the value below which a Student variable is with a probability.
+    """Return the value below which a Student variable is with a probability of more than 0.5."""
+    share = _beta_quantile(2.0 * probability - 1.0, 0.5, 0.5 * freedom)
+    return math.sqrt(freedom * share / (1.0 - share))
 
-    Args:
-        freedom: Degrees of freedom.
-        probability: The probability.
-    """
-    from scipy.special import stdtrit
 
-    return float(stdtrit(freedom, probability))
+def _beta_quantile(probability: float, first: float, second: float) -> float:
+    return rising_root(
+        lambda value: _beta_probability(value, first, second) - probability, 0.0, 1.0
+    )
+
+
+def _beta_probability(value: float, first: float, second: float) -> float:
+    """Return the probability that a beta variable is below a value, by a continued fraction (DLMF 8.17.22)."""
+    both = first + second
+    if value * (both + 2.0) > first + 1.0:
+        return 1.0 - _beta_probability(1.0 - value, second, first)
+    tail = 0.0
+    for order in range(int(20.0 + 3.0 * math.sqrt(both)), 0, -1):
+        half, place = order // 2, first + order
+        factor = (
+            -(first + half) * (both + half) if order % 2 else half * (second - half)
+        )
+        tail = factor * value / ((place - 1.0) * place * (1.0 + tail))
+    logarithm = math.lgamma(both) - math.lgamma(first) - math.lgamma(second)
+    logarithm += first * math.log(value) + second * math.log1p(-value)
+    return math.exp(logarithm) / (first * (1.0 + tail))
 
 
 def interpolated(

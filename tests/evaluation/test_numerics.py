@@ -14,6 +14,7 @@ from gauge_envs.evaluation.numerics import (
     bounded_minimum,
     normal_probability,
     share_interval,
+    student_quantile,
 )
 
 
@@ -21,6 +22,12 @@ from gauge_envs.evaluation.numerics import (
 def test_the_interval_of_a_share_is_that_of_scipy(successes):
     expected = binomtest(successes, 10).proportion_ci(0.95, "exact")
     assert share_interval(successes, 10, 0.95) == pytest.approx(expected, abs=1e-12)
+
+
+@pytest.mark.parametrize("freedom", [1, 2.5, 19, 4000])
+def test_student_quantiles_are_those_of_scipy(freedom):
+    found = [student_quantile(freedom, probability) for probability in (0.6, 0.975)]
+    assert found == pytest.approx(special.stdtrit(freedom, [0.6, 0.975]), rel=1e-10)
 
 
 def test_normal_probabilities_are_those_of_scipy():
