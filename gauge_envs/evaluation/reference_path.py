@@ -9,6 +9,7 @@ from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.bands import Band
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -24,6 +25,12 @@ class ReferencePath:
     names: tuple[str, ...]
     places_m: FloatArray
     is_full: bool
+
+    @property
+    def last_s(self) -> float:
+        """Time of the last frame at which a place is known [s]; 0 without any."""
+        known = np.isfinite(self.places_m).all(axis=2)
+        return float(np.nonzero(known)[0].max(initial=0)) / FRAME_RATE_HZ
 
 
 def reference_path(experiment: Experiment, band: Band | None) -> ReferencePath | None:
@@ -85,3 +92,36 @@ def reference_words(grade: BandGrade, trial_count: int | None) -> str:
         BandGrade.MODEL: "the solution of the scene by several engines, not a real trial",
     }
     return names.get(grade, "the law that the score compares with")
+
+
+def reference_text(
+    band: Band | None,
+    path: ReferencePath | None,
+    *,
+    end_s: float,
+    trial: int | None = None,
+) -> str:
+    """Return what is drawn of a reference, in words; empty if nothing is.
+
+    Args:
+        band: The band, or None.
+        path: Its places in space, or None.
+        end_s: Time of the last picture [s]. A reference that ends before it has its end in the text.
+        trial: Number of the single trial that it is; None for others.
+    """
+    if band is None or path is None:
+        return ""
+    text = (
+        reference_words(band.grade, band.trial_count)
+        if trial is None
+        else f"real trial {trial}"
+    )
+    if band.withheld is not None:
+        text += ", withheld from scores"
+    if not path.is_full:
+        text += ", in the measured directions"
+    return (
+        f"{text}, until {path.last_s:.2f} s"
+        if path.last_s < end_s - 0.5 / FRAME_RATE_HZ
+        else text
+    )
