@@ -150,7 +150,7 @@ FAULTS = dict(
             "lines-turned",
             "ropes and rods turned by 3 degrees",
             "rope-start",
-            "another position, orientation or length",
+            "another position or orientation",
             scene=_lines_turned,
         ),
     )

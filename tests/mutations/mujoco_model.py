@@ -69,14 +69,18 @@ def _hanging(change):
     return change_all
 
 
+def _side(model, name):
+    side = np.cross(model.joint(name).axis, [0.3, -0.5, 0.8])
+    return side / np.linalg.norm(side)
+
+
 def _hinge_tilted(model, name):
-    joint = model.joint(name)
-    joint.axis[:] = Rotation.from_euler("x", 3.0, degrees=True).apply(joint.axis)
+    turn = Rotation.from_rotvec(3.0 * _side(model, name), degrees=True)
+    model.joint(name).axis[:] = turn.apply(model.joint(name).axis)
 
 
 def _hinge_shifted(model, name):
-    side = np.cross(model.joint(name).axis, [0.3, -0.5, 0.8])
-    model.joint(name).pos += 2e-3 * side / np.linalg.norm(side)
+    model.joint(name).pos += 2e-3 * _side(model, name)
 
 
 def _hinge_heavy(model, name):
@@ -380,7 +384,7 @@ FAULTS = dict(
             "hinged-axis",
             "axis of a hinge between bodies tilted by 3 degrees",
             "hinged-closed",
-            "degrees from the axis of its hinge",
+            "3 degrees from the axis of its hinge",
             simulation=_model(_hanging(_hinge_tilted)),
         ),
         _own(

@@ -6,6 +6,7 @@ Each is compared with the scene where no contact or force has a part, so that it
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from gauge_envs.evaluation.estimators import acceleration_m_per_s2
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import BodyHinge, Hinge, Slider
+from gauge_envs.tools.conformance.torques import wrong_torques
 
 Array = NDArray[np.float64]
 
@@ -33,7 +35,9 @@ def facts(rollout: Rollout) -> str:
         next(kind(rollout), "")
         for kind in (_starts, _driven, _hinges, _sliders, _gravity)
     ]
-    return "; ".join(filter(None, found))
+    # Where the parts are otherwise, torques are.
+    told = list(filter(None, found)) or list(islice(wrong_torques(rollout), 1))
+    return "; ".join(told)
 
 
 def _starts(rollout: Rollout) -> Iterator[str]:
@@ -164,6 +168,16 @@ def _hinges(rollout: Rollout) -> Iterator[str]:
                 f"the {name} turns about a point {size_mm:.3g} mm from the anchor of its hinge, off by "
                 f"{_vector(across_mm)} mm"
             )
+            continue
+        left_mm = 1e3 * (places_m + turns.apply(local_m) - anchor_m)
+        away_mm = np.linalg.norm(left_mm, axis=1)
+        if away_mm.max() > FAR_MM:
+            steps_mm = np.linalg.norm(np.diff(left_mm, axis=0), axis=1)
+            at_once = steps_mm.max() > 0.5 * away_mm.max()
+            how = (
+                "at once: the anchor moves" if at_once else "slowly: the joint is soft"
+            )
+            yield f"the {name} leaves the anchor of its hinge by {away_mm.max():.3g} mm, {how}"
 
 
 def _sliders(rollout: Rollout) -> Iterator[str]:

@@ -207,8 +207,16 @@ def _start_error(rollout: Rollout) -> Measurement:
     (line,) = rollout.scene.deformables
     assert isinstance(line, Rope | Rod)
     along = [1.0, 0.0, 0.0] if isinstance(line, Rope) else [0.0, 0.0, 1.0]
+    nodes_m = rollout.nodes_m[line.name][0]
     end = line.pose.to_world(0.5 * line.length_m * np.array(along))
-    return Measurement(measured=largest_mm(rollout.nodes_m[line.name][0, -1:] - end))
+    error_mm = largest_mm(nodes_m[-1:] - end)
+    length_m = float(np.linalg.norm(nodes_m[-1] - nodes_m[0]))
+    hint = "its length is right: it has another position or orientation"
+    if abs(length_m - line.length_m) > 1e-4 * error_mm:
+        hint = (
+            f"it is {1e3 * length_m:.4g} mm long instead of {1e3 * line.length_m:g} mm"
+        )
+    return Measurement(measured=error_mm, hint=hint)
 
 
 _falling_rope.check("rope-start", **NODES)(_start_error)

@@ -209,12 +209,11 @@ def _rests(kind: str) -> Callable[[Rollout], Measurement]:
         worst = max(errors, key=lambda one: abs(errors[one]))
         text = ", ".join(f"{one} {error:.3g} mm" for one, error in errors.items())
         through = [one for one, error in errors.items() if error < -13.0]
-        hint = f"off its height on each slab: {text}"
+        cause = "its thickness or radius is another one, or it floats on a margin"
         if through:
-            hint += f"; it falls through the {' and the '.join(through)} slab: the pair has no contact"
-        else:
-            hint += "; its thickness or radius is another one, or it floats on a margin"
-        return Measurement(measured=errors[worst], hint=hint)
+            cause = f"it falls through the {' and the '.join(through)} slab: the pair has no contact"
+        hint = f"off its height on each slab: {text}"
+        return Measurement(measured=errors[worst], hint=hint, cause=cause)
 
     return measure
 

@@ -126,7 +126,7 @@ cloth-start              Cloth.size_m:swap:0-1                              warp
 cloth-rests              Contact.pair:drop:all                              falls through
 foam-tension             SoftBody.young_modulus_pa:scale:1.25               stretches 0.
 foam-poisson             SoftBody.poisson_ratio:drop:none                   nu = 0
-rope-start               Rope.length_m:scale:1.25                           or length
+rope-start               Rope.length_m:scale:1.25                           mm long instead of 300
 air-terminal             Air.normal_coefficient:drop:none                   no effect
 air-terminal             Air.density_kg_per_m3:scale:1.6                    times
 air-pressure             Air.wind_m_per_s:drop:zero                         the force of the air is 0
