@@ -38,7 +38,7 @@ KP, KV, LIMIT, DELAY, SHARE, DRY, VISCOUS, ARMATURE, INERTIA, MASS, GRAVITY = UN
 SHARES = np.geomspace(0.02, 12.0, 281)
 """Shares of a constant that are tried, beside none."""
 LEAST, LEFT, MANY = 0.01, 0.1, 0.9
-"""Share of the torques that may be unexplained, share of that which a cause leaves, and share of samples that say so."""
+"""Share of the torques that may be unexplained, of that which a cause leaves, and of the samples that say so."""
 
 
 class _Turning:
