@@ -54,18 +54,6 @@ class _ReversedBetween(Passed):
         self.inner.command(-values if self.scene.body_hinges else values)
 
 
-class _Late(Passed):
-    """Passes a command on with the next one."""
-
-    def reset(self, seed):
-        super().reset(seed)
-        self._last = None
-
-    def command(self, values):
-        self.inner.command(np.zeros_like(values) if self._last is None else self._last)
-        self._last = values.copy()
-
-
 class _SoftFriction(Passed):
     """Dry friction with MuJoCo's own impedance."""
 
@@ -179,13 +167,6 @@ FAULTS = dict(
             "joint-torque",
             "sign of the axis",
             simulation=_Reversed,
-        ),
-        fault(
-            "command-late",
-            "commands one interval late",
-            "joint-delay",
-            "the next advance()",
-            simulation=_Late,
         ),
         fault(
             "servo-sign",

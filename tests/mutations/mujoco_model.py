@@ -114,23 +114,6 @@ def _gravity_tilted(model, scene):
     model.opt.gravity[:2] = 0.1
 
 
-class _ResetKeepsVelocity(Passed):
-    """Keeps velocities over a reset."""
-
-    def reset(self, seed):
-        velocity = self.inner.data.qvel.copy()
-        super().reset(seed)
-        self.inner.data.qvel[:] = velocity
-
-
-class _RestoreForgetsVelocity(Passed):
-    """Drops velocities when a state is restored."""
-
-    def restore(self, state):
-        super().restore(state)
-        self.inner.data.qvel[:] = 0.0
-
-
 class _RestoreForgetsWarmStart(Passed):
     """Drops the solver's warm start when a state is restored."""
 
@@ -156,23 +139,6 @@ class _Blast(Passed):
         self.inner.data.qvel[speed > 1.0] *= 1.5
 
 
-class _StartsTurning(Passed):
-    """Starts with a slow rotation."""
-
-    def reset(self, seed):
-        super().reset(seed)
-        self.inner.data.qvel[3:4] = 0.01
-
-
-class _ResetForgetsVelocity(Passed):
-    """Starts with the velocities of the scene after build only."""
-
-    def reset(self, seed):
-        super().reset(seed)
-        if not self.scene.body_hinges:
-            self.inner.data.qvel[:] = 0.0
-
-
 def _centre_elsewhere(model, scene):
     for one in _dynamic(scene, ConvexUnion):
         model.body(one.name).ipos[0] += 0.005
@@ -189,50 +155,6 @@ def _torsional(model, scene):
     model.geom_friction[:, 1] = 5e-3
     model.pair_dim[:] = 4
     model.pair_friction[:, 2] = 5e-3
-
-
-def _speeds(change):
-    """Return a simulation that changes velocities and angular velocities of free bodies after each interval."""
-
-    class Changed(Passed):
-        def advance(self, seconds):
-            super().advance(seconds)
-            if self.inner.model.nq == 7 * len(self.scene.dynamic_bodies):
-                for row in self.inner.data.qvel.reshape(-1, 6):
-                    change(row[:3], row[3:])
-
-    return Changed
-
-
-def _limit(vector, most):
-    vector *= min(1.0, most / max(float(np.linalg.norm(vector)), 1e-12))
-
-
-class _Asleep(Passed):
-    """Stops free bodies that were slower than 5 mm/s, and did not spin, for 0.5 s."""
-
-    def __init__(self, inner, scene):
-        super().__init__(inner, scene)
-        self.slow_s = {}
-
-    def advance(self, seconds):
-        super().advance(seconds)
-        model, rates = self.inner.model, self.inner.data.qvel
-        free = model.jnt_type == mujoco.mjtJoint.mjJNT_FREE
-        for first in model.jnt_dofadr[free].tolist():
-            speed = np.linalg.norm(rates[first : first + 3])
-            is_slow = speed < 5e-3 and not rates[first + 3 : first + 6].any()
-            slow_s = self.slow_s.get(first, 0.0) + seconds if is_slow else 0.0
-            self.slow_s[first] = slow_s
-            if slow_s > 0.5:
-                rates[first : first + 6] = 0.0
-
-    def state(self):
-        return super().state(), dict(self.slow_s)
-
-    def restore(self, state):
-        super().restore(state[0])
-        self.slow_s = dict(state[1])
 
 
 class _HeavySpin(Passed):
@@ -346,20 +268,6 @@ FAULTS = dict(
             simulation=_model(_mean_of_pieces),
         ),
         _own(
-            "reset-velocity",
-            "reset keeps velocities",
-            "reset-start",
-            "velocities are kept",
-            simulation=_ResetKeepsVelocity,
-        ),
-        _own(
-            "restore-velocity",
-            "restore forgets velocities",
-            "restore",
-            "velocities",
-            simulation=_RestoreForgetsVelocity,
-        ),
-        _own(
             "restore-warm-start",
             "restore forgets warm starts",
             "restore-impact",
@@ -437,25 +345,11 @@ FAULTS = dict(
             simulation=_Blast,
         ),
         _own(
-            "starts-turning",
-            "rotation at the start",
-            "reset-start",
-            "velocities",
-            simulation=_StartsTurning,
-        ),
-        _own(
             "centre-elsewhere",
             "centre of mass 5 mm off",
             "start-velocity-of-origin",
             "centre of mass does not follow",
             simulation=_model(_centre_elsewhere),
-        ),
-        _own(
-            "reset-start-velocity",
-            "start velocity lost at reset",
-            "start-velocity",
-            "starts at rest",
-            simulation=_ResetForgetsVelocity,
         ),
         _own(
             "gains-energy",
@@ -477,27 +371,6 @@ FAULTS = dict(
             "spin-on-point",
             "torsional friction",
             simulation=_model(_torsional),
-        ),
-        _own(
-            "spin-limited",
-            "angular velocity of at most 100 rad/s",
-            "spin-fast",
-            "limits or damps angular velocities",
-            simulation=_speeds(lambda velocity, spin: _limit(spin, 100.0)),
-        ),
-        _own(
-            "speed-limited",
-            "speed of at most 4 m/s",
-            "free-fall",
-            "limit of speed",
-            simulation=_speeds(lambda velocity, spin: _limit(velocity, 4.0)),
-        ),
-        _own(
-            "asleep",
-            "bodies slower than 5 mm/s sleep",
-            "glide-speed",
-            "sleep",
-            simulation=_Asleep,
         ),
         _own(
             "gravity-of-spin",

@@ -24,28 +24,34 @@ ALSO = """
 angular-velocity         quaternion-order                                   another order inside
 carry-slip               friction-low                                       is not the pair's
 cloth-reset              no-reset                                           positions and velocities of nodes
-cloth-restore            restore-velocity                                   velocities
+cloth-restore            restore.velocity:drop:all                          velocities
 drop-energy              gains-energy                                       the engine makes energy
 foam-pinned-face         nodes-lag                                          one interval (1/180 s) late
 foam-start               nodes-millimetres                                  nodes are world positions
-free-fall-turn           starts-turning                                     of the brick at the start is
+free-fall-turn           RigidBody.angular_velocity_rad_per_s:offset:2-True of the brick at the start is
 inertia-box              quaternion-inside                                  w, x, y, z was read as x, y, z, w
 joint-stick              joint-dry-viscous                                  viscous at low speed
 pendulum-energy          hinge-damping                                      damped
 pendulum-long-energy     hinge-damping                                      damped slowly
 pendulum-long-period     hinge-damping                                      damped slowly
-reset-course             reset-velocity                                     does not restore velocities
+reset-course             reset.velocity:stale:all                           does not restore velocities
 rest-box                 margin                                             half sizes
 rest-convex              margin                                             a margin, or its size
 rest-cylinder            Cylinder.length_m:side:dynamic-0.5                 its length is half
 rest-driven              margin                                             a margin, or its size
 rest-lying-cylinder      Cylinder.radius_m:side:dynamic-0.5                 its radius is half
 rest-sphere              margin                                             a margin, or its size
-foam-restore             restore-velocity                                   after restore()
-rope-restore             restore-velocity                                   after restore()
+foam-restore             restore.velocity:drop:all                          after restore()
+rope-restore             restore.velocity:drop:all                          after restore()
 copies-alike             engine.spin:side:negative                          the order of bodies and pairs
 tether-place             Tether.anchor_m:offset:0-False                     furthest for the
-restore-edge             restore-velocity                                   after restore()
+restore-edge             restore.velocity:drop:all                          after restore()
+reset-start              reset.velocity:stale:all                           velocities are kept
+restore                  restore.velocity:drop:all                          velocities
+joint-delay              command.value:stale:one-call                       the next advance()
+start-velocity           reset.velocity:drop:all                            starts at rest
+spin-fast                engine.spin:saturate:3                             limits or damps angular velocities
+glide-speed              engine.velocity:threshold:slow-frozen              sleep
 restore-rest             restore-warm-start                                 after restore()
 rod-start                lines-turned                                       z for a rod
 roll-cylinder            rolling-friction                                   rolling friction were
@@ -53,7 +59,7 @@ slide-plane              plane-level                                        that
 slide-plane              friction-holds                                     friction holds the brick
 spin-momentum            hinge-damping                                      angular damping
 start-rest               steps-at-build                                     must not step
-start-velocity-reset     reset-start-velocity                               at rest after the reset
+start-velocity-reset     reset.velocity:drop:all                            at rest after the reset
 centre-union             centre-elsewhere                                   centre of mass should be
 new-arrays               buffer.states:stale:reused                         reused buffer
 cloth-new-arrays         buffer.nodes:stale:reused                          reused buffer
