@@ -2,8 +2,6 @@
 
 from dataclasses import replace
 
-import numpy as np
-
 from gauge_envs.scene import Box, JointDynamics, Sphere
 from gauge_envs.scene.motors import Servo
 from mutations.mutant import Passed, fault
