@@ -243,10 +243,8 @@ class SimulationPyBullet(PlacedWorld, Simulation):
     def moving_states(self, names: Sequence[str]) -> NDArray[np.float64]:
         """Return poses and velocities of dynamic and driven bodies in Bullet, shape [len(names), 13]."""
         handles = [self.world.handles[name] for name in names]
-        read = [
-            np.concatenate(self._read(handle.body, handle.link)) for handle in handles
-        ]
-        places, frames, speeds, spins = np.split(np.array(read), [3, 7, 10], axis=1)
+        read = (self._read(handle.body, handle.link) for handle in handles)
+        places, frames, speeds, spins = map(np.array, zip(*read, strict=True))
         turns = np.array([handle.quaternion for handle in handles])
         offsets_m = np.array([handle.offset_m for handle in handles])
         quaternions = quaternion_products(
