@@ -129,23 +129,7 @@ def _glide_turn(rollout: Rollout) -> Measurement:
             ratios[f"{name} from {start_s:g} to {end_s:g} s"] = float(
                 steps[part].mean() / rollout.interval_s / rate
             )
-    found = worst_ratio(ratios, "the rate of rotation is")
-    free, hinged = (
-        max(
-            abs(ratio - 1.0)
-            for name, ratio in ratios.items()
-            if ("ball" in name) is is_free
-        )
-        for is_free in (True, False)
-    )
-    where = ""
-    if hinged > 10.0 * free:
-        where = (
-            "; bodies on hinges alone are slowed: dry or viscous friction of the joint"
-        )
-    elif free > 10.0 * hinged:
-        where = "; free bodies alone are slowed: angular damping"
-    return replace(found, hint=found.hint + where)
+    return worst_ratio(ratios, "the rate of rotation is")
 
 
 @_glide.check("glide-reports")

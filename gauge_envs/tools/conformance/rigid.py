@@ -220,16 +220,7 @@ def _hinge_radius(rollout: Rollout) -> Measurement:
         np.abs(np.hypot(arm[:, 0], arm[:, 2]) - PENDULUM_M),
         np.abs(arm[:, 1]),
     )
-    # A tilted axis moves the bob along the prescribed axis at once; a soft joint yields in both directions.
-    tilted = along.max() > 10.0 * radial.max() or (
-        along.max() > 1e-3 and radial.max() < 0.2 * along.max()
-    )
-    hint = (
-        "the bob leaves its plane of rotation: the hinge's axis is tilted"
-        if tilted
-        else ""
-    )
-    return Measurement(measured=1e3 * float(np.maximum(radial, along).max()), hint=hint)
+    return Measurement(measured=1e3 * float(np.maximum(radial, along).max()))
 
 
 # --- string ----------------------------------------------------------------------------------------------------------

@@ -8,6 +8,7 @@ A body with the inertia I about its hinge, whose weight has the torque W, turns 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,8 +37,11 @@ KP, KV, LIMIT, DELAY, SHARE, DRY, VISCOUS, ARMATURE, INERTIA, MASS, GRAVITY = UN
 """Constants that a fault may change, with their units."""
 
 SHARES = np.geomspace(0.02, 12.0, 281)
-"""Shares of a constant that are tried, beside none."""
-LEAST, LEFT, MANY = 0.01, 0.1, 0.9
+"""Shares of a constant that are tried, beside none and the opposite."""
+BODY = (INERTIA, MASS, GRAVITY)
+LEAST_TURN_RAD = 0.05
+"""Rotation from which on a hinge shows its torques."""
+LEAST, LEFT, MANY = 2e-3, 0.1, 0.9
 """Share of the torques that may be unexplained, of that which a cause leaves, and of the samples that say so."""
 
 
@@ -121,6 +125,33 @@ class _Turning:
         moves = np.abs(self.rates) > 0.02 * np.abs(self.rates).max()
         return np.abs(sum(self.torques_n_m(**changed).values()))[moves]
 
+    def best(self, name: str, size: float, floor: Any) -> tuple[float, float]:
+        """Return the least torque that another value of a constant leaves [N m], and that value.
+
+        Args:
+            name: Name of the constant.
+            size: Torque that is not explained [N m].
+            floor: Torque that is left where the value does not act [N m].
+        """
+
+        def left_n_m(value: float) -> float:
+            left = np.minimum(self.left_n_m(**{name: value}), floor)
+            return float(np.quantile(left, MANY))
+
+        stated = self.values[name]
+        if name in BODY:
+            # Without inertia nothing is left to explain.
+            tried = stated * SHARES[SHARES > LEFT]
+        elif 0.0 < stated < np.inf:
+            tried = stated * np.array([-1.0, 0.0, *SHARES, np.inf])
+        else:
+            effect = np.abs(self.left_n_m(**{name: 1.0}) - self.left_n_m())
+            tried = SHARES * size / max(float(np.quantile(effect, MANY)), 1e-12)
+        with np.errstate(invalid="ignore"):
+            best = min(tried, key=left_n_m)
+        near = best * np.linspace(0.975, 1.025, 51)
+        return min((left_n_m(value), float(value)) for value in (best, *near))
+
 
 def wrong_torques(rollout: Rollout) -> Iterator[str]:
     """Yield for each hinge on which a body turns otherwise the constants that explain it alone."""
@@ -138,49 +169,38 @@ def wrong_torques(rollout: Rollout) -> Iterator[str]:
             or terms.servo
         ):
             continue
-        if cause := _cause(_Turning(rollout, hinge)):
+        least = 10.0 * LEAST if scene.contacts else LEAST
+        if cause := _cause(_Turning(rollout, hinge), least):
             yield f"the {hinge.body} turns as if the {cause}"
 
 
-def _cause(turning: _Turning) -> str:
-    """Return the constants of which another value leaves a tenth of the torque that is not explained."""
+def _cause(turning: _Turning, least: float) -> str:
+    """Return the constants of which another value leaves a tenth of the torque that is not explained.
+
+    Args:
+        turning: The motion.
+        least: Share of the largest torque from which on one is not explained.
+    """
     unexplained = turning.left_n_m()
-    if len(unexplained) < 8:
+    if len(unexplained) < 8 or np.ptp(turning.angles) < LEAST_TURN_RAD:
         return ""
     size = float(np.quantile(unexplained, MANY))
-    largest = max(
-        np.quantile(np.abs(one), MANY) for one in turning.torques_n_m().values()
-    )
-    if not size > LEAST * largest:
+    terms = turning.torques_n_m()
+    largest = max(np.quantile(np.abs(one), MANY) for one in terms.values())
+    # What changes no rate is rounding.
+    gained = size * np.ptp(turning.times_s) / turning.values[INERTIA]
+    if size < least * largest or gained < least * np.abs(turning.rates).max():
         return ""
     for when, floor in (("", np.inf), (" for part of the time", unexplained)):
-        found = {}
-        for name, stated in turning.values.items():
-            unit = stated if 0.0 < stated < np.inf else _unit(turning, name, size)
-            # Without inertia nothing is left to explain.
-            shares = SHARES[SHARES > LEFT] if name in (INERTIA, MASS) else [0, *SHARES]
-            tried = {}
-            for value in np.multiply(unit, shares):
-                left = np.minimum(turning.left_n_m(**{name: value}), floor)
-                tried[float(value)] = float(np.quantile(left, MANY))
-            best = min(tried, key=lambda value: tried[value])
-            found[name] = tried[best], best
-        least = min(left for left, _ in found.values())
-        if least < LEFT * size:
-            alike = [
-                f"{name} were {value:.3g} {UNITS[name]} instead of {turning.values[name]:.3g}"
-                for name, (left, value) in found.items()
-                if left < min(2.0 * least + 0.01 * size, LEFT * size)
-            ]
-            return f"{', or the '.join(alike)}{when}"
+        found = {name: turning.best(name, size, floor) for name in turning.values}
+        limit = min(2.0 * min(found.values())[0] + 0.01 * size, LEFT * size)
+        alike = {name: value for name, (left, value) in found.items() if left < limit}
+        # Checks of free bodies come first, so that what a hinge has is more likely.
+        own = [name for name in alike if turning.values[name] and name not in BODY]
+        texts = [
+            f"{name} were {alike[name]:.3g} {UNITS[name]} instead of {turning.values[name]:.3g}"
+            for name in own or alike
+        ]
+        if texts:
+            return f"{', or the '.join(texts)}{when}"
     return ""
-
-
-def _unit(turning: _Turning, name: str, size: float) -> float:
-    """Return a value of a constant that the scene leaves out with which it explains a torque [N m]."""
-    if name == LIMIT:
-        return float(np.abs(turning.torques_n_m()["motor"]).max())
-    if name == DELAY:
-        return 0.05
-    effect = np.abs(turning.left_n_m(**{name: 1.0}) - turning.left_n_m())
-    return size / max(float(np.quantile(effect, MANY)), 1e-12)
