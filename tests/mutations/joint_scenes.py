@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 from gauge_envs.scene import Box, JointDynamics, Sphere
-from gauge_envs.scene.motors import Servo
 from mutations.mutant import Passed, fault
 
 
@@ -26,16 +25,6 @@ def _hinges(change):
 
 def _terms(change):
     return _hinges(lambda hinge: replace(hinge, dynamics=change(hinge.dynamics)))
-
-
-def _servos(change):
-    return _hinges(
-        lambda one: (
-            replace(one, motor=change(one.motor))
-            if isinstance(one.motor, Servo)
-            else one
-        )
-    )
 
 
 class _Reversed(Passed):
@@ -165,15 +154,6 @@ FAULTS = dict(
             "joint-torque",
             "sign of the axis",
             simulation=_Reversed,
-        ),
-        fault(
-            "servo-sign",
-            "servos speed up",
-            "joint-servo",
-            "the sign of the rate",
-            scene=_servos(
-                lambda one: replace(one, kv_n_m_s_per_rad=-one.kv_n_m_s_per_rad)
-            ),
         ),
         fault(
             "servo-for-friction",

@@ -8,7 +8,6 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.scene import Box, Compound, ConvexUnion, Rope
 from gauge_envs.scene.hinged import parent_hinges
-from gauge_envs.scene.meshes import mass_properties
 from mutations.mutant import Passed, fault
 
 
@@ -40,15 +39,6 @@ def _inertia_times(kind, factor):
 def _mean_of_vertices(model, scene):
     for one in _dynamic(scene, ConvexUnion):
         model.body(one.name).ipos[:] = one.shape.corners_m.mean(axis=0)
-
-
-def _mean_of_pieces(model, scene):
-    for one in _dynamic(scene, ConvexUnion):
-        centres = [
-            mass_properties(ConvexUnion(pieces_m=(piece,)), 1.0)[0]
-            for piece in one.shape.pieces_m
-        ]
-        model.body(one.name).ipos[:] = np.mean(centres, axis=0)
 
 
 def _damped(model, scene):
@@ -215,7 +205,7 @@ FAULTS = dict(
             "limit-forward",
             "torque limit of a servo for positive torques alone",
             "joint-limit-back",
-            "torques of one sign alone",
+            "torque limit of its servo were inf",
             simulation=_model(_limit_forward),
         ),
         _own(
@@ -259,13 +249,6 @@ FAULTS = dict(
             "free-fall-drift",
             "gravity is tilted",
             simulation=_model(_gravity_tilted),
-        ),
-        _own(
-            "union-unweighted",
-            "pieces of a union weighted equally",
-            "centre-union",
-            "mean of the pieces' centres",
-            simulation=_model(_mean_of_pieces),
         ),
         _own(
             "restore-warm-start",

@@ -141,7 +141,7 @@ class _Turning:
         stated = self.values[name]
         if name in BODY:
             # Without inertia nothing is left to explain.
-            tried = stated * SHARES[SHARES > LEFT]
+            tried = stated * SHARES[SHARES > 2.0 * LEFT]
         elif 0.0 < stated < np.inf:
             tried = stated * np.array([-1.0, 0.0, *SHARES, np.inf])
         else:

@@ -158,12 +158,17 @@ stated-inertia           RigidBody.inertia_kg_m2:drop:none                  the 
 pendulum-period          Hinge.joint:drop:all                               hinge is missing
 pendulum-period          Hinge.anchor_m:offset:0-False                      anchor of its hinge
 hinged-closed            BodyHinge.joint:drop:all                           the hinge is missing
-joint-dry                JointDynamics.dry_friction_n_m:scale:1.25          the unit of the joint's friction
+joint-dry                JointDynamics.dry_friction_n_m:scale:1.25          dry friction of its hinge were 0.025
 joint-slip               JointDynamics.dry_friction_n_m:scale:1.25          friction at rest
-joint-viscous            JointDynamics.viscous_friction_n_m_s_per_rad:scale:1.25 radians
-joint-armature           JointDynamics.armature_kg_m2:drop:none             the armature adds to the inertia
+joint-viscous            JointDynamics.viscous_friction_n_m_s_per_rad:scale:1.25 friction of its hinge were 0.025
+joint-servo              Servo.kp_n_m_per_rad:scale:1.25                    kp of its servo were 2.5
+joint-torque             command.value:scale:1.25                           share of its motor's torque were 1.25
+copies-alike             Servo.kv_n_m_s_per_rad:stale:first-for-all         the kv of its servo were
+pendulum-period          Hinge.anchor_m:alternates:odd-0.5s-1.6             at once: the anchor moves
+joint-servo              Servo.kp_n_m_per_rad:alternates:odd-0.5s-0.5       instead of 2 for part of the time
+joint-armature           JointDynamics.armature_kg_m2:drop:none             armature of its hinge were 0
 joint-backlash           JointDynamics.backlash_rad:scale:1.6               half of the play
-joint-limit              Servo.torque_limit_n_m:saturate:most               times the torque limit
+joint-limit              Servo.torque_limit_n_m:saturate:most               torque limit of its servo were 0.02
 joint-between            BodyHinge.anchor_m:drop:zero                       from the anchor of its hinge
 grasp-slips              Contact.friction:scale:0.8                         that both pads rub
 driven-velocity          drive.velocity:drop:all                            without velocity
