@@ -152,14 +152,14 @@ FAULTS = dict(
             "motor-reversed",
             "motors turn the other way",
             "joint-torque",
-            "sign of the axis",
+            "torque were -1",
             simulation=_Reversed,
         ),
         fault(
             "servo-for-friction",
             "joints with a servo have no dry friction",
             "joint-dry-servo",
-            "share one motor",
+            "dry friction of its hinge were 0",
             scene=_hinges(
                 lambda one: (
                     replace(one, dynamics=replace(one.dynamics, dry_friction_n_m=0.0))

@@ -261,7 +261,7 @@ FAULTS = dict(
             "hinge-damping",
             "damped joints and bodies",
             "pendulum-period",
-            "damping",
+            "viscous friction",
             simulation=_model(_damped),
         ),
         _own(

@@ -31,7 +31,7 @@ foam-start               nodes-millimetres                                  node
 free-fall-turn           RigidBody.angular_velocity_rad_per_s:offset:2-True of the brick at the start is
 inertia-box              quaternion-inside                                  w, x, y, z was read as x, y, z, w
 joint-stick              joint-dry-viscous                                  viscous at low speed
-pendulum-energy          hinge-damping                                      damped
+pendulum-energy          hinge-damping                                      viscous friction
 pendulum-long-energy     hinge-damping                                      damped slowly
 pendulum-long-period     hinge-damping                                      damped slowly
 reset-course             reset.velocity:stale:all                           does not restore velocities
@@ -68,7 +68,7 @@ two-at-once              Scene.gravity_m_per_s2:stale:last-built            shar
 reset-command            reset.command:stale:all                            outlives reset
 restore-command          restore.command:stale:all                          the command of a motor
 glide-speed              engine.velocity:saturate:3                         a limit of speed
-glide-turn               engine.hinge_rate:scale:damped-0.05                damping
+glide-turn               engine.hinge_rate:scale:damped-0.05                viscous friction
 driven-turned-path       drive.position:kth:first                           the first block is off
 glide-reports            report.spin:side:negative                          the reported angular velocity
 volley-order             Contact.restitution:side:fixed-first-0.8           is first
