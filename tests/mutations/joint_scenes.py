@@ -136,7 +136,7 @@ FAULTS = dict(
             "joint-dry-soft",
             "dry friction of joints creeps",
             "joint-stick",
-            "the joint creeps",
+            "dry friction of its hinge were",
             simulation=_SoftFriction,
             engine="mujoco",
         ),

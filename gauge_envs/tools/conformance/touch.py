@@ -209,7 +209,7 @@ def _rests(kind: str) -> Callable[[Rollout], Measurement]:
         worst = max(errors, key=lambda one: abs(errors[one]))
         text = ", ".join(f"{one} {error:.3g} mm" for one, error in errors.items())
         through = [one for one, error in errors.items() if error < -13.0]
-        cause = "its thickness or radius is another one, or it floats on a margin"
+        cause = ""
         if through:
             cause = f"it falls through the {' and the '.join(through)} slab: the pair has no contact"
         hint = f"off its height on each slab: {text}"

@@ -442,7 +442,7 @@ def test_pendulum_period_is_the_integral_over_a_quarter_swing():
 
 
 def test_a_soft_hinge_and_lost_energy_are_measured():
-    """A bob leaves its circle by 2 mm along the axis and 0.3 mm along the arm; its speed loses a tenth of its energy."""
+    """A bob leaves its circle by 2 mm along the axis and 0.3 mm along the arm, and loses a tenth of its energy."""
     angles_rad = np.linspace(np.radians(60.0), 0.0, 20)
     grown = np.linspace(0.0, 1e-3, 20)
     arm_m = 0.2 + 0.3 * grown
