@@ -101,18 +101,6 @@ class _CreepingPads(Passed):
             self.inner.model.opt.impratio = 0.1
 
 
-class _TiredMotors(Passed):
-    """Motors lose a third of their torque after 300 intervals."""
-
-    def reset(self, seed):
-        super().reset(seed)
-        self._count = 0
-
-    def command(self, values):
-        self._count += 1
-        self.inner.command(0.7 * values if self._count > 300 else values)
-
-
 FAULTS = dict(
     (
         fault(
@@ -156,19 +144,6 @@ FAULTS = dict(
             simulation=_Reversed,
         ),
         fault(
-            "servo-for-friction",
-            "joints with a servo have no dry friction",
-            "joint-dry-servo",
-            "dry friction of its hinge were 0",
-            scene=_hinges(
-                lambda one: (
-                    replace(one, dynamics=replace(one.dynamics, dry_friction_n_m=0.0))
-                    if one.motor
-                    else one
-                )
-            ),
-        ),
-        fault(
             "motor-between-reversed",
             "motors between bodies turn the other way",
             "joint-between",
@@ -190,13 +165,6 @@ FAULTS = dict(
             "friction is regularized",
             simulation=_CreepingPads,
             engine="mujoco",
-        ),
-        fault(
-            "motor-tired",
-            "motors lose torque",
-            "grasp-holds",
-            "than torque over length",
-            simulation=_TiredMotors,
         ),
         fault(
             "grasp-points",

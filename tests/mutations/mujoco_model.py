@@ -45,10 +45,6 @@ def _damped(model, scene):
     model.dof_damping[:] = 1e-4
 
 
-def _armature(model, scene):
-    model.dof_armature[:] = 1e-4
-
-
 def _hanging(change):
     """Return a change of the bodies that hang on other bodies in MuJoCo's model, which gets each of their names."""
 
@@ -263,13 +259,6 @@ FAULTS = dict(
             "pendulum-period",
             "viscous friction",
             simulation=_model(_damped),
-        ),
-        _own(
-            "armature",
-            "armature of joints and bodies",
-            "pendulum-period",
-            "armature",
-            simulation=_model(_armature),
         ),
         _own(
             "hinged-axis",

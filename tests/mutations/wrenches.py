@@ -39,32 +39,6 @@ class _ForceAtOrigin(Passed):
         super().apply_wrench(body, wrench + np.concatenate([np.zeros(3), torque]))
 
 
-class _WrenchKept(Passed):
-    """Keeps wrenches over a reset."""
-
-    def __init__(self, inner, scene):
-        super().__init__(inner, scene)
-        self._applied = {}
-
-    def apply_wrench(self, body, wrench):
-        super().apply_wrench(body, wrench)
-        self._applied[body] = np.array(wrench)
-
-    def reset(self, seed):
-        super().reset(seed)
-        for body, wrench in self._applied.items():
-            super().apply_wrench(body, wrench)
-
-
-class _RestoreForgetsWrench(_Pushed):
-    """Drops wrenches when a state is restored."""
-
-    def restore(self, state):
-        super().restore(state)
-        for body in self._applied:
-            super().apply_wrench(body, np.zeros(6))
-
-
 class _RollingFriction(Passed):
     """Brakes spheres and cylinders in contact by a torque of 0.01 m g times their radius."""
 
@@ -113,20 +87,6 @@ FAULTS = dict(
             "roll-ball",
             "rolling friction were",
             simulation=_RollingFriction,
-        ),
-        fault(
-            "reset-wrench",
-            "reset keeps wrenches",
-            "wrench-reset",
-            "reset must clear",
-            simulation=_WrenchKept,
-        ),
-        fault(
-            "restore-wrench",
-            "restore forgets wrenches",
-            "restore-wrench",
-            "wrench",
-            simulation=_RestoreForgetsWrench,
         ),
         fault(
             "wrench-once",

@@ -161,6 +161,11 @@ hinged-closed            BodyHinge.joint:drop:all                           the 
 joint-dry                JointDynamics.dry_friction_n_m:scale:1.25          dry friction of its hinge were 0.025
 joint-slip               JointDynamics.dry_friction_n_m:scale:1.25          friction at rest
 joint-viscous            JointDynamics.viscous_friction_n_m_s_per_rad:scale:1.25 friction of its hinge were 0.025
+wrench-reset             reset.wrench:stale:all                             reset must clear
+restore-wrench           restore.wrench:drop:all                            wrench
+joint-dry-servo          JointDynamics.dry_friction_n_m:drop:none           dry friction of its hinge were 0
+pendulum-period          JointDynamics.armature_kg_m2:offset:False          armature
+grasp-holds              command.value:threshold:after-2                    than torque over length
 joint-servo              Servo.kp_n_m_per_rad:scale:1.25                    kp of its servo were 2.5
 joint-torque             command.value:scale:1.25                           share of its motor's torque were 1.25
 copies-alike             Servo.kv_n_m_s_per_rad:stale:first-for-all         the kv of its servo were
@@ -417,7 +422,6 @@ def test_not_finite_states_are_reported_once_and_first():
 CONSEQUENCES = {
     "nodes-shuffled": "rope-start",
     "rolling-friction": "spin-on-point",
-    "motor-tired": "joint-dry-servo",
     "grasp-points": "grasp-creep",
     "random": "two-at-once",
 }
