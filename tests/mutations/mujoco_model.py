@@ -73,10 +73,6 @@ def _hinge_heavy(model, name):
     model.body(name).inertia[:] *= 1.5
 
 
-def _hinge_damped(model, name):
-    model.joint(name).damping[:] = 1e-3
-
-
 class _HangingWeightless(Passed):
     """Bodies that hang on other bodies feel no gravity."""
 
@@ -287,13 +283,6 @@ FAULTS = dict(
             "hinged-momentum",
             "the inertia of both",
             simulation=_model(_hanging(_hinge_heavy)),
-        ),
-        _own(
-            "hinged-damping",
-            "hinges between bodies are damped",
-            "hinged-energy",
-            "damping",
-            simulation=_model(_hanging(_hinge_damped)),
         ),
         _own(
             "hinged-backwards",

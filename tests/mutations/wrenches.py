@@ -7,8 +7,8 @@ from gauge_envs.scene.meshes import mass_properties
 from mutations.mutant import Passed, fault
 
 
-class _Pushed(Passed):
-    """Knows the bodies with a wrench."""
+class _WrenchOnce(Passed):
+    """Applies a wrench during one interval only."""
 
     def __init__(self, inner, scene):
         super().__init__(inner, scene)
@@ -17,10 +17,6 @@ class _Pushed(Passed):
     def apply_wrench(self, body, wrench):
         super().apply_wrench(body, wrench)
         self._applied.add(body)
-
-
-class _WrenchOnce(_Pushed):
-    """Applies a wrench during one interval only."""
 
     def advance(self, seconds):
         super().advance(seconds)

@@ -58,22 +58,15 @@ class _Turning:
         self.accelerations = np.diff(steps) / interval_s**2
         self.times_s = rollout.times_s[1:-1]
         centre_m, tensor = mass_properties(body.shape, body.mass_kg)
-        if body.inertia_kg_m2 is not None:
-            stated = np.array(body.inertia_kg_m2)
-            is_tensor = stated.ndim == 1
-            tensor = (
-                stated[[[0, 3, 4], [3, 1, 5], [4, 5, 2]]]
-                if is_tensor
-                else stated * np.eye(3)
-            )
+        if isinstance(body.inertia_kg_m2, float):
+            tensor = body.inertia_kg_m2 * np.eye(3)
         arms_m = (rollout.position(body.name) + turns.apply(centre_m) - hinge.anchor_m)[
             1:-1
         ]
         # Torque of a weight of 1 N.
         self.levers_m = np.cross(arms_m, [0.0, 0.0, -1.0]) @ axis
         inner = turns[0].apply(axis, inverse=True)
-        across_m2 = np.square(arms_m[0]).sum() - (arms_m[0] @ axis) ** 2
-        self.about_hinge_m2 = float(across_m2)
+        self.about_hinge_m2 = float(np.square(np.cross(arms_m[0], axis)).sum())
         self.follows_mass = body.inertia_kg_m2 is None
         self.mass_kg = body.mass_kg
         self.motor = motor = hinge.motor
@@ -162,12 +155,7 @@ def wrong_torques(rollout: Rollout) -> Iterator[str]:
     for hinge in scene.joints:
         if not isinstance(hinge, Hinge) or hinge.body in bound or hinge.limits_rad:
             continue
-        terms = hinge.dynamics
-        if (
-            terms.backlash_rad
-            or terms.quadratic_friction_n_m_s2_per_rad2
-            or terms.servo
-        ):
+        if hinge.dynamics.backlash_rad:
             continue
         least = 10.0 * LEAST if scene.contacts else LEAST
         if cause := _cause(_Turning(rollout, hinge), least):

@@ -140,7 +140,7 @@ air-friction             Air.tangential_coefficient:scale:0.5               coun
 air-lift                 Air.lift_coefficient:drop:none                     perpendicular
 tether-rest              Tether.length_m:scale:1.25                         its length is not length_m
 tether-length            Tether.length_m:scale:1.25                         375
-rope-length              Rope.length_m:scale:1.25                           another length
+rope-length              Rope.length_m:scale:1.25                           becomes 376
 tether-length            Tether.joint:drop:all                              missing
 tether-slack             Tether.length_m:scale:0.8                          shorter than its length_m
 wrench-force             RigidBody.mass_kg:scale:1.25                       mass were 1.25
@@ -166,6 +166,7 @@ restore-wrench           restore.wrench:drop:all                            wren
 joint-dry-servo          JointDynamics.dry_friction_n_m:drop:none           dry friction of its hinge were 0
 pendulum-period          JointDynamics.armature_kg_m2:offset:False          armature
 grasp-holds              command.value:threshold:after-2                    than torque over length
+hinged-energy            JointDynamics.viscous_friction_n_m_s_per_rad:offset:False damping
 joint-servo              Servo.kp_n_m_per_rad:scale:1.25                    kp of its servo were 2.5
 joint-torque             command.value:scale:1.25                           share of its motor's torque were 1.25
 copies-alike             Servo.kv_n_m_s_per_rad:stale:first-for-all         the kv of its servo were
