@@ -162,7 +162,7 @@ def recipe_joint(
     from gauge_envs.backends import backend
     from gauge_envs.scene import Scene
     from gauge_envs.tools.identify import identify
-    from gauge_envs.tools.identify.mended import write_files
+    from gauge_envs.tools.identify.mended import check_files, write_files
     from gauge_envs.tools.identify.model_files import has_slider
     from gauge_envs.tools.identify.stack_logs import read_logs
     from gauge_envs.tools.identify.words import identified_document
@@ -173,6 +173,7 @@ def recipe_joint(
         scene, **{name: value for name, value in load.items() if value is not None}
     )
     model = None if isinstance(built, Scene) else built
+    check_files(files, model, scene or "")
     read, tests = (
         [log for path in paths for log in read_logs(path, model, angle_unit)]
         for paths in (logs, test or ())
@@ -194,8 +195,6 @@ def recipe_joint(
             stack=stack,
             progress=bar.show,
         )
-    if files:
-        write_files(files, built, scene or "", found, read[0])
     print_document(identified_document(found), form)
     if form is not Format.JSON:
         echo(f"\npaste\n{found.stack_lines or found.lines}", nl=False)
@@ -214,6 +213,9 @@ def recipe_joint(
         note(
             f"{name} slides: in its numbers rad means m, N m means N, and kg m^2 means kg"
         )
+    if files and model is not None:
+        # The numbers are printed before, as a file that cannot be written ends the command.
+        write_files(files, model, scene or "", found, read[0])
     is_open = any(one.unknown for one in found.settings)
     return is_open or bool(found.lost) or bool(found.behind_a_lag)
 

@@ -43,6 +43,8 @@ def place_assets(spec: mujoco.MjSpec, folder: Path) -> None:
             before = Path(spec.modelfiledir) / getattr(spec, name)
             if not Path(getattr(spec, name)).is_absolute():
                 setattr(spec, name, os.path.relpath(before, folder))
+    # A model is compiled as it is written, and its folders count from this one.
+    spec.modelfiledir = str(folder.resolve())
 
 
 def mended_urdf(
@@ -145,8 +147,20 @@ def sysid_trajectory(spec: mujoco.MjSpec, log: Log) -> Mapping[str, Any]:
     }
 
 
+def check_files(files: Mapping[str, Path], scene: Any, source: str) -> None:
+    """Raise ParameterError unless the files of `write_files` can be made of a model, before anything is identified."""
+    if files and not isinstance(scene, mujoco.MjSpec):
+        raise ParameterError("--out mends the MJCF or URDF of --scene: name one")
+    if ".urdf" in files and Path(source).suffix.lower() != ".urdf":
+        raise ParameterError(f"--out {files['.urdf']}: {source} is no URDF")
+
+
 def write_files(
-    files: Mapping[str, Path], scene: Any, source: str, found: Identified, log: Log
+    files: Mapping[str, Path],
+    scene: mujoco.MjSpec,
+    source: str,
+    found: Identified,
+    log: Log,
 ) -> None:
     """Write a mended MJCF or URDF, and a log for `mujoco.sysid`, by suffix.
 
@@ -156,12 +170,7 @@ def write_files(
         source: That file.
         found: What was identified.
         log: The log of the file for `mujoco.sysid`.
-
-    Raises:
-        ParameterError: There is no such file to mend.
     """
-    if not isinstance(scene, mujoco.MjSpec):
-        raise ParameterError("--out mends the MJCF or URDF of --scene: name one")
     mended = mended_mjcf(scene, found)
     if ".npz" in files:
         sensed(mended, found.names)
@@ -170,8 +179,6 @@ def write_files(
         place_assets(mended, files[".xml"].parent)
         files[".xml"].write_text(mended.to_xml(), encoding="utf-8")
     if ".urdf" in files:
-        if Path(source).suffix.lower() != ".urdf":
-            raise ParameterError(f"--out {files['.urdf']}: {source} is no URDF")
         text = read_bytes(Path(source)).decode("utf-8")
         folders = Path(source).parent, files[".urdf"].parent
         text = mended_urdf(text, found, *folders)

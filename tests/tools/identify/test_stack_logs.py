@@ -129,7 +129,7 @@ LINK = '<link name="arm"><visual><geometry><mesh filename="meshes/m.obj"/></geom
 
 def test_a_mended_file_in_another_folder_finds_its_meshes(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    for folder in ("robot/meshes", "fitted"):
+    for folder in ("robot/meshes", "out/fitted"):
         Path(folder).mkdir(parents=True)
     Path("robot/meshes/m.obj").write_text(OBJ)
     Path("robot/arm.xml").write_text(MESH)
@@ -137,10 +137,10 @@ def test_a_mended_file_in_another_folder_finds_its_meshes(tmp_path, monkeypatch)
     found = replace(FOUND, joints=[{"armature_kg_m2": 0.02}], names=("a",))
     log = Log("run", TIMES_S, ANGLES, joints=("a",))
     spec = mujoco.MjSpec.from_file("robot/arm.xml")
-    files = {".xml": Path("fitted/arm.xml"), ".urdf": Path("fitted/arm.urdf")}
+    files = {".xml": Path("out/fitted/arm.xml"), ".urdf": Path("out/fitted/arm.urdf")}
     write_files(files, spec, "robot/arm.urdf", found, log)
-    assert mujoco.MjSpec.from_file("fitted/arm.xml").compile().nmesh == 1
-    assert "../robot/meshes/m.obj" in Path("fitted/arm.urdf").read_text()
+    assert mujoco.MjSpec.from_file("out/fitted/arm.xml").compile().nmesh == 1
+    assert "../../robot/meshes/m.obj" in Path("out/fitted/arm.urdf").read_text()
 
 
 # --- ROS 2 ---
