@@ -215,6 +215,50 @@ def paw(*, quat=".7071 .7071 0 0", kp=10, coefficient=1):
       {fingers}</body></worldbody><tendon>{tendons}</tendon><actuator>{servos}</actuator></mujoco>"""
 
 
+def row_of_fingers(*places):
+    """Return copies of a finger beside each other, whose links have more on one side, and the last one is longer."""
+    fingers = "".join(
+        f"""<body pos="0 {y} 0"><joint name="a{y}" axis="0 1 0" range="0 1"/>
+        <geom type="box" pos="0 .005 .02" size=".005 .008 .02"/><body pos="0 0 .04"><joint axis="0 1 0" range="0 1"/>
+        <geom type="capsule" fromto="0 0 0 0 0 {0.06 if y == places[-1] else 0.04}" size=".005"/></body></body>"""
+        for y in places
+    )
+    return f"""<mujoco><compiler angle="radian"/><worldbody><body>
+      <geom type="box" size=".02 .08 .01"/>{fingers}</body></worldbody>
+      <actuator><position joint="a{places[0]}" kp="1"/></actuator></mujoco>"""
+
+
+def two_sides(*limbs):
+    """Return a trunk with limbs, each of axes of its joints on the left and on the right side, and ranges of both."""
+    chains, motors = "", ""
+    for limb, joints in enumerate(limbs):
+        for side, y in enumerate((0.2, -0.2)):
+            chains += f'<body pos="0 {y} {-0.5 * limb}">'
+            for number, (*axes, ends) in enumerate(joints):
+                name = f"{'lr'[side]}{limb}{number}"
+                chains += f"""<joint name="{name}" axis="{axes[side]}" range="{ends.split(",")[-side]}"/>
+                  <geom size=".02" mass="{limb + 1}"/><body pos="0 0 -.1">"""
+                motors += f'<motor joint="{name}" forcerange="-9 9"/>'
+            chains += "</body>" * (len(joints) + 1)
+    return f"""<mujoco><compiler angle="radian"/><worldbody><body><geom type="box" size=".1 .2 .2"/>{chains}</body>
+      </worldbody><actuator>{motors}</actuator></mujoco>"""
+
+
+def beside(extra):
+    """Return the chain of five joints beside something else on the same mount, and a motor of a joint that it lacks."""
+    lacking = """<body pos="0 0 20"><joint name="none"/>
+      <inertial pos="0 0 0" mass=".001" diaginertia="1e-6 1e-6 1e-6"/></body>"""
+    robot = chain().replace("<worldbody>", f"<worldbody>{lacking}<body>")
+    robot = robot.replace("</worldbody>", f"{extra}</body></worldbody>")
+    return robot.replace("</actuator>", '<motor joint="none"/></actuator>')
+
+
+TURNED, UPRIGHT = ("0 0 1", "0 0 1"), [("0 0 1", "0 0 -1", "-1 1")] * 2
+ARM, LEG = (
+    [("1 0 0", "1 0 0", "-1 1")] * 3,
+    [("1 0 0", "-1 0 0", "-1 1"), ("0 1 0", "0 1 0", "-1 1")],
+)
+PICTURE = """<body><joint axis="0 1 0"/><geom pos=".3 0 0" size=".05" contype="0" conaffinity="0"/></body>"""
 UNEQUAL = '<joint joint1="right" joint2="left" polycoef="0 .5 0 0 0" solref=".005 1"/>'
 ODD_PARTS = [
     ("robot-command", pulled(), pulled(coefficient=-0.5), "coefficient of right"),
@@ -251,6 +295,29 @@ ON_PURPOSE = [
     ("robot-rotor", chain(armature=1e-3), chain(last_armature=1e-5)),
     ("robot-lag", four_bar(), four_bar(kv=20)),
     ("robot-mirror", claw(), claw(last_m=0.011)),
+    (
+        "robot-sides",
+        row_of_fingers(-0.06, -0.02, 0.02, 0.06),
+        row_of_fingers(-0.06, 0.06),
+    ),
+    # A first joint that turns unlike those behind it, with ranges that mirror each other.
+    (
+        "robot-sides",
+        two_sides([(*TURNED, "-1 .5,-.5 1"), *UPRIGHT]),
+        two_sides([(*TURNED, "-1 1"), *UPRIGHT]),
+    ),
+    # A leg whose joints all turn as mirror images beside an arm whose do not.
+    (
+        "robot-sides",
+        two_sides(ARM, [*LEG, UPRIGHT[0]]),
+        two_sides(ARM, [*LEG, (*TURNED, "-1 1")]),
+    ),
+    (
+        "robot-size",
+        beside(""),
+        beside('<body pos="0 0 20"><joint/><geom size=".1"/></body>'),
+    ),
+    ("robot-torque", beside(PICTURE), beside(re.sub(r'con.*"0"', "", PICTURE))),
 ]
 
 
@@ -414,6 +481,14 @@ def test_the_centre_of_mass_of_a_biped_is_judged_by_its_lean():
     assert robot_row("robot-balance", robot).configured == pytest.approx(
         lean_deg, abs=0.1
     )
+
+
+def test_a_foot_with_toes_without_a_shape_ends_no_run():
+    toes = '<body><joint/><inertial pos="0 0 0" mass=".01" diaginertia="1e-5 1e-5 1e-5"/></body>'
+    text = re.sub("(?s)<keyframe>.*</keyframe>", "", biped_xml())
+    text = re.sub(r'(name="\w+_foot" type="box".*?/>)', rf"\1{toes}", text)
+    assert text.count(toes) == 2
+    assert robot_row("robot-balance", robot_of(text)).applies
 
 
 @pytest.mark.parametrize("name", ["half_cheetah.xml", "humanoidstandup.xml"])

@@ -43,7 +43,7 @@ def wrong_knees(robot: Robot, limb: list[int], limbs: list[list[int]]) -> Iterat
     aside = apart_m / max(float(np.linalg.norm(apart_m)), 1e-9)
     ahead = np.cross(aside, np.asarray(robot.up))
     of_foot = np.flatnonzero(model.jnt_bodyid == foot)
-    if not len(of_foot):
+    if not len(of_foot) or not geoms_of(robot, foot):
         return
     ankle_m = data.xanchor[of_foot[-1]]
     corners_m = box_corners(model, geoms_of(robot, foot))

@@ -133,7 +133,10 @@ class Robot:
 
     @cached_property
     def bodies(self) -> list[int]:
-        """Bodies of the robot that stands; without one, those that motors move, and without motors, all that move."""
+        """Bodies of the robot that stands; without one, those that motors move, and without motors, all that move.
+
+        No part of it are trees without a shape, as motors of joints that a robot lacks, and pictures of a second one.
+        """
         model = self.model
         roots = [first_moving_body(model, body) for body in range(model.nbody)]
         if self.standing is not None:
@@ -141,9 +144,15 @@ class Robot:
                 body for body, root in enumerate(roots) if root == self.standing.body
             ]
         moving = [b for b in range(1, model.nbody) if model.body_dofnum[roots[b]]]
-        arms = model.body_rootid[model.jnt_bodyid[joints_of_motors(model)]].tolist()
-        driven = [b for b in moving if int(model.body_rootid[b]) in arms]
-        return driven or moving
+        driven = model.jnt_bodyid[joints_of_motors(model)]
+        arms = np.intersect1d(
+            model.body_rootid[driven], model.body_rootid[model.geom_bodyid]
+        )
+        felt = model.geom_bodyid[np.unique(self.pairs.geoms)]
+        real = {roots[body] for body in (*driven, *felt)}
+        is_linked = model.neq or model.ntendon
+        parts = [b for b in moving if is_linked or roots[b] in real]
+        return [b for b in parts if model.body_rootid[b] in arms] or moving
 
     @cached_property
     def foot_rows(self) -> list[int]:

@@ -1,8 +1,7 @@
 """Judge whether the sides of a robot are mirror images, and whether copies of a part are driven alike."""
 
-import copy
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -92,6 +91,9 @@ FEW_COPIES = 2
 SAME = 0.01
 """Difference of two numbers over the larger one up to which they are the same."""
 
+SAME_ASIDE = 0.05
+"""Part of the distance of a centre of mass along the axis of its joint, from which on it is on one side."""
+
 ALONG = 0.95
 """Cosine of the angle between two frames, or its opposite, from which on they lie along each other."""
 
@@ -154,6 +156,12 @@ class MirrorPair:
         mirrored = self.range_of(self.other)
         return float(np.abs(mirrored - self.ranges_rad[self.other]).max())
 
+    @property
+    def is_uneven(self) -> bool:
+        """Whether a range has more room on one side of the pose."""
+        uneven_rad = abs(float(self.ranges_rad[self.joint].sum()))
+        return uneven_rad > limits_of("robot-mirror")[1]
+
     def range_of(self, joint: int) -> FloatArray:
         """Return the range that a joint has as the mirror image of the other one [rad], shape [2]."""
         (other,) = {self.joint, self.other} - {joint}
@@ -183,6 +191,7 @@ def mirror_pairs(robot: Robot) -> list[MirrorPair]:
     couplings = couplings_of(model)
     ends = (model.eq_obj1id[couplings], model.eq_obj2id[couplings])
     coupled = {frozenset(two) for two in np.column_stack(ends).tolist()}
+    palms = _palms(robot, data)
     best: list[MirrorPair] = []
     alike_count = 0
     for signs in IMAGES:
@@ -223,11 +232,31 @@ def mirror_pairs(robot: Robot) -> list[MirrorPair]:
                 and is_origin_aside[_meeting_body(model, *bodies[[one, other]])]
             )
             and frozenset(joints[[one, other]].tolist()) not in coupled
+            and palms.get(int(bodies[one]), -1) != palms.get(int(bodies[other]))
         ]
         alike = sum(pair.apart_m <= SAME_PLACE_M for pair in pairs)
         if alike > alike_count and alike >= SYMMETRIC_SHARE * len(pairs):
             best, alike_count = pairs, alike
     return best
+
+
+def _palms(robot: Robot, data: mujoco.MjData) -> dict[int, int]:
+    """Return what carries the links of fingers in a row, of which no two are mirror images.
+
+    At least three start with copies that are moved, not turned, whose centres of mass are all on the same side.
+    """
+    model, limbs = robot.model, limbs_of(robot)
+    roots = [limb[-1] for limb in limbs]
+    palms = model.body_weldid[model.body_parentid[roots]]
+    joints, centres_m = model.body_jntadr[roots], model.body_ipos[roots]
+    sides_m = (centres_m * model.jnt_axis[joints]).sum(axis=1)
+    least_m = SAME_ASIDE * np.linalg.norm(centres_m, axis=1)
+    is_row = copies_of(robot, joints) & (palms[:, None] == palms)
+    is_row &= data.xmat[roots] @ data.xmat[roots].T > 1.0 + 2.0 * ALONG
+    is_row &= np.outer(sides_m, sides_m) > np.outer(least_m, least_m)
+    in_row = is_row.sum(axis=1) >= FEW_COPIES
+    rows = zip(limbs, palms.tolist(), in_row, strict=True)
+    return {body: palm for limb, palm, is_in in rows if is_in for body in limb}
 
 
 def _is_turned_copy(
@@ -338,7 +367,11 @@ def _sides(robot: Robot) -> Finding:
         both = f"{name_of(robot, pair.joint)} and {name_of(robot, pair.other)}"
         several = [f"{quantity} of {both}" for quantity in OF_GEOMETRY]
         worst = max(several, key=parts.__getitem__)
-        advice = _placing(robot, pair)
+        links = " and ".join(
+            body_name(robot, int(robot.model.jnt_bodyid[joint]))
+            for joint in (pair.joint, pair.other)
+        )
+        advice = f"pos, quat (w x y z) and inertial of {links}, and the axis of their joints, as mirror images"
     is_trunk = worst.endswith((" ahead", " aside"))
     base = SHARE_OF.get(worst.partition(" of ")[0], "the larger one")
     if is_trunk:
@@ -379,33 +412,6 @@ def _first_misplaced(robot: Robot) -> MirrorPair | None:
         if any(found[quantity] > high for quantity in OF_GEOMETRY):
             return pair
     return None
-
-
-def _placing(robot: Robot, pair: MirrorPair) -> str:
-    """Return which attributes place the links of a pair that are no mirror images, and a quaternion in other order."""
-    bodies = robot.model.jnt_bodyid[[pair.joint, pair.other]].tolist()
-    names = [body_name(robot, body) for body in bodies]
-    high = limits_of("robot-sides")[1]
-    for body, name in zip(bodies, names, strict=True):
-        turned = _in_other_order(robot, body)
-        if turned is None:
-            continue
-        for one in mirror_pairs(turned):
-            found = dict(differences(turned, one))
-            is_pair = {one.joint, one.other} == {pair.joint, pair.other}
-            if is_pair and all(found[quantity] <= high for quantity in OF_GEOMETRY):
-                return f"the quat of {name} in the order w x y z"
-    return f"pos, quat and inertial of {' and '.join(names)}, and the axis of their joints, as mirror images"
-
-
-def _in_other_order(robot: Robot, body: int) -> Robot | None:
-    """Return a robot with the quaternion of a body taken as x y z w; None where it turns nothing."""
-    quaternion = robot.model.body_quat[body]
-    if abs(quaternion[0]) > STRAIGHT:
-        return None
-    model = copy.copy(robot.model)
-    model.body_quat[body] = np.roll(quaternion, 1)
-    return replace(robot, model=model)
 
 
 def _trunk_shares(robot: Robot) -> Iterator[tuple[str, float]]:
@@ -598,7 +604,15 @@ def _shares(robot: Robot, pair: MirrorPair) -> Iterator[tuple[str, float]]:
         for one in others
     )
     is_alone = not any((one.cosine > 0.0) == (pair.cosine > 0.0) for one in others)
-    is_odd = is_alone and (has_copy or len(others) >= FEW_PAIRS)
+    # A range that mirrors the other one, and the rest of its limb, say how a joint turns more surely than others do.
+    is_said = pair.is_uneven and pair.range_apart_rad <= limits_of("robot-mirror")[1]
+    limb = {body for one in limbs_of(robot) if {*one} & {*bodies} for body in one}
+    of_limb = [
+        one for one in mirror_pairs(robot) if model.jnt_bodyid[one.joint] in limb
+    ]
+    turns = {one.cosine > 0.0 for one in of_limb}
+    is_said |= len(of_limb) > FEW_PAIRS and len(turns) == 1
+    is_odd = is_alone and (has_copy or (len(others) >= FEW_PAIRS and not is_said))
     is_odd &= not pair.is_turned
     yield DIRECTION, ODD_DIRECTION * is_odd
     yield "centre of mass", float(np.linalg.norm(pair.centres_apart_m)) / size_m
