@@ -184,10 +184,10 @@ def _cause(turning: _Turning, least: float) -> str:
         limit = min(2.0 * min(found.values())[0] + 0.01 * size, LEFT * size)
         alike = {name: value for name, (left, value) in found.items() if left < limit}
         # Checks of free bodies come first, so that what a hinge has is more likely.
-        own = [name for name in alike if turning.values[name] and name not in BODY]
+        of_hinge = [name for name in alike if turning.values[name] and name not in BODY]
         texts = [
             f"{name} were {alike[name]:.3g} {UNITS[name]} instead of {turning.values[name]:.3g}"
-            for name in own or alike
+            for name in of_hinge or alike
         ]
         if texts:
             return f"{', or the '.join(texts)}{when}"
