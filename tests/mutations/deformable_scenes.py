@@ -6,6 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.scene import Air, Cloth, Pose, Rod, Rope
+from gauge_envs.scene.geometry import vector
 from mutations.mutant import fault
 from mutations.scenes import change_deformables
 
@@ -66,6 +67,22 @@ def _pumping(scene):
     return replace(scene, air=_PumpingAir(**asdict(air)))
 
 
+def _raised(scene):
+    raised = [
+        replace(
+            one,
+            pose=replace(
+                one.pose,
+                position_m=vector(np.add(one.pose.position_m, [0.0, 0.0, 3e-3])),
+            ),
+        )
+        if isinstance(one, Cloth)
+        else one
+        for one in scene.deformables
+    ]
+    return replace(scene, deformables=tuple(raised))
+
+
 FAULTS = dict(
     (
         fault(
@@ -86,6 +103,13 @@ FAULTS = dict(
                     one for one in scene.contacts if one.first != one.second
                 ),
             ),
+        ),
+        fault(
+            "cloth-height",
+            "cloth 3 mm too high",
+            "cloth-start",
+            "centred on its pose",
+            scene=_raised,
         ),
         fault(
             "cloth-random",

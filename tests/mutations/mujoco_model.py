@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.scene import Box, Compound, ConvexUnion, Rope
 from gauge_envs.scene.hinged import parent_hinges
+from gauge_envs.scene.meshes import mass_properties
 from mutations.mutant import Passed, fault
 
 
@@ -39,6 +40,15 @@ def _inertia_times(kind, factor):
 def _mean_of_vertices(model, scene):
     for one in _dynamic(scene, ConvexUnion):
         model.body(one.name).ipos[:] = one.shape.corners_m.mean(axis=0)
+
+
+def _mean_of_pieces(model, scene):
+    for one in _dynamic(scene, ConvexUnion):
+        centres = [
+            mass_properties(ConvexUnion(pieces_m=(piece,)), 1.0)[0]
+            for piece in one.shape.pieces_m
+        ]
+        model.body(one.name).ipos[:] = np.mean(centres, axis=0)
 
 
 def _damped(model, scene):
@@ -173,6 +183,17 @@ def _tether_centre(model, scene):
         model.site_pos[site] += model.body_ipos[model.site_bodyid[site]]
 
 
+class _SpeedLimited(Passed):
+    """Limits the speed of free bodies to 4 m/s."""
+
+    def advance(self, seconds):
+        super().advance(seconds)
+        if self.inner.model.nq == 7 * len(self.scene.dynamic_bodies):
+            speeds = self.inner.data.qvel.reshape(-1, 6)[:, :3]
+            sizes = np.linalg.norm(speeds, axis=1, keepdims=True)
+            speeds *= np.minimum(1.0, 4.0 / np.maximum(sizes, 1e-12))
+
+
 def _own(id, what, caught_by, says, **how):
     return fault(id, what, caught_by, says, engine="mujoco", **how)
 
@@ -241,6 +262,13 @@ FAULTS = dict(
             "free-fall-drift",
             "gravity is tilted",
             simulation=_model(_gravity_tilted),
+        ),
+        _own(
+            "union-unweighted",
+            "pieces of a union weighted equally",
+            "centre-union",
+            "mean of the pieces' centres",
+            simulation=_model(_mean_of_pieces),
         ),
         _own(
             "restore-warm-start",
@@ -332,6 +360,13 @@ FAULTS = dict(
             "spin-on-point",
             "torsional friction",
             simulation=_model(_torsional),
+        ),
+        _own(
+            "speed-limited",
+            "speed of at most 4 m/s",
+            "free-fall",
+            "limit of speed",
+            simulation=_SpeedLimited,
         ),
         _own(
             "gravity-of-spin",

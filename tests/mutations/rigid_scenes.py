@@ -95,6 +95,14 @@ def _hull(shape):
 SLOW_LIMIT_M_PER_S = 0.6
 
 
+def _first_piece(shape):
+    return (
+        ConvexUnion(pieces_m=shape.pieces_m[:1])
+        if isinstance(shape, ConvexUnion)
+        else shape
+    )
+
+
 def _no_slow_rebound(scene):
     if scene.speed_limit_m_per_s > SLOW_LIMIT_M_PER_S:
         return scene
@@ -331,6 +339,13 @@ FAULTS = dict(
             scene=change_shapes(_hull),
         ),
         fault(
+            "union-first-piece",
+            "first piece of a union only",
+            "inertia-union",
+            "the first of its pieces",
+            scene=change_shapes(_first_piece),
+        ),
+        fault(
             "plane-origin",
             "plane through the world origin",
             "rest-box",
@@ -343,6 +358,13 @@ FAULTS = dict(
             "determinism",
             "random numbers",
             scene=_random_friction,
+        ),
+        fault(
+            "first-contact",
+            "first contact of a scene only",
+            "slide",
+            "has no contact",
+            scene=lambda scene: replace(scene, contacts=scene.contacts[:1]),
         ),
         fault(
             "friction-product",
