@@ -5,6 +5,7 @@ Libraries may turn the exception into another one, or drop it in a callback. So 
 
 import os
 import signal
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -28,6 +29,7 @@ def handle_interrupts() -> None:
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         return
     signal.signal(signal.SIGINT, _on_signal)
+    sys.unraisablehook = _on_dropped
 
 
 @contextmanager
@@ -59,3 +61,9 @@ def _on_signal(*_: Any) -> None:
         os._exit(EXIT_INTERRUPTED)
     _State.came = True
     raise KeyboardInterrupt
+
+
+def _on_dropped(dropped: Any) -> None:
+    """Report an exception that a callback drops, but for Ctrl-C, which is remembered."""
+    if dropped.exc_type is not KeyboardInterrupt:
+        sys.__unraisablehook__(dropped)

@@ -301,3 +301,25 @@ def test_a_path_beyond_ascii_works_in_the_c_locale(tmp_path):
         check=False,
     )
     assert (done.returncode, done.stderr) == (0, b"")
+
+
+IN_A_CALLBACK = """
+import os, signal, weakref
+from gauge_envs.cli import interrupts
+
+class Dropped:
+    pass
+
+interrupts.handle_interrupts()
+with interrupts.command_runs():
+    one = Dropped()
+    reference = weakref.ref(one, lambda _: os.kill(os.getpid(), signal.SIGINT))
+    del one
+print(interrupts.was_interrupted())
+"""
+"""A callback, as those of locks of modules, in which an exception is dropped."""
+
+
+def test_ctrl_c_in_a_callback_is_quiet_and_remembered(tmp_path):
+    done = run_python("-c", IN_A_CALLBACK, cwd=tmp_path, env=environment(), timeout=60)
+    assert (done.stdout, done.stderr) == ("True\n", "")
