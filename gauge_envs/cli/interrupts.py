@@ -6,8 +6,9 @@ Libraries may turn the exception into another one, or drop it in a callback. So 
 import os
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from typing import Any
 
 EXIT_INTERRUPTED = 130
@@ -29,7 +30,7 @@ def handle_interrupts() -> None:
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         return
     signal.signal(signal.SIGINT, _on_signal)
-    sys.unraisablehook = _on_dropped
+    sys.unraisablehook = partial(_on_dropped, sys.__unraisablehook__)
 
 
 @contextmanager
@@ -63,7 +64,10 @@ def _on_signal(*_: Any) -> None:
     raise KeyboardInterrupt
 
 
-def _on_dropped(dropped: Any) -> None:
-    """Report an exception that a callback drops, but for Ctrl-C, which is remembered."""
+def _on_dropped(report: Callable[[Any], None], dropped: Any) -> None:
+    """Report an exception that a callback drops, but for Ctrl-C, which is remembered.
+
+    As Python ends it takes names from modules, so that the report is an argument.
+    """
     if dropped.exc_type is not KeyboardInterrupt:
-        sys.__unraisablehook__(dropped)
+        report(dropped)
