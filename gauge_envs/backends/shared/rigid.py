@@ -44,13 +44,14 @@ CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])
 _STARTS = ("pose", "linear_velocity_m_per_s", "angular_velocity_rad_per_s")
 
 
-def _fields_but(kind: type, others: Iterable[str]) -> Callable[[object], object]:
+def _fields_without(kind: type, others: Iterable[str]) -> Callable[[object], object]:
+    """Return a function that reads all fields of a dataclass but some."""
     return attrgetter(*({one.name for one in fields(kind) if one.init} - {*others}))
 
 
-_start = attrgetter(*_STARTS)
-_body = _fields_but(RigidBody, _STARTS)
-_scene = _fields_but(Scene, ("bodies", "drivers"))
+_start_of = attrgetter(*_STARTS)
+_body_without_start = _fields_without(RigidBody, _STARTS)
+_scene_without_motion = _fields_without(Scene, ("bodies", "drivers"))
 
 
 def body_state(
@@ -138,14 +139,14 @@ def bodies_elsewhere(built: Scene, scene: Scene) -> list[RigidBody] | None:
 
     None if anything but the motion of driven bodies differs too.
     """
-    # Tuples of the same objects are equal at once.
-    if _scene(built) != _scene(scene):
+    # Comparing tuples is quick where most of their members are the same objects.
+    if _scene_without_motion(built) != _scene_without_motion(scene):
         return None
     moved = []
     for old, new in zip(built.bodies, scene.bodies, strict=True):
-        if _body(old) != _body(new):
+        if _body_without_start(old) != _body_without_start(new):
             return None
-        if _start(old) != _start(new):
+        if _start_of(old) != _start_of(new):
             if new.motion is not Motion.DYNAMIC:
                 return None
             moved.append(new)

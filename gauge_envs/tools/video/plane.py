@@ -164,17 +164,16 @@ def metric_on_grid(
 
 
 def read_camera(path: Path | str) -> CameraFile:
-    """Return the view that a camera file describes.
+    """Return what a camera file says.
 
-    The keys are on the page "World models": `size_px`, then `[points]` or `[board]`, `[lens]` and `[motion]`. Lengths
-    are in metres, pixels in pictures of the stated size.
+    The keys are on the page "World models": `size_px`, `[board]`, `[lens]` and `[motion]`. Lengths are in metres,
+    pixels in pictures of the stated size.
 
     Args:
         path: The file, TOML.
 
     Raises:
-        ReferenceFileError: The file cannot be read, a key is missing, unknown or of another shape, or the points span
-            no plane.
+        ReferenceFileError: The file cannot be read, or a key is missing, unknown or of another shape.
     """
     return read_model(Path(path), CameraFile)
 

@@ -135,7 +135,8 @@ class Robot:
     def bodies(self) -> list[int]:
         """Bodies of the robot that stands; without one, those that motors move, and without motors, all that move.
 
-        No part of it are trees without a shape, as motors of joints that a robot lacks, and pictures of a second one.
+        Trees of bodies without any shape are left out, as motors stand there for joints that the robot lacks. So are
+        trees that no motor moves and that touch nothing, as pictures of a second robot.
         """
         model = self.model
         roots = [first_moving_body(model, body) for body in range(model.nbody)]

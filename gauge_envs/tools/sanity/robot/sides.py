@@ -241,9 +241,10 @@ def mirror_pairs(robot: Robot) -> list[MirrorPair]:
 
 
 def _palms(robot: Robot, data: mujoco.MjData) -> dict[int, int]:
-    """Return what carries the links of fingers in a row, of which no two are mirror images.
+    """Return the palm of each link of fingers in a row, by its body: two fingers of one row are no mirror images.
 
-    At least three start with copies that are moved, not turned, whose centres of mass are all on the same side.
+    Fingers are in a row where at least three of a palm start with copies of a joint that are moved, not turned, and
+    have their centres of mass on the same side of it.
     """
     model, limbs = robot.model, limbs_of(robot)
     roots = [limb[-1] for limb in limbs]
@@ -604,15 +605,17 @@ def _shares(robot: Robot, pair: MirrorPair) -> Iterator[tuple[str, float]]:
         for one in others
     )
     is_alone = not any((one.cosine > 0.0) == (pair.cosine > 0.0) for one in others)
-    # A range that mirrors the other one, and the rest of its limb, say how a joint turns more surely than others do.
-    is_said = pair.is_uneven and pair.range_apart_rad <= limits_of("robot-mirror")[1]
+    # A range that mirrors the other one, or a limb that turns alike, explains the axis better than other joints do.
+    is_explained = (
+        pair.is_uneven and pair.range_apart_rad <= limits_of("robot-mirror")[1]
+    )
     limb = {body for one in limbs_of(robot) if {*one} & {*bodies} for body in one}
     of_limb = [
         one for one in mirror_pairs(robot) if model.jnt_bodyid[one.joint] in limb
     ]
     turns = {one.cosine > 0.0 for one in of_limb}
-    is_said |= len(of_limb) > FEW_PAIRS and len(turns) == 1
-    is_odd = is_alone and (has_copy or (len(others) >= FEW_PAIRS and not is_said))
+    is_explained |= len(of_limb) > FEW_PAIRS and len(turns) == 1
+    is_odd = is_alone and (has_copy or (len(others) >= FEW_PAIRS and not is_explained))
     is_odd &= not pair.is_turned
     yield DIRECTION, ODD_DIRECTION * is_odd
     yield "centre of mass", float(np.linalg.norm(pair.centres_apart_m)) / size_m
