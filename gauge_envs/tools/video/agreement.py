@@ -18,6 +18,16 @@ from gauge_envs.tools.video.tasks import VideoTask
 CLOSE = 0.1
 """Largest relative difference with which a value agrees with a published one."""
 
+DETAILS = {
+    "largest_a_m_s2": "an acceleration of at most {:.3g} m/s^2",
+    "exceeding_share": "more than friction holds in {:.1%} of the frames",
+    "damping_per_s": "a swing whose amplitude decays by {:.3g} a second",
+    "event_count": "{:.0f} apices",
+    "least_event": "an efficiency of {:.3g} in the worst swing",
+    "largest_event": "{:.3g} in the best",
+}
+"""Words for the details of motions that are not straight."""
+
 
 def agreement(
     result: VideoScore,
@@ -45,8 +55,8 @@ def agreement(
     if _is_within(result, published):
         return "within the interval"
     if task.direction is None:
-        numbers = [f"{name} {value:.3g}" for name, value in result.details.items()]
-        return f"differs: {', '.join(numbers)}"
+        shown = [DETAILS[name].format(value) for name, value in result.details.items()]
+        return f"differs: the track shows {', '.join(shown)}"
     intervals = sorted(_intervals(result, task), key=lambda one: sum(map(abs, one[0])))
     for (later_start, later_end), (first, last), metrics in intervals:
         if _is_close(metrics, published):

@@ -23,7 +23,7 @@ from gauge_envs.tools.video import (  # noqa: E402
     video_task,
     video_tasks,
 )
-from gauge_envs.tools.video.agreement import agreement  # noqa: E402
+from gauge_envs.tools.video.agreement import DETAILS, agreement  # noqa: E402
 from gauge_envs.tools.video.frames import FileFrames  # noqa: E402
 from gauge_envs.tools.video.scoring import findings_of, paper_metrics  # noqa: E402
 from gauge_envs.tools.video.tasks import published_results  # noqa: E402
@@ -520,7 +520,14 @@ def test_a_published_force_that_the_track_has_not_differs_in_numbers():
     result = score_track(track_of(places, 16.0), task)
     assert result.metrics["de"] == 0.0
     text = agreement(result, task, {"de": 0.01})
-    assert text.startswith("differs: largest_a_m_s2 0.") and "exceeding_share 0" in text
+    assert text.startswith("differs: the track shows an acceleration of at most 0.")
+    assert text.endswith("more than friction holds in 0.0% of the frames")
+
+
+@pytest.mark.parametrize("task", SWINGS)
+def test_each_detail_of_a_swing_has_words(task):
+    result = scored(known(task))
+    assert result.details and {*result.details} <= {*DETAILS}
 
 
 def test_places_count_in_whole_pixels_of_the_video(tmp_path):
