@@ -1,5 +1,6 @@
 """The script of each study runs as its note says, on the smallest input that it has."""
 
+import csv
 import os
 import shlex
 import shutil
@@ -73,3 +74,21 @@ def test_a_script_runs_as_its_note_says(study, tmp_path, monkeypatch):
         )
     assert done.returncode == 0, wrong.read_text(encoding="utf-8")
     assert printed.read_bytes() or study == "joints"
+
+
+def test_the_page_of_sanity_counts_the_blind_draws_as_their_rows_do():
+    page = (ROOT / "docs/sanity.md").read_text(encoding="utf-8")
+    with (STUDIES / "robots/blind.csv").open(encoding="utf-8") as file:
+        mistakes = list(csv.DictReader(file))
+
+    def named(**chosen):
+        rows = [row for row in mistakes if chosen.items() <= row.items()]
+        count = sum(row["verdict"] == "named" for row in rows)
+        return f"{count} of {len(rows)}"
+
+    for quantity in {row["quantity"] for row in mistakes}:
+        assert f"| {quantity} | {named(quantity=quantity)} |" in page
+    for parts in {row["parts"] for row in mistakes}:
+        published = named(parts=parts, published="yes")
+        others = named(parts=parts, published="no")
+        assert f"| {published} | {others} |" in page
