@@ -157,17 +157,20 @@ def _greedy(
         scored: list[tuple[tuple[int, bool, bool, float], Alternative]] = []
         # A step is changed only where no other change mends as much, since shorter ones cost time in proportion.
         for one in sorted(candidates, key=lambda one: one.name == STEP):
-            mends_all = any(rank[0] == len(left) for rank, _ in scored)
-            if one.name == STEP and mends_all:
+            least = 1
+            if one.name == STEP:
+                least += max((rank[0] for rank, _ in scored), default=0)
+            score = _score(left, {**changes, one.name: one.value}, least)
+            if score is None:
                 continue
-            mended, closeness = _score(left, {**changes, one.name: one.value})
+            mended, closeness = score
             # No shorter step if others mend as much, then one that is named for a row.
             rank = (mended, one.name != STEP, one.name in named, closeness)
             scored.append((rank, one))
-        scored.sort(key=lambda pair: pair[0], reverse=True)
-        rank, best, largest_net = scored[0][0], scored[0][1], -math.inf
-        if not rank[0]:
+        if not scored:
             return
+        scored.sort(key=lambda pair: pair[0], reverse=True)
+        best, largest_net = scored[0][1], -math.inf
         for one_rank, one in scored[:MOST_COMPARED]:
             if one_rank[0] <= largest_net:
                 # It mends no more than what is left of the best one after its harm.
@@ -175,9 +178,7 @@ def _greedy(
             after = {**changes, one.name: one.value}
             net = _net(one_rank[0], others, after, largest_net)
             if net > largest_net:
-                rank, best, largest_net = one_rank, one, net
-        if not rank[0]:
-            return
+                best, largest_net = one, net
         changes[best.name] = best.value
         yield dict(changes)
         left = [one for one in left if one.worst(changes).verdict is not Verdict.INSIDE]
@@ -209,11 +210,24 @@ def _alternatives(flagged: Sequence[Subject], dialect: Dialect) -> list[Alternat
     return [one for one in found.values() if dialect.writes(one.name)]
 
 
-def _score(subjects: Sequence[Subject], changes: Settings) -> tuple[int, float]:
-    """Return how many subjects are inside with changes, and minus the sum of all deviations."""
-    outcomes = [subject.worst(changes) for subject in subjects]
-    total = sum(min(one.deviation, LARGEST_DEVIATION) for one in outcomes)
-    return sum(one.verdict is Verdict.INSIDE for one in outcomes), -total
+def _score(
+    subjects: Sequence[Subject], changes: Settings, least: int
+) -> tuple[int, float] | None:
+    """Return how many subjects are inside with changes, and minus the sum of all deviations.
+
+    None once fewer than `least` can be inside, without a measurement of the others.
+    """
+    inside_count, total = 0, 0.0
+    possible_count = len(subjects)
+    for subject in subjects:
+        if possible_count < least:
+            return None
+        outcome = subject.worst(changes)
+        is_inside = outcome.verdict is Verdict.INSIDE
+        inside_count += is_inside
+        possible_count -= not is_inside
+        total += min(outcome.deviation, LARGEST_DEVIATION)
+    return None if inside_count < least else (inside_count, -total)
 
 
 def _recommended(configuration: TrainingConfiguration) -> dict[str, Any]:

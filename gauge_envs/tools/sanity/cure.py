@@ -242,39 +242,36 @@ def _ranked(
 ]:
     """Yield changes that mend most flags first, with what `applied` returns and the outcomes of the flagged rows.
 
-    Of equal ones, those with fewer changes come first, then the order of the candidates counts. Rows on scenes of many
-    bodies are measured only when a candidate that mended all of them would be the next one.
+    Of equal ones, those with fewer changes come first, then the order of the candidates counts. A row is measured only
+    while its candidate may still mend the most, and rows on scenes of many bodies last.
     """
     slow = [
         name
         for name in flags
         if name not in STATED_IDS and phenomenon(name).has_many_bodies
     ]
+    names = sorted(flags, key=lambda name: name in slow)
     queue: list[tuple[int, int, int]] = []
     found: dict[int, tuple[Applied, dict[str, Outcome]]] = {}
     for index, changes in enumerate(candidates):
         try:
-            read = apply(changes)
+            found[index] = apply(changes), {}
         except GaugeError as error:
             refused(changes, error)
             continue
-        after = {name: outcome_of(read[0], name) for name in flags if name not in slow}
-        found[index] = read, after
-        mended_count = len(slow) + _mended_count(after)
-        heappush(queue, (-mended_count, len(changes), index))
+        heappush(queue, (-len(names), len(changes), index))
     while queue:
         _, size, index = heappop(queue)
         (cured, geoms_by_setting), after = found[index]
-        left = [name for name in slow if name not in after]
-        if left and not harm_of(cured, candidates[index]):
-            after |= {name: outcome_of(cured, name) for name in left}
-            heappush(queue, (-_mended_count(after), size, index))
-        else:
+        left = names[len(after) :]
+        is_slow = bool(left) and left[0] in slow
+        if not left or (is_slow and harm_of(cured, candidates[index])):
             yield candidates[index], cured, geoms_by_setting, after
-
-
-def _mended_count(outcomes: Mapping[str, Outcome]) -> int:
-    return sum(verdict is Verdict.INSIDE for verdict, _ in outcomes.values())
+            continue
+        for name in left if is_slow else left[:1]:
+            after[name] = outcome_of(cured, name)
+        unmended_count = sum(one is not Verdict.INSIDE for one, _ in after.values())
+        heappush(queue, (unmended_count - len(names), size, index))
 
 
 def _stated_elsewhere(
