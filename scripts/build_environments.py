@@ -40,7 +40,7 @@ INTRODUCTION = """
 A page for each family of experiments: spaces, reward, reference, engines, constants, and what is known to be wrong.
 Below its picture stand the grades of the references of its ids. `gauge show ID` prints the facts of one id, and
 `gauge list` all ids. [Coverage](../coverage.md) has the references of all in one table. The [gallery](../gallery.md)
-shows engines side by side.
+shows control tasks.
 """.strip()
 COLUMNS = 3
 """Pictures beside each other in the list."""
@@ -113,7 +113,7 @@ ENTRIES = {
     for entries in GROUPS.values()
     for entry in entries
 }
-"""What the picture of each family shows: the variant and the time of the gallery."""
+"""What the picture of each family shows: the variant and the time."""
 
 
 def picture_of(family: str) -> Path:
