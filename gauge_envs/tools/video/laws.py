@@ -308,7 +308,8 @@ def retained(track: Track, task: VideoTask) -> tuple[int, int] | None:
     """
     rows = np.flatnonzero(track.is_found)
     if task.motion is Motion.CRADLE:
-        return (int(rows[0]), int(rows[-1])) if len(rows) else None
+        swings = swing_angles_rad(track, task)[rows] >= LEAST_APEX_RAD
+        return (int(rows[0]), int(rows[-1])) if swings.any() else None
     if len(rows) <= WINDOW:
         return None
     if task.motion in (Motion.SLIDE, Motion.FALL):

@@ -226,6 +226,17 @@ def test_a_still_picture_has_a_track_and_no_physics():
     assert set(result.metrics.values()) == {None}
 
 
+@pytest.mark.parametrize("task", FIVE)
+def test_an_object_that_rests_does_not_move(task):
+    one = video_task(task)
+    noise_px = np.random.default_rng(0).normal(0.0, 0.3, (60, 2))
+    rest = track_of((one.rest_px or one.centre_px) + noise_px, 24.0)
+    result = score_track(rest, one)
+    assert result.is_sound, result.reasons
+    assert result.findings == ("the object does not move",)
+    assert set(result.metrics.values()) == {None}
+
+
 # --- tracks ----------------------------------------------------------------------------------------------------------
 
 
