@@ -401,6 +401,10 @@ CLEAR_CONTRAST = 80.0
 TINT_GAIN, DARK = 768.0, 20.0
 """Factor that makes tints as large as colours, and brightness below which they are noise."""
 
+CORNER = 0.6
+"""Distance from the middle of a face beyond which its corners lie, in its half side: a disk of its width covers a tenth
+of them. What is beside a face, its other sides and its shadow, covers no less of them."""
+
 TWIN_SHARE = 0.4
 """Smallest area of a second object, in that of the first."""
 
@@ -458,10 +462,16 @@ class FaceFollower:
         self._counted = (abs(away - 1.0) > RIM).astype(np.float32)
         self._known = _look(shown, COARSE * self._pose[1:], COARSE * task.size_px)
         is_clear = np.linalg.norm(plate - self._known) > CLEAR_CONTRAST
-        found = _area_at(self._areas(first), self._pose[1:])
-        self._area, self._longer, self._middle = found
+        areas = self._areas(first)
+        self._area, self._longer, self._middle = _area_at(areas, self._pose[1:])
+        self._corners = self._corner_share(areas[0])
         if not is_clear:
             self._area = 0.0
+
+    @property
+    def is_blind(self) -> bool:
+        """Whether the object is metal of the plate's tint: reflections change its face, and it has no area."""
+        return self._is_shiny and self._area == 0.0
 
     def candidates(self, picture: Picture) -> list[Sight]:
         """Return the place in the next frame; none where it is lost."""
@@ -484,8 +494,7 @@ class FaceFollower:
             value = (
                 max(0.0, float((self._pattern_of(face) * self._pattern).mean())) ** 2
             )
-        is_measured = self._is_shiny and self._area > 0.0
-        if not is_measured and self._outline(grey) < self._least_outline:
+        if not self._is_shiny and self._outline(grey) < self._least_outline:
             return []
         sight = Sight(place=pose[1:], likeness=min(1.0, value))
         if self._area == 0.0:
@@ -499,6 +508,10 @@ class FaceFollower:
         size, longer, middle = _area_at(areas, found.place)
         found.size_ratio = math.sqrt(size / self._area)
         found.misfit = abs(longer / self._longer - 1.0)
+        if not self._is_shiny:
+            # Reflections take corners from the area of metal.
+            lost = 1.0 - self._corner_share(areas[0]) / self._corners
+            found.misfit = max(found.misfit, lost)
         slip_px = math.dist(middle, _rotation(self._pose[0]) @ self._middle)
         if slip_px > MOST_SLIP * self._size_px:
             found.likeness = 0.0
@@ -509,6 +522,14 @@ class FaceFollower:
         return [
             Sight(place=place, likeness=1.0) for place in middles[is_large] / COARSE
         ]
+
+    def _corner_share(self, labels: NDArray[np.int32]) -> float:
+        """Return which share of the corners of the face is covered, in a small picture of areas."""
+        half = int(0.5 * COARSE * self._size_px)
+        pose = self._pose * [1.0, COARSE, COARSE]
+        face = _turned((labels > 0).astype(np.float32), pose, half)
+        is_near = np.abs(np.arange(-half, half + 1)) > CORNER * half
+        return max(float(face[np.ix_(is_near, is_near)].mean()), 1e-3)
 
     def _areas(self, picture: Picture) -> Areas:
         """Return the areas that have got the object's colour."""

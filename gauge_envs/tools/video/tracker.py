@@ -58,6 +58,12 @@ FOREIGN = (
 )
 """What is said of a clip whose first frame shows something else."""
 
+BLIND = (
+    "the plate has the colour of the metal, so that its size, its shape and a second object "
+    "cannot be seen"
+)
+"""What is said of metal that is followed by its edges alone."""
+
 LOST_SHARE = 0.02
 """Share of the stated frames that a sound file may lack: some count one too many."""
 
@@ -97,7 +103,6 @@ def track_object(frames: Frames, task: VideoTask) -> Track:
         if task.motion is Motion.TURN
         else ShapeFollower(first, last, task)
     )
-    hidden = _hidden(follower, task) if isinstance(follower, ShapeFollower) else []
     candidates = []
     for number, picture in enumerate(frames.pictures(registration)):
         if cadence.is_new[number]:
@@ -115,7 +120,11 @@ def track_object(frames: Frames, task: VideoTask) -> Track:
         task.motion is not Motion.CRADLE
         and min(early, default=math.inf) > FIRST_STEP * task.size_px
     )
-    doubts = (registration.problem, FOREIGN if is_foreign else "")
+    doubts = (
+        registration.problem,
+        FOREIGN if is_foreign else "",
+        _hidden(follower, task),
+    )
     return Track(
         frames=np.flatnonzero(cadence.is_new),
         fps=cadence.fps,
@@ -125,7 +134,6 @@ def track_object(frames: Frames, task: VideoTask) -> Track:
         events=(
             *_of_the_file(frames, cadence, *doubts),
             *watch.events(),
-            *hidden,
             *_twins(candidates, path, task),
             *_changes(path),
         ),
@@ -184,13 +192,14 @@ def followed(candidates: list[list[Sight]], task: VideoTask, fps: float) -> list
 
 
 def _of_the_file(
-    frames: Frames, cadence: Cadence, registration: str, foreign: str
+    frames: Frames, cadence: Cadence, registration: str, foreign: str, hidden: str
 ) -> Iterator[Event]:
-    """Yield what is doubtful in the whole of a video: how it lies on the grid, what it shows, and its frames."""
+    """Yield what is doubtful in the whole of a video: how it lies on the grid, what it shows or hides, and its frames."""
     cut = f"the file states {frames.stated_count} frames, and {len(cadence.is_new)} can be decoded"
     for kind, text in (
         ("registration", registration),
         ("picture", foreign),
+        ("scene", hidden),
         ("file", cut if _is_cut(frames, cadence) else ""),
         ("cadence", cadence.text),
         ("time", cadence.fault),
@@ -288,10 +297,12 @@ def _twins(
     return [_event("duplicated", frames, text)]
 
 
-def _hidden(follower: ShapeFollower, task: VideoTask) -> list[Event]:
-    """Return the event of a cradle before whose background a low swing cannot be seen: it would lack in the mean."""
+def _hidden(follower: ShapeFollower | FaceFollower, task: VideoTask) -> str:
+    """Return what cannot be told from what is behind it: metal on its plate, and low swings that the mean would lack."""
+    if isinstance(follower, FaceFollower):
+        return BLIND if follower.is_blind else ""
     if task.motion is not Motion.CRADLE:
-        return []
+        return ""
     assert task.pivot_px is not None and task.rest_px is not None
     length_px = math.dist(task.rest_px, task.pivot_px)
     angles_rad = np.linspace(LEAST_APEX_RAD, 0.5 * math.pi, ARC_PLACES)
@@ -299,12 +310,11 @@ def _hidden(follower: ShapeFollower, task: VideoTask) -> list[Event]:
     shares = np.array([follower.known_share(task.pivot_px + one) for one in arc])
     blind_deg = np.degrees(angles_rad[shares < LEAST_KNOWN_SHARE])
     if not len(blind_deg):
-        return []
-    text = (
+        return ""
+    return (
         f"swings of {blind_deg.min():.0f} to {blind_deg.max():.0f} degrees may be missed: the background there has the "
         "colour of the ball"
     )
-    return [Event(kind="scene", first_frame=0, last_frame=0, text=text)]
 
 
 def _changes(path: list[Sight]) -> list[Event]:

@@ -134,7 +134,7 @@ def test_an_object_has_its_size_and_shape_though_its_motion_smears_it(change, si
 
 
 @pytest.mark.parametrize(
-    "change", ["none", "grows", "second", "spreads", "darkens", "flattens"]
+    "change", ["none", "grows", "second", "spreads", "darkens", "flattens", "rounds"]
 )
 def test_a_cube_on_a_turntable_keeps_its_area_and_outline(change):
     """Correlation with a template alone follows a cube that grows, and does not see a second one.
@@ -163,6 +163,9 @@ def test_a_cube_on_a_turntable_keeps_its_area_and_outline(change):
             flat = 1.2 if is_later and change == "flattens" else 1.0
             sides = half * np.array([flat, 1.0 / flat])
             low, high = (place - sides).astype(int), (place + sides).astype(int)
+            if is_later and change == "rounds":
+                cv2.circle(picture, place.astype(int).tolist(), int(half), colour, -1)
+                continue
             cv2.rectangle(picture, low.tolist(), high.tolist(), colour, -1)
         spots = [(-20, -8), (14, 18), (16, -16)] if change != "flattens" else []
         for x, y in spots:
@@ -187,9 +190,21 @@ def test_a_swing_before_a_table_of_its_colour_is_said_to_be_missed():
     )
     dark = picture.copy()
     dark[round(y - 0.5 * CRADLE.size_px) :] = 32
-    for shown, count in ((picture, 0), (dark, 1)):
+    for shown, is_hidden in ((picture, False), (dark, True)):
         follower = ShapeFollower(shown, shown, CRADLE)
-        assert len(_hidden(follower, CRADLE)) == count
+        assert bool(_hidden(follower, CRADLE)) is is_hidden
+
+
+@pytest.mark.parametrize(
+    ("plate", "is_hidden"), [((140, 165, 185), False), ((190,) * 3, True)]
+)
+def test_metal_on_a_plate_of_its_tint_is_said_to_hide(plate, is_hidden):
+    task = video_task("Turntable-2-metal")
+    picture = np.full((480, 832, 3), 40, np.uint8)
+    cv2.circle(picture, [round(value) for value in task.pivot_px], 225, plate, -1)
+    corners = np.add([[-0.5], [0.5]] * np.array(task.size_px), task.centre_px)
+    cv2.rectangle(picture, *corners.astype(int).tolist(), (240,) * 3, -1)
+    assert bool(_hidden(FaceFollower(picture, task), task)) is is_hidden
 
 
 def test_a_slide_that_stops_at_once_is_followed_to_its_rest():
