@@ -34,7 +34,6 @@ class Shot:
         video: The film.
         camera: Its camera file.
         box_px: Box around the object in the first frame: left, top, width, height.
-        motion: `slide`, `roll`, `fall` or `pendulum`.
         name: What the film tells of the material.
         truth: Its true value.
     """
@@ -42,7 +41,6 @@ class Shot:
     video: Path
     camera: Path
     box_px: tuple[float, ...]
-    motion: str
     name: str
     truth: float
 
@@ -57,8 +55,10 @@ def shot(motion, seed, folder, *, fps=30.0):
         fps: Frames per second.
     """
     rng = np.random.default_rng(seed)
-    motions = {"slide": _slide, "roll": _roll, "fall": _fall, "pendulum": _swing}
-    place, name, truth, lasts_s, pivot = motions[motion](rng)
+    motions = {"fall": _fall, "pendulum": _swing}
+    place, name, truth, lasts_s, pivot = (
+        motions[motion](rng) if motion in motions else _descent(rng, *DESCENTS[motion])
+    )
     camera, focal = _camera(rng, lasts_s), rng.uniform(950.0, 1250.0)
     bent = np.array([rng.uniform(-0.06, 0.06), 0.0, 0.0, 0.0])
     lens = (np.array([[focal, 0.0, 639.5], [0.0, focal, 359.5], [0.0, 0.0, 1.0]]), bent)
@@ -89,12 +89,8 @@ def shot(motion, seed, folder, *, fps=30.0):
             noisy = total / EXPOSURES + grain[y : y + SIZE_PX[1], x : x + SIZE_PX[0]]
             writer.write(np.clip(noisy, 0, 255).astype(np.uint8))
         writer.release()
-    corners = np.column_stack(
-        [
-            outline := _outline(motion, *place(0.0)),
-            np.full(len(outline), offset + 0.5 * EDGE_M),
-        ]
-    )
+    outline = _outline(motion, *place(0.0))
+    corners = np.insert(outline, 2, offset + 0.5 * EDGE_M, axis=1)
     seen = cv2.projectPoints(corners, *camera(0.0), *lens)[0]
     low, high = seen[:, 0].min(axis=0), seen[:, 0].max(axis=0)
     toml = folder / f"{motion}_{seed}.toml"
@@ -112,7 +108,6 @@ def shot(motion, seed, folder, *, fps=30.0):
         video=video,
         camera=toml,
         box_px=(*low, *(high - low)),
-        motion=motion,
         name=name,
         truth=truth,
     )
@@ -124,12 +119,11 @@ Place = Callable[[float], tuple[FloatArray, float]]
 """Place of the object on its plane, from the middle of the board [m], and its rotation [rad], at a time [s]."""
 
 
-def _slide(rng):
-    return _descent(rng, "friction", (24.0, 34.0), (0.1, 0.35), 1.0)
-
-
-def _roll(rng):
-    return _descent(rng, "rolling_resistance", (8.0, 16.0), (0.0, 0.04), 1.4)
+DESCENTS = {
+    "slide": ("friction", (24.0, 34.0), (0.1, 0.35), 1.0),
+    "roll": ("rolling_resistance", (8.0, 16.0), (0.0, 0.04), 1.4),
+}
+"""What a descent tells, ranges of its slope [degrees] and value, and its inertia in that of a slide."""
 
 
 def _descent(rng, name, slopes_deg, values, inertia):
@@ -156,7 +150,7 @@ def _fall(rng):
     e, release, height = rng.uniform(0.55, 0.85), rng.uniform(0.3, 0.5), 0.42
     impacts = [math.sqrt(2.0 * height / G)]
     for bounce in range(1, 5):
-        impacts.append(impacts[-1] + 2.0 * e**bounce * G * impacts[0] / G)
+        impacts.append(impacts[-1] + 2.0 * e**bounce * impacts[0])
 
     def place(time_s):
         since = max(time_s - release, 0.0)
@@ -249,10 +243,8 @@ def _wall(motion, rng, place):
     )
     if motion in ("slide", "roll"):
         start, slope = place(0.0)
-        along, up = (
-            np.array([math.cos(slope), math.sin(slope)]),
-            np.array([-math.sin(slope), math.cos(slope)]),
-        )
+        along = np.array([math.cos(slope), math.sin(slope)])
+        up = np.array([-along[1], along[0]])
         ends = [
             start + 0.08 * along - 0.5 * EDGE_M * up,
             start - 0.62 * along - 0.5 * EDGE_M * up,
@@ -307,38 +299,21 @@ def _picture(wall, rays, lens, pose, motion, seen):
         wall, maps, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
     )
 
-    def drawn(points_m, depth_m, colour):
-        world = np.column_stack([points_m, np.full(len(points_m), depth_m)])
-        places = cv2.projectPoints(world, rvec, tvec, *lens)[0][:, 0]
-        cv2.fillConvexPoly(
-            picture,
-            cv2.convexHull((places * 16).round().astype(np.int32)),
-            colour,
-            cv2.LINE_AA,
-            4,
-        )
+    def drawn(points_m, colour, *depths_m):
+        """Fill what points enclose that lie at each depth."""
+        world = [np.insert(points_m, 2, depth, axis=1) for depth in depths_m]
+        places = cv2.projectPoints(np.vstack(world), rvec, tvec, *lens)[0][:, 0]
+        hull = cv2.convexHull((places * 16).round().astype(np.int32))
+        cv2.fillConvexPoly(picture, hull, colour, cv2.LINE_AA, 4)
 
     outline = _outline(motion, centre, tilt)
     front_m = offset_m + (0.5 * EDGE_M if motion == "slide" else 0.0)
     if pivot is not None:
         across = 0.0015 * np.array([math.cos(tilt), math.sin(tilt)])
-        drawn(
-            np.array(
-                [pivot - across, pivot + across, centre + across, centre - across]
-            ),
-            offset_m,
-            (90, 90, 90),
-        )
+        rod = [pivot - across, pivot + across, centre + across, centre - across]
+        drawn(rod, (90, 90, 90), offset_m)
     if motion == "slide":
         # The sides of the cube behind its face are seen where the camera is not before it.
-        world = np.vstack(
-            [
-                np.column_stack([outline, np.full(4, depth)])
-                for depth in (front_m, front_m - EDGE_M)
-            ]
-        )
-        places = cv2.projectPoints(world, rvec, tvec, *lens)[0][:, 0]
-        hull = cv2.convexHull((places * 16).round().astype(np.int32))
-        cv2.fillConvexPoly(picture, hull, (40, 60, 90), cv2.LINE_AA, 4)
-    drawn(outline, front_m, (60, 95, 140) if motion == "slide" else (35, 30, 40))
+        drawn(outline, (40, 60, 90), front_m, front_m - EDGE_M)
+    drawn(outline, (60, 95, 140) if motion == "slide" else (35, 30, 40), front_m)
     return picture.astype(np.float32)
