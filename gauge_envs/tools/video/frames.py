@@ -7,7 +7,7 @@ would take gigabytes.
 import subprocess
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, TypeAlias
@@ -54,10 +54,6 @@ class Registration:
     method: str = "stretch"
     support: float = 1.0
     problem: str = ""
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return all fields, JSON-ready."""
-        return asdict(self)
 
     def applied(self, picture: NDArray[np.uint8]) -> Picture:
         """Return a picture of the video on the reference grid; beyond its edges, the edge repeats.

@@ -111,8 +111,7 @@ class CameraFile(FileModel):
 
 def homogeneous(matrix: NDArray[np.floating], points: FloatArray) -> FloatArray:
     """Return points that a homography moves, both of shape [count, 2]."""
-    moved = np.column_stack([points, np.ones(len(points))]) @ matrix.T
-    return np.asarray(moved[:, :2] / moved[:, 2:])
+    return np.asarray(cv2.perspectiveTransform(points[:, None], matrix)[:, 0])
 
 
 @dataclass(frozen=True, kw_only=True)

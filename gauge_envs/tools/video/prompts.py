@@ -41,7 +41,6 @@ TIMEOUT_S = 30.0
 """Longest wait for an answer or for the next bytes [s]."""
 
 WOOD_PROMPT = "SlopeSlider-2-wood.txt"
-PLASTIC_PROMPT = "SlopeSlider-2-plastic.txt"
 
 PLASTIC_CHANGES = (
     ("90g wood cube", "147g black plastic cube"),
@@ -68,8 +67,6 @@ class InputFile(FileModel):
 
     def fault(self, content: bytes) -> str:
         """Return how a content differs from the file; empty if it is the same."""
-        if len(content) != self.size_bytes:
-            return f"has {len(content)} bytes, expected {self.size_bytes}"
         found = hashlib.sha256(content).hexdigest()
         return (
             ""
@@ -116,7 +113,9 @@ def fetch_inputs(
             )
         if advance is not None:
             advance(file.file)
-    contents[NOTE] = _note().encode()
+    note = (files("gauge_envs.tools.video") / NOTE).read_text(encoding="utf-8")
+    facts = {"repository": REPOSITORY, "commit": COMMIT}
+    contents[NOTE] = Template(note).substitute(facts).encode()
     with os_errors(lambda cause: DatasetError(f"{folder}: cannot be written: {cause}")):
         for name, content in contents.items():
             path = folder / name
@@ -156,24 +155,3 @@ def _read(address: str, file: InputFile) -> bytes:
     if fault := file.fault(content):
         raise DatasetError(f"{address}: {fault}: damaged, or another file; {BY_HAND}")
     return content
-
-
-def _note() -> str:
-    """Return the note: where the files are from, how to use them, and what differs from the repository."""
-    rows = "\n".join(
-        f"| `{file.file}` | {f'`{file.source}`' if file.source else f'`{WOOD_PROMPT}`, changed'} | {file.size_bytes} "
-        f"| `{file.sha256}` |"
-        for file in input_files()
-    )
-    changes = "\n".join(
-        f"- `{wood}` is `{plastic}`" for wood, plastic in PLASTIC_CHANGES
-    )
-    text = (files("gauge_envs.tools.video") / NOTE).read_text(encoding="utf-8")
-    return Template(text).substitute(
-        repository=REPOSITORY,
-        commit=COMMIT,
-        plastic=PLASTIC_PROMPT,
-        wood=WOOD_PROMPT,
-        changes=changes,
-        rows=rows,
-    )

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -265,10 +265,7 @@ class VideoScore:
             }
         )
         registration = self.track.registration
-        return {
-            **values,
-            "registration": None if registration is None else registration.to_dict(),
-        }
+        return {**values, "registration": registration and asdict(registration)}
 
 
 def score(

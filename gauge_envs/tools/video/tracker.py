@@ -194,7 +194,7 @@ def followed(candidates: list[list[Sight]], task: VideoTask, fps: float) -> list
 def _of_the_file(
     frames: Frames, cadence: Cadence, registration: str, foreign: str, hidden: str
 ) -> Iterator[Event]:
-    """Yield what is doubtful in the whole of a video: how it lies on the grid, what it shows or hides, and its frames."""
+    """Yield what is doubtful in the whole of a video: how it lies on the grid, what it shows and hides, its frames."""
     cut = f"the file states {frames.stated_count} frames, and {len(cadence.is_new)} can be decoded"
     for kind, text in (
         ("registration", registration),
@@ -298,7 +298,7 @@ def _twins(
 
 
 def _hidden(follower: ShapeFollower | FaceFollower, task: VideoTask) -> str:
-    """Return what cannot be told from what is behind it: metal on its plate, and low swings that the mean would lack."""
+    """Return what cannot be told from what is behind it: metal, or low swings that the mean would lack."""
     if isinstance(follower, FaceFollower):
         return BLIND if follower.is_blind else ""
     if task.motion is not Motion.CRADLE:

@@ -92,8 +92,6 @@ def score_document(result: VideoScore, task: VideoTask | None) -> Document:
     law = {} if task is None else task.law
     real = {} if task is None else task.real
     scale = f"{1000.0 * result.scale_m_per_px:.3f} mm a pixel of the first frame"
-    if result.track.registration is not None:
-        scale += f"; registered by {result.track.registration.method}"
     rows = [
         {
             "metric": TITLES[name],
@@ -117,9 +115,7 @@ def score_document(result: VideoScore, task: VideoTask | None) -> Document:
     )
     return Document(
         parts=(
-            Paragraph(
-                f"{result.video}: {track_text(result)} for {result.task}; {span_text(result)}; {scale}"
-            ),
+            Paragraph(f"{result.video}, {result.task}: {verdict(result)}; {scale}"),
             *(Paragraph(f"  {text}") for text in (*result.reasons, *result.findings)),
             *([table] if rows else []),
         ),
@@ -139,18 +135,13 @@ def check_table(findings: Sequence[Finding]) -> Table:
     )
 
 
-def track_text(result: VideoScore) -> str:
-    """Return whether a track is sound."""
-    return "the track is sound" if result.is_sound else "the track is not sound"
-
-
-def span_text(result: VideoScore) -> str:
-    """Return the frames that a law was fitted to."""
-    span = result.interval_frames
-    return (
-        "no frame is retained"
-        if span is None
-        else f"frames {span[0]} to {span[1]} are retained"
+def verdict(result: VideoScore) -> str:
+    """Return whether a track is sound, the frames that a law was fitted to, and how the video lies on the grid."""
+    text = f"the track is {'' if result.is_sound else 'not '}sound; "
+    span, registration = result.interval_frames, result.track.registration
+    text += f"frames {span[0]} to {span[1]} are" if span else "no frame is"
+    return f"{text} retained" + (
+        f"; registered by {registration.method}" if registration else ""
     )
 
 
@@ -333,15 +324,12 @@ def video_page(results: Results, table: Table) -> str:
 
 
 def _clip(model: str, result: VideoScore, file: Path) -> Html:
-    text = f": {track_text(result)}; {span_text(result)}"
-    if result.track.registration is not None:
-        text += f"; registered by {result.track.registration.method}"
     shown = () if file.suffix == ".csv" else _pictures(result, file)
     pictures = element("div", *shown, class_="strip")
     name = model if file.stem == result.task else f"{model}, {file.stem}"
     return join(
         [
-            element("p", element("b", name), text),
+            element("p", element("b", name), f": {verdict(result)}"),
             listed((*result.reasons, *result.findings)),
             pictures,
             element("figure", _curve(result)),

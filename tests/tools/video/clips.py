@@ -213,6 +213,24 @@ def track_of(places_px, fps):
     )
 
 
+def driven(name, a_m_s2, *, fps=30.0, release_s=10.3 / 30.0):
+    """A track of 40 frames from rest with constant acceleration along the direction of a task."""
+    task = video_task(name)
+    since_s = np.maximum(np.arange(40) / fps - release_s, 0.0)[:, None]
+    along_px = 0.5 * a_m_s2 * since_s**2 / task.scale_m_per_px
+    return track_of(task.centre_px + along_px * np.array(task.direction), fps)
+
+
+def written(one, path, code="mp4v"):
+    """Write the frames of a clip as a film, and return its path."""
+    size = one.frames[0].shape[1::-1]
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*code), one.fps, size)
+    for frame in one.frames:
+        writer.write(np.ascontiguousarray(frame[:, :, ::-1]))
+    writer.release()
+    return path
+
+
 def _disk(picture, place, radius, colour):
     centre = tuple(round(value * (1 << SHIFT)) for value in place)
     cv2.circle(

@@ -7,7 +7,7 @@ import pytest
 
 cv2 = pytest.importorskip("cv2")
 
-from clips import clip  # noqa: E402
+from clips import clip, written  # noqa: E402
 
 from gauge_envs.errors import VideoError  # noqa: E402
 from gauge_envs.tools.video import score  # noqa: E402
@@ -115,13 +115,8 @@ def test_25_pictures_shown_at_30_give_the_true_value(task, seed, metric, margin)
 
 def test_files_that_are_cut_off_are_named(tmp_path):
     one = clip("SlopeSlider-2-metal", np.random.default_rng(11), fps=12.0)
-    for name, code in (("whole.avi", "MJPG"), ("whole.mp4", "mp4v")):
-        writer = cv2.VideoWriter(
-            str(tmp_path / name), cv2.VideoWriter_fourcc(*code), 12.0, (832, 480)
-        )
-        for frame in one.frames:
-            writer.write(np.ascontiguousarray(frame[:, :, ::-1]))
-        writer.release()
+    written(one, tmp_path / "whole.avi", "MJPG")
+    written(one, tmp_path / "whole.mp4")
     packed = (tmp_path / "whole.avi").read_bytes()
     (tmp_path / "cut.avi").write_bytes(packed[: int(0.7 * len(packed))])
     (tmp_path / "short.avi").write_bytes(packed[: int(0.1 * len(packed))])

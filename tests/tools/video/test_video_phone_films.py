@@ -128,7 +128,7 @@ def test_slow_motion_and_a_board_in_millimetres_are_not_sound(
         text = one.camera.read_text()
         one.camera.write_text(text.replace("square_m = 0.035", "square_m = 35"))
     outcome = filmed(gauge, one, motion, *wrong)
-    assert f"the track is not sound for {motion}" in outcome.output
+    assert "the track is not sound" in outcome.output
     assert re.search(reason, " ".join(outcome.output.split())), outcome.output
 
 

@@ -103,8 +103,7 @@ def test_a_prompt_that_does_not_become_the_plastic_one_is_refused(
     [
         (None, "cannot be read: "),
         (lambda whole: whole[:-1] + b"!", "has the SHA-256 hash"),
-        (lambda whole: whole[:-1], "has .* bytes, expected"),
-        (lambda whole: whole * 100, "has .* bytes, expected"),
+        (lambda whole: whole * 100, "has the SHA-256 hash"),
     ],
 )
 def test_a_wrong_file_writes_no_file(source, tmp_path, wrong, message):

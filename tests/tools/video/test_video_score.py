@@ -11,13 +11,13 @@ import pytest
 
 cv2 = pytest.importorskip("cv2")
 
-from clips import clip, track_of  # noqa: E402
+from clips import clip, driven, track_of, written  # noqa: E402
 from scipy import stats  # noqa: E402
 
 from gauge_envs.experiments.resolve import load_experiment  # noqa: E402
 from gauge_envs.tools.video import (  # noqa: E402
-    Motion,
     read_track,
+    save_track,
     score,
     score_track,
     video_task,
@@ -226,28 +226,19 @@ def test_an_object_that_rests_does_not_move(task):
 # --- tracks ----------------------------------------------------------------------------------------------------------
 
 
-def slide_track(path, a_m_per_s2, unit="_grid"):
-    """Write the track of a slide, on the grid or in millimetres from any place, to the right and up."""
-    task = video_task("SlopeSlider-2-wood")
-    assert task.motion is Motion.SLIDE
-    times_s = np.arange(40) / 30.0
-    along_m = 0.5 * a_m_per_s2 * np.maximum(times_s - 10.3 / 30.0, 0.0) ** 2
-    direction = np.array(task.direction)
-    places = along_m[:, None] / task.scale_m_per_px * direction + task.centre_px
-    if unit == "_mm":
-        places = 1e3 * along_m[:, None] * direction * [1.0, -1.0] + 100.0
-    rows = [
-        f"{time:.6f},{x:.4f},{y:.4f}"
-        for time, (x, y) in zip(times_s, places, strict=True)
-    ]
-    path.write_text(f"time,x{unit},y{unit}\n" + "\n".join(rows) + "\n")
-    return path
+SLIDE = video_task("SlopeSlider-2-wood")
 
 
-@pytest.mark.parametrize("unit", ["_grid", "_mm"])
-def test_a_track_is_scored_like_a_video(unit, tmp_path):
-    path = slide_track(tmp_path / "track.csv", 1.7, unit)
-    result = score_track(read_track(path), video_task("SlopeSlider-2-wood"))
+@pytest.mark.parametrize("is_metric", [False, True])
+def test_a_track_is_scored_like_a_video(is_metric, tmp_path):
+    track = driven(SLIDE.id, 1.7)
+    if is_metric:
+        # In millimetres from any place, to the right and up.
+        along_px = (track.points_px - SLIDE.centre_px) * [1.0, -1.0]
+        places_mm = 1e3 * SLIDE.scale_m_per_px * along_px + 100.0
+        track = replace(track, points_px=places_mm, is_metric=True)
+    path = save_track(track, tmp_path / "track.csv")
+    result = score_track(read_track(path), SLIDE)
     assert result.metrics["acceleration_m_s2"] == pytest.approx(1.7, rel=2e-3)
     interval = result.uncertainty["acceleration_m_s2"]
     assert interval[0] < 1.7 < interval[1]
@@ -319,40 +310,31 @@ def test_a_cube_that_breaks_the_law_has_a_sound_track_until_it_may_be_another_on
     assert found[0.0].metrics["de"] == 0.0 and found[39.0].metrics["de"] > 0.05
     assert "jumps" in found[130.0].reasons[0]
     # A cube that stops at once at the end of its board is no other one; one that goes back is.
-    slide = video_task("SlopeSlider-2-wood")
     for way_px, is_sound in ((405.0, True), (325.0, False)):
         way = np.r_[np.zeros(8), 5.0 * np.arange(10.0) ** 2, way_px, way_px]
-        places = slide.centre_px + way[:, None] * np.array(slide.direction)
-        assert score_track(track_of(places, 24.0), slide).is_sound is is_sound
+        places = SLIDE.centre_px + way[:, None] * np.array(SLIDE.direction)
+        assert score_track(track_of(places, 24.0), SLIDE).is_sound is is_sound
 
 
-@pytest.mark.parametrize("column", ["size", "confidence"])
-def test_an_object_that_grows_or_has_another_look_is_no_sound_track(column, tmp_path):
+@pytest.mark.parametrize(
+    ("field", "later", "words"),
+    [
+        ("size_ratio", 1.4, "its size by up to +40%"),
+        ("confidence", 0.2, "another look"),
+    ],
+)
+def test_an_object_that_grows_or_has_another_look_is_no_sound_track(
+    field, later, words
+):
     """A model may let a cube grow or melt; the law that the track follows does not matter."""
-    path = slide_track(tmp_path / "track.csv", 1.7)
-    head, *rows = path.read_text().splitlines()
-    changed = [1.0] * 15 + [1.4 if column == "size" else 0.2] * 25
-    lines = [f"{row},{value}" for row, value in zip(rows, changed, strict=True)]
-    path.write_text("\n".join([f"{head},{column}", *lines]))
-    result = score_track(read_track(path), video_task("SlopeSlider-2-wood"))
+    changed = np.where(np.arange(40) < 15, 1.0, later)
+    result = score_track(replace(driven(SLIDE.id, 1.7), **{field: changed}), SLIDE)
     assert not result.is_sound
-    words = {"size": "its size by up to +40%", "confidence": "another look"}
-    assert words[column] in result.reasons[0]
+    assert words in result.reasons[0]
     assert result.metrics["acceleration_m_s2"] == pytest.approx(1.7, rel=2e-3)
 
 
 # --- files and the command -------------------------------------------------------------------------------------------
-
-
-def written(one, path):
-    height, width = one.frames[0].shape[:2]
-    writer = cv2.VideoWriter(
-        str(path), cv2.VideoWriter_fourcc(*"mp4v"), one.fps, (width, height)
-    )
-    for frame in one.frames:
-        writer.write(np.ascontiguousarray(frame[:, :, ::-1]))
-    writer.release()
-    return path
 
 
 def test_the_command_scores_a_file_and_draws_the_track(tmp_path, gauge):
@@ -442,11 +424,8 @@ def test_seeds_are_found_beside_single_clips(tmp_path):
     assert [file.name for file in others] == ["other.mp4", "seed_1.mp4"]
 
 
-def test_seeds_have_a_mean_with_its_interval_and_a_usable_share(tmp_path):
-    one = score_track(
-        read_track(slide_track(tmp_path / "track.csv", 1.7)),
-        video_task("SlopeSlider-2-wood"),
-    )
+def test_seeds_have_a_mean_with_its_interval_and_a_usable_share():
+    one = score_track(driven(SLIDE.id, 1.7), SLIDE)
     values = (1.0, 2.0, 3.0, 4.0, 90.0)
     seeds = [
         replace(one, is_sound=True, metrics=one.metrics | {"acceleration_m_s2": a})
@@ -482,12 +461,10 @@ def test_seeds_have_a_mean_with_its_interval_and_a_usable_share(tmp_path):
     assert r"67\%" in line
 
 
-def test_published_values_of_other_frames_are_found_and_a_wrong_track_has_no_say(
-    tmp_path,
-):
+def test_published_values_of_other_frames_are_found_and_a_wrong_track_has_no_say():
     """The paper counts time from a first frame that it does not publish, and whole pixels."""
-    task = video_task("SlopeSlider-2-wood")
-    result = score_track(read_track(slide_track(tmp_path / "track.csv", 1.7)), task)
+    task = SLIDE
+    result = score_track(driven(task.id, 1.7), task)
     first, last = result.interval_frames
     assert agreement(result, task, {"a": result.metrics["a"]}) == "agrees"
     later = [
@@ -556,10 +533,7 @@ def test_the_law_of_a_slide_is_no_measurement_and_its_trials_are(material):
 
 def test_a_result_names_the_law_and_the_real_trials():
     task = video_task("SlopeSlider-2-plastic")
-    times_s = np.arange(20) / 30.0
-    along_px = 0.5 * 2.9 * times_s**2 / task.scale_m_per_px
-    places = np.array(task.centre_px) + along_px[:, None] * np.array(task.direction)
-    result = score_track(track_of(places, 30.0), task)
+    result = score_track(driven(task.id, 2.9), task)
     table = score_document(result, task).parts[-1]
     law, real = [column.title for column in table.columns][-2:]
     assert (law, real) == ("law", "real trials")

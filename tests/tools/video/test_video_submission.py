@@ -2,12 +2,11 @@
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 pytest.importorskip("cv2")
 
-from clips import track_of
+from clips import driven
 
 from gauge_envs.errors import ReferenceFileError
 from gauge_envs.tools.video import score_track, video_task, video_tasks
@@ -63,11 +62,8 @@ def test_a_submission_that_lacks_a_clip_or_has_one_twice_is_named(tmp_path):
 
 def fall(a_m_s2):
     """Score a fall from rest with an acceleration."""
-    task = video_task("BouncingBall-rubber")
-    times_s = np.arange(40) / 60.0
-    fallen_px = 0.5 * a_m_s2 * times_s**2 / task.scale_m_per_px
-    places = np.array(task.centre_px) + fallen_px[:, None] * [0.0, 1.0]
-    return score_track(track_of(places, 60.0), task)
+    track = driven("BouncingBall-rubber", a_m_s2, fps=60.0, release_s=0.0)
+    return score_track(track, video_task("BouncingBall-rubber"))
 
 
 def test_a_law_that_is_met_ranks_before_trials_and_a_still_picture_last(tmp_path):
