@@ -5,6 +5,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
+from more_faults import biped_xml
 from robot_faults import FAULTS, good_xml
 from wobbling import told
 
@@ -369,6 +370,21 @@ def test_a_servo_sags_by_its_weight_over_its_stiffness():
     stiff = row("robot-sag", arm_xml().replace('kp="40.0"', 'kp="40000"'))
     assert stiff.configured == pytest.approx(1e-3 * sag, rel=2e-3)
     assert stiff.verdict is Verdict.WRONG and stiff.advisory
+
+
+def test_soft_gains_are_advice_where_a_policy_carries_the_weight_and_a_unit_is_a_flag():
+    sag_mrad = row("robot-sag", biped_xml()).configured
+    softer = sag_mrad / 700.0
+    soft = row("robot-sag", biped_xml().replace('kp="400"', f'kp="{400 * softer}"'))
+    assert soft.configured == pytest.approx(700.0, rel=1e-3)
+    assert soft.advisory and not soft.is_flag
+    softest = row(
+        "robot-sag", biped_xml().replace('kp="400"', f'kp="{400 * softer / 2}"')
+    )
+    assert softest.is_flag
+    arm_sag_mrad = 1e3 * ARM_KG * G * ARM_M / KP
+    arm = arm_xml().replace('kp="40.0"', f'kp="{40.0 * arm_sag_mrad / 700.0}"')
+    assert row("robot-sag", arm).is_flag
 
 
 @pytest.mark.parametrize(

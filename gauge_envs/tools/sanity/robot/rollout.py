@@ -224,6 +224,9 @@ MOST_FACTOR = 10.0
 SWING_RAD = 0.1
 """Swing of a joint for which dry friction counts as damping [rad]."""
 
+SOFT_MRAD = 1146.0
+"""Sag up to which soft gains of a robot that walks may be meant: 57.3 times the 20 mrad of a stiff servo [mrad]."""
+
 NO_ROTOR = "no driven joint of the model states the inertia of its rotor"
 
 STEP_RAD, STEP_S = 0.3, 1.0
@@ -480,14 +483,18 @@ def _sag(robot: Robot) -> Finding:
             advice=f'stiffness="0" for {joint_name(robot, dof)} and joints like it',
         )
     low_mrad, high_mrad = limits_of("robot-sag")
+    advisory, advice = "", _sag_advice(joint_name(robot, dof), sags[dof])
+    if sags[dof] < low_mrad:
+        advisory = "a controller that knows its load does not sag"
     if sags[dof] > high_mrad:
         remark += f": a command must be {1e-3 * sags[dof]:.2g} rad beyond the pose that it holds"
+        if robot.is_floating and sags[dof] < SOFT_MRAD:
+            advisory = "soft gains of a robot that walks may be meant: its policy carries the weight"
+            advice = f"a larger kp of {joint_name(robot, dof)} if it holds its limb without a policy"
     return Finding(
         value=sags[dof],
         parts=by_joint(robot, sags),
         remark=remark,
-        advice=_sag_advice(joint_name(robot, dof), sags[dof]),
-        advisory="a controller that knows its load does not sag"
-        if sags[dof] < low_mrad
-        else "",
+        advice=advice,
+        advisory=advisory,
     )
