@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -22,7 +23,7 @@ from gauge_envs.errors import GaugeError, ParameterError, VideoError
 
 if TYPE_CHECKING:
     from gauge_envs.pages.table import Table
-    from gauge_envs.tools.video import Track
+    from gauge_envs.tools.video import VideoScore, VideoTask
 
 
 CAMERA = arguments.option(
@@ -127,24 +128,18 @@ def video_score(
     They have intervals. Films of one's own, with --camera, give friction, rolling resistance, restitution or damping
     too. Exit code 1 when a track is not sound.
     """
-    from gauge_envs.tools.video import (
-        save_track,
-        score_track,
-        video_task,
-    )
-    from gauge_envs.tools.video.frames import FileFrames, Frames
+    from gauge_envs.tools.video import save_track, video_task
+    from gauge_envs.tools.video.frames import FileFrames
     from gauge_envs.tools.video.phone_films import (
         MOTIONS,
         FrontalFilm,
         score_phone_film,
     )
     from gauge_envs.tools.video.plane import read_camera
-    from gauge_envs.tools.video.tracker import track_object
     from gauge_envs.tools.video.words import save_overlay, score_document
 
     box_px = None if object_box is None else _box(object_box)
-    are_tracks = {file: file.suffix.lower() == ".csv" for file in files}
-    if any(are_tracks.values()) and (out or camera):
+    if any(map(_is_track, files)) and (out or camera):
         raise ParameterError(
             "--out and --camera need the video, and a track has none: leave out one of both"
         )
@@ -156,26 +151,17 @@ def video_score(
             f"--id {task} is for films of one's own, with --camera and --object"
         )
     has_failed = False
-    for file, is_track in are_tracks.items():
-        source: Frames | None = None if is_track else FileFrames(file, fps=fps)
-        if source is not None and view is not None:
-            source = FrontalFilm(source, view)
-            result = score_phone_film(source, task, box_px or (), angle_deg=angle_deg)
+    for file in files:
+        film = None
+        if view is None:
+            result = _judged(file, video_task(task), fps)
         else:
-            chosen = video_task(task)
-            track = (
-                _given_track(file, fps)
-                if source is None
-                else track_object(source, chosen)
-            )
-            result = score_track(track, chosen, name=str(file))
-        if out is not None and source is not None:
+            film = FrontalFilm(FileFrames(file, fps=fps), view)
+            result = score_phone_film(film, task, box_px or (), angle_deg=angle_deg)
+        if out is not None:
+            source = film or FileFrames(file, fps=fps)
             message(save_overlay(source, result, out / f"{file.stem}.overlay.mp4"))
-            track = (
-                source.in_plane(result.track)
-                if isinstance(source, FrontalFilm)
-                else result.track
-            )
+            track = film.in_plane(result.track) if film else result.track
             message(save_track(track, out / f"{file.stem}.track.csv"))
         print_document(
             score_document(result, None if task in MOTIONS else video_task(task)),
@@ -214,10 +200,8 @@ def video_report(
     something; the others are on the page.
     """
     from gauge_envs.pages.document import save_file
-    from gauge_envs.tools.video import VideoScore, score_track, video_task
-    from gauge_envs.tools.video.frames import FileFrames
+    from gauge_envs.tools.video import video_task
     from gauge_envs.tools.video.submission import FILE, ranking, submission_faults
-    from gauge_envs.tools.video.tracker import track_object
     from gauge_envs.tools.video.words import (
         find_videos,
         results_table,
@@ -237,14 +221,8 @@ def video_report(
             clips[file] = None
             given = file.with_suffix(".csv")
             try:
-                track = (
-                    _given_track(given)
-                    if given.exists()
-                    else track_object(FileFrames(file), video_task(task))
-                )
-                clips[file] = score_track(
-                    track, video_task(task), name=str(file.relative_to(folder))
-                )
+                one = _judged(given if given.exists() else file, video_task(task))
+                clips[file] = replace(one, video=str(file.relative_to(folder)))
             except VideoError as error:
                 broken.append(str(error))
             progress.advance(f"{model}: {task}")
@@ -282,16 +260,23 @@ def video_report(
     return bool(broken or faults)
 
 
-def _given_track(file: Path, fps: float | None = None) -> Track:
-    """Return a track that counts the pixels of the video beside it, or else those of the known first frame."""
-    from gauge_envs.tools.video import read_track
+def _is_track(file: Path) -> bool:
+    return file.suffix.lower() == ".csv"
+
+
+def _judged(file: Path, task: VideoTask, fps: float | None = None) -> VideoScore:
+    """Score a video, or a track in pixels of the video beside it, or else of the known first frame."""
+    from gauge_envs.tools.video import read_track, score, score_track
     from gauge_envs.tools.video.frames import FileFrames
     from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX
     from gauge_envs.tools.video.words import VIDEO_SUFFIXES
 
+    if not _is_track(file):
+        return score(file, fps, task.id)
     beside = [file.with_suffix(suffix) for suffix in VIDEO_SUFFIXES]
     sizes = [FileFrames(video).size_px for video in beside if video.exists()]
-    return read_track(file, fps=fps, size_px=(*sizes, REFERENCE_SIZE_PX)[0])
+    track = read_track(file, fps=fps, size_px=(*sizes, REFERENCE_SIZE_PX)[0])
+    return score_track(track, task, name=str(file))
 
 
 def video_check(
