@@ -170,25 +170,22 @@ def _object_findings(
     box = ",".join(f"{value:.0f}" for value in box_px)
     asked = ": is this the object, whole and alone?" if is_proposed else ""
     size_px = 1e-3 * size_mm.mean() / film.scale
-    findings = [
-        Finding(
-            name="object",
-            text=f"--object {box}, {size_mm[0]:.0f} x {size_mm[1]:.0f} mm, {size_px:.0f} px when judged{asked}",
-        )
-    ]
     right_mm, up_mm = 1e3 * centre_m
     away_m = float(np.linalg.norm(centre_m))
     half_width_m = 0.5 * SQUARES[0] * film.first.board.square_m
-    findings.append(
+    return [
+        Finding(
+            name="object",
+            text=f"--object {box}, {size_mm[0]:.0f} x {size_mm[1]:.0f} mm, {size_px:.0f} px when judged{asked}",
+        ),
         Finding(
             name="side",
             text=f"{right_mm:+.0f} mm to the right and {up_mm:+.0f} mm up from the middle of the board",
             advice="bring the board nearer to the motion, or print a larger one"
             if away_m > MOST_AWAY * half_width_m
             else "",
-        )
-    )
-    return findings
+        ),
+    ]
 
 
 def edge_blur_px(picture: Picture, corners_px: FloatArray) -> float:

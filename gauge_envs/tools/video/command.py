@@ -269,12 +269,11 @@ def _judged(file: Path, task: VideoTask, fps: float | None = None) -> VideoScore
     from gauge_envs.tools.video import read_track, score, score_track
     from gauge_envs.tools.video.frames import FileFrames
     from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX
-    from gauge_envs.tools.video.words import VIDEO_SUFFIXES
+    from gauge_envs.tools.video.words import videos_beside
 
     if not _is_track(file):
         return score(file, fps, task.id)
-    beside = [file.with_suffix(suffix) for suffix in VIDEO_SUFFIXES]
-    sizes = [FileFrames(video).size_px for video in beside if video.exists()]
+    sizes = [FileFrames(video).size_px for video in videos_beside(file)]
     track = read_track(file, fps=fps, size_px=(*sizes, REFERENCE_SIZE_PX)[0])
     return score_track(track, task, name=str(file))
 

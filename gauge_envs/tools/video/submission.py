@@ -125,24 +125,21 @@ def ranking(results: Results, models: list[str]) -> Table:
     """
     rows: list[dict[str, Any]] = []
     for model in models:
-        shares, refused, count = [], 0, 0
-        deviations = []
-        for task in video_tasks():
-            clips = results.get((model, task.id), {})
-            values = [law_share(one, task) for one in clips.values()]
-            count += len(values)
-            refused += sum(one is None or not one.is_sound for one in clips.values())
-            missing = [0.0] * max(0, SEEDS - len(values))
-            shares.append(float(np.mean([*values, *missing])))
-            if len(values) > 1:
-                deviations.append(float(np.std(values, ddof=1)))
+        clips = [results.get((model, task.id), {}).values() for task in video_tasks()]
+        shares = [
+            [law_share(one, task) for one in ones]
+            for ones, task in zip(clips, video_tasks(), strict=True)
+        ]
+        spreads = [np.std(ones, ddof=1) for ones in shares if len(ones) > 1]
+        refused = [one is None or not one.is_sound for ones in clips for one in ones]
         rows.append(
             {
                 "model": model,
-                "law": float(np.mean(shares)),
-                "spread": float(np.mean(deviations)) if deviations else None,
-                "refused": refused / max(count, 1),
-                "clips": count,
+                # A clip that is missing counts 0.
+                "law": np.mean([sum(ones) / max(len(ones), SEEDS) for ones in shares]),
+                "spread": np.mean(spreads) if spreads else None,
+                "refused": np.mean(refused) if refused else 0.0,
+                "clips": len(refused),
             }
         )
     trials = [
@@ -150,7 +147,7 @@ def ranking(results: Results, models: list[str]) -> Table:
         for task in video_tasks()
         for name, measured in task.real.items()
     ]
-    rows.append({"model": "real trials", "law": float(np.mean(trials))})
+    rows.append({"model": "real trials", "law": np.mean(trials)})
     rows.append({"model": "still picture", "law": 0.0})
     rows.sort(key=lambda row: -row["law"])
     columns = (

@@ -188,33 +188,29 @@ def find_videos(folder: Path) -> tuple[list[tuple[str, str, Path]], list[Path]]:
 
     A track has the suffix `.csv`; that of a video lies beside it and is left out.
     """
-    tasks = {task.id: order for order, task in enumerate(video_tasks())}
-    files = [
-        file
-        for file in sorted(folder.rglob("*"))
-        if file.is_file() and not file.name.startswith(".")
-    ]
-    found = []
-    for file in files:
+    tasks = [task.id for task in video_tasks()]
+    found, others = [], []
+    for file in sorted(folder.rglob("*")):
+        if not file.is_file() or file.name.startswith(".") or file.name == FILE:
+            continue
         name = file.relative_to(folder).with_suffix("").as_posix()
         parts = re.fullmatch("([^/]+)/([^/]+)(/seed_[0-9]+)?", name)
         is_known = file.suffix.lower() in (*VIDEO_SUFFIXES, ".csv")
-        if parts and parts[2] in tasks and is_known:
+        if not parts or parts[2] not in tasks or not is_known:
+            others.append(file)
+        elif file.suffix != ".csv" or not videos_beside(file):
             found.append((parts[1], parts[2], file))
     if not found:
         raise VideoError(
             f"{folder}: it holds no video of a task; expected MODEL/TASK.mp4 with a TASK of {', '.join(tasks)}"
         )
-    used = {file for *_, file in found}
-    shown = {file.with_suffix("") for file in used if file.suffix != ".csv"}
-    found = [
-        one
-        for one in found
-        if one[2].suffix != ".csv" or one[2].with_suffix("") not in shown
-    ]
-    return sorted(found, key=lambda one: (tasks[one[1]], one[0])), [
-        file for file in files if file not in used and file.name != FILE
-    ]
+    return sorted(found, key=lambda one: (tasks.index(one[1]), one[0])), others
+
+
+def videos_beside(track: Path) -> list[Path]:
+    """Return the videos that have the name of a track."""
+    videos = [track.with_suffix(suffix) for suffix in VIDEO_SUFFIXES]
+    return [video for video in videos if video.exists()]
 
 
 def results_table(results: Results) -> Table:
