@@ -72,6 +72,11 @@ class OscillationFit:
     r2: float
     residuals_rad: FloatArray
 
+    @property
+    def guess(self) -> tuple[float, float]:
+        """Damping [1/s] and angular frequency [rad/s], from which the search in a similar swing starts."""
+        return self.damping_per_s, 2.0 * np.pi / self.period_s
+
 
 def fit_constant_acceleration(
     times_s: ArrayLike,

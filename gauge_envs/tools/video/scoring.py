@@ -484,9 +484,8 @@ def _intervals(
     """Return the interval of each metric, over simulated noise, scales, pivots and choices of the interval."""
     noise, rng = noise_px(track, span), np.random.default_rng(0)
     swing = _swing(track, task, span, nominal)
-    guess = (
-        None if swing is None else (swing.damping_per_s, 2.0 * math.pi / swing.period_s)
-    )
+    guess = None if swing is None else swing.guess
+    rows = _found(track, span)
     scale_sigma = math.hypot(FRAMING_SIGMA, 0.5 * task.size_sigma_px / task.size_px)
     if calibration is not None:
         scale_sigma = 0.0
@@ -498,23 +497,17 @@ def _intervals(
             + rng.normal(0.0, noise, track.points_px.shape)
             + _slow_noise(track, rng)
         )
-        sample = replace(
-            track, points_px=points, size_ratio=np.full(len(points), np.nan)
-        )
         if calibration is not None:
-            sample = replace(sample, points_px=calibration.drawn(points, rng))
+            points = calibration.drawn(points, rng)
         if task.pivot_px is not None and task.motion is not Motion.TURN:
-            moved_px = rng.normal(0.0, task.pivot_sigma_px, 2)
-            sample = replace(sample, points_px=sample.points_px + moved_px)
-        if swing is not None and task.pivot_px is not None:
+            points = points + rng.normal(0.0, task.pivot_sigma_px, 2)
+        if swing is not None:
             # What the law does not explain may come at any other time, with the other sign.
-            rows, misfit = _found(track, span), swing.residuals_rad
-            other = (
-                rng.choice([-1.0, 1.0]) * np.roll(misfit, rng.integers(len(rows)))
-                - misfit
-            )
-            offset = sample.points_px[rows] - np.array(task.pivot_px)
-            sample.points_px[rows] += other[:, None] * offset[:, ::-1] * (1.0, -1.0)
+            misfit, sign = swing.residuals_rad, rng.choice([-1.0, 1.0])
+            other = sign * np.roll(misfit, rng.integers(len(rows))) - misfit
+            offset = points[rows] - np.array(task.pivot_px)
+            points[rows] += other[:, None] * offset[:, ::-1] * (1.0, -1.0)
+        sample = replace(track, points_px=points)
         first = max(0, span[0] + int(rng.integers(-1, 2)))
         last = min(
             len(track.frames) - 1, max(first + 4, span[1] - int(rng.integers(0, 3)))
@@ -538,11 +531,8 @@ def _intervals(
     }
     if "pd" in intervals:
         # Over less than a period, any noise lengthens it, and that of the track has already: the error has either sign.
-        away = float(
-            np.percentile(
-                np.abs(np.array(found["pd"]) - nominal["pd"]), 100.0 * COVERAGE
-            )
-        )
+        errors = np.abs(np.array(found["pd"]) - nominal["pd"])
+        away = float(np.percentile(errors, 100.0 * COVERAGE))
         intervals["pd"] = (max(0.0, nominal["pd"] - away), nominal["pd"] + away)
     if calibration is not None and "de" in intervals:
         # A track has noise already, which excess counts as force. Simulated noise shows how much; it is reflected.
