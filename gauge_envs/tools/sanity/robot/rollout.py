@@ -218,14 +218,14 @@ def _energy(robot: Robot) -> Finding:
 
 # --- joint by joint --------------------------------------------------------------------------------------------------
 
-MOST_FACTOR = 10.0
-"""Factor of a gain up to which it is advised without a unit that explains it."""
-
 SWING_RAD = 0.1
 """Swing of a joint for which dry friction counts as damping [rad]."""
 
 SOFT_MRAD = 1146.0
-"""Sag up to which soft gains of a robot that walks may be meant: 57.3 times the 20 mrad of a stiff servo [mrad]."""
+"""Sag up to which soft gains may be meant; with kp per degree a servo that sags by 20 mrad sags by more [mrad].
+
+Makers' largest sags are 12 to 97 mrad, that of a soft G1 with its kp per degree 12.
+"""
 
 NO_ROTOR = "no driven joint of the model states the inertia of its rotor"
 
@@ -447,17 +447,12 @@ def deflecting_nm(robot: Robot) -> FloatArray:
 
 
 def _sag_advice(name: str, sag_mrad: float) -> str:
-    """Return what may be wrong with a servo that sags too little or too much; a factor only where it is likely."""
-    low_mrad, high_mrad = limits_of("robot-sag")
-    factor = sag_mrad / (0.3 * high_mrad)
-    if sag_mrad < low_mrad:
+    """Return what may be wrong with a servo that sags too little or too much; a unit only where it explains it."""
+    if sag_mrad < limits_of("robot-sag")[0]:
         return f"the masses that {name} carries in kg, or its kp in Nm/rad"
-    times = (
-        f": times {factor:.2g}"
-        if factor <= MOST_FACTOR
-        else ", or the masses that it carries"
-    )
-    return f"kp of {name} in Nm/rad, not per degree{times}"
+    if sag_mrad < SOFT_MRAD:
+        return f"a larger kp of {name}, or a controller that carries the weight"
+    return f"kp of {name} in Nm/rad, not per degree, or the masses that it carries"
 
 
 @row("robot-sag")
@@ -483,18 +478,17 @@ def _sag(robot: Robot) -> Finding:
             advice=f'stiffness="0" for {joint_name(robot, dof)} and joints like it',
         )
     low_mrad, high_mrad = limits_of("robot-sag")
-    advisory, advice = "", _sag_advice(joint_name(robot, dof), sags[dof])
+    advisory = ""
     if sags[dof] < low_mrad:
         advisory = "a controller that knows its load does not sag"
     if sags[dof] > high_mrad:
         remark += f": a command must be {1e-3 * sags[dof]:.2g} rad beyond the pose that it holds"
         if robot.is_floating and sags[dof] < SOFT_MRAD:
             advisory = "soft gains of a robot that walks may be meant: its policy carries the weight"
-            advice = f"a larger kp of {joint_name(robot, dof)} if it holds its limb without a policy"
     return Finding(
         value=sags[dof],
         parts=by_joint(robot, sags),
         remark=remark,
-        advice=advice,
+        advice=_sag_advice(joint_name(robot, dof), sags[dof]),
         advisory=advisory,
     )

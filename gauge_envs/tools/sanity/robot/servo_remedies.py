@@ -25,7 +25,7 @@ from gauge_envs.tools.sanity.robot.remedy import (
 )
 from gauge_envs.tools.sanity.robot.robot import Robot
 from gauge_envs.tools.sanity.robot.rollout import (
-    MOST_FACTOR,
+    SOFT_MRAD,
     deflecting_nm,
     has_stiff_servos,
     lone_half_step_s,
@@ -40,8 +40,8 @@ from gauge_envs.tools.sanity.robot.row_remedies import (
 )
 from gauge_envs.tools.sanity.robot.rows import ROWS
 
-LEAST_SAG_MRAD = 20.0
-"""Largest sag below which gains in another unit are too stiff: 12 to 97 in models of makers, 12 in a soft G1 [mrad]."""
+MOST_FACTOR = 10.0
+"""Factor of a gain up to which it is advised without a unit that explains it."""
 
 LARGEST_SAG_RAD = 0.15
 """Largest angle by which the weight may deflect a servo whose gain is scaled [rad]."""
@@ -187,7 +187,7 @@ def _sag(robot: Robot) -> Iterator[Remedy]:
     largest_mrad = max(sags_mrad[a] for a in soft)
     per_degree = (every, soft) if len(soft) < len(every) else (every,)
     # Soft gains that are meant would make a servo stiffer than those of makers.
-    for several in per_degree if largest_mrad > PER_DEGREE * LEAST_SAG_MRAD else ():
+    for several in per_degree if largest_mrad > SOFT_MRAD else ():
         yield gains(robot, several, kp=PER_DEGREE)
         yield gains(robot, several, kp=PER_DEGREE, kv=PER_DEGREE)
     scale = rounded(largest_mrad / (0.3 * high_mrad))
