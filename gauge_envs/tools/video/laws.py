@@ -231,11 +231,9 @@ def _oscillation(
 def _least_squares(
     basis: FloatArray, values: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return coefficients and residuals; columns are scaled, as powers of small times differ by orders of size."""
-    scale = np.linalg.norm(basis, axis=0)
-    scale[scale == 0.0] = 1.0
-    coefficients, *_ = np.linalg.lstsq(basis / scale, values, rcond=None)
-    return coefficients / scale, values - (basis / scale) @ coefficients
+    """Return coefficients and residuals."""
+    coefficients, *_ = np.linalg.lstsq(basis, values, rcond=None)
+    return coefficients, values - basis @ coefficients
 
 
 def _residual_square(basis: FloatArray, values: FloatArray) -> float:
