@@ -215,11 +215,8 @@ def board_angles_deg(pose: BoardPose) -> tuple[float, float, float]:
     """
     rotation, _ = cv2.Rodrigues(pose.rotation_rad)
     # The board points to the right, up and towards the camera; the camera to the right, down and away.
-    right, towards_camera = rotation[:, 0], -rotation[2]
-    roll = math.atan2(right[1], right[0])
-    yaw = math.atan2(towards_camera[0], towards_camera[2])
-    pitch = math.atan2(towards_camera[1], towards_camera[2])
-    return math.degrees(roll), math.degrees(yaw), math.degrees(pitch)
+    (pitch, yaw, roll), *_ = cv2.RQDecomp3x3(rotation @ np.diag([1.0, -1.0, -1.0]))
+    return roll, yaw, pitch
 
 
 def moved_box(film: FrontalFilm) -> tuple[float, ...] | None:
