@@ -233,7 +233,7 @@ def _least_squares(
 ) -> tuple[FloatArray, FloatArray]:
     """Return coefficients and residuals."""
     coefficients, *_ = np.linalg.lstsq(basis, values, rcond=None)
-    return coefficients, values - basis @ coefficients
+    return np.asarray(coefficients, dtype=float), values - basis @ coefficients
 
 
 def _residual_square(basis: FloatArray, values: FloatArray) -> float:
