@@ -5,8 +5,9 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from gauge_envs.scene.drivers import Driver, DriverMotion
+from gauge_envs.scene.drivers import Driver, DriverMotion, recorded_coordinates
 from gauge_envs.scene.geometry import (
     FloatArray,
     Pose,
@@ -88,6 +89,7 @@ class DriverPath:
         self.offsets = np.zeros(self.motion_count)
         count = round((frame_count - 1) / FRAME_RATE_HZ / interval_s)
         self._path = _recorded_path(driver, start, count, interval_s)
+        self._recorded = _recorded_coordinates(driver.motions, count, interval_s)
         # Intervals from a sample on in which an action stays the same, and the offsets at their ends.
         self._first_sample = 0
         self._action = self.offsets
@@ -105,15 +107,15 @@ class DriverPath:
             sample: Index of the interval.
             action: Normalized rate of each motion, shape [motion_count].
         """
-        if not self.offsets.any() and not action.any():
-            return self._path[sample]
         index = sample - self._first_sample
         goes_on = (
             0 <= index < len(self._offsets_ahead) - 1
-            and np.array_equal(action, self._action)
-            and np.array_equal(self.offsets, self._offsets_ahead[index])
+            and self.offsets is self._offsets_ahead[index]
+            and (action == self._action).all()
         )
         if not goes_on:
+            if not self.offsets.any() and not action.any():
+                return self._path[sample]
             self._look_ahead(sample, action)
             index = 0
         self.offsets = self._offsets_ahead[index + 1]
@@ -125,12 +127,13 @@ class DriverPath:
         offsets = [self.offsets]
         for _ in range(SAMPLES_PER_FRAME):
             offsets.append(offsets[-1] + rates * self.interval_s)
-        samples = np.arange(sample, sample + len(offsets), dtype=np.float64)
-        states = self._driver.states(
+        samples = np.arange(sample, sample + len(offsets))
+        coordinates, recorded_rates = self._recorded
+        states = self._driver.moved(
             self._starts,
             samples * self.interval_s,
-            np.array(offsets),
-            np.array([rates] * len(offsets)),
+            coordinates[samples] + offsets,
+            recorded_rates[samples] + rates,
         )
         self._first_sample = sample
         self._action = np.array(action)
@@ -168,6 +171,7 @@ class DriverPathOfWorlds:
                 for pose in kinds
             ]
         )
+        self._recorded = _recorded_coordinates(driver.motions, count, SAMPLE_INTERVAL_S)
         self.offsets = np.zeros((len(poses), self.motion_count))
         self._ended: tuple[int, FloatArray, FloatArray] | None = None
 
@@ -197,22 +201,30 @@ class DriverPathOfWorlds:
         )
         if not len(moved):
             return rows
-        starts, rates = self._starts[moved], actions[moved] * self._scale
+        rates = actions[moved] * self._scale
         before = self._end_of_last(sample, actions)
         if before is None:
-            before = self._driver.states(
-                starts, sample * SAMPLE_INTERVAL_S, self.offsets[moved], rates
-            )
+            before = self._state(sample, moved, rates)
         self.offsets[moved] += rates * SAMPLE_INTERVAL_S
-        after = self._driver.states(
-            starts, (sample + 1) * SAMPLE_INTERVAL_S, self.offsets[moved], rates
-        )
+        after = self._state(sample + 1, moved, rates)
         self._ended = (sample + 1, actions.copy(), after)
         rows = rows.copy()
         rows[moved] = np.concatenate(
             [before[:, :7], *_between(before, after, SAMPLE_INTERVAL_S)], axis=1
         )
         return rows
+
+    def _state(
+        self, sample: int, moved: NDArray[np.intp], rates: FloatArray
+    ) -> FloatArray:
+        """Return the states at a sample of the worlds that actions moved, shape [moved_count, 13]."""
+        coordinates, recorded_rates = self._recorded
+        return self._driver.moved(
+            self._starts[moved],
+            np.array([sample * SAMPLE_INTERVAL_S]),
+            coordinates[sample] + self.offsets[moved],
+            recorded_rates[sample] + rates,
+        )
 
     def _end_of_last(self, sample: int, actions: FloatArray) -> FloatArray | None:
         """Return the states at the end of the last interval if this one goes on from it with the same actions."""
@@ -294,7 +306,7 @@ class DriverPathInArrays:
         return self._arrays.concat([position, quaternion, first, rise], axis=1)
 
     def _state(self, sample: int) -> tuple[Any, Any, Any]:
-        """Return position, quaternion, and linear and angular velocity of the body at a sample; see `Driver.states`."""
+        """Return position, quaternion, and linear and angular velocity of the body at a sample; see `Driver.moved`."""
         arrays = self._arrays
         position, quaternion = self._position, self._quaternion
         linear = angular = self._still
@@ -360,22 +372,21 @@ def _recorded_path(
     """Return the motion without actions; for minutes of motion it takes longer than the build of most scenes."""
     starts = np.tile([*start.position_m, *start.quaternion], (count + 1, 1))
     times_s = interval_s * np.arange(count + 1, dtype=np.float64)
-    coordinates = np.zeros((count + 1, len(driver.motions)))
-    rates = np.zeros_like(coordinates)
-    for index, motion in enumerate(driver.motions):
-        values = _recorded_coordinate(motion, count, interval_s)
-        coordinates[:, index], rates[:, index] = values
-    return Intervals(driver.moved(starts, times_s, coordinates, rates), interval_s)
+    coordinates, rates = _recorded_coordinates(driver.motions, count, interval_s)
+    states = driver.moved(starts, times_s, coordinates[: count + 1], rates[: count + 1])
+    return Intervals(states, interval_s)
 
 
 @lru_cache(maxsize=32)
-def _recorded_coordinate(
-    motion: DriverMotion, count: int, interval_s: float
+def _recorded_coordinates(
+    motions: tuple[DriverMotion, ...], count: int, interval_s: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return a coordinate [m or rad] and its rate, shape [count + 1] each; that of a misplaced body is the same."""
-    times_s = (interval_s * np.arange(count + 1, dtype=np.float64)).tolist()
-    values = np.array([motion.value(time_s) for time_s in times_s])
-    return values, np.array([motion.rate(time_s) for time_s in times_s])
+    """Return coordinates without actions [m or rad] and their rates at `count` samples and those of the next frame.
+
+    They are the same for a misplaced body, and in each episode with actions.
+    """
+    samples = np.arange(count + 1 + SAMPLES_PER_FRAME)
+    return recorded_coordinates(motions, interval_s * samples)
 
 
 def _between(

@@ -214,12 +214,8 @@ class SimulationMuJoCo(Simulation):
         acceleration: NDArray[np.float64],
     ) -> None:
         """Write the body's pose, its velocity, and the force that gives its large mass the acceleration."""
-        motion = np.empty(19)
-        motion[:3] = pose.position_m
-        motion[3:7] = pose.quaternion
-        motion[7:13] = velocity
-        motion[13:] = acceleration
-        self.driven_body(body).write(motion)
+        place = (*pose.position_m, *pose.quaternion)
+        self.driven_body(body).write(place, velocity, acceleration)
         for grip in self.grips:
             if grip.body == body:
                 grip.follow()
@@ -381,21 +377,27 @@ class DrivenBody:
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, body: str) -> None:
         index = model.body(body).id
         self._pose, velocity = free_joint_views(model, data, body)
+        self._quaternion = self._pose[3:]
         self._linear = velocity[:3]
         self._angular = velocity[3:]
         self._force = data.xfrc_applied[index]
         self._mass_kg = model.body_mass[index : index + 1]
         self._inverse = np.empty(4)
 
-    def write(self, motion: NDArray[np.float64]) -> None:
-        """Write a row of `Worlds.drive`, shape [19]."""
-        self._pose[:] = motion[:7]
-        self._linear[:] = motion[7:10]
+    def write(
+        self,
+        pose: Sequence[float] | NDArray[np.float64],
+        velocity: NDArray[np.float64],
+        acceleration: NDArray[np.float64],
+    ) -> None:
+        """Write a motion of `World.drive`; the pose is position [m] and quaternion w x y z, shape [7]."""
+        self._pose[:] = pose
+        self._linear[:] = velocity[:3]
         # MuJoCo keeps a free joint's angular velocity in the body frame.
-        mujoco.mju_negQuat(self._inverse, motion[3:7])
-        mujoco.mju_rotVecQuat(self._angular, motion[10:13], self._inverse)
+        mujoco.mju_negQuat(self._inverse, self._quaternion)
+        mujoco.mju_rotVecQuat(self._angular, velocity[3:], self._inverse)
         # The mass and all moments of inertia of a driven body are the same number.
-        np.multiply(self._mass_kg, motion[13:], out=self._force)
+        np.multiply(self._mass_kg, acceleration, out=self._force)
 
 
 class StateReader(Protocol):

@@ -56,7 +56,7 @@ class WorldsMuJoCo(Worlds):
             ]
         writers = self._writers[body]
         for number, motion in zip(numbers.tolist(), motions, strict=True):
-            writers[number](motion)
+            writers[number](motion[:7], motion[7:13], motion[13:])
 
     def advance(self, seconds: float) -> None:
         """Step all worlds, in threads."""
