@@ -127,13 +127,14 @@ class DriverPath:
         offsets = [self.offsets]
         for _ in range(SAMPLES_PER_FRAME):
             offsets.append(offsets[-1] + rates * self.interval_s)
-        samples = np.arange(sample, sample + len(offsets))
+        rows = slice(sample, sample + len(offsets))
+        samples = np.arange(rows.start, rows.stop, dtype=np.float64)
         coordinates, recorded_rates = self._recorded
         states = self._driver.moved(
             self._starts,
             samples * self.interval_s,
-            coordinates[samples] + offsets,
-            recorded_rates[samples] + rates,
+            coordinates[rows] + offsets,
+            recorded_rates[rows] + rates,
         )
         self._first_sample = sample
         self._action = np.array(action)
@@ -385,7 +386,7 @@ def _recorded_coordinates(
 
     They are the same for a misplaced body, and in each episode with actions.
     """
-    samples = np.arange(count + 1 + SAMPLES_PER_FRAME)
+    samples = np.arange(count + 1 + SAMPLES_PER_FRAME, dtype=np.float64)
     return recorded_coordinates(motions, interval_s * samples)
 
 

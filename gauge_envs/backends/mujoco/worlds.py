@@ -14,7 +14,7 @@ from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo, without_cloc
 from gauge_envs.backends.worlds import Worlds
 from gauge_envs.files import processors
 
-OnArray = Callable[[NDArray[np.float64]], None]
+OnArray = Callable[..., None]
 """Function of an array, which it reads, or writes to."""
 
 
