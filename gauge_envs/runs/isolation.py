@@ -18,6 +18,7 @@ import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
+from select import select
 from types import TracebackType
 from typing import Any, BinaryIO, ParamSpec, Self, TypeVar
 
@@ -31,6 +32,9 @@ LOOK_S = 0.05
 
 PARENT_LOOK_S = 0.2
 """Time between two looks of a process at whether its parent lives [s]."""
+
+END_S = 10.0
+"""Time in which a process that waits for a call may end itself [s]."""
 
 GRACE_S = 10.0
 """Time after its limit at which a process ends itself, if its parent is gone [s]."""
@@ -117,10 +121,10 @@ class Worker:
             error, value = pickle.load(process.stdout)
         except (OSError, EOFError, pickle.UnpicklingError):
             watch.close()
-            self.close()
+            self._end()
             raise CrashError(watch.reason or _cause(process.returncode)) from None
         except BaseException:
-            self.close()
+            self._end()
             raise
         finally:
             watch.close()
@@ -129,15 +133,25 @@ class Worker:
         return value
 
     def close(self) -> None:
-        """End the process. A later call starts another one."""
+        """End the process. A later call starts another one.
+
+        As it waits for a call, it ends itself, so that Genesis can write the kernels that it compiled.
+        """
+        self._end(END_S)
+
+    def _end(self, patience_s: float = 0.0) -> None:
         process, self._process = self._process, None
         if process is not None:
+            assert process.stdin is not None and process.stdout is not None
+            if patience_s and sys.platform != "win32":
+                with suppress(OSError):
+                    process.stdin.close()
+                select([process.stdout], [], [], patience_s)
             _kill(process)
             process.wait()
             for stream in (process.stdin, process.stdout):
-                if stream is not None:
-                    with suppress(OSError):
-                        stream.close()
+                with suppress(OSError):
+                    stream.close()
 
 
 def _start(environment: Mapping[str, str]) -> subprocess.Popen[bytes]:
@@ -289,7 +303,9 @@ def _pickled(reply: tuple[str | None, Any]) -> bytes:
 
 def _reserved_streams() -> tuple[BinaryIO, BinaryIO]:
     """Return copies of stdin and stdout; what anything else prints on stdout goes to stderr."""
-    tasks, results = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
+    tasks = os.fdopen(os.dup(0), "rb")
+    # It stays open until the process ends, which `Worker.close` waits for.
+    results = os.fdopen(os.dup(1), "wb", closefd=False)
     with open(os.devnull, "rb") as nothing:  # noqa: PTH123
         os.dup2(nothing.fileno(), 0)
     os.dup2(2, 1)

@@ -1,5 +1,6 @@
 """Engines that crash, exit or hang cost their own episode, and results are the same in another process."""
 
+import atexit
 import os
 import subprocess
 import sys
@@ -14,7 +15,7 @@ from gauge_envs.backends import backend
 from gauge_envs.cli.app import app
 from gauge_envs.errors import BackendError, GaugeError, ParameterError
 from gauge_envs.experiments.variants import find_variant
-from gauge_envs.runs import batch
+from gauge_envs.runs import batch, isolation
 from gauge_envs.runs.batch import check_requests, run_many
 from gauge_envs.runs.isolation import CrashError, Worker
 from gauge_envs.runs.request import RunRequest
@@ -49,6 +50,22 @@ def test_a_process_that_shares_the_cores_has_one_thread_unless_told_otherwise(
             with Worker(single_thread=single) as worker:
                 found.append(worker.call(os.getenv, "OMP_NUM_THREADS"))
     assert found == ["1", None, "4", "4"]
+
+
+def test_a_process_that_waits_for_a_call_ends_itself_unless_that_takes_long(
+    tmp_path, monkeypatch
+):
+    """Genesis writes the kernels that it compiled when its process ends."""
+    # A fork of the test's process ends at once.
+    monkeypatch.setattr(isolation, "subprocess", subprocess)
+    with Worker() as worker:
+        worker.call(atexit.register, os.mkdir, str(tmp_path / "kernels"))
+    assert (tmp_path / "kernels").is_dir()
+    monkeypatch.setattr(isolation, "END_S", 0.1)
+    start_s = time.monotonic()
+    with Worker() as worker:
+        worker.call(atexit.register, time.sleep, 60.0)
+    assert time.monotonic() - start_s < 30.0
 
 
 def test_engines_that_die_cost_one_episode_each(installed):
