@@ -143,9 +143,11 @@ def _hinges(rollout: Rollout) -> Iterator[str]:
         anchor_m = np.array(hinge.anchor_m)
         if isinstance(hinge, Hinge):
             name, places_m, turns = hinge.body, *_motion(rollout, hinge.body)
+            joint = "hinge"
         else:
             # Motion of the second body in the frame of the first one.
             name, first = hinge.second, scene.body(hinge.first)
+            joint = f"hinge to the {first.name}"
             origins_m, frames = _motion(rollout, first.name)
             places_m, turns = _motion(rollout, name)
             places_m = frames.apply(places_m - origins_m, inverse=True)
@@ -158,14 +160,14 @@ def _hinges(rollout: Rollout) -> Iterator[str]:
             continue
         off_deg = _between_deg(angles[largest], axis)
         if off_deg > FAR_DEG:
-            yield f"the {name} turns about an axis {off_deg:.3g} degrees from the axis of its hinge"
+            yield f"the {name} turns about an axis {off_deg:.3g} degrees from the axis of its {joint}"
         local_m = scene.body(name).pose.to_body(np.array(hinge.anchor_m))
         off_m, left_m = _pivot(places_m, turns, local_m, anchor_m)
         across_mm = 1e3 * (off_m - (off_m @ axis) * axis)
         size_mm = float(np.linalg.norm(across_mm))
         if size_mm > FAR_MM and 1e3 * left_m < 0.1 * size_mm:
             yield (
-                f"the {name} turns about a point {size_mm:.3g} mm from the anchor of its hinge, off by "
+                f"the {name} turns about a point {size_mm:.3g} mm from the anchor of its {joint}, off by "
                 f"{_vector(across_mm)} mm"
             )
             continue
@@ -177,7 +179,7 @@ def _hinges(rollout: Rollout) -> Iterator[str]:
             how = (
                 "at once: the anchor moves" if at_once else "slowly: the joint is soft"
             )
-            yield f"the {name} leaves the anchor of its hinge by {away_mm.max():.3g} mm, {how}"
+            yield f"the {name} leaves the anchor of its {joint} by {away_mm.max():.3g} mm, {how}"
 
 
 def _sliders(rollout: Rollout) -> Iterator[str]:

@@ -274,6 +274,9 @@ STRINGS_M = {
 }
 """Anchor and length of strings on which balls hang at rest."""
 
+LEAST_ASIDE_MM = 1.0
+"""Distance from the vertical line through the anchor from which on a ball that hangs shows another anchor."""
+
 
 @recorded("three balls that hang at rest on taut strings of 0.24, 0.3 and 0.36 m")
 def _hanging_bobs(lab: Lab) -> Rollout:
@@ -288,11 +291,17 @@ def _hanging_bobs(lab: Lab) -> Rollout:
 @_hanging_bobs.check("tether-rest")
 def _tether_rest(rollout: Rollout) -> Measurement:
     late = rollout.between(0.8, 1.0)
-    shares = {}
+    shares, aside = {}, []
     for name, (anchor_m, length_m) in STRINGS_M.items():
-        arms_m = np.linalg.norm(rollout.position(name)[late] - anchor_m, axis=1)
-        shares[name] = float(arms_m.mean()) / length_m
+        arms_m = rollout.position(name)[late] - anchor_m
+        shares[name] = float(np.linalg.norm(arms_m, axis=1).mean()) / length_m
+        aside_mm = 1e3 * float(np.linalg.norm(arms_m[:, :2].mean(axis=0)))
+        if aside_mm > LEAST_ASIDE_MM:
+            aside.append(
+                f"; the {name} hangs {aside_mm:.3g} mm beside its anchor: the anchor is elsewhere"
+            )
     found = worst_ratio(shares, "the string's length is")
+    found = replace(found, hint=found.hint + "".join(aside))
     return replace(
         found, measured=1e3 * STRING_M * found.measured, expected=1e3 * STRING_M
     )

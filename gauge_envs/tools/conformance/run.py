@@ -30,6 +30,7 @@ from gauge_envs.tools.conformance.model import (
     checks,
     texts_of_checks,
 )
+from gauge_envs.tools.conformance.torques import UNITS
 
 FINITE = "finite"
 """Id of the check that reports states that are not finite."""
@@ -162,6 +163,7 @@ def _eliminated(failed: str, run: Callable[[Check], _Run]) -> tuple[str, bool]:
         if outcome.status is not Status.PASS:
             simplest = name
             found = f"The simplest that fails is {name}: {outcome.diagnosis}"
+            found += _common(outcome_of(failed), outcome)
             break
         passed.append(name)
     for fails, passes, left in texts["left"]:
@@ -177,6 +179,16 @@ def _eliminated(failed: str, run: Callable[[Check], _Run]) -> tuple[str, bool]:
             found += f"{'' if found.endswith('.') else '.'} Left ({pattern}): {left}."
             break
     return f"{_tried(passed)}{found}", simplest != failed
+
+
+def _common(*outcomes: Outcome | None) -> str:
+    """Return which constants explain all of some failures on hinges; empty where one of them has one cause."""
+    texts = [one.diagnosis for one in outcomes if one is not None]
+    causes = [{name for name in UNITS if f"the {name} were" in text} for text in texts]
+    common = set.intersection(*causes)
+    if not common or min(map(len, causes)) == 1:
+        return ""
+    return f". Both are explained by: {', '.join(sorted(common))}"
 
 
 def _tried(passed: Sequence[str]) -> str:

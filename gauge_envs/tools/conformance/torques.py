@@ -183,11 +183,11 @@ def _cause(turning: _Turning, least: float) -> str:
         found = {name: turning.best(name, size, floor) for name in turning.values}
         limit = min(2.0 * min(found.values())[0] + 0.01 * size, LEFT * size)
         alike = {name: value for name, (left, value) in found.items() if left < limit}
-        # Checks of free bodies come first, so that what a hinge has is more likely.
+        # Checks of free bodies come first, so that what a hinge has is more likely; but they are short.
         of_hinge = [name for name in alike if turning.values[name] and name not in BODY]
         texts = [
             f"{name} were {alike[name]:.3g} {UNITS[name]} instead of {turning.values[name]:.3g}"
-            for name in of_hinge or alike
+            for name in (not when and of_hinge) or alike
         ]
         if texts:
             return f"{', or the '.join(texts)}{when}"
