@@ -27,6 +27,8 @@ from gauge_envs.scene.geometry import (
 )
 
 Rows = list[list[float]]
+Path = tuple[int, Rows, Rows, Rows, Rows]
+"""What Bullet gets of a driven body before each of some steps; see `SimulationPyBullet._path`."""
 
 
 class SimulationPyBullet(PlacedWorld, Simulation):
@@ -104,24 +106,31 @@ class SimulationPyBullet(PlacedWorld, Simulation):
         client = self.world.client
         for reader in self._force_readers:
             reader.clear()
+        acts = bool(paths or self._wrenches or self._motors)
         for step in range(count):
-            for body, positions, quaternions, speeds, spins in paths:
-                pybullet.resetBasePositionAndOrientation(
-                    body, positions[step], quaternions[step], physicsClientId=client
-                )
-                pybullet.resetBaseVelocity(
-                    body, speeds[step], spins[step], physicsClientId=client
-                )
-            for name, wrench in self._wrenches.items():
-                self._push(name, wrench)
-            if self._motors:
-                self._turn_joints()
-            pybullet.stepSimulation(physicsClientId=client)
+            if acts:
+                self._act(paths, step)
+            pybullet.stepSimulation(client)
             for reader in self._force_readers:
                 reader.add()
         for name in self._driven:
             self.placed.pop(name, None)
         self._driven.clear()
+
+    def _act(self, paths: Sequence[Path], step: int) -> None:
+        """Move driven bodies to the end of a step, and apply wrenches and torques of motors for it."""
+        client = self.world.client
+        for body, positions, quaternions, speeds, spins in paths:
+            pybullet.resetBasePositionAndOrientation(
+                body, positions[step], quaternions[step], physicsClientId=client
+            )
+            pybullet.resetBaseVelocity(
+                body, speeds[step], spins[step], physicsClientId=client
+            )
+        for name, wrench in self._wrenches.items():
+            self._push(name, wrench)
+        if self._motors:
+            self._turn_joints()
 
     def fault(self) -> str | None:
         """Return which body is beyond the box of a plane, where nothing would carry it."""
@@ -147,9 +156,7 @@ class SimulationPyBullet(PlacedWorld, Simulation):
         x, y, z, *turn = self.body_states([name])[0, :7].tolist()
         return DrivenMotion(Pose(position_m=(x, y, z), quaternion=tuple(turn)))
 
-    def _path(
-        self, handle: Handle, motion: DrivenMotion, count: int
-    ) -> tuple[int, Rows, Rows, Rows, Rows]:
+    def _path(self, handle: Handle, motion: DrivenMotion, count: int) -> Path:
         """Return what Bullet gets of a driven body before each of the next steps.
 
         Returns:
