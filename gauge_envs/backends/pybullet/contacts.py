@@ -2,8 +2,10 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import sparse
 
 from gauge_envs.errors import UnsupportedSceneError
@@ -149,8 +151,37 @@ def products(pairs: Mapping[Pair, float], noun: str) -> dict[str, float]:
     found = dict.fromkeys(names, 0.0)
     if not active:
         return found
+    column = {name: index for index, name in enumerate(active)}
+    rows, zero_rows = (
+        tuple((column[first], column[second]) for first, second in some)
+        for some in (positive, zero)
+    )
+    logarithms = _logarithms(rows, tuple(positive.values()), zero_rows, len(active))
+    if logarithms is None:
+        first, second = next(iter(positive))
+        raise UnsupportedSceneError(
+            f"pair {first!r} and {second!r} has the {noun} {positive[first, second]:.6g}: Bullet multiplies the values "
+            "of two bodies, and no values of bodies have the products of this scene"
+        )
+    return found | dict(zip(active, np.exp(logarithms).tolist(), strict=True))
+
+
+Rows = tuple[tuple[int, int], ...]
+
+
+@lru_cache(maxsize=256)
+def _logarithms(
+    pairs: Rows, values: tuple[float, ...], zero: Rows, count: int
+) -> NDArray[np.float64] | None:
+    """Return the logarithms of the least values of bodies with these products, shape [count]; None if there are none.
+
+    Args:
+        pairs: Two bodies of each pair.
+        values: Product of each pair, positive.
+        zero: Pairs whose product stands for 0.
+        count: Number of bodies.
+    """
     # Each logarithm has a bound on its size as a second unknown, and the sum of the bounds is least.
-    count = len(active)
     one = sparse.identity(count)
     # Few scenes need a solver, and the import takes a tenth of a second.
     from scipy.optimize import linprog
@@ -158,34 +189,25 @@ def products(pairs: Mapping[Pair, float], noun: str) -> dict[str, float]:
     result = linprog(
         np.repeat([0.0, 1.0], count),
         A_ub=sparse.vstack(
-            [_sums(zero, active), sparse.bmat([[one, -one], [-one, -one]])]
+            [_sums(zero, count), sparse.bmat([[one, -one], [-one, -one]])]
         ),
         b_ub=np.concatenate(
             [np.full(len(zero), np.log(SMALLEST_VALUE)), np.zeros(2 * count)]
         ),
-        A_eq=_sums(positive, active),
-        b_eq=np.log(list(positive.values())),
+        A_eq=_sums(pairs, count),
+        b_eq=np.log(values),
         bounds=(None, None),
         method="highs",
     )
-    if result.x is None:
-        first, second = next(iter(positive))
-        raise UnsupportedSceneError(
-            f"pair {first!r} and {second!r} has the {noun} {positive[first, second]:.6g}: Bullet multiplies the values "
-            "of two bodies, and no values of bodies have the products of this scene"
-        )
-    return found | dict(zip(active, np.exp(result.x[:count]).tolist(), strict=True))
+    return None if result.x is None else result.x[:count]
 
 
-def _sums(
-    pairs: Mapping[Pair, float] | list[Pair], names: list[str]
-) -> sparse.csr_array:
-    """Return a row for each pair that adds its two values, beside columns of zeros, [pair_count, 2 name_count]."""
-    column = {name: index for index, name in enumerate(names)}
-    columns = [column[name] for pair in pairs for name in pair]
+def _sums(pairs: Rows, count: int) -> sparse.csr_array:
+    """Return a row for each pair that adds its two values, beside columns of zeros, [pair_count, 2 count]."""
     rows = np.repeat(np.arange(len(pairs)), 2)
+    columns = np.array(pairs, dtype=int).ravel()
     return sparse.csr_array(
-        (np.ones(len(columns)), (rows, columns)), shape=(len(pairs), 2 * len(names))
+        (np.ones(len(columns)), (rows, columns)), shape=(len(pairs), 2 * count)
     )
 
 
