@@ -142,8 +142,11 @@ class _Turning:
             tried = SHARES * size / max(float(np.quantile(effect, MANY)), 1e-12)
         with np.errstate(invalid="ignore"):
             best = min(tried, key=left_n_m)
-        near = best * np.linspace(0.975, 1.025, 51)
-        return min((left_n_m(value), float(value)) for value in (best, *near))
+        # A constant that is a hundredth off is known to a ten-thousandth, or another one would explain more.
+        for span in (0.025, 0.001):
+            near = best * np.linspace(1.0 - span, 1.0 + span, 51)
+            best = min((best, *near), key=left_n_m)
+        return left_n_m(best), float(best)
 
 
 def wrong_torques(rollout: Rollout) -> Iterator[str]:

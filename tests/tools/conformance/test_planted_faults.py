@@ -139,6 +139,9 @@ air-pressure             Air.wind_m_per_s:drop:zero                         the 
 air-friction             Air.tangential_coefficient:scale:0.5               counts both sides
 air-lift                 Air.lift_coefficient:drop:none                     perpendicular
 tether-rest              Tether.length_m:scale:1.25                         its length is not length_m
+tether-rest              Tether.anchor_m:names:late-0.5                     the third bob hangs
+joint-viscous            JointDynamics.viscous_friction_n_m_s_per_rad:rounded:4-bits friction of its hinge were 0.0195
+joint-between            BodyHinge.axis:swap:0-2                            of its hinge to the lower
 tether-length            Tether.length_m:scale:1.25                         375
 rope-length              Rope.length_m:scale:1.25                           becomes 376
 tether-length            Tether.joint:drop:all                              missing
@@ -352,6 +355,17 @@ def test_simpler_checks_run_after_a_failure_until_one_cause_is_left():
     calm = Mutant(MUJOCO, ALL["Air.wind_m_per_s:drop:zero"])
     (still,) = run_checks(calm, only=["air-pressure"], eliminates=True)
     assert "Left (air-friction: fail; air-terminal: pass): the wind" in still.diagnosis
+    for check, name, says in (
+        ("slide", "Contact.rolling_m:offset:True", "friction against rolling"),
+        (
+            "stated-inertia",
+            "RigidBody.mass_kg:threshold:after-1s",
+            "explained by: mass",
+        ),
+    ):
+        mutant = Mutant(MUJOCO, ALL[name])
+        (found,) = run_checks(mutant, only=[check], eliminates=True)
+        assert says in found.diagnosis
     # That no simpler check fails is said once.
     rolls = Mutant(MUJOCO, ALL["rolling-friction"])
     names = ["roll-ball", "roll-cylinder"]
