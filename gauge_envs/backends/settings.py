@@ -37,7 +37,9 @@ class SteppedSettings(BaseModel):
             `gauge_envs.backends.shared.resampled.ResampledSimulation` then says what is read between steps.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True
+    )
 
     preset: str
     timestep_s: float = Field(ge=1e-8)
