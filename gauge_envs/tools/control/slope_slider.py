@@ -30,7 +30,7 @@ class SlopeSliderLimit(FrictionLimit):
     """This acceleration reaches the limit in 1.0 s; the real motor takes 1.2 s to 15 degrees."""
 
     OWN_STEPS_S: ClassVar[Mapping[str, Mapping[str, float]]] = {
-        "mujoco": {"default": 1 / 1800, "training": 1 / 540}
+        "mujoco": {"default": 1 / 1800, "training": 1 / 180}
     }
 
     _RAMP_S = 3.0

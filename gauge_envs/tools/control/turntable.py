@@ -32,7 +32,7 @@ class TurntableLimit(FrictionLimit):
     """Time of an episode: 1.2 s to the limit at full acceleration, and three times as long to hold it."""
 
     OWN_STEPS_S: ClassVar[Mapping[str, Mapping[str, float]]] = {
-        "mujoco": {"training": 1 / 540}
+        "mujoco": {"training": 1 / 180}
     }
 
     ACCELERATION_RAD_PER_S2 = 6.0
