@@ -18,7 +18,7 @@ from gauge_envs.tools.sanity.robot.joints import (
     joint_inertias,
     largest_weights_nm,
 )
-from gauge_envs.tools.sanity.robot.mass_rows import MASSLESS_KG, extent
+from gauge_envs.tools.sanity.robot.mass_rows import extent, is_link
 from gauge_envs.tools.sanity.robot.robot import Robot
 from gauge_envs.tools.sanity.robot.sides import quantities
 
@@ -94,7 +94,7 @@ def _links(robot: Robot) -> tuple[list[str], dict[str, FloatArray]]:
     bodies = [
         body
         for body, (room_m3, _, far_m) in rooms.items()
-        if model.body_mass[body] > MASSLESS_KG and room_m3 > 0.0 and far_m > 0.0
+        if is_link(robot, body) and room_m3 > 0.0 and far_m > 0.0
     ]
     mass_kg = model.body_mass[bodies]
     geom_m3 = np.array([rooms[body][0] for body in bodies])

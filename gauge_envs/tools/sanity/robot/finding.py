@@ -111,10 +111,19 @@ def limits_of(name: str) -> tuple[float, float]:
 
 
 def judged_row(name: str, found: Finding) -> PhenomenonResult:
-    """Return the row of a finding: visible beyond its limits by the ratio of other rows, wrong beyond that."""
+    """Return the row of a finding: visible beyond its limits by the ratio of other rows, wrong beyond that.
+
+    A row whose limit says what is usual, and not what is possible, is visible at most.
+    """
     known = facts("robot_rows")[name]
     (low, high), value = known["interval"], found.value
-    verdict = Verdict.of(_ratio(value, low, high))
+
+    def judged(one: float) -> Verdict:
+        verdict = Verdict.of(_ratio(one, low, high))
+        is_proof = "usual" not in known or verdict is Verdict.INSIDE
+        return verdict if is_proof else Verdict.VISIBLE
+
+    verdict = judged(value)
     missing = found.declined or found.unmeasured
     is_off = verdict is not Verdict.INSIDE and not missing
     return PhenomenonResult(
@@ -144,7 +153,7 @@ def judged_row(name: str, found: Finding) -> PhenomenonResult:
             PartOutcome(
                 name=part,
                 value=float(one) if np.isfinite(one) else None,
-                verdict=Verdict.of(_ratio(one, low, high)),
+                verdict=judged(one),
                 deviation=_ratio(one, low, high),
             )
             for part, one in (found.parts or {WHOLE: value}).items()

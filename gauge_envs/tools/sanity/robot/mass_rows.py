@@ -11,7 +11,6 @@ from scipy.spatial import ConvexHull, QhullError
 from gauge_envs.scene import GRAVITY_M_PER_S2, Vector
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.robot.finding import (
-    ROWS,
     Finding,
     body_name,
     limits_of,
@@ -40,14 +39,11 @@ UNIT_ERRORS = {
     1e6: "a mass in kt",
 }
 
-WHOLE_KG_PER_M3 = (100.0, 1400.0)
-"""Mass of links over the volume of the hulls of their meshes; 127 to 1,295 in 76 of 77 models of makers [kg/m^3]."""
-
 MASSLESS_KG = 1e-5
 """Mass up to which a body is a frame that carries no link; makers give such frames 1e-8 to 1e-6 kg [kg]."""
 
-HAND_KG = 2.0
-"""Mass below which a robot is a hand: 1,818 kg/m^3 in the meshes of Gymnasium-Robotics' Shadow Hand [kg]."""
+PART_SHARE = 0.01
+"""Share of the mass of a link up to which a body that is fixed to it is a part whose mass the link states."""
 
 SAME_KG = 0.02
 """Difference of a mass from the stated one, over it, up to which they are the same."""
@@ -124,15 +120,12 @@ def _density(robot: Robot) -> Finding:
     of_placeholders: dict[str, Any] = {}
     densities: dict[str, float] = {}
     low, high = limits_of("robot-density")
-    masses_kg = model.body_mass[robot.bodies]
-    middle_kg = float(np.median([0.0, *masses_kg[masses_kg > MASSLESS_KG]]))
     for body in robot.bodies:
         mass_kg = float(model.body_mass[body])
         density, ratio = _link_density(robot, body)
         if not density:
             continue
-        # A light link whose geoms are smaller yet: they hold the place of its shape.
-        is_placeholder = density > high and mass_kg < middle_kg
+        is_placeholder = _is_placeholder(robot, body)
         name = body_name(robot, body)
         factor = min(UNIT_ERRORS, key=lambda one: abs(np.log(1000.0 / density / one)))
         remark = f"{name} with {mass_kg:.3g} kg of {robot.mass_kg:.3g} kg"
@@ -163,14 +156,37 @@ def _density(robot: Robot) -> Finding:
     found = replace(found, changes=changes, parts=densities)
     if worst <= 1.0 and (light := _thin_geoms(robot)):
         return light
-    return _heavy(robot, found) if worst <= 1.0 and densities else found
+    return found
+
+
+def _is_placeholder(robot: Robot, body: int) -> bool:
+    """Return whether the geoms of a link hold the place of its shape: it is light, and denser than its material."""
+    is_light = robot.model.body_mass[body] < _middle_kg(robot)
+    return is_light and _link_density(robot, body)[0] > limits_of("robot-density")[1]
+
+
+@once
+def _middle_kg(robot: Robot) -> float:
+    """Return the mass of the middle link [kg]; 0 without one."""
+    links = [body for body in robot.bodies if is_link(robot, body)]
+    return float(np.median([0.0, *robot.model.body_mass[links]]))
+
+
+def is_link(robot: Robot, body: int) -> bool:
+    """Return whether a body has a mass of its own: it is no frame, and no part of a link that states its mass."""
+    model = robot.model
+    mass_kg = float(model.body_mass[body])
+    link_kg = model.body_mass[model.body_weldid == model.body_weldid[body]].sum()
+    is_fixed = model.body_weldid[body] != body
+    is_part = is_fixed and mass_kg < PART_SHARE * link_kg
+    return mass_kg > MASSLESS_KG and not is_part
 
 
 def _link_density(robot: Robot, body: int) -> tuple[float, float]:
     """Return the density of a link [kg/m^3], and by how much it is outside the limits; 0 and 0 if it is not known."""
     mass_kg = float(robot.model.body_mass[body])
     geom_m3, hull_m3, _ = extent(robot, body)
-    if not (mass_kg > MASSLESS_KG and geom_m3 > 0.0):
+    if not (is_link(robot, body) and geom_m3 > 0.0):
         return 0.0, 0.0
     low, high = limits_of("robot-density")
     # The largest density that its largest geom allows, and the least one in the room around all of them [kg/m^3].
@@ -204,36 +220,6 @@ def _thin_geoms(robot: Robot) -> Finding | None:
         parts={geom_name(robot.model, geom.id): float(geom.density) for geom in thin},
         remark=f"{names} with a density of {density:g} kg/m^3: is it in g/cm^3?",
         advice=f'density="{1e3 * density:g}" for {names}',
-    )
-
-
-def _heavy(robot: Robot, found: Finding) -> Finding:
-    """Return that links with meshes are too heavy or too light as a whole, else what was found of each."""
-    model, volume_m3, mass_kg = robot.model, 0.0, 0.0
-    for body in robot.bodies:
-        hull_m3 = _hull_m3(robot, body)
-        if hull_m3 and model.body_mass[body] > MASSLESS_KG:
-            volume_m3 += hull_m3
-            mass_kg += float(model.body_mass[body])
-    heaviest = max(robot.bodies, key=model.body_mass.__getitem__)
-    # Without the shape of its trunk a robot is denser than it is.
-    is_published = not ROWS["robot-maker"](robot).declined
-    if is_published or not _hull_m3(robot, heaviest) or robot.mass_kg < HAND_KG:
-        return found
-    density = mass_kg / volume_m3
-    lowest, highest = WHOLE_KG_PER_M3
-    # The limits of the row are those of one link.
-    low, high = limits_of("robot-density")
-    # Meshes of which all links together are denser than lead hold the place of others.
-    if lowest <= density <= highest or density > high:
-        return found
-    value = high * density / highest if density > highest else low * density / lowest
-    return replace(
-        found,
-        value=value,
-        parts={**found.parts, "the robot as a whole": value},
-        remark=f"all links together have {density:.0f} kg/m^3, and those of makers {lowest:g} to {highest:g}",
-        advice="masses in kilograms, not in pounds, 2.2 times as much; and meshes of the size of the real part",
     )
 
 
@@ -347,7 +333,8 @@ def _inertia(robot: Robot) -> Finding:
         if body in placed:
             continue
         mass_kg, reach_m = float(robot.model.body_mass[body]), extent(robot, body)[2]
-        if not (mass_kg > max(MASSLESS_KG, least_kg) and reach_m > 0.0):
+        is_heavy = mass_kg > max(MASSLESS_KG, least_kg)
+        if not (is_heavy and reach_m > 0.0) or _is_placeholder(robot, body):
             continue
         low_m, high_m = _box(robot, body)
         centre_m = robot.model.body_ipos[body]

@@ -22,6 +22,7 @@ from gauge_envs.tools.sanity.robot.joints import (
     driven_dofs,
     driven_joints,
     home_key,
+    placed_bodies,
     position_servos,
     servo_gains,
     springs,
@@ -91,11 +92,17 @@ FEW_COPIES = 2
 SAME = 0.01
 """Difference of two numbers over the larger one up to which they are the same."""
 
-SAME_ASIDE = 0.05
-"""Part of the distance of a centre of mass along the axis of its joint, from which on it is on one side."""
-
 ALONG = 0.95
 """Cosine of the angle between two frames, or its opposite, from which on they lie along each other."""
+
+SIDE_BY_SIDE = 0.7
+"""Cosine of the angle between the frames of two fingers from which on they are side by side: an eighth of a turn."""
+
+FINGER_M = 0.001
+"""Distance of the centre of mass of a finger from the mirror image of another one up to which it is that image [m]."""
+
+ROW_WIDTH = 0.15
+"""Width of a row of fingers over its length, at most; hips of Unitree's A1 have 0.26."""
 
 STRAIGHT = 0.9999
 """Cosine of half of an angle, from which on a quaternion turns nothing."""
@@ -128,7 +135,8 @@ class MirrorPair:
         joint: Joint of one side.
         other: That of the other side.
         depth: Number of joints between the world and each.
-        apart_m: Distance of one from the mirror image of the other [m].
+        apart_m: Distance of one from the mirror image of the other [m]; of hinges, of their axes.
+        slide_m: What the anchor of the image is farther along the axis of the other hinge, shape [3].
         distance_m: Distance of the joint from the origin of the robot [m].
         cosine: Cosine of the angle between an axis and the mirror image of the other one.
         along: Axis of the robot to which that of the joint is nearest.
@@ -142,6 +150,7 @@ class MirrorPair:
     other: int
     depth: int
     apart_m: float
+    slide_m: FloatArray
     distance_m: float
     cosine: float
     along: int
@@ -182,8 +191,11 @@ def mirror_pairs(robot: Robot) -> list[MirrorPair]:
     frame = data.xmat[root].reshape(3, 3)
     is_own = np.isin(model.jnt_bodyid, robot.bodies)
     joints = np.flatnonzero(is_own & joints_of(model, "HINGE", "SLIDE"))
+    if not len(joints):
+        return []
     bodies = model.jnt_bodyid[joints]
     anchors_m = (data.xanchor[joints] - data.xpos[root]) @ frame
+    is_slide = joints_of(model, "SLIDE")[joints].tolist()
     axes = data.xaxis[joints] @ frame
     centres_m = (data.xipos[bodies] - data.xanchor[joints]) @ frame
     depths = np.array([depth_of(model, int(joint)) for joint in joints])
@@ -192,11 +204,12 @@ def mirror_pairs(robot: Robot) -> list[MirrorPair]:
     ends = (model.eq_obj1id[couplings], model.eq_obj2id[couplings])
     coupled = {frozenset(two) for two in np.column_stack(ends).tolist()}
     palms = _palms(robot, data)
+    is_copy = copies_of(robot, joints)
     best: list[MirrorPair] = []
-    alike_count = 0
+    best_fit = (0, 0)
     for signs in IMAGES:
         flip = np.array(signs)
-        across = int(np.argmin(flip))
+        across = int(np.where(flip < 0.0, is_aside.sum(axis=0), -1).argmax())
         away_m = np.linalg.norm(flip * anchors_m[:, None] - anchors_m, axis=-1)
         away_m[depths[:, None] != depths] = NO_IMAGE_M
         itself = np.flatnonzero(is_aside[:, across])
@@ -205,17 +218,24 @@ def mirror_pairs(robot: Robot) -> list[MirrorPair]:
         origins_m = (data.xpos - data.xpos[root]) @ frame
         is_origin_aside = np.abs(origins_m[:, across]) > SAME_PLACE_M
         _, images = linear_sum_assignment(away_m)
+        gaps_m = flip * anchors_m - anchors_m[images]
+        between_m = flip * centres_m - centres_m[images]
+        stated = zip(gaps_m, axes[images], between_m, is_slide, strict=True)
+        slides_m = np.array([_slide_m(*of_pair) for of_pair in stated])
+        places_m = np.linalg.norm(gaps_m - slides_m, axis=1)
+        fits_m = np.linalg.norm(gaps_m + between_m, axis=1)
         pairs = [
             MirrorPair(
                 joint=int(joints[one]),
                 other=int(joints[other]),
                 depth=int(depths[one]),
-                apart_m=float(away_m[one, other]),
+                apart_m=float(places_m[one]),
                 distance_m=float(np.linalg.norm(anchors_m[one])),
                 # The mirror image of an axis of rotation is turned once more.
                 cosine=float(flip.prod() * flip * axes[one] @ axes[other]),
                 along=int(np.abs(axes[one]).argmax()),
-                centres_apart_m=flip * centres_m[one] - centres_m[other],
+                slide_m=slides_m[one],
+                centres_apart_m=between_m[one] + slides_m[one],
                 ranges_rad={
                     int(j): model.jnt_range[j] - model.qpos0[model.jnt_qposadr[j]]
                     for j in joints[[one, other]]
@@ -232,32 +252,60 @@ def mirror_pairs(robot: Robot) -> list[MirrorPair]:
                 and is_origin_aside[_meeting_body(model, *bodies[[one, other]])]
             )
             and frozenset(joints[[one, other]].tolist()) not in coupled
-            and palms.get(int(bodies[one]), -1) != palms.get(int(bodies[other]))
+            and (
+                palms.get(int(bodies[one]), -1) != palms.get(int(bodies[other]))
+                or (is_copy[one, other] and fits_m[one] <= FINGER_M)
+            )
         ]
-        alike = sum(pair.apart_m <= SAME_PLACE_M for pair in pairs)
-        if alike > alike_count and alike >= SYMMETRIC_SHARE * len(pairs):
-            best, alike_count = pairs, alike
+        alike = int(sum(pair.apart_m <= SAME_PLACE_M for pair in pairs))
+        # Arms side by side are mirror images, or copies by half a turn: masses tell.
+        off_m = [np.linalg.norm(pair.centres_apart_m) for pair in pairs]
+        fit = alike, int(sum(apart_m <= SAME_PLACE_M for apart_m in off_m))
+        if alike >= SYMMETRIC_SHARE * len(pairs) and fit > best_fit:
+            best, best_fit = pairs, fit
     return best
 
 
-def _palms(robot: Robot, data: mujoco.MjData) -> dict[int, int]:
-    """Return the palm of each link of fingers in a row, by its body: two fingers of one row are no mirror images.
+def _slide_m(
+    apart_m: FloatArray, axis: FloatArray, centres_m: FloatArray, is_slide: bool
+) -> FloatArray:
+    """Return the part of a distance of two joints that only says where they are stated [m].
 
-    Fingers are in a row where at least three of a palm start with copies of a joint that are moved, not turned, and
-    have their centres of mass on the same side of it.
+    The anchor of a hinge may be anywhere on its axis, that of a slide anywhere. It is such a part where it brings the
+    centres of mass nearer.
+    """
+    along_m: FloatArray = apart_m if is_slide else (apart_m @ axis) * axis
+    nearer = np.linalg.norm(centres_m + along_m) < np.linalg.norm(centres_m)
+    return along_m if nearer else np.zeros(3)
+
+
+def _palms(robot: Robot, data: mujoco.MjData) -> dict[int, int]:
+    """Return the palm of each link of fingers, by its body: they are sides only if they are copies and mirror images.
+
+    Fingers are the limbs of a body that does not float, of which some begin with frames that lie along each other:
+    three or more in a row, or two of three that have as many joints. Legs of a trunk stand in two rows.
     """
     model, limbs = robot.model, limbs_of(robot)
     roots = [limb[-1] for limb in limbs]
     palms = model.body_weldid[model.body_parentid[roots]]
-    joints, centres_m = model.body_jntadr[roots], model.body_ipos[roots]
-    sides_m = (centres_m * model.jnt_axis[joints]).sum(axis=1)
-    least_m = SAME_ASIDE * np.linalg.norm(centres_m, axis=1)
-    is_row = copies_of(robot, joints) & (palms[:, None] == palms)
-    is_row &= data.xmat[roots] @ data.xmat[roots].T > 1.0 + 2.0 * ALONG
-    is_row &= np.outer(sides_m, sides_m) > np.outer(least_m, least_m)
-    in_row = is_row.sum(axis=1) >= FEW_COPIES
-    rows = zip(limbs, palms.tolist(), in_row, strict=True)
-    return {body: palm for limb, palm, is_in in rows if is_in for body in limb}
+    counts = np.array([model.body_jntnum[limb].sum() for limb in limbs])
+    is_like = (palms[:, None] == palms) & (counts[:, None] == counts)
+    frames = data.xmat[roots]
+    is_row = is_like & (frames @ frames.T > 1.0 + 2.0 * SIDE_BY_SIDE)
+    hands = set()
+    for palm, like, of_row in zip(palms.tolist(), is_like, is_row, strict=True):
+        fewest = 2 if like.sum() == FEW_COPIES + 1 else FEW_COPIES + 1
+        if of_row.sum() < fewest:
+            continue
+        places_m = data.xpos[roots][of_row]
+        off_m = places_m - places_m.mean(axis=0)
+        lengths_m = np.linalg.svd(off_m, compute_uv=False)
+        if lengths_m[1] <= ROW_WIDTH * lengths_m[0]:
+            hands.add(palm)
+    floating = model.jnt_bodyid[joints_of(model, "FREE")].tolist()
+    hands -= {*floating, *placed_bodies(model)}
+    rows = zip(limbs, palms.tolist(), strict=True)
+    return {body: palm for limb, palm in rows if palm in hands for body in limb}
 
 
 def _is_turned_copy(
@@ -589,7 +637,9 @@ def _shares(robot: Robot, pair: MirrorPair) -> Iterator[tuple[str, float]]:
     model = robot.model
     bodies = model.jnt_bodyid[[pair.joint, pair.other]].tolist()
     geoms = [geom for body in bodies for geom in geoms_of(robot, body)]
-    size_m = 2.0 * max([LEAST_SIZE_M, *model.geom_rbound[geoms]])
+    next_m = model.body_pos[np.isin(model.body_parentid, bodies)]
+    reaches_m = np.linalg.norm(next_m, axis=1)
+    size_m = max([2.0 * LEAST_SIZE_M, *(2.0 * model.geom_rbound[geoms]), *reaches_m])
     yield "place", max(pair.apart_m - SAME_PLACE_M, 0.0) / pair.distance_m
     yield "axis", float(np.sqrt(max(1.0 - pair.cosine**2, 0.0)))
     others = [
@@ -643,7 +693,10 @@ def _images(
     root = 0 if robot.standing is None else robot.standing.body
     frame, touching = data.xmat[root].reshape(3, 3), np.unique(robot.pairs.geoms)
     boxes_m, tensors = [], []
-    for joint, flip in ((pair.joint, pair.flip), (pair.other, np.ones(3))):
+    for joint, flip, slide_m in (
+        (pair.joint, pair.flip, pair.slide_m),
+        (pair.other, np.ones(3), np.zeros(3)),
+    ):
         body = int(model.jnt_bodyid[joint])
         axes = frame.T @ data.ximat[body].reshape(3, 3) * flip[:, None]
         inertia = model.body_inertia[body]
@@ -651,6 +704,7 @@ def _images(
         geoms = [geom for geom in geoms_of(robot, body) if geom in touching]
         corners_m = box_corners(model, geoms) @ data.xmat[body].reshape(3, 3).T
         corners_m = (corners_m + data.xpos[body] - data.xanchor[joint]) @ frame * flip
+        corners_m += slide_m
         if geoms:
             boxes_m.append([corners_m.min(axis=0), corners_m.max(axis=0)])
     if len(boxes_m) == 2:
@@ -660,7 +714,8 @@ def _images(
         yield SHAPES, float(np.abs(first_m - second_m).max()) / size_m
     yield INERTIA_AXES, float(np.abs(tensors[0] - tensors[1]).max())
     places = model.jnt_qposadr[[pair.joint, pair.other]]
-    if model.nkey:
+    # Of turned copies, as two arms, each has a pose of its own.
+    if model.nkey and pair.flip.prod() < 0.0:
         first, second = model.key_qpos[home_key(model), places] - model.qpos0[places]
         yield POSE, min(abs(first - np.sign(pair.cosine) * second), ODD_DIRECTION)
 
