@@ -430,6 +430,15 @@ def test_mistakes_are_named(mistakes):
     assert len(unnamed) <= UNNAMED * len(mistakes), unnamed
 
 
+def test_a_range_that_is_no_mirror_image_is_wrong_unless_both_sides_are_one_part():
+    """Hinges about the vertical of which one states the range of the other one, or a third one."""
+    pasted, third = (
+        robot_row("robot-mirror", robot_of(two_sides([("0 0 1", "0 0 1", ends), *LEG])))
+        for ends in ("-1 .5", "-1 .5,-.8 .5")
+    )
+    assert (pasted.verdict, third.verdict) == (Verdict.VISIBLE, Verdict.WRONG)
+
+
 @pytest.mark.parametrize("factor", [30, 3000])
 def test_what_is_only_unusual_is_never_wrong(factor):
     """A link of many times the mass of the middle one can be real; that its servo tells it apart, no limit proves."""

@@ -143,7 +143,8 @@ class MirrorPair:
         centres_apart_m: Centre of mass of one link from the mirror image of the other, each seen from its joint [m].
         ranges_rad: Range of each, from the pose of the model [rad or m], shape [2].
         flip: Signs of the mirror image of a place in the frame of the robot, shape [3].
-        is_turned: Whether one is the other one, turned, as fingers around a palm: their ranges are the same.
+        is_same_part: Whether both state the same numbers, each in its own frame.
+        is_aslant: Whether one is turned to the other one, and neither along nor opposite.
     """
 
     joint: int
@@ -157,13 +158,22 @@ class MirrorPair:
     centres_apart_m: FloatArray
     ranges_rad: Mapping[int, FloatArray]
     flip: FloatArray
-    is_turned: bool
+    is_same_part: bool
+    is_aslant: bool
+
+    @property
+    def is_turned(self) -> bool:
+        """Whether one is the other one, turned, as fingers around a palm: their ranges are the same."""
+        return self.is_same_part and self.is_aslant
 
     @property
     def range_apart_rad(self) -> float:
         """Largest difference of a limit from that of the other side [rad]."""
         mirrored = self.range_of(self.other)
-        return float(np.abs(mirrored - self.ranges_rad[self.other]).max())
+        apart_rad = float(np.abs(mirrored - self.ranges_rad[self.other]).max())
+        # Two of one part can bend the same way on purpose, as no mirror images.
+        most_rad = 2.0 * limits_of("robot-mirror")[1] if self.is_same_part else np.inf
+        return min(apart_rad, most_rad)
 
     @property
     def is_uneven(self) -> bool:
@@ -241,7 +251,8 @@ def mirror_pairs(robot: Robot) -> list[MirrorPair]:
                     for j in joints[[one, other]]
                 },
                 flip=flip,
-                is_turned=_is_turned_copy(model, data, *joints[[one, other]].tolist()),
+                is_same_part=_is_same_part(model, *joints[[one, other]].tolist()),
+                is_aslant=_is_turned(data, *bodies[[one, other]].tolist()),
             )
             for one, other in enumerate(images)
             if one < other
@@ -308,20 +319,21 @@ def _palms(robot: Robot, data: mujoco.MjData) -> dict[int, int]:
     return {body: palm for limb, palm in rows if palm in hands for body in limb}
 
 
-def _is_turned_copy(
-    model: mujoco.MjModel, data: mujoco.MjData, one: int, other: int
-) -> bool:
-    """Return whether a joint and its link are those of another one, turned, as the fingers around a palm."""
+def _is_same_part(model: mujoco.MjModel, one: int, other: int) -> bool:
+    """Return whether a joint and its link state the numbers of another one, each in its own frame."""
     bodies = model.jnt_bodyid[[one, other]]
-    frames = data.xmat[bodies].reshape(2, 3, 3)
-    cosine = 0.5 * (float(np.trace(frames[0].T @ frames[1])) - 1.0)
-    if abs(cosine) > ALONG:
-        return False
     numbers = (
         *(model.jnt_axis[[one, other]], model.jnt_range[[one, other]]),
         *(model.body_ipos[bodies], model.body_inertia[bodies]),
     )
-    return all(np.allclose(a, b, rtol=SAME, atol=1e-9) for a, b in numbers)
+    return all(bool(np.abs(a - b).max() <= SAME * np.abs(a).max()) for a, b in numbers)
+
+
+def _is_turned(data: mujoco.MjData, one: int, other: int) -> bool:
+    """Return whether a link is turned to another one, as the fingers around a palm, and neither along nor opposite."""
+    frames = data.xmat[[one, other]].reshape(2, 3, 3)
+    cosine = 0.5 * (float(np.trace(frames[0].T @ frames[1])) - 1.0)
+    return abs(cosine) <= ALONG
 
 
 def depth_of(model: mujoco.MjModel, joint: int) -> int:
