@@ -132,27 +132,23 @@ def test_slow_motion_and_a_board_in_millimetres_are_not_sound(
     assert re.search(reason, " ".join(outcome.output.split())), outcome.output
 
 
-def test_a_film_without_the_board_says_how_many_frames_lack_it():
-    frames = ArrayFrames([np.full((*SIZE_PX[::-1], 3), 120, np.uint8)] * 9, fps=30.0)
-    with pytest.raises(
-        VideoError,
-        match=r"8 corners of the board must be seen .* 9 of 9 lack them: 0, 1, 2",
-    ):
-        FrontalFilm(
-            frames,
-            CameraFile(size_px=SIZE_PX, board=Board(square_m=0.035, offset_m=0.0)),
-        )
-    with pytest.raises(VideoError, match="the camera file states"):
-        FrontalFilm(
-            frames,
-            CameraFile(size_px=(640, 480), board=Board(square_m=0.035, offset_m=0.0)),
-        )
-
-
-SQUARE_M, EDGE_M = 0.03, 0.05
+EDGE_M = 0.05
 BOARD_VIEW = CameraFile(
-    size_px=SIZE_PX, board=Board(square_m=SQUARE_M, offset_m=0.0, offset_sigma_m=0.0)
+    size_px=SIZE_PX, board=Board(square_m=0.03, offset_m=0.0, offset_sigma_m=0.0)
 )
+GREY = ArrayFrames([np.full((*SIZE_PX[::-1], 3), 120, np.uint8)] * 9, fps=30.0)
+
+
+@pytest.mark.parametrize(
+    ("size_px", "words"),
+    [
+        (SIZE_PX, "8 corners of the board must be seen .* 9 of 9 lack them: 0, 1, 2"),
+        ((640, 480), "the camera file states"),
+    ],
+)
+def test_a_film_without_the_board_says_how_many_frames_lack_it(size_px, words):
+    with pytest.raises(VideoError, match=words):
+        FrontalFilm(GREY, BOARD_VIEW.model_copy(update={"size_px": size_px}))
 
 
 def wall_film(*, off_level_deg=0.0, yaw_deg=0.0, frames=30, lasts=True):
@@ -225,8 +221,7 @@ def test_a_film_says_what_it_shows_before_it_is_scored():
 def test_a_film_in_which_nothing_moves_or_no_board_is_seen_says_what_to_mend():
     findings, _ = check_film(wall_film(lasts=False, frames=9), BOARD_VIEW)
     assert [one.name for one in findings if one.advice] == ["object"]
-    grey = ArrayFrames([np.full((*SIZE_PX[::-1], 3), 120, np.uint8)] * 9, fps=30.0)
-    findings, _ = check_film(grey, BOARD_VIEW)
+    findings, _ = check_film(GREY, BOARD_VIEW)
     assert findings[-1].name == "board" and "8 corners" in findings[-1].advice
 
 
