@@ -439,6 +439,38 @@ def test_a_range_that_is_no_mirror_image_is_wrong_unless_both_sides_are_one_part
     assert (pasted.verdict, third.verdict) == (Verdict.VISIBLE, Verdict.WRONG)
 
 
+def wheels(*, names="abcd", armature="1e-4", ends="-1e6 1e6", forcerange=""):
+    """Return a car of four wheels on springs, whose motors, the last two out of order, have a name each."""
+    parts, motors = "", ""
+    for k, (x, y) in enumerate(((0.2, 0.1), (0.2, -0.1), (-0.2, 0.1), (-0.2, -0.1))):
+        parts += f"""<body pos="{x} {y} 0"><joint type="slide" axis="0 0 1" range="-.02 .02" stiffness="500"/>
+          <geom size=".02" mass=".1"/><body><joint name="wheel_{"abcd"[k]}" axis="0 1 0" range="{ends}"
+          armature="{armature}"/><geom type="cylinder" size=".04 .01" zaxis="0 1 0" mass=".1"/></body></body>"""
+    for k, name in zip((0, 1, 3, 2), names, strict=True):
+        motors += f'<velocity name="drive_{name}" joint="wheel_{"abcd"[k]}" kv="1" {forcerange}/>'
+    return f"""<mujoco><compiler angle="radian"/><worldbody><body><freejoint/>
+      <geom type="box" size=".25 .08 .02" mass="2"/>{parts}</body></worldbody><actuator>{motors}</actuator></mujoco>"""
+
+
+def test_what_wheels_and_an_order_of_motors_state_is_no_proof():
+    """Names that fit are right in any order; without them the order is visible, and names that do not fit are wrong."""
+    verdicts = [
+        robot_row("robot-command", robot_of(wheels(names=names))).verdict
+        for names in ("abdc", "pqrs", "abcd")
+    ]
+    assert verdicts == [Verdict.INSIDE, Verdict.VISIBLE, Verdict.WRONG]
+    assert not robot_row("robot-range", robot_of(wheels())).is_flag
+    assert robot_row("robot-range", robot_of(wheels(ends="-360 360"))).is_flag
+    assert not robot_row("robot-wiring", robot_of(wheels())).is_flag
+    rotor, limited = (
+        wheels(armature="1"),
+        wheels(armature="1", forcerange='forcerange="-.1 .1"'),
+    )
+    rows = [robot_row("robot-armature", robot_of(xml)) for xml in (rotor, limited)]
+    assert [row.verdict for row in rows] == [Verdict.VISIBLE, Verdict.WRONG]
+    assert "no torque is stated" in rows[0].remark
+
+
 @pytest.mark.parametrize("factor", [30, 3000])
 def test_what_is_only_unusual_is_never_wrong(factor):
     """A link of many times the mass of the middle one can be real; that its servo tells it apart, no limit proves."""

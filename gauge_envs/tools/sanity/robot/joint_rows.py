@@ -331,13 +331,18 @@ def _armature(robot: Robot) -> Finding:
         fair = max(limb, limit_nm / FAIR_RAD_PER_S2)
         if slower > armature / limb:
             fair = limit_nm / middle_rad_per_s2
+        turned = f"{limit_nm:.3g} Nm turn it by {limit_nm / armature:.2g} rad/s^2"
+        if not limit_nm:
+            # What its motor can turn is not known.
+            ratios[dof] = min(ratios[dof], 2.0 * limits_of("robot-armature")[1])
+            turned = "no torque is stated"
         if ratios[dof] > limits_of("robot-armature")[1]:
             changes[f"dof_armature[{dof}]"] = fair
         if ratios[dof] > found.value:
             found = Finding(
                 value=ratios[dof],
                 remark=f"{joint_name(robot, dof)}: {armature:.3g} kg m^2 with a limb of {limb:.2g}; "
-                f"{limit_nm:.3g} Nm turn it by {limit_nm / armature:.2g} rad/s^2",
+                f"{turned}",
                 advice=f'armature="{fair:.2g}" for {joint_name(robot, dof)} and joints like it',
             )
     return replace(found, changes=changes, parts=by_joint(robot, ratios))
@@ -406,6 +411,10 @@ def _rotor(robot: Robot) -> Finding:
     )
 
 
+ENDLESS_RAD = 1e4
+"""Range from which on a joint turns without end, as a wheel [rad]."""
+
+
 @row("robot-range")
 def _range(robot: Robot) -> Finding:
     model = robot.model
@@ -413,7 +422,7 @@ def _range(robot: Robot) -> Finding:
     ranges_rad = {
         name_of(robot, joint): float(np.ptp(model.jnt_range[joint]))
         for joint in joints
-        if model.jnt_limited[joint]
+        if model.jnt_limited[joint] and np.ptp(model.jnt_range[joint]) < ENDLESS_RAD
     }
     if not ranges_rad:
         return Finding(declined="no driven hinge has limits")

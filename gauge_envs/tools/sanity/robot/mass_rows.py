@@ -333,7 +333,7 @@ def _inertia(robot: Robot) -> Finding:
         if body in placed:
             continue
         mass_kg, reach_m = float(robot.model.body_mass[body]), extent(robot, body)[2]
-        is_heavy = mass_kg > max(MASSLESS_KG, least_kg)
+        is_heavy = mass_kg > least_kg and is_link(robot, body)
         if not (is_heavy and reach_m > 0.0) or _is_placeholder(robot, body):
             continue
         low_m, high_m = _box(robot, body)

@@ -533,7 +533,8 @@ def swapped_motors(model: mujoco.MjModel) -> dict[int, int]:
     motors = np.flatnonzero(acts_on_joints(model)).tolist()
     joints = model.actuator_trnid[motors, 0].tolist()
     said = [model.actuator(motor).name for motor in motors]
-    best = _fitting(said, [model.joint(joint).name for joint in joints])
+    known = [model.joint(joint).name for joint in joints]
+    best = _fitting(said, known)
     if best is None:
         best = np.argsort(joints)
         # A joint with two motors has two places in the order.
@@ -541,7 +542,19 @@ def swapped_motors(model: mujoco.MjModel) -> dict[int, int]:
         out_of_order = int((best != np.arange(len(joints))).sum())
         if len(joints) < FEW_MOTORS or is_shared or out_of_order != 2:
             return {}
+        words = zip(_distinct(said), _distinct(known), strict=True)
+        is_named = [bool(one & other) for one, other in words]
+        if any(is_named[place] for place in _moved(best)):
+            return {}
     return {motors[place]: joints[to] for place, to in _moved(best).items()}
+
+
+def names_say_joints(model: mujoco.MjModel) -> bool:
+    """Return whether the names of all motors on joints say of which joint each is."""
+    motors = np.flatnonzero(acts_on_joints(model)).tolist()
+    joints = model.actuator_trnid[motors, 0].tolist()
+    said = [model.actuator(motor).name for motor in motors]
+    return _fitting(said, [model.joint(joint).name for joint in joints]) is not None
 
 
 def misread_joints(

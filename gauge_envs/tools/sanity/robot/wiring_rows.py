@@ -1,6 +1,7 @@
 """Judge what is joined to what: tendons, couplings and loops, fingers, motors, sensors, axes, and objects."""
 
 import re
+from collections import Counter
 from collections.abc import Callable, Iterator
 from itertools import combinations, product
 
@@ -155,13 +156,17 @@ def _fingers(robot: Robot) -> Iterator[Wrong]:
     model, axes = robot.model, zero_pose(robot).xaxis
     is_slide = joints_of(model, "SLIDE") & (model.jnt_limited != 0)
     is_slide &= np.isin(model.jnt_bodyid, robot.bodies)
-    for joint, other in combinations(np.flatnonzero(is_slide).tolist(), 2):
+    slides = np.flatnonzero(is_slide).tolist()
+    twins = [both for both in combinations(slides, 2) if are_twins(model, *both)]
+    counts = Counter(joint for both in twins for joint in both)
+    # Springs of four wheels are like each other, and no fingers.
+    for joint, other in (both for both in twins if counts[both[0]] == 1):
         first, second = model.jnt_range[[joint, other]]
         is_same, is_turned = (
             np.allclose(first, second),
             np.allclose(first, -second[::-1]),
         )
-        if is_same == is_turned or not are_twins(model, joint, other):
+        if is_same == is_turned:
             continue
         sign = 1.0 if is_same else -1.0
         if sign * float(axes[joint] @ axes[other]) > 1.0 - SAME:
