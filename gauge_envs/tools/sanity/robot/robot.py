@@ -542,10 +542,11 @@ def swapped_motors(model: mujoco.MjModel) -> dict[int, int]:
         out_of_order = int((best != np.arange(len(joints))).sum())
         if len(joints) < FEW_MOTORS or is_shared or out_of_order != 2:
             return {}
-        words = zip(_distinct(said), _distinct(known), strict=True)
-        is_named = [bool(one & other) for one, other in words]
-        if any(is_named[place] for place in _moved(best)):
-            return {}
+        words, of_joints = _distinct(said), _distinct(known)
+        for place, to in _moved(best).items():
+            here, there = (words[place] & of_joints[at] for at in (place, to))
+            if len(here) > len(there):
+                return {}
     return {motors[place]: joints[to] for place, to in _moved(best).items()}
 
 
