@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 from typing import Literal
 
 import numpy as np
@@ -21,7 +22,13 @@ from gauge_envs.scene import (
     Vector,
 )
 from gauge_envs.scene.drivers import Driver, DriverMotion
+from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.profiles import TrapezoidProfile
+
+
+def corners(low_m: Vector, high_m: Vector) -> tuple[Vector, ...]:
+    """Return the corners of a block between two of them [m]."""
+    return tuple(map(vector, product(*zip(low_m, high_m, strict=True))))
 
 
 def body(

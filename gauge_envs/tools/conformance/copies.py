@@ -38,6 +38,7 @@ from gauge_envs.tools.bench.parts import (
     body,
     box,
     contact,
+    corners,
     driven_box,
     fixed_box,
     ramp,
@@ -154,16 +155,7 @@ def _bodies() -> list[RigidBody]:
         mass_kg=0.1,
     )
     # Its centre of mass is 40 mm from its origin, at which the string ends.
-    beam = ConvexUnion(
-        pieces_m=(
-            tuple(
-                vector((x, y, z))
-                for x in (0.0, 0.08)
-                for y in (-0.02, 0.02)
-                for z in (-0.015, 0.015)
-            ),
-        )
-    )
+    beam = ConvexUnion(pieces_m=(corners((0.0, -0.02, -0.015), (0.08, 0.02, 0.015)),))
     along = np.array([0.6, 0.0, -0.8])
     end = Pose(position_m=vector(STRING_END_M + STRING_M * along))
     bob = thrown(body("bob", beam, end), (0.8, 0.5, 0.6), (1.0, -4.0, 2.0))

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.evaluation.estimators import acceleration_m_per_s2
 from gauge_envs.runs.rollout import Rollout
-from gauge_envs.scene import BodyHinge, Hinge, Slider
+from gauge_envs.scene import BodyHinge, Hinge, Scene, Slider
 from gauge_envs.tools.conformance.torques import wrong_torques
 
 Array = NDArray[np.float64]
@@ -27,6 +27,14 @@ LEAST_TURN_RAD = 0.05
 """Rotation from which on a hinge shows its anchor."""
 LEAST_SLIDE_M = 0.005
 """Displacement from which on a slider shows its axis."""
+
+
+def jointed(scene: Scene) -> set[str]:
+    """Return the names of bodies on joints, guides, and hinges between bodies."""
+    names = {one.body for one in (*scene.joints, *scene.guides)}
+    for hinge in scene.body_hinges:
+        names |= {hinge.first, hinge.second}
+    return names
 
 
 def facts(rollout: Rollout) -> str:
@@ -51,9 +59,7 @@ def _starts(rollout: Rollout) -> Iterator[str]:
             yield f"the orientation of the {body.name} at the start is off by {turned_deg:.3g} degrees"
     scene = rollout.scene
     # What hangs on a hinge that is off starts as the hinge lets it.
-    joined = {one.body for one in (*scene.joints, *scene.guides)}
-    for hinge in scene.body_hinges:
-        joined |= {hinge.first, hinge.second}
+    joined = jointed(scene)
     for body in scene.dynamic_bodies:
         if body.name in joined:
             continue

@@ -36,6 +36,7 @@ from gauge_envs.scene.drivers import Driver, DriverMotion
 from gauge_envs.scene.fabrics import Fabric
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 from gauge_envs.tools.bench.parts import driven_box, fixed_box, ramp
+from gauge_envs.tools.conformance.facts import jointed
 
 T = TypeVar("T")
 
@@ -189,9 +190,7 @@ class DisturbedLab(Lab):
 
     def started(self, scene: Scene) -> Scene:
         """Return a scene with other starts of its free bodies and another gravity."""
-        joined = {joint.body for joint in (*scene.joints, *scene.guides)}
-        for hinge in scene.body_hinges:
-            joined |= {hinge.first, hinge.second}
+        joined = jointed(scene)
         bodies = []
         for body in scene.bodies:
             if body.motion is Motion.DYNAMIC and body.name not in joined:

@@ -26,6 +26,7 @@ from gauge_envs.scene.geometry import vector
 from gauge_envs.tools.bench.parts import (
     ball,
     body,
+    corners,
     driven_box,
     ramp,
 )
@@ -200,14 +201,14 @@ _turned = rollout_of(
 
 @_turned.check("driven-turned-path")
 def _driven_turned_path(rollout: Rollout) -> Measurement:
-    corners = Box(size_m=PLATE_M).corners_m
+    vertices = Box(size_m=PLATE_M).corners_m
     errors, hints = {}, {}
     for motion in rollout.scene.drivers:
         name = motion.body
         start = rollout.scene.body(name).pose
         asked = [motion.pose(start, float(time)) for time in rollout.times_s]
-        places = np.array([one.to_world(corners) for one in asked])
-        found = np.array([turn.apply(corners) for turn in rollout.rotation(name)])
+        places = np.array([one.to_world(vertices) for one in asked])
+        found = np.array([turn.apply(vertices) for turn in rollout.rotation(name)])
         found += rollout.position(name)[:, None]
         turns = Rotation.concatenate([one.rotation for one in asked])
         off_rad = (rollout.rotation(name) * turns.inv()).magnitude()
@@ -249,16 +250,7 @@ def _driven_turned_rate(rollout: Rollout) -> Measurement:
 # --- a string at the body's origin -----------------------------------------------------------------------------------
 
 STRING_M, STRING_TOP_M = 0.3, np.array([0.1, -0.2, 1.5])
-OFF_CENTRE = ConvexUnion(
-    pieces_m=(
-        tuple(
-            vector((x, y, z))
-            for x in (0.0, 0.12)
-            for y in (-0.02, 0.03)
-            for z in (-0.02, 0.02)
-        ),
-    )
-)
+OFF_CENTRE = ConvexUnion(pieces_m=(corners((0.0, -0.02, -0.02), (0.12, 0.03, 0.02)),))
 """Block whose origin is on one of its faces, 60 mm from its centre of mass."""
 
 

@@ -23,7 +23,7 @@ from gauge_envs.scene import (
     Vector,
 )
 from gauge_envs.scene.geometry import vector
-from gauge_envs.tools.bench.parts import body, contact, driver, ground, ramp
+from gauge_envs.tools.bench.parts import body, contact, corners, driver, ground, ramp
 from gauge_envs.tools.bench.slope import Slope, acceleration_downhill_m_per_s2
 from gauge_envs.tools.conformance.lab import Lab
 from gauge_envs.tools.conformance.model import Check, Measurement, Tolerance
@@ -38,18 +38,8 @@ ALONG_X_DEG = (0.0, 90.0, 0.0)
 
 PRISM = ConvexUnion(
     pieces_m=(
-        tuple(
-            vector((x, y, z))
-            for x in (-0.02, 0.03)
-            for y in (-0.025, 0.02)
-            for z in (-0.01, 0.02)
-        ),
-        tuple(
-            vector((x, y, z))
-            for x in (-0.02, 0.03)
-            for y in (-0.025, 0.02)
-            for z in (0.02, 0.025)
-        ),
+        corners((-0.02, -0.025, -0.01), (0.03, 0.02, 0.02)),
+        corners((-0.02, -0.025, 0.02), (0.03, 0.02, 0.025)),
     )
 )
 """Solid of two pieces whose body origin is 10 mm above its lower and 25 mm below its upper face."""

@@ -157,7 +157,7 @@ contact-listed           Sphere.radius_m:scale:1.25                         radi
 contact-listed           Contact.pair:drop:all                              does not collide
 pile-sinks               Contact.pair:drop:all                              tunnel
 wrench-frame             wrench.force:frame:body                            world frame
-stated-inertia           RigidBody.inertia_kg_m2:drop:none                  the inertia of uniform density
+stated-inertia           RigidBody.inertia_kg_m2:drop:none                  inertia were 0.000145
 pendulum-period          Hinge.joint:drop:all                               hinge is missing
 pendulum-period          Hinge.anchor_m:offset:0-False                      anchor of its hinge
 hinged-closed            BodyHinge.joint:drop:all                           the hinge is missing
