@@ -384,7 +384,7 @@ FAULTS = dict(
             "gravity-twice",
             "gravity twice",
             "free-fall",
-            "gravity acts twice",
+            "2 times the gravity",
             scene=_gravity(lambda g: 2.0 * g),
         ),
         fault(

@@ -77,13 +77,8 @@ def fixed_box(
     euler_deg: Vector = (0.0, 0.0, 0.0),
 ) -> RigidBody:
     """Return a fixed box."""
-    return body(
-        name,
-        Box(size_m=size_m),
-        Pose.from_euler_deg(position_m, euler_deg),
-        mass_kg=1.0,
-        motion=Motion.FIXED,
-    )
+    dynamic = box(name, position_m, size_m, euler_deg=euler_deg, mass_kg=1.0)
+    return replace(dynamic, motion=Motion.FIXED)
 
 
 def driven_box(

@@ -280,8 +280,7 @@ def _time(lab: Lab) -> Measurement:
     )
     fallen = []
     for interval, count in ((1 / 30, 9), (SAMPLE_INTERVAL_S, 54)):
-        with closing(lab.build(scene)) as simulation:
-            simulation.reset(0)
+        with lab.running(scene) as simulation:
             for _ in range(count):
                 simulation.advance(interval)
             fallen.append(3.0 - states_now(simulation, ["brick"])[0, 2])
@@ -314,8 +313,7 @@ def _sample_positions(lab: Lab) -> Measurement:
     names = ["brick", "ball"]
     read = []
     for in_one_call in (True, False):
-        with closing(lab.build(scene)) as simulation:
-            simulation.reset(0)
+        with lab.running(scene) as simulation:
             if in_one_call:
                 read.append(
                     np.array(simulation.sample_positions(names, 12, SAMPLE_INTERVAL_S))
@@ -335,8 +333,7 @@ def _sample_positions(lab: Lab) -> Measurement:
 def _new_arrays(lab: Lab, scene: Scene) -> Measurement:
     """Measure by how much arrays that were returned before change as the simulation goes on."""
     names = [one.name for one in scene.bodies]
-    with closing(lab.build(scene)) as simulation:
-        simulation.reset(0)
+    with lab.running(scene) as simulation:
         given = [simulation.body_states(names)]
         given += [simulation.nodes(one.name) for one in scene.deformables]
         kept = [np.array(one) for one in given]

@@ -1,7 +1,6 @@
 """Applied wrenches, absolute inertia, and the centre and inertia of a solid of several pieces."""
 
 from collections.abc import Sequence
-from contextlib import closing
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -352,8 +351,7 @@ for _kind in ("compound", "union"):
 
 @Check("wrench-reset")
 def _wrench_reset(lab: Lab) -> Measurement:
-    with closing(lab.build(_pushed_scene(SHAPES["box"]))) as simulation:
-        simulation.reset(0)
+    with lab.running(_pushed_scene(SHAPES["box"])) as simulation:
         push(simulation, "body-0", [MASS_KG, 0.0, 0.0, 0.0, 0.0, 0.0])
         simulation.advance(SAMPLE_INTERVAL_S)
         simulation.reset(0)

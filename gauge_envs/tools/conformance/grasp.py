@@ -1,7 +1,6 @@
 """Checks of grasps: a box between two pads whose motors press with a known force."""
 
 from collections.abc import Callable
-from contextlib import closing
 from dataclasses import replace
 from typing import Any
 
@@ -47,8 +46,7 @@ def _pushed(lab: Lab, scene: Scene, wrench: Callable[[float], Any]) -> Rollout:
         round(scene.duration_s / SAMPLE_INTERVAL_S),
         [one.name for one in scene.bodies],
     )
-    with closing(lab.build(scene)) as simulation:
-        simulation.reset(0)
+    with lab.running(scene) as simulation:
         paths, rows = (
             DriverPaths(scene, scene.duration_s),
             [states_now(simulation, names)],

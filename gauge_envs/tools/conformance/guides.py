@@ -1,6 +1,5 @@
 """What models of robots state beside hinges: full inertia tensors, sliders, ball joints, limits; and contact forces."""
 
-from contextlib import closing
 from dataclasses import replace
 
 import numpy as np
@@ -233,8 +232,7 @@ def _forces(lab: Lab) -> NDArray[np.float64]:
     )
     pairs = [("resting", "slab"), ("sliding", "slab"), ("resting", "shelf")]
     found = []
-    with closing(lab.build(scene)) as simulation:
-        simulation.reset(0)
+    with lab.running(scene) as simulation:
         forces = simulation.contact_forces(pairs)
         if forces is None:
             raise DeclinedError(("contact forces are not read",))

@@ -390,8 +390,7 @@ def _joint_backlash_cycle(lab: Lab) -> Measurement:
     scene = _scene(
         _turning(SWITCH_RAD_PER_S), seconds=3.25 * CYCLE_S, motor=motor, **ROTOR
     )
-    with closing(lab.build(scene)) as simulation:
-        simulation.reset(0)
+    with lab.running(scene) as simulation:
         for interval in range(round(scene.duration_s / DRIVE_INTERVAL_S)):
             state, mean = simulation.body_states(["bar"])[0], torque
             turned, rate = (

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from contextlib import closing
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing, contextmanager
 from dataclasses import asdict, replace
 from typing import Any, TypeVar
 
@@ -107,6 +107,13 @@ class Lab:
         self.settings_in_force = dict(simulation.settings)
         return simulation
 
+    @contextmanager
+    def running(self, scene: Scene, **changes: Any) -> Iterator[Simulation]:
+        """Build a scene, reset it, and close it after use; see `build`."""
+        with closing(self.build(scene, **changes)) as simulation:
+            simulation.reset(0)
+            yield simulation
+
     def started(self, scene: Scene) -> Scene:
         """Return a scene as a batch of worlds starts it."""
         return scene
@@ -135,8 +142,7 @@ class Lab:
             wrenches: Force and torque on each body that is pushed all the time [N, N m], shape [6].
         """
         whole_s = scene.duration_s if seconds is None else seconds
-        with closing(self.build(scene)) as simulation:
-            simulation.reset(0)
+        with self.running(scene) as simulation:
             for name, wrench in wrenches.items():
                 push(simulation, name, wrench)
             found = record(simulation, scene, whole_s, interval_s=interval_s)

@@ -270,7 +270,9 @@ def texts_of_checks() -> dict[str, Any]:
         name: texts.pop(name) for name in ("canonical", "elementary", "left")
     }
     for id, one in texts.items():
+        # One that is `like` another one may be a model, too.
         stated = {**texts[one.pop("like")], **one} if "like" in one else dict(one)
+        texts[id] = dict(stated)
         if "tolerance" in stated:
             stated["tolerance"] = Tolerance(**stated["tolerance"])
         found[id] = stated

@@ -52,14 +52,8 @@ _slow_fall = rollout_of("the same brick at a gravity of 1.62 m/s^2", _falling(1.
 
 def _gravity_hint(measured: float, expected: float) -> str:
     ratio = measured / expected
-    if abs(ratio + 1.0) < 0.01:
-        return "the body falls upward: the sign of gravity, or the z axis, is reversed"
-    if abs(ratio - 1e3) < 10.0:
-        return "the acceleration is 1000 times too large: positions are in mm"
     if abs(measured) < 1e-3 * expected:
         return "the body does not fall: gravity is off, or the body is not dynamic or not in the engine's scene"
-    if abs(ratio - 2.0) < 0.02:
-        return "gravity acts twice"
     # A fall goes with the square of time.
     for share in (0.5, 2.0):
         if abs(ratio / share**2 - 1.0) < 0.02:

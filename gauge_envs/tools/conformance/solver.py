@@ -127,8 +127,7 @@ def _heap() -> Scene:
 def _visited(lab: Lab) -> tuple[list[Scene], FloatArray, Mapping[str, Any]]:
     """Return scenes that start in the states of the motion, the states, and the settings in force."""
     scene, scenes, states = _heap(), [], []
-    with closing(lab.build(scene)) as simulation:
-        simulation.reset(0)
+    with lab.running(scene) as simulation:
         for _ in range(STATES):
             simulation.advance(BETWEEN_S)
             rows = np.array(simulation.body_states(NAMES))
@@ -153,8 +152,7 @@ def _after(lab: Lab, scenes: list[Scene], **changes: Any) -> FloatArray:
     """Return the states 1/180 s after the start of each scene, shape [scene_count, 8, 13]."""
     found = []
     for scene in scenes:
-        with closing(lab.build(scene, **changes)) as simulation:
-            simulation.reset(0)
+        with lab.running(scene, **changes) as simulation:
             simulation.advance(SAMPLE_INTERVAL_S)
             found.append(np.array(simulation.body_states(NAMES)))
     return np.array(found)

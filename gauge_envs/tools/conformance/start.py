@@ -1,7 +1,6 @@
 """Thrown bodies without gravity and contact: straight flight, free rotation, and what is reported of them."""
 
 from collections.abc import Callable, Mapping
-from contextlib import closing
 from dataclasses import replace
 
 import numpy as np
@@ -236,8 +235,7 @@ def _spin_momentum(rollout: Rollout) -> Measurement:
 
 @Check("start-velocity-reset")
 def _start_velocity_reset(lab: Lab) -> Measurement:
-    with closing(lab.build(BALL)) as simulation:
-        simulation.reset(0)
+    with lab.running(BALL) as simulation:
         simulation.advance(0.1)
         simulation.reset(0)
         reported = simulation.body_states(["thrown"])[0, 7:]

@@ -166,8 +166,7 @@ def _single(lab: Lab, number: int) -> Array:
     """Return the states of the scene of a world alone, shape [INTERVALS, body_count, 13]."""
     scene = _scene(number)
     rows = []
-    with closing(lab.build(scene)) as simulation:
-        simulation.reset(0)
+    with lab.running(scene) as simulation:
         for interval in range(INTERVALS):
             (motion,) = _motions(np.array([number]), interval)
             pose = replace(
