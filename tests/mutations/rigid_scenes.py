@@ -275,7 +275,7 @@ FAULTS = dict(
             "gravity-upward",
             "gravity upward",
             "free-fall",
-            "sign of gravity",
+            "-1 times the gravity",
             scene=_gravity(lambda g: -g),
         ),
         fault(
