@@ -172,7 +172,9 @@ def _scene(task, rng):
         cv2.rectangle(scene, (230, 410), (640, 445), (120, 170, 215), -1)
     elif task.motion is Motion.TURN:
         centre = tuple(int(value) for value in task.pivot_px or (0, 0))
-        cv2.circle(scene, centre, 225, (185, 205, 215), -1, cv2.LINE_AA)
+        # Metal is told from the plate by its tint.
+        plate = (140, 165, 185) if task.is_shiny else (185, 205, 215)
+        cv2.circle(scene, centre, 225, plate, -1, cv2.LINE_AA)
     elif task.motion is Motion.PENDULUM:
         cv2.rectangle(scene, (400, 50), (426, 440), (28, 28, 28), -1)
         cv2.rectangle(scene, (0, 330), (width, height), (35, 35, 35), -1)
