@@ -6,6 +6,7 @@ import numpy as np
 
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.phenomena.base import facts
+from gauge_envs.tools.sanity.robot.copies import quantities
 from gauge_envs.tools.sanity.robot.finding import (
     Finding,
     also,
@@ -20,7 +21,6 @@ from gauge_envs.tools.sanity.robot.joints import (
 )
 from gauge_envs.tools.sanity.robot.mass_rows import extent, is_link
 from gauge_envs.tools.sanity.robot.robot import Robot
-from gauge_envs.tools.sanity.robot.sides import quantities
 
 FACTS = facts("robot_alike")
 """Quantities, what they grow with from part to part, their largest factor, and the limits of the middle joint."""

@@ -5,17 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from gauge_envs.tools.sanity.robot.copies import SHARED, odd_motors, quantities
 from gauge_envs.tools.sanity.robot.finding import Finding, limits_of, name_of
+from gauge_envs.tools.sanity.robot.mirror import mirror_pairs
 from gauge_envs.tools.sanity.robot.mujoco_feet import geom_name
 from gauge_envs.tools.sanity.robot.robot import Robot
-from gauge_envs.tools.sanity.robot.sides import (
-    SHAPES,
-    SHARED,
-    differences,
-    mirror_pairs,
-    odd_motors,
-    quantities,
-)
+from gauge_envs.tools.sanity.robot.sides import SHAPES, differences
 
 Row = Callable[[Robot], Finding]
 

@@ -12,6 +12,7 @@ from gauge_envs.errors import TargetError
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.model import Settings
 from gauge_envs.tools.sanity.robot.behaviour import ORDER, WORSE, after_changes, step_s
+from gauge_envs.tools.sanity.robot.copies import quantities
 from gauge_envs.tools.sanity.robot.finding import limits_of, of_elements, standing_of
 from gauge_envs.tools.sanity.robot.joint_rows import (
     FAIR_RAD_PER_S2,
@@ -35,6 +36,7 @@ from gauge_envs.tools.sanity.robot.joints import (
 )
 from gauge_envs.tools.sanity.robot.legs import bent_legs_nm
 from gauge_envs.tools.sanity.robot.mended_model import element_names, listed
+from gauge_envs.tools.sanity.robot.mirror import SAME_PLACE_M, MirrorPair, mirror_pairs
 from gauge_envs.tools.sanity.robot.remedy import (
     Remedy,
     changed_rows,
@@ -46,13 +48,7 @@ from gauge_envs.tools.sanity.robot.remedy import (
 )
 from gauge_envs.tools.sanity.robot.robot import LENGTHS, Robot, enabling, switched_off
 from gauge_envs.tools.sanity.robot.rows import ROWS
-from gauge_envs.tools.sanity.robot.sides import (
-    SAME_PLACE_M,
-    MirrorPair,
-    differences,
-    mirror_pairs,
-    quantities,
-)
+from gauge_envs.tools.sanity.robot.sides import differences
 
 UNITS_M = {
     "millimetres": 1e-3,

@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 
 from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.tools.sanity.robot.copies import FEW_COPIES, SAME, copies_of
 from gauge_envs.tools.sanity.robot.finding import (
     Finding,
     body_name,
@@ -19,6 +20,7 @@ from gauge_envs.tools.sanity.robot.finding import (
 from gauge_envs.tools.sanity.robot.joints import driven_dofs, home_key, springs
 from gauge_envs.tools.sanity.robot.maker_rows import families
 from gauge_envs.tools.sanity.robot.mass_rows import size_m
+from gauge_envs.tools.sanity.robot.mirror import mirror_pairs, zero_pose
 from gauge_envs.tools.sanity.robot.mujoco_feet import joints_of
 from gauge_envs.tools.sanity.robot.robot import (
     Robot,
@@ -28,14 +30,7 @@ from gauge_envs.tools.sanity.robot.robot import (
     misread_joints,
     tendon_joints,
 )
-from gauge_envs.tools.sanity.robot.sides import (
-    FEW_COPIES,
-    SAME,
-    STRAIGHT,
-    copies_of,
-    mirror_pairs,
-    zero_pose,
-)
+from gauge_envs.tools.sanity.robot.sides import STRAIGHT
 from gauge_envs.tools.sanity.robot.whole_rows import are_twins
 
 BEYOND = 0.02
