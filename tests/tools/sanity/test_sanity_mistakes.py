@@ -471,6 +471,20 @@ def test_what_wheels_and_an_order_of_motors_state_is_no_proof():
     assert "no torque is stated" in rows[0].remark
 
 
+def test_a_rotor_whose_motor_states_no_torque_is_never_advised_away():
+    geom = '<geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.03"/>'
+    robot = robot_of(f"""<mujoco><worldbody>
+      <body><joint name="shoulder" axis="0 1 0" armature=".1"/>{geom}
+        <body pos=".3 0 0"><joint name="elbow" axis="0 1 0" armature="30"/>{geom}</body></body></worldbody>
+      <actuator><motor joint="shoulder" forcerange="-50 50" ctrlrange="-50 50"/>
+        <velocity joint="elbow" kv="5"/></actuator>
+      </mujoco>""")
+    found = robot_row("robot-armature", robot)
+    assert "no torque is stated" in found.remark
+    assert found.verdict is Verdict.VISIBLE
+    assert 'armature="0"' not in found.cause.line
+
+
 @pytest.mark.parametrize("factor", [30, 3000])
 def test_what_is_only_unusual_is_never_wrong(factor):
     """A link of many times the mass of the middle one can be real; that its servo tells it apart, no limit proves."""

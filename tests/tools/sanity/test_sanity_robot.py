@@ -372,19 +372,18 @@ def test_a_servo_sags_by_its_weight_over_its_stiffness():
     assert stiff.verdict is Verdict.WRONG and stiff.advisory
 
 
-def test_soft_gains_are_advice_where_a_policy_carries_the_weight_and_a_unit_is_a_flag():
-    sag_mrad = row("robot-sag", biped_xml()).configured
-    softer = sag_mrad / 700.0
-    soft = row("robot-sag", biped_xml().replace('kp="400"', f'kp="{400 * softer}"'))
+def test_soft_gains_are_advice_where_a_policy_carries_the_weight_up_to_a_unit():
+    """The largest sag is the weight over kp: a biped that sags by 700 mrad and by 1,400, and an arm by 700."""
+    kp = 400.0 * row("robot-sag", biped_xml()).configured / 700.0
+    soft, softest = (
+        row("robot-sag", biped_xml().replace('kp="400"', f'kp="{one}"'))
+        for one in (kp, kp / 2.0)
+    )
     assert soft.configured == pytest.approx(700.0, rel=1e-3)
     assert soft.advisory and not soft.is_flag
-    softest = row(
-        "robot-sag", biped_xml().replace('kp="400"', f'kp="{400 * softer / 2}"')
-    )
     assert softest.is_flag
-    arm_sag_mrad = 1e3 * ARM_KG * G * ARM_M / KP
-    arm = arm_xml().replace('kp="40.0"', f'kp="{40.0 * arm_sag_mrad / 700.0}"')
-    assert row("robot-sag", arm).is_flag
+    arm_kp = ARM_KG * G * ARM_M / 0.7
+    assert row("robot-sag", arm_xml().replace('kp="40.0"', f'kp="{arm_kp}"')).is_flag
 
 
 @pytest.mark.parametrize(

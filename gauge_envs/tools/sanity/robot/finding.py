@@ -120,7 +120,7 @@ def judged_row(name: str, found: Finding) -> PhenomenonResult:
 
     def judged(one: float) -> Verdict:
         verdict = Verdict.of(_ratio(one, low, high))
-        is_proof = "usual" not in known or verdict is Verdict.INSIDE
+        is_proof = not known.get("usual") or verdict is Verdict.INSIDE
         return verdict if is_proof else Verdict.VISIBLE
 
     verdict = judged(value)

@@ -325,24 +325,24 @@ def _armature(robot: Robot) -> Finding:
         # Turned about its own axis a wrist has next to no inertia: what counts there is that its motor can turn it.
         if armature * LEAST_RAD_PER_S2 <= limit_nm:
             continue
-        # Beside a heavy limb, a rotor is too large that turns far slower than those of the other joints.
-        slower = middle_rad_per_s2 * armature / max(limit_nm, 1e-9)
-        ratios[dof] = max(armature / limb, slower) if limit_nm else armature / limb
-        fair = max(limb, limit_nm / FAIR_RAD_PER_S2)
-        if slower > armature / limb:
-            fair = limit_nm / middle_rad_per_s2
-        turned = f"{limit_nm:.3g} Nm turn it by {limit_nm / armature:.2g} rad/s^2"
-        if not limit_nm:
-            # What its motor can turn is not known.
-            ratios[dof] = min(ratios[dof], 2.0 * limits_of("robot-armature")[1])
+        ratio, fair = armature / limb, max(limb, limit_nm / FAIR_RAD_PER_S2)
+        if limit_nm:
+            turned = f"{limit_nm:.3g} Nm turn it by {limit_nm / armature:.2g} rad/s^2"
+            # Beside a heavy limb, a rotor is too large that turns far slower than those of the other joints.
+            slower = middle_rad_per_s2 * armature / limit_nm
+            if slower > ratio:
+                ratio, fair = slower, limit_nm / middle_rad_per_s2
+        else:
+            # What its motor can turn is not known, so that no ratio proves it wrong.
             turned = "no torque is stated"
-        if ratios[dof] > limits_of("robot-armature")[1]:
+            ratio = min(ratio, 2.0 * limits_of("robot-armature")[1])
+        ratios[dof] = ratio
+        if ratio > limits_of("robot-armature")[1]:
             changes[f"dof_armature[{dof}]"] = fair
-        if ratios[dof] > found.value:
+        if ratio > found.value:
             found = Finding(
-                value=ratios[dof],
-                remark=f"{joint_name(robot, dof)}: {armature:.3g} kg m^2 with a limb of {limb:.2g}; "
-                f"{turned}",
+                value=ratio,
+                remark=f"{joint_name(robot, dof)}: {armature:.3g} kg m^2 with a limb of {limb:.2g}; {turned}",
                 advice=f'armature="{fair:.2g}" for {joint_name(robot, dof)} and joints like it',
             )
     return replace(found, changes=changes, parts=by_joint(robot, ratios))

@@ -484,7 +484,7 @@ def _sag(robot: Robot) -> Finding:
     if sags[dof] > high_mrad:
         remark += f": a command must be {1e-3 * sags[dof]:.2g} rad beyond the pose that it holds"
         if robot.is_floating and sags[dof] < SOFT_MRAD:
-            advisory = "soft gains of a robot that walks may be meant: its policy carries the weight"
+            advisory = "soft gains of a robot that stands freely may be meant: its policy carries the weight"
     return Finding(
         value=sags[dof],
         parts=by_joint(robot, sags),
