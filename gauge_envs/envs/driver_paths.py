@@ -7,7 +7,7 @@ import numpy as np
 
 from gauge_envs.backends.world import Simulation, World
 from gauge_envs.scene import Scene
-from gauge_envs.scene.driver_path import DriverPath, motor_commands
+from gauge_envs.scene.driver_path import DriverPath, Interval, motor_commands
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S
 
@@ -53,11 +53,26 @@ class DriverPaths:
             index: Number of the interval.
             rates: Normalized residual rate of each motion, shape [motion_count].
         """
-        first = 0
+        self.prescribe(world, index, self.motions(index, rates, 1)[0])
+
+    def motions(
+        self, index: int, rates: FloatArray, count: int
+    ) -> list[tuple[Interval, ...]]:
+        """Return the motions of all kinematic bodies in each of `count` intervals; see `DriverPath.intervals`."""
+        of_paths, first = [], 0
         for path in self._paths:
             end = first + path.motion_count
-            world.drive(path.body, *path.interval(index, rates[first:end]))
+            of_paths.append(path.intervals(index, rates[first:end], count))
             first = end
+        return [
+            tuple(intervals[number] for intervals in of_paths)
+            for number in range(count)
+        ]
+
+    def prescribe(self, world: World, index: int, motions: Sequence[Interval]) -> None:
+        """Prescribe motions of `motions`, and command the motors, for an interval."""
+        for path, motion in zip(self._paths, motions, strict=True):
+            world.drive(path.body, *motion)
         if self._commands.size:
             world.command(self._commands[index])
 

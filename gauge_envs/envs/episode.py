@@ -265,8 +265,9 @@ class Episode:
             )
             return
         wrenches = np.zeros(self._wrenches.shape[1:])
+        motions = self._drivers.motions(first, rates, SAMPLES_PER_FRAME)
         for sample, row in enumerate(rows):
-            self._drivers.drive(world, first + sample, rates)
+            self._drivers.prescribe(world, first + sample, motions[sample])
             if simulation is not None:
                 row[:] = self.observer.sample(simulation, 1, SAMPLE_INTERVAL_S)[0]
             else:

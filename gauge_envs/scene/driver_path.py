@@ -7,7 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.scene.drivers import Driver, DriverMotion, recorded_coordinates
+from gauge_envs.scene.drivers import (
+    Driver,
+    DriverMotion,
+    recorded_coordinates,
+    start_rows,
+)
 from gauge_envs.scene.geometry import (
     FloatArray,
     Pose,
@@ -82,64 +87,49 @@ class DriverPath:
         self.motion_count = len(driver.motions)
         self._driver = driver
         start = scene.body(driver.body).pose
-        self._starts = np.array(
-            [[*start.position_m, *start.quaternion]] * (SAMPLES_PER_FRAME + 1)
-        )
+        self._starts = start_rows([start])
         self._scale = np.array([motion.residual_rate for motion in driver.motions])
         self.offsets = np.zeros(self.motion_count)
         count = round((frame_count - 1) / FRAME_RATE_HZ / interval_s)
         self._path = _recorded_path(driver, start, count, interval_s)
         self._recorded = _recorded_coordinates(driver.motions, count, interval_s)
-        # Intervals from a sample on in which an action stays the same, and the offsets at their ends.
-        self._first_sample = 0
-        self._action = self.offsets
-        self._ahead = self._path
-        self._offsets_ahead: list[FloatArray] = []
 
     def reset(self) -> None:
         """Return to the recorded motion."""
         self.offsets = np.zeros(self.motion_count)
 
     def interval(self, sample: int, action: FloatArray) -> Interval:
-        """Return pose, velocity and acceleration of an interval for `World.drive`, and add the action's displacement.
+        """Return pose, velocity and acceleration of one interval; see `intervals`."""
+        return self.intervals(sample, action, 1)[0]
+
+    def intervals(
+        self, sample: int, action: FloatArray, count: int
+    ) -> Sequence[Interval]:
+        """Return what `World.drive` takes in intervals with one action, and add the displacement by the action.
 
         Args:
-            sample: Index of the interval.
+            sample: Index of the first interval.
             action: Normalized rate of each motion, shape [motion_count].
-        """
-        index = sample - self._first_sample
-        goes_on = (
-            0 <= index < len(self._offsets_ahead) - 1
-            and self.offsets is self._offsets_ahead[index]
-            and (action == self._action).all()
-        )
-        if not goes_on:
-            if not self.offsets.any() and not action.any():
-                return self._path[sample]
-            self._look_ahead(sample, action)
-            index = 0
-        self.offsets = self._offsets_ahead[index + 1]
-        return self._ahead[index]
+            count: Number of intervals; six at once take as long as one.
 
-    def _look_ahead(self, sample: int, action: FloatArray) -> None:
-        """Compute the intervals of a frame with one action; one by one they take six times as long."""
+        Returns:
+            Pose, velocity and acceleration of each interval.
+        """
+        if not (self.offsets.any() or action.any()):
+            return [self._path[index] for index in range(sample, sample + count)]
         rates = action * self._scale
-        offsets = [self.offsets]
-        for _ in range(SAMPLES_PER_FRAME):
-            offsets.append(offsets[-1] + rates * self.interval_s)
-        rows = slice(sample, sample + len(offsets))
-        samples = np.arange(rows.start, rows.stop, dtype=np.float64)
+        offsets = np.add.accumulate([self.offsets] + count * [rates * self.interval_s])
+        self.offsets = offsets[-1]
+        rows = slice(sample, sample + count + 1)
         coordinates, recorded_rates = self._recorded
         states = self._driver.moved(
             self._starts,
-            samples * self.interval_s,
+            self.interval_s * np.arange(rows.start, rows.stop),
             coordinates[rows] + offsets,
             recorded_rates[rows] + rates,
         )
-        self._first_sample = sample
-        self._action = np.array(action)
-        self._ahead = Intervals(states, self.interval_s)
-        self._offsets_ahead = offsets
+        ahead = Intervals(states, self.interval_s)
+        return [ahead[index] for index in range(count)]
 
 
 class DriverPathOfWorlds:
@@ -162,9 +152,7 @@ class DriverPathOfWorlds:
         kinds = list(dict.fromkeys(poses))
         numbers = {pose: number for number, pose in enumerate(kinds)}
         self._kinds = np.array([numbers[pose] for pose in poses])
-        self._starts = np.array(
-            [[*pose.position_m, *pose.quaternion] for pose in poses]
-        )
+        self._starts = start_rows(poses)
         count = round((frame_count - 1) / FRAME_RATE_HZ / SAMPLE_INTERVAL_S)
         self._paths = np.array(
             [
@@ -371,10 +359,11 @@ def _recorded_path(
     driver: Driver, start: Pose, count: int, interval_s: float
 ) -> Intervals:
     """Return the motion without actions; for minutes of motion it takes longer than the build of most scenes."""
-    starts = np.tile([*start.position_m, *start.quaternion], (count + 1, 1))
     times_s = interval_s * np.arange(count + 1, dtype=np.float64)
     coordinates, rates = _recorded_coordinates(driver.motions, count, interval_s)
-    states = driver.moved(starts, times_s, coordinates[: count + 1], rates[: count + 1])
+    states = driver.moved(
+        start_rows([start]), times_s, coordinates[: count + 1], rates[: count + 1]
+    )
     return Intervals(states, interval_s)
 
 

@@ -102,8 +102,8 @@ class Driver:
 
     def path(self, start: Pose, times_s: FloatArray) -> FloatArray:
         """Return poses and velocities at times, without actions, as `moved` does; shape [time_count, 13]."""
-        starts = np.tile([*start.position_m, *start.quaternion], (len(times_s), 1))
-        return self.moved(starts, times_s, *recorded_coordinates(self.motions, times_s))
+        coordinates, rates = recorded_coordinates(self.motions, times_s)
+        return self.moved(start_rows([start]), times_s, coordinates, rates)
 
     def moved(
         self,
@@ -115,7 +115,7 @@ class Driver:
         """Return poses and velocities in many worlds at a time, or in one at many times.
 
         Args:
-            starts: Position [m] (3) and quaternion w x y z (4) before anything moves, shape [world_count, 7].
+            starts: Rows of `start_rows` before anything moves, shape [1, 7] or [world_count, 7].
             times_s: Time since the start of the episode [s], shape [1] or [world_count].
             coordinates: Coordinate of each motion [m or rad], shape [world_count, motion_count].
             rates: Rate of each motion [m/s or rad/s], shape [world_count, motion_count].
@@ -124,9 +124,8 @@ class Driver:
             Position, quaternion, linear velocity of the body origin [m/s] (3) and angular velocity [rad/s] (3) in the
             world frame, shape [world_count, 13].
         """
-        position = starts[:, :3]
-        quaternions = unit_quaternions(starts[:, 3:])
-        linear, angular = np.zeros_like(position), np.zeros_like(position)
+        position, quaternions = starts[:, :3], starts[:, 3:]
+        linear = angular = np.zeros((1, 3))
         shift_m, turn_rad = self.shift_m, self.turn_rad
         if shift_m is not None and turn_rad is not None:
             # It goes there in the first frame, as what it holds starts without strain.
@@ -155,9 +154,12 @@ class Driver:
                 swept = np.array([y * w - z * v, z * u - x * w, x * v - y * u]).T
                 linear = np.matmul(turn, linear[:, :, None])[:, :, 0] + swept
                 angular = np.matmul(turn, angular[:, :, None])[:, :, 0] + rate * axis
-        return np.concatenate(
-            [position, unit_quaternions(quaternions), linear, angular], axis=1
-        )
+        states = np.empty((len(coordinates), 13))
+        states[:, :3] = position
+        states[:, 3:7] = unit_quaternions(quaternions)
+        states[:, 7:10] = linear
+        states[:, 10:] = angular
+        return states
 
     @property
     def spin_limit_rad_per_s(self) -> float:
@@ -184,6 +186,13 @@ class Driver:
                 ).max()
                 speed += motion.largest_rate * float(arm)
         return speed
+
+
+def start_rows(poses: Sequence[Pose]) -> FloatArray:
+    """Return positions [m] and unit quaternions w x y z of poses, shape [pose_count, 7]."""
+    rows = np.array([[*pose.position_m, *pose.quaternion] for pose in poses])
+    rows[:, 3:] = unit_quaternions(rows[:, 3:])
+    return rows
 
 
 def recorded_coordinates(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -113,6 +114,17 @@ def unit_quaternions(quaternions: FloatArray) -> FloatArray:
     return (quaternions.T / np.sqrt(x * x + y * y + z * z + w * w)).T
 
 
+def vector_quaternion(vector_rad: Sequence[float]) -> FloatArray:
+    """Return the quaternion w, x, y, z of a rotation vector [rad], shape [4], as `vector_quaternions` does of many."""
+    x, y, z = vector_rad
+    angle = math.sqrt(x * x + y * y + z * z)
+    # The sine over a small angle by its series.
+    scale = 0.5 - angle * angle / 48.0 + angle**4 / 3840.0
+    if angle > 1e-3:
+        scale = math.sin(0.5 * angle) / angle
+    return np.array([math.cos(0.5 * angle), scale * x, scale * y, scale * z])
+
+
 def vector_quaternions(vectors_rad: FloatArray) -> FloatArray:
     """Return the quaternions w, x, y, z of rotation vectors [rad], shape [count, 4]."""
     angles = np.sqrt((vectors_rad * vectors_rad).sum(axis=1))
@@ -129,29 +141,31 @@ def vector_quaternions(vectors_rad: FloatArray) -> FloatArray:
 def quaternion_vectors(quaternions: FloatArray) -> FloatArray:
     """Return the rotation vectors [rad] of at most half a turn of unit quaternions w, x, y, z, shape [count, 3]."""
     shorter = np.where(quaternions[:, :1] < 0.0, -quaternions, quaternions)
-    sines = np.linalg.norm(shorter[:, 1:], axis=1)
+    cosines, axes = shorter[:, 0], shorter[:, 1:]
+    sines = np.sqrt((axes * axes).sum(axis=1))
     # NumPy's arc tangent has other last bits on processors with AVX-512.
-    pairs = zip(sines.tolist(), shorter[:, 0].tolist(), strict=True)
+    pairs = zip(sines.tolist(), cosines.tolist(), strict=True)
     angles = 2.0 * np.array([math.atan2(sine, cosine) for sine, cosine in pairs])
     # A small angle over its sine by its series.
     scales = 2.0 + angles**2 / 12.0 + 7.0 * angles**4 / 2880.0
     large = angles > 1e-3
     scales[large] = angles[large] / np.sin(0.5 * angles[large])
-    return np.asarray(scales[:, None] * shorter[:, 1:])
+    return np.asarray(scales[:, None] * axes)
 
 
 def rotation_matrices(quaternions: FloatArray) -> FloatArray:
     """Return the matrices of unit quaternions w, x, y, z, shape [3, 3] or [count, 3, 3]."""
     w, x, y, z = _components(quaternions)
+    ww, xx, yy, zz = w * w, x * x, y * y, z * z
+    xy, xz, yz = x * y, x * z, y * z
+    xw, yw, zw = x * w, y * w, z * w
     rows = [
-        [x * x - y * y - z * z + w * w, 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), -x * x + y * y - z * z + w * w, 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), -x * x - y * y + z * z + w * w],
+        [xx - yy - zz + ww, 2 * (xy - zw), 2 * (xz + yw)],
+        [2 * (xy + zw), yy - xx - zz + ww, 2 * (yz - xw)],
+        [2 * (xz - yw), 2 * (yz + xw), zz - (xx + yy) + ww],
     ]
     matrices = np.array(rows)
-    if matrices.ndim == 2:
-        return matrices
-    return np.ascontiguousarray(np.moveaxis(matrices, -1, 0))
+    return matrices if matrices.ndim == 2 else matrices.transpose(2, 0, 1).copy()
 
 
 CORNER_SIGNS = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T

@@ -26,7 +26,7 @@ from gauge_envs.scene.geometry import (
     rotation_matrices,
     unit_quaternions,
     vector,
-    vector_quaternions,
+    vector_quaternion,
 )
 from gauge_envs.scene.hinged import carried, moved_along, other_end, parent_hinges
 from gauge_envs.scene.scene import Scene
@@ -357,7 +357,7 @@ def _faster(body: RigidBody, linear: FloatArray, angular: FloatArray) -> RigidBo
 
 def _turn(rotation_rad: ArrayLike) -> FloatArray:
     """Return the unit quaternion w, x, y, z of a rotation vector [rad], shape [4]."""
-    return vector_quaternions(np.asarray(rotation_rad)[None])[0]
+    return vector_quaternion(np.asarray(rotation_rad).tolist())
 
 
 # --- tilt ----------------------------------------------------------------------------------------------------------

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields
 from functools import cached_property, lru_cache
 from itertools import product
 from typing import TYPE_CHECKING, Any
@@ -99,7 +99,6 @@ class Scene:
     _by_name: dict[str, RigidBody] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "_by_name", {body.name: body for body in self.bodies})
         for contact in self.contacts:
             if (contact.torsion_m or contact.rolling_m) and not contact.friction:
                 raise ParameterError(
@@ -116,20 +115,8 @@ class Scene:
             raise ParameterError(
                 "the scene has air and no cloth. Air acts on cloth alone: remove it"
             )
-        for body in self.bodies:
-            if not body.starts_at_rest:
-                self._check_start_velocity(body)
         self._check_limits()
-        for guide in self.guides:
-            self._check_guide(guide)
-        if self.body_hinges:
-            suspended = {
-                joint.body for joint in self.joints if isinstance(joint, Tether)
-            }
-            suspended |= {attachment.to for attachment in self.attachments}
-            fault = hinge_fault(self.body_hinges, self._by_name, suspended, self.hung)
-            if fault is not None:
-                raise ParameterError(fault)
+        self._check_starts()
 
     @property
     def hung(self) -> list[str]:
@@ -150,6 +137,23 @@ class Scene:
         return tuple(
             (hinge, hinge.motor) for hinge in self.hinges if hinge.motor is not None
         )
+
+    def _check_starts(self) -> None:
+        """Find bodies by their names, and raise an error for a velocity that a body cannot start with."""
+        vars(self)["_by_name"] = {body.name: body for body in self.bodies}
+        for body in self.bodies:
+            if not body.starts_at_rest:
+                self._check_start_velocity(body)
+        for guide in self.guides:
+            self._check_guide(guide)
+        if self.body_hinges:
+            suspended = {
+                joint.body for joint in self.joints if isinstance(joint, Tether)
+            }
+            suspended |= {attachment.to for attachment in self.attachments}
+            fault = hinge_fault(self.body_hinges, self._by_name, suspended, self.hung)
+            if fault is not None:
+                raise ParameterError(fault)
 
     def _check_start_velocity(self, body: RigidBody) -> None:
         linear, angular = (
@@ -391,9 +395,15 @@ class Scene:
         )
 
     def started(self, **starts: Any) -> Scene:
-        """Return the scene with other starts of bodies that no driver moves; what drivers decide is computed once."""
-        other = replace(self, **starts)
+        """Return the scene with other starts of bodies that no driver moves.
+
+        What does not depend on them is neither checked again nor, of drivers, computed again.
+        """
+        kept = {name: vars(self)[name] for name in _arguments}
+        other = object.__new__(Scene)
+        vars(other).update(kept | starts)
         vars(other)["_driven_speed_m_per_s"] = self._driven_speed_m_per_s
+        other._check_starts()
         return other
 
     @cached_property
@@ -402,6 +412,9 @@ class Scene:
         return max(
             (_point_speed_m_per_s(body) for body in self.dynamic_bodies), default=0.0
         )
+
+
+_arguments = tuple(one.name for one in fields(Scene) if one.init)
 
 
 def _colliding_pairs(

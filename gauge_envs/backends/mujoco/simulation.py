@@ -32,6 +32,7 @@ from gauge_envs.backends.shared.rigid import (
     bodies_elsewhere,
     hinges_by_body,
     joints_by_body,
+    world_hinges,
 )
 from gauge_envs.backends.shared.states import Snapshot, StateOrigin
 from gauge_envs.backends.world import Simulation
@@ -178,7 +179,7 @@ class SimulationMuJoCo(Simulation):
         velocities = start_velocities(scene, model)
         if velocities.any() != bool(model.nkey):
             return False
-        hinges = hinges_by_body(scene)
+        hinges = world_hinges(scene)
         for body in moved:
             first = model.joint(body.name)
             quaternion = np.array(body.pose.quaternion)
