@@ -57,6 +57,7 @@ def test_the_rows_of_a_robot_are_listed():
             and low < high
             and known["source"]
             and known["limits"]
+            and known["proof"] in ("contradiction", "mechanics", "usual")
         )
 
 
@@ -369,7 +370,7 @@ def test_a_servo_sags_by_its_weight_over_its_stiffness():
     )
     stiff = row("robot-sag", arm_xml().replace('kp="40.0"', 'kp="40000"'))
     assert stiff.configured == pytest.approx(1e-3 * sag, rel=2e-3)
-    assert stiff.verdict is Verdict.WRONG and stiff.advisory
+    assert stiff.verdict is Verdict.VISIBLE and stiff.advisory
 
 
 def test_soft_gains_are_advice_where_a_policy_carries_the_weight_up_to_a_unit():

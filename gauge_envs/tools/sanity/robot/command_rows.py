@@ -63,6 +63,7 @@ def _command(robot: Robot) -> Finding:
     for motor in speed_servos(robot):
         name = name_of(robot, int(joints[motor]))
         found[name] = Finding(
+            value=MAYBE_SHARE,
             remark=f"the servo of {name} takes a speed, and is commanded an angle",
             advice=f"a servo of position for {name}: -kp and -kv in biasprm",
         )
@@ -88,6 +89,8 @@ def _commands(robot: Robot, actuator: int, name: str) -> Iterator[Finding]:
     is_here = model.actuator_trnid[:, 0] == model.actuator_trnid[actuator, 0]
     others = np.flatnonzero(is_servo & is_here).tolist()
     per_control = float(gain * model.actuator_gear[actuator, 0])
+    # Where no motor is a servo, one without stiffness is a motor, or its voltage.
+    is_alone = not is_servo.any()
     away = np.array(bias)
     away[1] = -gain
     if len(others) > 1 and is_servo[actuator]:
@@ -105,7 +108,7 @@ def _commands(robot: Robot, actuator: int, name: str) -> Iterator[Finding]:
         )
     elif kind == affine and (bias[1] > 0.0 or (bias[1] == 0.0 and gain != -bias[2])):
         yield Finding(
-            value=-np.inf if bias[1] else 0.0,
+            value=-np.inf if bias[1] else float(is_alone) * MAYBE_SHARE,
             remark=f"the servo of {name} does not pull it to its command",
             advice=f"-kp in biasprm of {name}",
             changes={f"actuator_biasprm[{actuator}]": away},
@@ -167,9 +170,14 @@ def _reached(robot: Robot, actuator: int, name: str) -> Finding:
         # Of a range of commands that is far wider than the joint's, nearly all are lost.
         used = LOST_COMMANDS if is_angle else 1.0
         share = reached_rad / max(high - low, used * float(np.ptp(ends)))
+        is_inside = reached_rad >= (1.0 - SAME_ANGLE) * float(np.ptp(ends)) > 0.0
     else:
         # Without limits of its command, a servo takes an angle.
         share = 1.0 if is_angle else min(per_control, 1.0 / per_control)
+        is_inside = True
+    if is_inside:
+        # A part of the range, or another scale of commands, can be a choice.
+        share = max(share, MAYBE_SHARE)
     found = Finding(value=share if share >= 0.0 else -np.inf, remark=name)
     if share >= limits_of("robot-command")[0]:
         return found
@@ -250,6 +258,7 @@ def _pulled(robot: Robot, actuator: int, name: str) -> Finding:
 def _shared(ends: FloatArray, lengths: FloatArray) -> float:
     """Return the part of the range of a tendon, from the ends of its joints, shape [count, 2], that lengths reach."""
     low, high = np.sort(ends, axis=1).sum(axis=0)
-    reached = min(lengths[1], high) - max(lengths[0], low)
-    whole = max(high - low, LOST_COMMANDS * float(np.ptp(lengths)), 1e-12)
-    return float(max(reached, 0.0) / whole)
+    reached = float(min(lengths[1], high) - max(lengths[0], low))
+    span = float(np.ptp(lengths))
+    share = max(reached, 0.0) / max(high - low, LOST_COMMANDS * span, 1e-12)
+    return max(share, MAYBE_SHARE) if reached >= span > 0.0 else share

@@ -175,6 +175,8 @@ def _free(robot: Robot) -> Finding:
     inertia = joint_inertias(robot) - model.dof_armature
     parts: dict[str, float] = {}
     stated: dict[str, str] = {}
+    # Objects that are braked, and a base that a spring holds.
+    on_purpose: set[str] = set()
     for joint in np.flatnonzero(joints_of(model, "FREE")).tolist():
         first = int(model.jnt_dofadr[joint])
         six = slice(first, first + 6)
@@ -182,6 +184,7 @@ def _free(robot: Robot) -> Finding:
         if body not in robot.bodies:
             rate_per_s = float(model.dof_damping[first] / model.body_subtreemass[body])
             name = f"{name_of(robot, joint)} of {body_name(robot, body)}"
+            on_purpose.add(name)
             # An object may be braked to keep it from rolling.
             parts[name] = limits_of("robot-free")[1] * rate_per_s / OBJECT_RATE_PER_S
             stated[name] = (
@@ -193,6 +196,8 @@ def _free(robot: Robot) -> Finding:
         shares = np.maximum(shares, model.dof_armature[six]) / inertia[six]
         name = name_of(robot, joint)
         parts[name] = float(shares.max())
+        if model.jnt_stiffness[joint] > 0.0:
+            on_purpose.add(name)
         numbers = (model.dof_damping, model.dof_frictionloss, model.dof_armature)
         damping, dry, armature = (float(one[first]) for one in numbers)
         stated[name] = (
@@ -208,4 +213,5 @@ def _free(robot: Robot) -> Finding:
         if parts[worst]
         else "",
         advice=f'<freejoint/>, or damping="0" frictionloss="0" armature="0" for {worst}',
+        is_usual=worst in on_purpose,
     )

@@ -47,6 +47,7 @@ class Finding:
         declined: Why it does not apply; empty when it does.
         unmeasured: Why it applies and was not measured; empty when it was.
         advisory: Why it does not count; empty when it does.
+        is_usual: Whether the limit that it breaks says what is usual, in a row whose other limits prove a mistake.
     """
 
     value: float = 0.0
@@ -57,6 +58,7 @@ class Finding:
     declined: str = ""
     unmeasured: str = ""
     advisory: str = ""
+    is_usual: bool = False
 
 
 class NotApplicableError(Exception):
@@ -113,15 +115,15 @@ def limits_of(name: str) -> tuple[float, float]:
 def judged_row(name: str, found: Finding) -> PhenomenonResult:
     """Return the row of a finding: visible beyond its limits by the ratio of other rows, wrong beyond that.
 
-    A row whose limit says what is usual, and not what is possible, is visible at most.
+    What breaks a limit that says what is usual, and not what is possible, is visible at most.
     """
     known = facts("robot_rows")[name]
     (low, high), value = known["interval"], found.value
 
     def judged(one: float) -> Verdict:
         verdict = Verdict.of(_ratio(one, low, high))
-        is_proof = not known.get("usual") or verdict is Verdict.INSIDE
-        return verdict if is_proof else Verdict.VISIBLE
+        is_usual = found.is_usual or known["proof"] == "usual"
+        return Verdict.VISIBLE if is_usual and verdict.is_off else verdict
 
     verdict = judged(value)
     missing = found.declined or found.unmeasured

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 
 from gauge_envs.backends.mujoco.model_settings import COLUMNS, can_move
+from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.tools.sanity.robot.finding import (
     NOT_STANDING,
     Finding,
@@ -37,6 +38,9 @@ from gauge_envs.tools.sanity.robot.robot import (
 
 MOST_BETWEEN = 4
 """Links of a chain whose parts overlap, of which one may be misplaced."""
+
+WEIGHTLESS = 0.01
+"""Gravity over that of the earth below which no ground carries anything."""
 
 TRIED = 32
 """Random poses in which the overlap of two parts is tried."""
@@ -133,6 +137,7 @@ def _feet(robot: Robot) -> Finding:
         remark=f"{names}: no partner on the ground" if lame else "",
         advice=f"contype and conaffinity of {names} that match the ground's",
         changes=changes,
+        is_usual=True,
     )
 
 
@@ -302,7 +307,7 @@ def _floor_tilt(robot: Robot) -> Finding:
         & ~can_move(model)
     )
     planes = np.flatnonzero(is_plane).tolist()
-    if not planes or not gravity.any():
+    if not planes or np.linalg.norm(gravity) < WEIGHTLESS * GRAVITY_M_PER_S2:
         return Finding(declined="the model has no plane, or no gravity")
     cosines = {}
     for plane in planes:
@@ -369,6 +374,7 @@ def _without_contacts(robot: Robot) -> Finding:
         f"{TRIED} random poses",
         advice=enabling(["contact"]),
         changes={"contact": True},
+        is_usual=True,
     )
 
 

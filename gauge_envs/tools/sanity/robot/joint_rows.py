@@ -36,6 +36,7 @@ from gauge_envs.tools.sanity.robot.joints import (
 )
 from gauge_envs.tools.sanity.robot.legs import bent_legs_nm
 from gauge_envs.tools.sanity.robot.mass_rows import size_m
+from gauge_envs.tools.sanity.robot.mujoco_feet import joints_of
 from gauge_envs.tools.sanity.robot.robot import (
     Robot,
     couplings_of,
@@ -93,6 +94,10 @@ def _torque(robot: Robot) -> Finding:
         return Finding(
             parts=by_joint(robot, dict.fromkeys(idle, 0.0)),
             remark=f"{several} have no actuator",
+            # A finger without one has a twin that a motor moves; a hinge can be passive on purpose.
+            is_usual=not joints_of(robot.model, "SLIDE")[
+                robot.model.dof_jntid[idle]
+            ].any(),
             advice=f"an actuator for {names}",
         )
     if single := one_sided(robot):
@@ -100,6 +105,7 @@ def _torque(robot: Robot) -> Finding:
         return Finding(
             parts=by_joint(robot, dict.fromkeys(single, 0.0)),
             remark=f"{names}: {len(single)} motors turn one way only",
+            is_usual=True,
             advice=f"a forcerange of both signs for {names}",
         )
     if strong := _too_strong(robot, limits_nm):
@@ -121,6 +127,7 @@ def _torque(robot: Robot) -> Finding:
             value=np.inf,
             parts=by_joint(robot, ratios | dict.fromkeys(unlimited, np.inf)),
             remark=f"{names}: {len(unlimited)} of {len(driven)} driven joints state no largest torque",
+            is_usual=True,
             advice=f"the forcerange of {names}, from the data sheet of the motor and gear",
             advisory="joints of the model state no limit of their torque"
             if is_common
@@ -160,6 +167,7 @@ def _too_strong(robot: Robot, limits_nm: Mapping[int, float]) -> Finding | None:
         remark=f"{names}: motors of {len(times)} of {len(driven_dofs(robot))} driven joints have up to "
         f"{times[worst]:.2g} times {needed}, {motors_nm[worst]:.3g} Nm",
         advice=f"the gear and the forcerange of {names} in Nm",
+        is_usual=True,
     )
 
 
@@ -270,6 +278,8 @@ def _drag(
         remark=remark,
         advice=f'{name}="{fair[worst]:.2g}" for {joint_name(robot, worst)} and joints like it, '
         f"or its {strength}",
+        # Of dry friction at the largest torque nothing moves; how fast a joint should turn is another matter.
+        is_usual=name == "damping" or shares[worst] < 1.0,
         changes=of_elements(
             f"dof_{name}", {dof: one for dof, one in fair.items() if one < values[dof]}
         ),
@@ -333,9 +343,7 @@ def _armature(robot: Robot) -> Finding:
             if slower > ratio:
                 ratio, fair = slower, limit_nm / middle_rad_per_s2
         else:
-            # What its motor can turn is not known, so that no ratio proves it wrong.
             turned = "no torque is stated"
-            ratio = min(ratio, 2.0 * limits_of("robot-armature")[1])
         ratios[dof] = ratio
         if ratio > limits_of("robot-armature")[1]:
             changes[f"dof_armature[{dof}]"] = fair
@@ -448,6 +456,8 @@ def _range(robot: Robot) -> Finding:
         remark=f"{name}, {len(off)} of {len(ranges_rad)}: {unit}?" if off else "",
         advice=advice,
         changes=changes,
+        # A joint on gears can turn many times, and none with a motor by two degrees alone.
+        is_usual=not is_small,
     )
 
 

@@ -316,6 +316,7 @@ def _gravcomp(robot: Robot) -> Finding:
         else "",
         advice=f'gravcomp="0" for {names}',
         changes={f"body_gravcomp[{body}]": 0.0 for body in lifted},
+        is_usual=not robot.is_floating,
     )
 
 
@@ -328,6 +329,8 @@ def _inertia(robot: Robot) -> Finding:
     at_origin: list[str] = []
     # Of a screen or a frame beside it nothing depends.
     least_kg = 1e-5 * robot.mass_kg
+    # Shapes of a link may lack a part of it, but no part reaches farther than the robot.
+    half_m = 0.5 * size_m(robot)
     placed = placed_bodies(robot.model)
     for body in robot.bodies:
         if body in placed:
@@ -361,6 +364,7 @@ def _inertia(robot: Robot) -> Finding:
                 value=radius_m / reach_m,
                 remark=f"{name} of {mass_kg:.3g} kg: gyrates with {radius_m:.3g} m, and reaches {reach_m:.3g} m",
                 advice=f"give {name} the inertia of its geoms, about {share:.2g} of the stated one",
+                is_usual=radius_m < half_m,
             )
     if far:
         _, name, away_m, diagonal_m = max(far)
@@ -369,6 +373,7 @@ def _inertia(robot: Robot) -> Finding:
             parts=shares | {f"centre of mass of {one}": np.inf for _, one, *_ in far},
             remark=f"centre of mass of {name}: {away_m:.3g} m outside of a link of {diagonal_m:.2g} m",
             advice=f"the centre of mass of {name} in the frame of its body, in metres",
+            is_usual=away_m < half_m,
         )
     if 2 * len(at_origin) > len(shares):
         return Finding(
@@ -377,5 +382,6 @@ def _inertia(robot: Robot) -> Finding:
             remark=f"the centres of mass of {len(at_origin)} of {len(shares)} links are the origins of their bodies, "
             "and their shapes lie beside them",
             advice="the `pos` of each `inertial`, from the data of its part",
+            is_usual=True,
         )
     return replace(found, changes=changes, parts=shares)

@@ -44,6 +44,7 @@ from gauge_envs.tools.sanity.robot.motions import (
     follow_sines,
     hold_pose,
 )
+from gauge_envs.tools.sanity.robot.mujoco_feet import joints_of
 from gauge_envs.tools.sanity.robot.robot import (
     Robot,
     acts_on_joints,
@@ -130,6 +131,7 @@ def _stands(robot: Robot) -> Finding:
             if is_above
             else "",
             advisory=_advisory(robot),
+            is_usual=True,
         )
     # Without a policy a biped falls, and does not rise.
     rises = ratio > limits_of("robot-stands")[1]
@@ -174,10 +176,25 @@ def _saturation(robot: Robot) -> Finding:
     )
 
 
+def _rolls(robot: Robot, body: int) -> bool:
+    """Return whether a body turns on a hinge without limits that no servo holds, as a wheel does."""
+    model = robot.model
+    first = int(model.body_jntadr[body])
+    joints = range(first, first + int(model.body_jntnum[body]))
+    held = {*model.actuator_trnid[servos(model), 0].tolist()}
+    is_hinge = joints_of(model, "HINGE")
+    return any(
+        is_hinge[joint] and not model.jnt_limited[joint] and joint not in held
+        for joint in joints
+    )
+
+
 @row("robot-slip")
 def _slip(robot: Robot) -> Finding:
     if not robot.foot_rows or _advisory(robot):
         return Finding(declined=_advisory(robot) or NOT_STANDING)
+    if any(_rolls(robot, body) for body in standing_of(robot).feet):
+        raise NotApplicableError("wheels roll on a slope")
     friction = float(robot.pairs.constants[robot.foot_rows, 1].min())
     slope_deg = min(SLOPE_DEG, float(np.degrees(np.arctan(SLOPE_PUSH * friction))))
     motion = _finite_hold(robot, slope_deg)

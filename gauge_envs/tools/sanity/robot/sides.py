@@ -81,6 +81,9 @@ NOT_SYMMETRIC = (
 OF_GEOMETRY = ("place", "axis", "centre of mass")
 """Differences of two sides in how their links are placed."""
 
+PROVEN = ("mass", "inertia", "collisions", "kp", "largest torque", "torque per control")
+"""What two sides share in real robots; how joints rub and yield is identified joint by joint."""
+
 
 @row("robot-mirror")
 def _mirror(robot: Robot) -> Finding:
@@ -121,12 +124,21 @@ def _sides(robot: Robot) -> Finding:
     known = quantities(robot)
     parts: dict[str, float] = {}
     texts: dict[str, str] = {}
+    several = [(one, dict(differences(robot, one))) for one in mirror_pairs(robot)]
     mirrored = (
         (one.joint, one.other, *of_pair)
-        for one in mirror_pairs(robot)
-        for of_pair in differences(robot, one)
+        for one, shares in several
+        for of_pair in shares.items()
     )
     parts.update(_trunk_shares(robot))
+    high = limits_of("robot-sides")[1]
+    # Links that are mirror images in place, axis and centre of mass should have one mass, and like motors.
+    proven = {
+        f"{quantity} of {name_of(robot, one.joint)} and {name_of(robot, one.other)}"
+        for one, shares in several
+        if all(shares[quantity] <= high for quantity in OF_GEOMETRY)
+        for quantity in PROVEN
+    }
     odd = (*odd_copies(robot), *odd_servos(robot), *odd_gains(robot))
     for joint, other, quantity, difference in (*mirrored, *odd):
         name = f"{quantity} of {name_of(robot, joint)} and {name_of(robot, other)}"
@@ -174,8 +186,9 @@ def _sides(robot: Robot) -> Finding:
     return Finding(
         value=value,
         parts=parts,
-        remark=remark + also(parts, worst, limits_of("robot-sides")[1]),
+        remark=remark + also(parts, worst, high),
         advice=advice,
+        is_usual=worst not in proven,
     )
 
 

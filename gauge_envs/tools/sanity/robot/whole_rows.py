@@ -38,6 +38,9 @@ from gauge_envs.tools.sanity.robot.mujoco_feet import (
 )
 from gauge_envs.tools.sanity.robot.robot import Robot, couplings_of, joints_of_motors
 
+WATER_KG_PER_M3 = 1000.0
+"""Density of a geom that states none [kg/m^3]."""
+
 SAME_PLACE = 0.3
 """Overlap of the boxes around two sets of geoms, over the box around both, from which on they show the same part."""
 
@@ -118,6 +121,7 @@ def _visual_mass(robot: Robot) -> Finding:
         for body in drawn
         if model.body_mass[body] - masses[body] > 1e-6 and masses[body] > 0.0
     }
+    counted = {geom for body in extra_kg for geom in drawn[body]}
     total_kg = robot.mass_kg
     names = ", ".join(body_name(robot, body) for body in list(extra_kg)[:3])
     stated_kg = total_kg - sum(extra_kg.values())
@@ -128,10 +132,15 @@ def _visual_mass(robot: Robot) -> Finding:
         if extra_kg
         else "",
         advice='mass="0" for visual geoms, or <compiler inertiagrouprange> of the others',
-        changes={
-            f"geom_mass[{geom}]": 0.0 for body in extra_kg for geom in drawn[body]
-        },
+        changes={f"geom_mass[{geom}]": 0.0 for geom in counted},
+        # A part with a mass of its own, as a bone in a muscle, was meant.
+        is_usual=all(_states_mass(geom) for geom in spec.geoms if geom.id in counted),
     )
+
+
+def _states_mass(geom: mujoco.MjsGeom) -> bool:
+    """Return whether a geom states a mass, or another density than the default one of the engine."""
+    return bool(np.isfinite(geom.mass) or geom.density != WATER_KG_PER_M3)
 
 
 def _overlap(model: mujoco.MjModel, first: list[int], second: list[int]) -> float:
@@ -281,6 +290,8 @@ def _stops(robot: Robot) -> Finding:
             parts=by_joint(robot, gives_mrad) | outside_mrad,
             remark=farthest,
             advice=f"a range, or a pose, with {farthest} inside",
+            # Without a keyframe code states where it starts.
+            is_usual=not model.nkey,
         )
     name, joint = joint_name(robot, dof), int(model.dof_jntid[dof])
     return Finding(
@@ -290,6 +301,7 @@ def _stops(robot: Robot) -> Finding:
         f"solimplimit {_numbers(model.jnt_solimp[joint])}",
         advice=f'solreflimit="0.02 1" solimplimit="0.9 0.95 0.001" for {name} and joints like it',
         changes=changes,
+        is_usual=bool(np.isfinite(gives_mrad[dof])),
     )
 
 
@@ -377,6 +389,7 @@ def _coupling(robot: Robot) -> Finding:
             remark=part,
             advice=advices[part],
             changes=zero_changes,
+            is_usual=part.startswith("ratio"),
         )
     if not gives:
         return Finding(
@@ -389,6 +402,7 @@ def _coupling(robot: Robot) -> Finding:
         remark=name,
         advice=f'solref="0.005 1" solimp="0.95 0.99 0.001" for the equality of {name}',
         changes=changes,
+        is_usual=True,
     )
 
 

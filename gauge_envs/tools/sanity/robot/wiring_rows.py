@@ -56,7 +56,9 @@ Wrong = tuple[str, str]
 
 @row("robot-wiring")
 def _wiring(robot: Robot) -> Finding:
-    found = [one for check in CHECKS for one in check(robot)]
+    several = [[*check(robot)] for check in CHECKS]
+    found = [one for of_check in several for one in of_check]
+    proofs = [c for c, of_check in zip(CHECKS, several, strict=True) if of_check]
     remarks = [remark for remark, _ in found]
     advices = [advice for _, advice in found]
     return Finding(
@@ -64,6 +66,7 @@ def _wiring(robot: Robot) -> Finding:
         parts=dict.fromkeys(remarks, 1.0),
         remark="; ".join(remarks),
         advice="; ".join(advices),
+        is_usual={*proofs} <= {*UNUSUAL},
     )
 
 
@@ -375,3 +378,6 @@ CHECKS: tuple[Callable[[Robot], Iterator[Wrong]], ...] = (
     _beyond,
 )
 """What is tried, causes before their effects."""
+
+UNUSUAL = (_objects, _left_out, _on_one_line, _ghosts)
+"""What some robots have on purpose."""
