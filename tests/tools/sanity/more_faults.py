@@ -553,6 +553,11 @@ FURTHER = planted(
             'qpos="0 -.5 1.2',
             'qpos="0 -.5 4.2',
         ),
+        "biped, a keyframe turned in the order x y z w": (
+            "robot-wiring",
+            'qpos="0 0 .7287 1 0 0 0',
+            'qpos="0 0 .7287 0 0 0 1',
+        ),
         "arm, a gyro of another site": (
             "robot-wiring",
             several(

@@ -106,6 +106,16 @@ MISTAKES = {
         "mass of FL_thigh",
     ),
     "damping alone": ('damping="0.5"', 'damping="1"', "damping of FL_hip"),
+    "joints without their class": (
+        '<joint armature="0.005" damping="0.5" frictionloss="0.2"/>',
+        "",
+        "damping of FL_hip",
+    ),
+    "feet and calves that touch nothing": (
+        'geom name=".._(calf|foot)"',
+        r'\g<0> contype="0" conaffinity="0"',
+        "geoms of FL_calf",
+    ),
     "a motor without its limit": (
         '(joint="FL_hip" kp="80" kv="2") forcerange="-40 40"',
         r"\1",
@@ -126,6 +136,36 @@ def test_a_mistake_in_a_published_robot_is_named(name):
     assert found.is_flag
     assert words in found.remark
     assert "Dog" in found.remark
+
+
+RICH = re.sub(
+    '(joint=".._)(hip|knee)"',
+    lambda found: f'{found[0]} ctrlrange="{"-2 2" if found[2] == "hip" else "-1 1"}"',
+    good_xml(),
+).replace(
+    "</mujoco>",
+    """<contact><exclude body1="FL_thigh" body2="FR_thigh"/><exclude body1="RL_thigh" body2="RR_thigh"/></contact>
+    </mujoco>""",
+)
+"""The quadruped with commands and excludes."""
+
+
+@pytest.mark.usefixtures("published")
+@pytest.mark.parametrize("published", [RICH], indirect=True)
+@pytest.mark.parametrize(
+    ("old", "new", "is_flag"),
+    [
+        ('ctrlrange="-1 1"', 'ctrlrange="-2 2"', True),
+        ("<contact>.*</contact>", "", True),
+        ('(_knee" ctrlrange="-1 1" kp=)"80"', r'\1"40"', False),
+    ],
+    ids=["commands of all knees", "all excludes", "gains of all knees"],
+)
+def test_what_all_parts_of_a_kind_share_is_a_choice_or_not(old, new, is_flag):
+    assert row(RICH).configured == 0.0
+    changed, count = re.subn(old, new, RICH)
+    assert count
+    assert row(changed).is_flag == is_flag
 
 
 CHOICES = {

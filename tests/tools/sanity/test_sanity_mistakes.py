@@ -328,6 +328,62 @@ AFLOAT = (
     .replace("<body><geom", '<body><freejoint/><geom condim="1"')
     .replace('size=".03"/>', 'size=".03" condim="1"/>')
 )
+
+
+def ranged(command="-.2 .9"):
+    """Return an arm of five joints with a range each, of which the third may have the commands of another one."""
+    bodies, servos = "", ""
+    ranges = ("-1 1", "-.5 1.2", "-.2 .9", "-.7 .7", "-1.2 .4")
+    for number, ends in enumerate(ranges):
+        bodies += f"""<body pos=".2 0 0"><joint name="j{number}" axis="0 1 0" range="{ends}" armature=".02"/>
+            <geom type="capsule" fromto=".06 0 0 .2 0 0" size=".03"/>"""
+        stated = command if number == 2 else ends
+        servos += f'<position joint="j{number}" kp="200" kv="12" ctrlrange="{stated}"/>'
+    return f"""<mujoco><compiler angle="radian"/><worldbody>{bodies}{"</body>" * 5}</worldbody>
+      <actuator>{servos}</actuator></mujoco>"""
+
+
+def with_soles(*, right_m=-0.02):
+    """Return the biped with a site on each sole, of which the right one may lie on the side of the left one."""
+    text = biped_xml()
+    for side, y_m in (("left", 0.02), ("right", right_m)):
+        site = f'<site name="{side}_sole" pos=".03 {y_m} -.06"/>'
+        text = re.sub(f'(<body name="{side}_foot"[^>]*>)', rf"\1{site}", text)
+    return text
+
+
+def with_excludes(*pairs):
+    """Return the biped whose links touch nothing of each other, pair by pair."""
+    several = "".join(
+        f'<exclude body1="{one}" body2="{other}"/>'
+        for one, other in map(str.split, pairs)
+    )
+    return biped_xml().replace("</mujoco>", f"<contact>{several}</contact></mujoco>")
+
+
+LEGS = ("left_hip left_foot", "right_hip right_foot", "left_thigh left_foot")
+
+
+def carried_fingers(*names):
+    """Return the hand whose controller carries fingers."""
+    parts = "|".join(f"{name}|{name}_tip" for name in names)
+    return re.sub(f'<body name="({parts})"', r'\g<0> gravcomp="1"', GOOD["hand"]())
+
+
+def with_torques(last="RR_knee"):
+    """Return the quadruped with sensors of the forces of its motors, of which the last may read another one."""
+    names = [
+        f"{leg}_{joint}" for leg in ("FL", "FR", "RR") for joint in ("hip", "knee")
+    ]
+    sensors = "".join(
+        f'<actuatorfrc name="{name}_torque" actuator="{last if name == "RR_knee" else name}"/>'
+        for name in names
+    )
+    return GOOD["quadruped"]().replace(
+        "</mujoco>", f"<sensor>{sensors}</sensor></mujoco>"
+    )
+
+
 ON_PURPOSE = [
     ("robot-friction", AFLOAT, AFLOAT.replace("<freejoint/>", "")),
     ("robot-rotor", chain(armature=1e-3), chain(last_armature=1e-5)),
@@ -363,6 +419,19 @@ ON_PURPOSE = [
         beside('<body pos="0 0 20"><joint/><geom size=".1"/></body>'),
     ),
     ("robot-torque", beside(PICTURE), beside(re.sub(r'con.*"0"', "", PICTURE))),
+    ("robot-sides", ranged(), ranged("-1 1")),
+    ("robot-wiring", with_soles(), with_soles(right_m=0.02)),
+    (
+        "robot-wiring",
+        with_excludes(*LEGS, "right_thigh right_foot"),
+        with_excludes(*LEGS, "right_thigh right_shin"),
+    ),
+    (
+        "robot-wiring",
+        carried_fingers("index", "ring", "thumb"),
+        carried_fingers("index", "ring"),
+    ),
+    ("robot-wiring", with_torques(), with_torques("FR_knee")),
 ]
 
 

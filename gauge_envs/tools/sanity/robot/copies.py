@@ -185,7 +185,7 @@ def odd_copies(robot: Robot) -> Iterator[tuple[int, int, str, float]]:
 def odd_servos(robot: Robot) -> Iterator[tuple[int, int, str, float]]:
     """Yield a joint, another one, and the quantity in which its servo alone contradicts all the others; visible.
 
-    It is a kp beside the kv of all, or limits of the joint that are not those of its commands, which others share.
+    It is a kp beside the kv of all, or limits that are not those of its commands, of which another joint has one.
     """
     model = robot.model
     motors = [one for one in position_servos(robot) if model.actuator_gear[one, 0]]
@@ -202,10 +202,12 @@ def odd_servos(robot: Robot) -> Iterator[tuple[int, int, str, float]]:
     if is_odd.sum() != 1:
         return
     odd = int(is_odd.argmax())
-    alike = np.abs(commands - commands[odd]).max(axis=1) <= SAME * gaps[odd]
-    copies = np.flatnonzero(alike & ~is_odd)
-    if len(copies) >= FEW_COPIES:
-        yield int(joints[odd]), int(joints[copies[0]]), OWN_RANGE, VISIBLE
+    for several in (commands, ranges):
+        off = np.abs(several - several[odd]).max(axis=1)
+        copies = np.flatnonzero((off <= SAME * gaps[odd]) & ~is_odd)
+        if len(copies):
+            yield int(joints[odd]), int(joints[copies[0]]), OWN_RANGE, VISIBLE
+            return
 
 
 def odd_gains(robot: Robot) -> Iterator[tuple[int, int, str, float]]:

@@ -82,13 +82,21 @@ STRENGTHS = ("motor-limit", "joint-force")
 """Quantities of the real motors, which whoever edits this very file has no reason to choose."""
 
 OF_TASKS = ("pose", "option", "exclude", "contype", "conaffinity")
-"""Quantities that those who train a robot of this very file change."""
+"""Quantities that those who train a robot of this very file change beside others."""
 
 ALONE = (
     *(("armature",), ("damping",), ("frictionloss",), ("stiffness",), STRENGTHS),
-    *(("geom-priority",), ("site-place", "site-turn")),
+    *(("mass", "inertia", "inertia-axes", "centre-of-mass"), ("gravcomp",)),
+    *(("link-place", "link-turn"), ("joint-place",), ("joint-axis",)),
+    *(("joint-range",), ("control-range",), ("motor-gear",)),
+    *(("coupling",), ("coupling-solref",), ("tendon-coefficient",)),
+    *(("geoms", "contype", "conaffinity"), ("geom-size", "geom-place")),
+    *(("geom-priority",), ("exclude",), ("site-place", "site-turn")),
 )
 """Quantities that are no choice where all else is of this very file: it was edited in this alone."""
+
+LOST = frozenset({"armature", "damping", "frictionloss", "stiffness", "gravcomp"})
+"""Quantities that a file loses together, as with the class of its joints, where all that differ are 0."""
 
 MINORITY = 0.34
 """Share of the parts up to which those that differ are mistakes; if more differ, it is a choice or another version."""
@@ -371,7 +379,11 @@ def compared(known: Numbers, versions: Sequence[Published]) -> Compared:
         known: Value of each part of the robot, by quantity.
         versions: Versions of the published model, the likeliest first.
     """
-    total = sum(map(len, versions[0].numbers.values()))
+    # A link whose shapes touch nothing has no numbers of contacts.
+    total = sum(
+        len(parts.keys() & known[name] if name in CONTACTS else parts)
+        for name, parts in versions[0].numbers.items()
+    )
     is_same_file = equal_count(known, versions[0]) >= SAME_FILE * total
     versions = versions[:1] if is_same_file else versions
     hardware = (*HARDWARE, *(STRENGTHS if is_same_file else ()))
@@ -410,12 +422,12 @@ def compared(known: Numbers, versions: Sequence[Published]) -> Compared:
         if len({one.part.split(" ")[0] for one in off}) > most_parts:
             choices += [one for one in mistakes if one.quantity in dropped]
             mistakes = [one for one in mistakes if one.quantity not in dropped]
-    off = [
-        one for one in (*scaled, *mistakes, *choices) if one.quantity not in OF_TASKS
-    ]
-    is_rest_equal = equal_count(known, versions[0]) + len(off) >= SAME_FILE * total
+    every = [*scaled, *mistakes, *choices]
+    off = [one for one in every if one.quantity not in OF_TASKS] or every
     names = {one.quantity for one in off}
-    if is_rest_equal and any(names <= {*group} for group in ALONE):
+    is_rest_equal = equal_count(known, versions[0]) + len(every) >= SAME_FILE * total
+    is_lost = names <= LOST and not any(one.value for one in off)
+    if is_rest_equal and (is_lost or any(names <= {*group} for group in ALONE)):
         mistakes += [one for one in choices if one.quantity in names]
         choices = [one for one in choices if one.quantity not in names]
     moved = [one for one in mistakes if one.quantity == "motor"]

@@ -19,6 +19,7 @@ from gauge_envs.tools.sanity.robot.robot import (
     JOINT_TRANSMISSIONS,
     Robot,
     couplings_of,
+    ends_of,
     tendon_joints,
 )
 
@@ -267,12 +268,7 @@ def _of_tendons(robot: Robot) -> Iterator[tuple[str, str, float]]:
 def _of_couplings(robot: Robot) -> Iterator[tuple[str, str, float]]:
     model, is_joint = robot.model, couplings_of(robot.model)
     for number in range(model.neq):
-        kind = (
-            mujoco.mjtObj.mjOBJ_JOINT if is_joint[number] else model.eq_objtype[number]
-        )
-        ends = (model.eq_obj1id[number], model.eq_obj2id[number])
-        names = [mujoco.mj_id2name(model, kind, end) or "" for end in ends if end >= 0]
-        name = " and ".join(names)
+        name = " and ".join(ends_of(model, number)[1])
         values = model.eq_data[number, : 5 if is_joint[number] else 3]
         yield from _each("coupling", name, values, range(len(values)))
         yield "coupling-solref", name, model.eq_solref[number, 0]

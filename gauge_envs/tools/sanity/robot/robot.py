@@ -477,6 +477,16 @@ def tendon_joints(
     return model.wrap_objid[places], model.wrap_prm[places]
 
 
+def ends_of(model: mujoco.MjModel, number: int) -> tuple[int, list[str]]:
+    """Return the kind of the parts that an equality joins, and their names."""
+    is_joint = couplings_of(model)[number]
+    kind = mujoco.mjtObj.mjOBJ_JOINT if is_joint else model.eq_objtype[number]
+    ends = (model.eq_obj1id[number], model.eq_obj2id[number])
+    return int(kind), [
+        mujoco.mj_id2name(model, kind, end) or "" for end in ends if end >= 0
+    ]
+
+
 def coupled_joints(model: mujoco.MjModel, joint: int) -> list[int]:
     """Return a joint, those that equalities couple to it, those coupled to these, and so on."""
     pairs = np.column_stack([model.eq_obj1id, model.eq_obj2id])[couplings_of(model)]

@@ -147,7 +147,7 @@ def _sides(robot: Robot) -> Finding:
             texts[name] = f"not as in {_other_pairs(robot, joint)}"
         elif quantity == OWN_RANGE:
             texts[name] = (
-                "both have the same commands, and all other servos have those of the limits of their joint"
+                "both have the same commands or limits, and all other servos have those of the limits of their joint"
             )
         elif quantity in known:
             values = known[quantity][_places(robot, quantity)[[joint, other]]]

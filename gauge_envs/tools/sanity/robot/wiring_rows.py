@@ -3,10 +3,11 @@
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator
-from itertools import combinations, product
+from itertools import combinations
 
 import mujoco
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.robot.copies import FEW_COPIES, SAME, copies_of
@@ -17,14 +18,16 @@ from gauge_envs.tools.sanity.robot.finding import (
     name_of,
     row,
 )
+from gauge_envs.tools.sanity.robot.ground_rows import limbs_of
 from gauge_envs.tools.sanity.robot.joints import driven_dofs, home_key, springs
 from gauge_envs.tools.sanity.robot.maker_rows import families
 from gauge_envs.tools.sanity.robot.mass_rows import size_m
-from gauge_envs.tools.sanity.robot.mirror import mirror_pairs, zero_pose
+from gauge_envs.tools.sanity.robot.mirror import SAME_PLACE_M, mirror_pairs, zero_pose
 from gauge_envs.tools.sanity.robot.mujoco_feet import joints_of
 from gauge_envs.tools.sanity.robot.robot import (
     Robot,
     couplings_of,
+    ends_of,
     grasp_kinds,
     joints_of_motors,
     misread_joints,
@@ -42,13 +45,37 @@ FAR = 2.0
 ON_ONE_LINE = 0.01
 """Distance of two parallel axes over the size of the robot up to which they are one axis."""
 
-OTHER_SIDE = {"left": "right", "right": "left"}
+SIDES = (
+    *("left", "right", "l", "r", "fl", "fr", "rl", "rr"),
+    *("hl", "hr", "bl", "br", "lf", "rf", "lh", "rh"),
+)
+"""Words of two sides, in pairs."""
+
+OTHER_SIDE = {
+    case(word): case(SIDES[place ^ 1])
+    for place, word in enumerate(SIDES)
+    for case in (str.lower, str.upper, str.title)
+}
 """Words of the sides of a robot, with those of the other side."""
 
-SIDE = re.compile("|".join(OTHER_SIDE))
+SIDE = re.compile(
+    "|".join(
+        one if len(one) > 2 else rf"(?<![A-Za-z]){one}(?![A-Za-z])"
+        for one in OTHER_SIDE
+    )
+)
+
+PARTS = (int(mujoco.mjtObj.mjOBJ_JOINT), int(mujoco.mjtObj.mjOBJ_BODY))
+"""Kinds of parts whose equalities are compared with those of the other side."""
 
 QUATERNIONS = (("body_quat", 0.35, 0.7), ("body_iquat", 0.03, 0.08))
 """Arrays of quaternions, and differences of a matrix up to which links of a family are turned alike, or unlike."""
+
+COUNTS = {"joint": "njnt", "actuator": "nu", "xbody": "nbody"}
+"""Names of the model's counts that are not those of the part, as `nsite`."""
+
+NEARLY = 0.99
+"""Cosine of half of the angle between two frames from which on they are one frame."""
 
 Wrong = tuple[str, str]
 """What is wrong, and what to change."""
@@ -96,13 +123,10 @@ def _sides(robot: Robot) -> Iterator[Wrong]:
     cosines = {joint: one[2] for one in several for joint in one[:2]}
     ends = np.column_stack([model.eq_obj1id, model.eq_obj2id]).tolist()
     for number, two in enumerate(ends):
-        kind = (
-            mujoco.mjtObj.mjOBJ_JOINT if is_joint[number] else mujoco.mjtObj.mjOBJ_BODY
-        )
-        if not is_joint[number] and int(model.eq_objtype[number]) != int(kind):
+        kind, names = ends_of(model, number)
+        if kind not in PARTS or len(names) < 2:
             continue
-        names = [mujoco.mj_id2name(model, kind, end) or "" for end in two]
-        others = [SIDE.sub(lambda found: OTHER_SIDE[found[0]], name) for name in names]
+        others = [_other_side(name) for name in names]
         imaged = [mujoco.mj_name2id(model, kind, name) for name in others]
         if min(imaged) < 0 or {*imaged} == {*two}:
             continue
@@ -121,6 +145,102 @@ def _sides(robot: Robot) -> Iterator[Wrong]:
                 yield (
                     f"the equalities of {text} and of {other} are no mirror images",
                     advice,
+                )
+
+
+def _other_side(name: str) -> str:
+    """Return the name of the same part of the other side; the name itself where it says no side."""
+    return SIDE.sub(lambda found: OTHER_SIDE[found[0]], name)
+
+
+def _excluded(robot: Robot) -> Iterator[Wrong]:
+    """Yield links that touch nothing of each other though those of the other side do, where most sides agree."""
+    model = robot.model
+    known = {model.body(body).name for body in range(model.nbody)}
+    stated = {
+        frozenset(model.body(one).name for one in (pair >> 16, pair & 0xFFFF))
+        for pair in model.exclude_signature.tolist()
+    }
+    imaged = {two: frozenset(map(_other_side, two)) for two in stated}
+    aside = [two for two in stated if imaged[two] != two and imaged[two] <= known]
+    odd = [two for two in aside if imaged[two] not in stated]
+    if odd and 2 * len(odd) <= len(aside):
+        text, other = (
+            ", ".join(sorted(" and ".join(sorted(one)) for one in several))
+            for several in (odd, [imaged[two] for two in odd])
+        )
+        yield (
+            f"contacts of {text} are excluded, and not those of {other}",
+            f"excludes of both sides that agree: {text}, {other}",
+        )
+
+
+def _sites(robot: Robot) -> Iterator[Wrong]:
+    """Yield one site of a link that is no mirror image of that of the other side, though the links are."""
+    model, data = robot.model, zero_pose(robot)
+    root = 0 if robot.standing is None else robot.standing.body
+    frame = data.xmat[root].reshape(3, 3)
+    # A link may have several joints.
+    pairs = {int(model.jnt_bodyid[one.joint]): one for one in mirror_pairs(robot)}
+    for pair in pairs.values():
+        joints = [pair.joint, pair.other]
+        several = [
+            np.flatnonzero(model.site_bodyid == body)
+            for body in model.jnt_bodyid[joints].tolist()
+        ]
+        if pair.apart_m > SAME_PLACE_M or len(several[0]) != len(several[1]):
+            continue
+        first_m, second_m = (
+            (data.site_xpos[sites] - data.xanchor[joint]) @ frame
+            for sites, joint in zip(several, joints, strict=True)
+        )
+        mirrored_m = first_m * pair.flip + pair.slide_m
+        away_m = np.linalg.norm(mirrored_m[:, None] - second_m, axis=-1)
+        places = linear_sum_assignment(away_m)
+        off_m = away_m[places]
+        if (off_m > SAME_PLACE_M).sum() == 1:
+            worst = int(off_m.argmax())
+            names = " and ".join(
+                model.site(int(sites[place[worst]])).name
+                for sites, place in zip(several, places, strict=True)
+            )
+            yield (
+                f"the sites {names} are {off_m[worst]:.3g} m away from being mirror images",
+                f"pos of {names}: which is the wrong one?",
+            )
+
+
+def _carried(robot: Robot) -> Iterator[Wrong]:
+    """Yield a limb without gravcomp beside two others or more of its palm, all of whose links have it."""
+    model, limbs = robot.model, limbs_of(robot)
+    roots = np.array([limb[-1] for limb in limbs], int)
+    palms = model.body_parentid[roots]
+    is_carried = np.array([model.body_gravcomp[limb].all() for limb in limbs], bool)
+    for palm in np.unique(palms).tolist():
+        odd = roots[(palms == palm) & ~is_carried].tolist()
+        if len(odd) == 1 and (palms == palm).sum() > FEW_COPIES:
+            name = body_name(robot, odd[0])
+            yield (
+                f"{name} has no gravcomp, or what it carries, and all limbs beside it do",
+                f"gravcomp of {name} and what it carries",
+            )
+
+
+def _turned_base(robot: Robot) -> Iterator[Wrong]:
+    """Yield free bodies that a keyframe turns, and not with their quaternion in the order x y z w."""
+    model = robot.model
+    for joint in np.flatnonzero(joints_of(model, "FREE")).tolist():
+        first = int(model.jnt_qposadr[joint]) + 3
+        stated = model.qpos0[first : first + 4]
+        for key in range(model.nkey):
+            turned = model.key_qpos[key, first : first + 4]
+            near, read = abs(turned @ stated), abs(np.roll(turned, 1) @ stated)
+            if near < 0.5 and read > NEARLY:
+                name = body_name(robot, int(model.jnt_bodyid[joint]))
+                yield (
+                    f"the keyframe {model.key(key).name or key} turns {name} unlike the model, and like it with its "
+                    "quaternion in the order x y z w",
+                    f"the quaternion of {name} in the keyframe in the order w x y z",
                 )
 
 
@@ -176,26 +296,26 @@ def _fingers(robot: Robot) -> Iterator[Wrong]:
 
 
 def _sensors(robot: Robot) -> Iterator[Wrong]:
-    """Yield sensors of joints and sites that read another one than their name says, and sites far away."""
+    """Yield sensors that read another part than their name says, and sites far away."""
     model, data = robot.model, zero_pose(robot)
-    joints = [name_of(robot, joint) for joint in range(model.njnt)]
     sites = [model.site(site).name for site in range(model.nsite)]
-    is_of_site = model.sensor_objtype == int(mujoco.mjtObj.mjOBJ_SITE)
-    is_of_joint = model.sensor_objtype == int(mujoco.mjtObj.mjOBJ_JOINT)
-    for of_type, is_site in product(np.unique(model.sensor_type).tolist(), (0, 1)):
-        is_asked = is_of_site if is_site else is_of_joint
-        is_asked = is_asked & (model.sensor_type == of_type)
-        sensors = np.flatnonzero(is_asked).tolist()
-        names = sites if is_site else joints
+    kinds = np.column_stack([model.sensor_type, model.sensor_objtype])
+    for of_type, kind in np.unique(kinds, axis=0).tolist():
+        what = mujoco.mjtObj(kind).name.removeprefix("mjOBJ_").lower()
+        count = getattr(model, COUNTS.get(what, f"n{what}"), 0)
+        names = [mujoco.mj_id2name(model, kind, one) or "" for one in range(count)]
+        sensors = np.flatnonzero((kinds == (of_type, kind)).all(axis=1)).tolist()
+        if not count:
+            continue
         said = [model.sensor(sensor).name for sensor in sensors]
         read = [names[model.sensor_objid[sensor]] for sensor in sensors]
         for place, meant in misread_joints(said, read, names).items():
-            # Sites have names of many kinds: only one that two sensors of a type read was copied.
-            if is_site and read.count(read[place]) < 2:
+            # Only joints and motors have names of one kind; of others, one that two sensors of a type read was copied.
+            if what not in ("joint", "actuator") and read.count(read[place]) < 2:
                 continue
             yield (
                 f"sensor {said[place]} reads {read[place]}",
-                f"{'site' if is_site else 'joint'} {meant} for the sensor {said[place]}",
+                f"{what} {meant} for the sensor {said[place]}",
             )
     for site in np.flatnonzero(np.isin(model.site_bodyid, robot.bodies)).tolist():
         away_m = np.linalg.norm(
@@ -368,6 +488,10 @@ def _objects(robot: Robot) -> Iterator[Wrong]:
 CHECKS: tuple[Callable[[Robot], Iterator[Wrong]], ...] = (
     _objects,
     _sides,
+    _excluded,
+    _sites,
+    _carried,
+    _turned_base,
     _tendons,
     _left_out,
     _fingers,
