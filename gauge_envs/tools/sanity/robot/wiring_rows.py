@@ -119,8 +119,8 @@ def _left_out(robot: Robot) -> Iterator[Wrong]:
 def _sides(robot: Robot) -> Iterator[Wrong]:
     """Yield couplings and loops that the other side has not, or has with another ratio."""
     model, is_joint = robot.model, couplings_of(robot.model)
-    several = [(one.joint, one.other, one.cosine) for one in mirror_pairs(robot)]
-    cosines = {joint: one[2] for one in several for joint in one[:2]}
+    pairs = mirror_pairs(robot)
+    signs = {frozenset((o.joint, o.other)): np.sign(o.cosine) for o in pairs}
     ends = np.column_stack([model.eq_obj1id, model.eq_obj2id]).tolist()
     for number, two in enumerate(ends):
         kind, names = ends_of(model, number)
@@ -131,15 +131,23 @@ def _sides(robot: Robot) -> Iterator[Wrong]:
         if min(imaged) < 0 or {*imaged} == {*two}:
             continue
         text, other = " and ".join(names), " and ".join(others)
-        if imaged not in ends and imaged[::-1] not in ends:
+        is_joined = np.isin(imaged, ends).all()
+        if imaged not in ends and imaged[::-1] not in ends and not is_joined:
             yield (
                 f"an equality joins {text}, and none {other}",
                 f"the same equality for {other}",
             )
         elif imaged in ends[number:]:
             both = [number, ends.index(imaged)]
-            sign = np.sign([cosines.get(end, 1.0) for end in two]).prod()
-            first, second = model.eq_data[both, 1] * [1.0, sign]
+            # A part in the middle, or a name that says another image, tells no sign.
+            sign = np.prod(
+                [signs.get(frozenset(e), 0.0) for e in zip(two, imaged, strict=True)]
+            )
+            first, second = model.eq_data[both, 1]
+            if sign == 0.0:
+                first, second = abs(first), abs(second)
+            else:
+                second *= sign
             if is_joint[number] and not np.isclose(first, second, rtol=SAME):
                 advice = f"polycoef of {text} and of {other}: which is the wrong one?"
                 yield (
