@@ -21,10 +21,11 @@ def speed_fault(
         velocities: Their velocities [m/s], shape [body_count, 3].
         limit_m_per_s: Largest component of a velocity [m/s].
     """
-    speeds = np.abs(velocities).max(axis=1)
-    # A comparison with NaN is false.
-    if (speeds <= limit_m_per_s).all():
+    sizes = np.abs(velocities)
+    # A comparison with NaN is false. Counting is five times faster than `all` on so few.
+    if np.count_nonzero(sizes <= limit_m_per_s) == sizes.size:
         return None
+    speeds = sizes.max(axis=1)
     if not np.isfinite(speeds).all():
         return "the state is not finite"
     fastest = int(speeds.argmax())
@@ -52,8 +53,7 @@ class RigidBounds:
         """
         velocity = states[:, 7:10]
         energy_j = 0.5 * float(np.vdot(velocity, self._masses * velocity))
-        # A comparison with NaN is false, so that each bound also catches what is not a number. Counting is five times
-        # faster than `all` on so few.
+        # A comparison with NaN is false, so that each bound also catches what is not a number.
         within = np.count_nonzero(np.abs(states) <= self._limits) == states.size
         if within and energy_j <= self._energy_j:
             return None

@@ -124,7 +124,7 @@ class DriverPath:
         coordinates, recorded_rates = self._recorded
         states = self._driver.moved(
             self._starts,
-            self.interval_s * np.arange(rows.start, rows.stop),
+            self.interval_s * np.arange(rows.start, rows.stop, dtype=np.float64),
             coordinates[rows] + offsets,
             recorded_rates[rows] + rates,
         )

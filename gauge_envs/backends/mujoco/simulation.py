@@ -263,7 +263,7 @@ class SimulationMuJoCo(Simulation):
 
     def fault(self) -> str | None:
         """Return why MuJoCo put the state back to its start since the last reset, or None; see `World.fault`."""
-        counts = self._warning_counts
+        counts = self._warning_counts.tolist()
         for warning, quantity in BAD_STATES.items():
             if counts[warning]:
                 return f"MuJoCo found a {quantity} that is huge or not finite, and put the state back to its start"

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from operator import add, sub
 from typing import ClassVar
 
 import numpy as np
@@ -103,7 +104,7 @@ class FrictionLimit(ControlEnv):
     )
     _at_time_limit = Ending.HELD
     _pose: Pose
-    _velocity: FloatArray
+    _velocity: list[float]
     _corners_on_carrier: FloatArray
 
     def _scene(self, stated: Scene) -> Scene:
@@ -121,6 +122,8 @@ class FrictionLimit(ControlEnv):
         self._start = scene.body(driver.body).pose
         self._carrier = driver.body
         self._axis = np.asarray(motion.axis)
+        self._axis_parts = [*motion.axis]
+        self._point_parts_m = motion.point_m
         self._point_m = np.asarray(motion.point_m)
         self._place = _Turned(
             self._axis, np.asarray(self._start.position_m) - self._point_m
@@ -154,27 +157,22 @@ class FrictionLimit(ControlEnv):
         self._angle += (self._rate + 0.5 * self._acceleration * step) * step
         self._rate += self._acceleration * step
         pose = self._carrier_pose()
-        # A uniform acceleration that ends exactly at the pose.
-        moved = [
-            *(
-                after_m - before_m
-                for after_m, before_m in zip(
-                    pose.position_m, self._pose.position_m, strict=True
-                )
-            ),
-            *(self._angle - before) * self._axis,
+        # A uniform acceleration that ends exactly at the pose. Numbers of Python are faster than arrays of so few.
+        moved = list(map(sub, pose.position_m, self._pose.position_m))
+        moved += [(self._angle - before) * along for along in self._axis_parts]
+        acceleration = [
+            2.0 / step * (change / step - speed)
+            for change, speed in zip(moved, self._velocity, strict=True)
         ]
-        mean = np.array(moved) / step
         self.world.drive(
             self._carrier,
             self._pose,
-            self._velocity,
-            2.0 / step * (mean - self._velocity),
+            np.array(self._velocity),
+            np.array(acceleration),
         )
         self._pose = pose
-        self._velocity = self._rate * np.array(
-            [*self._place.rate(self._angle), *self._axis]
-        )
+        arm_rates = self._place.rate(self._angle)
+        self._velocity = [self._rate * one for one in arm_rates + self._axis_parts]
 
     def _carrier_pose(self) -> Pose:
         """Return the pose of the carrier at its angle."""
@@ -183,20 +181,14 @@ class FrictionLimit(ControlEnv):
             cosine * start + sine * half_turned
             for start, half_turned in self._quaternions
         )
-        x_m, y_m, z_m = (
-            point_m + arm_m
-            for point_m, arm_m in zip(
-                self._point_m.tolist(), self._place.at(self._angle), strict=True
-            )
-        )
+        x_m, y_m, z_m = map(add, self._point_parts_m, self._place.at(self._angle))
         return Pose(position_m=(x_m, y_m, z_m), quaternion=(w, x, y, z))
 
     def _friction_used(self) -> float:
         """Return the friction used: tangential over normal part of the force that carries the cube."""
         arm_m = (self.world.body_states((CUBE,))[0, :3] - self._point_m).tolist()
-        axis = self._axis.tolist()
-        around_m = _cross(axis, arm_m)
-        inward_m = _cross(axis, around_m)
+        around_m = _cross(self._axis_parts, arm_m)
+        inward_m = _cross(self._axis_parts, around_m)
         # In m/s^2, as of a unit of mass: the acceleration of the carrier minus that of gravity.
         force = [
             self._acceleration * along + self._rate**2 * inward
@@ -233,7 +225,7 @@ class FrictionLimit(ControlEnv):
     def _begin(self) -> None:
         self._angle = self._rate = 0.0
         self._pose = self._start
-        self._velocity = np.zeros(6)
+        self._velocity = [0.0] * 6
         self._used: list[float] = []
         self._used_in_frame: list[float] = []
         self._used_now = 0.0

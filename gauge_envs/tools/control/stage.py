@@ -2,13 +2,14 @@
 
 import math
 from dataclasses import replace
+from operator import add, mul
 
 import numpy as np
 
 from gauge_envs.backends.world import World
 from gauge_envs.scene import Box, Contact, Motion, Pose, RigidBody, Scene
 from gauge_envs.scene.drivers import Driver, DriverMotion
-from gauge_envs.scene.geometry import FloatArray, Vector, vector
+from gauge_envs.scene.geometry import FloatArray, Vector
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S
 
 X_AXIS, Y_AXIS, Z_AXIS = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
@@ -98,18 +99,18 @@ class Stage:
             [motion.residual_rate for motion in driver.motions]
         )
         self._start, self._stroke_m = start, stroke_m
-        self._axes = np.array([motion.axis for motion in driver.motions])
+        self._limits = list(
+            zip(self.largest_speed_m_per_s.tolist(), stroke_m.tolist(), strict=True)
+        )
+        # Components along x, y and z of all axes.
+        self._columns = [*zip(*(motion.axis for motion in driver.motions), strict=True)]
         self.begin()
 
     def begin(self) -> None:
         """Bring the body back to its start, at rest."""
-        self.offset_m = np.zeros(len(self.driver.motions))
-        self.rate_m_per_s = np.zeros(len(self.driver.motions))
-        self._pose, self._moved_m, self._velocity = (
-            self._start,
-            np.zeros(3),
-            np.zeros(6),
-        )
+        self.offset_m = self.rate_m_per_s = np.zeros(len(self._limits))
+        self._pose = self._start
+        self._moved_m = self._velocity = [0.0, 0.0, 0.0]
 
     def reach_m(self, duration_s: float) -> FloatArray:
         """Return the largest displacement along each axis in some time [m], shape [axis_count]."""
@@ -117,27 +118,44 @@ class Stage:
 
     def drive(self, world: World, acceleration_m_per_s2: FloatArray) -> None:
         """Drive the body for the next 1/180 s with a uniform acceleration along the axes, shape [axis_count]."""
+        # Numbers of Python are faster than arrays of so few.
         step = SAMPLE_INTERVAL_S
-        fastest = self.largest_speed_m_per_s
-        rate = self.rate_m_per_s + acceleration_m_per_s2 * step
-        # On so few numbers these are faster than `np.clip`.
-        rate = np.minimum(np.maximum(rate, -fastest), fastest)
-        wanted = self.offset_m + 0.5 * (self.rate_m_per_s + rate) * step
-        self.offset_m = np.minimum(np.maximum(wanted, -self._stroke_m), self._stroke_m)
-        self.rate_m_per_s = np.where(self.offset_m == wanted, rate, 0.0)
-        moved_m = self.offset_m @ self._axes
+        offsets, rates = [], []
+        for offset_m, rate, acceleration, (fastest, stroke_m) in zip(
+            self.offset_m.tolist(),
+            self.rate_m_per_s.tolist(),
+            acceleration_m_per_s2.tolist(),
+            self._limits,
+            strict=True,
+        ):
+            wanted_rate = min(max(rate + acceleration * step, -fastest), fastest)
+            wanted_m = offset_m + 0.5 * (rate + wanted_rate) * step
+            reached_m = min(max(wanted_m, -stroke_m), stroke_m)
+            offsets.append(reached_m)
+            rates.append(wanted_rate if reached_m == wanted_m else 0.0)
+        moved_m, velocity = self._along_axes(offsets), self._along_axes(rates)
         # A uniform acceleration that ends exactly at the pose.
-        acceleration = -2.0 / step * self._velocity
-        acceleration[:3] += 2.0 / step**2 * (moved_m - self._moved_m)
-        world.drive(self.driver.body, self._pose, self._velocity, acceleration)
-        self._moved_m, self._velocity = (
-            moved_m,
-            np.concatenate([self.rate_m_per_s @ self._axes, np.zeros(3)]),
+        linear = [
+            2.0 / step**2 * (after_m - before_m) - 2.0 / step * speed
+            for after_m, before_m, speed in zip(
+                moved_m, self._moved_m, self._velocity, strict=True
+            )
+        ]
+        still = [0.0, 0.0, 0.0]
+        world.drive(
+            self.driver.body,
+            self._pose,
+            np.array(self._velocity + still),
+            np.array(linear + still),
         )
-        self._pose = Pose(
-            position_m=vector(self._start.position_m + moved_m),
-            quaternion=self._start.quaternion,
-        )
+        self.offset_m, self.rate_m_per_s = np.array(offsets), np.array(rates)
+        self._moved_m, self._velocity = moved_m, velocity
+        x_m, y_m, z_m = map(add, self._start.position_m, moved_m)
+        self._pose = Pose(position_m=(x_m, y_m, z_m), quaternion=self._start.quaternion)
+
+    def _along_axes(self, values: list[float]) -> list[float]:
+        """Return the vector with some components along the axes, three numbers."""
+        return [sum(map(mul, values, column)) for column in self._columns]
 
 
 def acceleration_to_rest(
