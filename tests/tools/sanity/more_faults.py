@@ -553,6 +553,11 @@ FURTHER = planted(
             'qpos="0 -.5 1.2',
             'qpos="0 -.5 4.2',
         ),
+        "quadruped, friction in another order": (
+            "robot-torsion",
+            'friction="0.8 0.005 0.0001"',
+            'friction="0.0001 0.8 0.005"',
+        ),
         "biped, a keyframe turned in the order x y z w": (
             "robot-wiring",
             'qpos="0 0 .7287 1 0 0 0',

@@ -157,9 +157,10 @@ RICH = re.sub(
     [
         ('ctrlrange="-1 1"', 'ctrlrange="-2 2"', True),
         ("<contact>.*</contact>", "", True),
+        (' joint="', ' gear="6.33" joint="', True),
         ('(_knee" ctrlrange="-1 1" kp=)"80"', r'\1"40"', False),
     ],
-    ids=["commands of all knees", "all excludes", "gains of all knees"],
+    ids=["commands of all knees", "all excludes", "all gears", "gains of all knees"],
 )
 def test_what_all_parts_of_a_kind_share_is_a_choice_or_not(old, new, is_flag):
     assert row(RICH).configured == 0.0

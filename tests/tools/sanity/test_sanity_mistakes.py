@@ -420,7 +420,7 @@ ON_PURPOSE = [
     ),
     ("robot-torque", beside(PICTURE), beside(re.sub(r'con.*"0"', "", PICTURE))),
     ("robot-sides", ranged(), ranged("-1 1")),
-    ("robot-wiring", with_soles(), with_soles(right_m=0.02)),
+    ("robot-sides", with_soles(), with_soles(right_m=0.02)),
     (
         "robot-wiring",
         with_excludes(*LEGS, "right_thigh right_foot"),

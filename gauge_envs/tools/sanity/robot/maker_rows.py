@@ -427,6 +427,9 @@ def compared(known: Numbers, versions: Sequence[Published]) -> Compared:
     names = {one.quantity for one in off}
     is_rest_equal = equal_count(known, versions[0]) + len(every) >= SAME_FILE * total
     is_lost = names <= LOST and not any(one.value for one in off)
+    if "motor-gear" in names:
+        # All else of a motor goes by its gear.
+        names -= {*OF_MOTORS} - {"motor-gear", "control-range"}
     if is_rest_equal and (is_lost or any(names <= {*group} for group in ALONE)):
         mistakes += [one for one in choices if one.quantity in names]
         choices = [one for one in choices if one.quantity not in names]

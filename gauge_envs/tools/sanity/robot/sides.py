@@ -53,6 +53,15 @@ DIRECTION = "direction of command"
 POSE = "place in the keyframe"
 """What two joints differ in that the keyframe does not place as mirror images: visible, as it can be on purpose."""
 
+SITES = "sites"
+"""What two links differ in of whose sites one alone is no mirror image: visible."""
+
+TEXTS = {
+    SITES: "not mirror images",
+    OWN_RANGE: "both have the same commands or limits, and all other servos have those of the limits of their joint",
+}
+"""What is said of a difference instead of its numbers."""
+
 SHAPES = "shapes that touch"
 """Difference of two sides in the boxes around their shapes that touch."""
 
@@ -145,10 +154,8 @@ def _sides(robot: Robot) -> Finding:
         parts[name] = difference
         if quantity == DIRECTION:
             texts[name] = f"not as in {_other_pairs(robot, joint)}"
-        elif quantity == OWN_RANGE:
-            texts[name] = (
-                "both have the same commands or limits, and all other servos have those of the limits of their joint"
-            )
+        elif quantity in TEXTS:
+            texts[name] = TEXTS[quantity]
         elif quantity in known:
             values = known[quantity][_places(robot, quantity)[[joint, other]]]
             texts[name] = " and ".join(f"{value:.3g}" for value in values)
@@ -314,11 +321,11 @@ def _shares(robot: Robot, pair: MirrorPair) -> Iterator[tuple[str, float]]:
 def _images(
     robot: Robot, pair: MirrorPair, size_m: float
 ) -> Iterator[tuple[str, float]]:
-    """Yield how the inertia, shapes that touch, and places in the keyframe, of two joints are no mirror images."""
+    """Yield how the inertia, shapes that touch, sites and keyframe places of two joints are no mirror images."""
     model, data = robot.model, zero_pose(robot)
     root = 0 if robot.standing is None else robot.standing.body
     frame, touching = data.xmat[root].reshape(3, 3), np.unique(robot.pairs.geoms)
-    boxes_m, tensors = [], []
+    boxes_m, tensors, sites_m = [], [], []
     for joint, flip, slide_m in (
         (pair.joint, pair.flip, pair.slide_m),
         (pair.other, np.ones(3), np.zeros(3)),
@@ -327,6 +334,8 @@ def _images(
         axes = frame.T @ data.ximat[body].reshape(3, 3) * flip[:, None]
         inertia = model.body_inertia[body]
         tensors.append((axes * inertia) @ axes.T / max(inertia.sum(), 1e-12))
+        places_m = data.site_xpos[model.site_bodyid == body] - data.xanchor[joint]
+        sites_m.append(places_m @ frame * flip + slide_m)
         geoms = [geom for geom in geoms_of(robot, body) if geom in touching]
         corners_m = box_corners(model, geoms) @ data.xmat[body].reshape(3, 3).T
         corners_m = (corners_m + data.xpos[body] - data.xanchor[joint]) @ frame * flip
@@ -338,6 +347,10 @@ def _images(
         if robot.standing and body in robot.standing.feet:
             size_m = FOOT_SHARE * float(np.ptp(first_m, axis=0).max())
         yield SHAPES, float(np.abs(first_m - second_m).max()) / size_m
+    first_m, second_m = sites_m
+    if len(first_m) == len(second_m) > 0:
+        away_m = np.linalg.norm(first_m[:, None] - second_m, axis=-1).min(axis=1)
+        yield SITES, VISIBLE * ((away_m > SAME_PLACE_M).sum() == 1)
     yield INERTIA_AXES, float(np.abs(tensors[0] - tensors[1]).max())
     places = model.jnt_qposadr[[pair.joint, pair.other]]
     # Of turned copies, as two arms, each has a pose of its own.

@@ -33,6 +33,7 @@ from gauge_envs.tools.sanity.robot.legs import wrong_knees
 from gauge_envs.tools.sanity.robot.mass_rows import SIGNS, box_corners, size_m
 from gauge_envs.tools.sanity.robot.mujoco_feet import (
     first_moving_body,
+    geom_name,
     joints_of,
     support_m,
 )
@@ -61,6 +62,9 @@ LEAST_STEPS, BOUNCING = 0.5, 0.2
 
 LEAST_TIP_M = 0.0025
 """Size below which a geom is a point of a larger pad; MuJoCo's default torsional friction of 5 mm fits it [m]."""
+
+MOST_TORSION_M = 0.1
+"""Torsional or rolling friction from which on, beyond the sliding one, the three are in another order [m]."""
 
 LYING_DEG = 90.0
 """Lean of a robot that lies [degrees]; what a knee that bends the wrong way counts."""
@@ -179,6 +183,20 @@ def _medium(robot: Robot) -> Finding:
 @row("robot-torsion")
 def _torsion(robot: Robot) -> Finding:
     model, pairs = robot.model, robot.pairs
+    _, largest = limits_of("robot-torsion")
+    friction = model.geom_friction
+    is_turned = friction[:, 1:].max(axis=1) > np.maximum(friction[:, 0], MOST_TORSION_M)
+    is_own = np.isin(model.geom_bodyid, robot.bodies)
+    touching = np.isin(np.arange(model.ngeom), pairs.geoms)
+    turned = np.flatnonzero(is_turned & is_own & touching).tolist()
+    if turned:
+        names = [geom_name(model, geom) for geom in turned]
+        return Finding(
+            value=2.0 * largest,
+            parts=dict.fromkeys(names, 2.0 * largest),
+            remark=f"{names[0]}: friction {_numbers(friction[turned[0]])}, as in another order",
+            advice=f"friction (sliding, torsional, rolling) of {', '.join(names[:3])}",
+        )
     rows = robot.foot_rows
     if not rows:
         tips = {geom for body in fingers(robot) for geom in geoms_of(robot, body)}
@@ -186,7 +204,6 @@ def _torsion(robot: Robot) -> Finding:
         rows = np.flatnonzero(touching).tolist()
     if not rows:
         return Finding(declined="no foot and no finger of the robot can touch")
-    _, largest = limits_of("robot-torsion")
     levers: dict[str, float] = {}
     changes: dict[str, FloatArray] = {}
     worst, found = -1.0, Finding()

@@ -7,7 +7,6 @@ from itertools import combinations
 
 import mujoco
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.robot.copies import FEW_COPIES, SAME, copies_of
@@ -22,7 +21,7 @@ from gauge_envs.tools.sanity.robot.ground_rows import limbs_of
 from gauge_envs.tools.sanity.robot.joints import driven_dofs, home_key, springs
 from gauge_envs.tools.sanity.robot.maker_rows import families
 from gauge_envs.tools.sanity.robot.mass_rows import size_m
-from gauge_envs.tools.sanity.robot.mirror import SAME_PLACE_M, mirror_pairs, zero_pose
+from gauge_envs.tools.sanity.robot.mirror import mirror_pairs, zero_pose
 from gauge_envs.tools.sanity.robot.mujoco_feet import joints_of
 from gauge_envs.tools.sanity.robot.robot import (
     Robot,
@@ -181,41 +180,6 @@ def _excluded(robot: Robot) -> Iterator[Wrong]:
             f"contacts of {text} are excluded, and not those of {other}",
             f"excludes of both sides that agree: {text}, {other}",
         )
-
-
-def _sites(robot: Robot) -> Iterator[Wrong]:
-    """Yield one site of a link that is no mirror image of that of the other side, though the links are."""
-    model, data = robot.model, zero_pose(robot)
-    root = 0 if robot.standing is None else robot.standing.body
-    frame = data.xmat[root].reshape(3, 3)
-    # A link may have several joints.
-    pairs = {int(model.jnt_bodyid[one.joint]): one for one in mirror_pairs(robot)}
-    for pair in pairs.values():
-        joints = [pair.joint, pair.other]
-        several = [
-            np.flatnonzero(model.site_bodyid == body)
-            for body in model.jnt_bodyid[joints].tolist()
-        ]
-        if pair.apart_m > SAME_PLACE_M or len(several[0]) != len(several[1]):
-            continue
-        first_m, second_m = (
-            (data.site_xpos[sites] - data.xanchor[joint]) @ frame
-            for sites, joint in zip(several, joints, strict=True)
-        )
-        mirrored_m = first_m * pair.flip + pair.slide_m
-        away_m = np.linalg.norm(mirrored_m[:, None] - second_m, axis=-1)
-        places = linear_sum_assignment(away_m)
-        off_m = away_m[places]
-        if (off_m > SAME_PLACE_M).sum() == 1:
-            worst = int(off_m.argmax())
-            names = " and ".join(
-                model.site(int(sites[place[worst]])).name
-                for sites, place in zip(several, places, strict=True)
-            )
-            yield (
-                f"the sites {names} are {off_m[worst]:.3g} m away from being mirror images",
-                f"pos of {names}: which is the wrong one?",
-            )
 
 
 def _carried(robot: Robot) -> Iterator[Wrong]:
@@ -497,7 +461,6 @@ CHECKS: tuple[Callable[[Robot], Iterator[Wrong]], ...] = (
     _objects,
     _sides,
     _excluded,
-    _sites,
     _carried,
     _turned_base,
     _tendons,
