@@ -19,7 +19,6 @@ from gauge_envs.tools.sanity.robot.joints import placed_bodies, servos, speed_se
 from gauge_envs.tools.sanity.robot.robot import (
     Robot,
     acts_on_joints,
-    names_say_joints,
     swapped_motors,
     tendon_joints,
 )
@@ -52,11 +51,12 @@ def _command(robot: Robot) -> Finding:
     for actuator in _tendon_servos(robot):
         name = model.actuator(actuator).name or f"actuator {actuator}"
         found[name] = _pulled(robot, actuator, name)
-    for motor, joint in swapped_motors(model).items():
+    swapped, is_named = swapped_motors(model)
+    for motor, joint in swapped.items():
         name = model.actuator(motor).name
         found[name] = Finding(
             # Another order than that of the joints can be on purpose.
-            value=0.0 if names_say_joints(model) else MAYBE_SHARE,
+            value=0.0 if is_named else MAYBE_SHARE,
             remark=f"{name} turns {name_of(robot, int(joints[motor]))}",
             advice=f"joint {name_of(robot, joint)} for {name}",
         )

@@ -27,6 +27,7 @@ from gauge_envs.tools.sanity.robot.mujoco_feet import (
 )
 from gauge_envs.tools.sanity.robot.robot import (
     Robot,
+    ancestors,
     disable_bit,
     enabling,
     grasp_kinds,
@@ -413,13 +414,8 @@ def _overlap(robot: Robot) -> Finding:
 
 def _apart(robot: Robot, pair: tuple[int, int], names: str) -> str:
     """Return what keeps two parts apart: what places the links of the chain between them, or their pair."""
-    model, bodies = robot.model, []
-    for body in pair:
-        chain = [body]
-        while chain[-1]:
-            chain.append(int(model.body_parentid[chain[-1]]))
-        bodies.append(chain)
-    between = sorted({*bodies[0]} ^ {*bodies[1]})
+    first, second = (ancestors(robot.model, body) for body in pair)
+    between = sorted(first ^ second)
     advice = f"exclude the pair {names}, make its geoms smaller, or state a keyframe with them apart"
     if len(between) > MOST_BETWEEN:
         return advice

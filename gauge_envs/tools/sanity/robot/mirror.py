@@ -19,6 +19,7 @@ from gauge_envs.tools.sanity.robot.joints import (
 from gauge_envs.tools.sanity.robot.mujoco_feet import joints_of
 from gauge_envs.tools.sanity.robot.robot import (
     Robot,
+    ancestors,
     couplings_of,
     once,
 )
@@ -130,6 +131,7 @@ def mirror_pairs(robot: Robot) -> list[MirrorPair]:
     axes = data.xaxis[joints] @ frame
     centres_m = (data.xipos[bodies] - data.xanchor[joints]) @ frame
     depths = np.array([depth_of(model, int(joint)) for joint in joints])
+    lines = [ancestors(model, body) for body in bodies.tolist()]
     is_aside = np.abs(anchors_m) > SAME_PLACE_M
     couplings = couplings_of(model)
     ends = (model.eq_obj1id[couplings], model.eq_obj2id[couplings])
@@ -181,7 +183,7 @@ def mirror_pairs(robot: Robot) -> list[MirrorPair]:
             and is_aside[[one, other], across].all()
             and not (
                 anchors_m[one, across] * anchors_m[other, across] > 0.0
-                and is_origin_aside[_meeting_body(model, *bodies[[one, other]])]
+                and is_origin_aside[max(lines[one] & lines[other], default=0)]
             )
             and frozenset(joints[[one, other]].tolist()) not in coupled
             and (
@@ -255,15 +257,6 @@ def _is_turned(data: mujoco.MjData, one: int, other: int) -> bool:
     frames = data.xmat[[one, other]].reshape(2, 3, 3)
     cosine = 0.5 * (float(np.trace(frames[0].T @ frames[1])) - 1.0)
     return abs(cosine) <= ALONG
-
-
-def _meeting_body(model: mujoco.MjModel, one: int, other: int) -> int:
-    """Return the body nearest to two bodies that carries both."""
-    while one != other:
-        # A body comes after its parent.
-        one, other = sorted((one, other))
-        other = int(model.body_parentid[other])
-    return one
 
 
 @once

@@ -512,7 +512,7 @@ def loop_joints(model: mujoco.MjModel, joint: int) -> list[int]:
         ends = [int(model.eq_obj1id[one]), int(model.eq_obj2id[one])]
         if of_sites[one]:
             ends = model.site_bodyid[ends].tolist()
-        bodies = _ancestors(model, ends[0]) ^ _ancestors(model, ends[1])
+        bodies = ancestors(model, ends[0]) ^ ancestors(model, ends[1])
         chains.append(
             {*np.flatnonzero(np.isin(model.jnt_bodyid, list(bodies))).tolist()}
         )
@@ -525,7 +525,7 @@ def loop_joints(model: mujoco.MjModel, joint: int) -> list[int]:
     return sorted(found)
 
 
-def _ancestors(model: mujoco.MjModel, body: int) -> set[int]:
+def ancestors(model: mujoco.MjModel, body: int) -> set[int]:
     """Return a body and all that carry it, but the world."""
     found = set()
     while body > 0:
@@ -534,38 +534,33 @@ def _ancestors(model: mujoco.MjModel, body: int) -> set[int]:
     return found
 
 
-def swapped_motors(model: mujoco.MjModel) -> dict[int, int]:
-    """Return the joint on which a motor should act, by the motor, where it acts on another one.
+def swapped_motors(model: mujoco.MjModel) -> tuple[dict[int, int], bool]:
+    """Return the joint on which a motor should act, by the motor, where it acts on another one, and how it is known.
 
     Names fit by the share of their words. Where they say no joints, the order says them: makers list motors in that of
     the joints, so that two alone out of order are swapped.
+
+    Returns:
+        The joints, and whether the names of all motors say of which joint each is.
     """
     motors = np.flatnonzero(acts_on_joints(model)).tolist()
     joints = model.actuator_trnid[motors, 0].tolist()
     said = [model.actuator(motor).name for motor in motors]
     known = [model.joint(joint).name for joint in joints]
-    best = _fitting(said, known)
-    if best is None:
-        best = np.argsort(joints)
+    named = _fitting(said, known)
+    best = np.argsort(joints) if named is None else named
+    moved = _moved(best)
+    if named is None:
         # A joint with two motors has two places in the order.
         is_shared = len(joints) > len(set(joints))
-        out_of_order = int((best != np.arange(len(joints))).sum())
-        if len(joints) < FEW_MOTORS or is_shared or out_of_order != 2:
-            return {}
+        if len(joints) < FEW_MOTORS or is_shared or len(moved) != 2:
+            return {}, False
         words, of_joints = _distinct(said), _distinct(known)
-        for place, to in _moved(best).items():
+        for place, to in moved.items():
             here, there = (words[place] & of_joints[at] for at in (place, to))
             if len(here) > len(there):
-                return {}
-    return {motors[place]: joints[to] for place, to in _moved(best).items()}
-
-
-def names_say_joints(model: mujoco.MjModel) -> bool:
-    """Return whether the names of all motors on joints say of which joint each is."""
-    motors = np.flatnonzero(acts_on_joints(model)).tolist()
-    joints = model.actuator_trnid[motors, 0].tolist()
-    said = [model.actuator(motor).name for motor in motors]
-    return _fitting(said, [model.joint(joint).name for joint in joints]) is not None
+                return {}, False
+    return {motors[place]: joints[to] for place, to in moved.items()}, named is not None
 
 
 def misread_joints(

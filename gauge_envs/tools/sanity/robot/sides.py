@@ -58,6 +58,7 @@ SITES = "sites"
 
 TEXTS = {
     SITES: "not mirror images",
+    DIRECTION: "unlike in all other pairs of joints about this axis",
     OWN_RANGE: "both have the same commands or limits, and all other servos have those of the limits of their joint",
 }
 """What is said of a difference instead of its numbers."""
@@ -105,17 +106,18 @@ def _mirror(robot: Robot) -> Finding:
         return Finding(declined="no two driven hinges with limits mirror each other")
     name = max(parts, key=parts.__getitem__)
     worst = pairs[list(parts).index(name)]
+    both = _both(robot, worst.joint, worst.other, "or")
     return Finding(
         value=parts[name],
         parts=parts,
         remark=_ranges_text(robot, worst),
-        advice=f"the axis and range of {_both(robot, worst)}: which way does the real one bend?",
+        advice=f"the axis and range of {both}: which way does the real one bend?",
     )
 
 
-def _both(robot: Robot, pair: MirrorPair) -> str:
-    """Return the names of two joints of which the model does not say which is wrong."""
-    return f"{name_of(robot, pair.joint)} or {name_of(robot, pair.other)}"
+def _both(robot: Robot, joint: int, other: int, word: str = "and") -> str:
+    """Return the names of two joints."""
+    return f"{name_of(robot, joint)} {word} {name_of(robot, other)}"
 
 
 def _ranges_text(robot: Robot, pair: MirrorPair) -> str:
@@ -143,18 +145,16 @@ def _sides(robot: Robot) -> Finding:
     high = limits_of("robot-sides")[1]
     # Links that are mirror images in place, axis and centre of mass should have one mass, and like motors.
     proven = {
-        f"{quantity} of {name_of(robot, one.joint)} and {name_of(robot, one.other)}"
+        f"{quantity} of {_both(robot, one.joint, one.other)}"
         for one, shares in several
         if all(shares[quantity] <= high for quantity in OF_GEOMETRY)
         for quantity in PROVEN
     }
     odd = (*odd_copies(robot), *odd_servos(robot), *odd_gains(robot))
     for joint, other, quantity, difference in (*mirrored, *odd):
-        name = f"{quantity} of {name_of(robot, joint)} and {name_of(robot, other)}"
+        name = f"{quantity} of {_both(robot, joint, other)}"
         parts[name] = difference
-        if quantity == DIRECTION:
-            texts[name] = f"not as in {_other_pairs(robot, joint)}"
-        elif quantity in TEXTS:
+        if quantity in TEXTS:
             texts[name] = TEXTS[quantity]
         elif quantity in known:
             values = known[quantity][_places(robot, quantity)[[joint, other]]]
@@ -173,9 +173,10 @@ def _sides(robot: Robot) -> Finding:
             f"the ctrlrange of {name}, or its range: which is that of the real joint?"
         )
     if worst.startswith(OF_GEOMETRY) and (pair := _first_misplaced(robot)):
-        both = f"{name_of(robot, pair.joint)} and {name_of(robot, pair.other)}"
-        several = [f"{quantity} of {both}" for quantity in OF_GEOMETRY]
-        worst = max(several, key=parts.__getitem__)
+        both = _both(robot, pair.joint, pair.other)
+        worst = max(
+            (f"{quantity} of {both}" for quantity in OF_GEOMETRY), key=parts.__getitem__
+        )
         links = " and ".join(
             body_name(robot, int(robot.model.jnt_bodyid[joint]))
             for joint in (pair.joint, pair.other)
@@ -197,21 +198,6 @@ def _sides(robot: Robot) -> Finding:
         advice=advice,
         is_usual=worst not in proven,
     )
-
-
-def _other_pairs(robot: Robot, joint: int) -> str:
-    """Return the names of the first pairs of joints about the same axis as a joint."""
-    pairs = mirror_pairs(robot)
-    along = next(one.along for one in pairs if joint in (one.joint, one.other))
-    others = [
-        one
-        for one in pairs
-        if one.along == along and joint not in (one.joint, one.other)
-    ]
-    names = [
-        f"{name_of(robot, one.joint)} and {name_of(robot, one.other)}" for one in others
-    ]
-    return ", ".join(names[:3])
 
 
 def _first_misplaced(robot: Robot) -> MirrorPair | None:

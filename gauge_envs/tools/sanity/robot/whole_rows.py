@@ -186,16 +186,15 @@ def _torsion(robot: Robot) -> Finding:
     _, largest = limits_of("robot-torsion")
     friction = model.geom_friction
     is_turned = friction[:, 1:].max(axis=1) > np.maximum(friction[:, 0], MOST_TORSION_M)
-    is_own = np.isin(model.geom_bodyid, robot.bodies)
-    touching = np.isin(np.arange(model.ngeom), pairs.geoms)
-    turned = np.flatnonzero(is_turned & is_own & touching).tolist()
+    is_turned &= np.isin(model.geom_bodyid, robot.bodies)
+    turned = [g for g in np.unique(pairs.geoms).tolist() if is_turned[g]]
     if turned:
-        names = [geom_name(model, geom) for geom in turned]
+        several = [geom_name(model, geom) for geom in turned]
         return Finding(
             value=2.0 * largest,
-            parts=dict.fromkeys(names, 2.0 * largest),
-            remark=f"{names[0]}: friction {_numbers(friction[turned[0]])}, as in another order",
-            advice=f"friction (sliding, torsional, rolling) of {', '.join(names[:3])}",
+            parts=dict.fromkeys(several, 2.0 * largest),
+            remark=f"{several[0]}: friction {_numbers(friction[turned[0]])}, as in another order",
+            advice=f"friction (sliding, torsional, rolling) of {', '.join(several[:3])}",
         )
     rows = robot.foot_rows
     if not rows:

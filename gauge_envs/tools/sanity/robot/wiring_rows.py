@@ -25,6 +25,7 @@ from gauge_envs.tools.sanity.robot.mirror import mirror_pairs, zero_pose
 from gauge_envs.tools.sanity.robot.mujoco_feet import joints_of
 from gauge_envs.tools.sanity.robot.robot import (
     Robot,
+    ancestors,
     couplings_of,
     ends_of,
     grasp_kinds,
@@ -373,9 +374,7 @@ def _quaternions(robot: Robot) -> Iterator[Wrong]:
     model, data = robot.model, zero_pose(robot)
     bodies = {body_name(robot, body): body for body in robot.bodies}
     several = families(bodies)
-    depths = np.zeros(model.nbody, int)
-    for body in range(1, model.nbody):
-        depths[body] = depths[model.body_parentid[body]] + 1
+    depths = {body: len(ancestors(model, body)) for body in robot.bodies}
     for array, near, far in QUATERNIONS:
         is_of_link = array == "body_quat"
         stated, read = (
