@@ -13,6 +13,7 @@ from more_faults import FURTHER, GOOD, LATER, MISTAKES, biped_xml
 from gauge_envs.tools.sanity.model import Verdict
 from gauge_envs.tools.sanity.phenomena import ROBOT_IDS
 from gauge_envs.tools.sanity.robot.alike import factors
+from gauge_envs.tools.sanity.robot.legs import bent_legs_nm
 from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
 from gauge_envs.tools.sanity.robot.remedies import REMEDIES
 from gauge_envs.tools.sanity.robot.whole_rows import outside
@@ -615,6 +616,28 @@ def test_wheels_that_roll_down_a_slope_do_not_slip():
     xml = wheels(ends="0 0").replace("<worldbody><body>", f"{floor}{neck}")
     row = robot_row("robot-slip", robot_of(xml.replace("</actuator>", servo)))
     assert not row.applies and row.remark == "wheels roll on a slope"
+
+
+@pytest.mark.parametrize(
+    ("touch", "verdict"),
+    [("", Verdict.WRONG), ('contype="0" conaffinity="0"', Verdict.VISIBLE)],
+)
+def test_a_free_robot_without_a_ground_lifts_nothing_for_certain(touch, verdict):
+    """0.3 Nm hold no leg that stands."""
+    weak = GOOD["quadruped"]().replace("-40 40", "-.3 .3")
+    xml = weak.replace('<geom name="floor" ', f'<geom name="floor" {touch} ')
+    assert robot_row("robot-torque", robot_of(xml)).verdict is verdict
+
+
+def test_a_waist_carries_no_foot():
+    """The floating body of this humanoid is its chest, below which a waist of two bodies carries both legs."""
+    folder = Path(gymnasium.__file__).parent / "envs" / "mujoco" / "assets"
+    robot = robot_of((folder / "humanoid.xml").read_text())
+    loads_nm = bent_legs_nm(robot)
+    dofs = {
+        name: robot.model.joint(name).dofadr[0] for name in ("abdomen_y", "right_knee")
+    }
+    assert loads_nm[dofs["abdomen_y"]] == 0.0 < loads_nm[dofs["right_knee"]]
 
 
 def test_a_difference_of_two_sides_is_that_of_their_numbers():

@@ -87,25 +87,29 @@ def bent_legs_nm(robot: Robot) -> FloatArray:
             ahead_m = np.eye(3)[np.ptp(corners_m, axis=0).argmax()]
             ahead_m = 0.25 * np.ptp(corners_m, axis=0).max() * ahead_m
             middle_m = 0.5 * (corners_m.min(axis=0) + corners_m.max(axis=0))
-            legs[foot] = limb[-1], [middle_m + ahead_m, middle_m - ahead_m]
+            legs[foot] = limb, [middle_m + ahead_m, middle_m - ahead_m]
     places_m = np.zeros((LEG_POSES, len(legs), 3))
     needed_nm = np.zeros((LEG_POSES, len(legs), model.nv))
     jacobian = np.zeros((3, model.nv))
     for pose, data in enumerate(random_poses(model, LEG_POSES, with_contact=False)):
-        for leg, (foot, (hip, points_m)) in enumerate(legs.items()):
+        for leg, (foot, (limb, points_m)) in enumerate(legs.items()):
             turn = data.xmat[foot].reshape(3, 3)
             for point_m in points_m:
                 place_m = data.xpos[foot] + turn @ point_m
                 mujoco.mj_jac(model, data, jacobian, None, place_m, foot)
                 torques_nm = np.abs(jacobian.T @ load_n)
                 needed_nm[pose, leg] = np.maximum(needed_nm[pose, leg], torques_nm)
-            places_m[pose, leg] = data.xpos[foot] - data.xpos[hip]
+            places_m[pose, leg] = data.xpos[foot] - data.xpos[limb[-1]]
     below_m = BENT * np.linalg.norm(places_m, axis=-1).max(axis=0)
     wanted_m = -below_m[:, None] * np.asarray(robot.up)
     off_m = np.linalg.norm(places_m - wanted_m, axis=-1)
     nearest = np.argsort(off_m, axis=0)[:FEW_POSES]
     weights_nm = np.zeros(model.nv)
-    for leg, poses in enumerate(nearest.T):
-        middle_nm = np.median(needed_nm[poses, leg], axis=0)
+    for poses, leg, (limb, _) in zip(
+        nearest.T, range(len(legs)), legs.values(), strict=True
+    ):
+        # Joints of the trunk, as a waist, carry no foot.
+        is_leg = np.isin(model.dof_bodyid, limb)
+        middle_nm = np.median(needed_nm[poses, leg], axis=0) * is_leg
         weights_nm = np.maximum(weights_nm, middle_nm)
     return weights_nm
