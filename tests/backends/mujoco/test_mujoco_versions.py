@@ -63,7 +63,7 @@ def test_a_setting_that_the_installed_version_lacks_is_an_error(settings, messag
 def test_a_setting_that_the_installed_version_lacks_is_not_in_force():
     in_force = backend("mujoco").build(RIGID).settings
     assert "speculative" not in in_force
-    assert in_force["integrator"] == "implicitfast"
+    assert in_force["integrator"] == "Euler"
 
 
 @pytest.mark.parametrize("feature", FEATURES, ids=lambda feature: feature.since)
