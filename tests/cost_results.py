@@ -68,6 +68,7 @@ def made(
             validation=Validation(rmse_aligned_normalized=0.5),
         ),
         "task_sha256": experiment.file_sha256,
+        "revision": experiment.revision,
         "backend": backend,
         "frames": experiment.frame_count,
         "wall_s": 1e-3 / step_s,

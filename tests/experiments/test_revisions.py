@@ -20,9 +20,10 @@ def test_what_decides_scores_changes_only_with_the_revision():
 
 def test_a_change_without_a_raise_is_found():
     found = current()
-    earlier = {"SlopeSlider": {"revision": 1, "digest": "0"}}
+    revision = found["SlopeSlider"]["revision"]
+    earlier = {"SlopeSlider": {"revision": revision, "digest": "0"}}
     assert not_raised(earlier, found) == ["SlopeSlider"]
-    raised = found | {"SlopeSlider": {"revision": 2, "digest": "1"}}
+    raised = found | {"SlopeSlider": {"revision": revision + 1, "digest": "1"}}
     assert not_raised(earlier, raised) == []
 
 

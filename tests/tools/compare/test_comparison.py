@@ -12,7 +12,7 @@ from rich.console import Console
 from gauge_envs.errors import ResultFileError, UnknownNameError
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.evaluation.score import Score, Validation, score_trajectory
-from gauge_envs.experiments.task_files import task_sha256
+from gauge_envs.experiments.task_files import task_sha256, task_spec
 from gauge_envs.files import versions
 from gauge_envs.pages.document import Terminal, as_markdown, as_rows
 from gauge_envs.pages.figures import OURS
@@ -99,6 +99,7 @@ def made(
         "parameters": "calibrated",
         "score": score,
         "task_sha256": task_sha256(family),
+        "revision": task_spec(family).revision,
         "backend": backend,
         "frames": round(seconds * 30) + 1,
         "wall_s": 2.0 * seconds,
@@ -242,8 +243,9 @@ def test_results_that_do_not_belong_together_are_reported():
 
 
 def test_an_older_revision_is_compared_only_with_its_own():
-    old = [made(rmse=5.0, revision=1), made(rmse=6.0, revision=1, backend="newton")]
-    new = made(rmse=1.0, revision=2, parameters="effective")
+    old = [made(rmse=5.0), made(rmse=6.0, backend="newton")]
+    newer = old[0].revision + 1
+    new = made(rmse=1.0, revision=newer, parameters="effective")
     both = compare([*old, new])
     assert [one.parameters for one in both.configurations] == ["effective"]
     assert (
@@ -253,7 +255,7 @@ def test_an_older_revision_is_compared_only_with_its_own():
     assert cells(old) == ["5.00", "6.00"]
     with pytest.raises(
         ResultFileError,
-        match="has revision 2, and the installed package revision 1: use gauge-envs",
+        match=f"has revision {newer}, and the installed package revision {newer - 1}: use gauge-envs",
     ):
         recorded_experiment(new)
 
