@@ -137,14 +137,14 @@ def _visual_mass(robot: Robot) -> Finding:
         else "",
         advice='mass="0" for visual geoms, or <compiler inertiagrouprange> of the others',
         changes={f"geom_mass[{geom}]": 0.0 for geom in counted},
-        # A part with a mass of its own, as a bone in a muscle, was meant.
-        is_usual=all(_states_mass(geom) for geom in spec.geoms if geom.id in counted),
+        is_usual=all(_is_meant(geom) for geom in spec.geoms if geom.id in counted),
     )
 
 
-def _states_mass(geom: mujoco.MjsGeom) -> bool:
-    """Return whether a geom states a mass, or another density than the default one of the engine."""
-    return bool(np.isfinite(geom.mass) or geom.density != WATER_KG_PER_M3)
+def _is_meant(geom: mujoco.MjsGeom) -> bool:
+    """Return whether a drawn geom can be a part with its own mass: it states one, or a density, or is no mesh."""
+    is_stated = np.isfinite(geom.mass) or geom.density != WATER_KG_PER_M3
+    return bool(is_stated or geom.type != mujoco.mjtGeom.mjGEOM_MESH)
 
 
 def _overlap(model: mujoco.MjModel, first: list[int], second: list[int]) -> float:
