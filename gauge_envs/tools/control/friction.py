@@ -8,7 +8,12 @@ from typing import ClassVar
 import numpy as np
 
 from gauge_envs.scene import Scene
-from gauge_envs.scene.geometry import FloatArray, Pose, vector
+from gauge_envs.scene.geometry import (
+    FloatArray,
+    Pose,
+    rotation_matrices,
+    unit_quaternions,
+)
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S
 from gauge_envs.tools.control.env import ControlEnv
 from gauge_envs.tools.control.limit import Ending, Limit
@@ -201,9 +206,8 @@ class FrictionLimit(ControlEnv):
     def _corners(self) -> FloatArray:
         """Return the corners of the cube in the frame of the carrier [m], shape [8, 3]."""
         state = self.world.body_states((CUBE,))[0]
-        w, x, y, z = state[3:7].tolist()
-        cube = Pose(position_m=vector(state[:3]), quaternion=(w, x, y, z))
-        return self._pose.to_body(cube.to_world(self._corners_m))
+        turn = rotation_matrices(unit_quaternions(state[3:7]))
+        return self._pose.to_body(self._corners_m @ turn.T + state[:3])
 
     def _slip(self) -> float:
         """Return the mean speed of the cube's fastest corner on the carrier over the last frame [m/s]."""
