@@ -526,6 +526,6 @@ def test_a_slip_in_pybullet_is_driven_by_more_than_the_law():
             shares.append((speeds[-1] - speeds[2]) / (7 / 30) / law)
             env.close()
         found[engine] = shares
-    assert max(found["mujoco"]) < 1.0
+    assert max(found["mujoco"]) == pytest.approx(1.0, abs=0.001)
     # A search cannot reach more than the largest share.
     assert 1.02 < max(found["pybullet"]) < 1.05
