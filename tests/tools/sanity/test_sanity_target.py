@@ -550,6 +550,18 @@ def test_a_cube_moves_as_in_the_model_that_the_settings_are_from(name):
     assert np.linalg.norm(place - start) > 1e-4
 
 
+@pytest.mark.parametrize("name", ["robot.xml", "robot.mjcf"])
+def test_a_model_file_finds_its_meshes_by_either_name(tmp_path, name):
+    corners = [f"v {x} {y} {z}" for x in (0, 1) for y in (0, 1) for z in (0, 1)]
+    faces = "f 1 2 3\nf 5 7 6\nf 1 5 2\nf 3 4 7"
+    (tmp_path / "box.obj").write_text("\n".join([*corners, faces]))
+    (
+        tmp_path / name
+    ).write_text("""<mujoco><asset><mesh name="box" file="box.obj"/></asset><worldbody><body>
+      <joint/><geom type="mesh" mesh="box"/></body></worldbody></mujoco>""")
+    assert configuration(tmp_path / name).robot.model.nmesh == 1
+
+
 def test_a_model_that_takes_too_much_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr("gauge_envs.tools.sanity.stacks.mjcf.MODEL_CPU_S", 2)
     bomb = '<replicate count="10000000" offset="1 0 0"><geom size="1"/></replicate>'
