@@ -532,11 +532,6 @@ FURTHER = planted(
             "</worldbody>",
             '<body pos="0 0 -.2"><freejoint/><geom size=".03" density="1.2"/></body></worldbody>',
         ),
-        "arm, a link about the axis of the one before": (
-            "robot-wiring",
-            '<body name="link2"',
-            '<body name="link2" quat=".70711 .70711 0 0"',
-        ),
         "arm, a sensor of another joint": (
             "robot-wiring",
             "</mujoco>",

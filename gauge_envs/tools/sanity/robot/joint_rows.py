@@ -39,7 +39,7 @@ from gauge_envs.tools.sanity.robot.mass_rows import size_m
 from gauge_envs.tools.sanity.robot.mujoco_feet import joints_of
 from gauge_envs.tools.sanity.robot.robot import (
     Robot,
-    couplings_of,
+    coupled_pairs,
     enabling,
     switched_off,
 )
@@ -475,11 +475,7 @@ def _unlimited(robot: Robot) -> Finding:
     off = switched_off(model, "constraint", "limit")
     free = [joint for joint in joints if off or not model.jnt_limited[joint]]
     # What a linkage couples to another joint cannot turn without end, and a range is stated to be kept.
-    of_joints = couplings_of(model)
-    coupled = {
-        *model.eq_obj1id[of_joints].tolist(),
-        *model.eq_obj2id[of_joints].tolist(),
-    }
+    coupled = {*coupled_pairs(model).ravel().tolist()}
     free.sort(key=lambda joint: joint not in coupled)
     names = ", ".join(name_of(robot, joint) for joint in free[:3])
     is_certain = bool(stated or coupled & set(free))

@@ -20,7 +20,7 @@ from gauge_envs.tools.sanity.robot.mujoco_feet import joints_of
 from gauge_envs.tools.sanity.robot.robot import (
     Robot,
     ancestors,
-    couplings_of,
+    coupled_pairs,
     once,
 )
 
@@ -133,9 +133,7 @@ def mirror_pairs(robot: Robot) -> list[MirrorPair]:
     depths = np.array([depth_of(model, int(joint)) for joint in joints])
     lines = [ancestors(model, body) for body in bodies.tolist()]
     is_aside = np.abs(anchors_m) > SAME_PLACE_M
-    couplings = couplings_of(model)
-    ends = (model.eq_obj1id[couplings], model.eq_obj2id[couplings])
-    coupled = {frozenset(two) for two in np.column_stack(ends).tolist()}
+    coupled = {frozenset(two) for two in coupled_pairs(model).tolist()}
     palms = _palms(robot, data)
     is_copy = copies_of(robot, joints)
     best: list[MirrorPair] = []

@@ -466,6 +466,12 @@ def couplings_of(model: mujoco.MjModel) -> NDArray[np.bool_]:
     return couplings
 
 
+def coupled_pairs(model: mujoco.MjModel) -> NDArray[np.int_]:
+    """Return the two joints of each equality that couples joints, the second one -1 without one, shape [count, 2]."""
+    ends: NDArray[np.int_] = np.column_stack([model.eq_obj1id, model.eq_obj2id])
+    return ends[couplings_of(model)]
+
+
 def tendon_joints(
     model: mujoco.MjModel, tendon: int
 ) -> tuple[NDArray[np.int32], FloatArray]:
@@ -489,7 +495,7 @@ def ends_of(model: mujoco.MjModel, number: int) -> tuple[int, list[str]]:
 
 def coupled_joints(model: mujoco.MjModel, joint: int) -> list[int]:
     """Return a joint, those that equalities couple to it, those coupled to these, and so on."""
-    pairs = np.column_stack([model.eq_obj1id, model.eq_obj2id])[couplings_of(model)]
+    pairs = coupled_pairs(model)
     # An equality without a second joint holds its joint at a place.
     pairs = pairs[(pairs >= 0).all(axis=1)]
     moving = np.array([joint])

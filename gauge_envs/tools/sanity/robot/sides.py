@@ -41,7 +41,7 @@ from gauge_envs.tools.sanity.robot.mirror import (
 )
 from gauge_envs.tools.sanity.robot.robot import (
     Robot,
-    couplings_of,
+    coupled_pairs,
 )
 
 FEW_PAIRS = 2
@@ -288,8 +288,7 @@ def _shares(robot: Robot, pair: MirrorPair) -> Iterator[tuple[str, float]]:
     is_odd &= not pair.is_turned
     yield DIRECTION, VISIBLE * is_odd
     yield "centre of mass", float(np.linalg.norm(pair.centres_apart_m)) / size_m
-    couplings = couplings_of(model)
-    followers = {*model.eq_obj1id[couplings], *model.eq_obj2id[couplings]}
+    followers = {*coupled_pairs(model).ravel().tolist()}
     # Of two fingers that a coupling closes, one has the motor.
     follows = bool(followers & {pair.joint, pair.other})
     if pair.apart_m <= SAME_PLACE_M and abs(pair.cosine) > STRAIGHT:

@@ -13,12 +13,11 @@ from gauge_envs.tools.sanity.robot.copies import FEW_COPIES, SAME, copies_of
 from gauge_envs.tools.sanity.robot.finding import (
     Finding,
     body_name,
-    joint_name,
     name_of,
     row,
 )
 from gauge_envs.tools.sanity.robot.ground_rows import limbs_of
-from gauge_envs.tools.sanity.robot.joints import driven_dofs, home_key, springs
+from gauge_envs.tools.sanity.robot.joints import home_key, springs
 from gauge_envs.tools.sanity.robot.maker_rows import families
 from gauge_envs.tools.sanity.robot.mass_rows import size_m
 from gauge_envs.tools.sanity.robot.mirror import mirror_pairs, zero_pose
@@ -26,6 +25,7 @@ from gauge_envs.tools.sanity.robot.mujoco_feet import joints_of
 from gauge_envs.tools.sanity.robot.robot import (
     Robot,
     ancestors,
+    coupled_pairs,
     couplings_of,
     ends_of,
     grasp_kinds,
@@ -41,9 +41,6 @@ BEYOND = 0.02
 
 FAR = 2.0
 """Distance of a site from its link over the size of the robot from which on it is not on the robot."""
-
-ON_ONE_LINE = 0.01
-"""Distance of two parallel axes over the size of the robot up to which they are one axis."""
 
 SIDES = (
     *("left", "right", "l", "r", "fl", "fr", "rl", "rr"),
@@ -100,10 +97,9 @@ def _wiring(robot: Robot) -> Finding:
 def _left_out(robot: Robot) -> Iterator[Wrong]:
     """Yield joints that nothing moves, though a motor, tendon, coupling or spring moves their copies."""
     model = robot.model
-    is_joint, is_tendon = couplings_of(model), int(mujoco.mjtWrap.mjWRAP_JOINT)
+    is_tendon = model.wrap_type == int(mujoco.mjtWrap.mjWRAP_JOINT)
     several = [joints_of_motors(model), np.flatnonzero(springs(model))]
-    several += [model.eq_obj1id[is_joint], model.eq_obj2id[is_joint]]
-    several += [model.wrap_objid[model.wrap_type == is_tendon]]
+    several += [coupled_pairs(model).ravel(), model.wrap_objid[is_tendon]]
     is_moved = np.isin(np.arange(model.njnt), np.concatenate(several))
     is_own = np.isin(model.jnt_bodyid, robot.bodies)
     joints = np.flatnonzero(is_own & joints_of(model, "HINGE", "SLIDE"))
@@ -351,24 +347,6 @@ def _beyond(robot: Robot) -> Iterator[Wrong]:
             )
 
 
-def _on_one_line(robot: Robot) -> Iterator[Wrong]:
-    """Yield a driven hinge about the same line as the one that carries it: one of them turns nothing more."""
-    model, data, driven = robot.model, zero_pose(robot), driven_dofs(robot)
-    for dof in driven:
-        carrier = int(model.dof_parentid[dof])
-        joints = model.dof_jntid[[dof, carrier]]
-        (axis, other), (place_m, other_m) = data.xaxis[joints], data.xanchor[joints]
-        off_m = np.linalg.norm(np.cross(axis, place_m - other_m))
-        is_one = np.linalg.norm(np.cross(axis, other)) < SAME
-        if carrier in driven and is_one and off_m < ON_ONE_LINE * size_m(robot):
-            name, link = (
-                joint_name(robot, dof),
-                body_name(robot, int(model.dof_bodyid[dof])),
-            )
-            advice = f"quat (w x y z) of {link}, and the axis of {name}"
-            yield f"{name} turns about the line of {joint_name(robot, carrier)}", advice
-
-
 def _quaternions(robot: Robot) -> Iterator[Wrong]:
     """Yield links whose quaternion turns them unlike all of their family, and like them in the order x y z w."""
     model, data = robot.model, zero_pose(robot)
@@ -467,11 +445,10 @@ CHECKS: tuple[Callable[[Robot], Iterator[Wrong]], ...] = (
     _fingers,
     _sensors,
     _quaternions,
-    _on_one_line,
     _ghosts,
     _beyond,
 )
 """What is tried, causes before their effects."""
 
-UNUSUAL = (_objects, _left_out, _on_one_line, _ghosts)
+UNUSUAL = (_objects, _excluded, _carried, _turned_base, _left_out, _ghosts)
 """What some robots have on purpose."""
