@@ -38,8 +38,8 @@ LEAST_CONFIDENCE = 0.5
 """Smallest confidence of a frame that shows the object, which is the likeness to it in the first frame."""
 
 JUMP = 1.0
-"""Distance from where an object that goes on or stops can be in the next frame, in its sizes, after which another one
-may be followed."""
+"""Distance from where an object that goes on, stops or turns can be when it is seen next, in its sizes, after which
+another one may be followed."""
 
 RELEASE_FRAMES = 6.0
 """Frames before and after the first retained one between which rest ends."""
@@ -92,11 +92,8 @@ def faults_of(
             f"the object has another look in {is_odd.sum() / len(rows):.0%} of the frames: "
             f"their confidence is below {LEAST_CONFIDENCE:g}"
         )
-    jumps = _jumps(track, task, found)
-    if len(jumps):
-        faults.append(
-            f"the track jumps by more than the object's size in frames {_runs(track.frames[jumps])}"
-        )
+    jump = _jump(track, task, found)
+    faults += [jump] if jump else []
     clock = (
         "" if span is None else clock_fault(track, task, span, noise_px(track, span))
     )
@@ -169,16 +166,46 @@ def _gravities(task: VideoTask, metrics: Metrics) -> float:
     return 0.0
 
 
-def _jumps(track: Track, task: VideoTask, rows: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return rows after which the object is farther than its size from where it can be if it goes on or stops."""
+def _jump(track: Track, task: VideoTask, rows: NDArray[np.intp]) -> str:
+    """Return the largest way that the speeds before and after it do not explain; empty for a continuous track.
+
+    An object that is lost for some frames has gone on, stopped or turned: its mean velocity meanwhile lies between
+    those before and after and zero.
+    """
     if len(rows) < 3 or task.motion is Motion.CRADLE:
-        return rows[:0]
-    steps = np.diff(track.points_px[rows], axis=0) / np.diff(rows)[:, None]
-    before, after = steps[:-1], steps[1:]
-    squares = np.maximum((before**2).sum(axis=1), 1e-9)
-    kept = np.clip((before * after).sum(axis=1) / squares, 0.0, 1.0)
-    away_px = np.linalg.norm(after - kept[:, None] * before, axis=1)
-    return rows[1:-1][away_px > JUMP * task.size_px]
+        return ""
+    counts = np.diff(rows)
+    ways_px = np.diff(track.points_px[rows], axis=0)
+    rest = np.zeros((1, 2))
+    speeds_px = np.vstack([rest, ways_px / counts[:, None], rest])
+    away_px = np.array(
+        [
+            _from_triangle_px(way, count * before, count * after)
+            for way, count, before, after in zip(
+                ways_px, counts, speeds_px[:-2], speeds_px[2:], strict=True
+            )
+        ]
+    )
+    worst = int(away_px.argmax())
+    if away_px[worst] <= JUMP * task.size_px:
+        return ""
+    first, last = track.frames[rows[worst : worst + 2]]
+    return f"the object jumps by {away_px[worst] / task.size_px:.1f} of its size between frames {first} and {last}"
+
+
+def _from_triangle_px(place: FloatArray, one: FloatArray, other: FloatArray) -> float:
+    """Return the distance of a place from the triangle of zero and two others, all of shape [2]."""
+    sides = np.column_stack([one, other])
+    shares = np.linalg.lstsq(sides, place, rcond=None)[0]
+    if shares.min() >= 0.0 and shares.sum() <= 1.0:
+        return float(np.linalg.norm(place - sides @ shares))
+    corners = [np.zeros(2), one, other]
+    nearest = math.inf
+    for start, end in zip(corners, [*corners[1:], corners[0]], strict=True):
+        side = end - start
+        share = np.clip((place - start) @ side / max(side @ side, 1e-9), 0.0, 1.0)
+        nearest = min(nearest, math.dist(place, start + share * side))
+    return nearest
 
 
 def _runs(frames: NDArray[np.int64]) -> str:

@@ -25,7 +25,7 @@ from gauge_envs.tools.video import (  # noqa: E402
 )
 from gauge_envs.tools.video.agreement import DETAILS, agreement  # noqa: E402
 from gauge_envs.tools.video.frames import FileFrames  # noqa: E402
-from gauge_envs.tools.video.scoring import findings_of, paper_metrics  # noqa: E402
+from gauge_envs.tools.video.scoring import faults_of, findings_of, paper_metrics  # noqa: E402
 from gauge_envs.tools.video.tasks import published_results  # noqa: E402
 from gauge_envs.tools.video.tracker import SceneWatch  # noqa: E402
 from gauge_envs.tools.video.words import (  # noqa: E402
@@ -314,6 +314,19 @@ def test_a_cube_that_breaks_the_law_has_a_sound_track_until_it_may_be_another_on
         way = np.r_[np.zeros(8), 5.0 * np.arange(10.0) ** 2, way_px, way_px]
         places = SLIDE.centre_px + way[:, None] * np.array(SLIDE.direction)
         assert score_track(track_of(places, 24.0), SLIDE).is_sound is is_sound
+
+
+@pytest.mark.parametrize(("speed_px", "count"), [(0.0, 1), (0.0, 3), (12.0, 3)])
+@pytest.mark.parametrize("away", [0.0, 2.0])
+def test_a_jump_while_the_object_is_lost_is_named(speed_px, count, away):
+    way_px = speed_px * np.arange(30.0)[:, None]
+    places = SLIDE.centre_px + way_px * np.array(SLIDE.direction)
+    right, down = SLIDE.direction
+    places[16:] += away * SLIDE.size_px * np.array([-down, right])
+    places[16 - count : 16] = np.nan
+    faults, _ = faults_of(track_of(places, 24.0), SLIDE, None)
+    words = f"jumps by {away:.1f} of its size between frames {15 - count} and 16"
+    assert [words in one for one in faults] == [True] * bool(away)
 
 
 @pytest.mark.parametrize(
