@@ -399,7 +399,7 @@ class Scene:
 
         What does not depend on them is neither checked again nor, of drivers, computed again.
         """
-        kept = {name: vars(self)[name] for name in _arguments}
+        kept = {name: vars(self)[name] for name in _ARGUMENTS}
         other = object.__new__(Scene)
         vars(other).update(kept | starts)
         vars(other)["_driven_speed_m_per_s"] = self._driven_speed_m_per_s
@@ -414,7 +414,7 @@ class Scene:
         )
 
 
-_arguments = tuple(one.name for one in fields(Scene) if one.init)
+_ARGUMENTS = tuple(one.name for one in fields(Scene) if one.init)
 
 
 def _colliding_pairs(
