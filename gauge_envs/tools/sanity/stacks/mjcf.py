@@ -111,23 +111,23 @@ class Mjcf(Dialect):
         return self.joint.join([*parts, *alone])
 
 
-def _spec_of(path: Path) -> mujoco.MjSpec:
+def _spec_of(path: Path, content: bytes) -> mujoco.MjSpec:
     """Return the model of a file; MuJoCo reads a file of another name than .xml and .urdf from its text alone."""
     if path.suffix != ".mjcf":
         return mujoco.MjSpec.from_file(str(path))
-    spec = mujoco.MjSpec.from_string(path.read_text(encoding="utf-8"))
+    spec = mujoco.MjSpec.from_string(content.decode("utf-8"))
     spec.modelfiledir = str(path.parent)
     return spec
 
 
 def read_model_file(path: Path, pair: GeomPair | None = None) -> TrainingConfiguration:
     """Return the configuration of a model file that MuJoCo reads."""
-    file_content(path, MOST_MODEL_BYTES)
+    content = file_content(path, MOST_MODEL_BYTES)
     refusal = child_refusal(PROBE, str(path), cpu_s=MODEL_CPU_S)
     if refusal is not None:
         raise TargetError(f"{path}: {refusal}: simplify the model")
     try:
-        spec = _spec_of(path)
+        spec = _spec_of(path, content)
         drop_pictures(spec)
         model = spec.compile()
     except ValueError as error:
