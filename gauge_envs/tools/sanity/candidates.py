@@ -116,7 +116,8 @@ def candidates_of(
     if recommended := _recommended(configuration):
         # Of many, the last one is tried too.
         found = [*found[: MOST_CANDIDATES - 1], recommended]
-    return [*found[:MOST_CANDIDATES], *_of_causes(rows, dialect)]
+    of_causes = ({**least, **one} for one in _of_causes(rows, dialect))
+    return [*found[:MOST_CANDIDATES], *of_causes]
 
 
 def key_of(changes: Any) -> str:

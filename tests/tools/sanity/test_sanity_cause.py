@@ -43,7 +43,7 @@ PLANTS = {
     "timestep_s": (0.01, "rebound"),
     "cone": ("pyramidal", "rebound"),
     "impratio": (0.01, "creep-wood"),
-    "iterations": (1, "carry-wood"),
+    "iterations": (1, "wall-sag"),
     "integrator": ("RK4", "rebound"),
     "contact_solref": ((0.2, 1.0), "rest-height"),
     "contact_solimp": ((0.0, 0.8, 0.01, 0.5, 2.0), "rest-height"),
