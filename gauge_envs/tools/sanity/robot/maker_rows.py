@@ -212,7 +212,7 @@ def same_robots(known: Numbers) -> list[list[Published]]:
     likely = {model: likeness(known, model) for model in published_models()}
     order = sorted(
         (model for model, share in likely.items() if share >= SAME_ROBOT),
-        key=lambda model: -equal_count(known, model),
+        key=lambda model: (-equal_count(known, model), number_count(model)),
     )
     robots: list[list[Published]] = []
     for model in order:
@@ -224,6 +224,11 @@ def same_robots(known: Numbers) -> list[list[Published]]:
         else:
             robots.append([model])
     return robots
+
+
+def number_count(model: Published) -> int:
+    """Return how many numbers a published model has; of versions with as many equal ones, the smallest lacks least."""
+    return sum(map(len, model.numbers.values()))
 
 
 def equal_count(known: Numbers, model: Published) -> int:
