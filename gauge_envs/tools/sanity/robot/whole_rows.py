@@ -39,7 +39,7 @@ from gauge_envs.tools.sanity.robot.mujoco_feet import (
 )
 from gauge_envs.tools.sanity.robot.robot import Robot, couplings_of, joints_of_motors
 
-WATER_KG_PER_M3 = 1000.0
+UNSTATED_KG_PER_M3 = 1000.0
 """Density of a geom that states none [kg/m^3]."""
 
 SAME_PLACE = 0.3
@@ -143,7 +143,7 @@ def _visual_mass(robot: Robot) -> Finding:
 
 def _is_meant(geom: mujoco.MjsGeom) -> bool:
     """Return whether a drawn geom can be a part with its own mass: it states one, or a density, or is no mesh."""
-    is_stated = np.isfinite(geom.mass) or geom.density != WATER_KG_PER_M3
+    is_stated = np.isfinite(geom.mass) or geom.density != UNSTATED_KG_PER_M3
     return bool(is_stated or geom.type != mujoco.mjtGeom.mjGEOM_MESH)
 
 
