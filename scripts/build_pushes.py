@@ -40,10 +40,9 @@ RATE_HZ = 100.0
 FRAMES = 33
 HALF_EDGE_M = 0.0375
 
-BEFORE, AFTER = 110, 100
-"""Recorded frames before and after the one at which the hand has advanced by `ADVANCE_M`."""
+BEFORE = 110
+"""Recorded frames before the one at which the hand has advanced by 15 mm."""
 
-ADVANCE_M = 0.015
 START_S = -0.4
 """Start of an episode, at which the hand still stands, in the common time of the trials [s]."""
 
@@ -217,7 +216,7 @@ class Pushes:
         )
 
     def _levelled(self, trial: int) -> Push:
-        """Return a trial with heights above the table, at time 0 where the hand has advanced by `ADVANCE_M`."""
+        """Return a trial with heights above the table, at time 0 where the hand has advanced by 15 mm."""
         facts = self.facts
         cube_m, hand_m = (
             _metres(facts[f"{name}_position"][trial]) for name in ("cube", "hand")

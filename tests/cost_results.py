@@ -10,7 +10,7 @@ from gauge_envs.evaluation.score import Score, Validation
 from gauge_envs.files import versions
 from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result
 
-WOOD, PLASTIC = "SlopeSlider-2-wood", "SlopeSlider-2-plastic"
+WOOD = "SlopeSlider-2-wood"
 STEPS_S = tuple(1 / 180 / count for count in (1, 2, 4, 8, 16))
 RATE_HZ = 180
 

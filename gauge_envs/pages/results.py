@@ -187,13 +187,6 @@ def _normalized_field(score: Score, metric: str, suffix: str) -> Any:
     return getattr(holder, f"{found.normalized_field}{suffix}")
 
 
-def scale_unit(score: Score, metric: str) -> str:
-    """Return the unit of a metric over its scale: `1` over real trials, else as `Verification.scale_unit`."""
-    if metric != VERIFICATION or score.verification is None:
-        return "1"
-    return score.verification.scale_unit
-
-
 def score_percentile(score: Score, metric: str) -> float | None:
     """Return the percentage of real trials that are closer to their mean; None without trials."""
     if score.validation is None or metric not in PERCENTILES:

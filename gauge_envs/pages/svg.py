@@ -71,7 +71,7 @@ def curve_panel(panel: CurvePanel) -> Html:
     to_x = _scale(0.0, panel.end_s or 1.0, LEFT, WIDTH - RIGHT)
     to_y = _scale(low, high, HEIGHT - BOTTOM, TOP)
     parts = [element("text", panel.title, x=LEFT, y=13)]
-    for tick in _ticks(low, high, 6):
+    for tick in _ticks(low, high):
         y = float(to_y(np.array(tick)))
         parts.append(
             element(
@@ -93,7 +93,7 @@ def curve_panel(panel: CurvePanel) -> Html:
                 class_="quiet",
             )
         )
-    for tick in _ticks(0.0, panel.end_s, 6):
+    for tick in _ticks(0.0, panel.end_s):
         x = float(to_x(np.array(tick)))
         text = _tick_text(tick)
         parts.append(
@@ -243,12 +243,12 @@ def _scale(
     )
 
 
-def _ticks(low: float, high: float, count: int) -> list[float]:
-    """Return round numbers in a range, about as many as asked for."""
+def _ticks(low: float, high: float) -> list[float]:
+    """Return round numbers in a range, about six."""
     span = high - low
     if not span > 0.0:
         return [low]
-    raw = span / count
+    raw = span / 6
     power = 10.0 ** math.floor(math.log10(raw))
     step = next(
         factor * power

@@ -95,18 +95,12 @@ def experiment_view(
     )
 
 
-def scene_view(
-    scene: Scene,
-    *,
-    reference: ReferencePath | None = None,
-    field_of_view_deg: float = FIELD_OF_VIEW_DEG,
-) -> View:
+def scene_view(scene: Scene, *, reference: ReferencePath | None = None) -> View:
     """Return the view that shows the bodies at the start, and where they can go, by a rule.
 
     Args:
         scene: The scene.
         reference: Further places that are shown, or None.
-        field_of_view_deg: Vertical field of view of the camera [deg].
     """
     points = [_start_and_reach_m(scene)]
     if reference is not None:
@@ -121,7 +115,7 @@ def scene_view(
         azimuth_deg = float(np.degrees(np.arctan2(axis[1], axis[0]))) + OFF_AXIS_DEG
     return View(
         target_m=vector(0.5 * (low + high)),
-        distance_m=ROOM * radius / np.sin(np.radians(0.5 * field_of_view_deg)),
+        distance_m=ROOM * radius / np.sin(np.radians(0.5 * FIELD_OF_VIEW_DEG)),
         azimuth_deg=azimuth_deg,
         elevation_deg=ELEVATION_DEG,
     )

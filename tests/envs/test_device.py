@@ -17,11 +17,7 @@ from gauge_envs.errors import (
     UnsupportedSceneError,
 )
 
-DRIVEN, PASSIVE, SERVO = (
-    "GAUGE/SlopeSlider-3-metal",
-    "GAUGE/SlopeSlider-2-wood",
-    "GAUGE/ServoArm-so101",
-)
+DRIVEN, PASSIVE = "GAUGE/SlopeSlider-3-metal", "GAUGE/SlopeSlider-2-wood"
 
 
 @pytest.fixture

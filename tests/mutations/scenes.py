@@ -55,13 +55,3 @@ def change_deformables(kind, **factors):
         return replace(scene, deformables=tuple(changed))
 
     return change
-
-
-def change_joints(kind, change):
-    """Return a fault that changes each joint of a kind."""
-    return lambda scene: replace(
-        scene,
-        joints=tuple(
-            change(one) if isinstance(one, kind) else one for one in scene.joints
-        ),
-    )

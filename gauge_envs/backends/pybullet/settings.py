@@ -37,10 +37,6 @@ SEGMENT_LIMIT = 27
 """Largest number of segments of a rope. PyBullet holds 128 coordinates of a chain, of which each has 4."""
 
 
-DEFAULT_ISLAND_SIZE = 128
-"""Number of constraints up to which Bullet by default solves separate groups of bodies together."""
-
-
 class SettingsPyBullet(SteppedSettings):
     """Settings of one PyBullet simulation. The defaults are those of preset `contact`.
 

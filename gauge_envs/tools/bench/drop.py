@@ -57,18 +57,15 @@ def drop_scene(
     )
 
 
-def bounce_of(
-    rollout: Rollout, name: str, *, half_height_m: float = RADIUS_M
-) -> Bounce | None:
+def bounce_of(rollout: Rollout, name: str) -> Bounce | None:
     """Return the first bounce of a body that is let go at rest over level ground at height 0; None if it never falls.
 
     Args:
         rollout: The rollout.
-        name: Name of the body.
-        half_height_m: Height of its origin where it touches the ground [m].
+        name: Name of the body, whose origin is at `RADIUS_M` where it touches the ground.
     """
-    heights_m = rollout.position(name)[:, 2] - half_height_m
-    released_m = rollout.scene.body(name).pose.position_m[2] - half_height_m
+    heights_m = rollout.position(name)[:, 2] - RADIUS_M
+    released_m = rollout.scene.body(name).pose.position_m[2] - RADIUS_M
     return first_bounce(
         rollout.times_s,
         heights_m,

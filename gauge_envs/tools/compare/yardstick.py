@@ -29,13 +29,6 @@ SPREADS = {
     SigmaSource.MEASUREMENT: "uncertainty of the measurement (1 standard deviation)",
 }
 """What is shaded about a real mean, by its source."""
-KINDS = {
-    "face": "area of face",
-    "face_area": "area of face",
-    "curvature": "curvature at marker",
-    "line_curvature": "bend at inner marker",
-}
-"""Kinds of coordinates in words."""
 ROUNDING_SHARE = 1e-7
 """Deviation, over the range of a motion, below which only rounding is seen."""
 VISIBLE_SHARE = 0.05

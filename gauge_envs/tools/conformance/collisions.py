@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.evaluation.estimators import acceleration_m_per_s2
@@ -32,8 +31,6 @@ from gauge_envs.tools.bench.parts import (
 from gauge_envs.tools.conformance.laws import worst_ratio
 from gauge_envs.tools.conformance.model import Measurement, rollout_of
 from gauge_envs.tools.conformance.rich import thrown
-
-Array = NDArray[np.float64]
 
 # --- rebounds in both orders of the pair, at all speeds, early and late ----------------------------------------------
 

@@ -23,12 +23,10 @@ from gauge_envs.tools.compare.experiment_figure import draw_experiment, save_fig
 
 MOST_PIXELS = 1600
 IDS = [variant.id.removeprefix("GAUGE/") for variant in variants()]
-FLING, FOAM, BALL, WALL, CRADLE = (
+FLING, BALL, WALL = (
     "TextileFlinging-nylon",
-    "FoamCompressing-soft",
     "BouncingBall-rubber",
     "WallBreaking-wood",
-    "NewtonsCradle-metal",
 )
 
 

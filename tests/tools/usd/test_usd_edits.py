@@ -107,11 +107,7 @@ CHAIN = chain()
 
 # --- one value -------------------------------------------------------------------------------------------------------
 
-CUBE, PHYSICS, CONTACT = (
-    "/World/cube",
-    "/World/PhysicsScene",
-    "/World/Contacts/contact_0",
-)
+CUBE, CONTACT = "/World/cube", "/World/Contacts/contact_0"
 MATERIAL, SHEET, JOINT = (
     "/World/Materials/contact_0",
     "/World/textile",

@@ -636,11 +636,11 @@ def grasp_kinds(model: mujoco.MjModel, pairs: ContactPairs) -> NDArray[np.int_]:
     return kinds
 
 
-def never_touches(robot: Robot, poses: int = 200) -> bool:
+def never_touches(robot: Robot) -> bool:
     """Return whether no two geoms of a robot that is fixed to the world touch in random poses within joint limits."""
     if robot.standing is not None or joints_of(robot.model, "FREE", "BALL").any():
         return False
-    return not any(data.ncon for data in random_poses(robot.model, poses))
+    return not any(data.ncon for data in random_poses(robot.model, poses=200))
 
 
 def random_poses(
