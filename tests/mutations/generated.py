@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,7 +24,6 @@ from mutations.generated_calls import (
     engine_changes,
     gravity_of_last,
     kept,
-    nodes,
     report,
     settings,
     time_faults,
@@ -32,7 +31,7 @@ from mutations.generated_calls import (
 )
 from mutations.generated_fields import field_variants, scene_edit, switched
 from mutations.generated_pairs import pair_faults
-from mutations.mutant import Fault
+from mutations.mutant import Fault, Passed
 
 KINDS = (
     "scale",
@@ -224,137 +223,135 @@ def is_held_out(quantity: str, kind: str) -> bool:
 # --- all of them -----------------------------------------------------------------------------------------------------
 
 
+VECTORS = (
+    *("size_m", "radii_m", "position_m", "anchor_m", "axis"),
+    *("linear_velocity_m_per_s", "angular_velocity_rad_per_s", "wind_m_per_s"),
+)
+EXAMPLES: Mapping[str, Any] = {
+    **dict.fromkeys(VECTORS, (0.1, 0.2, 0.3)),
+    **dict.fromkeys(("limits_rad", "limits_m"), (-0.1, 0.2)),
+    "quaternion": (1.0, 0.0, 0.0, 0.0),
+    "pieces_m": (((0.1, 0.2, 0.3),),),
+}
+"""Values of the fields that are not numbers, but of `Cloth.size_m`."""
+
+
 def _fields() -> Iterator[tuple[str, str, Any]]:
-    """Yield part, field and an example of all fields with words, from scenes of the suite and of the checks."""
-    vector3 = (0.1, 0.2, 0.3)
+    """Yield part, field and an example of all fields with words."""
     for name in WORDS:
         owner, _, field = name.partition(".")
-        if not owner[0].isupper() or field in ("pair", "joint", "parts"):
-            continue
-        example: Any = 1.0
-        if field in ("size_m",) and owner == "Cloth":
-            example = (0.1, 0.2)
-        elif field in (
-            "size_m",
-            "radii_m",
-            "position_m",
-            "anchor_m",
-            "axis",
-            "linear_velocity_m_per_s",
-            "angular_velocity_rad_per_s",
-            "wind_m_per_s",
-        ):
-            example = vector3
-        elif field.startswith("limits_"):
-            example = (-0.1, 0.2)
-        elif field == "quaternion":
-            example = (1.0, 0.0, 0.0, 0.0)
-        elif field == "pieces_m":
-            example = ((vector3,),)
-        yield owner, field, example
+        if owner[0].isupper() and field not in ("pair", "joint", "parts"):
+            example = EXAMPLES.get(field, 1.0)
+            yield owner, field, (0.1, 0.2) if name == "Cloth.size_m" else example
 
 
-def generated() -> dict[str, Generated]:  # noqa: C901
+OF_BODIES = ("frame", "kth", "crowd")
+"""Kinds of faults that calls without a body do not have."""
+
+CALLS: tuple[tuple[str, Callable[..., type[Passed]], Mapping[str, float]], ...] = (
+    (
+        "drive",
+        drive,
+        {
+            "position": 0.3,
+            "orientation": 0.5,
+            "velocity": 0.5,
+            "spin": 2.0,
+            "acceleration": 1.0,
+            "spin_acceleration": 4.0,
+        },
+    ),
+    ("wrench", wrench, {"force": 1.0, "torque": 0.05}),
+    ("command", command, {"value": 0.1}),
+    (
+        "report",
+        report,
+        {
+            "position": 1.0,
+            "orientation": 1.0,
+            "velocity": 2.0,
+            "spin": 5.0,
+            "nodes": 1.0,
+        },
+    ),
+)
+"""Calls with their faults, and the usual size of each of their parts."""
+
+NOT_LOST = (("reset", "drop", "wrench"), ("reset", "drop", "command"))
+LOST = [
+    (when, kind, part)
+    for part in ("velocity", "wrench", "command", "pose")
+    for when in ("reset", "restore")
+    for kind in ("stale", "drop")
+    if (when, kind, part) not in NOT_LOST
+]
+"""Parts of the state that a reset or a restore keeps or loses; that a reset loses wrenches and commands is right."""
+
+
+def generated() -> dict[str, Generated]:
     """Return all generated faults by id."""
     found: dict[str, Generated] = {}
-
-    def add(quantity: str, kind: str, variant: str, **how: Any) -> None:
-        what = f"{quantity}, {kind} {variant}"
+    for quantity, kind, variant, how in _faults():
         one = Generated(
             quantity=quantity,
             kind=kind,
             variant=variant,
-            fault=Fault(what=what, caught_by="", says=WORDS[quantity], **how),
+            fault=Fault(
+                what=f"{quantity}, {kind} {variant}",
+                caught_by="",
+                says=WORDS[quantity],
+                **how,
+            ),
         )
         found[one.id] = one
-
-    for owner, field, example in _fields():
-        for kind, variant, edit, condition in field_variants(owner, field, example):
-            change = scene_edit(owner, field, edit)
-            if condition:
-                add(
-                    f"{owner}.{field}",
-                    kind,
-                    variant,
-                    simulation=switched(condition, change),
-                    engine="mujoco",
-                )
-            else:
-                add(f"{owner}.{field}", kind, variant, scene=change)
-    for quantity, kind, variant, change in pair_faults():
-        add(quantity, kind, variant, scene=change)
-    units = {
-        "position": 0.3,
-        "orientation": 0.5,
-        "velocity": 0.5,
-        "spin": 2.0,
-        "acceleration": 1.0,
-        "spin_acceleration": 4.0,
-    }
-    for part, unit in units.items():
-        for kind, variant, change in call_changes(unit):
-            add(f"drive.{part}", kind, variant, simulation=drive(part, change))
-    for part, unit in {"force": 1.0, "torque": 0.05}.items():
-        for kind, variant, change in call_changes(unit):
-            add(f"wrench.{part}", kind, variant, simulation=wrench(part, change))
-    for kind, variant, change in call_changes(0.1):
-        if kind not in ("frame", "kth", "crowd"):
-            add("command.value", kind, variant, simulation=command(change))
-    for part, unit in {
-        "position": 1.0,
-        "orientation": 1.0,
-        "velocity": 2.0,
-        "spin": 5.0,
-    }.items():
-        for kind, variant, change in call_changes(unit):
-            add(f"report.{part}", kind, variant, simulation=report(part, change))
-    for kind, variant, change in call_changes(1.0):
-        if kind not in ("frame", "kth", "crowd"):
-            add("report.nodes", kind, variant, simulation=nodes(change))
-    for part, unit in {"velocity": 4.0, "spin": 30.0, "hinge_rate": 4.0}.items():
-        for kind, variant, change in engine_changes(unit):
-            add(
-                f"engine.{part}",
-                kind,
-                variant,
-                simulation=engine(part, change),
-                engine="mujoco",
-            )
-    for kind, variant, simulation in time_faults():
-        add("time.interval", kind, variant, simulation=simulation)
-    for part in ("velocity", "wrench", "command", "pose"):
-        for when in ("reset", "restore"):
-            for kind in ("stale", "drop"):
-                if (when, kind, part) != ("reset", "drop", "wrench") and (
-                    when,
-                    kind,
-                    part,
-                ) != ("reset", "drop", "command"):
-                    add(
-                        f"{when}.{part}",
-                        kind,
-                        "all",
-                        simulation=kept(part, f"{when}-{kind}"),
-                        engine="mujoco",
-                    )
-                    add(
-                        f"{when}.{part}",
-                        "kth",
-                        f"last-{kind}",
-                        simulation=kept(part, f"{when}-{kind}", "last"),
-                        engine="mujoco",
-                    )
-    for quantity, kind, variant, worlds in batch_faults():
-        add(quantity, kind, variant, worlds=worlds)
-    for what in ("states", "nodes"):
-        add(f"buffer.{what}", "stale", "reused", simulation=buffers(what))
-    for factor in (0.1, 0.5, 2.0):
-        add("settings.timestep_s", "scale", f"{factor:g}", simulation=settings(factor))
-    add(
-        "Scene.gravity_m_per_s2",
-        "stale",
-        "last-built",
-        simulation=gravity_of_last(),
-        engine="mujoco",
-    )
     return found
+
+
+def _faults() -> Iterator[tuple[str, str, str, dict[str, Any]]]:  # noqa: C901
+    """Yield quantity, kind and variant of each fault, and its fields."""
+    for owner, field, example in _fields():
+        for one in field_variants(owner, field, example):
+            change = scene_edit(owner, field, one.edit)
+            how: dict[str, Any] = {"scene": change}
+            if one.condition:
+                how = of_mujoco(switched(one.condition, change))
+            yield f"{owner}.{field}", one.kind, one.name, how
+    for quantity, kind, variant, change in pair_faults():
+        yield quantity, kind, variant, {"scene": change}
+    yield from _call_faults()
+    for part, unit in {"velocity": 4.0, "spin": 30.0, "hinge_rate": 4.0}.items():
+        for kind, variant, rate in engine_changes(unit):
+            yield f"engine.{part}", kind, variant, of_mujoco(engine(part, rate))
+    for kind, variant, simulation in time_faults():
+        yield "time.interval", kind, variant, {"simulation": simulation}
+    yield from _lost()
+    for quantity, kind, variant, worlds in batch_faults():
+        yield quantity, kind, variant, {"worlds": worlds}
+    for what in ("states", "nodes"):
+        yield f"buffer.{what}", "stale", "reused", {"simulation": buffers(what)}
+    for factor in (0.1, 0.5, 2.0):
+        how = {"simulation": settings(factor)}
+        yield "settings.timestep_s", "scale", f"{factor:g}", how
+    how = of_mujoco(gravity_of_last())
+    yield "Scene.gravity_m_per_s2", "stale", "last-built", how
+
+
+def of_mujoco(simulation: type[Passed]) -> dict[str, Any]:
+    """Return the fields of a fault that only MuJoCo can have."""
+    return {"simulation": simulation, "engine": "mujoco"}
+
+
+def _lost() -> Iterator[tuple[str, str, str, dict[str, Any]]]:
+    for when, kind, part in LOST:
+        quantity, how = f"{when}.{part}", f"{when}-{kind}"
+        yield quantity, kind, "all", of_mujoco(kept(part, how))
+        yield quantity, "kth", f"last-{kind}", of_mujoco(kept(part, how, "last"))
+
+
+def _call_faults() -> Iterator[tuple[str, str, str, dict[str, Any]]]:
+    for call, maker, units in CALLS:
+        for part, unit in units.items():
+            for kind, variant, change in call_changes(unit):
+                if part not in ("value", "nodes") or kind not in OF_BODIES:
+                    simulation = maker(part, change)
+                    yield f"{call}.{part}", kind, variant, {"simulation": simulation}

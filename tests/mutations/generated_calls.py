@@ -16,11 +16,51 @@ from gauge_envs.scene.geometry import vector
 from mutations.generated_fields import rounded
 from mutations.mutant import Passed
 
+Change = Callable[[np.ndarray, dict[str, Any]], np.ndarray]
+"""Returns another vector, from the one that a call passes and its context (`_Calls.changed`)."""
+
+
+def _times(factor: float, holds: Callable[[np.ndarray, dict[str, Any]], Any]) -> Change:
+    """Return a change by a factor where something holds of a vector and its context."""
+    return lambda v, c: factor * v if holds(v, c) else v
+
+
+def _late(time_s: float) -> Callable[..., bool]:
+    return lambda v, c: c["time"] > time_s
+
+
+def _early(time_s: float) -> Callable[..., bool]:
+    return lambda v, c: c["time"] < time_s
+
+
+def _odd(time_s: float) -> Callable[..., bool]:
+    return lambda v, c: int(c["time"] / time_s) % 2 == 1
+
+
+def _above(length: float) -> Callable[..., bool]:
+    return lambda v, c: np.linalg.norm(v) > length
+
+
+def _of_one(factor: float) -> Iterator[tuple[str, str, Change]]:
+    """Yield changes of what is the first, the second or the last of its kind."""
+    for number, name in ((0, "first"), (1, "second"), (-1, "last")):
+
+        def is_one(v: np.ndarray, c: dict[str, Any], number: int = number) -> bool:
+            count = c["count"]
+            return count > 1 and c["number"] in (number, number + count)
+
+        yield "kth", name, _times(factor, is_one)
+
+
+def _of_signs(factor: float) -> Iterator[tuple[str, str, Change]]:
+    yield "side", "negative", lambda v, c: np.where(v < 0.0, factor * v, v)
+    yield "side", "positive", lambda v, c: np.where(v > 0.0, factor * v, v)
+
 
 def call_changes(  # noqa: C901  # one branch for each kind of fault
     unit: float,
-) -> Iterator[tuple[str, str, Callable[..., Any]]]:
-    """Yield kind, variant and change of a vector that a call passes."""
+) -> Iterator[tuple[str, str, Change]]:
+    """Yield kind, variant and change of a vector that a call passes, of a usual length."""
     for factor in (0.5, 0.8, 1.25):
         yield "scale", f"{factor:g}", lambda v, c, k=factor: k * v
     for axis in range(3):
@@ -29,16 +69,16 @@ def call_changes(  # noqa: C901  # one branch for each kind of fault
             f"{axis}",
             lambda v, c, i=axis: v + 0.05 * unit * np.eye(len(v))[min(i, len(v) - 1)],
         )
-    for i, j in ((0, 1), (1, 2)):
-        yield (
-            "swap",
-            f"{i}-{j}",
-            lambda v, c, a=i, b=j: (
-                v[[b if n == a else a if n == b else n for n in range(len(v))]]
-                if len(v) > b
-                else v[::-1]
-            ),
-        )
+    for one, other in ((0, 1), (1, 2)):
+
+        def swapped(v, c, one=one, other=other):
+            if len(v) <= other:
+                return v[::-1]
+            found = v.copy()
+            found[[one, other]] = v[[other, one]]
+            return found
+
+        yield "swap", f"{one}-{other}", swapped
     yield "drop", "all", lambda v, c: 0.0 * v
     for axis in range(3):
         yield (
@@ -53,58 +93,32 @@ def call_changes(  # noqa: C901  # one branch for each kind of fault
             lambda v, c, m=cap: np.clip(v, -m * unit, m * unit),
         )
     for cap in (0.3, 1.0, 3.0):
-        yield (
-            "threshold",
-            f"above-{cap:g}",
-            lambda v, c, m=cap: 0.5 * v if np.linalg.norm(v) > m * unit else v,
-        )
+        yield "threshold", f"above-{cap:g}", _times(0.5, _above(cap * unit))
     for time_s in (1.0, 2.0):
-        yield (
-            "threshold",
-            f"after-{time_s:g}",
-            lambda v, c, m=time_s: 0.5 * v if c["time"] > m else v,
-        )
-    yield (
-        "frame",
-        "body",
-        lambda v, c: c["rotation"].apply(v, inverse=True) if len(v) == 3 else v,
-    )
-    yield "frame", "world", lambda v, c: c["rotation"].apply(v) if len(v) == 3 else v
+        yield "threshold", f"after-{time_s:g}", _times(0.5, _late(time_s))
+    for name, inverse in (("body", True), ("world", False)):
+
+        def turned(v, c, inverse=inverse):
+            return c["rotation"].apply(v, inverse=inverse) if len(v) == 3 else v
+
+        yield "frame", name, turned
     yield "stale", "one-call", lambda v, c: c["before"]
-    for number, name in ((0, "first"), (1, "second"), (-1, "last")):
-        yield (
-            "kth",
-            name,
-            lambda v, c, m=number: (
-                0.7 * v
-                if c["count"] > 1 and c["number"] == (m if m >= 0 else c["count"] - 1)
-                else v
-            ),
-        )
-    yield "side", "negative", lambda v, c: np.where(v < 0.0, 0.5 * v, v)
-    yield "side", "positive", lambda v, c: np.where(v > 0.0, 0.5 * v, v)
+    yield from _of_one(0.7)
+    yield from _of_signs(0.5)
     yield "rounded", "4-bits", lambda v, c: rounded(v, 4)
     yield "mixed", "half", lambda v, c: 0.5 * (v + v.mean())
     yield "mixed", "calls", lambda v, c: 0.5 * (v + c["before"])
     for time_s in (0.1, 0.4):
-        yield (
-            "delay",
-            f"{time_s:g}s",
-            lambda v, c, m=time_s: 0.0 * v if c["time"] < m else v,
-        )
+        yield "delay", f"{time_s:g}s", _times(0.0, _early(time_s))
     for time_s in (0.1, 0.5):
-        yield (
-            "alternates",
-            f"{time_s:g}s",
-            lambda v, c, m=time_s: 0.7 * v if int(c["time"] / m) % 2 else v,
-        )
+        yield "alternates", f"{time_s:g}s", _times(0.7, _odd(time_s))
     for power in (0.7, 1.4):
         yield (
             "power",
             f"{power:g}",
             lambda v, c, p=power: np.sign(v) * unit * (np.abs(v) / unit) ** p,
         )
-    yield "crowd", "above-2", lambda v, c: 0.7 * v if c["count"] > 2 else v
+    yield "crowd", "above-2", _times(0.7, lambda v, c: c["count"] > 2)
 
 
 class _Calls(Passed):
@@ -143,7 +157,16 @@ class _Calls(Passed):
         return np.asarray(change(value, context))
 
 
-def drive(part: str, change: Any) -> type[Passed]:
+RATES = {
+    "velocity": (0, slice(0, 3)),
+    "spin": (0, slice(3, 6)),
+    "acceleration": (1, slice(0, 3)),
+    "spin_acceleration": (1, slice(3, 6)),
+}
+"""Places of parts of a driven motion in its rates and their changes."""
+
+
+def drive(part: str, change: Change) -> type[Passed]:
     class Drives(_Calls):
         def drive(self, body, pose, velocity, acceleration):
             names = [
@@ -155,13 +178,8 @@ def drive(part: str, change: Any) -> type[Passed]:
                 "count": len(names),
             }
             rates = [np.array(velocity), np.array(acceleration)]
-            place, which = {
-                "velocity": (0, slice(0, 3)),
-                "spin": (0, slice(3, 6)),
-                "acceleration": (1, slice(0, 3)),
-                "spin_acceleration": (1, slice(3, 6)),
-            }.get(part, (None, None))
-            if place is not None:
+            if part in RATES:
+                place, which = RATES[part]
                 rates[place][which] = self.changed(
                     change, body, rates[place][which], **where
                 )
@@ -184,7 +202,7 @@ def drive(part: str, change: Any) -> type[Passed]:
     return Drives
 
 
-def wrench(part: str, change: Any) -> type[Passed]:
+def wrench(part: str, change: Change) -> type[Passed]:
     class Pushes(_Calls):
         def apply_wrench(self, body, wrench):
             names = [one.name for one in self.scene.dynamic_bodies]
@@ -204,7 +222,7 @@ def wrench(part: str, change: Any) -> type[Passed]:
     return Pushes
 
 
-def command(change: Any) -> type[Passed]:
+def command(part: str, change: Change) -> type[Passed]:
     class Commands(_Calls):
         def command(self, values):
             super().command(self.changed(change, "command", values))
@@ -220,7 +238,10 @@ COLUMNS = {
 }
 
 
-def report(part: str, change: Any) -> type[Passed]:
+def report(part: str, change: Change) -> type[Passed]:
+    if part == "nodes":
+        return _nodes(change)
+
     class Reports(_Calls):
         def body_states(self, names):
             states = super().body_states(names)
@@ -243,11 +264,10 @@ def report(part: str, change: Any) -> type[Passed]:
     return Reports
 
 
-def nodes(change: Any) -> type[Passed]:
+def _nodes(change: Change) -> type[Passed]:
     class Nodes(_Calls):
         def nodes(self, name):
             found = super().nodes(name)
-            middle = found.mean(axis=0)
             changed = self.changed(
                 lambda v, c: np.array(
                     [
@@ -258,12 +278,12 @@ def nodes(change: Any) -> type[Passed]:
                 name,
                 found,
             )
-            return changed if changed.shape == found.shape else found + 0.0 * middle
+            return changed if changed.shape == found.shape else found
 
     return Nodes
 
 
-def engine(part: str, change: Any) -> type[Passed]:
+def engine(part: str, change: Change) -> type[Passed]:
     """Return a simulation of MuJoCo that changes rates after each interval: of free bodies, or of hinges."""
 
     class Rates(_Calls):
@@ -297,42 +317,31 @@ def engine(part: str, change: Any) -> type[Passed]:
     return Rates
 
 
-def engine_changes(unit: float) -> Iterator[tuple[str, str, Any]]:
+def engine_changes(unit: float) -> Iterator[tuple[str, str, Change]]:
+    """Yield kind, variant and change of a rate, of a usual size, after each interval."""
     for per_s in (0.05, 0.5):
         yield "scale", f"damped-{per_s:g}", lambda v, c, k=per_s: v * (1.0 - k / 180.0)
     yield "scale", "gains", lambda v, c: v * (1.0 + 0.05 / 180.0)
     yield "offset", "drift", lambda v, c: v + 0.02 * unit / 180.0
     for cap in (0.3, 1.0, 3.0):
-        yield (
-            "saturate",
-            f"{cap:g}",
-            lambda v, c, m=cap: (
-                v * min(1.0, m * unit / max(float(np.linalg.norm(v)), 1e-12))
-            ),
-        )
+
+        def capped(v, c, most=cap * unit):
+            return v * min(1.0, most / max(float(np.linalg.norm(v)), 1e-12))
+
+        yield "saturate", f"{cap:g}", capped
     yield (
         "threshold",
         "slow-frozen-after-2s",
-        lambda v, c: (
-            0.0 * v if c["time"] > 2.0 and np.linalg.norm(v) < 0.01 * unit else v
-        ),
+        _times(0.0, lambda v, c: c["time"] > 2.0 and np.linalg.norm(v) < 0.01 * unit),
     )
     yield (
         "threshold",
         "slow-frozen",
-        lambda v, c: 0.0 * v if np.linalg.norm(v) < 0.003 * unit else v,
+        _times(0.0, lambda v, c: np.linalg.norm(v) < 0.003 * unit),
     )
     for cap in (1.0, 2.0):
-        yield (
-            "threshold",
-            f"damped-above-{cap:g}",
-            lambda v, c, m=cap: 0.995 * v if np.linalg.norm(v) > m * unit else v,
-        )
-    yield (
-        "threshold",
-        "damped-after-1s",
-        lambda v, c: 0.999 * v if c["time"] > 1.0 else v,
-    )
+        yield "threshold", f"damped-above-{cap:g}", _times(0.995, _above(cap * unit))
+    yield "threshold", "damped-after-1s", _times(0.999, _late(1.0))
     yield (
         "drop",
         "axis",
@@ -343,35 +352,17 @@ def engine_changes(unit: float) -> Iterator[tuple[str, str, Any]]:
         "axis-damped",
         lambda v, c: np.where(np.arange(len(v)) == 0, 0.998 * v, v),
     )
-    for number, name in ((0, "first"), (1, "second"), (-1, "last")):
-        yield (
-            "kth",
-            name,
-            lambda v, c, m=number: (
-                0.998 * v
-                if c["count"] > 1 and c["number"] == (m if m >= 0 else c["count"] - 1)
-                else v
-            ),
-        )
+    yield from _of_one(0.998)
     for time_s in (0.1, 0.5):
-        yield (
-            "alternates",
-            f"damped-{time_s:g}s",
-            lambda v, c, m=time_s: 0.997 * v if int(c["time"] / m) % 2 else v,
-        )
-        yield (
-            "delay",
-            f"damped-until-{time_s:g}s",
-            lambda v, c, m=time_s: 0.995 * v if c["time"] < m else v,
-        )
+        yield "alternates", f"damped-{time_s:g}s", _times(0.997, _odd(time_s))
+        yield "delay", f"damped-until-{time_s:g}s", _times(0.995, _early(time_s))
     for share in (0.002, 0.02):
         yield (
             "power",
             f"drag-{share:g}",
             lambda v, c, k=share: v * (1.0 - k * np.abs(v) / unit),
         )
-    yield "side", "negative", lambda v, c: np.where(v < 0.0, 0.998 * v, v)
-    yield "side", "positive", lambda v, c: np.where(v > 0.0, 0.998 * v, v)
+    yield from _of_signs(0.998)
     yield "stale", "mean-of-two", lambda v, c: 0.5 * (v + c["before"])
 
 
@@ -466,11 +457,7 @@ def buffers(what: str) -> type[Passed]:
 
         def body_states(self, names):
             found = super().body_states(names)
-            return (
-                self._same(tuple(names) if what == "states" else object(), found)
-                if what == "states"
-                else found
-            )
+            return self._same(tuple(names), found) if what == "states" else found
 
         def nodes(self, name):
             found = super().nodes(name)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cache
 from typing import Any
 
@@ -19,8 +19,47 @@ from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.geometry import vector
 from mutations.mutant import Passed
 
-Edit = Callable[[Any, Any, Any, int, Scene], Any]
-"""Value, part, all values of the field, number of the value, scene -> new value."""
+
+@dataclass(frozen=True, kw_only=True)
+class Place:
+    """Where a field is edited.
+
+    Attributes:
+        value: The value.
+        part: The part of the scene that has it.
+        every: Values of the field in all parts of its type.
+        number: Number of the value among them.
+        scene: The scene.
+    """
+
+    value: Any
+    part: Any
+    every: list[Any]
+    number: int
+    scene: Scene
+
+
+Edit = Callable[[Place], Any]
+"""Returns the new value."""
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One of the faults of a field.
+
+    Attributes:
+        kind: Kind of fault.
+        name: Which of its kind.
+        edit: The fault.
+        condition: When it is there, as `_holds` reads it; empty for always.
+    """
+
+    kind: str
+    name: str
+    edit: Edit
+    condition: str = ""
+
+
 SKIPPED = (Driver,)
 
 
@@ -65,15 +104,17 @@ def scene_edit(owner: str, field: str, edit: Edit) -> Callable[[Scene], Scene]:
     """Return a change of a field of all parts of a type; a scene that it would make invalid stays as it is."""
 
     def changed(scene: Scene) -> Scene:
-        values = [value for _, value in leaves(scene, owner, field)]
-        numbers = iter(range(len(values)))
-        try:
-            return rewritten(
-                scene,
-                owner,
-                field,
-                lambda part, value: edit(value, part, values, next(numbers), scene),
+        every = [value for _, value in leaves(scene, owner, field)]
+        numbers = iter(range(len(every)))
+
+        def edited(part: Any, value: Any) -> Any:
+            number = next(numbers)
+            return edit(
+                Place(value=value, part=part, every=every, number=number, scene=scene)
             )
+
+        try:
+            return rewritten(scene, owner, field, edited)
         except (GaugeError, TypeError, ValueError, KeyError, IndexError):
             return scene
 
@@ -173,279 +214,271 @@ def _frame_of(part: Any, scene: Scene) -> Rotation:
     return pose.rotation if pose is not None else Rotation.identity()
 
 
+STARTS = ("quaternion", "linear_velocity_m_per_s", "angular_velocity_rad_per_s")
+"""Fields that only the start of a motion depends on."""
+
+
+def _off_where(
+    field: str, strength: float, holds: Callable[[Place], bool] = lambda at: True
+) -> Edit:
+    """Return an edit to a value that is off, where something holds of its place."""
+    return lambda at: _off(field, at.value, strength) if holds(at) else at.value
+
+
+def _form(field: str, example: Any) -> str:
+    """Return the form of a field: `turn`, `direction`, `number`, `vector`, or `tree` of vectors."""
+    if field == "quaternion":
+        return "turn"
+    if _is_direction(field):
+        return "direction"
+    if not isinstance(example, tuple):
+        return "number"
+    return "tree" if isinstance(example[0], tuple) else "vector"
+
+
 def field_variants(  # noqa: C901  # one branch for each kind of fault
     owner: str, field: str, example: Any
-) -> Iterator[tuple[str, str, Edit, str]]:
-    """Yield kind, variant, edit and condition of the faults of a field."""
-    is_vector = isinstance(example, tuple) and not isinstance(example[0], tuple)
-    is_tree = isinstance(example, tuple) and not is_vector
-    is_turn = field == "quaternion"
-    for strength in (0.5, 0.8, 1.25, 1.6):
-        if not is_turn and not _is_direction(field):
-            yield (
-                "scale",
-                f"{strength:g}",
-                lambda v, p, a, n, s, k=strength: _off(field, v, k),
-                "",
-            )
-        elif strength in (0.5, 0.8):
-            yield (
-                "offset",
-                f"{strength:g}",
-                lambda v, p, a, n, s, k=strength: _off(field, v, k),
-                "",
-            )
-    for large in (False, True):
-        if is_vector and not is_turn and not _is_direction(field):
-            for axis in range(len(example)):
-                yield (
-                    "offset",
-                    f"{axis}-{large}",
-                    lambda v, p, a, n, s, x=axis, big=large: tuple(
-                        one + (_offset(field, v, big) if i == x else 0.0)
-                        for i, one in enumerate(v)
-                    ),
-                    "",
-                )
-        elif not is_vector and not is_tree:
-            yield (
-                "offset",
-                f"{large}",
-                lambda v, p, a, n, s, big=large: v + _offset(field, v, big),
-                "",
-            )
-    if is_tree:
-        yield (
-            "offset",
-            "x",
-            lambda v, p, a, n, s: _mapped(v, lambda x: [x[0] + 3e-3, *x[1:]]),
-            "",
+) -> Iterator[Variant]:
+    """Yield the faults of a field.
+
+    Args:
+        owner: Type of the parts that have it.
+        field: Its name.
+        example: One of its values.
+    """
+    form = _form(field, example)
+    is_angle = form in ("turn", "direction")
+    kind, strengths = "scale", (0.5, 0.8, 1.25, 1.6)
+    if is_angle:
+        kind, strengths = "offset", (0.5, 0.8)
+    for strength in strengths:
+        yield Variant(kind, f"{strength:g}", _off_where(field, strength))
+    if form == "turn":
+        yield from _of_turns()
+    elif form == "direction":
+        yield from (*_swaps(len(example)), *_frames())
+    elif form == "number":
+        yield from _of_numbers(owner, field)
+    elif form == "vector":
+        yield from _of_vectors(field, len(example))
+    else:
+        yield from _of_trees()
+    yield Variant("stale", "first-for-all", lambda at: at.every[0])
+    for bits in (2, 4) if not is_angle else ():
+        yield Variant(
+            "rounded",
+            f"{bits}-bits",
+            lambda at, bits=bits: _mapped(at.value, lambda x: rounded(x, bits)),
         )
-        yield "drop", "last", lambda v, p, a, n, s: v[:-1] or v, ""
-        yield "drop", "but-first", lambda v, p, a, n, s: v[:1], ""
-        yield (
-            "swap",
-            "x-y",
-            lambda v, p, a, n, s: tuple(
-                tuple((y, x, z) for x, y, z in piece) for piece in v
-            ),
-            "",
+    if form not in ("turn", "tree"):
+        yield Variant("mixed", "half", lambda at: _mixed(field, at.value, at.every))
+    yield from _of_some(field)
+    yield from _of_times(field)
+    if form != "tree":
+        yield Variant(
+            "neighbour", "next", lambda at: at.every[(at.number + 1) % len(at.every)]
         )
-    if is_vector and not is_turn:
-        for one, other in ((0, 1), (1, 2), (0, 2)):
-            if other < len(example):
-                yield (
-                    "swap",
-                    f"{one}-{other}",
-                    lambda v, p, a, n, s, i=one, j=other: tuple(
-                        v[j] if k == i else v[i] if k == j else v[k]
-                        for k in range(len(v))
-                    ),
-                    "",
-                )
-    if is_turn:
-        yield "swap", "xyzw", lambda v, p, a, n, s: (v[3], *v[:3]), ""
-        yield "frame", "inverse", lambda v, p, a, n, s: (v[0], -v[1], -v[2], -v[3]), ""
-        yield "drop", "identity", lambda v, p, a, n, s: (1.0, 0.0, 0.0, 0.0), ""
-    if not is_vector and not is_tree:
-        yield (
-            "swap",
-            "first-last",
-            lambda v, p, a, n, s: a[-1] if n == 0 else a[0] if n == len(a) - 1 else v,
-            "",
-        )
-        yield (
-            "drop",
-            "none",
-            lambda v, p, a, n, s: (
-                None if field in ("inertia_kg_m2", "torque_limit_n_m") else 1e-3 * v
-            ),
-            "",
-        )
-        yield (
-            "saturate",
-            "most",
-            lambda v, p, a, n, s: min(v, _typical(owner, field)),
-            "",
-        )
-        yield (
-            "saturate",
-            "least",
-            lambda v, p, a, n, s: max(v, _typical(owner, field)) if v else v,
-            "",
-        )
-    elif is_vector and not is_turn and not _is_direction(field):
-        yield (
-            "drop",
-            "zero",
-            lambda v, p, a, n, s: tuple(
-                0.0 if "size" not in field and "radii" not in field else 0.05 for _ in v
-            ),
-            "",
-        )
-        cap = {"_m_per_s": 0.5, "_rad_per_s": 2.5}.get(
-            next((e for e in ("_rad_per_s", "_m_per_s") if field.endswith(e)), ""), 0.08
-        )
-        yield (
-            "saturate",
-            "most",
-            lambda v, p, a, n, s: tuple(float(np.clip(one, -cap, cap)) for one in v),
-            "",
-        )
-    if is_vector and not is_turn and "size" not in field and "radii" not in field:
-        yield (
-            "frame",
-            "body",
-            lambda v, p, a, n, s: vector(_frame_of(p, s).apply(v)),
-            "",
-        )
-        yield (
-            "frame",
-            "world",
-            lambda v, p, a, n, s: vector(_frame_of(p, s).apply(v, inverse=True)),
-            "",
-        )
-    yield "stale", "first-for-all", lambda v, p, a, n, s: a[0], ""
-    if not is_turn and not _is_direction(field):
-        for bits in (2, 4):
-            yield (
-                "rounded",
-                f"{bits}-bits",
-                lambda v, p, a, n, s, b=bits: _mapped(v, lambda x: rounded(x, b)),
-                "",
-            )
-    if not is_tree and not is_turn:
-        yield "mixed", "half", lambda v, p, a, n, s: _mixed(field, v, a), ""
-    for count in (2, 4):
-        for strength in (0.5, 1.25):
-            yield (
-                "crowd",
-                f"above-{count}-bodies-{strength:g}",
-                lambda v, p, a, n, s, m=count, k=strength: (
-                    _off(field, v, k) if len(s.bodies) > m else v
-                ),
-                "",
-            )
-    for number, name in ((0, "first"), (1, "second"), (2, "third"), (-1, "last")):
-        for strength in (0.5, 1.25):
-            yield (
-                "kth",
-                f"{name}-{strength:g}",
-                lambda v, p, a, n, s, m=number, k=strength: (
-                    _off(field, v, k)
-                    if n == (m if m >= 0 else len(a) - 1) and len(a) > 1
-                    else v
-                ),
-                "",
-            )
-    for condition in (
-        "after-1s",
-        "after-2s",
-        "above-3m/s",
-        "above-8m/s",
-        "above-12m/s",
-        "below-0.1m/s",
-        "above-30rad/s",
-    ):
-        if field not in (
-            "quaternion",
-            "linear_velocity_m_per_s",
-            "angular_velocity_rad_per_s",
-        ):
-            yield (
-                "threshold",
-                condition,
-                lambda v, p, a, n, s: _off(field, v, 0.5),
-                condition,
-            )
-    yield from _late_variants(owner, field, is_tree=is_tree)
-    sides: dict[str, Callable[[Any, Any, Scene], bool]] = {}
-    if owner in (
-        "Box",
-        "Sphere",
-        "Cylinder",
-        "ConvexUnion",
-        "Compound",
-        "Capsule",
-        "Ellipsoid",
-    ):
-        for motion in Motion:
-            sides[motion.value] = lambda v, p, s, m=motion: _motion_of_shape(p, s) is m
-    elif owner == "Contact":
-        sides["fixed-first"] = lambda v, p, s: (
-            _motion(p.first, s) in (Motion.FIXED, Motion.KINEMATIC)
-        )
-        sides["dynamic-pair"] = lambda v, p, s: (
-            {_motion(p.first, s), _motion(p.second, s)} == {Motion.DYNAMIC}
-        )
-        sides["driven"] = lambda v, p, s: (
-            Motion.KINEMATIC in (_motion(p.first, s), _motion(p.second, s))
-        )
-        sides["deformable"] = lambda v, p, s: (
-            None in (_motion(p.first, s), _motion(p.second, s))
-        )
-    elif is_vector and not is_turn:
-        sides["negative"] = lambda v, p, s: min(v) < 0.0
-        sides["positive"] = lambda v, p, s: max(v) > 0.0 and min(v) >= 0.0
-    elif owner == "RigidBody":
-        sides["hinged"] = lambda v, p, s: (
-            p.name in {*s.hung, *(h.second for h in s.body_hinges)}
-        )
-        sides["free"] = lambda v, p, s: (
-            p.name not in {*s.hung, *(h.second for h in s.body_hinges)}
-        )
+        yield Variant("neighbour", "before", lambda at: at.every[at.number - 1])
+    for power in (0.7, 1.4) if form in ("number", "vector") else ():
+        yield Variant("power", f"{power:g}", _bent(owner, field, power))
+    sides = _sides(owner, is_vector=form in ("direction", "vector"))
     for name, holds in sides.items():
         for strength in (0.5, 0.8):
-            yield (
-                "side",
-                f"{name}-{strength:g}",
-                lambda v, p, a, n, s, is_side=holds, k=strength: (
-                    _off(field, v, k) if is_side(v, p, s) else v
-                ),
-                "",
+            edit = _off_where(field, strength, holds)
+            yield Variant("side", f"{name}-{strength:g}", edit)
+
+
+def _bent(owner: str, field: str, power: float) -> Edit:
+    """Return an edit to a power of a value over a typical one."""
+
+    def bent(at: Place) -> Any:
+        typical = np.abs(_typical(owner, field)).max()
+        return _mapped(
+            at.value, lambda x: np.sign(x) * typical * (np.abs(x) / typical) ** power
+        )
+
+    return bent
+
+
+def _of_turns() -> Iterator[Variant]:
+    def inverse(at: Place) -> Any:
+        w, x, y, z = at.value
+        return w, -x, -y, -z
+
+    yield Variant("swap", "xyzw", lambda at: (at.value[3], *at.value[:3]))
+    yield Variant("frame", "inverse", inverse)
+    yield Variant("drop", "identity", lambda at: (1.0, 0.0, 0.0, 0.0))
+
+
+def _of_trees() -> Iterator[Variant]:
+    def swapped(at: Place) -> Any:
+        return tuple(tuple((y, x, z) for x, y, z in piece) for piece in at.value)
+
+    def moved(at: Place) -> Any:
+        return _mapped(at.value, lambda x: [x[0] + 3e-3, *x[1:]])
+
+    yield Variant("offset", "x", moved)
+    yield Variant("drop", "last", lambda at: at.value[:-1] or at.value)
+    yield Variant("drop", "but-first", lambda at: at.value[:1])
+    yield Variant("swap", "x-y", swapped)
+
+
+def _of_numbers(owner: str, field: str) -> Iterator[Variant]:
+    def swapped(at: Place) -> Any:
+        is_end = at.number in (0, len(at.every) - 1)
+        return at.every[-1 - at.number] if is_end else at.value
+
+    def dropped(at: Place) -> Any:
+        is_optional = field in ("inertia_kg_m2", "torque_limit_n_m")
+        return None if is_optional else 1e-3 * at.value
+
+    def at_least(at: Place) -> Any:
+        return max(at.value, _typical(owner, field)) if at.value else at.value
+
+    for large in (False, True):
+        yield Variant(
+            "offset",
+            f"{large}",
+            lambda at, large=large: at.value + _offset(field, at.value, large),
+        )
+    yield Variant("swap", "first-last", swapped)
+    yield Variant("drop", "none", dropped)
+    yield Variant("saturate", "most", lambda at: min(at.value, _typical(owner, field)))
+    yield Variant("saturate", "least", at_least)
+
+
+def _swaps(size: int) -> Iterator[Variant]:
+    for one, other in ((0, 1), (1, 2), (0, 2)):
+        if other < size:
+
+            def swapped(at: Place, one: int = one, other: int = other) -> Any:
+                values = list(at.value)
+                values[one], values[other] = values[other], values[one]
+                return tuple(values)
+
+            yield Variant("swap", f"{one}-{other}", swapped)
+
+
+def _frames() -> Iterator[Variant]:
+    for name, inverse in (("body", False), ("world", True)):
+
+        def turned(at: Place, inverse: bool = inverse) -> Any:
+            turn = _frame_of(at.part, at.scene)
+            return vector(turn.apply(at.value, inverse=inverse))
+
+        yield Variant("frame", name, turned)
+
+
+def _of_vectors(field: str, size: int) -> Iterator[Variant]:
+    is_size = "size" in field or "radii" in field
+    for large in (False, True):
+        for axis in range(size):
+
+            def moved(at: Place, axis: int = axis, large: bool = large) -> Any:
+                values = list(at.value)
+                values[axis] += _offset(field, at.value, large)
+                return tuple(values)
+
+            yield Variant("offset", f"{axis}-{large}", moved)
+    yield from _swaps(size)
+    least, cap = (0.05 if is_size else 0.0), 0.08
+    if field.endswith("_rad_per_s"):
+        cap = 2.5
+    elif field.endswith("_m_per_s"):
+        cap = 0.5
+    yield Variant("drop", "zero", lambda at: (least,) * len(at.value))
+    yield Variant(
+        "saturate", "most", lambda at: tuple(np.clip(at.value, -cap, cap).tolist())
+    )
+    if not is_size:
+        yield from _frames()
+
+
+def _of_some(field: str) -> Iterator[Variant]:
+    """Yield faults of some parts: of those of many, or of one."""
+    for count in (2, 4):
+        for strength in (0.5, 1.25):
+            edit = _off_where(
+                field, strength, lambda at, count=count: len(at.scene.bodies) > count
             )
+            yield Variant("crowd", f"above-{count}-bodies-{strength:g}", edit)
+    for number, name in ((0, "first"), (1, "second"), (2, "third"), (-1, "last")):
+
+        def is_one(at: Place, number: int = number) -> bool:
+            count = len(at.every)
+            return count > 1 and at.number in (number, number + count)
+
+        for strength in (0.5, 1.25):
+            edit = _off_where(field, strength, is_one)
+            yield Variant("kth", f"{name}-{strength:g}", edit)
 
 
-def _late_variants(  # noqa: C901  # one branch for each kind of fault
-    owner: str, field: str, *, is_tree: bool
-) -> Iterator[tuple[str, str, Edit, str]]:
-    """Yield faults that depend on time, place or name, or that take the value of the next part."""
-    is_turn = field == "quaternion"
-    starts = ("quaternion", "linear_velocity_m_per_s", "angular_velocity_rad_per_s")
+def _of_times(field: str) -> Iterator[Variant]:
+    """Yield faults that depend on time and speed, and on place or name."""
+    if field not in STARTS:
+        for condition in (
+            *("after-1s", "after-2s"),
+            *("above-3m/s", "above-8m/s", "above-12m/s", "below-0.1m/s"),
+            "above-30rad/s",
+        ):
+            yield Variant("threshold", condition, _off_where(field, 0.5), condition)
     for strength in (0.5, 1.6):
-
-        def off(v, p, a, n, s, k=strength):
-            return _off(field, v, k)
-
-        if field not in starts:
-            for condition in ("before-0.2s", "before-0.6s"):
-                yield "delay", f"{condition}-{strength:g}", off, condition
-            for condition in ("odd-0.1s", "odd-0.5s"):
-                yield "alternates", f"{condition}-{strength:g}", off, condition
+        if field not in STARTS:
+            for kind, condition in (
+                *(("delay", "before-0.2s"), ("delay", "before-0.6s")),
+                *(("alternates", "odd-0.1s"), ("alternates", "odd-0.5s")),
+            ):
+                edit = _off_where(field, strength)
+                yield Variant(kind, f"{condition}-{strength:g}", edit, condition)
         for axis, name in enumerate("xyz"):
+            edit = _off_where(
+                field,
+                strength,
+                lambda at, axis=axis: _place_of(at.part, at.scene)[axis] < 0.0,
+            )
+            yield Variant("place", f"{name}-negative-{strength:g}", edit)
+        edit = _off_where(field, strength, lambda at: _is_late_name(at.part, at.scene))
+        yield Variant("names", f"late-{strength:g}", edit)
 
-            def placed(v, p, a, n, s, k=strength, axis=axis):
-                return _off(field, v, k) if _place_of(p, s)[axis] < 0.0 else v
 
-            yield "place", f"{name}-negative-{strength:g}", placed, ""
+SHAPES = (
+    *("Box", "Sphere", "Cylinder", "ConvexUnion", "Compound", "Capsule", "Ellipsoid"),
+)
 
-        def named(v, p, a, n, s, k=strength):
-            return _off(field, v, k) if _is_late_name(p, s) else v
 
-        yield "names", f"late-{strength:g}", named, ""
-    if not is_tree:
-        yield "neighbour", "next", lambda v, p, a, n, s: a[(n + 1) % len(a)], ""
-        yield "neighbour", "before", lambda v, p, a, n, s: a[n - 1], ""
-    if not is_tree and not is_turn and not _is_direction(field):
-        for power in (0.7, 1.4):
+def _sides(owner: str, *, is_vector: bool) -> dict[str, Callable[[Place], bool]]:
+    """Return what halves of the parts of a type, or of their vectors, have in common."""
 
-            def bent(v, p, a, n, s, power=power):
-                typical = np.abs(_typical(owner, field)).max()
-                return _mapped(
-                    v, lambda x: np.sign(x) * typical * (np.abs(x) / typical) ** power
-                )
+    def motions(at: Place) -> set[Motion | None]:
+        return {_motion(at.part.first, at.scene), _motion(at.part.second, at.scene)}
 
-            yield "power", f"{power:g}", bent, ""
+    def is_hinged(at: Place) -> bool:
+        seconds = {hinge.second for hinge in at.scene.body_hinges}
+        return at.part.name in {*at.scene.hung, *seconds}
+
+    if owner in SHAPES:
+        return {
+            motion.value: lambda at, motion=motion: (
+                _motion_of_shape(at.part, at.scene) is motion
+            )
+            for motion in Motion
+        }
+    if owner == "Contact":
+        still = (Motion.FIXED, Motion.KINEMATIC)
+        return {
+            "fixed-first": lambda at: _motion(at.part.first, at.scene) in still,
+            "dynamic-pair": lambda at: motions(at) == {Motion.DYNAMIC},
+            "driven": lambda at: Motion.KINEMATIC in motions(at),
+            "deformable": lambda at: None in motions(at),
+        }
+    if is_vector:
+        return {
+            "negative": lambda at: min(at.value) < 0.0,
+            "positive": lambda at: max(at.value) > 0.0 and min(at.value) >= 0.0,
+        }
+    if owner == "RigidBody":
+        return {"hinged": is_hinged, "free": lambda at: not is_hinged(at)}
+    return {}
 
 
 def _name_of(part: Any) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -11,37 +12,29 @@ from gauge_envs.scene import (
     Attachment,
     BodyHinge,
     Box,
-    Contact,
     Hinge,
     Scene,
     Slider,
     Tether,
 )
 
-
-def _pairs(scene: Scene) -> list[tuple[Contact, tuple[str, str]]]:
-    return [
-        (one, pair) for one in scene.contacts for pair in scene.colliding_pairs(one)
-    ]
+Chosen = Callable[[int, int, tuple[str, str], Scene], bool]
+"""Number of a pair, number of pairs, pair, scene -> whether it is meant."""
 
 
-def _without_pairs(
-    chosen: Callable[[int, int, Contact, tuple[str, str], Scene], bool],
-) -> Callable[[Scene], Scene]:
+def _without_pairs(chosen: Chosen) -> Callable[[Scene], Scene]:
     def changed(scene: Scene) -> Scene:
-        pairs = _pairs(scene)
+        pairs = [
+            (one, pair) for one in scene.contacts for pair in scene.colliding_pairs(one)
+        ]
         left = [
-            (contact, pair)
+            replace(contact, first=pair[:1], second=pair[1:])
             for number, (contact, pair) in enumerate(pairs)
-            if not chosen(number, len(pairs), contact, pair, scene)
+            if not chosen(number, len(pairs), pair, scene)
         ]
         if len(left) == len(pairs):
             return scene
-        contacts = tuple(
-            replace(contact, first=(one,), second=(other,))
-            for contact, (one, other) in left
-        )
-        return replace(scene, contacts=contacts)
+        return replace(scene, contacts=tuple(left))
 
     return changed
 
@@ -67,68 +60,48 @@ def _crossed(pair: tuple[str, str], scene: Scene) -> bool:
     )
 
 
-def pair_faults() -> Iterator[tuple[str, str, str, Callable[[Scene], Scene]]]:  # noqa: C901
+MIXES = (
+    *(
+        (f"deformable-{soft}-{other}", soft, other)
+        for soft in ("Cloth", "SoftBody", "Rope", "Rod")
+        for other in ("dynamic", "fixed", "kinematic", soft)
+    ),
+    *(
+        (f"dynamic-{other}", "dynamic", other)
+        for other in ("dynamic", "fixed", "kinematic")
+    ),
+)
+"""Names of pairs of kinds of bodies, and the two kinds."""
+
+
+def _lost_pairs() -> Iterator[tuple[str, str, Chosen]]:
+    """Yield kind and variant of pairs that do not collide, and which they are."""
     for number, name in ((0, "first"), (1, "second"), (-1, "last")):
-        yield (
-            "Contact.pair",
-            "kth",
-            name,
-            _without_pairs(
-                lambda n, count, c, pair, s, m=number: (
-                    count > 1 and n == (m if m >= 0 else count - 1)
-                )
-            ),
-        )
-    yield (
-        "Contact.pair",
-        "drop",
-        "all",
-        _without_pairs(lambda n, count, c, pair, s: True),
-    )
-    yield (
-        "Contact.pair",
-        "frame",
-        "crossed-boxes",
-        _without_pairs(lambda n, count, c, pair, s: _crossed(pair, s)),
-    )
-    for soft in ("Cloth", "SoftBody", "Rope", "Rod"):
-        for other in ("dynamic", "fixed", "kinematic", soft):
-            yield (
-                "Contact.pair",
-                "side",
-                f"deformable-{soft}-{other}",
-                _without_pairs(
-                    lambda n, count, c, pair, s, one=soft, two=other: (
-                        sorted(_kind(x, s) for x in pair) == sorted((one, two))
-                    )
-                ),
-            )
-    for one, two in (
-        ("dynamic", "dynamic"),
-        ("dynamic", "fixed"),
-        ("dynamic", "kinematic"),
-    ):
-        yield (
-            "Contact.pair",
-            "side",
-            f"{one}-{two}",
-            _without_pairs(
-                lambda n, count, c, pair, s, x=one, y=two: (
-                    sorted(_kind(z, s) for z in pair) == sorted((x, y))
-                )
-            ),
-        )
-    for side in ("fixed-first", "dynamic-first"):
-        yield (
-            "Contact.pair",
-            "side",
-            side,
-            _without_pairs(
-                lambda n, count, c, pair, s, x=side: (
-                    (_kind(pair[0], s) == "dynamic") == (x == "dynamic-first")
-                )
-            ),
-        )
+
+        def is_one(n: int, count: int, *rest: Any, number: int = number) -> bool:
+            return count > 1 and n in (number, number + count)
+
+        yield "kth", name, is_one
+    yield "drop", "all", lambda n, count, pair, scene: True
+    yield "frame", "crossed-boxes", lambda n, count, pair, scene: _crossed(pair, scene)
+    for name, one, other in MIXES:
+
+        def is_mix(n, count, pair, scene, kinds=(one, other)):
+            return sorted(_kind(x, scene) for x in pair) == sorted(kinds)
+
+        yield "side", name, is_mix
+    for name, is_dynamic in (("fixed-first", False), ("dynamic-first", True)):
+
+        def is_first(n, count, pair, scene, is_dynamic=is_dynamic):
+            return (_kind(pair[0], scene) == "dynamic") == is_dynamic
+
+        yield "side", name, is_first
+
+
+def pair_faults() -> Iterator[tuple[str, str, str, Callable[[Scene], Scene]]]:
+    """Yield quantity, kind, variant and change of the scene."""
+    for kind, variant, chosen in _lost_pairs():
+        yield "Contact.pair", kind, variant, _without_pairs(chosen)
     for name, kind, owner in (
         ("joints", Hinge, "Hinge.joint"),
         ("joints", Tether, "Tether.joint"),
@@ -143,18 +116,12 @@ def pair_faults() -> Iterator[tuple[str, str, str, Callable[[Scene], Scene]]]:  
         ):
 
             def changed(scene, name=name, kind=kind, number=number):
-                parts = [one for one in getattr(scene, name) if isinstance(one, kind)]
-                if not parts or (number is not None and len(parts) < 2):
-                    return scene
-                gone = parts if number is None else [parts[number]]
-                return replace(
-                    scene,
-                    **{
-                        name: tuple(
-                            one for one in getattr(scene, name) if one not in gone
-                        )
-                    },
-                )
+                every = getattr(scene, name)
+                gone = [one for one in every if isinstance(one, kind)]
+                if number is not None:
+                    gone = [gone[number]] if len(gone) > 1 else []
+                left = tuple(one for one in every if one not in gone)
+                return replace(scene, **{name: left}) if gone else scene
 
             yield owner, how, variant, changed
     for motion in ("dynamic", "fixed", "kinematic"):
@@ -163,10 +130,6 @@ def pair_faults() -> Iterator[tuple[str, str, str, Callable[[Scene], Scene]]]:  
             left = tuple(
                 one for one in scene.attachments if _kind(one.to, scene) != motion
             )
-            return (
-                scene
-                if len(left) == len(scene.attachments)
-                else replace(scene, attachments=left)
-            )
+            return replace(scene, attachments=left)
 
         yield "Attachment.pair", "side", motion, unattached
