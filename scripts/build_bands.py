@@ -13,12 +13,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs import load_experiment
 from gauge_envs.evaluation.estimators import slide_friction
 from gauge_envs.evaluation.metrics.trajectory import trajectory_dtw, trajectory_rmse
 from gauge_envs.references.published import published_baselines
+from gauge_envs.scene.geometry import BoolArray, FloatArray
 from scripts.generated import SCORING
 
 GRAVITY_M_S2 = 9.80665  # the paper's value, from its dynamic error
@@ -34,8 +34,6 @@ BALL_FIT_STD_MM = 0.1  # residual of the ballistic fits, scoring/README.md
 
 GENERATED = "# Written by scripts/build_bands.py; do not edit."
 DATASET = "InternRobotics/GAUGE-Dataset, revision 9e0acb7, MIT licence"
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -54,7 +52,7 @@ class Trials:
     coordinate: str
     direction: tuple[float, float, float]
     positions_mm: FloatArray
-    measured: NDArray[np.bool_]
+    measured: BoolArray
     fit_std_mm: FloatArray
     method: str
 

@@ -22,7 +22,6 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.backends import backend
 from gauge_envs.envs.arguments import check_support
@@ -40,6 +39,7 @@ from gauge_envs.references.convergence import (
 )
 from gauge_envs.references.published import published_baselines
 from gauge_envs.scene import Rod, SoftBody
+from gauge_envs.scene.geometry import FloatArray
 from scripts.generated import SCORING, Request
 
 TRAINING_ENGINES = ("mujoco", "newton")
@@ -127,10 +127,10 @@ class Run:
         steps_per_s: Environment steps per second of processor time.
     """
 
-    frames: NDArray[np.float64]
-    points_m: NDArray[np.float64]
+    frames: FloatArray
+    points_m: FloatArray
     settings: Mapping[str, Any]
-    nodes_m: Mapping[str, NDArray[np.float64]]
+    nodes_m: Mapping[str, FloatArray]
     steps_per_s: float
 
 

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image
 
 from gauge_envs import load_experiment, reference_band
@@ -21,6 +20,7 @@ from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.episodes import planned_results
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result_file import load_result, result_file_name
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import SAMPLES_PER_FRAME
 from scripts.build_leaderboard import OUT_OF_BOX, configurations
 from scripts.generated import ROOT, Request
@@ -36,7 +36,7 @@ HEIGHT_MM = (-15.0, 540.0)
 """Heights that are shown [mm]."""
 
 
-def heights_mm(engine: str, folder: Path) -> NDArray[np.float64]:
+def heights_mm(engine: str, folder: Path) -> FloatArray:
     """Return the ball's height at each frame [mm], shape [frame_count]."""
     request = RunRequest(
         NAME, backend=engine, settings=dict(dict(configurations(engine))[OUT_OF_BOX])
@@ -52,8 +52,8 @@ def heights_mm(engine: str, folder: Path) -> NDArray[np.float64]:
 
 def draw(
     frame: int,
-    real: NDArray[np.float64],
-    simulated: dict[str, NDArray[np.float64]],
+    real: FloatArray,
+    simulated: dict[str, FloatArray],
     radius_mm: float,
 ) -> Image.Image:
     """Return the picture of one frame: the real drops above, each engine and its error below.

@@ -21,7 +21,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.backends.registry import backend_for
 from gauge_envs.envs.episode import Episode
@@ -33,13 +32,12 @@ from gauge_envs.files import write_whole
 from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.references.grips import COMPONENTS
 from gauge_envs.scene import SoftBody
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLES_PER_FRAME
 from scripts.generated import SCORING, Request
 from scripts.membrane import probe_forces_n
 from scripts.sheet import sheet_of, solve_sheet
 from scripts.solid import held_wrenches
-
-FloatArray = NDArray[np.float64]
 
 LEAST_SHARE = 0.005
 """Least u of a load over its size: what a mean of samples at 180 Hz leaves open."""

@@ -15,16 +15,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from gauge_envs import load_experiment
 from gauge_envs.references.sensitivities import input_uncertainties
 from gauge_envs.scene import Box, Cylinder
+from gauge_envs.scene.geometry import BoolArray, FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from scripts.generated import SCORING
-
-FloatArray = NDArray[np.float64]
 
 MATERIALS = ("wood", "plastic", "metal")
 MEASUREMENT_MM = 1.0
@@ -60,7 +58,7 @@ class Slider:
     friction_ratio: float = 1.0
     shift_m: tuple[float, float] = (0.0, 0.0)
 
-    def positions_mm(self) -> tuple[FloatArray, NDArray[np.bool_]]:
+    def positions_mm(self) -> tuple[FloatArray, BoolArray]:
         """Return the positions of the cube's centre [mm], shape [frame_count, 3], and when its base is on the plate."""
         experiment = load_experiment(f"Turntable-2-{self.material}", drivers="bundled")
         scene = experiment.scene

@@ -20,7 +20,6 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
 from gauge_envs.backends import backend
@@ -46,6 +45,7 @@ from gauge_envs.references.models import (
 from gauge_envs.references.published import published_baselines
 from gauge_envs.scene import Cloth, Rod, Scene, SoftBody
 from gauge_envs.scene.fabrics import Fabric
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from scripts.build_convergence import supported
 from scripts.extrapolation import (
@@ -58,8 +58,6 @@ from scripts.extrapolation import (
 )
 from scripts.generated import SCORING, Request
 from scripts.sheet import marker_places_m, sheet_of, solve_sheet
-
-FloatArray = NDArray[np.float64]
 
 LIMIT_S = 900.0
 """Processor time of an episode at most [s]."""

@@ -30,10 +30,9 @@ from scipy.signal import savgol_filter
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from scripts.generated import SCORING
-
-FloatArray = NDArray[np.float64]
 
 NAME = "CubePush-light"
 RATE_HZ = 100.0

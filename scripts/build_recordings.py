@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.interpolate import PchipInterpolator
 
 from gauge_envs import load_experiment
@@ -35,6 +35,7 @@ from gauge_envs.observables.deformation import (
     noise_residuals,
 )
 from gauge_envs.references.published import Baseline, published_baselines
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from scripts.generated import SCORING
 
@@ -55,8 +56,6 @@ EVENTS = {
     "rests": "last_ball_at_rest_s",
 }
 """Fact of a recording that gives each quantity of an event."""
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -16,14 +16,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.scene import GRAVITY_M_PER_S2
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from scripts.generated import SCORING
-
-FloatArray = NDArray[np.float64]
 
 RATE_HZ = 100.0
 FRAMES = 76

@@ -6,11 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 from scipy.optimize import brentq
 
-FloatArray = NDArray[np.float64]
+from gauge_envs.scene.geometry import FloatArray
 
 ORDERS = (0.5, 2.2)
 """Smallest and largest order that counts as observed. A larger one is two errors that cancel."""

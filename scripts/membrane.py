@@ -16,7 +16,6 @@ import itertools
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.sparse import coo_matrix, identity
 from scipy.sparse.linalg import spsolve
@@ -24,9 +23,8 @@ from scipy.sparse.linalg import spsolve
 from gauge_envs.scene import Cloth, Cylinder, Scene
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.fabrics import plate_bending_stiffness
+from gauge_envs.scene.geometry import BoolArray, FloatArray, IntArray
 from gauge_envs.scene.scene import GRAVITY_M_PER_S2
-
-FloatArray = NDArray[np.float64]
 
 CORNERS = np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
 """Corners of the unit cell, in turn."""
@@ -78,9 +76,9 @@ class ProbedSheet:
 @dataclass(frozen=True)
 class _Mesh:
     places_m: FloatArray  # At rest, shape [node_count, 2].
-    cells: NDArray[np.intp]  # Nodes of each cell in turn, shape [cell_count, 4].
-    on_tip: NDArray[np.intp]
-    on_rim: NDArray[np.intp]
+    cells: IntArray  # Nodes of each cell in turn, shape [cell_count, 4].
+    on_tip: IntArray
+    on_rim: IntArray
 
 
 def _mesh(sheet: ProbedSheet, rings: int) -> _Mesh:
@@ -370,7 +368,7 @@ class _Elements:
         values = blocks.reshape(-1)
         return coo_matrix((values, (self._rows, self._columns)), shape=(size, size))
 
-    def at_rest(self, places: FloatArray, free: NDArray[np.bool_]) -> FloatArray:
+    def at_rest(self, places: FloatArray, free: BoolArray) -> FloatArray:
         """Return the places at rest [m], shape [node_count, 3].
 
         Args:

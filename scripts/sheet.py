@@ -18,15 +18,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.scene import Cloth, Scene
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.fabrics import plate_bending_stiffness
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.scene import GRAVITY_M_PER_S2
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-
-FloatArray = NDArray[np.float64]
 
 COURANT = 0.8
 """Time step over the longest stable one, at which a membrane wave passes a cell."""

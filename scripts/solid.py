@@ -12,14 +12,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 from scipy.sparse import coo_matrix, csc_matrix
 from scipy.sparse.linalg import splu
 
 from gauge_envs.scene import Box, Pose, Scene, SoftBody
-
-FloatArray = NDArray[np.float64]
+from gauge_envs.scene.geometry import BoolArray, FloatArray
 
 NODES = np.array(list(itertools.product((-1.0, 0.0, 1.0), repeat=3)))
 """Nodes of the unit cell, z fastest, shape [27, 3]."""
@@ -188,7 +186,7 @@ class Block:
 
     def _depths(
         self, places_m: FloatArray, punch_m: float
-    ) -> tuple[FloatArray, NDArray[np.bool_]]:
+    ) -> tuple[FloatArray, BoolArray]:
         """Return how deep the points of the face are in the punch [m], and which are in it."""
         assert self._punch is not None
         depths = (self._face @ places_m)[:, self._punch.axis] - punch_m

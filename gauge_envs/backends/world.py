@@ -7,10 +7,10 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.errors import BackendError
 from gauge_envs.scene import Pose, Scene
+from gauge_envs.scene.geometry import FloatArray
 
 
 class World(ABC):
@@ -27,8 +27,8 @@ class World(ABC):
         self,
         body: str,
         pose: Pose,
-        velocity: NDArray[np.float64],
-        acceleration: NDArray[np.float64],
+        velocity: FloatArray,
+        acceleration: FloatArray,
     ) -> None:
         """Prescribe the uniformly accelerated motion of a kinematic body during the next `advance`.
 
@@ -44,7 +44,7 @@ class World(ABC):
         """
 
     @abstractmethod
-    def body_states(self, names: Sequence[str]) -> NDArray[np.float64]:
+    def body_states(self, names: Sequence[str]) -> FloatArray:
         """Return the current poses and velocities of bodies.
 
         Args:
@@ -55,7 +55,7 @@ class World(ABC):
             origin [m/s] (3) and angular velocity [rad/s] (3), both in the world frame.
         """
 
-    def apply_wrench(self, body: str, wrench: NDArray[np.float64]) -> None:
+    def apply_wrench(self, body: str, wrench: FloatArray) -> None:
         """Apply a force and a torque to a dynamic body from now on. Only control tasks with a motor need this method.
 
         Args:
@@ -70,7 +70,7 @@ class World(ABC):
             f"{type(self).__name__} applies no force or torque to {body!r}: it does not implement World.apply_wrench"
         )
 
-    def command(self, values: NDArray[np.float64]) -> None:
+    def command(self, values: FloatArray) -> None:
         """Set what the motors of the scene's joints follow from now on. Only scenes with motors need this method.
 
         It is called before every `advance`, which holds the values.
@@ -94,13 +94,11 @@ class World(ABC):
         """
         return None
 
-    def nodes(self, name: str) -> NDArray[np.float64]:
+    def nodes(self, name: str) -> FloatArray:
         """Return the positions of a deformable body's nodes [m], shape [node_count, 3]."""
         raise KeyError(name)
 
-    def track(
-        self, name: str, points_m: NDArray[np.float64]
-    ) -> Callable[[], NDArray[np.float64]] | None:
+    def track(self, name: str, points_m: FloatArray) -> Callable[[], FloatArray] | None:
         """Return a reader of material points of a deformable body, if the engine locates them better than its nodes do.
 
         Args:
@@ -116,7 +114,7 @@ class World(ABC):
         """
         return None
 
-    def grip_wrenches(self, names: Sequence[str]) -> NDArray[np.float64] | None:
+    def grip_wrenches(self, names: Sequence[str]) -> FloatArray | None:
         """Return the wrenches by which rigid bodies hold the deformable bodies attached to them.
 
         They include what carries the attached row of a cloth: a body at rest that holds a whole cloth pulls up with the
@@ -133,7 +131,7 @@ class World(ABC):
 
     def contact_forces(
         self, pairs: Sequence[tuple[str, str]]
-    ) -> Callable[[], NDArray[np.float64]] | None:
+    ) -> Callable[[], FloatArray] | None:
         """Return a reader of contact forces between rigid bodies, if the engine has them.
 
         Args:
@@ -179,7 +177,7 @@ class Simulation(World):
 
     def sample_positions(
         self, names: Sequence[str], count: int, interval_s: float
-    ) -> NDArray[np.float64]:
+    ) -> FloatArray:
         """Advance `count` intervals and read body positions after each. An engine may override it with a faster loop.
 
         Args:

@@ -7,12 +7,12 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.backends.device import DeviceWorlds
 from gauge_envs.backends.world import Simulation, World
 from gauge_envs.errors import BackendError
 from gauge_envs.scene import Pose, Scene
+from gauge_envs.scene.geometry import FloatArray, IntArray
 
 
 class Worlds(ABC):
@@ -60,7 +60,7 @@ class Worlds(ABC):
     def advance(self, seconds: float) -> None:
         """Simulate an interval in all worlds, a multiple of 1/180 s."""
 
-    def body_states(self, names: Sequence[str]) -> NDArray[np.float64]:
+    def body_states(self, names: Sequence[str]) -> FloatArray:
         """Return the current poses and velocities of bodies in all worlds.
 
         An engine that holds all worlds in one array may override it; the values must be those of each world.
@@ -73,7 +73,7 @@ class Worlds(ABC):
         """
         return np.stack([world.body_states(names) for world in self.worlds])
 
-    def body_positions(self, names: Sequence[str]) -> NDArray[np.float64]:
+    def body_positions(self, names: Sequence[str]) -> FloatArray:
         """Return the positions of body origins in all worlds [m], a new array of shape [world_count, len(names), 3].
 
         Args:
@@ -81,9 +81,7 @@ class Worlds(ABC):
         """
         return self.body_states(names)[:, :, :3].copy()
 
-    def drive(
-        self, body: str, motions: NDArray[np.float64], numbers: NDArray[np.intp]
-    ) -> None:
+    def drive(self, body: str, motions: FloatArray, numbers: IntArray) -> None:
         """Prescribe the motion of a kinematic body in some worlds during the next `advance`; see `World.drive`.
 
         Args:
@@ -98,7 +96,7 @@ class Worlds(ABC):
             pose = Pose(position_m=tuple(values[:3]), quaternion=tuple(values[3:7]))
             self.worlds[number].drive(body, pose, motion[7:13], motion[13:])
 
-    def command(self, values: NDArray[np.float64], numbers: NDArray[np.intp]) -> None:
+    def command(self, values: FloatArray, numbers: IntArray) -> None:
         """Set what the motors follow in some worlds; see `World.command`.
 
         Args:
@@ -108,14 +106,12 @@ class Worlds(ABC):
         for number, row in zip(numbers.tolist(), values, strict=True):
             self.worlds[number].command(row)
 
-    def apply_wrench(
-        self, body: str, wrenches: NDArray[np.float64], numbers: NDArray[np.intp]
-    ) -> None:
+    def apply_wrench(self, body: str, wrenches: FloatArray, numbers: IntArray) -> None:
         """Apply forces and torques to a body in some worlds, shape [len(numbers), 6]; see `World.apply_wrench`."""
         for number, wrench in zip(numbers.tolist(), wrenches, strict=True):
             self.worlds[number].apply_wrench(body, wrench)
 
-    def nodes(self, name: str) -> NDArray[np.float64]:
+    def nodes(self, name: str) -> FloatArray:
         """Return the nodes of a deformable body in all worlds [m], shape [world_count, node_count, 3]."""
         return np.stack([world.nodes(name) for world in self.worlds])
 
@@ -188,32 +184,28 @@ class ArrayWorlds(Worlds):
         ]
 
     @abstractmethod
-    def body_states(self, names: Sequence[str]) -> NDArray[np.float64]:
+    def body_states(self, names: Sequence[str]) -> FloatArray:
         """Return the current poses and velocities of bodies in all worlds; see `Worlds.body_states`."""
 
-    def drive(
-        self, body: str, motions: NDArray[np.float64], numbers: NDArray[np.intp]
-    ) -> None:
+    def drive(self, body: str, motions: FloatArray, numbers: IntArray) -> None:
         """Prescribe the motion of a kinematic body in some worlds; see `Worlds.drive`."""
         raise self._lacks("drive")
 
-    def command(self, values: NDArray[np.float64], numbers: NDArray[np.intp]) -> None:
+    def command(self, values: FloatArray, numbers: IntArray) -> None:
         """Set what the motors follow in some worlds; see `Worlds.command`."""
         raise self._lacks("command")
 
-    def apply_wrench(
-        self, body: str, wrenches: NDArray[np.float64], numbers: NDArray[np.intp]
-    ) -> None:
+    def apply_wrench(self, body: str, wrenches: FloatArray, numbers: IntArray) -> None:
         """Apply forces and torques to a body in some worlds; see `Worlds.apply_wrench`."""
         raise self._lacks("apply_wrench")
 
-    def nodes(self, name: str) -> NDArray[np.float64]:
+    def nodes(self, name: str) -> FloatArray:
         """Return the nodes of a deformable body in all worlds; see `Worlds.nodes`."""
         raise self._lacks("nodes")
 
     def track(
-        self, number: int, name: str, points_m: NDArray[np.float64]
-    ) -> Callable[[], NDArray[np.float64]] | None:
+        self, number: int, name: str, points_m: FloatArray
+    ) -> Callable[[], FloatArray] | None:
         """Return a reader of material points in one world, or None to interpolate between nodes; see `World.track`."""
         return None
 
@@ -250,29 +242,27 @@ class _ArrayWorld(World):
         self,
         body: str,
         pose: Pose,
-        velocity: NDArray[np.float64],
-        acceleration: NDArray[np.float64],
+        velocity: FloatArray,
+        acceleration: FloatArray,
     ) -> None:
         motion = np.concatenate(
             [pose.position_m, pose.quaternion, velocity, acceleration]
         )
         self._worlds.drive(body, motion[None], self._numbers)
 
-    def command(self, values: NDArray[np.float64]) -> None:
+    def command(self, values: FloatArray) -> None:
         self._worlds.command(values[None], self._numbers)
 
-    def apply_wrench(self, body: str, wrench: NDArray[np.float64]) -> None:
+    def apply_wrench(self, body: str, wrench: FloatArray) -> None:
         self._worlds.apply_wrench(body, wrench[None], self._numbers)
 
-    def body_states(self, names: Sequence[str]) -> NDArray[np.float64]:
+    def body_states(self, names: Sequence[str]) -> FloatArray:
         return self._worlds.body_states(names)[self._number]
 
-    def nodes(self, name: str) -> NDArray[np.float64]:
+    def nodes(self, name: str) -> FloatArray:
         return self._worlds.nodes(name)[self._number]
 
-    def track(
-        self, name: str, points_m: NDArray[np.float64]
-    ) -> Callable[[], NDArray[np.float64]] | None:
+    def track(self, name: str, points_m: FloatArray) -> Callable[[], FloatArray] | None:
         return self._worlds.track(self._number, name, points_m)
 
     def fault(self) -> str | None:

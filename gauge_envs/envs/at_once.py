@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.backends.device import HOST, DeviceWorlds, HostArrays
 from gauge_envs.backends.registry import backend_for
@@ -26,9 +25,8 @@ from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.observer import MarkersOfWorlds, ObserverMarkers
 from gauge_envs.references.bands import Band
 from gauge_envs.scene.driver_path import DriverPathOfWorlds, motor_commands
+from gauge_envs.scene.geometry import BoolArray, FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
-
-FloatArray = NDArray[np.float64]
 
 
 class EpisodesAtOnce(EpisodesOneByOne):
@@ -88,7 +86,7 @@ class EpisodesAtOnce(EpisodesOneByOne):
         self._shown = np.zeros(count, dtype=np.intp)
         # Worlds with other constants may have bands of their own.
         bands = {id(episode.band): episode.band for episode in episodes}
-        self._rewards: list[tuple[BatchReward, NDArray[np.bool_]]] = []
+        self._rewards: list[tuple[BatchReward, BoolArray]] = []
         for key, band in bands.items():
             has_band = np.array([id(episode.band) == key for episode in episodes])
             is_bounded = episodes[0].is_reward_bounded
@@ -326,7 +324,7 @@ class EpisodesAtOnce(EpisodesOneByOne):
             infos = add(infos, {"diverged": self._faults[world]}, world)
         return infos
 
-    def flags(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    def flags(self) -> tuple[BoolArray, BoolArray]:
         """Return terminations and truncations, shape [world_count] each."""
         return self._diverged.copy(), ~self._diverged & (
             self._frame == len(self._bodies) - 1

@@ -4,11 +4,10 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.backends.device import HOST, DeviceWorlds, HostArrays
 from gauge_envs.scene import Scene
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import BoolArray, FloatArray
 
 
 def speed_fault(
@@ -180,7 +179,7 @@ class DeformableBoundsOfWorlds:
         self._extents_m = np.array([one.largest_extent_m for one in bounds])
         self._distances_m = np.array([one.distance_m for one in bounds])
 
-    def suspects(self, nodes: FloatArray) -> NDArray[np.bool_]:
+    def suspects(self, nodes: FloatArray) -> BoolArray:
         """Return which worlds may be out of bounds; `DeformableBounds.fault` decides, and gives the reason.
 
         Args:

@@ -10,16 +10,15 @@ from typing import Any, cast
 
 import numpy as np
 from gymnasium.vector.utils import batch_space, concatenate, create_empty_array
-from numpy.typing import NDArray
 
 from gauge_envs.backends.worlds import Worlds
 from gauge_envs.envs.episode import Episode, run_on_together
 from gauge_envs.envs.spaces import Observation
 from gauge_envs.envs.stepper import Stepper
 from gauge_envs.errors import ActionError
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import BoolArray, FloatArray, IntArray
 
-Numbers = NDArray[np.intp]
+Numbers = IntArray
 AddInfo = Callable[[dict[str, Any], dict[str, Any], int], dict[str, Any]]
 """Function of `VectorEnv` that adds the `info` of a world to those of all."""
 
@@ -135,7 +134,7 @@ class EpisodesOneByOne:
             infos = add(infos, self.episodes[number].info(), number)
         return infos
 
-    def flags(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    def flags(self) -> tuple[BoolArray, BoolArray]:
         """Return terminations and truncations, shape [world_count] each."""
         diverged = np.array([episode.fault is not None for episode in self.episodes])
         return diverged, ~diverged & [episode.is_complete for episode in self.episodes]

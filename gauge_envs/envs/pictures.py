@@ -12,6 +12,7 @@ from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.tables import Camera
 from gauge_envs.references.bands import Band
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 if TYPE_CHECKING:
@@ -109,12 +110,12 @@ class Pictures:
     def draw(
         self,
         experiment: Experiment,
-        rest_nodes_m: Mapping[str, NDArray[np.float64]],
+        rest_nodes_m: Mapping[str, FloatArray],
         *,
         band: Band | None = None,
         reach: ReferencePath | None = None,
-        poses: Mapping[str, NDArray[np.float64]],
-        nodes_m: Mapping[str, NDArray[np.float64]],
+        poses: Mapping[str, FloatArray],
+        nodes_m: Mapping[str, FloatArray],
         overlay: Overlay | None = None,
     ) -> Rendered | None:
         """Return a picture of a scene in the form of the render mode; draw it in the window with `human`.

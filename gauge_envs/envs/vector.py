@@ -53,13 +53,14 @@ from gauge_envs.evaluation.worlds import score_worlds
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.variants import Variant
 from gauge_envs.references.grades import BandGrade
+from gauge_envs.scene.geometry import BoolArray, FloatArray
 from gauge_envs.scene.jitter import Jitter, jittered
 
 Step = tuple[
     Observation,
-    NDArray[np.float64],
-    NDArray[np.bool_],
-    NDArray[np.bool_],
+    FloatArray,
+    BoolArray,
+    BoolArray,
     dict[str, Any],
 ]
 
@@ -258,7 +259,7 @@ class GaugeVectorEnv(WorldsEnvironment[Observation]):
             episode.score() if episode.is_over else None for episode in self.episodes
         )
 
-    def score_arrays(self) -> dict[str, NDArray[np.float64]]:
+    def score_arrays(self) -> dict[str, FloatArray]:
         """Return the scores of all worlds in one pass over their trajectories, as arrays of shape [num_envs].
 
         The keys are those of `Score` and of its `validation`: `rmse` and, where they apply, `rmse_normalized`,

@@ -17,10 +17,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.errors import ShapeError
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import BoolArray, FloatArray, IntArray
 
 LEAST_FLIGHT = 2
 """Smallest number of samples of a flight, which has two unknown constants."""
@@ -285,7 +284,7 @@ def first_bounce(
 
 
 def restitution_of_flights(
-    times_s: FloatArray, heights_m: FloatArray, flights: Sequence[NDArray[np.intp]]
+    times_s: FloatArray, heights_m: FloatArray, flights: Sequence[IntArray]
 ) -> float:
     """Return the mean restitution of the bounces between flights, where neither gravity nor contact is known.
 
@@ -390,8 +389,8 @@ def _first_minimum(heights_m: FloatArray, *, below_m: float) -> int | None:
 
 
 def _flight_after(
-    heights_m: FloatArray, clear: NDArray[np.bool_], low: int, floor_m: float
-) -> NDArray[np.intp]:
+    heights_m: FloatArray, clear: BoolArray, low: int, floor_m: float
+) -> IntArray:
     """Return the samples of the first flight after a minimum: those that are clear, up to the next minimum."""
     later = low + 1 + np.flatnonzero(clear[low + 1 :])
     if not len(later):

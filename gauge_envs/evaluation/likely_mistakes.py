@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from itertools import permutations, product
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.kinds import Observable
@@ -240,9 +239,7 @@ def _angle_mistake(
     return None
 
 
-def marker_mistake(
-    experiment: Experiment, markers_m: NDArray[np.float64]
-) -> str | None:
+def marker_mistake(experiment: Experiment, markers_m: FloatArray) -> str | None:
     """Return what is probably wrong with the markers of the first frame [m], shape [T, M, 3]; None if nothing is."""
     markers = experiment.scene.markers
     if markers is None:

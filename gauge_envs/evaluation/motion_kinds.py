@@ -20,7 +20,6 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.errors import ShapeError
 from gauge_envs.evaluation.estimators import first_bounce
@@ -29,7 +28,7 @@ from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.bands import Band
 from gauge_envs.scene import ContactMode, Scene
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import FloatArray, IntArray
 
 if TYPE_CHECKING:
     from scipy.interpolate import BSpline
@@ -148,7 +147,7 @@ class RecognizedMotion:
     impact: Impact | None = None
     period_s: float | None = None
 
-    def select(self, columns: NDArray[np.intp]) -> RecognizedMotion:
+    def select(self, columns: IntArray) -> RecognizedMotion:
         """Return the same motion with some of its coordinates, in the order of the indices."""
         impact = self.impact
         if impact is not None:

@@ -1,7 +1,6 @@
 """Choose the band that an experiment is scored against."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import load_experiment, shots_of
@@ -20,7 +19,7 @@ from gauge_envs.references.published import (
 from gauge_envs.references.single_shot import single_shots
 from gauge_envs.references.user_data import DataSource
 from gauge_envs.scene import Scene
-from gauge_envs.scene.geometry import rotation_matrices
+from gauge_envs.scene.geometry import FloatArray, rotation_matrices
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 
@@ -108,7 +107,7 @@ def _is_calibrated(experiment: Experiment) -> bool:
 
 def _carried_positions_mm(
     scene: Scene, body: str, carrier: str, frame_count: int
-) -> NDArray[np.float64]:
+) -> FloatArray:
     """Return the positions [mm] of a body that keeps its place on a carrier, shape [frame_count, 3]."""
     start = scene.body(carrier).pose
     place = start.to_body(np.asarray(scene.body(body).pose.position_m))

@@ -26,7 +26,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.errors import ParameterError, UnknownNameError
 from gauge_envs.evaluation.metrics.trajectory import frame_distances
@@ -34,7 +33,7 @@ from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.observer import observe_markers
 from gauge_envs.references.published import Baseline, published_variants
 from gauge_envs.references.scatter import held_rows, scatter_rows
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import FloatArray, IntArray
 from gauge_envs.scene.jitter import Jitter, jittered
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S
 
@@ -357,9 +356,9 @@ class Draws:
         noises: Numbers of the realizations of noise; None without noise.
     """
 
-    runs: NDArray[np.intp]
+    runs: IntArray
     delays: FloatArray
-    noises: NDArray[np.intp] | None
+    noises: IntArray | None
 
 
 class GroupModel:
@@ -497,7 +496,7 @@ class GroupModel:
             trials += noise_mm * self._noise[draws.noises]
         return group_scores(trials)
 
-    def _fitted(self, logs: FloatArray) -> tuple[FloatArray, NDArray[np.intp]]:
+    def _fitted(self, logs: FloatArray) -> tuple[FloatArray, IntArray]:
         """Return T of groups, and the index of the level with the mean RMSE of each, shape [group_count] each.
 
         Args:
@@ -511,14 +510,14 @@ class GroupModel:
 
 def drawn_noises(
     random: np.random.Generator, noise: FloatArray, count: int
-) -> NDArray[np.intp]:
+) -> IntArray:
     """Return numbers of realizations of noise, different ones in a group, shape [count, trial_count]."""
     every = np.tile(np.arange(len(noise)), (count, 1))
     return np.asarray(random.permuted(every, axis=1)[:, :TRIAL_COUNT])
 
 
 def delayed(
-    samples: FloatArray, runs: NDArray[np.intp], delays_s: FloatArray, frame_count: int
+    samples: FloatArray, runs: IntArray, delays_s: FloatArray, frame_count: int
 ) -> FloatArray:
     """Return g(t) of runs at the 30 Hz frames, each released late and at rest until then.
 

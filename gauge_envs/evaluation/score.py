@@ -15,7 +15,6 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import TypeAdapter, model_validator
 
 from gauge_envs.errors import ShapeError
@@ -57,7 +56,7 @@ from gauge_envs.references.metrics import METRICS
 from gauge_envs.references.models import solved_model
 from gauge_envs.references.published import Baseline
 from gauge_envs.references.sensitivities import Sensitivities
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import FloatArray, IntArray
 
 VERIFICATION = "verification"
 """Value of `Score.primary` for a law and a solved model."""
@@ -434,7 +433,7 @@ def _validation(
     band: Band,
     deviations: Deviations,
     simulated: FloatArray,
-    path_frames: NDArray[np.intp],
+    path_frames: IntArray,
     *,
     dtw: float,
     baselines: Mapping[str, Baseline],

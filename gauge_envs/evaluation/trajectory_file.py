@@ -40,6 +40,7 @@ from gauge_envs.files import (
     read_regular,
 )
 from gauge_envs.observables.kinds import Observable
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 FRAME_TOLERANCE_S = 5e-4
@@ -70,10 +71,10 @@ class UserTrajectory:
             not give them. A g(t) of marker positions gives them too.
     """
 
-    times_s: NDArray[np.float64]
-    values: NDArray[np.float64]
+    times_s: FloatArray
+    values: FloatArray
     interpolated_frames: int
-    markers_m: NDArray[np.float64] | None = None
+    markers_m: FloatArray | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -166,7 +167,7 @@ def read_trajectory(file: Path, experiment: Experiment) -> UserTrajectory:
     return replace(trajectory, values=trajectory.values[:, :width], markers_m=markers_m)
 
 
-def _frame_rows(trajectory: UserTrajectory, frame_count: int) -> NDArray[np.float64]:
+def _frame_rows(trajectory: UserTrajectory, frame_count: int) -> FloatArray:
     """Return the samples at the 30 Hz frames of the experiment, without later ones."""
     frames = np.arange(frame_count) / FRAME_RATE_HZ
     return trajectory.values[np.searchsorted(trajectory.times_s, frames - 1e-9)]
@@ -215,7 +216,7 @@ class _FileLayout:
             )
         return number
 
-    def table(self, rows: Sequence[Any], places: Sequence[str]) -> NDArray[np.float64]:
+    def table(self, rows: Sequence[Any], places: Sequence[str]) -> FloatArray:
         """Return rows of numbers as an array, shape [len(rows), coordinate_count]."""
         values = np.empty((len(rows), len(self.names)))
         for index, (row, place) in enumerate(zip(rows, places, strict=True)):
@@ -245,9 +246,7 @@ def _short(value: Any) -> str:
 
 # --- formats ---------------------------------------------------------------------------------------------------------
 
-Columns = tuple[
-    NDArray[np.float64] | None, NDArray[np.float64], NDArray[np.float64] | None
-]
+Columns = tuple[FloatArray | None, FloatArray, FloatArray | None]
 """Times [s], shape [T], or None; g(t), shape [T, C]; markers [m], shape [T, M, 3], or None."""
 
 
@@ -425,7 +424,7 @@ def _read_npz(layout: _FileLayout) -> Columns:
 
 def _markers(
     layout: _FileLayout, markers: NDArray[Any] | None, row_count: int
-) -> NDArray[np.float64] | None:
+) -> FloatArray | None:
     """Return the array `markers_m` of a file, shape [T, M, 3]; None without one."""
     if markers is None:
         return None
@@ -490,8 +489,8 @@ def _read_json(layout: _FileLayout) -> Columns:
 
 def _on_frames(
     file: Path,
-    times_s: NDArray[np.float64],
-    values: NDArray[np.float64],
+    times_s: FloatArray,
+    values: FloatArray,
     frame_count: int,
 ) -> UserTrajectory:
     """Check the times, insert every frame, and cut what is too late for the release alignment."""

@@ -37,7 +37,6 @@ from functools import cached_property, lru_cache
 from statistics import NormalDist
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.evaluation.dependence import LEAST_TRIALS, LEVEL, refusal, widening
 from gauge_envs.evaluation.error_sources import (
@@ -58,7 +57,7 @@ from gauge_envs.references.bands import Band
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.published import Baseline
 from gauge_envs.references.sensitivities import input_uncertainties
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import BoolArray, FloatArray, IntArray
 
 BELOW_NOISE = 0.01
 """Share of draws below which an observed distance counts as smaller than its own errors."""
@@ -155,7 +154,7 @@ class BandErrors:
         influence: Relative effect of each trial on the baseline, shape [trial_count].
     """
 
-    known: NDArray[np.bool_]
+    known: BoolArray
     shapes: FloatArray
     factors: tuple[FloatArray, ...]
     baseline: FloatArray
@@ -422,7 +421,7 @@ class BandErrors:
         return min(low, size), max(high, size)
 
     def path_interval(
-        self, path: NDArray[np.intp], simulated: FloatArray, mean: FloatArray
+        self, path: IntArray, simulated: FloatArray, mean: FloatArray
     ) -> tuple[float, float] | None:
         """Return the 95 % interval of a mean distance along a warping path, in the unit of the band; None if refused.
 
@@ -579,6 +578,6 @@ def _band_errors(band: Band, baseline_spread: float | None) -> BandErrors:
     )
 
 
-def _root_of_frames(known: NDArray[np.bool_]) -> float:
+def _root_of_frames(known: BoolArray) -> float:
     """Return the square root of the number of frames with a mean."""
     return math.sqrt(max(int(known.any(axis=1).sum()), 1))

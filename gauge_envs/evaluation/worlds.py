@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.backends.device import HOST, DeviceWorlds, HostArrays
 from gauge_envs.errors import ShapeError
@@ -17,7 +16,7 @@ from gauge_envs.evaluation.deviation import aligned_baseline, band_baseline
 from gauge_envs.evaluation.metrics.trajectory import MAX_RELEASE_OFFSET_S
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.bands import Band
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import FloatArray, IntArray
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
 
 MOST_STEPS = round(MAX_RELEASE_OFFSET_S / SAMPLE_INTERVAL_S)
@@ -135,9 +134,7 @@ def _normalized(
     }
 
 
-def _whole(
-    projected: FloatArray, last_known: int
-) -> tuple[FloatArray, NDArray[np.intp]]:
+def _whole(projected: FloatArray, last_known: int) -> tuple[FloatArray, IntArray]:
     """Return trajectories that keep their last sample before the first NaN, and the earliest shift of each world.
 
     Args:

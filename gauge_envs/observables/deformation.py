@@ -10,11 +10,11 @@ Placement errors of markers hardly enter: strain is relative to the markers' own
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from gauge_envs.errors import ShapeError
 from gauge_envs.scene import Scene, SoftBody
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import BoolArray, FloatArray, IntArray
 
 STATISTICS = (
     "strain.xx",
@@ -61,7 +61,7 @@ class AffineMap:
 
     gradient: FloatArray
     span: FloatArray
-    rank: NDArray[np.intp]
+    rank: IntArray
     residual_m: FloatArray
 
 
@@ -229,7 +229,7 @@ def _mean_square(fit: AffineMap) -> FloatArray:
 
 
 def noise_residuals(
-    rest_m: ArrayLike, noise_m: FloatArray, seen: NDArray[np.bool_]
+    rest_m: ArrayLike, noise_m: FloatArray, seen: BoolArray
 ) -> FloatArray:
     """Return what the affine map leaves of each error pattern [m], shape [pattern_count, marker_count, 3]."""
     rest = np.where(seen[:, None], np.asarray(rest_m, dtype=np.float64), np.nan)

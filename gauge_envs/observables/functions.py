@@ -7,10 +7,10 @@ units of the published scores: mm, rad and mm^2.
 from collections.abc import Collection, Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from gauge_envs.errors import ShapeError
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import FloatArray, IntArray
 
 
 def angle_deficit_curvature(
@@ -119,7 +119,7 @@ def face_areas_mm2(markers_m: ArrayLike, faces: ArrayLike) -> FloatArray:
 
 def assign_markers(
     markers_m: ArrayLike, nodes_m: ArrayLike, *, max_distance_m: float = 0.01
-) -> NDArray[np.intp]:
+) -> IntArray:
     """Return the node of a simulated mesh that is the proxy of each marker.
 
     Each node is used once, and the summed distance is the least (Hungarian algorithm).
@@ -177,7 +177,7 @@ def _indices(
     *,
     marker_count: int,
     width: int | None = None,
-) -> NDArray[np.intp]:
+) -> IntArray:
     """Return marker indices as a checked array, shape [count, width], or [count] without a width."""
     indices = np.asarray(values)
     if indices.size == 0 and width is None:

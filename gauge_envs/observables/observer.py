@@ -11,7 +11,6 @@ from functools import lru_cache, partial
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.backends.world import Simulation, World
 from gauge_envs.backends.worlds import Worlds
@@ -24,7 +23,7 @@ from gauge_envs.observables.functions import (
 )
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.scene import Cloth, Deformable, Markers, Scene
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import FloatArray, IntArray
 
 MARKER_REACH_M = 0.01
 """Largest distance between a marker and its proxy (paper, simulation and track: below 1 cm)."""
@@ -184,7 +183,7 @@ class MarkersOfWorlds:
 
 
 def _interpolated(
-    nodes_m: FloatArray, rows: NDArray[np.intp], weights: FloatArray
+    nodes_m: FloatArray, rows: IntArray, weights: FloatArray
 ) -> FloatArray:
     """Return weighted sums of nodes [m], shape [point_count, 3].
 
@@ -240,7 +239,7 @@ def material_points(
     targets_m: FloatArray,
     rest: dict[str, FloatArray],
     deformables: dict[str, Deformable],
-) -> tuple[NDArray[np.intp], FloatArray]:
+) -> tuple[IntArray, FloatArray]:
     """Return the nodes and weights that interpolate each marker at rest; cloth uses three of the four.
 
     Many worlds have the same ones, which are computed once; the arrays are read-only.
@@ -262,7 +261,7 @@ def material_points(
 @lru_cache(maxsize=8)
 def _material_points(
     targets: bytes, bodies: tuple[tuple[str, bytes, Deformable], ...]
-) -> tuple[NDArray[np.intp], FloatArray]:
+) -> tuple[IntArray, FloatArray]:
     targets_m = np.frombuffer(targets).reshape(-1, 3)
     indices = np.zeros((len(targets_m), 4), dtype=np.intp)
     weights = np.zeros((len(targets_m), 4))
@@ -298,7 +297,7 @@ def _material_points(
 
 def _barycentric(
     name: str, points: FloatArray, queries: FloatArray
-) -> list[tuple[NDArray[np.intp], FloatArray]]:
+) -> list[tuple[IntArray, FloatArray]]:
     """Return simplex and weights of each query; a query outside is moved to the surface of the nearest simplex."""
     from scipy.spatial import Delaunay, QhullError
 

@@ -9,12 +9,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.pages.html import Html, element
 from gauge_envs.pages.text import interval_text, quantity_text, score_text
-
-FloatArray = NDArray[np.float64]
+from gauge_envs.scene.geometry import BoolArray, FloatArray
 
 WIDTH, LEFT, RIGHT = 360.0, 46.0, 8.0
 HEIGHT, TOP, BOTTOM = 200.0, 20.0, 34.0
@@ -44,7 +42,7 @@ class CurvePanel:
     times_s: FloatArray = field(default_factory=lambda: np.zeros(0))
     mean: FloatArray = field(default_factory=lambda: np.zeros(0))
     sigma: FloatArray = field(default_factory=lambda: np.zeros(0))
-    measured: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    measured: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=bool))
     least_range: float = 0.0
 
 
@@ -200,7 +198,7 @@ def _band(
     return parts
 
 
-def runs(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
+def runs(flags: BoolArray) -> list[tuple[int, int]]:
     """Return half-open ranges of true flags."""
     edges = np.diff(np.concatenate([[False], flags, [False]]).astype(int))
     return list(

@@ -30,7 +30,7 @@ from gauge_envs.references.tables import (
     read_toml,
     scoring_folder,
 )
-from gauge_envs.scene.geometry import FloatArray, NonNegative, Positive
+from gauge_envs.scene.geometry import BoolArray, FloatArray, NonNegative, Positive
 from gauge_envs.scene.timing import MOST_FRAMES
 
 MOST_COORDINATES = 10_000
@@ -92,7 +92,7 @@ class Band:
     projection: FloatArray
     mean: FloatArray
     sigma: FloatArray
-    measured: NDArray[np.bool_]
+    measured: BoolArray
     trial_count: int | None
     source: str
     sigma_source: SigmaSource = SigmaSource.TRIALS

@@ -7,12 +7,11 @@ from collections.abc import Iterator
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import Delaunay, QhullError
 
 from gauge_envs.rendering.materials import Look
 from gauge_envs.scene import Cloth, SoftBody
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import FloatArray, IntArray
 
 ON_SIDE = 1e-4
 """Largest distance of a node from a side of the box around all nodes, relative to its longest edge."""
@@ -125,7 +124,7 @@ class Skin:
         return vertices + self._half_m * normals, normals
 
 
-def _sides(local_m: FloatArray) -> list[NDArray[np.intp]]:
+def _sides(local_m: FloatArray) -> list[IntArray]:
     """Return the outward triangles of each side of a block.
 
     Nodes on the six sides of the box around all nodes are joined side by side, so that a side is flat. Where such nodes
@@ -146,7 +145,7 @@ def _sides(local_m: FloatArray) -> list[NDArray[np.intp]]:
 
 def _box_sides(
     local_m: FloatArray, low: FloatArray, high: FloatArray
-) -> Iterator[NDArray[np.intp]]:
+) -> Iterator[IntArray]:
     within = ON_SIDE * float((high - low).max())
     for axis in range(3):
         for end, outward in ((low, -1.0), (high, 1.0)):
@@ -165,7 +164,7 @@ def _box_sides(
             ).astype(np.intp)
 
 
-def _boundary_faces(local_m: FloatArray) -> NDArray[np.intp]:
+def _boundary_faces(local_m: FloatArray) -> IntArray:
     """Return the faces that belong to one tetrahedron only, with outward normals."""
     cells = Delaunay(local_m).simplices
     faces = np.concatenate(
@@ -174,7 +173,7 @@ def _boundary_faces(local_m: FloatArray) -> NDArray[np.intp]:
     _, first, count = np.unique(
         np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True
     )
-    outer: NDArray[np.intp] = faces[first[count == 1]].astype(np.intp)
+    outer: IntArray = faces[first[count == 1]].astype(np.intp)
     corners = local_m[outer]
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     inward = (across * (corners.mean(axis=1) - local_m.mean(axis=0))).sum(axis=1) < 0.0

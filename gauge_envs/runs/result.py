@@ -17,6 +17,7 @@ from gauge_envs.evaluation.score import Score
 from gauge_envs.experiments.experiment import AssetKind, Experiment
 from gauge_envs.files import json_ready, versions
 from gauge_envs.references.user_data import BUNDLED_DATA
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 BULKY = ("scene", "experiment")
@@ -39,8 +40,6 @@ class Outcome(StrEnum):
     FAILED = "failed"
     """An error ended the episode or prevented it."""
 
-
-FloatArray = NDArray[np.float64]
 
 # Of 10,000 results lists take half a gigabyte, and arrays a sixth of that. Readers of files and the JSON Schema go by
 # the types at run time.
@@ -121,10 +120,10 @@ class RecordedTrajectory:
     def of(
         cls,
         experiment: Experiment,
-        times_s: NDArray[np.float64],
-        samples: NDArray[np.float64],
-        markers_m: NDArray[np.float64] | None = None,
-        wrenches: NDArray[np.float64] | None = None,
+        times_s: FloatArray,
+        samples: FloatArray,
+        markers_m: FloatArray | None = None,
+        wrenches: FloatArray | None = None,
     ) -> RecordedTrajectory:
         """Return the record of a generalized trajectory, split at the last frame.
 
@@ -153,25 +152,23 @@ class RecordedTrajectory:
         )
 
     @cached_property
-    def frames(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    def frames(self) -> tuple[NDArray[np.int64], FloatArray]:
         """Numbers of the 30 Hz frames with finite samples, and g(t) there; see `recorded_frames`."""
         return recorded_frames(*self.arrays())
 
-    def markers_m(self) -> NDArray[np.float64] | None:
+    def markers_m(self) -> FloatArray | None:
         """Return the markers at the frames [m], shape [frame_count, marker_count, 3]; None if they are not recorded."""
         if not self.markers_mm.size:
             return None
         return 1e-3 * self.markers_mm.reshape(len(self.markers_mm), -1, 3)
 
-    def recorded_wrenches(self) -> NDArray[np.float64] | None:
+    def recorded_wrenches(self) -> FloatArray | None:
         """Return the wrenches of the holders, shape [frame_count, holder_count, 6]; None if they are not recorded."""
         if not self.wrenches.size:
             return None
         return self.wrenches.reshape(len(self.wrenches), -1, 6)
 
-    def arrays(
-        self, *, later: bool = False
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def arrays(self, *, later: bool = False) -> tuple[FloatArray, FloatArray]:
         """Return times [s], shape [sample_count], and g(t), shape [sample_count, coordinate_count].
 
         Args:
@@ -204,8 +201,8 @@ def _rows(values: ArrayLike, width: int | None = None) -> FloatArray:
 
 
 def recorded_frames(
-    times_s: NDArray[np.float64], samples: NDArray[np.float64]
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    times_s: FloatArray, samples: FloatArray
+) -> tuple[NDArray[np.int64], FloatArray]:
     """Return the numbers of the 30 Hz frames with finite samples, and the samples there.
 
     Args:
@@ -223,7 +220,7 @@ MARKER_DECIMALS = 4
 """Digits of a marker's position [mm] in a file: 0.1 um, a thousandth of the surest solution."""
 
 
-def _rounded_mm(markers_m: NDArray[np.float64] | None) -> NDArray[np.float64]:
+def _rounded_mm(markers_m: FloatArray | None) -> FloatArray:
     rows = 1e3 * np.asarray(markers_m)
     return np.round(rows.reshape(len(rows), -1), MARKER_DECIMALS)
 
@@ -333,7 +330,7 @@ WRENCH_DECIMALS = 7
 """Digits of a wrench [N, N m] in a file: a millionth of the weight of a cloth."""
 
 
-def _rounded_n(wrenches: NDArray[np.float64] | None) -> NDArray[np.float64]:
+def _rounded_n(wrenches: FloatArray | None) -> FloatArray:
     if wrenches is None or not np.isfinite(wrenches).any():
         return np.empty(0)
     return np.round(wrenches.reshape(len(wrenches), -1), WRENCH_DECIMALS)

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends import Simulation
@@ -19,6 +18,7 @@ from gauge_envs.errors import BackendError, GaugeError
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.observables.observer import MarkerProxy, ObserverMarkers
 from gauge_envs.scene import Motion, Scene
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 
 PACKAGE = Path(__file__).parents[1]
@@ -64,25 +64,25 @@ class Rollout:
     """
 
     scene: Scene
-    times_s: NDArray[np.float64]
-    states: Mapping[str, NDArray[np.float64]]
-    nodes_m: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
-    markers_m: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 0, 3)))
+    times_s: FloatArray
+    states: Mapping[str, FloatArray]
+    nodes_m: Mapping[str, FloatArray] = field(default_factory=dict)
+    markers_m: FloatArray = field(default_factory=lambda: np.zeros((0, 0, 3)))
 
     @property
     def interval_s(self) -> float:
         """Time between samples [s]."""
         return float(self.times_s[1] - self.times_s[0])
 
-    def position(self, name: str) -> NDArray[np.float64]:
+    def position(self, name: str) -> FloatArray:
         """Return positions of a rigid body's origin [m], shape [sample_count, 3]."""
         return self.states[name][:, :3]
 
-    def velocity(self, name: str) -> NDArray[np.float64]:
+    def velocity(self, name: str) -> FloatArray:
         """Return velocities of a rigid body's origin [m/s], shape [sample_count, 3]."""
         return self.states[name][:, 7:10]
 
-    def angular_velocity(self, name: str) -> NDArray[np.float64]:
+    def angular_velocity(self, name: str) -> FloatArray:
         """Return angular velocities of a rigid body [rad/s], shape [sample_count, 3]."""
         return self.states[name][:, 10:]
 
@@ -90,7 +90,7 @@ class Rollout:
         """Return rotations of a rigid body from its frame to the world, one for each sample."""
         return Rotation.from_quat(self.states[name][:, 3:7], scalar_first=True)
 
-    def displacement(self, name: str) -> NDArray[np.float64]:
+    def displacement(self, name: str) -> FloatArray:
         """Return displacements of a rigid body's origin from its start [m], shape [sample_count, 3]."""
         return self.position(name) - self.position(name)[0]
 
@@ -199,7 +199,7 @@ def record(
     )
 
 
-def states_now(simulation: Simulation, names: Sequence[str]) -> NDArray[np.float64]:
+def states_now(simulation: Simulation, names: Sequence[str]) -> FloatArray:
     """Return a copy of the current states of bodies, shape [len(names), 13]."""
     return np.array(simulation.body_states(names), dtype=np.float64)
 
@@ -246,9 +246,9 @@ class _Sample(NamedTuple):
         markers_m: The scene's markers [m], shape [marker_count, 3].
     """
 
-    states: NDArray[np.float64]
-    nodes_m: dict[str, NDArray[np.float64]]
-    markers_m: NDArray[np.float64]
+    states: FloatArray
+    nodes_m: dict[str, FloatArray]
+    markers_m: FloatArray
 
 
 def _read(

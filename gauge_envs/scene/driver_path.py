@@ -5,7 +5,6 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.scene.drivers import (
     Driver,
@@ -15,6 +14,7 @@ from gauge_envs.scene.drivers import (
 )
 from gauge_envs.scene.geometry import (
     FloatArray,
+    IntArray,
     Pose,
     quaternion_products,
     quaternion_vectors,
@@ -203,9 +203,7 @@ class DriverPathOfWorlds:
         )
         return rows
 
-    def _state(
-        self, sample: int, moved: NDArray[np.intp], rates: FloatArray
-    ) -> FloatArray:
+    def _state(self, sample: int, moved: IntArray, rates: FloatArray) -> FloatArray:
         """Return the states at a sample of the worlds that actions moved, shape [moved_count, 13]."""
         coordinates, recorded_rates = self._recorded
         return self._driver.moved(

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 Vector = tuple[float, float, float]
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.intp]
+BoolArray = NDArray[np.bool_]
 
 PLATE_SIZE_M = (2.0, 2.0, 0.002)
 """Size of the plate that shows a plane in pictures [m]."""

@@ -3,7 +3,6 @@
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.scene.bodies import Cloth, Deformable, Region, RigidBody, Rope, SoftBody
 from gauge_envs.scene.geometry import (
@@ -14,6 +13,7 @@ from gauge_envs.scene.geometry import (
     Cylinder,
     Ellipsoid,
     FloatArray,
+    IntArray,
     Part,
     Shape,
     Sphere,
@@ -116,7 +116,7 @@ def grid(size_m: tuple[float, float, float]) -> tuple[FloatArray, tuple[int, int
     return nodes, (counts[0], counts[1], counts[2])
 
 
-def tetrahedra(shape: tuple[int, int, int]) -> NDArray[np.intp]:
+def tetrahedra(shape: tuple[int, int, int]) -> IntArray:
     """Return six tetrahedra per grid cell about the same diagonal, so that the faces of neighbouring cells match."""
     node = np.arange(np.prod(shape)).reshape(shape)
     x, y, z = (1, 0, 0), (0, 1, 0), (0, 0, 1)
@@ -144,7 +144,7 @@ def tetrahedra(shape: tuple[int, int, int]) -> NDArray[np.intp]:
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2).reshape(-1, 4)
 
 
-def nodes_in(nodes_m: FloatArray, region: Region) -> NDArray[np.intp]:
+def nodes_in(nodes_m: FloatArray, region: Region) -> IntArray:
     """Return the indices of the nodes in a region of their body; the end itself always belongs to it."""
     along = nodes_m[:, "xyz".index(region.axis)]
     depth = along - along.min() if region.side == "low" else along.max() - along

@@ -12,17 +12,17 @@ from functools import lru_cache
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from gauge_envs.backends.drake.settings import SettingsDrake
 from gauge_envs.backends.shared.spring_damper import impact_speed_m_per_s
 from gauge_envs.scene import Contact, ContactMode, Scene
+from gauge_envs.scene.geometry import BoolArray, FloatArray
 
 ImpactLaw = Literal["relaxation", "hunt_crossley"]
 """`relaxation`: linear spring and damper of the SAP approximation. `hunt_crossley`: damping in proportion to depth."""
 
-PHASES: NDArray[np.float64] = (np.arange(12, dtype=np.float64) + 0.5) / 12.0
+PHASES: FloatArray = (np.arange(12, dtype=np.float64) + 0.5) / 12.0
 """Depth at the first step that detects the contact, over the displacement of a step; the start decides it."""
 
 LARGEST_DISSIPATION = 1e6
@@ -90,7 +90,7 @@ def contact_constants(
 
 def rebound(
     law: ImpactLaw, rate: float, dissipation: float, weight: float = 0.0
-) -> NDArray[np.float64]:
+) -> FloatArray:
     """Return the ratio of outgoing to incoming speed at the surface for each phase, shape [phase_count].
 
     Args:
@@ -101,7 +101,7 @@ def rebound(
     """
     depth, speed = PHASES.copy(), np.full(len(PHASES), -1.0)
     stiffness = rate**2
-    leaving: NDArray[np.bool_] = np.zeros(len(PHASES), dtype=bool)
+    leaving: BoolArray = np.zeros(len(PHASES), dtype=bool)
     for _ in range(int(STEPS / rate)):
         free = speed - weight
         if law == "relaxation":
@@ -120,11 +120,11 @@ def rebound(
 
 
 def _hunt_crossley(
-    depth: NDArray[np.float64],
-    speed: NDArray[np.float64],
+    depth: FloatArray,
+    speed: FloatArray,
     stiffness: float,
     dissipation: float,
-) -> NDArray[np.float64]:
+) -> FloatArray:
     """Return the speed v that solves v = v0 + k (x - v) (1 - d v) where both factors are positive, else v0."""
     linear = 1.0 + stiffness * (1.0 + dissipation * depth)
     constant = speed + stiffness * depth

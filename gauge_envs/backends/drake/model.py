@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pydrake.geometry as geometry
-from numpy.typing import NDArray
 from pydrake.geometry import (
     CollisionFilterDeclaration,
     GeometryId,
@@ -62,6 +61,7 @@ from gauge_envs.scene import (
     Slider,
     Sphere,
 )
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.hinged import other_end
 from gauge_envs.scene.meshes import body_mass_properties
 from gauge_envs.scene.motors import Servo
@@ -113,7 +113,7 @@ class Model:
     bodies: dict[str, Any]
     free: Any
     motors: list[tuple[Any, float]]
-    start: NDArray[np.float64]
+    start: FloatArray
     names: dict[GeometryId, str]
 
 
@@ -378,7 +378,7 @@ def _start(
     scene: Scene,
     bodies: dict[str, Any],
     hinges: Mapping[str, Hinge | BodyHinge],
-) -> NDArray[np.float64]:
+) -> FloatArray:
     state = np.zeros(plant.num_multibody_states())
     offset = plant.num_positions()
     axes = {one.body: one.axis for one in scene.guides if isinstance(one, Slider)}
@@ -481,7 +481,7 @@ def inner_radius_m(shape: Shape) -> float:
     return float("inf")
 
 
-def _piece_inner_radius_m(points_m: NDArray[np.float64]) -> float:
+def _piece_inner_radius_m(points_m: FloatArray) -> float:
     planes = ConvexHull(points_m).equations
     # The largest ball inside: its centre is further from each face than its radius.
     found = linprog(

@@ -4,7 +4,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydrake.multibody.math import SpatialForce
 from pydrake.multibody.plant import ExternallyAppliedSpatialForce
 from pydrake.systems.analysis import Simulator
@@ -22,6 +21,7 @@ from gauge_envs.backends.shared.rigid import (
 )
 from gauge_envs.backends.world import Simulation
 from gauge_envs.scene import Motion, Pose, Scene
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.meshes import body_mass_properties
 
 
@@ -59,7 +59,7 @@ class SimulationDrake(PlacedWorld, Simulation):
         """Return to the scene's start. Drake draws no random numbers here, so the seed has no effect."""
         self._state = self._model.start.copy()
         self._motions: dict[str, DrivenMotion] = {}
-        self._wrenches: dict[str, NDArray[np.float64]] = {}
+        self._wrenches: dict[str, FloatArray] = {}
         self._command = np.zeros(len(self._model.motors))
         self.placed = placed_states(self._scene)
         for body in self._scene.bodies:
@@ -74,7 +74,7 @@ class SimulationDrake(PlacedWorld, Simulation):
         if self._model.plant.num_actuators():
             self.command(self._command)
 
-    def _place(self, name: str, pose: Pose, velocity: NDArray[np.float64]) -> None:
+    def _place(self, name: str, pose: Pose, velocity: FloatArray) -> None:
         """Write the pose of a driven body to the state, and keep what `body_states` returns until the next step."""
         first, _ = self._rows[name]
         self._state[first : first + 7] = [*pose.quaternion, *pose.position_m]
@@ -85,20 +85,20 @@ class SimulationDrake(PlacedWorld, Simulation):
         self,
         body: str,
         pose: Pose,
-        velocity: NDArray[np.float64],
-        acceleration: NDArray[np.float64],
+        velocity: FloatArray,
+        acceleration: FloatArray,
     ) -> None:
         """Prescribe a kinematic body; see `World.drive`."""
         self._motions[body] = DrivenMotion.copied(pose, velocity, acceleration)
         self._place(body, pose, velocity)
         self._context.SetDiscreteState(self._state)
 
-    def apply_wrench(self, body: str, wrench: NDArray[np.float64]) -> None:
+    def apply_wrench(self, body: str, wrench: FloatArray) -> None:
         """Apply a force through the centre of mass and a torque; see `World.apply_wrench`."""
         self._wrenches[body] = np.array(wrench, dtype=float)
         self._apply_forces()
 
-    def command(self, values: NDArray[np.float64]) -> None:
+    def command(self, values: FloatArray) -> None:
         """Set what the motors follow; see `World.command`."""
         self._command = np.array(values, dtype=float)
         plant = self._model.plant
@@ -173,23 +173,21 @@ class SimulationDrake(PlacedWorld, Simulation):
                 forces.append(self._force(body, np.zeros(3), wrench))
         self._forces.FixValue(self._plant_context, forces)
 
-    def _force(
-        self, name: str, place_m: NDArray[np.float64], wrench: NDArray[np.float64]
-    ) -> Any:
+    def _force(self, name: str, place_m: FloatArray, wrench: FloatArray) -> Any:
         force = ExternallyAppliedSpatialForce()
         force.body_index = self._model.bodies[name].index()
         force.p_BoBq_B = place_m
         force.F_Bq_W = SpatialForce(tau=wrench[3:], f=wrench[:3])
         return force
 
-    def moving_states(self, names: Sequence[str]) -> list[NDArray[np.float64]]:
+    def moving_states(self, names: Sequence[str]) -> list[FloatArray]:
         """Return poses and velocities of dynamic and driven bodies in Drake, rows of shape [13]."""
         return [
             self._free_state(name) if name in self._rows else self._hinged_state(name)
             for name in names
         ]
 
-    def _free_state(self, name: str) -> NDArray[np.float64]:
+    def _free_state(self, name: str) -> FloatArray:
         position, velocity = self._rows[name]
         quaternion, place = np.split(self._state[position : position + 7], [4])
         angular, linear = np.split(self._state[velocity : velocity + 6], 2)
@@ -197,7 +195,7 @@ class SimulationDrake(PlacedWorld, Simulation):
             [place, quaternion / np.linalg.norm(quaternion), linear, angular]
         )
 
-    def _hinged_state(self, name: str) -> NDArray[np.float64]:
+    def _hinged_state(self, name: str) -> FloatArray:
         body = self._model.bodies[name]
         pose = self._model.plant.EvalBodyPoseInWorld(self._plant_context, body)
         velocity = self._model.plant.EvalBodySpatialVelocityInWorld(
@@ -215,13 +213,13 @@ class SimulationDrake(PlacedWorld, Simulation):
 
     def contact_forces(
         self, pairs: Sequence[tuple[str, str]]
-    ) -> Callable[[], NDArray[np.float64]]:
+    ) -> Callable[[], FloatArray]:
         """Return a reader of contact forces; see `World.contact_forces`."""
         reader = MeanForces(pairs, self._touches)
         self._force_readers.append(reader)
         return reader.mean
 
-    def _touches(self) -> Iterator[tuple[str, str, NDArray[np.float64]]]:
+    def _touches(self) -> Iterator[tuple[str, str, FloatArray]]:
         """Yield the contacts of the next step: two bodies, and the force on the first [N]."""
         names, plant = self._model.names, self._model.plant
         results = plant.get_contact_results_output_port().Eval(self._plant_context)
@@ -262,6 +260,6 @@ class SimulationDrake(PlacedWorld, Simulation):
         """Do nothing, since the simulation only holds memory."""
 
 
-def _plant_state(values: Any) -> NDArray[np.float64]:
+def _plant_state(values: Any) -> FloatArray:
     """Return a copy of the state of the plant among discrete values, of which Drake's diagram may have more groups."""
     return np.array(values.value(0) if values.num_groups() > 1 else values.value())

@@ -35,6 +35,7 @@ from gauge_envs.backends.shared.rigid import DrivenMotion
 from gauge_envs.errors import ParameterError
 from gauge_envs.scene import Cloth, Motion, Scene
 from gauge_envs.scene.fabrics import Fabric
+from gauge_envs.scene.geometry import FloatArray
 
 ROOM_M = 20.0
 """Distance from the cloth to the walls of the domain, which every Genesis particle has [m]."""
@@ -129,7 +130,7 @@ class _Sheet:
             attached |= dict.fromkeys(inside.tolist(), attachment)
         return attached
 
-    def masses_kg(self) -> NDArray[np.float64]:
+    def masses_kg(self) -> FloatArray:
         """Return the masses of the particles [kg]: the area around each on a grid, equal ones otherwise."""
         if self._settings.mesh == "remeshed":
             count = len(self.rest_m)
@@ -137,7 +138,7 @@ class _Sheet:
             return np.full(count, self.cloth.areal_density_kg_per_m2 * area / count)
         return self.cloth.areal_density_kg_per_m2 * self.grid.vertex_areas_m2()
 
-    def spring_compliances(self) -> NDArray[np.float64]:
+    def spring_compliances(self) -> FloatArray:
         """Return the compliance of each spring [m/N], shape [spring_count]."""
         springs = np.asarray(self.entity._edges, dtype=np.intp)
         if self._settings.stiffness == "nominal":
@@ -283,7 +284,7 @@ class ClothPart(DeformablePart):
         self._kernels.place(rows, contiguous(path_m[0]))
         return (np.diff(path_m, axis=0) / self._settings.timestep_s,)
 
-    def nodes(self, name: str) -> NDArray[np.float64]:
+    def nodes(self, name: str) -> FloatArray:
         """Return the positions of a cloth's particles [m], shape [particle_count, 3]."""
         return self._positions(self._sheets[name].particles)
 

@@ -41,6 +41,7 @@ from gauge_envs.backends.shared.soft_rows import (
     soft_rows,
 )
 from gauge_envs.scene import Motion, Scene, SoftBody
+from gauge_envs.scene.geometry import FloatArray, IntArray
 
 FLOOR_M = -1e6
 """Height of Genesis's own floor, out of reach [m]."""
@@ -72,18 +73,16 @@ class _Row(ABC):
     """
 
     soft_row: SoftRow
-    nodes_of: dict[str, NDArray[np.intp]]
+    nodes_of: dict[str, IntArray]
     start: int
     count: int
 
     @abstractmethod
-    def nodes_m(self, positions_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    def nodes_m(self, positions_m: FloatArray) -> FloatArray:
         """Return the nodes [m], shape [node_count, 3], given what the solver moves [m], shape [count, 3]."""
 
     @abstractmethod
-    def reader(
-        self, points_m: NDArray[np.float64]
-    ) -> Callable[[NDArray[np.float64]], Any]:
+    def reader(self, points_m: FloatArray) -> Callable[[FloatArray], Any]:
         """Return a function of what the solver moves that returns the positions of material points [m]."""
 
 
@@ -110,20 +109,18 @@ class SoftPart(DeformablePart):
                 self._softness_m,
             )
 
-    def nodes(self, name: str) -> NDArray[np.float64]:
+    def nodes(self, name: str) -> FloatArray:
         """Return the positions of a body's nodes [m], shape [node_count, 3]; bonded faces belong to both bodies."""
         row = self._rows[name]
         return row.nodes_m(self._moved(row))[row.nodes_of[name]]
 
-    def track(
-        self, name: str, points_m: NDArray[np.float64]
-    ) -> Callable[[], NDArray[np.float64]] | None:
+    def track(self, name: str, points_m: FloatArray) -> Callable[[], FloatArray] | None:
         """Return a reader of material points; see `World.track`."""
         row = self._rows[name]
         read = row.reader(row.soft_row.checked(np.asarray(points_m, dtype=np.float64)))
         return lambda: np.asarray(read(self._moved(row)))
 
-    def _moved(self, row: _Row) -> NDArray[np.float64]:
+    def _moved(self, row: _Row) -> FloatArray:
         return self._positions(slice(row.start, row.start + row.count))
 
 
@@ -143,13 +140,11 @@ class _FEMRow(_Row):
         self.nodes_of = soft_row.nodes_of(self.mesh.points_m)
         self.count = len(self.mesh.points_m)
 
-    def nodes_m(self, positions_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    def nodes_m(self, positions_m: FloatArray) -> FloatArray:
         """Return the nodes of the mesh."""
         return positions_m
 
-    def reader(
-        self, points_m: NDArray[np.float64]
-    ) -> Callable[[NDArray[np.float64]], Any]:
+    def reader(self, points_m: FloatArray) -> Callable[[FloatArray], Any]:
         """Return a function that interpolates linearly in each tetrahedron, as the elements do."""
         corners, weights = self.mesh.weights(points_m)
         return lambda positions: np.einsum("pk,pki->pi", weights, positions[corners])
@@ -330,18 +325,16 @@ class _MPMRow(_Row):
         self._node_weights = self._weights_of_nodes(nodes_m)
         self.nodes_of = soft_row.nodes_of(nodes_m)
 
-    def nodes_m(self, positions_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    def nodes_m(self, positions_m: FloatArray) -> FloatArray:
         """Return the nodes, interpolated between the points."""
         return np.asarray(self._node_weights @ positions_m)
 
-    def reader(
-        self, points_m: NDArray[np.float64]
-    ) -> Callable[[NDArray[np.float64]], Any]:
+    def reader(self, points_m: FloatArray) -> Callable[[FloatArray], Any]:
         """Return a function that takes a weighted mean of the nearest points, exact for linear deformation."""
         weights = self._weights(points_m)
         return lambda positions: weights @ positions
 
-    def _weights_of_nodes(self, nodes_m: NDArray[np.float64]) -> csr_matrix:
+    def _weights_of_nodes(self, nodes_m: FloatArray) -> csr_matrix:
         """Return the weights of all points in each node; nodes at a grip follow its points alone."""
         weights = self._weights(nodes_m).tolil()
         first = len(self.points_m)
@@ -358,7 +351,7 @@ class _MPMRow(_Row):
             first += len(points)
         return weights.tocsr()
 
-    def _weights(self, points_m: NDArray[np.float64]) -> csr_matrix:
+    def _weights(self, points_m: FloatArray) -> csr_matrix:
         """Return the weights of the row's points at some places [m], shape [place_count, count]."""
         nearest, weights = linear_weights(self.all_m, points_m)
         rows = np.repeat(np.arange(len(points_m)), weights.shape[1])
@@ -367,9 +360,7 @@ class _MPMRow(_Row):
             shape=(len(points_m), self.count),
         )
 
-    def _grip_m(
-        self, side: str, voxel_m: float, spacing_m: float
-    ) -> NDArray[np.float64]:
+    def _grip_m(self, side: str, voxel_m: float, spacing_m: float) -> FloatArray:
         """Return the points of a grip [m], shape [count, 3]: layers of the cross-section behind the grid plane."""
         row = self.soft_row
         block = row.blocks[0 if side == "low" else -1]
@@ -387,7 +378,7 @@ class _MPMRow(_Row):
         return np.concatenate(layers)
 
 
-def _affine(points_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def _affine(points_m: FloatArray) -> FloatArray:
     return np.column_stack([np.ones(len(points_m)), points_m])
 
 

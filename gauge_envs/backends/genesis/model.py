@@ -6,7 +6,6 @@ from math import comb
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.backends.genesis.document import body_label, document, layers_of_bodies
 from gauge_envs.backends.genesis.engine import EngineLease, engine, patient
@@ -21,6 +20,7 @@ from gauge_envs.backends.settings import check_kept
 from gauge_envs.backends.shared.joints import PlayHinge, joint_rate_rad_per_s
 from gauge_envs.backends.shared.rigid import hinges_by_body
 from gauge_envs.scene import Motion, Scene
+from gauge_envs.scene.geometry import FloatArray
 
 PAIR_LIMIT = 150
 """Genesis's default for the number of pairs of shapes that can touch at a time."""
@@ -245,9 +245,7 @@ def _rigid_options(scene: Scene, settings: SettingsGenesis, turns: bool) -> Any:
     )
 
 
-def start_coordinates(
-    scene: Scene, model: Model
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def start_coordinates(scene: Scene, model: Model) -> tuple[FloatArray, FloatArray]:
     """Return coordinates and velocities of the rigid solver at a scene's start, shapes [q_count] and [dof_count]."""
     coordinates = np.zeros(model.solver.n_qs)
     velocities = np.zeros(model.solver.n_dofs)

@@ -15,6 +15,7 @@ from gauge_envs.backends.shared.attachments import RigidAttachment
 from gauge_envs.backends.shared.rigid import DrivenMotion
 from gauge_envs.errors import BackendError
 from gauge_envs.scene import Motion, Scene
+from gauge_envs.scene.geometry import FloatArray
 
 Motions = Mapping[str, DrivenMotion]
 """Motion of each driven body in the current interval, by name. A body that was never driven rests at its start."""
@@ -41,9 +42,7 @@ class DeformablePart(ABC):
         self._kernels: Any = None
         self._start: State = ()
         self._interval_s = settings.drive_interval_s
-        self._pins: list[
-            tuple[RigidAttachment, NDArray[np.int32], NDArray[np.float64]]
-        ] = []
+        self._pins: list[tuple[RigidAttachment, NDArray[np.int32], FloatArray]] = []
         self._planned: list[tuple[NDArray[np.int32], list[NDArray[Any]]]] = []
 
     @abstractmethod
@@ -78,9 +77,7 @@ class DeformablePart(ABC):
     def finish(self, scene: Any) -> None:
         """Complete the bodies after the scene was built: fix particles, keep the start state."""
 
-    def pin(
-        self, attachment: RigidAttachment, rows: Any, points_m: NDArray[np.float64]
-    ) -> None:
+    def pin(self, attachment: RigidAttachment, rows: Any, points_m: FloatArray) -> None:
         """Let nodes of the solver, given by their rows and start positions [m], move with a rigid body."""
         if len(rows):
             self._pins.append(
@@ -135,12 +132,10 @@ class DeformablePart(ABC):
         """
 
     @abstractmethod
-    def nodes(self, name: str) -> NDArray[np.float64]:
+    def nodes(self, name: str) -> FloatArray:
         """Return the positions of a body's nodes [m], shape [node_count, 3]."""
 
-    def track(
-        self, name: str, points_m: NDArray[np.float64]
-    ) -> Callable[[], NDArray[np.float64]] | None:
+    def track(self, name: str, points_m: FloatArray) -> Callable[[], FloatArray] | None:
         """Return a reader of material points; see `World.track`."""
         return None
 
@@ -165,7 +160,7 @@ class DeformablePart(ABC):
         """Return the bodies to their start."""
         self.restore(self._start)
 
-    def _positions(self, rows: slice) -> NDArray[np.float64]:
+    def _positions(self, rows: slice) -> FloatArray:
         """Return the current positions of nodes of the solver [m], shape [node_count, 3]."""
         return self.state()[0][rows].astype(np.float64)
 
@@ -208,7 +203,7 @@ def coupled_geoms(
 
 
 def driven_places(
-    motion: DrivenMotion, places_m: NDArray[np.float64], times_s: NDArray[Any]
+    motion: DrivenMotion, places_m: FloatArray, times_s: NDArray[Any]
 ) -> NDArray[Any]:
     """Return the world positions of places on a driven body at several times [m], shape [time_count, place_count, 3].
 

@@ -7,7 +7,6 @@ from math import ceil, sqrt
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from gauge_envs.backends.settings import SteppedSettings, load_presets
@@ -15,6 +14,7 @@ from gauge_envs.backends.shared.cells import CellSize
 from gauge_envs.backends.shared.cloth_grid import ClothGrid
 from gauge_envs.backends.shared.soft_rows import lame_constants
 from gauge_envs.scene import Cloth, Cylinder, Scene, SoftBody, Sphere
+from gauge_envs.scene.geometry import FloatArray, IntArray
 from gauge_envs.scene.timing import DRIVE_INTERVAL_S
 
 
@@ -331,7 +331,7 @@ def spring_stiffnesses(cloth: Cloth) -> tuple[float, float]:
     return 0.5 * (free + float(np.sqrt(free**2 + 4.0 * stretch * shear))), shear
 
 
-def grid_springs(grid: ClothGrid) -> NDArray[np.intp]:
+def grid_springs(grid: ClothGrid) -> IntArray:
     """Return the ends of springs along the grid's lines and along both diagonals of each cell, shape [count, 2]."""
     columns = len(np.unique(grid.plane_m[:, 0]))
     index = np.arange(len(grid.plane_m)).reshape(columns, -1)
@@ -346,9 +346,7 @@ def grid_springs(grid: ClothGrid) -> NDArray[np.intp]:
     )
 
 
-def grid_stiffnesses(
-    cloth: Cloth, grid: ClothGrid, springs: NDArray[np.intp]
-) -> NDArray[np.float64]:
+def grid_stiffnesses(cloth: Cloth, grid: ClothGrid, springs: IntArray) -> FloatArray:
     """Return the stiffness of each spring [N/m]; those on the border of the cloth belong to half a cell.
 
     Args:
@@ -375,9 +373,7 @@ def grid_stiffnesses(
     return stiffnesses
 
 
-def inverse_masses(
-    masses_kg: NDArray[np.float64], fixed: Collection[int]
-) -> NDArray[np.float64]:
+def inverse_masses(masses_kg: FloatArray, fixed: Collection[int]) -> FloatArray:
     """Return the inverse masses of particles [1/kg], 0 for fixed ones.
 
     Args:

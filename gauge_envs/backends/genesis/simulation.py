@@ -6,7 +6,6 @@ from importlib.metadata import version
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.backends.genesis.document import reach_m
 from gauge_envs.backends.genesis.engine import engine
@@ -31,6 +30,7 @@ from gauge_envs.backends.world import Simulation
 from gauge_envs.backends.worlds import Worlds
 from gauge_envs.errors import BackendError
 from gauge_envs.scene import Motion, Pose, Scene
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.motors import Servo
 
 
@@ -86,7 +86,7 @@ class _WorldGenesis(PlacedWorld):
     def begin(self) -> None:
         """Put driven bodies to their starts, without wrenches."""
         self.driven: dict[str, DrivenMotion] = {}
-        self.wrenches: dict[str, NDArray[np.float64]] = {}
+        self.wrenches: dict[str, FloatArray] = {}
         self.placed = placed_states(self._scene, Motion.FIXED, Motion.KINEMATIC)
         for body in self._scene.bodies:
             if body.motion is Motion.KINEMATIC:
@@ -97,8 +97,8 @@ class _WorldGenesis(PlacedWorld):
         self,
         body: str,
         pose: Pose,
-        velocity: NDArray[np.float64],
-        acceleration: NDArray[np.float64],
+        velocity: FloatArray,
+        acceleration: FloatArray,
     ) -> None:
         """Put a driven body where its interval starts, and give it the force that accelerates it."""
         self.driven[body] = DrivenMotion.copied(pose, velocity, acceleration)
@@ -139,7 +139,7 @@ class _WorldGenesis(PlacedWorld):
         )
         solver.control_dofs_force(np.array([[*force, *torque]]), freedoms, world)
 
-    def command(self, values: NDArray[np.float64]) -> None:
+    def command(self, values: FloatArray) -> None:
         """Set what the motors follow; see `World.command`."""
         solver = self._lent.model.solver
         for (is_servo, freedom, sign), value in zip(
@@ -150,7 +150,7 @@ class _WorldGenesis(PlacedWorld):
             )
             control(np.array([[sign * value]]), [freedom], [self._index])
 
-    def apply_wrench(self, body: str, wrench: NDArray[np.float64]) -> None:
+    def apply_wrench(self, body: str, wrench: FloatArray) -> None:
         """Apply a force and a torque to a dynamic body; see `World.apply_wrench`."""
         self.wrenches[body] = np.array(wrench, dtype=float)
 
@@ -178,7 +178,7 @@ class _WorldGenesis(PlacedWorld):
                     force[None, None, :], None, [links[body].idx], world
                 )
 
-    def moving_states(self, names: Sequence[str]) -> NDArray[np.float64]:
+    def moving_states(self, names: Sequence[str]) -> FloatArray:
         """Return poses and velocities of dynamic bodies, shape [len(names), 13]."""
         solver, links = (
             self._lent.model.solver,
@@ -191,9 +191,7 @@ class _WorldGenesis(PlacedWorld):
             solver.get_links_ang,
         )
         columns = [one(links, [self._index]).numpy()[0] for one in read]
-        states: NDArray[np.float64] = np.concatenate(columns, axis=-1).astype(
-            np.float64
-        )
+        states: FloatArray = np.concatenate(columns, axis=-1).astype(np.float64)
         states[:, 3:7] /= np.linalg.norm(states[:, 3:7], axis=1, keepdims=True)
         return states
 
@@ -261,13 +259,11 @@ class SimulationGenesis(_WorldGenesis, Simulation):
         part = self._lent.model.part
         return None if part is None else part.fault()
 
-    def nodes(self, name: str) -> NDArray[np.float64]:
+    def nodes(self, name: str) -> FloatArray:
         """Return the positions of a deformable body's nodes [m], shape [node_count, 3]."""
         return self._part(name).nodes(name)
 
-    def track(
-        self, name: str, points_m: NDArray[np.float64]
-    ) -> Callable[[], NDArray[np.float64]] | None:
+    def track(self, name: str, points_m: FloatArray) -> Callable[[], FloatArray] | None:
         """Return a reader of material points; see `World.track`."""
         return self._part(name).track(name, points_m)
 

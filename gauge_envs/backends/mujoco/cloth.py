@@ -15,7 +15,6 @@ from math import sqrt
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.backends.mujoco.flex import (
     FlexPart,
@@ -27,6 +26,7 @@ from gauge_envs.backends.shared.attachments import RigidAttachment
 from gauge_envs.backends.shared.cloth_grid import ClothGrid, attached_vertices
 from gauge_envs.errors import ParameterError
 from gauge_envs.scene import Air, Cloth, Scene
+from gauge_envs.scene.geometry import FloatArray
 
 ELASTIC_BOTH = 3
 """MuJoCo's code for a flex that both stretches and bends."""
@@ -56,7 +56,7 @@ class ClothPartMuJoCo(FlexPart):
         super().__init__(flex, grid.rest_m, points)
         self.cloth, self.grid = cloth, grid
 
-    def carried(self, body: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def carried(self, body: str) -> tuple[FloatArray, FloatArray]:
         """Return the attached vertices of a body, which have no mass in the model; see `FlexPart.carried`."""
         rows = self.points.attached_to(body)
         masses_kg = self.cloth.areal_density_kg_per_m2 * self.grid.vertex_areas_m2()
@@ -167,7 +167,7 @@ def _diagonal_weight(along_x_m: float, along_y_m: float) -> float:
 
 def _membrane(
     grid: ClothGrid, stretch_n_per_m: float, shear_n_per_m: float
-) -> NDArray[np.float64]:
+) -> FloatArray:
     """Return MuJoCo's stiffness of each triangle for diag(stretch, stretch, shear), shape [triangle_count, 6]."""
     corners_m = grid.plane_m[grid.triangles]
     edges_m = corners_m[:, [2, 0, 1]] - corners_m[:, [1, 2, 0]]
@@ -202,7 +202,7 @@ class FoldWatch:
         self._part, self._model, self._data = part, model, data
         # Elements of flat cloth that share no vertex are 0.7 of a cell apart.
         self._apart_m = 0.65 * min(part.grid.cell_m) - 2.0 * part.flex.radius
-        self._seen_m: NDArray[np.float64] | None = None
+        self._seen_m: FloatArray | None = None
 
     def stays_apart(self, seconds: float) -> bool:
         """Return whether the cloth cannot touch itself in the next seconds."""
@@ -231,7 +231,7 @@ class FoldWatch:
         return not data.ncon
 
 
-def _rest_m(before: NDArray[np.float64], after: NDArray[np.float64]) -> float:
+def _rest_m(before: FloatArray, after: FloatArray) -> float:
     """Return the largest part of the points' displacements [m] beside a translation and a part w x r."""
     arms = before - before.sum(axis=0) / len(before)
     moves = after - before
@@ -275,7 +275,7 @@ class AirOnCloth:
         self._to_free = csr_array(self._to_vertices[self._points.free])
         self._forces = data.qfrc_applied
 
-    def triangle_forces_n(self) -> NDArray[np.float64]:
+    def triangle_forces_n(self) -> FloatArray:
         """Return the forces on the triangles in the current state [N], shape [triangle_count, 3]."""
         places = self._points.positions()
         corner = places[self._first]
@@ -314,9 +314,7 @@ def check_air_step(
             )
 
 
-def _cross(
-    first: NDArray[np.float64], second: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _cross(first: FloatArray, second: FloatArray) -> FloatArray:
     """Return cross products, shape [count, 3]; `numpy.cross` takes three times as long on short arrays."""
     product = np.empty_like(first)
     for axis, (i, j) in enumerate(((1, 2), (2, 0), (0, 1))):

@@ -5,10 +5,10 @@ from types import MappingProxyType
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.backends.shared.attachments import RigidAttachment
 from gauge_envs.scene import Motion
+from gauge_envs.scene.geometry import FloatArray, IntArray
 
 
 class Points:
@@ -29,7 +29,7 @@ class Points:
     def __init__(
         self,
         names: Sequence[str],
-        rest_m: NDArray[np.float64],
+        rest_m: FloatArray,
         attached: Mapping[int, RigidAttachment],
     ) -> None:
         self._names = list(names)
@@ -76,7 +76,7 @@ class Points:
             arms_m = self._attached[rows[0]].pose.to_body(self._rest_m[rows])
             self._moving.append((rows, arms_m, *free_joint_views(model, data, body)))
 
-    def positions(self) -> NDArray[np.float64]:
+    def positions(self) -> FloatArray:
         """Return the current world positions [m], shape [point_count, 3], from joint coordinates alone."""
         positions = self._rest_m.copy()
         positions[self.free] += self._qpos[self._addresses]
@@ -84,7 +84,7 @@ class Points:
             positions[rows] = arms_m @ rotation_matrix(pose[3:]).T + pose[:3]
         return positions
 
-    def velocities(self) -> NDArray[np.float64]:
+    def velocities(self) -> FloatArray:
         """Return the current velocities [m/s], shape [point_count, 3], from joint coordinates alone."""
         velocities = np.zeros_like(self._rest_m)
         velocities[self.free] = self._qvel[self.dofs]
@@ -97,14 +97,14 @@ class Points:
 
 def free_joint_views(
     model: mujoco.MjModel, data: mujoco.MjData, body: str
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[FloatArray, FloatArray]:
     """Return views of the pose, shape [7], and of the velocity, shape [6], of a body with a free joint."""
     joint = model.joint(model.body(body).jntadr[0])
     position, velocity = int(joint.qposadr[0]), int(joint.dofadr[0])
     return data.qpos[position : position + 7], data.qvel[velocity : velocity + 6]
 
 
-def rotation_matrix(quaternion: NDArray[np.float64]) -> NDArray[np.float64]:
+def rotation_matrix(quaternion: FloatArray) -> FloatArray:
     """Return the matrix of a rotation w, x, y, z, shape [3, 3]."""
     matrix = np.empty(9)
     mujoco.mju_quat2Mat(matrix, quaternion)
@@ -122,10 +122,10 @@ class FlexPart:
         node_indices: Indices of each body's nodes among those of a soft row, by name; empty for a single body.
     """
 
-    node_indices: Mapping[str, NDArray[np.intp]] = MappingProxyType({})
+    node_indices: Mapping[str, IntArray] = MappingProxyType({})
 
     def __init__(
-        self, flex: mujoco.MjsFlex, rest_m: NDArray[np.float64], points: Points
+        self, flex: mujoco.MjsFlex, rest_m: FloatArray, points: Points
     ) -> None:
         self.name, self.flex = flex.name, flex
         self.rest_m = rest_m
@@ -138,11 +138,11 @@ class FlexPart:
         """Look up the joints that `nodes` reads."""
         self.points.bind(model, data)
 
-    def nodes(self) -> NDArray[np.float64]:
+    def nodes(self) -> FloatArray:
         """Return the current world positions of the nodes [m], shape [node_count, 3]."""
         return self.points.positions()
 
-    def carried(self, body: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def carried(self, body: str) -> tuple[FloatArray, FloatArray]:
         """Return the material that a body carries without simulating it: masses [kg] and places at the start [m].
 
         Args:
@@ -170,7 +170,7 @@ def collide_with_nothing(flex: mujoco.MjsFlex) -> None:
     flex.selfcollide = mujoco.mjtFlexSelf.mjFLEXSELF_NONE
 
 
-def flex_table(model: mujoco.MjModel, table: str, index: int) -> NDArray[np.float64]:
+def flex_table(model: mujoco.MjModel, table: str, index: int) -> FloatArray:
     """Return a writable view of the part of a compiled table that belongs to one flex; empty if it has none.
 
     Args:

@@ -15,6 +15,7 @@ from gauge_envs.backends.mujoco.flex import FlexPart
 from gauge_envs.backends.mujoco.line import LinePartMuJoCo
 from gauge_envs.backends.mujoco.soft import Grip
 from gauge_envs.scene import Motion, Scene
+from gauge_envs.scene.geometry import FloatArray, IntArray
 from gauge_envs.scene.scene import GRAVITY_M_PER_S2
 
 UPWARD = np.array([0.0, 0.0, GRAVITY_M_PER_S2])
@@ -73,7 +74,7 @@ class GripReader:
             name: _Holder(self._twin, scene, name, parts, grips) for name in self.names
         }
 
-    def wrenches(self) -> dict[str, NDArray[np.float64]]:
+    def wrenches(self) -> dict[str, FloatArray]:
         """Return force [N] and torque about the body origin [N m] in the world frame, shape [6], by body."""
         twin, copy, data = self._twin, self._copy, self._data
         copy.qpos[self._places] = data.qpos
@@ -125,9 +126,9 @@ class _Holder:
     def wrench(
         self,
         data: mujoco.MjData,
-        elastic: NDArray[np.float64],
-        rates: NDArray[np.float64],
-    ) -> NDArray[np.float64]:
+        elastic: FloatArray,
+        rates: FloatArray,
+    ) -> FloatArray:
         """Return force [N] and torque about the body origin [N m], shape [6].
 
         Args:
@@ -163,7 +164,7 @@ def _entries(
     joints: Sequence[int],
     starts: NDArray[np.int32],
     widths: tuple[int, ...],
-) -> NDArray[np.intp]:
+) -> IntArray:
     """Return the entries of joints in `qpos` or `qvel`, whose widths are by type of joint."""
     return np.concatenate(
         [starts[one] + np.arange(widths[model.jnt_type[one]]) for one in joints]

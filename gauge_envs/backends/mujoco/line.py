@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from gauge_envs.backends.mujoco.flex import FlexPart, Points, make_firm
 from gauge_envs.backends.mujoco.settings import ROPE_CELL_M
@@ -23,6 +23,7 @@ from gauge_envs.backends.shared.attachments import (
 )
 from gauge_envs.errors import ShapeError
 from gauge_envs.scene import Rod, Rope
+from gauge_envs.scene.geometry import FloatArray
 
 ROD_SEGMENTS = 15
 """Default number of segments of a rod; a clamped rod with a load at its end then deflects within 0.2 % of theory."""
@@ -47,14 +48,14 @@ class LinePartMuJoCo(FlexPart):
     def __init__(
         self,
         flex: mujoco.MjsFlex,
-        rest_m: NDArray[np.float64],
+        rest_m: FloatArray,
         points: Points,
         geoms: Sequence[mujoco.MjsGeom] = (),
     ) -> None:
         super().__init__(flex, rest_m, points)
         self.geoms = list(geoms)
 
-    def track(self, points_m: ArrayLike) -> Callable[[], NDArray[np.float64]]:
+    def track(self, points_m: ArrayLike) -> Callable[[], FloatArray]:
         """Return a reader of material points in or on the line; each moves with its cross-section, without twist."""
         start_m = self.rest_m[0]
         span_m = self.rest_m[-1] - start_m
@@ -73,11 +74,11 @@ class LinePartMuJoCo(FlexPart):
         share = (places - segment)[:, None]
         offsets_m = points_m - (start_m + (places * length_m / count)[:, None] * axis)
 
-        def between(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        def between(values: FloatArray) -> FloatArray:
             """Return the values of nodes at the points."""
             return (1 - share) * values[segment] + share * values[segment + 1]
 
-        def read() -> NDArray[np.float64]:
+        def read() -> FloatArray:
             nodes_m = self.nodes()
             centres_m = between(nodes_m)
             tangents = between(np.gradient(nodes_m, axis=0))
@@ -225,7 +226,7 @@ def _distances(spec: mujoco.MjSpec, line: Rope | Rod) -> mujoco.MjsEquality:
 
 
 def _add_flex(
-    spec: mujoco.MjSpec, line: Rope | Rod, rest_m: NDArray[np.float64], mass_kg: float
+    spec: mujoco.MjSpec, line: Rope | Rod, rest_m: FloatArray, mass_kg: float
 ) -> mujoco.MjsFlex:
     """Add a chain of point bodies with slide joints along the world axes; the end bodies have half the mass."""
     count = len(rest_m) - 1
@@ -255,7 +256,7 @@ def _add_flex(
 def _hold(
     spec: mujoco.MjSpec,
     flex: mujoco.MjsFlex,
-    rest_m: NDArray[np.float64],
+    rest_m: FloatArray,
     attached: Mapping[int, RigidAttachment],
 ) -> Points:
     """Replace the bodies of attached nodes by points of the rigid bodies that hold them."""

@@ -22,6 +22,7 @@ from gauge_envs.backends.mujoco.model import (
     SOLVERS,
 )
 from gauge_envs.backends.mujoco.settings import PRESETS
+from gauge_envs.scene.geometry import BoolArray, FloatArray, IntArray
 
 COLUMNS: Mapping[str, slice] = {
     "condim": slice(0, 1),
@@ -64,9 +65,9 @@ class ContactPairs:
         constants: Effective constants, columns as in `COLUMNS`, shape [pair_count, 17].
     """
 
-    geoms: NDArray[np.intp]
-    kinds: NDArray[np.intp]
-    constants: NDArray[np.float64]
+    geoms: IntArray
+    kinds: IntArray
+    constants: FloatArray
 
 
 def contact_pairs(model: mujoco.MjModel) -> ContactPairs:
@@ -101,13 +102,13 @@ def contact_pairs(model: mujoco.MjModel) -> ContactPairs:
     return ContactPairs(geoms=geoms, kinds=kinds, constants=constants)
 
 
-def can_move(model: mujoco.MjModel) -> NDArray[np.bool_]:
+def can_move(model: mujoco.MjModel) -> BoolArray:
     """Return whether each geom is on a body that can move, shape [geom_count]."""
     roots = model.body_weldid[model.geom_bodyid]
     return model.body_dofnum[roots] > 0
 
 
-def _implicit_pairs(model: mujoco.MjModel) -> NDArray[np.intp]:
+def _implicit_pairs(model: mujoco.MjModel) -> IntArray:
     """Return pairs whose bits match and that no rule excludes, shape [pair_count, 2]."""
     first, second = np.triu_indices(model.ngeom, 1)
     offers, accepts = model.geom_contype, model.geom_conaffinity
@@ -133,8 +134,8 @@ def _implicit_pairs(model: mujoco.MjModel) -> NDArray[np.intp]:
 
 
 def _mixed_constants(
-    model: mujoco.MjModel, first: NDArray[np.intp], second: NDArray[np.intp]
-) -> NDArray[np.float64]:
+    model: mujoco.MjModel, first: IntArray, second: IntArray
+) -> FloatArray:
     """Return constants of pairs, mixed from those of their geoms, shape [pair_count, 17]."""
     table = np.zeros((len(first), 17))
     rank = model.geom_priority[first] - model.geom_priority[second]
@@ -150,7 +151,7 @@ def _mixed_constants(
         found[rank < 0] = values[second[rank < 0]]
         return found
 
-    def mixed(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def mixed(values: FloatArray) -> FloatArray:
         return share * values[first] + (1.0 - share) * values[second]
 
     table[:, 0] = by_priority(model.geom_condim)
@@ -170,18 +171,14 @@ def _mixed_constants(
     return table
 
 
-def _share(
-    first: NDArray[np.float64], second: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _share(first: FloatArray, second: FloatArray) -> FloatArray:
     """Return the weight of the first geom's solref and solimp in the mean, from both geoms' solmix."""
     both = (first >= MIN_SOLMIX) & (second >= MIN_SOLMIX)
     alone = np.where(first >= MIN_SOLMIX, 1.0, np.where(second >= MIN_SOLMIX, 0.0, 0.5))
     return np.where(both, first / np.where(both, first + second, 1.0), alone)
 
 
-def _explicit_constants(
-    model: mujoco.MjModel, rows: NDArray[np.intp]
-) -> NDArray[np.float64]:
+def _explicit_constants(model: mujoco.MjModel, rows: IntArray) -> FloatArray:
     """Return constants of explicit pairs, shape [pair_count, 17]."""
     columns = (
         *(
@@ -195,7 +192,7 @@ def _explicit_constants(
     return np.hstack(columns).astype(np.float64)[rows].reshape(-1, 17)
 
 
-def _override(model: mujoco.MjModel, constants: NDArray[np.float64]) -> None:
+def _override(model: mujoco.MjModel, constants: FloatArray) -> None:
     """Replace constants by those that the flag `override` gives to all contacts."""
     option = model.opt
     for name, value in (
@@ -234,9 +231,7 @@ def overrides_contacts(model: mujoco.MjModel) -> bool:
     return bool(model.opt.enableflags & mujoco.mjtEnableBit.mjENBL_OVERRIDE)
 
 
-def effective_constants(
-    model: mujoco.MjModel, constants: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def effective_constants(model: mujoco.MjModel, constants: FloatArray) -> FloatArray:
     """Return contact constants with zeros for those that `contact_settings` does not use.
 
     These are constants without effect in the model. Sliding friction is another one, unless the model overrides it,
@@ -258,9 +253,7 @@ def effective_constants(
     return effective
 
 
-def contact_settings(
-    model: mujoco.MjModel, constants: NDArray[np.float64]
-) -> dict[str, Any]:
+def contact_settings(model: mujoco.MjModel, constants: FloatArray) -> dict[str, Any]:
     """Return the settings that give every contact a pair's constants, without those at their defaults.
 
     Args:

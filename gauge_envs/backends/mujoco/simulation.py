@@ -10,7 +10,6 @@ from typing import Any, Protocol
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.backends.mujoco.cloth import (
     AirOnCloth,
@@ -37,6 +36,7 @@ from gauge_envs.backends.shared.rigid import (
 from gauge_envs.backends.shared.states import Snapshot, StateOrigin
 from gauge_envs.backends.world import Simulation
 from gauge_envs.scene import Hinge, Motion, Pose, Scene
+from gauge_envs.scene.geometry import FloatArray
 
 BAD_STATES = {
     mujoco.mjtWarning.mjWARN_BADQPOS: "position",
@@ -211,8 +211,8 @@ class SimulationMuJoCo(Simulation):
         self,
         body: str,
         pose: Pose,
-        velocity: NDArray[np.float64],
-        acceleration: NDArray[np.float64],
+        velocity: FloatArray,
+        acceleration: FloatArray,
     ) -> None:
         """Write the body's pose, its velocity, and the force that gives its large mass the acceleration."""
         place = (*pose.position_m, *pose.quaternion)
@@ -227,11 +227,11 @@ class SimulationMuJoCo(Simulation):
             self._driven[name] = DrivenBody(self.model, self.data, name)
         return self._driven[name]
 
-    def apply_wrench(self, body: str, wrench: NDArray[np.float64]) -> None:
+    def apply_wrench(self, body: str, wrench: FloatArray) -> None:
         """Apply a force and a torque to a dynamic body; see `World.apply_wrench`."""
         self.data.xfrc_applied[self.model.body(body).id] = wrench
 
-    def command(self, values: NDArray[np.float64]) -> None:
+    def command(self, values: FloatArray) -> None:
         """Set the commands of the motors; see `World.command`."""
         self.data.ctrl[self._motors] = values
 
@@ -269,13 +269,13 @@ class SimulationMuJoCo(Simulation):
                 return f"MuJoCo found a {quantity} that is huge or not finite, and put the state back to its start"
         return None
 
-    def body_states(self, names: Sequence[str]) -> NDArray[np.float64]:
+    def body_states(self, names: Sequence[str]) -> FloatArray:
         """Return poses and velocities of bodies, shape [len(names), 13]; see `World.body_states`."""
         return self.reader(names).states()
 
     def sample_positions(
         self, names: Sequence[str], count: int, interval_s: float
-    ) -> NDArray[np.float64]:
+    ) -> FloatArray:
         """Advance and return positions; see `Simulation.sample_positions`."""
         positions = np.empty((count, len(names), 3))
         read = self.reader(names).read_positions
@@ -292,7 +292,7 @@ class SimulationMuJoCo(Simulation):
             self._readers[key] = _reader(self._scene, self.model, self.data, key)
         return self._readers[key]
 
-    def nodes(self, name: str) -> NDArray[np.float64]:
+    def nodes(self, name: str) -> FloatArray:
         """Return the current nodes of a deformable body [m], shape [node_count, 3]."""
         part = self._parts[name]
         return (
@@ -301,9 +301,7 @@ class SimulationMuJoCo(Simulation):
             else part.nodes()
         )
 
-    def track(
-        self, name: str, points_m: NDArray[np.float64]
-    ) -> Callable[[], NDArray[np.float64]] | None:
+    def track(self, name: str, points_m: FloatArray) -> Callable[[], FloatArray] | None:
         """Return a reader of material points of soft bodies, ropes and rods, or None for cloth; see `World.track`."""
         part = self._parts[name]
         return (
@@ -312,7 +310,7 @@ class SimulationMuJoCo(Simulation):
             else None
         )
 
-    def grip_wrenches(self, names: Sequence[str]) -> NDArray[np.float64] | None:
+    def grip_wrenches(self, names: Sequence[str]) -> FloatArray | None:
         """Return the wrenches on cloth and soft bodies, or None for ropes and rods; see `World.grip_wrenches`."""
         if self._grip_reader is None:
             self._grip_reader = GripReader(
@@ -325,7 +323,7 @@ class SimulationMuJoCo(Simulation):
 
     def contact_forces(
         self, pairs: Sequence[tuple[str, str]]
-    ) -> Callable[[], NDArray[np.float64]]:
+    ) -> Callable[[], FloatArray]:
         """Return a reader of contact forces, for which steps are taken one by one; see `World.contact_forces`."""
         model, data = self.model, self.data
         bodies = [(model.body(one).id, model.body(other).id) for one, other in pairs]
@@ -359,7 +357,7 @@ def _origin(settings: Mapping[str, Any], scene: Scene) -> StateOrigin:
 
 def _touches(
     model: mujoco.MjModel, data: mujoco.MjData
-) -> Iterator[tuple[int, int, NDArray[np.float64]]]:
+) -> Iterator[tuple[int, int, FloatArray]]:
     """Yield the contacts of the last step: two bodies, and the force on the first [N]."""
     wrench = np.empty(6)
     for index in range(data.ncon):
@@ -387,9 +385,9 @@ class DrivenBody:
 
     def write(
         self,
-        pose: Sequence[float] | NDArray[np.float64],
-        velocity: NDArray[np.float64],
-        acceleration: NDArray[np.float64],
+        pose: Sequence[float] | FloatArray,
+        velocity: FloatArray,
+        acceleration: FloatArray,
     ) -> None:
         """Write a motion of `World.drive`; the pose is position [m] and quaternion w x y z, shape [7]."""
         self._pose[:] = pose
@@ -407,10 +405,10 @@ class StateReader(Protocol):
     It keeps views of MuJoCo's arrays, because fetching an array costs more than reading from it.
     """
 
-    def states(self) -> NDArray[np.float64]:
+    def states(self) -> FloatArray:
         """Return the states of the bodies, shape [body_count, 13]."""
 
-    def read_positions(self, out: NDArray[np.float64]) -> None:
+    def read_positions(self, out: FloatArray) -> None:
         """Write the positions of the bodies [m] to `out`, shape [body_count, 3]."""
 
 
@@ -443,7 +441,7 @@ class _OneFreeBody:
         self._linear = velocity[:3]
         self._angular = velocity[3:]
 
-    def states(self) -> NDArray[np.float64]:
+    def states(self) -> FloatArray:
         """Return the state of the body, shape [1, 13]."""
         state = np.empty((1, 13))
         row = state[0]
@@ -452,7 +450,7 @@ class _OneFreeBody:
         mujoco.mju_rotVecQuat(row[10:], self._angular, self._quaternion)
         return state
 
-    def read_positions(self, out: NDArray[np.float64]) -> None:
+    def read_positions(self, out: FloatArray) -> None:
         """Write the position of the body to `out`, shape [1, 3]."""
         out[0] = self._position
 
@@ -469,7 +467,7 @@ class _FreeBodies:
         self._poses = model.jnt_qposadr[joints][:, None] + np.arange(7)
         self._velocities = model.jnt_dofadr[joints][:, None] + np.arange(6)
 
-    def states(self) -> NDArray[np.float64]:
+    def states(self) -> FloatArray:
         """Return the states of the bodies, shape [body_count, 13]."""
         states = np.empty((len(self._poses), 13))
         states[:, :7] = self._qpos[self._poses]
@@ -478,7 +476,7 @@ class _FreeBodies:
             mujoco.mju_rotVecQuat(state[10:], state[10:].copy(), state[3:7])
         return states
 
-    def read_positions(self, out: NDArray[np.float64]) -> None:
+    def read_positions(self, out: FloatArray) -> None:
         """Write the positions of the bodies to `out`, shape [body_count, 3]."""
         out[:] = self._qpos[self._poses[:, :3]]
 
@@ -495,7 +493,7 @@ class _AnyBodies:
         self._bodies = [(index, data.xpos[index], data.xquat[index]) for index in ids]
         self._velocity = np.empty(6)
 
-    def states(self) -> NDArray[np.float64]:
+    def states(self) -> FloatArray:
         """Return the states of the bodies, shape [body_count, 13]."""
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_comPos(self._model, self._data)
@@ -514,7 +512,7 @@ class _AnyBodies:
             state[10:] = velocity[:3]
         return states
 
-    def read_positions(self, out: NDArray[np.float64]) -> None:
+    def read_positions(self, out: FloatArray) -> None:
         """Write the positions of the bodies to `out`, shape [body_count, 3]."""
         mujoco.mj_kinematics(self._model, self._data)
         for row, (_, position, _) in zip(out, self._bodies, strict=True):
@@ -537,7 +535,7 @@ class _OneHingedBody(_AnyBodies):
             [hinge.anchor_m + along, arm - along, np.cross(axis, arm)]
         ).tolist()
 
-    def read_positions(self, out: NDArray[np.float64]) -> None:
+    def read_positions(self, out: FloatArray) -> None:
         """Write the position of the body to `out`, shape [1, 3]."""
         angle = self._angle.item()
         cosine, sine = cos(angle), sin(angle)

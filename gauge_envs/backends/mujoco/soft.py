@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from gauge_envs.backends.mujoco.flex import (
     FlexPart,
@@ -27,6 +27,7 @@ from gauge_envs.backends.shared.cells import grid_points
 from gauge_envs.backends.shared.soft_rows import TOLERANCE_M, Block, SoftRow
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import Motion, SoftBody
+from gauge_envs.scene.geometry import FloatArray
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_matrix
@@ -126,7 +127,7 @@ class SoftPartMuJoCo(FlexPart):
         points: Points,
         layers: Sequence[int],
         grips: Sequence[Grip],
-        carried: Mapping[str, tuple[NDArray[np.float64], NDArray[np.float64]]],
+        carried: Mapping[str, tuple[FloatArray, FloatArray]],
     ) -> None:
         # The nodes are a regular grid of points, surface included.
         super().__init__(flex, lattice.grid_m(lattice.subdivisions), points)
@@ -138,7 +139,7 @@ class SoftPartMuJoCo(FlexPart):
         self._grid = lattice.weights(self.rest_m)
         self.node_indices = soft_row.nodes_of(self.rest_m)
 
-    def carried(self, body: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def carried(self, body: str) -> tuple[FloatArray, FloatArray]:
         """Return the material in a grip and the end nodes, which move with the grip; see `FlexPart.carried`."""
         return self._carried.get(body, super().carried(body))
 
@@ -165,11 +166,11 @@ class SoftPartMuJoCo(FlexPart):
         for grip in self.grips:
             grip.bind(model, data)
 
-    def nodes(self) -> NDArray[np.float64]:
+    def nodes(self) -> FloatArray:
         """Return the current world positions of the grid of points [m], shape [node_count, 3]."""
         return self._grid @ self.points.positions()
 
-    def track(self, points_m: ArrayLike) -> Callable[[], NDArray[np.float64]]:
+    def track(self, points_m: ArrayLike) -> Callable[[], FloatArray]:
         """Return a reader of material points by the shape functions of the elements; see `World.track`."""
         weights = self._lattice.weights(
             self._soft_row.checked(np.asarray(points_m, dtype=np.float64))
@@ -190,8 +191,8 @@ class _Lattice:
 
     def __init__(
         self,
-        low_m: NDArray[np.float64],
-        high_m: NDArray[np.float64],
+        low_m: FloatArray,
+        high_m: FloatArray,
         cells: tuple[int, ...],
         axis: int,
     ) -> None:
@@ -205,7 +206,7 @@ class _Lattice:
         self.shape = tuple(2 * count + 1 for count in cells)
         self.rest_m = self.grid_m((2, 2, 2))
 
-    def grid_m(self, subdivisions: tuple[int, ...]) -> NDArray[np.float64]:
+    def grid_m(self, subdivisions: tuple[int, ...]) -> FloatArray:
         """Return a regular grid of positions [m], z fastest, with the given intervals in each cell."""
         steps = [
             np.arange(n * part + 1) / part
@@ -213,7 +214,7 @@ class _Lattice:
         ]
         return self._low_m + self.cell_m * grid_points(*steps)
 
-    def node_masses(self, cell_kg: NDArray[np.float64]) -> NDArray[np.float64]:
+    def node_masses(self, cell_kg: FloatArray) -> FloatArray:
         """Return the masses of the nodes [kg], z fastest, by Simpson's rule as in MuJoCo.
 
         Args:
@@ -228,7 +229,7 @@ class _Lattice:
             )
         return masses.ravel()
 
-    def weights(self, points_m: NDArray[np.float64]) -> csr_matrix:
+    def weights(self, points_m: FloatArray) -> csr_matrix:
         """Return the matrix from node positions to material points, shape [point_count, lattice_node_count]."""
         from scipy.sparse import csr_matrix
 
@@ -378,9 +379,7 @@ def _layers_of_blocks(
     )
 
 
-def _gripped_box_m(
-    soft_row: SoftRow, side: str
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _gripped_box_m(soft_row: SoftRow, side: str) -> tuple[FloatArray, FloatArray]:
     """Return centre and size of the material in a grip at the start [m], shape [3] each."""
     axis, low_m, high_m = soft_row.axis, soft_row.low_m, soft_row.high_m
     centre, size = 0.5 * (low_m + high_m), high_m - low_m
@@ -397,8 +396,8 @@ def _add_gripped_material(
     spec: mujoco.MjSpec,
     flex: mujoco.MjsFlex,
     attachment: RigidAttachment,
-    centre_m: NDArray[np.float64],
-    size_m: NDArray[np.float64],
+    centre_m: FloatArray,
+    size_m: FloatArray,
 ) -> None:
     """Add a massless box without contacts that shows the material in a grip."""
     if not np.all(size_m):
@@ -415,7 +414,7 @@ def _add_gripped_material(
     )
 
 
-def _cell_stiffness(size_m: NDArray[np.float64], body: SoftBody) -> NDArray[np.float64]:
+def _cell_stiffness(size_m: FloatArray, body: SoftBody) -> FloatArray:
     """Return the stiffness of one cell as MuJoCo stores it, shape [81 * 81], from a model of one cell."""
     spec = mujoco.MjSpec()
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from weakref import WeakSet
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
@@ -50,6 +50,7 @@ from gauge_envs.scene import (
     Sphere,
     Tether,
 )
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.hinged import other_end
 from gauge_envs.scene.meshes import body_mass_properties, prism
 
@@ -160,7 +161,7 @@ class Part:
     """
 
     component: physx.PhysxRigidBaseComponent
-    centre_m: NDArray[np.float64]
+    centre_m: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -447,7 +448,7 @@ def _set_mass(
     component: physx.PhysxRigidBodyComponent,
     mass_kg: float,
     centre_m: ArrayLike,
-    inertia_kg_m2: NDArray[np.float64],
+    inertia_kg_m2: FloatArray,
 ) -> None:
     """Write mass, centre of mass and inertia, which PhysX takes along principal axes."""
     moments, axes = np.linalg.eigh(inertia_kg_m2)

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.physx.model import Model, build_model, physx_pose
@@ -19,7 +18,7 @@ from gauge_envs.backends.shared.rigid import (
 from gauge_envs.backends.world import Simulation
 from gauge_envs.errors import BackendError
 from gauge_envs.scene import Pose, Scene
-from gauge_envs.scene.geometry import pose_distance
+from gauge_envs.scene.geometry import FloatArray, pose_distance
 
 SAME_POSE = 1e-5
 """Distance [m, rad] within which a driven body already is where its interval starts."""
@@ -45,7 +44,7 @@ class SimulationPhysX(PlacedWorld, Simulation):
         self._model: Model | None = None
         self._model = build_model(self._scene, self._chosen)
         self._is_new = True
-        self._wrenches: dict[str, NDArray[np.float64]] = {}
+        self._wrenches: dict[str, FloatArray] = {}
         self._driven: dict[str, DrivenMotion] = {}
         self._commands = np.zeros(len(self._scene.motors))
         self.placed = placed_states(self._scene)
@@ -65,8 +64,8 @@ class SimulationPhysX(PlacedWorld, Simulation):
         self,
         body: str,
         pose: Pose,
-        velocity: NDArray[np.float64],
-        acceleration: NDArray[np.float64],
+        velocity: FloatArray,
+        acceleration: FloatArray,
     ) -> None:
         """Prescribe a kinematic body; PhysX moves it to its exact pose at the end of each step."""
         component = self._open().parts[body].component
@@ -79,13 +78,13 @@ class SimulationPhysX(PlacedWorld, Simulation):
         # Until the next step, which takes the body along: then the engine is asked.
         self.placed[body] = body_state(pose, velocity)
 
-    def apply_wrench(self, body: str, wrench: NDArray[np.float64]) -> None:
+    def apply_wrench(self, body: str, wrench: FloatArray) -> None:
         """Apply a force and a torque to a dynamic body; see `World.apply_wrench`."""
         self._open()
         self._is_new = False
         self._wrenches[body] = np.array(wrench)
 
-    def command(self, values: NDArray[np.float64]) -> None:
+    def command(self, values: FloatArray) -> None:
         """Set what the motors follow; see `World.command`."""
         self._commands = np.array(values)
 
@@ -129,12 +128,12 @@ class SimulationPhysX(PlacedWorld, Simulation):
         for tree, torques in trees.values():
             tree.set_qf(torques)
 
-    def body_states(self, names: Sequence[str]) -> NDArray[np.float64]:
+    def body_states(self, names: Sequence[str]) -> FloatArray:
         """Return poses and velocities, in single precision for moving bodies; see `World.body_states`."""
         self._open()
         return super().body_states(names)
 
-    def moving_states(self, names: Sequence[str]) -> NDArray[np.float64]:
+    def moving_states(self, names: Sequence[str]) -> FloatArray:
         """Return poses and velocities of dynamic and driven bodies in PhysX, shape [len(names), 13]."""
         states = np.empty((len(names), 13))
         for state, name in zip(states, names, strict=True):

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import Contact, ContactMode, Motion, Scene
+from gauge_envs.scene.geometry import FloatArray
 
 Pair = tuple[str, str]
 
@@ -172,7 +172,7 @@ Rows = tuple[tuple[int, int], ...]
 @lru_cache(maxsize=256)
 def _logarithms(
     pairs: Rows, values: tuple[float, ...], zero: Rows, count: int
-) -> NDArray[np.float64] | None:
+) -> FloatArray | None:
     """Return the logarithms of the least values of bodies with these products, shape [count]; None if there are none.
 
     Args:

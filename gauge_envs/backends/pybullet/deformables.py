@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.pybullet.settings import SEGMENT_LIMIT, SOFT_CELL_M
@@ -25,6 +24,7 @@ from gauge_envs.backends.shared.cells import grid_points
 from gauge_envs.backends.shared.soft_rows import lame_constants
 from gauge_envs.errors import ShapeError
 from gauge_envs.scene import Cylinder, Motion, Region, RigidBody, Rope, Scene, SoftBody
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.meshes import mass_properties, nodes_in, tetrahedra
 
 SEGMENT_M = 0.0125
@@ -57,17 +57,17 @@ class RopePart:
     body: int
     links: tuple[int, ...]
     half: float
-    rest_m: NDArray[np.float64]
+    rest_m: FloatArray
 
-    def nodes_m(self, read: Read, scale: float) -> NDArray[np.float64]:
+    def nodes_m(self, read: Read, scale: float) -> FloatArray:
         """Return the nodes, the ends of the segments [m], shape [segment_count + 1, 3]."""
         centres, rotations = self._segments(read)
         arms = rotations.apply([0.0, 0.0, self.half])
         return np.concatenate([centres[:1] - arms[:1], centres + arms]) / scale
 
     def track(
-        self, points_m: NDArray[np.float64], read: Read, scale: float
-    ) -> Callable[[], NDArray[np.float64]]:
+        self, points_m: FloatArray, read: Read, scale: float
+    ) -> Callable[[], FloatArray]:
         """Return a reader of material points, each of which moves with its segment."""
         span = self.rest_m[-1] - self.rest_m[0]
         length = float(np.linalg.norm(span))
@@ -82,7 +82,7 @@ class RopePart:
         start = self._segments(read)[1]
         offsets = start[segment].apply(points_m - centres_m, inverse=True)
 
-        def points() -> NDArray[np.float64]:
+        def points() -> FloatArray:
             centres, rotations = self._segments(read)
             return np.asarray(
                 centres[segment] / scale + rotations[segment].apply(offsets)
@@ -90,7 +90,7 @@ class RopePart:
 
         return points
 
-    def _segments(self, read: Read) -> tuple[NDArray[np.float64], Rotation]:
+    def _segments(self, read: Read) -> tuple[FloatArray, Rotation]:
         """Return the centres [units], shape [segment_count, 3], and the rotations of the segments."""
         states = [read(self.body, link) for link in self.links]
         return np.array([state[0] for state in states]), Rotation.from_quat(
@@ -199,9 +199,9 @@ def add_rope(world: BulletWorld, rope: Rope, *, cell_m: float | None) -> RopePar
 def _root_of_rope(
     world: BulletWorld,
     root: RigidBody,
-    start_m: NDArray[np.float64],
+    start_m: FloatArray,
     rotation: Rotation,
-) -> tuple[dict[str, Any], list[float], tuple[NDArray[np.float64], Rotation]]:
+) -> tuple[dict[str, Any], list[float], tuple[FloatArray, Rotation]]:
     """Return the base on which a rope hangs: its arguments, its moments of inertia, and the rope's start in its frame.
 
     A body that does not move under forces is a base without mass at the start of the rope.
@@ -225,9 +225,9 @@ def _root_of_rope(
 def _tip_of_rope(
     world: BulletWorld,
     tip: RigidBody,
-    place: NDArray[np.float64],
+    place: FloatArray,
     rotation: Rotation,
-    end_m: NDArray[np.float64],
+    end_m: FloatArray,
 ) -> Link:
     """Return the body at the end of a rope as a link.
 
@@ -253,7 +253,7 @@ def _tip_of_rope(
 
 
 def _massless_base(
-    world: BulletWorld, place_m: NDArray[np.float64], rotation: Rotation
+    world: BulletWorld, place_m: FloatArray, rotation: Rotation
 ) -> dict[str, Any]:
     """Return the arguments of a base without mass and shape."""
     position = (world.scale * place_m).tolist()
@@ -332,7 +332,7 @@ def add_soft_body(
 
 def _places_m(
     edge_m: float, axis: str, regions: Sequence[Region], cell_m: float
-) -> NDArray[np.float64]:
+) -> FloatArray:
     """Return the places of nodes along an edge [m], with a layer of cells for each attached region of some depth."""
     depth = {region.side: region.depth_m for region in regions if region.axis == axis}
     low, high = (
@@ -345,7 +345,7 @@ def _places_m(
 
 def _write_mesh(
     file: Path, body: SoftBody, regions: Sequence[Region], cell_m: float, scale: float
-) -> NDArray[np.float64]:
+) -> FloatArray:
     """Write a VTK file with the tetrahedra of a soft body and return its nodes in the body frame [m]."""
     axes = [
         _places_m(edge, axis, regions, cell_m)

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.pybullet.contacts import (
@@ -46,6 +45,7 @@ from gauge_envs.scene import (
     SoftBody,
     Tether,
 )
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.hinged import hinge_trees, other_end, parent_hinges
 
 EARLY_CONTACTS = 1e18
@@ -201,7 +201,7 @@ class WorldPyBullet(BulletWorld):
             else None
         )
         # World position [m] and rotation of the frame of each member, and its number among the parents of links.
-        places: dict[str, tuple[NDArray[np.float64], Rotation, int]] = {}
+        places: dict[str, tuple[FloatArray, Rotation, int]] = {}
         base: dict[str, Any] = {
             "baseMass": 0.0,
             "basePosition": (self.scale * np.asarray(hinge.anchor_m)).tolist(),

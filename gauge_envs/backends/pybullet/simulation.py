@@ -4,7 +4,6 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.backends.pybullet.model import WorldPyBullet
 from gauge_envs.backends.pybullet.settings import SettingsPyBullet
@@ -21,6 +20,7 @@ from gauge_envs.backends.shared.rigid import (
 from gauge_envs.backends.world import Simulation
 from gauge_envs.scene import Motion, Plane, Pose, Scene
 from gauge_envs.scene.geometry import (
+    FloatArray,
     quaternion_products,
     rotation_matrices,
     unit_quaternions,
@@ -60,7 +60,7 @@ class SimulationPyBullet(PlacedWorld, Simulation):
 
     def _start(self) -> None:
         self._driven: dict[str, DrivenMotion] = {}
-        self._wrenches: dict[str, NDArray[np.float64]] = {}
+        self._wrenches: dict[str, FloatArray] = {}
         self._commands: list[float] = []
         self._has_moved = False
         self.placed = placed_states(self._scene)
@@ -75,21 +75,21 @@ class SimulationPyBullet(PlacedWorld, Simulation):
         self,
         body: str,
         pose: Pose,
-        velocity: NDArray[np.float64],
-        acceleration: NDArray[np.float64],
+        velocity: FloatArray,
+        acceleration: FloatArray,
     ) -> None:
         """Prescribe a kinematic body; each step moves it to where the motion is at the end of the step."""
         self._driven[body] = DrivenMotion.copied(pose, velocity, acceleration)
         # Until the next step, which takes the body along: then Bullet is asked.
         self.placed[body] = body_state(pose, velocity)
 
-    def apply_wrench(self, body: str, wrench: NDArray[np.float64]) -> None:
+    def apply_wrench(self, body: str, wrench: FloatArray) -> None:
         """Apply a force and a torque to a dynamic body; see `World.apply_wrench`."""
         self._wrenches.pop(body, None)
         if np.any(wrench):
             self._wrenches[body] = np.array(wrench)
 
-    def command(self, values: NDArray[np.float64]) -> None:
+    def command(self, values: FloatArray) -> None:
         """Set what the motors follow; see `World.command`."""
         self._commands = values.tolist()
 
@@ -181,7 +181,7 @@ class SimulationPyBullet(PlacedWorld, Simulation):
             spins.tolist(),
         )
 
-    def _push(self, name: str, wrench: NDArray[np.float64]) -> None:
+    def _push(self, name: str, wrench: FloatArray) -> None:
         """Apply a wrench for one step, after which Bullet forgets it."""
         handle = self.world.handles[name]
         place = self._read(handle.body, handle.link)[0]
@@ -224,7 +224,7 @@ class SimulationPyBullet(PlacedWorld, Simulation):
         )
         return (state[0], state[1], state[6], state[7])
 
-    def nodes(self, name: str) -> NDArray[np.float64]:
+    def nodes(self, name: str) -> FloatArray:
         """Return the nodes of a rope or soft body [m], shape [node_count, 3]."""
         if name in self.world.soft:
             flags = pybullet.MESH_DATA_SIMULATION_MESH
@@ -238,16 +238,14 @@ class SimulationPyBullet(PlacedWorld, Simulation):
             )
         return self.world.ropes[name].nodes_m(self._read, self._scale)
 
-    def track(
-        self, name: str, points_m: NDArray[np.float64]
-    ) -> Callable[[], NDArray[np.float64]] | None:
+    def track(self, name: str, points_m: FloatArray) -> Callable[[], FloatArray] | None:
         """Return a reader of material points of a rope, or None for a soft body; see `World.track`."""
         if name in self.world.soft:
             return None
         # A reset builds the rope anew, with the same numbers.
         return self.world.ropes[name].track(points_m, self._read, self._scale)
 
-    def moving_states(self, names: Sequence[str]) -> NDArray[np.float64]:
+    def moving_states(self, names: Sequence[str]) -> FloatArray:
         """Return poses and velocities of dynamic and driven bodies in Bullet, shape [len(names), 13]."""
         handles = [self.world.handles[name] for name in names]
         read = (self._read(handle.body, handle.link) for handle in handles)
@@ -266,13 +264,13 @@ class SimulationPyBullet(PlacedWorld, Simulation):
 
     def contact_forces(
         self, pairs: Sequence[tuple[str, str]]
-    ) -> Callable[[], NDArray[np.float64]]:
+    ) -> Callable[[], FloatArray]:
         """Return a reader of contact forces; see `World.contact_forces`."""
         reader = MeanForces(pairs, self._touches)
         self._force_readers.append(reader)
         return reader.mean
 
-    def _touches(self) -> Iterator[tuple[str, str, NDArray[np.float64]]]:
+    def _touches(self) -> Iterator[tuple[str, str, FloatArray]]:
         """Yield the contacts of the last step: two bodies, and the force on the first [N]."""
         world, names = self.world, {}
         for name, handle in world.handles.items():

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.pybullet.settings import SettingsPyBullet
@@ -33,6 +32,7 @@ from gauge_envs.scene import (
     SoftBody,
     Sphere,
 )
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.meshes import body_mass_properties, hull_faces
 
 
@@ -89,7 +89,7 @@ class Frame:
         moments: Principal moments of inertia [kg units^2].
     """
 
-    centre_m: NDArray[np.float64]
+    centre_m: FloatArray
     axes: Rotation
     moments: list[float]
 
@@ -107,11 +107,11 @@ class Handle:
 
     body: int
     link: int
-    offset_m: NDArray[np.float64]
+    offset_m: FloatArray
     turn: Rotation
 
     @cached_property
-    def quaternion(self) -> NDArray[np.float64]:
+    def quaternion(self) -> FloatArray:
         """The rotation `turn` as a quaternion w, x, y, z, shape [4]."""
         return np.asarray(self.turn.as_quat(scalar_first=True))
 
@@ -132,11 +132,11 @@ class Link:
     """
 
     joint: int
-    place: tuple[NDArray[np.float64], Rotation]
+    place: tuple[FloatArray, Rotation]
     parent: int | None = None
     mass_kg: float
     moments: list[float]
-    centre: NDArray[np.float64]
+    centre: FloatArray
     shape: int = NO_SHAPE
     axis: Sequence[float] = (0.0, 0.0, 1.0)
 
@@ -184,7 +184,7 @@ class BulletWorld:
         self._disconnect()
         self.client = -1
 
-    def shape(self, shape: Shape, offset_m: NDArray[np.float64], frame: Frame) -> int:
+    def shape(self, shape: Shape, offset_m: FloatArray, frame: Frame) -> int:
         """Return a collision shape whose body frame lies at a place [m] in a frame along the principal axes."""
         place = {
             "collisionFramePosition": (self.scale * offset_m).tolist(),
@@ -389,7 +389,7 @@ def _disconnect(client: int, *, is_reused: bool) -> None:
         pybullet.disconnect(physicsClientId=client)
 
 
-def _object_lines(pieces: Sequence[NDArray[np.float64]]) -> Iterator[str]:
+def _object_lines(pieces: Sequence[FloatArray]) -> Iterator[str]:
     """Yield the lines of an OBJ file, the only form in which PyBullet takes a body of several convex hulls.
 
     Args:

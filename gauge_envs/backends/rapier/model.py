@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 import rapier3d as rapier
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.rapier.contacts import (
@@ -40,6 +39,7 @@ from gauge_envs.scene import (
     Slider,
     Sphere,
 )
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.hinged import other_end
 from gauge_envs.scene.meshes import body_mass_properties
 
@@ -54,7 +54,7 @@ UP_TO_Y = Rotation.from_euler("x", 90, degrees=True)
 """Rotation that takes the axis y of Rapier's cylinders to the axis z of a scene's."""
 
 
-Layout = dict[str, tuple[rapier.RigidBodyHandle, NDArray[np.float64]]]
+Layout = dict[str, tuple[rapier.RigidBodyHandle, FloatArray]]
 """Rapier's handle of each dynamic or driven body of a scene, and its centre of mass in the body frame [m], by name."""
 
 
@@ -177,7 +177,7 @@ def _set_parameters(parameters: Any, settings: SettingsRapier) -> None:
 
 def _body_builder(
     body: RigidBody, settings: SettingsRapier
-) -> tuple[rapier.RigidBodyBuilder, NDArray[np.float64]]:
+) -> tuple[rapier.RigidBodyBuilder, FloatArray]:
     """Return the builder of a body without colliders, and its centre of mass in the body frame [m]."""
     if body.motion is Motion.FIXED:
         return rapier.RigidBody.fixed().position(isometry(body.pose)), np.zeros(3)
@@ -200,7 +200,7 @@ def _body_builder(
 
 
 def _rapier_mass(
-    mass_kg: float, centre_m: NDArray[np.float64], inertia: NDArray[np.float64]
+    mass_kg: float, centre_m: FloatArray, inertia: FloatArray
 ) -> rapier.MassProperties:
     moments, axes = np.linalg.eigh(inertia / MASS_UNIT_KG)
     if np.linalg.det(axes) < 0.0:

@@ -6,7 +6,6 @@ from importlib.metadata import version
 
 import numpy as np
 import rapier3d as rapier
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.rapier.contacts import (
@@ -28,6 +27,7 @@ from gauge_envs.backends.shared.states import Snapshot, StateOrigin
 from gauge_envs.backends.world import Simulation
 from gauge_envs.backends.worlds import Worlds
 from gauge_envs.scene import BodyHinge, ConvexUnion, Pose, Scene
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.hinged import other_end
 
 LARGEST_SHARE = 64
@@ -82,22 +82,20 @@ class _SceneWorld(PlacedWorld):
         self,
         body: str,
         pose: Pose,
-        velocity: NDArray[np.float64],
-        acceleration: NDArray[np.float64],
+        velocity: FloatArray,
+        acceleration: FloatArray,
     ) -> None:
         """Place a driven body where its interval starts; each step moves it by the mean velocity of the step."""
         self.motions[body] = DrivenMotion.copied(pose, velocity, acceleration)
         self._bodies[body].position = isometry(pose)
         self.set_velocity(body, velocity)
 
-    def set_velocity(
-        self, body: str, velocity: Sequence[float] | NDArray[np.float64]
-    ) -> None:
+    def set_velocity(self, body: str, velocity: Sequence[float] | FloatArray) -> None:
         """Give a driven body a velocity, by which Rapier moves it in the next step."""
         rigid_body = self._bodies[body]
         rigid_body.linvel, rigid_body.angvel = tuple(velocity[:3]), tuple(velocity[3:])
 
-    def apply_wrench(self, body: str, wrench: NDArray[np.float64]) -> None:
+    def apply_wrench(self, body: str, wrench: FloatArray) -> None:
         """Apply a force and a torque to a dynamic body; see `World.apply_wrench`."""
         rigid_body = self._bodies[body]
         rigid_body.reset_forces()
@@ -105,7 +103,7 @@ class _SceneWorld(PlacedWorld):
         rigid_body.add_force(tuple(wrench[:3] / MASS_UNIT_KG))
         rigid_body.add_torque(tuple(wrench[3:] / MASS_UNIT_KG))
 
-    def command(self, values: NDArray[np.float64]) -> None:
+    def command(self, values: FloatArray) -> None:
         """Set what the motors follow; see `World.command`."""
         self.commands = values.tolist()
         for one, value in zip(self._motors, self.commands, strict=False):
@@ -114,7 +112,7 @@ class _SceneWorld(PlacedWorld):
                 kp, kv, _ = (number / MASS_UNIT_KG for number in drive_of(one.hinge))
                 chain.set_link_motor(link, TURN, one.sign * value, 0.0, kp, kv)
 
-    def torques(self) -> list[tuple[rapier.RigidBody, NDArray[np.float64]]]:
+    def torques(self) -> list[tuple[rapier.RigidBody, FloatArray]]:
         """Return the torques on bodies in the next step of the motors that are none of Rapier's."""
         found = []
         commands = self.commands or [0.0] * len(self._motors)
@@ -142,11 +140,11 @@ class _SceneWorld(PlacedWorld):
                 return f"Rapier found that the state of {name!r} is not finite, and disabled the body"
         return None
 
-    def moving_states(self, names: Sequence[str]) -> list[NDArray[np.float64]]:
+    def moving_states(self, names: Sequence[str]) -> list[FloatArray]:
         """Return poses and velocities in single precision, rows of shape [13]."""
         return [self._state(name) for name in names]
 
-    def _state(self, name: str) -> NDArray[np.float64]:
+    def _state(self, name: str) -> FloatArray:
         body = self._bodies[name]
         position_m = body.translation.to_tuple()
         velocity = body.linvel.to_tuple()

@@ -18,6 +18,7 @@ from gauge_envs.scene import (
     Scene,
     SoftBody,
 )
+from gauge_envs.scene.geometry import FloatArray
 
 LINE_AXIS = {Rope: "x", Rod: "z"}
 """Axis of its frame along which a line lies."""
@@ -95,9 +96,7 @@ def attachment_problems(
             yield f"{deformable.name!r} is attached to {to.name!r}, which moves under forces"
 
 
-def points_on_axis(
-    line: Rope | Rod, places_m: NDArray[np.floating]
-) -> NDArray[np.float64]:
+def points_on_axis(line: Rope | Rod, places_m: NDArray[np.floating]) -> FloatArray:
     """Return the world positions of points on a line at the start [m], shape [place_count, 3].
 
     Args:

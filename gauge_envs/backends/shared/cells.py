@@ -10,6 +10,7 @@ from pydantic import Field
 
 from gauge_envs.errors import ParameterError
 from gauge_envs.scene import Cloth, Deformable, Rod, Rope, Scene, SoftBody
+from gauge_envs.scene.geometry import FloatArray
 
 CellSize = Annotated[float, Field(ge=5e-4, le=1.0)] | None
 """Setting `cell_m`: edge of the cells of cloth and soft bodies, and length of the segments of ropes and rods [m]."""
@@ -17,7 +18,7 @@ CellSize = Annotated[float, Field(ge=5e-4, le=1.0)] | None
 FEWEST_SEGMENTS: dict[type[Deformable], int] = {Rope: 2, Rod: 4}
 
 
-def grid_points(*lines: NDArray[np.floating]) -> NDArray[np.float64]:
+def grid_points(*lines: NDArray[np.floating]) -> FloatArray:
     """Return the points of a grid with the given places along each axis, the last axis fastest.
 
     Returns:

@@ -3,12 +3,12 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.backends.shared.attachments import RigidAttachment
 from gauge_envs.backends.shared.cells import grid_points
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import Cloth, Motion, Region
+from gauge_envs.scene.geometry import BoolArray, FloatArray
 
 
 class ClothGrid:
@@ -48,14 +48,14 @@ class ClothGrid:
         rises = np.tile(np.arange(ny) % 2 == 0, nx)
         self.triangles = np.where(rises[:, None], rising, falling).reshape(-1, 3)
 
-    def within(self, region: Region) -> NDArray[np.bool_]:
+    def within(self, region: Region) -> BoolArray:
         """Return whether each vertex lies in a region, shape [vertex_count]."""
         axis = "xy".index(region.axis)
         from_low = self.plane_m[:, axis] + 0.5 * self._size_m[axis]
         inward = from_low if region.side == "low" else self._size_m[axis] - from_low
         return np.asarray(inward <= region.depth_m + 1e-6 * self._size_m[axis])
 
-    def vertex_areas_m2(self) -> NDArray[np.float64]:
+    def vertex_areas_m2(self) -> FloatArray:
         """Return a quarter of the area of the cells around each vertex [m^2], shape [vertex_count].
 
         Newton gives each vertex a third of its triangles instead. That weighs the vertices of an edge unevenly,
@@ -67,7 +67,7 @@ class ClothGrid:
         )
         return np.outer(along_x, along_y).ravel()
 
-    def triangle_shares(self) -> NDArray[np.float64]:
+    def triangle_shares(self) -> FloatArray:
         """Return the share of a triangle that each of its corners carries, shape [triangle_count, 3].
 
         It is 1/2 at the right angle and 1/4 at the ends of the diagonal, so that a uniform load gives each vertex the

@@ -7,10 +7,10 @@ from enum import StrEnum
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import Scene
+from gauge_envs.scene.geometry import FloatArray
 
 Pair = tuple[str, str]
 
@@ -96,7 +96,7 @@ def values_of_sums(
     """
     if not sums:
         return {}
-    rows: NDArray[np.float64] = np.zeros((len(sums), len(names)))
+    rows: FloatArray = np.zeros((len(sums), len(names)))
     for row, pair in zip(rows, sums, strict=True):
         for name in pair:
             row[names.index(name)] += 1.0

@@ -7,17 +7,15 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.backends.base import Backend, worlds_of
 from gauge_envs.backends.shared.wrapped import WrappedSimulation
 from gauge_envs.backends.world import Simulation
 from gauge_envs.backends.worlds import Worlds, separate_worlds
 from gauge_envs.scene import Pose, Scene
-from gauge_envs.scene.geometry import vector
+from gauge_envs.scene.geometry import FloatArray, vector
 from gauge_envs.scene.timing import DRIVE_INTERVAL_S
 
-Array = NDArray[np.float64]
 ROUNDING_S = 1e-9
 
 
@@ -81,14 +79,16 @@ class ResampledSimulation(WrappedSimulation):
         self._rows = {name: row for row, name in enumerate(self._bodies)}
         self._nodes = [body.name for body in scene.deformables]
         self._holders = scene.holders
-        self._readers: list[Callable[[], Array]] = []
+        self._readers: list[Callable[[], FloatArray]] = []
         self._begin()
 
     def _begin(self) -> None:
         self._time_s = 0.0
         self._step_count = 0
         self._before: dict[str, Any] = {}
-        self._drives: Mapping[str, tuple[Pose, Array, Array]] = MappingProxyType({})
+        self._drives: Mapping[str, tuple[Pose, FloatArray, FloatArray]] = (
+            MappingProxyType({})
+        )
         self._driven_s = 0.0
 
     def reset(self, seed: int) -> None:
@@ -97,7 +97,7 @@ class ResampledSimulation(WrappedSimulation):
         self._begin()
 
     def drive(
-        self, body: str, pose: Pose, velocity: Array, acceleration: Array
+        self, body: str, pose: Pose, velocity: FloatArray, acceleration: FloatArray
     ) -> None:
         """Prescribe the motion of a kinematic body; see `World.drive`."""
         given = (pose, np.array(velocity), np.array(acceleration))
@@ -135,12 +135,12 @@ class ResampledSimulation(WrappedSimulation):
             return 1.0
         return 1.0 - (self._stepped_s - self._time_s) / self._step_s
 
-    def _between(self, key: str, now: Array) -> Array:
+    def _between(self, key: str, now: FloatArray) -> FloatArray:
         if self._share > 1.0 - ROUNDING_S or key not in self._before:
             return now
         return np.asarray((1.0 - self._share) * self._before[key] + self._share * now)
 
-    def body_states(self, names: Sequence[str]) -> Array:
+    def body_states(self, names: Sequence[str]) -> FloatArray:
         """Return the states at the time now; see `World.body_states`."""
         now = self.inner.body_states(names)
         if self._share > 1.0 - ROUNDING_S:
@@ -152,11 +152,11 @@ class ResampledSimulation(WrappedSimulation):
         states[:, 3:7] /= np.linalg.norm(states[:, 3:7], axis=1, keepdims=True)
         return np.asarray(states)
 
-    def nodes(self, name: str) -> Array:
+    def nodes(self, name: str) -> FloatArray:
         """Return the nodes at the time now [m]."""
         return self._between(name, self.inner.nodes(name))
 
-    def track(self, name: str, points_m: Array) -> Callable[[], Array] | None:
+    def track(self, name: str, points_m: FloatArray) -> Callable[[], FloatArray] | None:
         """Return a reader of material points; see `World.track`."""
         read = self.inner.track(name, points_m)
         if read is None:
@@ -165,7 +165,7 @@ class ResampledSimulation(WrappedSimulation):
         self._readers.append(read)
         return lambda: self._between(key, read())
 
-    def grip_wrenches(self, names: Sequence[str]) -> Array | None:
+    def grip_wrenches(self, names: Sequence[str]) -> FloatArray | None:
         """Return the wrenches at the time now; those of other bodies than the scene's holders at the last step."""
         now = self.inner.grip_wrenches(names)
         is_kept = tuple(names) == tuple(self._holders)
@@ -184,8 +184,8 @@ class ResampledSimulation(WrappedSimulation):
 
 
 def _moved(
-    pose: Pose, velocity: Array, acceleration: Array, seconds: float
-) -> tuple[Pose, Array, Array]:
+    pose: Pose, velocity: FloatArray, acceleration: FloatArray, seconds: float
+) -> tuple[Pose, FloatArray, FloatArray]:
     """Return a uniformly accelerated motion some time later."""
     from scipy.spatial.transform import Rotation
 

@@ -12,7 +12,6 @@ Bodies in contact are not part of the load, and a servo's torque is that of the 
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.shared.joints import joint_motors, linked_hinges
@@ -21,10 +20,9 @@ from gauge_envs.backends.shared.wrapped import WrappedSimulation
 from gauge_envs.backends.world import Simulation
 from gauge_envs.errors import BackendError
 from gauge_envs.scene import BodyHinge, Hinge, Pose, Scene, body_mass_properties
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.hinged import hinge_angle_rad, hinge_frames, other_end
 from gauge_envs.scene.motors import Servo
-
-Array = NDArray[np.float64]
 
 SWEEPS = 20
 """Rounds over the joints of a scene in which each is stopped with the friction of the others."""
@@ -44,8 +42,8 @@ class _Joint(NamedTuple):
     hinge: Hinge | BodyHinge
     row: int
     parent: int
-    anchor_m: Array
-    axis: Array
+    anchor_m: FloatArray
+    axis: FloatArray
 
 
 class ResistedSimulation(WrappedSimulation):
@@ -96,7 +94,7 @@ class ResistedSimulation(WrappedSimulation):
 
     def _start(self) -> None:
         self._commands = np.zeros(len(self._motors))
-        self._wrenches: dict[str, Array] = {}
+        self._wrenches: dict[str, FloatArray] = {}
         self._motions: dict[str, DrivenMotion] = {}
 
     def reset(self, seed: int) -> None:
@@ -105,18 +103,18 @@ class ResistedSimulation(WrappedSimulation):
         self._start()
 
     def drive(
-        self, body: str, pose: Pose, velocity: Array, acceleration: Array
+        self, body: str, pose: Pose, velocity: FloatArray, acceleration: FloatArray
     ) -> None:
         """Prescribe the motion of a kinematic body; see `World.drive`."""
         self._motions[body] = DrivenMotion.copied(pose, velocity, acceleration)
         self.inner.drive(body, pose, velocity, acceleration)
 
-    def command(self, values: Array) -> None:
+    def command(self, values: FloatArray) -> None:
         """Set what the motors follow; see `World.command`."""
         self._commands = np.array(values, dtype=float)
         self.inner.command(values)
 
-    def apply_wrench(self, body: str, wrench: Array) -> None:
+    def apply_wrench(self, body: str, wrench: FloatArray) -> None:
         """Apply a force and a torque; see `World.apply_wrench`."""
         self._wrenches[body] = np.array(wrench, dtype=float)
         self.inner.apply_wrench(body, wrench)
@@ -156,12 +154,12 @@ class ResistedSimulation(WrappedSimulation):
         self._commands = commands.copy()
         self._wrenches = {name: one.copy() for name, one in wrenches.items()}
 
-    def accelerations(self) -> Array:
+    def accelerations(self) -> FloatArray:
         """Return the accelerations of the joints without friction and motors [rad/s^2], shape [joint_count]."""
         mass, loads, _ = self._dynamics(*self._motion())
         return np.asarray(np.linalg.solve(mass, loads)[: len(self._joints)])
 
-    def _motion(self) -> tuple[Array, Array, Array, Array]:
+    def _motion(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return states and rotations of the bodies, and axes and rates of the joints [rad/s]."""
         states = self.inner.body_states(self._names)
         turns = Rotation.from_quat(states[:, 3:7], scalar_first=True).as_matrix()
@@ -173,7 +171,7 @@ class ResistedSimulation(WrappedSimulation):
         rates = np.einsum("ji,ji->j", axes, spins[rows] - spins[parents])
         return states, turns, axes, rates
 
-    def _torques(self) -> dict[str, Array]:
+    def _torques(self) -> dict[str, FloatArray]:
         """Return the torque of friction on each body in the next step [N m], in the world frame, shape [3]."""
         states, turns, axes, rates = self._motion()
         torques = -self._drags * np.abs(rates) * rates
@@ -187,8 +185,13 @@ class ResistedSimulation(WrappedSimulation):
         return found
 
     def _dry_n_m(
-        self, states: Array, turns: Array, axes: Array, rates: Array, drags: Array
-    ) -> Array:
+        self,
+        states: FloatArray,
+        turns: FloatArray,
+        axes: FloatArray,
+        rates: FloatArray,
+        drags: FloatArray,
+    ) -> FloatArray:
         """Return the torque of dry friction with a law at each joint [N m], shape [joint_count]."""
         count, step_s = len(self._joints), self._step_s
         mass, loads, root_rates = self._dynamics(states, turns, axes, rates)
@@ -209,7 +212,7 @@ class ResistedSimulation(WrappedSimulation):
                 torques[place] = min(max(stops, -limit_n_m), limit_n_m)
         return torques[:count]
 
-    def _motor_n_m(self, states: Array, rates: Array) -> Array:
+    def _motor_n_m(self, states: FloatArray, rates: FloatArray) -> FloatArray:
         """Return the torque of the motor of each joint for the state before a step [N m], shape [joint_count]."""
         torques = np.zeros(len(self._joints))
         places = {id(one.hinge): place for place, one in enumerate(self._joints)}
@@ -221,7 +224,7 @@ class ResistedSimulation(WrappedSimulation):
             torques[place] = motor.torque_n_m(value, angle, float(rates[place]))
         return torques
 
-    def _angle_rad(self, joint: _Joint, states: Array) -> float:
+    def _angle_rad(self, joint: _Joint, states: FloatArray) -> float:
         """Return the angle from the start by which a joint turned its body [rad], from -pi to pi."""
         hinge, scene = joint.hinge, self._scene
         carrier, turn = Pose(position_m=(0.0, 0.0, 0.0)), Rotation.identity()
@@ -235,8 +238,8 @@ class ResistedSimulation(WrappedSimulation):
         return float(hinge_angle_rad(frames, turn, turned))
 
     def _dynamics(
-        self, states: Array, turns: Array, axes: Array, rates: Array
-    ) -> tuple[Array, Array, Array]:
+        self, states: FloatArray, turns: FloatArray, axes: FloatArray, rates: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return mass matrix [kg m^2], torques of weights, rotation and wrenches [N m], and velocities of free roots.
 
         The unknowns are the rates of the joints and, behind them, velocity and angular velocity of each free root.

@@ -9,7 +9,7 @@ from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from gauge_envs.backends.world import World
 from gauge_envs.scene import (
@@ -24,6 +24,7 @@ from gauge_envs.scene import (
     Tether,
 )
 from gauge_envs.scene.geometry import (
+    FloatArray,
     Vector,
     quaternion_products,
     quaternion_vectors,
@@ -54,14 +55,12 @@ _body_without_start = _fields_without(RigidBody, _STARTS)
 _scene_without_motion = _fields_without(Scene, ("bodies", "drivers"))
 
 
-def body_state(
-    pose: Pose, velocity: Iterable[float] = (0.0,) * 6
-) -> NDArray[np.float64]:
+def body_state(pose: Pose, velocity: Iterable[float] = (0.0,) * 6) -> FloatArray:
     """Return the state of a body with a pose and a velocity, shape [13]; see `World.body_states`."""
     return np.array([*pose.position_m, *pose.quaternion, *velocity])
 
 
-def placed_states(scene: Scene, *motions: Motion) -> dict[str, NDArray[np.float64]]:
+def placed_states(scene: Scene, *motions: Motion) -> dict[str, FloatArray]:
     """Return the states at the start of the fixed bodies of a scene, or of those with other motions, by name."""
     return {
         body.name: body_state(body.pose)
@@ -81,7 +80,7 @@ class MeanForces:
     def __init__(
         self,
         pairs: Sequence[tuple[Hashable, Hashable]],
-        touches: Callable[[], Iterable[tuple[Hashable, Hashable, NDArray[np.float64]]]],
+        touches: Callable[[], Iterable[tuple[Hashable, Hashable, FloatArray]]],
     ) -> None:
         self._pairs = pairs
         self._touches = touches
@@ -102,7 +101,7 @@ class MeanForces:
                     sum_n -= force_n
         self._count += 1
 
-    def mean(self) -> NDArray[np.float64]:
+    def mean(self) -> FloatArray:
         """Return the mean force on the first body of each pair [N], shape [pair_count, 3]."""
         return self._sums_n / max(self._count, 1)
 
@@ -114,13 +113,13 @@ class PlacedWorld(World):
         placed: States of the known bodies, by name.
     """
 
-    placed: dict[str, NDArray[np.float64]]
+    placed: dict[str, FloatArray]
 
     @abstractmethod
     def moving_states(self, names: Sequence[str]) -> Any:
         """Return the states of bodies that the engine moves, an array or rows of shape [len(names), 13]."""
 
-    def body_states(self, names: Sequence[str]) -> NDArray[np.float64]:
+    def body_states(self, names: Sequence[str]) -> FloatArray:
         """Return poses and velocities of bodies, shape [len(names), 13]; see `World.body_states`."""
         states = np.empty((len(names), 13))
         moving = []
@@ -153,7 +152,7 @@ def bodies_elsewhere(built: Scene, scene: Scene) -> list[RigidBody] | None:
     return moved
 
 
-def centre_velocity(body: RigidBody, centre_m: ArrayLike) -> NDArray[np.float64]:
+def centre_velocity(body: RigidBody, centre_m: ArrayLike) -> FloatArray:
     """Return the start velocity of a body's centre of mass [m/s], shape [3], which many engines take as the body's.
 
     Args:
@@ -223,8 +222,8 @@ class TetherSpring:
 
     tether: Tether
     mass_kg: float
-    centre_m: NDArray[np.float64]
-    inverse_inertia: NDArray[np.float64]
+    centre_m: FloatArray
+    inverse_inertia: FloatArray
 
     @classmethod
     def of(cls, scene: Scene) -> list[TetherSpring]:
@@ -238,7 +237,7 @@ class TetherSpring:
                 found.append(cls(joint, body.mass_kg, np.asarray(centre_m), inverse))
         return found
 
-    def end_mass_kg(self, rotation: Rotation, direction: NDArray[np.float64]) -> float:
+    def end_mass_kg(self, rotation: Rotation, direction: FloatArray) -> float:
         """Return the mass that a force on the body's origin moves, as seen there: force over acceleration along it.
 
         With r from the centre of mass to the origin, 1 / m_end = 1 / m + (r x n) . I^-1 (r x n).
@@ -253,9 +252,7 @@ class TetherSpring:
         lever = np.cross(-self.centre_m, along)
         return 1.0 / (1.0 / self.mass_kg + float(lever @ self.inverse_inertia @ lever))
 
-    def pull_n(
-        self, state: NDArray[np.float64], frequency_per_s: float
-    ) -> NDArray[np.float64] | None:
+    def pull_n(self, state: FloatArray, frequency_per_s: float) -> FloatArray | None:
         """Return the force of the string on the origin of its body [N], shape [3], or None if the string is slack.
 
         Args:
@@ -277,9 +274,7 @@ class TetherSpring:
         if acceleration <= 0.0:
             return None
         rotation = Rotation.from_quat(state[3:7], scalar_first=True)
-        force: NDArray[np.float64] = (
-            self.end_mass_kg(rotation, along) * acceleration * along
-        )
+        force: FloatArray = self.end_mass_kg(rotation, along) * acceleration * along
         return force
 
 
@@ -294,22 +289,22 @@ class DrivenMotion:
     """
 
     start: Pose
-    velocity: NDArray[np.float64] = field(default_factory=lambda: np.zeros(6))
-    acceleration: NDArray[np.float64] = field(default_factory=lambda: np.zeros(6))
+    velocity: FloatArray = field(default_factory=lambda: np.zeros(6))
+    acceleration: FloatArray = field(default_factory=lambda: np.zeros(6))
 
     @classmethod
     def copied(
         cls,
         pose: Pose,
-        velocity: NDArray[np.float64],
-        acceleration: NDArray[np.float64],
+        velocity: FloatArray,
+        acceleration: FloatArray,
     ) -> DrivenMotion:
         """Return the motion of a call of `World.drive`, whose arrays may change afterwards."""
         return cls(
             pose, np.array(velocity, dtype=float), np.array(acceleration, dtype=float)
         )
 
-    def travel(self, times_s: float | NDArray[np.float64]) -> NDArray[np.float64]:
+    def travel(self, times_s: float | FloatArray) -> FloatArray:
         """Return displacement [m] and rotation vector [rad] since the start.
 
         Args:
@@ -332,17 +327,15 @@ class DrivenMotion:
             vector(np.asarray(self.start.position_m) + travel[:3]), rotation
         )
 
-    def velocity_at(self, time_s: float) -> NDArray[np.float64]:
+    def velocity_at(self, time_s: float) -> FloatArray:
         """Return linear [m/s] and angular [rad/s] velocity at a time since the start [s], shape [6]."""
         return np.asarray(self.velocity + np.asarray(self.acceleration) * time_s)
 
-    def state_at(self, time_s: float) -> NDArray[np.float64]:
+    def state_at(self, time_s: float) -> FloatArray:
         """Return the state of the body at a time since the start [s], shape [13]; see `World.body_states`."""
         return body_state(self.pose(time_s), self.velocity_at(time_s))
 
-    def steps(
-        self, step_s: float, count: int
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def steps(self, step_s: float, count: int) -> tuple[FloatArray, FloatArray]:
         """Return the motion cut into steps, each at the constant velocity that takes the body to the start of the next.
 
         A semi-implicit engine moves a body by its new velocity times the step, and so follows the motion exactly.

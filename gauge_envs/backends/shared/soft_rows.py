@@ -14,7 +14,6 @@ from itertools import groupby, pairwise, product
 from math import ceil
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.backends.shared.attachments import (
     RigidAttachment,
@@ -24,6 +23,7 @@ from gauge_envs.backends.shared.attachments import (
 from gauge_envs.backends.shared.cells import grid_points
 from gauge_envs.errors import ShapeError, UnsupportedSceneError
 from gauge_envs.scene import Motion, Scene, SoftBody
+from gauge_envs.scene.geometry import BoolArray, FloatArray, IntArray
 
 TOLERANCE_M = 1e-5
 """Distance below which faces touch and points lie inside [m]."""
@@ -54,8 +54,8 @@ class Block:
     """
 
     body: SoftBody
-    low_m: NDArray[np.float64]
-    high_m: NDArray[np.float64]
+    low_m: FloatArray
+    high_m: FloatArray
 
     @property
     def density_kg_per_m3(self) -> float:
@@ -63,11 +63,11 @@ class Block:
         return self.body.mass_kg / self.body.shape.volume_m3
 
     @property
-    def centre_m(self) -> NDArray[np.float64]:
+    def centre_m(self) -> FloatArray:
         """Centre of the free material [m], shape [3]."""
         return 0.5 * (self.low_m + self.high_m)
 
-    def holds(self, points_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+    def holds(self, points_m: FloatArray) -> BoolArray:
         """Return whether points [m], shape [point_count, 3], lie inside or on the faces, shape [point_count]."""
         inside = (points_m > self.low_m - TOLERANCE_M) & (
             points_m < self.high_m + TOLERANCE_M
@@ -148,18 +148,18 @@ class SoftRow:
         return tuple(block.body.name for block in self.blocks)
 
     @property
-    def low_m(self) -> NDArray[np.float64]:
+    def low_m(self) -> FloatArray:
         """Lowest corner of the free material [m], shape [3]."""
         return self.blocks[0].low_m
 
     @property
-    def high_m(self) -> NDArray[np.float64]:
+    def high_m(self) -> FloatArray:
         """Highest corner of the free material [m], shape [3]."""
         return self.blocks[-1].high_m
 
     def gripped(
-        self, points_m: NDArray[np.float64]
-    ) -> Iterator[tuple[RigidAttachment, NDArray[np.intp]]]:
+        self, points_m: FloatArray
+    ) -> Iterator[tuple[RigidAttachment, IntArray]]:
         """Yield each attachment and the indices of the points that lie on its face or beyond it.
 
         Args:
@@ -178,7 +178,7 @@ class SoftRow:
                     np.flatnonzero(along > self.high_m[self.axis] - TOLERANCE_M),
                 )
 
-    def nodes_of(self, nodes_m: NDArray[np.float64]) -> dict[str, NDArray[np.intp]]:
+    def nodes_of(self, nodes_m: FloatArray) -> dict[str, IntArray]:
         """Return the indices of each body's nodes among those of the row [m], shape [node_count, 3], by name.
 
         Nodes on a bonded face belong to both bodies.
@@ -188,7 +188,7 @@ class SoftRow:
             for block in self.blocks
         }
 
-    def checked(self, points_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    def checked(self, points_m: FloatArray) -> FloatArray:
         """Return the points [m], shape [point_count, 3], unchanged if all of them lie in the free material."""
         outside = np.maximum(self.low_m - points_m, points_m - self.high_m).max(axis=1)
         if not np.all(outside < TOLERANCE_M):
@@ -270,10 +270,10 @@ class TetrahedralMesh:
         blocks: Which block of the row each is part of, shape [tetrahedron_count].
     """
 
-    points_m: NDArray[np.float64]
-    tetrahedra: NDArray[np.intp]
-    volumes_m3: NDArray[np.float64]
-    blocks: NDArray[np.intp]
+    points_m: FloatArray
+    tetrahedra: IntArray
+    volumes_m3: FloatArray
+    blocks: IntArray
 
     @classmethod
     def of(
@@ -319,14 +319,14 @@ class TetrahedralMesh:
             blocks=np.concatenate(blocks),
         )
 
-    def masses_kg(self, densities_kg_per_m3: Sequence[float]) -> NDArray[np.float64]:
+    def masses_kg(self, densities_kg_per_m3: Sequence[float]) -> FloatArray:
         """Return node masses [kg], shape [node_count]: a quarter of each tetrahedron's mass for each of its nodes."""
         shares = 0.25 * self.volumes_m3 * np.asarray(densities_kg_per_m3)[self.blocks]
-        masses: NDArray[np.float64] = np.zeros(len(self.points_m))
+        masses: FloatArray = np.zeros(len(self.points_m))
         np.add.at(masses, self.tetrahedra, shares[:, None])
         return masses
 
-    def surface(self) -> NDArray[np.intp]:
+    def surface(self) -> IntArray:
         """Return the boundary triangles, counter-clockwise seen from outside, shape [triangle_count, 3]."""
         faces = self.tetrahedra[
             :, [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]]
@@ -336,9 +336,7 @@ class TetrahedralMesh:
         )
         return faces[first[count == 1]]
 
-    def weights(
-        self, points_m: NDArray[np.float64]
-    ) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+    def weights(self, points_m: FloatArray) -> tuple[IntArray, FloatArray]:
         """Return four nodes and their barycentric weights for each point [m], both of shape [point_count, 4]."""
         corners = self.points_m[self.tetrahedra]
         first = corners[:, 0]
@@ -355,9 +353,7 @@ class TetrahedralMesh:
         return self.tetrahedra[best], weights[np.arange(len(points_m)), best]
 
 
-def grid_lines_m(
-    blocks: Sequence[Block], axis: int, cell_m: float
-) -> list[NDArray[np.float64]]:
+def grid_lines_m(blocks: Sequence[Block], axis: int, cell_m: float) -> list[FloatArray]:
     """Return the grid lines along x, y and z [m] of blocks that join along an axis, including their interfaces."""
     lines = [_line_m(blocks[0].low_m[i], blocks[0].high_m[i], cell_m) for i in range(3)]
     for block in blocks[1:]:
@@ -367,13 +363,13 @@ def grid_lines_m(
     return lines
 
 
-def _line_m(low_m: float, high_m: float, cell_m: float) -> NDArray[np.float64]:
+def _line_m(low_m: float, high_m: float, cell_m: float) -> FloatArray:
     return np.linspace(
         low_m, high_m, max(1, ceil((high_m - low_m) / cell_m - 1e-6)) + 1
     )
 
 
-def _tetrahedra(counts: Sequence[int]) -> NDArray[np.intp]:
+def _tetrahedra(counts: Sequence[int]) -> IntArray:
     """Return five tetrahedra for each cell of a grid with the given numbers of lines, shape [tetrahedron_count, 4]."""
     cells = np.array(list(product(*(range(count - 1) for count in counts))))
     mirrored = (cells % 2 == 1)[:, None, None]
@@ -389,8 +385,8 @@ def _tetrahedra(counts: Sequence[int]) -> NDArray[np.intp]:
 
 
 def points_in_box_m(
-    low_m: NDArray[np.float64], high_m: NDArray[np.float64], spacing_m: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    low_m: FloatArray, high_m: FloatArray, spacing_m: float
+) -> tuple[FloatArray, FloatArray]:
     """Return the centres of the cells of a box [m], shape [point_count, 3], and the size of a cell [m], shape [3].
 
     Args:
@@ -405,8 +401,8 @@ def points_in_box_m(
 
 
 def linear_weights(
-    sources_m: NDArray[np.float64], points_m: NDArray[np.float64]
-) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+    sources_m: FloatArray, points_m: FloatArray
+) -> tuple[IntArray, FloatArray]:
     """Return the nearest sources of each point and moving-least-squares weights that reproduce linear functions.
 
     Returns:

@@ -9,12 +9,12 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.backends.shared.wrapped import WrappedSimulation
 from gauge_envs.backends.world import Simulation
 from gauge_envs.errors import BackendError
 from gauge_envs.scene import Pose, Scene
+from gauge_envs.scene.geometry import FloatArray
 
 HASHED = (
     *("bodies", "deformables", "joints", "body_hinges", "guides", "attachments"),
@@ -60,17 +60,17 @@ class ReplayedSimulation(WrappedSimulation):
         self,
         body: str,
         pose: Pose,
-        velocity: NDArray[np.float64],
-        acceleration: NDArray[np.float64],
+        velocity: FloatArray,
+        acceleration: FloatArray,
     ) -> None:
         """Prescribe the motion of a kinematic body; see `World.drive`."""
         self._call("drive", body, pose, np.array(velocity), np.array(acceleration))
 
-    def apply_wrench(self, body: str, wrench: NDArray[np.float64]) -> None:
+    def apply_wrench(self, body: str, wrench: FloatArray) -> None:
         """Apply a force and a torque; see `World.apply_wrench`."""
         self._call("apply_wrench", body, np.array(wrench))
 
-    def command(self, values: NDArray[np.float64]) -> None:
+    def command(self, values: FloatArray) -> None:
         """Set what the motors follow; see `World.command`."""
         self._call("command", np.array(values))
 
@@ -80,7 +80,7 @@ class ReplayedSimulation(WrappedSimulation):
 
     def sample_positions(
         self, names: Sequence[str], count: int, interval_s: float
-    ) -> NDArray[np.float64]:
+    ) -> FloatArray:
         """Advance and return positions; see `Simulation.sample_positions`."""
         return self._call("sample_positions", tuple(names), count, interval_s)
 

@@ -3,11 +3,9 @@
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from gauge_envs.backends.world import Simulation
 from gauge_envs.scene import Pose
+from gauge_envs.scene.geometry import FloatArray
 
 
 class WrappedSimulation(Simulation):
@@ -29,17 +27,17 @@ class WrappedSimulation(Simulation):
         self,
         body: str,
         pose: Pose,
-        velocity: NDArray[np.float64],
-        acceleration: NDArray[np.float64],
+        velocity: FloatArray,
+        acceleration: FloatArray,
     ) -> None:
         """Pass on."""
         self.inner.drive(body, pose, velocity, acceleration)
 
-    def apply_wrench(self, body: str, wrench: NDArray[np.float64]) -> None:
+    def apply_wrench(self, body: str, wrench: FloatArray) -> None:
         """Pass on."""
         self.inner.apply_wrench(body, wrench)
 
-    def command(self, values: NDArray[np.float64]) -> None:
+    def command(self, values: FloatArray) -> None:
         """Pass on."""
         self.inner.command(values)
 
@@ -47,27 +45,25 @@ class WrappedSimulation(Simulation):
         """Pass on."""
         self.inner.advance(seconds)
 
-    def body_states(self, names: Sequence[str]) -> NDArray[np.float64]:
+    def body_states(self, names: Sequence[str]) -> FloatArray:
         """Pass on."""
         return self.inner.body_states(names)
 
-    def nodes(self, name: str) -> NDArray[np.float64]:
+    def nodes(self, name: str) -> FloatArray:
         """Pass on."""
         return self.inner.nodes(name)
 
-    def track(
-        self, name: str, points_m: NDArray[np.float64]
-    ) -> Callable[[], NDArray[np.float64]] | None:
+    def track(self, name: str, points_m: FloatArray) -> Callable[[], FloatArray] | None:
         """Pass on."""
         return self.inner.track(name, points_m)
 
     def contact_forces(
         self, pairs: Sequence[tuple[str, str]]
-    ) -> Callable[[], NDArray[np.float64]] | None:
+    ) -> Callable[[], FloatArray] | None:
         """Pass on."""
         return self.inner.contact_forces(pairs)
 
-    def grip_wrenches(self, names: Sequence[str]) -> NDArray[np.float64] | None:
+    def grip_wrenches(self, names: Sequence[str]) -> FloatArray | None:
         """Pass on."""
         return self.inner.grip_wrenches(names)
 

@@ -10,11 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial import Polynomial
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from gauge_envs.errors import ShapeError
 from gauge_envs.evaluation.numerics import bounded_minimum
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import BoolArray, FloatArray, IntArray
 
 # Frames on each side of a turning point that locate it; the polynomial through them has twice that degree. At 30 Hz
 # and a period of 1.2 s, a reach of 2 has an error of 3e-6 in energy, and a reach of 4 includes the impact of a cradle.
@@ -302,7 +302,7 @@ def _speeds(path: FloatArray, frame_rate_hz: float, *, central: bool) -> FloatAr
     return np.linalg.norm(velocities, axis=1) * frame_rate_hz
 
 
-def _rests(slow: NDArray[np.bool_], *, central: bool) -> list[slice]:
+def _rests(slow: BoolArray, *, central: bool) -> list[slice]:
     """Return the frames of each run of slow frames, or of slow steps: step k joins frames k and k + 1."""
     edges = np.flatnonzero(
         np.diff(np.concatenate(([False], slow, [False])).astype(int))
@@ -322,7 +322,7 @@ def _longest_window(heights: FloatArray, height_range: float) -> int:
     return longest
 
 
-def _turning_points(heights: FloatArray) -> NDArray[np.intp]:
+def _turning_points(heights: FloatArray) -> IntArray:
     """Return the frames of the local maxima that have enough neighbours to be located between frames."""
     inner = heights[1:-1]
     maxima = np.flatnonzero((inner > heights[:-2]) & (inner >= heights[2:])) + 1

@@ -8,11 +8,11 @@ import math
 
 import numpy as np
 from numpy.lib.stride_tricks import as_strided
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from gauge_envs.errors import ShapeError
 from gauge_envs.evaluation.numerics import bounded_minimum, interpolated
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import FloatArray, IntArray
 
 MAX_RELEASE_OFFSET_S = 10 / 30
 """Largest time shift of a release alignment in either direction [s]; recorded bodies are released within 9 frames."""
@@ -62,7 +62,7 @@ def trajectory_dtw(
 
 def dtw_path(
     simulated: ArrayLike, real_mean: ArrayLike, *, allow_missing: bool = False
-) -> tuple[float, NDArray[np.intp]]:
+) -> tuple[float, IntArray]:
     """Return the optimal monotonic alignment of two trajectories, with steps (1, 0), (0, 1) and (1, 1).
 
     Ties prefer the diagonal. Frames without a measured value are not in the path.
@@ -375,7 +375,7 @@ def frame_distances(first: FloatArray, second: FloatArray) -> FloatArray:
     return np.sqrt(squares, out=squares)
 
 
-def _optimal_cells(local: FloatArray) -> NDArray[np.intp]:
+def _optimal_cells(local: FloatArray) -> IntArray:
     """Return the cells of the path with the least summed local cost, from (0, 0) to the last, shape [cell_count, 2].
 
     The cells of one anti-diagonal i + j = d depend on the two before it only, so each anti-diagonal is one vector
@@ -428,7 +428,7 @@ def _optimal_cells(local: FloatArray) -> NDArray[np.intp]:
     return np.concatenate((to_start[::-1], (last - to_end)[1 - step :]))
 
 
-def _walk(total: FloatArray, i: int, j: int) -> NDArray[np.intp]:
+def _walk(total: FloatArray, i: int, j: int) -> IntArray:
     """Return the cells of the cheapest path from (i, j) back to (0, 0), by the table of `_optimal_cells`."""
     cells = [(i, j)]
     table = (

@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.evaluation.estimators import steady_speed_m_per_s
 from gauge_envs.runs.rollout import Rollout
@@ -24,6 +23,7 @@ from gauge_envs.scene import (
     Shape,
     Sphere,
 )
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.motors import Servo, TorqueMotor
 from gauge_envs.tools.bench.parts import (
     body,
@@ -117,7 +117,7 @@ SHARES = (0.3826, 0.7071)
 """Mean distance from the centre of a square's points, and of its corners, over its side."""
 
 
-def from_pads_m(rollout: Rollout) -> NDArray[np.float64]:
+def from_pads_m(rollout: Rollout) -> FloatArray:
     """Return the displacement of the object from the middle of its pads [m], shape [sample_count, 3]."""
     return rollout.displacement("object") - 0.5 * (
         rollout.displacement("left") + rollout.displacement("right")

@@ -7,7 +7,6 @@ from itertools import product
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.scene import (
     Box,
@@ -22,7 +21,7 @@ from gauge_envs.scene import (
     Vector,
 )
 from gauge_envs.scene.drivers import Driver, DriverMotion
-from gauge_envs.scene.geometry import vector
+from gauge_envs.scene.geometry import FloatArray, vector
 from gauge_envs.scene.profiles import TrapezoidProfile
 
 
@@ -151,7 +150,7 @@ def driver(
     return Driver(body=name, motions=(motion,), provenance="nominal")
 
 
-def box_inertia_kg_m2(body: RigidBody) -> NDArray[np.float64]:
+def box_inertia_kg_m2(body: RigidBody) -> FloatArray:
     """Return the moments of inertia of a solid box about its own axes [kg m^2], shape [3]."""
     assert isinstance(body.shape, Box), "the body is a box"
     x, y, z = np.square(body.shape.size_m)

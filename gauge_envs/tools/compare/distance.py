@@ -11,6 +11,7 @@ from gauge_envs.evaluation.metrics.trajectory import trajectory_rmse
 from gauge_envs.pages.text import quantity_text
 from gauge_envs.references.published import Baseline
 from gauge_envs.runs.result import Result
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.compare.draws import ScoreSpread
 
@@ -106,7 +107,7 @@ def trajectory_distance(
 
 def distances_over_time(
     some: Sequence[Result], others: Sequence[Result]
-) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+) -> list[tuple[FloatArray, FloatArray]]:
     """Return the distance between results of two configurations at each common frame, paired as for `Distance`.
 
     Returns:
@@ -115,13 +116,13 @@ def distances_over_time(
     return _over_time(_all_common_frames(_paired(some, others)))
 
 
-CommonFrames = tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]
+CommonFrames = tuple[NDArray[np.int64], FloatArray, FloatArray]
 """Frame numbers that two results have, and g(t) of both there, [frame_count, coordinate_count] each."""
 
 
 def _over_time(
     common: Sequence[CommonFrames],
-) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+) -> list[tuple[FloatArray, FloatArray]]:
     """Return times [s] and distances of each pair of results."""
     return [
         (frames / FRAME_RATE_HZ, np.linalg.norm(a - b, axis=1))

@@ -7,14 +7,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.pages.figures import REAL, legend_above, tidy_axis
 from gauge_envs.pages.svg import runs
 from gauge_envs.pages.text import short_id
 from gauge_envs.references.published import published_baselines
 from gauge_envs.runs.result import Result
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import BoolArray, FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.compare.distance import distances_over_time
 from gauge_envs.tools.compare.yardstick import (
@@ -303,7 +302,7 @@ def _window(series: Sequence[Series], against: Yardstick) -> tuple[float, float]
     return start_s, start_s + WINDOW_S
 
 
-def _shown(times_s: FloatArray, window: tuple[float, float]) -> NDArray[np.bool_]:
+def _shown(times_s: FloatArray, window: tuple[float, float]) -> BoolArray:
     """Return which times lie in a window, and the ones next to it."""
     margin_s = 1.0 / FRAME_RATE_HZ
     return (times_s >= window[0] - margin_s) & (times_s <= window[1] + margin_s)
@@ -417,7 +416,7 @@ def _draw_curves(
     axis.set_ylim(low - margin, high + margin)
 
 
-def _span(low: float, high: float, values: NDArray[np.float64]) -> tuple[float, float]:
+def _span(low: float, high: float, values: FloatArray) -> tuple[float, float]:
     """Return limits that include the values, at most ten times as wide: a diverged curve is cut."""
     finite = values[np.isfinite(values)]
     reach = 10.0 * (high - low) if high > low else np.inf

@@ -16,11 +16,11 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.evaluation.estimators import steady_speed_m_per_s
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Air, Pose, Region, Scene
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.conformance.lab import FRAME, Lab, clamped, fabric, sheet
 from gauge_envs.tools.conformance.laws import passive_energy_gain, worst_ratio
 from gauge_envs.tools.conformance.model import Check, Measurement, Tolerance
@@ -85,7 +85,7 @@ ACROSS_M_PER_S = WIND_M_PER_S * math.sin(math.radians(INCIDENCE_DEG))
 
 def _in_wind(
     lab: Lab, seconds: float, **coefficients: Any
-) -> tuple[Rollout, NDArray[np.float64]]:
+) -> tuple[Rollout, FloatArray]:
     """Record a sheet without gravity in wind along +x, which meets its plane at 40 degrees.
 
     Args:

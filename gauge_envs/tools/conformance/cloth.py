@@ -14,7 +14,6 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
@@ -22,7 +21,7 @@ from gauge_envs.evaluation.estimators import acceleration_m_per_s2, hann_mean
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Cloth, Pose, Region, Scene
 from gauge_envs.scene.fabrics import Fabric
-from gauge_envs.scene.geometry import vector
+from gauge_envs.scene.geometry import FloatArray, vector
 from gauge_envs.tools.bench.parts import contact, fixed_box
 from gauge_envs.tools.conformance.lab import (
     LIGHT_FABRIC,
@@ -72,16 +71,14 @@ def strip_of(rollout: Rollout) -> Cloth:
     return cloth
 
 
-def local_nodes(rollout: Rollout) -> NDArray[np.float64]:
+def local_nodes(rollout: Rollout) -> FloatArray:
     """Return nodes in the cloth's frame [m], shape [sample_count, node_count, 3]."""
     return np.array(
         [strip_of(rollout).pose.to_body(nodes) for nodes in rollout.nodes_m["cloth"]]
     )
 
 
-def equilibrium(
-    rollout: Rollout, settled_s: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def equilibrium(rollout: Rollout, settled_s: float) -> tuple[FloatArray, FloatArray]:
     """Return nodes at the start and in equilibrium, in the cloth's frame [m], each of shape [node_count, 3]."""
     local = local_nodes(rollout)
     return local[0], hann_mean(
@@ -89,9 +86,7 @@ def equilibrium(
     )
 
 
-def node_shares(
-    rest_m: NDArray[np.float64], size_m: tuple[float, float]
-) -> NDArray[np.float64]:
+def node_shares(rest_m: FloatArray, size_m: tuple[float, float]) -> FloatArray:
     """Return the share of the sheet's area that is nearest to each node, for any mesh, shape [node_count]."""
     x, y = ((np.arange(400) + 0.5) / 400 * size - 0.5 * size for size in size_m)
     points = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
@@ -324,7 +319,7 @@ def _sliding(lab: Lab) -> Rollout:
     return lab.rollout(scene)
 
 
-def _on_slab(rollout: Rollout) -> NDArray[np.float64]:
+def _on_slab(rollout: Rollout) -> FloatArray:
     """Return nodes in the slab's frame [m], shape [sample_count, node_count, 3]."""
     return np.array([SLOPE.to_body(nodes) for nodes in rollout.nodes_m["cloth"]])
 

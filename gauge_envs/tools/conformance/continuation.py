@@ -8,12 +8,12 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.backends import Simulation
 from gauge_envs.envs.driver_paths import DriverPaths
 from gauge_envs.runs.rollout import states_now
 from gauge_envs.scene import Box, Cylinder, Hinge, Pose, Scene
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.bench.parts import ball, body, box, contact, fixed_box, ground
 from gauge_envs.tools.conformance.contract import BOUNCES, bounces, one_sign
 from gauge_envs.tools.conformance.lab import STRIP_ON_ROD, Lab, push, strip_on_rod
@@ -54,7 +54,7 @@ def continuation_differences(
     names = [one.name for one in scene.bodies]
     paths = DriverPaths(scene, (before + after + 12) / 180.0)
 
-    def run(simulation: Simulation, first: int, count: int) -> NDArray[np.float64]:
+    def run(simulation: Simulation, first: int, count: int) -> FloatArray:
         rows = []
         for sample in range(first, first + count):
             paths.advance(simulation, sample)

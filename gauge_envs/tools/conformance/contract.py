@@ -5,7 +5,6 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.envs.driver_paths import DriverPaths
 from gauge_envs.runs.rollout import (
@@ -24,6 +23,7 @@ from gauge_envs.scene import (
     Scene,
     SoftBody,
 )
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 from gauge_envs.tools.bench.parts import (
     ball,
@@ -144,8 +144,8 @@ class _Built(NamedTuple):
     """A scene and its states right after build, read in the order of the names and in the reversed order."""
 
     scene: Scene
-    states: NDArray[np.float64]
-    backward: NDArray[np.float64]
+    states: FloatArray
+    backward: FloatArray
 
 
 @recorded(
@@ -162,7 +162,7 @@ def _as_built(lab: Lab) -> _Built:
         )
 
 
-def one_sign(states: NDArray[np.float64]) -> NDArray[np.float64]:
+def one_sign(states: FloatArray) -> FloatArray:
     """Return states, shape [..., 13], whose quaternions have one of the two signs of a rotation.
 
     Its largest component, of nearly equal ones the first, is positive.
@@ -200,7 +200,7 @@ def _start_position(built: _Built) -> Measurement:
 def _start_orientation(built: _Built) -> Measurement:
     expected = np.array([one.pose.quaternion for one in built.scene.bodies])
 
-    def error(quaternions: NDArray[np.float64]) -> float:
+    def error(quaternions: FloatArray) -> float:
         both = [
             np.linalg.norm(quaternions - sign * expected, axis=1)
             for sign in (1.0, -1.0)
@@ -409,7 +409,7 @@ def _two_at_once(lab: Lab) -> Measurement:
 # --- repeatability ---------------------------------------------------------------------------------------------------
 
 
-def parts_apart(apart: NDArray[np.float64], name: str) -> dict[str, float]:
+def parts_apart(apart: FloatArray, name: str) -> dict[str, float]:
     """Return the largest differences of position, orientation and velocity of a body.
 
     Args:

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.runs.rollout import Rollout
@@ -31,7 +30,7 @@ from gauge_envs.scene import (
     Tether,
 )
 from gauge_envs.scene.drivers import Driver, DriverMotion
-from gauge_envs.scene.geometry import vector
+from gauge_envs.scene.geometry import FloatArray, vector
 from gauge_envs.scene.motors import Servo
 from gauge_envs.tools.bench.parts import (
     ball,
@@ -46,8 +45,6 @@ from gauge_envs.tools.bench.parts import (
 from gauge_envs.tools.conformance.lab import Lab
 from gauge_envs.tools.conformance.model import Measurement, recorded
 from gauge_envs.tools.conformance.rich import thrown
-
-Array = NDArray[np.float64]
 
 FLIPPED = np.diag([1.0, 1.0, -1.0])
 """Reflection in the frame of a body to which all shapes of the scene are symmetric."""
@@ -66,8 +63,8 @@ class _Copy:
         mass_factor: Factor m of all masses.
     """
 
-    matrix: Array
-    centre_m: Array
+    matrix: FloatArray
+    centre_m: FloatArray
     is_reversed: bool = False
     length_factor: float = 1.0
     mass_factor: float = 1.0
@@ -83,15 +80,15 @@ class _Copy:
         return float(np.linalg.det(self.matrix))
 
     @property
-    def inner(self) -> Array:
+    def inner(self) -> FloatArray:
         """Map of a body's frame, shape [3, 3]."""
         return np.eye(3) if self.handedness > 0.0 else FLIPPED
 
-    def place(self, point_m: Any) -> Array:
+    def place(self, point_m: Any) -> FloatArray:
         """Return the place of a point [m]."""
         return np.asarray(self.length_factor * self.matrix @ point_m + self.centre_m)
 
-    def axis(self, axis: Any) -> Array:
+    def axis(self, axis: Any) -> FloatArray:
         """Return the direction of an axis of rotation, or an angular velocity."""
         return np.asarray(self.handedness * self.matrix @ axis)
 
@@ -263,7 +260,9 @@ def _scene(with_string: bool = True) -> Scene:
     )
 
 
-def _moved(rollout: Rollout, name: str, copy: _Copy, part: str) -> tuple[Array, Array]:
+def _moved(
+    rollout: Rollout, name: str, copy: _Copy, part: str
+) -> tuple[FloatArray, FloatArray]:
     """Return displacements [m] and steps of rotation [rad] of a body as in the upright copy.
 
     Shapes are [T, 3] and [T - 1, 3].

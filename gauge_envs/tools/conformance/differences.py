@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G
+from gauge_envs.scene.geometry import BoolArray, FloatArray
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
-
-Array = NDArray[np.float64]
 
 LEAST = 1e-4
 """Difference of a state from which on it counts."""
@@ -27,7 +25,12 @@ BALL, BRICK, PLATE = range(3)
 """Columns of the bodies."""
 
 
-def cause_of(here: Array, law: Array, others: Mapping[int, Array], mean: Array) -> str:
+def cause_of(
+    here: FloatArray,
+    law: FloatArray,
+    others: Mapping[int, FloatArray],
+    mean: FloatArray,
+) -> str:
     """Return what alone explains the course of a world; empty where nothing known does.
 
     Args:
@@ -50,7 +53,9 @@ def cause_of(here: Array, law: Array, others: Mapping[int, Array], mean: Array) 
     )
 
 
-def _reading(here: Array, law: Array, mean: Array, tolerance: float) -> str:
+def _reading(
+    here: FloatArray, law: FloatArray, mean: FloatArray, tolerance: float
+) -> str:
     """Return how states that are right are read wrongly: late, scaled, or mixed with those of other worlds."""
     if np.abs(here[1:] - law[:-1]).max() < tolerance:
         return "the states that are read are those of an interval before, also of driven bodies: the reading is late"
@@ -66,7 +71,7 @@ def _reading(here: Array, law: Array, mean: Array, tolerance: float) -> str:
     return ""
 
 
-def _lost_intervals(ball: Array, law: Array, tolerance: float) -> str:
+def _lost_intervals(ball: FloatArray, law: FloatArray, tolerance: float) -> str:
     """Return how many intervals a free ball falls behind."""
     behind: list[int] = []
     for sample, state in enumerate(ball):
@@ -84,7 +89,7 @@ def _lost_intervals(ball: Array, law: Array, tolerance: float) -> str:
     )
 
 
-def which(wrong: NDArray[np.bool_]) -> str:
+def which(wrong: BoolArray) -> str:
     """Return which worlds are wrong in words, from a mark for each."""
     count, numbers = len(wrong), np.arange(len(wrong))
     for text, marks in (
@@ -100,7 +105,7 @@ def which(wrong: NDArray[np.bool_]) -> str:
     return f"{wrong.sum()} of {count} worlds, the first of them world {wrong.argmax()}"
 
 
-def cause_of_told(told: Mapping[str, Array], shares: Array) -> str:
+def cause_of_told(told: Mapping[str, FloatArray], shares: FloatArray) -> str:
     """Return what explains that worlds do not follow what they are told; empty where nothing known does.
 
     Args:
@@ -156,7 +161,9 @@ def cause_of_told(told: Mapping[str, Array], shares: Array) -> str:
     return ""
 
 
-def _first_part(here: Array, law: Array, others: Mapping[int, Array]) -> str:
+def _first_part(
+    here: FloatArray, law: FloatArray, others: Mapping[int, FloatArray]
+) -> str:
     """Return the body that differs alone or first, and what its first difference is of."""
     apart = np.abs(here - law)
     if apart[:, PLATE].max() > LEAST:

@@ -9,15 +9,13 @@ from collections.abc import Iterator
 from itertools import islice
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.evaluation.estimators import acceleration_m_per_s2
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import BodyHinge, Hinge, Scene, Slider
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.conformance.torques import wrong_torques
-
-Array = NDArray[np.float64]
 
 FAR_MM, FAR_DEG = 0.5, 0.5
 """Distances and angles from which on they are facts."""
@@ -97,12 +95,12 @@ def _driven(rollout: Rollout) -> Iterator[str]:
             yield f"the driven {name} {cause}"
 
 
-def _course(places_m: Array, rotations: Rotation) -> Array:
+def _course(places_m: FloatArray, rotations: Rotation) -> FloatArray:
     """Return places [m] and rotations from the start [rad], shape [T, 6]."""
     return np.hstack([places_m, (rotations * rotations[0].inv()).as_rotvec()])
 
 
-def _wrong_drive(found: Array, law: Array, interval_s: float) -> str:
+def _wrong_drive(found: FloatArray, law: FloatArray, interval_s: float) -> str:
     """Return what alone explains how a driven body moves; empty where it moves as driven, or nothing known does.
 
     Args:
@@ -208,19 +206,19 @@ def _sliders(rollout: Rollout) -> Iterator[str]:
             yield f"the {slider.body} moves along a line {off_deg:.3g} degrees from the axis of its slider"
 
 
-def _motion(rollout: Rollout, name: str) -> tuple[Array, Rotation]:
+def _motion(rollout: Rollout, name: str) -> tuple[FloatArray, Rotation]:
     return rollout.position(name), rollout.rotation(name)
 
 
-def _between_deg(first: Array, second: Array) -> float:
+def _between_deg(first: FloatArray, second: FloatArray) -> float:
     """Return the angle between two lines [degrees]."""
     lengths = np.linalg.norm(first) * np.linalg.norm(second)
     return float(np.degrees(np.arccos(min(float(abs(first @ second) / lengths), 1.0))))
 
 
 def _pivot(
-    places_m: Array, rotations: Rotation, local_m: Array, anchor_m: Array
-) -> tuple[Array, float]:
+    places_m: FloatArray, rotations: Rotation, local_m: FloatArray, anchor_m: FloatArray
+) -> tuple[FloatArray, float]:
     """Return how far the point about which a body turns is from an anchor [m], shape [3], and what it moves [m].
 
     Args:
@@ -252,5 +250,5 @@ def _gravity(rollout: Rollout) -> Iterator[str]:
         yield f"all bodies fall with {shares[0]:.4g} times the gravity of the scene"
 
 
-def _vector(values: Array) -> str:
+def _vector(values: FloatArray) -> str:
     return "(" + ", ".join(f"{value:.3g}" for value in values) + ")"

@@ -5,7 +5,6 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.evaluation.estimators import mean_period_s
@@ -24,7 +23,7 @@ from gauge_envs.scene import (
     Shape,
     Sphere,
 )
-from gauge_envs.scene.geometry import vector
+from gauge_envs.scene.geometry import FloatArray, vector
 from gauge_envs.scene.meshes import mass_properties
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 from gauge_envs.tools.bench.parts import body, corners
@@ -105,11 +104,11 @@ class _Push(NamedTuple):
         gains: What the forces add in each interval to the velocity along them, over the law, shape [T, 3].
     """
 
-    inertia: NDArray[np.float64]
-    centre_m: NDArray[np.float64]
-    wrenches: NDArray[np.float64]
-    twists: NDArray[np.float64]
-    gains: NDArray[np.float64]
+    inertia: FloatArray
+    centre_m: FloatArray
+    wrenches: FloatArray
+    twists: FloatArray
+    gains: FloatArray
 
 
 def _pushed_scene(shape: Shape) -> Scene:
@@ -264,7 +263,7 @@ def _inertia_check(kind: str) -> None:
         return Measurement(measured=worst / largest, hint=hint)
 
 
-def _frame_hint(inertia: NDArray[np.float64], expected: NDArray[np.float64]) -> str:
+def _frame_hint(inertia: FloatArray, expected: FloatArray) -> str:
     """Return the wrong frame in which an engine takes an inertia; empty if it is none of the known ones.
 
     Args:
@@ -289,7 +288,7 @@ def _frame_hint(inertia: NDArray[np.float64], expected: NDArray[np.float64]) -> 
     return ""
 
 
-def _size_hint(shape: Shape, inertia: NDArray[np.float64]) -> str:
+def _size_hint(shape: Shape, inertia: FloatArray) -> str:
     """Return the solid that has an inertia [kg m^2] in its axes, shape [3, 3]."""
     if isinstance(shape, ConvexUnion):
         for text, wrong in WRONG_UNIONS.items():

@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.evaluation.estimators import acceleration_m_per_s2
@@ -18,7 +17,7 @@ from gauge_envs.scene import (
     Scene,
     Slider,
 )
-from gauge_envs.scene.geometry import vector
+from gauge_envs.scene.geometry import FloatArray, vector
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 from gauge_envs.tools.bench.parts import ball, body, box, contact, fixed_box
 from gauge_envs.tools.conformance.lab import Lab
@@ -56,7 +55,7 @@ def _stated_tensor(rollout: Rollout) -> Measurement:
     start = rollout.scene.body("box").pose.rotation
     last = rollout.rotation("box")[-1]
 
-    def error_deg(tensor: NDArray[np.float64]) -> float:
+    def error_deg(tensor: FloatArray) -> float:
         moments, columns = np.linalg.eigh(tensor)
         axes = Rotation.from_matrix(columns * np.linalg.det(columns))
         expected = torque_free_orientation(
@@ -216,7 +215,7 @@ WEIGHT_N = MASS_KG * G
 @recorded(
     "a brick that rests on two fixed slabs at once, and one that slides on the first with friction 0.3"
 )
-def _forces(lab: Lab) -> NDArray[np.float64]:
+def _forces(lab: Lab) -> FloatArray:
     """Return the forces on both bricks, and what moves the second one, in 80 intervals, [80, 4, 3]."""
     slab = fixed_box("slab", (0.0, -0.5, -0.05), (4.0, 2.0, 0.1))
     shelf = fixed_box("shelf", (0.0, 1.0, -0.05), (4.0, 1.0, 0.1))
@@ -247,7 +246,7 @@ def _forces(lab: Lab) -> NDArray[np.float64]:
 
 
 @_forces.check("force-rest")
-def _force_rest(found: NDArray[np.float64]) -> Measurement:
+def _force_rest(found: FloatArray) -> Measurement:
     slab, shelf = found[20:, [0, 2]].mean(axis=0) / WEIGHT_N
     both = slab + shelf
     hint = (
@@ -258,7 +257,7 @@ def _force_rest(found: NDArray[np.float64]) -> Measurement:
 
 
 @_forces.check("force-slide")
-def _force_slide(found: NDArray[np.float64]) -> Measurement:
+def _force_slide(found: FloatArray) -> Measurement:
     _, force, _, gained = found.mean(axis=0)
     normal, sideways = (
         force[2] / gained[2],

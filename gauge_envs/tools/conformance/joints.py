@@ -17,7 +17,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
@@ -35,7 +34,7 @@ from gauge_envs.scene import (
     RigidBody,
     Scene,
 )
-from gauge_envs.scene.geometry import vector
+from gauge_envs.scene.geometry import FloatArray, vector
 from gauge_envs.scene.motors import Motor, Servo, TorqueMotor
 from gauge_envs.scene.timing import DRIVE_INTERVAL_S
 from gauge_envs.tools.bench.parts import body, box_inertia_kg_m2, ramp
@@ -43,14 +42,12 @@ from gauge_envs.tools.conformance.lab import Lab
 from gauge_envs.tools.conformance.laws import worst_ratio
 from gauge_envs.tools.conformance.model import Check, Measurement, Tolerance, rollout_of
 
-Array = NDArray[np.float64]
-
 PIVOT_M, AXIS = np.array([0.1, 0.2, 1.0]), np.array([0.6, 0.8, 0.0])
 MASS_KG, CENTRE_M, SIZE_M = 0.4, 0.15, (0.03, 0.03, 0.3)
 
 
 def _bar(
-    name: str = "bar", angle_rad: float = 0.0, pivot_m: Array = PIVOT_M
+    name: str = "bar", angle_rad: float = 0.0, pivot_m: FloatArray = PIVOT_M
 ) -> RigidBody:
     turn = Rotation.from_rotvec(angle_rad * AXIS)
     place = vector(pivot_m + turn.apply([0.0, 0.0, -CENTRE_M]))
@@ -81,7 +78,7 @@ def _scene(
     )
 
 
-def _turned_rad(rollout: Rollout, name: str = "bar") -> Array:
+def _turned_rad(rollout: Rollout, name: str = "bar") -> FloatArray:
     """Return the angle of a bar from its start [rad], at most half a turn, shape [T]."""
     rotations = rollout.rotation(name)
     return np.asarray((rotations * rotations[0].inv()).as_rotvec() @ AXIS)
@@ -102,7 +99,9 @@ FRICTION = Tolerance(
 )
 
 
-def _dry_n_m(from_rest_rad: Array, energy_j: Array, expected: float) -> Measurement:
+def _dry_n_m(
+    from_rest_rad: FloatArray, energy_j: FloatArray, expected: float
+) -> Measurement:
     """Measure dry friction by the energy that is lost from the first stop to the last one, over the angle between."""
     away_rad = np.abs(from_rest_rad)
     middle = away_rad[1:-1]
@@ -229,7 +228,7 @@ _pushed = rollout_of(
 )
 
 
-def _parabola(rollout: Rollout) -> Array:
+def _parabola(rollout: Rollout) -> FloatArray:
     """Return the coefficients of a parabola through the angle from 0.15 s on, the highest power first."""
     part = rollout.between(0.15, rollout.times_s[-1])
     return np.polyfit(rollout.times_s[part], _turned_rad(rollout)[part], 2)
@@ -311,12 +310,12 @@ def motor_scene() -> Scene:
     return _scene(_bar(), seconds=2.0, motor=motor)
 
 
-def _commanded(lab: Lab) -> tuple[Simulation, Callable[[], Array]]:
+def _commanded(lab: Lab) -> tuple[Simulation, Callable[[], FloatArray]]:
     """Return a bar with a torque motor, and a function that advances by 0.1 s and returns the state, shape [13]."""
     simulation = lab.build(motor_scene())
     simulation.reset(0)
 
-    def later() -> Array:
+    def later() -> FloatArray:
         simulation.advance(18 * DRIVE_INTERVAL_S)
         return states_now(simulation, ["bar"])[0]
 
@@ -421,7 +420,7 @@ STARTS_RAD = (0.6, -0.4)
 """Angles of the upper and the lower bar of the chain from the vertical at the start."""
 
 
-def chain_angles_rad(times_s: Array, torque_n_m: float) -> Array:
+def chain_angles_rad(times_s: FloatArray, torque_n_m: float) -> FloatArray:
     """Return the angles of both bars from the vertical by DOP853, with Lagrange's equations [rad], shape [2, T].
 
     Args:
@@ -432,7 +431,7 @@ def chain_angles_rad(times_s: Array, torque_n_m: float) -> Array:
     upper, coupling = INERTIA + MASS_KG * length**2, MASS_KG * length * CENTRE_M
     weights = G * MASS_KG * np.array([CENTRE_M + length, CENTRE_M])
 
-    def rates(_: float, state: Array) -> Array:
+    def rates(_: float, state: FloatArray) -> FloatArray:
         apart = state[0] - state[1]
         cosine, sine = coupling * np.cos(apart), coupling * np.sin(apart)
         forces = np.array(

@@ -8,7 +8,7 @@ from dataclasses import asdict, replace
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends import Backend, ReplayedSimulation, Simulation
@@ -34,6 +34,7 @@ from gauge_envs.scene import (
 )
 from gauge_envs.scene.drivers import Driver, DriverMotion
 from gauge_envs.scene.fabrics import Fabric
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 from gauge_envs.tools.bench.parts import driven_box, fixed_box, ramp
 from gauge_envs.tools.conformance.facts import jointed
@@ -210,7 +211,7 @@ class DisturbedLab(Lab):
         position = np.array(pose.position_m) + self._errors()
         return Pose.from_rotation(tuple(position.tolist()), turn * pose.rotation)
 
-    def _errors(self) -> NDArray[np.float64]:
+    def _errors(self) -> FloatArray:
         signs = self._random.choice([-1.0, 1.0], 3)
         return self._start_error * signs
 

@@ -6,13 +6,13 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.evaluation.estimators import slide_friction
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import GRAVITY_M_PER_S2, Pose
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.bench.parts import box_inertia_kg_m2
 from gauge_envs.tools.conformance.model import Measurement, Tolerance
 
@@ -23,8 +23,8 @@ PLACE_TOLERANCE_M = 1e-5
 def torque_free_orientation(
     *,
     start: Rotation,
-    spin_rad_per_s: NDArray[np.float64],
-    moments: NDArray[np.float64],
+    spin_rad_per_s: FloatArray,
+    moments: FloatArray,
     seconds: float,
 ) -> Rotation:
     """Return the orientation of a free body after a time, from Euler's equations integrated to 1e-10.
@@ -36,7 +36,7 @@ def torque_free_orientation(
         seconds: Time of the rotation [s].
     """
 
-    def rate(_: float, state: NDArray[np.float64]) -> NDArray[np.float64]:
+    def rate(_: float, state: FloatArray) -> FloatArray:
         w, v, spin = state[0], state[1:4], state[4:]
         quaternion_rate = 0.5 * np.concatenate(
             [[-v @ spin], w * spin + np.cross(v, spin)]
@@ -54,9 +54,7 @@ def torque_free_orientation(
     return Rotation.from_quat(last[:4], scalar_first=True)
 
 
-def spin_from_orientations(
-    rotations: Rotation, interval_s: float
-) -> NDArray[np.float64]:
+def spin_from_orientations(rotations: Rotation, interval_s: float) -> FloatArray:
     """Return angular velocities in the world frame [rad/s] by central differences, shape [sample_count - 2, 3]."""
     return np.asarray(
         (rotations[2:] * rotations[:-2].inv()).as_rotvec() / (2.0 * interval_s)
@@ -64,11 +62,11 @@ def spin_from_orientations(
 
 
 def cantilever_load_over_stiffness(
-    s_m: NDArray[np.float64],
-    droop_m: NDArray[np.float64],
+    s_m: FloatArray,
+    droop_m: FloatArray,
     *,
     length_m: float,
-    weights: NDArray[np.float64],
+    weights: FloatArray,
 ) -> float:
     """Return the weight per length over the bending stiffness of a cantilever: D w'' = load (L - s)^2 / 2.
 
@@ -89,7 +87,7 @@ def cantilever_load_over_stiffness(
     return coefficient(droop_m[free] * scale, columns * scale[:, None])
 
 
-def coefficient(values: NDArray[np.float64], *columns: NDArray[np.float64]) -> float:
+def coefficient(values: FloatArray, *columns: FloatArray) -> float:
     """Return the coefficient of the first of the columns in a least-squares fit."""
     return float(np.linalg.lstsq(np.column_stack(columns), values, rcond=None)[0][0])
 
@@ -116,12 +114,12 @@ ATTACHED: dict[str, Any] = {
 """Texts of the checks of attachments (`attachment_error`)."""
 
 
-def largest_mm(vectors_m: NDArray[np.float64]) -> float:
+def largest_mm(vectors_m: FloatArray) -> float:
     """Return the largest length of vectors [m], shape [..., 3], in millimetres."""
     return 1e3 * float(np.linalg.norm(vectors_m, axis=-1).max())
 
 
-def inertia_kg_m2(rollout: Rollout, name: str) -> NDArray[np.float64]:
+def inertia_kg_m2(rollout: Rollout, name: str) -> FloatArray:
     """Return the inertia tensor of a box in the world [kg m^2], shape [sample_count, 3, 3]."""
     axes = rollout.rotation(name).as_matrix()
     moments = box_inertia_kg_m2(rollout.scene.body(name))
@@ -176,15 +174,13 @@ def furthest(sizes: Mapping[str, float]) -> Measurement:
     return Measurement(measured=sizes[worst], hint=f"it is furthest for the {worst}")
 
 
-def furthest_from(expected: float, values: NDArray[np.float64]) -> Measurement:
+def furthest_from(expected: float, values: FloatArray) -> Measurement:
     """Return the value that is furthest from what is expected."""
     worst = float(values[np.abs(values - expected).argmax()])
     return Measurement(measured=worst, expected=expected)
 
 
-def bounds_error(
-    nodes_m: NDArray[np.float64], size_m: tuple[float, ...]
-) -> Measurement:
+def bounds_error(nodes_m: FloatArray, size_m: tuple[float, ...]) -> Measurement:
     """Measure the largest distance [mm] of the bounding box of nodes from that of a centred body of a size."""
     half = 0.5 * np.array(size_m)
     low_m, high_m = nodes_m.min(axis=0), nodes_m.max(axis=0)
@@ -220,9 +216,9 @@ def stiffness(load: float, slope: float, expected: float, verb: str) -> Measurem
 
 
 def passive_energy_gain(
-    nodes_m: NDArray[np.float64],
-    times_s: NDArray[np.float64],
-    mass_shares: NDArray[np.float64],
+    nodes_m: FloatArray,
+    times_s: FloatArray,
+    mass_shares: FloatArray,
     gravity: float,
 ) -> Measurement:
     """Measure the largest gain [%] of kinetic and potential energy of a falling body, over the released energy.
@@ -248,7 +244,7 @@ def driver_poses(rollout: Rollout) -> list[Pose]:
     return [driver.pose(start, float(time_s)) for time_s in rollout.times_s]
 
 
-def driver_error(rollout: Rollout, points_m: NDArray[np.float64]) -> Measurement:
+def driver_error(rollout: Rollout, points_m: FloatArray) -> Measurement:
     """Measure the largest distance [mm] of points from where the scene's only driver would carry them.
 
     Args:

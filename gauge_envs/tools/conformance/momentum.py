@@ -15,7 +15,6 @@ own centre is I. Then each body has the kinetic energy (I + m d^2 cos^2 f) f'^2 
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 
 from gauge_envs.evaluation.estimators import acceleration_m_per_s2
@@ -28,7 +27,7 @@ from gauge_envs.scene import (
     RigidBody,
     Scene,
 )
-from gauge_envs.scene.geometry import vector
+from gauge_envs.scene.geometry import FloatArray, vector
 from gauge_envs.scene.hinged import hinge_angle_rad, hinge_frames
 from gauge_envs.tools.bench.parts import body, box, box_inertia_kg_m2
 from gauge_envs.tools.conformance.lab import Lab
@@ -50,8 +49,8 @@ SOURCE = "Newton, Euler"
 def _pair_scene(
     first: RigidBody,
     second: RigidBody,
-    anchor_m: NDArray[np.float64],
-    axis: NDArray[np.float64],
+    anchor_m: FloatArray,
+    axis: FloatArray,
     gravity: float,
 ) -> Scene:
     hinge = BodyHinge(
@@ -70,9 +69,9 @@ def _pair_scene(
 
 def _moving(
     one: RigidBody,
-    anchor_m: NDArray[np.float64],
-    speed: NDArray[np.float64],
-    spin: NDArray[np.float64],
+    anchor_m: FloatArray,
+    speed: FloatArray,
+    spin: FloatArray,
 ) -> RigidBody:
     """Return a body that starts with an angular velocity, and of which one point has a given velocity."""
     linear = speed + np.cross(spin, np.subtract(one.pose.position_m, anchor_m))
@@ -106,7 +105,7 @@ def _tumbling(lab: Lab) -> Rollout:
     return lab.rollout(_pair_scene(first, second, anchor, axis, G))
 
 
-def _centre(rollout: Rollout) -> NDArray[np.float64]:
+def _centre(rollout: Rollout) -> FloatArray:
     """Return position and velocity of the common centre of mass, shape [sample_count, 6]."""
     blocks = rollout.scene.dynamic_bodies
     weighed = sum(
@@ -197,7 +196,7 @@ START_RAD, RATE_RAD_PER_S = 0.3, 4.0
 """Half the angle at the start, and its rate."""
 
 
-def scissors_angle_rad(times_s: NDArray[np.float64]) -> NDArray[np.float64]:
+def scissors_angle_rad(times_s: FloatArray) -> FloatArray:
     """Return half the angle of the scissors at some times [rad], by quadrature, shape [T]."""
     about_centre = float(box_inertia_kg_m2(BLADE)[2])
     angles = np.linspace(

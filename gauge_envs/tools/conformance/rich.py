@@ -8,7 +8,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.runs.rollout import Rollout
@@ -22,7 +21,7 @@ from gauge_envs.scene import (
     Tether,
 )
 from gauge_envs.scene.drivers import Driver, DriverMotion
-from gauge_envs.scene.geometry import vector
+from gauge_envs.scene.geometry import FloatArray, vector
 from gauge_envs.tools.bench.parts import (
     ball,
     body,
@@ -37,8 +36,6 @@ from gauge_envs.tools.conformance.laws import (
     worst_ratio,
 )
 from gauge_envs.tools.conformance.model import Measurement, rollout_of
-
-Array = NDArray[np.float64]
 
 
 def thrown(one: RigidBody, velocity: Any, spin: Any = (0.0, 0.0, 0.0)) -> RigidBody:
@@ -67,7 +64,7 @@ LEAST = {"velocity": 0.1, "angular velocity": 0.5}
 """Scales below which rates are not compared relatively [m/s, rad/s]."""
 
 
-def _hinged(name: str, rate: float, place: Array) -> tuple[RigidBody, Hinge]:
+def _hinged(name: str, rate: float, place: FloatArray) -> tuple[RigidBody, Hinge]:
     """Return a bar on a hinge through its centre, which starts with a rate [rad/s]."""
     pose = Pose.from_euler_deg(vector(place), (20.0, -35.0, 50.0))
     one = body(name, Box(size_m=(0.2, 0.03, 0.04)), pose)

@@ -7,7 +7,6 @@ strains are small. The fit ignores nodes within one width of the clamp, which hi
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import j0, jn_zeros
 
 from gauge_envs.evaluation.estimators import hann_mean
@@ -23,6 +22,7 @@ from gauge_envs.scene import (
     Scene,
     SoftBody,
 )
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 from gauge_envs.tools.bench.parts import driven_box, driver, ramp
 from gauge_envs.tools.conformance.lab import Lab, clamped
@@ -89,7 +89,7 @@ def _bar(rollout: Rollout) -> SoftBody:
     return bar
 
 
-def _equilibrium(rollout: Rollout) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _equilibrium(rollout: Rollout) -> tuple[FloatArray, FloatArray]:
     """Return start and mean displacement of nodes at least one width from the clamp [m], shapes [node_count, 3]."""
     nodes = rollout.nodes_m["foam"] - np.asarray(CENTRE_M)
     displacement = hann_mean(nodes[rollout.between(0.25, np.inf)]) - nodes[0]
@@ -99,9 +99,7 @@ def _equilibrium(rollout: Rollout) -> tuple[NDArray[np.float64], NDArray[np.floa
     return nodes[0, free], displacement[free]
 
 
-def _strain_rate_per_m(
-    rest: NDArray[np.float64], displacement: NDArray[np.float64]
-) -> float:
+def _strain_rate_per_m(rest: FloatArray, displacement: FloatArray) -> float:
     """Return the growth of the axial strain with the distance from the lower end [1/m]: rho g / E.
 
     The exact field of a hanging bar has u_z = (rho g / 2E) (z^2 + nu r^2 - L^2), z from its lower end.
@@ -196,7 +194,7 @@ _falling_rope = rollout_of(
 )
 
 
-def _along(rollout: Rollout) -> NDArray[np.float64]:
+def _along(rollout: Rollout) -> FloatArray:
     """Return the nodes in their order along the rope [m], shape [sample_count, node_count, 3]."""
     nodes = rollout.nodes_m["rope"]
     return np.asarray(nodes[:, np.argsort(nodes[0, :, 0])])
@@ -236,7 +234,7 @@ def _rope_length(rollout: Rollout) -> Measurement:
     return Measurement(measured=1e3 * measured_m, expected=1e3 * ROPE_M, hint=hint)
 
 
-def line_shares(along_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def line_shares(along_m: FloatArray) -> FloatArray:
     """Return the share of the mass at each node of a uniform line, from their places along it [m]."""
     shares = np.gradient(along_m)
     shares[[0, -1]] *= 0.5

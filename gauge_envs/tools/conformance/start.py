@@ -4,7 +4,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.runs.rollout import Rollout
@@ -18,7 +17,7 @@ from gauge_envs.scene import (
     Shape,
     Sphere,
 )
-from gauge_envs.scene.geometry import vector
+from gauge_envs.scene.geometry import FloatArray, vector
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 from gauge_envs.tools.bench.parts import box_inertia_kg_m2
 from gauge_envs.tools.conformance.lab import Lab
@@ -75,9 +74,9 @@ _thrown_solid = rollout_of(
 
 
 def _explained(
-    error: Callable[[NDArray[np.float64]], float],
-    right: NDArray[np.float64],
-    explanations: Mapping[str, NDArray[np.float64]],
+    error: Callable[[FloatArray], float],
+    right: FloatArray,
+    explanations: Mapping[str, FloatArray],
 ) -> Measurement:
     """Measure the error of an assumed velocity, with an explanation by another one that leaves less than 5 % of it."""
     errors = {text: error(assumed) for text, assumed in explanations.items()}
@@ -89,8 +88,8 @@ def _explained(
 
 
 def _off_line_mm(
-    moved_m: NDArray[np.float64], rollout: Rollout
-) -> Callable[[NDArray[np.float64]], float]:
+    moved_m: FloatArray, rollout: Rollout
+) -> Callable[[FloatArray], float]:
     """Return the function that gives the largest distance [mm] from a straight line with a velocity."""
     return lambda velocity: largest_mm(moved_m - np.outer(rollout.times_s, velocity))
 
@@ -114,7 +113,7 @@ def _start_spin(rollout: Rollout) -> Measurement:
     last = rollout.rotation("thrown")[-1]
     spin = np.array(ANGULAR_RAD_PER_S)
 
-    def error_deg(assumed: NDArray[np.float64]) -> float:
+    def error_deg(assumed: FloatArray) -> float:
         expected = torque_free_orientation(
             start=POSE.rotation,
             spin_rad_per_s=assumed,
@@ -148,14 +147,14 @@ def _start_velocity_of_origin(rollout: Rollout) -> Measurement:
 
 
 def _vector_error(
-    reported: NDArray[np.float64],
-    actual: NDArray[np.float64],
-    explanations: Mapping[str, NDArray[np.float64]],
+    reported: FloatArray,
+    actual: FloatArray,
+    explanations: Mapping[str, FloatArray],
 ) -> Measurement:
     """Measure the largest error [%] of vectors over their mean size; explanations are vectors of known faults."""
     size = np.linalg.norm(actual, axis=1).mean()
 
-    def error(values: NDArray[np.float64]) -> float:
+    def error(values: FloatArray) -> float:
         return float(np.linalg.norm(values - actual, axis=1).max() / size)
 
     hint = next(
@@ -186,9 +185,7 @@ def _angular_velocity(rollout: Rollout) -> Measurement:
     return replace(found, hint=hint)
 
 
-def _quaternion_hint(
-    quaternions: NDArray[np.float64], spin: NDArray[np.float64]
-) -> str:
+def _quaternion_hint(quaternions: FloatArray, spin: FloatArray) -> str:
     """Return the wrong convention of quaternions w, x, y, z, [sample_count, 4], to which a spin [rad/s] fits; or ""."""
     conventions = {
         "it fits the quaternion with its scalar first and last exchanged: the engine has another order inside": (

@@ -11,14 +11,12 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import Hinge
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.meshes import mass_properties
 from gauge_envs.scene.motors import Servo, TorqueMotor
-
-Array = NDArray[np.float64]
 
 UNITS = {
     "kp of its servo": "N m/rad",
@@ -88,7 +86,7 @@ class _Turning:
         elif motor is not None:
             self.values[SHARE] = 1.0
 
-    def torques_n_m(self, **changed: float) -> dict[str, Array]:
+    def torques_n_m(self, **changed: float) -> dict[str, FloatArray]:
         """Return all torques on the body, with that of its inertia, for the constants of the scene but for changes."""
         values = self.values | changed
         inertia = values[INERTIA] + values[ARMATURE]
@@ -103,7 +101,7 @@ class _Turning:
             "inertia": -inertia * self.accelerations,
         }
 
-    def _motor_n_m(self, values: dict[str, float]) -> Array:
+    def _motor_n_m(self, values: dict[str, float]) -> FloatArray:
         motor = self.motor
         if motor is None:
             return np.zeros_like(self.rates)
@@ -113,7 +111,7 @@ class _Turning:
         torque = values[KP] * (asked - self.angles) - values[KV] * self.rates
         return np.clip(torque, -values[LIMIT], values[LIMIT])
 
-    def left_n_m(self, **changed: float) -> Array:
+    def left_n_m(self, **changed: float) -> FloatArray:
         """Return the torque that no term explains [N m], shape [T]; nothing where dry friction may hold the body."""
         moves = np.abs(self.rates) > 0.02 * np.abs(self.rates).max()
         return np.abs(sum(self.torques_n_m(**changed).values()))[moves]

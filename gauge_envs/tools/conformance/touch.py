@@ -9,7 +9,6 @@ from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.evaluation.estimators import acceleration_m_per_s2
 from gauge_envs.runs.rollout import Rollout
@@ -26,7 +25,7 @@ from gauge_envs.scene import (
     Scene,
     SoftBody,
 )
-from gauge_envs.scene.geometry import vector
+from gauge_envs.scene.geometry import FloatArray, vector
 from gauge_envs.tools.bench.parts import (
     box,
     contact,
@@ -57,7 +56,6 @@ from gauge_envs.tools.conformance.model import (
 )
 from gauge_envs.tools.conformance.soft import line_shares
 
-Array = NDArray[np.float64]
 ORIGIN = Pose(position_m=(0.0, 0.0, 0.0))
 SLAB_M = (0.2, 0.2, 0.04)
 MOTIONS = ("fixed", "driven", "free")
@@ -252,7 +250,7 @@ def _struck(kind: str) -> Scene:
     )
 
 
-def node_masses_kg(one: Deformable, nodes_m: Array) -> Array:
+def node_masses_kg(one: Deformable, nodes_m: FloatArray) -> FloatArray:
     """Return the mass at each node of a uniform body, from its nodes at the start [m], shape [node_count, 3]."""
     local = one.pose.to_body(nodes_m)
     if isinstance(one, Cloth):
@@ -269,7 +267,7 @@ def node_masses_kg(one: Deformable, nodes_m: Array) -> Array:
     return one.mass_kg * shares
 
 
-def mass_moment_kg_m(rollout: Rollout, soft: str, rigid: str) -> Array:
+def mass_moment_kg_m(rollout: Rollout, soft: str, rigid: str) -> FloatArray:
     """Return the displacement of a deformable and a rigid body times their masses [kg m], shape [sample_count, 3]."""
     nodes = rollout.nodes_m[soft]
     (one,) = (body for body in rollout.scene.deformables if body.name == soft)

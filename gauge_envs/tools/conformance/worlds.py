@@ -13,7 +13,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.backends.base import Backend, scene_support
 from gauge_envs.backends.shared.resampled import worlds_in_intervals
@@ -22,6 +21,7 @@ from gauge_envs.envs.device import dynamic_states
 from gauge_envs.errors import BackendError, MissingExtraError
 from gauge_envs.runs.rollout import DeclinedError
 from gauge_envs.scene import RigidBody, Scene
+from gauge_envs.scene.geometry import FloatArray, IntArray
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 from gauge_envs.tools.bench.parts import (
     ball,
@@ -38,8 +38,7 @@ from gauge_envs.tools.conformance.differences import LEAST, cause_of, cause_of_t
 from gauge_envs.tools.conformance.lab import Lab
 from gauge_envs.tools.conformance.model import Check, Measurement, Recorded
 
-Array = NDArray[np.float64]
-Numbers = NDArray[np.intp]
+Numbers = IntArray
 
 TOGETHER, SEPARATE = 64, 4
 """Number of worlds of engines that build them together, and of those that build simulations one by one."""
@@ -87,7 +86,7 @@ def _scene(number: int) -> Scene:
     )
 
 
-def _motions(numbers: Numbers, interval: Numbers | int) -> Array:
+def _motions(numbers: Numbers, interval: Numbers | int) -> FloatArray:
     """Return pose, velocity and acceleration of the plates of some scenes in an interval of each, shape [n, 19]."""
     rates = 6.5 + 0.2 * (numbers % 4)
     time_s = interval * SAMPLE_INTERVAL_S
@@ -120,7 +119,7 @@ def _scenes(numbers: Numbers) -> list[Scene]:
     return [*map(_scene, numbers.tolist())]
 
 
-def _course(worlds: Worlds, scenes: Numbers, first: Numbers, count: int) -> Array:
+def _course(worlds: Worlds, scenes: Numbers, first: Numbers, count: int) -> FloatArray:
     """Drive half of the worlds, then the others, and advance, for some intervals.
 
     Args:
@@ -143,7 +142,7 @@ def _course(worlds: Worlds, scenes: Numbers, first: Numbers, count: int) -> Arra
     return np.array(rows)
 
 
-def _singles(lab: Lab) -> Array:
+def _singles(lab: Lab) -> FloatArray:
     """Return the states of single simulations, shape [INTERVALS, world_count, body_count, 13].
 
     Those of worlds beyond `SINGLES` are of a batch in which each scene is one place further.
@@ -162,7 +161,7 @@ def _compared(count: int) -> Sequence[int]:
     return SINGLES if count == TOGETHER else range(SEPARATE)
 
 
-def _single(lab: Lab, number: int) -> Array:
+def _single(lab: Lab, number: int) -> FloatArray:
     """Return the states of the scene of a world alone, shape [INTERVALS, body_count, 13]."""
     scene = _scene(number)
     rows = []
@@ -187,7 +186,7 @@ WHAT = (
 
 
 def _difference(
-    found: Array, expected: Array, restarted: Numbers | None = None
+    found: FloatArray, expected: FloatArray, restarted: Numbers | None = None
 ) -> Measurement:
     """Measure the largest difference of states, shape [T, world_count, body_count, 13], and name its world and body."""
     apart = np.abs(found - expected)
@@ -203,7 +202,7 @@ def _difference(
     return Measurement(measured=float(apart.max()), hint=hint, parts=parts)
 
 
-def _explained(lab: Lab, found: Array) -> Measurement:
+def _explained(lab: Lab, found: FloatArray) -> Measurement:
     """Measure the largest difference from the scenes alone, and find what explains it."""
     expected = _alone(lab)[: len(found)]
     measured = _difference(found, expected)
@@ -227,7 +226,7 @@ def _explained(lab: Lab, found: Array) -> Measurement:
     return replace(measured, hint=hint, cause=cause)
 
 
-def _twice(lab: Lab) -> tuple[Array, Array]:
+def _twice(lab: Lab) -> tuple[FloatArray, FloatArray]:
     """Return the states of worlds, and those after a reset."""
     numbers = _numbers(lab)
     with closing(_built(lab, _scenes(numbers))) as worlds:
@@ -277,7 +276,7 @@ PUSH_N, TOLD = 0.2, 30
 
 def _told(
     lab: Lab, scenes: list[Scene], tell: Callable[[Worlds, Numbers], None]
-) -> Array:
+) -> FloatArray:
     """Return the states of the body of each world, shape [TOLD, world_count, 13].
 
     In each interval half of the worlds are told first, and then the others.
@@ -303,7 +302,9 @@ def _told(
         return np.array(rows)
 
 
-def _worst(told: Mapping[str, Array], rates: Array, gains: Array) -> Measurement:
+def _worst(
+    told: Mapping[str, FloatArray], rates: FloatArray, gains: FloatArray
+) -> Measurement:
     """Return the ratio that is farthest from 1, name its world, and find what explains it.
 
     Args:
@@ -326,8 +327,8 @@ def _worst(told: Mapping[str, Array], rates: Array, gains: Array) -> Measurement
 )
 def _worlds_wrench(lab: Lab) -> Measurement:
     numbers = _numbers(lab)
-    masses_kg: Array = 0.2 + 0.01 * numbers.astype(np.float64)
-    forces_n: Array = PUSH_N * (1 + numbers % 5).astype(np.float64)
+    masses_kg: FloatArray = 0.2 + 0.01 * numbers.astype(np.float64)
+    forces_n: FloatArray = PUSH_N * (1 + numbers % 5).astype(np.float64)
     scenes = [
         Scene(
             bodies=(

@@ -6,10 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.errors import ParameterError
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.control.env import ControlEnv
 from gauge_envs.tools.control.limit import Ending, LimitReport
 
-Policy = Callable[[NDArray[np.float64]], NDArray[np.floating]]
+Policy = Callable[[FloatArray], NDArray[np.floating]]
 """Function that returns an action, shape [1], for an observation."""
 
 

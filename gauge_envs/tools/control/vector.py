@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 from gymnasium.envs.registration import load_env_creator
-from numpy.typing import NDArray
 
 from gauge_envs.backends.registry import backend_for
 from gauge_envs.backends.shared.resampled import (
@@ -26,7 +25,7 @@ from gauge_envs.envs.pictures import WORLDS_RENDER_MODES, Pictures, Rendered
 from gauge_envs.envs.stepper import Stepper
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.scene_builder import Parameters
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import BoolArray, FloatArray
 from gauge_envs.tools.control.env import ControlEnv, Step
 from gauge_envs.tools.control.tasks import find_control_task
 
@@ -142,9 +141,7 @@ class ControlVectorEnv(WorldsEnvironment[FloatArray]):
 
     def step(
         self, actions: Any
-    ) -> tuple[
-        FloatArray, FloatArray, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]
-    ]:
+    ) -> tuple[FloatArray, FloatArray, BoolArray, BoolArray, dict[str, Any]]:
         """Simulate one frame, 1/30 s, in every world; a world whose episode was over starts the next one instead.
 
         Args:

@@ -7,7 +7,6 @@ from collections.abc import Container, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
@@ -22,7 +21,7 @@ from gauge_envs.references.published import published_baselines
 from gauge_envs.scene import Pose
 from gauge_envs.scene.driver_fit import motion_coordinates
 from gauge_envs.scene.drivers import Driver
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import BoolArray, FloatArray
 from gauge_envs.tools.dataset.findings import TrialError
 from gauge_envs.tools.dataset.trial import PoseTrack, Trial
 
@@ -366,7 +365,7 @@ class TrialStatistics:
 
     mean: FloatArray
     sigma: FloatArray
-    measured: NDArray[np.bool_]
+    measured: BoolArray
     rmse: FloatArray
     dtw: FloatArray
 

@@ -8,12 +8,11 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import matmul_toeplitz
 from scipy.special import stdtrit
 
 from gauge_envs.runs.rollout import DivergedError
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import BoolArray, FloatArray, IntArray
 from gauge_envs.tools.identify.logs import Log
 from gauge_envs.tools.identify.noise import lasting_noise
 from gauge_envs.tools.identify.rig import DYNAMICS, LIMIT, OFFSET, SERVO, Machine, Terms
@@ -186,7 +185,7 @@ class Problem:
     def _changed(
         self,
         scaled: FloatArray,
-        columns: NDArray[np.intp],
+        columns: IntArray,
         before: FloatArray,
         step: float,
     ) -> FloatArray:
@@ -194,7 +193,7 @@ class Problem:
         moved[columns] += step
         return (self.residuals(moved) - before) / step
 
-    def _rows(self) -> NDArray[np.intp]:
+    def _rows(self) -> IntArray:
         """Return number of the part and of the joint of each residual, shape [residual_count, 2]."""
         counts = [len(part.times_s) for part in self.parts]
         pairs = np.array(list(np.ndindex(len(self.parts), self.joints)))
@@ -240,7 +239,7 @@ class Problem:
             best = self._ranked([best, other])[0]
         return best
 
-    def shared_out(self, first: FloatArray, new: NDArray[np.bool_]) -> FloatArray:
+    def shared_out(self, first: FloatArray, new: BoolArray) -> FloatArray:
         """Return the best start of new terms of friction, which take over a share of the dry friction.
 
         Args:
@@ -388,7 +387,7 @@ class Problem:
 
     def _noise_of(
         self,
-        parts: Sequence[NDArray[np.intp]],
+        parts: Sequence[IntArray],
         jacobian: FloatArray,
         residuals: FloatArray,
     ) -> tuple[float, float, float]:

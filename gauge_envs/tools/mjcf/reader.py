@@ -23,7 +23,6 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.base import ModelFile
@@ -50,7 +49,7 @@ from gauge_envs.scene import (
 )
 from gauge_envs.scene.driver_fit import sampled_motions
 from gauge_envs.scene.drivers import Driver
-from gauge_envs.scene.geometry import vector
+from gauge_envs.scene.geometry import FloatArray, vector
 from gauge_envs.scene.hinged import other_end, parent_hinges
 from gauge_envs.scene.motors import Servo
 from gauge_envs.scene.timing import DRIVE_INTERVAL_S, FRAME_RATE_HZ
@@ -165,7 +164,7 @@ def _settings(path: Path, model: mujoco.MjModel) -> dict[str, Any]:
 # --- custom numbers --------------------------------------------------------------------------------------------------
 
 
-def _numerics(model: mujoco.MjModel) -> dict[str, NDArray[np.float64]]:
+def _numerics(model: mujoco.MjModel) -> dict[str, FloatArray]:
     """Return the custom numbers of a model, by name."""
     numerics = [model.numeric(index) for index in range(model.nnumeric)]
     return {numeric.name: numeric.data for numeric in numerics}
@@ -429,7 +428,7 @@ def _started(path: Path, model: mujoco.MjModel, scene: Scene) -> Iterator[RigidB
         )
 
 
-def _start_qvel(path: Path, model: mujoco.MjModel) -> NDArray[np.float64]:
+def _start_qvel(path: Path, model: mujoco.MjModel) -> FloatArray:
     """Return the start velocities of a file's joints, shape [nv], which are zero without the keyframe."""
     key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, START_KEY)
     if key < 0:
@@ -450,7 +449,7 @@ def _velocities(body: RigidBody) -> list[tuple[float, float, float]]:
 def _with_rates(
     model: mujoco.MjModel,
     body: RigidBody,
-    rates: NDArray[np.float64],
+    rates: FloatArray,
     parent: RigidBody | None,
 ) -> RigidBody:
     """Return a body whose joint to its parent, or to the world, starts with a velocity; see `start_rates`."""
@@ -484,7 +483,7 @@ def _velocity_changes(before: Scene, after: Scene) -> Iterator[str]:
                 yield f"{old.name}: {name} {format_value(getattr(old, name))} -> {format_value(getattr(new, name))}"
 
 
-def _pose(position_m: NDArray[np.float64], quaternion: NDArray[np.float64]) -> Pose:
+def _pose(position_m: FloatArray, quaternion: FloatArray) -> Pose:
     w, x, y, z = quaternion.tolist()
     return Pose(position_m=vector(position_m), quaternion=(w, x, y, z))
 
@@ -544,7 +543,7 @@ def _hinge(
 
 def driver_rows(
     simulation: SimulationMuJoCo, path: DriverPath, count: int
-) -> NDArray[np.float64]:
+) -> FloatArray:
     """Return the numbers that the backend writes to drive a body, interval by interval.
 
     Args:
@@ -635,7 +634,7 @@ def _driver(
     )
 
 
-def _end_of(row: NDArray[np.float64], mass_kg: float) -> Pose:
+def _end_of(row: FloatArray, mass_kg: float) -> Pose:
     """Return the pose at the end of the interval of a row of driven motion."""
     seconds = DRIVE_INTERVAL_S
     rotation = Rotation.from_quat(row[3:7], scalar_first=True)
@@ -647,6 +646,6 @@ def _end_of(row: NDArray[np.float64], mass_kg: float) -> Pose:
     )
 
 
-def _same_rows(rows: NDArray[np.float64], expected: NDArray[np.float64]) -> bool:
+def _same_rows(rows: FloatArray, expected: FloatArray) -> bool:
     size = np.abs(expected).max(axis=0, initial=0.0)
     return bool((np.abs(rows - expected) <= SAME_MOTION * np.maximum(size, 1e-3)).all())

@@ -20,6 +20,7 @@ from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import Scene
 from gauge_envs.scene.driver_path import DriverPath
+from gauge_envs.scene.geometry import FloatArray, IntArray
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 from gauge_envs.tools.mjcf.reader import DRIVER_PREFIX, driver_rows
 
@@ -105,7 +106,7 @@ def start_notes(simulation: SimulationMuJoCo) -> list[str]:
 # --- driven bodies ---------------------------------------------------------------------------------------------------
 
 
-def without_rest(rows: NDArray[np.float64]) -> NDArray[np.float64]:
+def without_rest(rows: FloatArray) -> FloatArray:
     """Return the rows of driven motion without the repetitions of the last row."""
     changes = np.flatnonzero((rows[1:] != rows[:-1]).any(axis=1))
     return rows[: changes[-1] + 2] if changes.size else rows[:1]
@@ -115,7 +116,7 @@ def replay_note(
     body: str,
     provenance: str,
     simulation: SimulationMuJoCo,
-    rows: NDArray[np.float64],
+    rows: FloatArray,
     intervals: int,
 ) -> str:
     """Return instructions for replaying the rows of a driven body.
@@ -213,7 +214,7 @@ def _row_count(model: mujoco.MjModel, table: str, index: int) -> int:
     )
 
 
-def _distinct(rows: NDArray[np.float64]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _distinct(rows: FloatArray) -> tuple[IntArray, IntArray]:
     """Return the index of the first occurrence of each distinct row, and each row's number among the distinct rows."""
     _, first, kind = np.unique(rows, axis=0, return_index=True, return_inverse=True)
     order = np.argsort(first)
@@ -222,9 +223,7 @@ def _distinct(rows: NDArray[np.float64]) -> tuple[NDArray[np.intp], NDArray[np.i
     return first[order], rank[kind.ravel()]
 
 
-def _weights(
-    rows: NDArray[np.float64], compiled: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _weights(rows: FloatArray, compiled: FloatArray) -> FloatArray:
     """Return the factor on each compiled row that gives the desired row bit for bit."""
     largest = np.abs(compiled).argmax(axis=1)[:, None]
     wanted, given = (

@@ -12,7 +12,6 @@ from itertools import product
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.base import Backend, scene_support
@@ -30,7 +29,7 @@ from gauge_envs.scene import (
     RigidBody,
     Scene,
 )
-from gauge_envs.scene.geometry import vector
+from gauge_envs.scene.geometry import FloatArray, vector
 from gauge_envs.tools.bench.drop import RADIUS_M, balls_above_ground, bounce_of, fall_s
 from gauge_envs.tools.bench.slope import creep_m_per_s, friction_of_slide, moved_m
 from gauge_envs.tools.bench.turning import INERTIA_SHARES, ROLL, SPIN, turning_arm_m
@@ -319,7 +318,7 @@ MOST_NOISE = 0.01
 """Largest misfit of the approach to rest, over its size, with which its time constant is read."""
 
 
-def _time_constant_s(depth_m: NDArray[np.float64], interval_s: float) -> float | None:
+def _time_constant_s(depth_m: FloatArray, interval_s: float) -> float | None:
     """Return the time constant of a damped approach to rest, fitted as a linear recurrence of second order."""
     left = depth_m - depth_m[-1]
     moving = np.flatnonzero(np.abs(left) > 0.02 * np.abs(left).max())

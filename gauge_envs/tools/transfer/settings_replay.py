@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from gauge_envs.backends.mujoco.versions import sparse_advice
 from gauge_envs.errors import GaugeError, ParameterError
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.control import Policy
 from gauge_envs.tools.transfer.estimates import Estimate
 from gauge_envs.tools.transfer.transfer import (
@@ -88,7 +89,7 @@ class SettingsReport:
     falls: bool
 
 
-class ModelEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
+class ModelEnv(gymnasium.Env[FloatArray, NDArray[np.float32]]):
     """An environment of an MJCF file: positions and velocities are observed, the action is ctrl within its range.
 
     Attributes:
@@ -131,12 +132,12 @@ class ModelEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
             np.where(is_free, np.inf, high).astype(np.float32),
         )
 
-    def _observation(self) -> NDArray[np.float64]:
+    def _observation(self) -> FloatArray:
         return np.concatenate([self.data.qpos, self.data.qvel])
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[NDArray[np.float64], dict[str, Any]]:
+    ) -> tuple[FloatArray, dict[str, Any]]:
         """Start at the first keyframe, or the model's own pose, with rates of 1 mm/s and 1 mrad/s at random."""
         super().reset(seed=seed)
         self._done = 0
@@ -149,7 +150,7 @@ class ModelEnv(gymnasium.Env[NDArray[np.float64], NDArray[np.float32]]):
 
     def step(
         self, action: NDArray[np.float32]
-    ) -> tuple[NDArray[np.float64], float, bool, bool, dict[str, Any]]:
+    ) -> tuple[FloatArray, float, bool, bool, dict[str, Any]]:
         """Apply an action for one control interval."""
         self.data.ctrl[:] = action
         mujoco.mj_step(self.model, self.data, nstep=self.frame_skip)
@@ -419,8 +420,8 @@ def _episode(
 
 def _row(
     settings: Mapping[str, str],
-    played: NDArray[np.float64],
-    trained: NDArray[np.float64],
+    played: FloatArray,
+    trained: FloatArray,
 ) -> SettingsRow:
     rewards, promised = played[..., 0], float(trained[..., 0].mean())
     mean, kept = float(rewards.mean()), None

@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.errors import ParameterError
 from gauge_envs.evaluation.dependence import LEVEL
 from gauge_envs.evaluation.numerics import share_interval, student_quantile
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.transfer.estimates import Estimate
 from gauge_envs.tools.transfer.policy_replays import (
     Replay,
@@ -155,7 +155,7 @@ def transfer_report(replays: Replays) -> TransferReport:
     )
 
 
-def _first_equal(rewards: NDArray[np.float64], number: int) -> int:
+def _first_equal(rewards: FloatArray, number: int) -> int:
     """Return the first world besides the training whose rewards are bit for bit those of a world.
 
     Args:
@@ -169,7 +169,7 @@ def _first_equal(rewards: NDArray[np.float64], number: int) -> int:
     )
 
 
-def estimate(value: float, table: NDArray[np.float64]) -> Estimate:
+def estimate(value: float, table: FloatArray) -> Estimate:
     """Return a mean with its interval, from what scatters about it or about zero, shape [policies, starts]."""
     means = [table.mean(axis=1 - axis) for axis in (0, 1) if table.shape[axis] > 1]
     if not means:
@@ -178,7 +178,7 @@ def estimate(value: float, table: NDArray[np.float64]) -> Estimate:
     return Estimate(value=value, low=value - half, high=value + half)
 
 
-def success_share(values: NDArray[np.float64]) -> Estimate | None:
+def success_share(values: FloatArray) -> Estimate | None:
     """Return the share of successes with the exact interval of Clopper and Pearson."""
     if np.isnan(values).any():
         return None
@@ -186,7 +186,7 @@ def success_share(values: NDArray[np.float64]) -> Estimate | None:
     return Estimate(value=float(values.mean()), low=low, high=high)
 
 
-def _half_width(means: Sequence[NDArray[np.float64]]) -> float:
+def _half_width(means: Sequence[FloatArray]) -> float:
     """Return half of the interval of a mean, from its means over policies and over starts.
 
     The mean squares of policies and of starts add up, with the degrees of freedom of Welch and Satterthwaite for

@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdPhysics, UsdShade, Vt
 
 from gauge_envs.errors import ParameterError, ResultFileError, UnsupportedSceneError
@@ -46,6 +45,7 @@ from gauge_envs.scene.geometry import (
     ConvexUnion,
     Cylinder,
     FloatArray,
+    IntArray,
     Pose,
     Shape,
     Sphere,
@@ -801,7 +801,7 @@ def _points(points_m: FloatArray) -> Vt.Vec3fArray:
     return Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(points_m, dtype=np.float32))
 
 
-def _integers(indices: NDArray[np.intp]) -> Any:
+def _integers(indices: IntArray) -> Any:
     """Return rows of indices as USD's array of integer vectors."""
     kind = {3: Vt.Vec3iArray, 4: Vt.Vec4iArray}[indices.shape[1]]
     return kind.FromNumpy(np.ascontiguousarray(indices, dtype=np.int32))

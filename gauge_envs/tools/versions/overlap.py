@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from gauge_envs.scene.geometry import FloatArray
 
 PARALLEL = 1e-9
 """Length of a cross product below which two edges are parallel."""
@@ -24,10 +23,10 @@ class Solid:
         rotation: Axes of a box as columns, shape [3, 3].
     """
 
-    half_sizes_m: Array
+    half_sizes_m: FloatArray
     radius_m: float
-    position_m: Array
-    rotation: Array
+    position_m: FloatArray
+    rotation: FloatArray
 
 
 def depth_m(one: Solid, two: Solid) -> float:

@@ -10,10 +10,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.variants import find_variant, variants
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.transfer import Estimate, estimate, success_share
 from gauge_envs.tools.versions.environments import (
     NUMPY_2_SINCE,
@@ -67,7 +67,7 @@ def compare_returns(
         bench = Bench(Path(), Path(name), steps=0, seed=seed, title=title, say=say)
         job = {"subject": subject, "policy": policy, "seeds": seeds, "seed": seed}
 
-        def played(side: Side) -> tuple[str, NDArray[np.float64], NDArray[np.float64]]:
+        def played(side: Side) -> tuple[str, FloatArray, FloatArray]:
             release = _release(side, say)
             side = replace(side, python=side.python or sys.executable)
             words = bench.work(side, job | release, WORKER)
@@ -111,7 +111,7 @@ def _release(side: Side, say: Callable[[str], object]) -> dict[str, object]:
     return {"release": folder, "has_numpy": version < NUMPY_2_SINCE}
 
 
-def _mean(values: NDArray[np.float64]) -> Estimate:
+def _mean(values: FloatArray) -> Estimate:
     return estimate(float(values.mean()), values[np.newaxis])
 
 

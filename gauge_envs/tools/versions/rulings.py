@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.versions.gap import Gap, Visit, depths_m
 from gauge_envs.tools.versions.model import Ruling, Side
 from gauge_envs.tools.versions.overlap import Solid, depth_m
@@ -129,7 +130,7 @@ def _common(visits: Sequence[Visit]) -> set[tuple[int, int]]:
 
 def _depth_misses(
     words: Mapping[str, Any], sides: Sequence[Arrays], common: set[tuple[int, int]]
-) -> NDArray[np.float64]:
+) -> FloatArray:
     """Return by how much each side misses the depth of each pair of boxes and balls, over it, shape [pair, side]."""
     kinds, sizes = words["fields"]["geom_type"], np.array(words["fields"]["geom_size"])
     misses = []
@@ -149,7 +150,7 @@ def _depth_misses(
 
 
 def _solid(
-    kind: str, size: NDArray[np.float64], side: Arrays, index: int, geom: int
+    kind: str, size: FloatArray, side: Arrays, index: int, geom: int
 ) -> Solid | None:
     """Return the box or ball that a geom is at a state; None for another shape."""
     is_ball = kind == "mjGEOM_SPHERE"

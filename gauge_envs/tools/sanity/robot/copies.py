@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import BoolArray, FloatArray
 from gauge_envs.tools.sanity.robot.finding import (
     limits_of,
 )
@@ -132,7 +132,7 @@ def depth_of(model: mujoco.MjModel, joint: int) -> int:
     return count
 
 
-def copies_of(robot: Robot, joints: NDArray[np.int_]) -> NDArray[np.bool_]:
+def copies_of(robot: Robot, joints: NDArray[np.int_]) -> BoolArray:
     """Return which joints carry copies of a link: as deep, of the same mass, inertia and distance of its centre.
 
     Args:
@@ -151,12 +151,12 @@ def copies_of(robot: Robot, joints: NDArray[np.int_]) -> NDArray[np.bool_]:
     links = (known["mass"][bodies], known["inertia"][bodies], centres_m, depths)
     is_copy = np.all([apart(one) <= SAME for one in links], axis=0)
     np.fill_diagonal(is_copy, False)
-    copies: NDArray[np.bool_] = is_copy
+    copies: BoolArray = is_copy
     return copies
 
 
 def _odd_ones(
-    values: FloatArray, is_like: NDArray[np.bool_], within: float
+    values: FloatArray, is_like: BoolArray, within: float
 ) -> Iterator[tuple[int, int, float]]:
     """Yield a place, that of a like one, and the difference of their values, where at least two like ones agree."""
     off = apart(values)

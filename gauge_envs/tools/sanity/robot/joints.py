@@ -2,10 +2,9 @@
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.scene import GRAVITY_M_PER_S2
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import BoolArray, FloatArray
 from gauge_envs.tools.sanity.robot.finding import standing_of
 from gauge_envs.tools.sanity.robot.mujoco_feet import joints_of
 from gauge_envs.tools.sanity.robot.robot import (
@@ -66,7 +65,7 @@ def home_key(model: mujoco.MjModel) -> int:
     return max(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "home"), 0)
 
 
-def servos(model: mujoco.MjModel) -> NDArray[np.bool_]:
+def servos(model: mujoco.MjModel) -> BoolArray:
     """Return which actuators hold a position, shape [nu]."""
     affine = model.actuator_biastype == int(mujoco.mjtBias.mjBIAS_AFFINE)
     return affine & (model.actuator_biasprm[:, 1] < 0.0)

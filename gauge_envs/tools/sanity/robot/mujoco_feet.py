@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
 
@@ -29,7 +28,7 @@ from gauge_envs.scene import (
     Sphere,
     Vector,
 )
-from gauge_envs.scene.geometry import FloatArray, vector
+from gauge_envs.scene.geometry import BoolArray, FloatArray, IntArray, vector
 from gauge_envs.tools.sanity.gauge_probe import STANDING, driven
 from gauge_envs.tools.sanity.model import ContactGroup
 from gauge_envs.tools.sanity.robot.foot import COPIES, FootGeometry
@@ -204,7 +203,7 @@ def read_foot(
     )
 
 
-def ground_rows(pairs: ContactPairs) -> NDArray[np.intp]:
+def ground_rows(pairs: ContactPairs) -> IntArray:
     """Return the pairs of a moving geom and the ground: planes and height fields, or other geoms of the world."""
     kind = pairs.kinds.min() if len(pairs.kinds) else PairKind.MOVING
     return np.flatnonzero((pairs.kinds == kind) & (pairs.kinds < PairKind.MOVING))
@@ -262,7 +261,7 @@ def stance_of(model: mujoco.MjModel, up: FloatArray) -> Stance:
     )
 
 
-def joints_of(model: mujoco.MjModel, *kinds: str) -> NDArray[np.bool_]:
+def joints_of(model: mujoco.MjModel, *kinds: str) -> BoolArray:
     """Return which joints are of some types, such as `HINGE`, shape [joint_count]."""
     # A comparison of an enumerator with NumPy's integers depends on the order, so the numbers are Python's.
     numbers = [int(getattr(mujoco.mjtJoint, f"mjJNT_{kind}")) for kind in kinds]

@@ -10,7 +10,6 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.backends.mujoco.model_settings import (
     COLUMNS,
@@ -27,7 +26,7 @@ from gauge_envs.backends.mujoco.model_settings import (
 from gauge_envs.backends.mujoco.versions import sparse_advice
 from gauge_envs.errors import TargetError
 from gauge_envs.scene import GRAVITY_M_PER_S2, Vector
-from gauge_envs.scene.geometry import FloatArray, vector
+from gauge_envs.scene.geometry import FloatArray, IntArray, vector
 from gauge_envs.tools.sanity.model import ContactGroup, Need, TrainingConfiguration
 from gauge_envs.tools.sanity.robot.mujoco_feet import (
     NoFootError,
@@ -325,13 +324,13 @@ def _geom_id(model: mujoco.MjModel, name: str) -> int:
     return names.index(name)
 
 
-def _geoms_text(model: mujoco.MjModel, geoms: NDArray[np.intp], kind: PairKind) -> str:
+def _geoms_text(model: mujoco.MjModel, geoms: IntArray, kind: PairKind) -> str:
     if kind is PairKind.MOVING:
         return f"{_listed(model, np.unique(geoms))} with each other"
     static = ~can_move(model)[geoms]
     return f"{_listed(model, np.unique(geoms[static]))} with {_listed(model, np.unique(geoms[~static]))}"
 
 
-def _listed(model: mujoco.MjModel, indices: NDArray[np.intp]) -> str:
+def _listed(model: mujoco.MjModel, indices: IntArray) -> str:
     shown = shortened([geom_name(model, int(index)) for index in indices])
     return shown[0] if len(shown) == 1 else f"{', '.join(shown[:-1])} and {shown[-1]}"

@@ -24,7 +24,7 @@ from gauge_envs.backends.mujoco.model import (
 from gauge_envs.backends.mujoco.model_settings import ContactPairs
 from gauge_envs.errors import TargetError
 from gauge_envs.scene import Vector
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import BoolArray, FloatArray
 from gauge_envs.tools.sanity.model import Settings
 from gauge_envs.tools.sanity.robot.mujoco_feet import (
     Standing,
@@ -449,7 +449,7 @@ def set_option(option: Any, name: str, value: Any) -> None:
         option.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_OVERRIDE)
 
 
-def acts_on_joints(model: mujoco.MjModel) -> NDArray[np.bool_]:
+def acts_on_joints(model: mujoco.MjModel) -> BoolArray:
     """Return which actuators act on a joint, shape [nu]."""
     return np.isin(model.actuator_trntype, JOINT_TRANSMISSIONS)
 
@@ -460,9 +460,9 @@ def joints_of_motors(model: mujoco.MjModel) -> NDArray[np.int_]:
     return joints
 
 
-def couplings_of(model: mujoco.MjModel) -> NDArray[np.bool_]:
+def couplings_of(model: mujoco.MjModel) -> BoolArray:
     """Return which equalities couple joints, shape [neq]."""
-    couplings: NDArray[np.bool_] = model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT)
+    couplings: BoolArray = model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT)
     return couplings
 
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from gauge_envs.errors import PolicyError, needs_extra
 from gauge_envs.files import MEGABYTE, json_document, read_regular
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.control import Policy
 
 MOST_BYTES = 512 * MEGABYTE
@@ -156,7 +157,7 @@ def _from_weights(
     modules += [layers[-1], torch.nn.Tanh()] if squashed else [layers[-1]]
     network = torch.nn.Sequential(*modules).eval()
 
-    def act(observation: NDArray[np.float64]) -> NDArray[np.floating]:
+    def act(observation: FloatArray) -> NDArray[np.floating]:
         with torch.no_grad():
             given = torch.as_tensor(np.asarray(observation, dtype=np.float32)).reshape(
                 1, -1
