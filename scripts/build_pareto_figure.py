@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from gauge_envs.backends.registry import backend_class
-from gauge_envs.pages.figures import REAL, new_figure, save_png, tidy_axis
-from gauge_envs.tools.compare.cost import (
+from gauge_envs.pages.figures import new_figure, save_png
+from gauge_envs.tools.compare.cost_figure import (
     GREY,
     MIN_SHOWN,
     ROW_IN,
-    set_ticks,
+    Places,
+    draw_errors,
+    draw_legend,
+    finish_panel,
+    start_panel,
 )
 from scripts.build_pareto import stored
 from scripts.generated import ROOT, Request
-from scripts.pareto_model import Family, Phenomenon, Point, Tradeoff
+from scripts.pareto_model import Family, Phenomenon, Tradeoff
 from scripts.pictures import shrink
 
 if TYPE_CHECKING:
@@ -47,10 +49,7 @@ def draw_pareto(tradeoff: Tradeoff) -> Figure:
     unit = "CPU" if tradeoff.cost == "cpu" else "wall"
     for axis in grid[-1]:
         axis.set_xlabel(f"{unit} seconds per simulated second", fontsize=9)
-    handles = list(_legend(tradeoff))
-    figure.legend(
-        handles=handles, loc="outside upper left", ncols=5, frameon=False, fontsize=9
-    )
+    draw_legend(figure)
     figure.supxlabel(
         "Each line is one engine with one preset, from its coarsest step (left) to its finest (right). "
         "Crosses: other iterations.\nThe converged motion itself, with numerical error 0, is not drawn. "
@@ -65,119 +64,56 @@ def draw_pareto(tradeoff: Tradeoff) -> Figure:
 
 def _panel(axis: Axes, phenomenon: Phenomenon, error: str, title: str) -> None:
     """Draw one error of all families over their cost, the real scatter, and the parametric floor."""
-    tidy_axis(axis)
-    axis.set_xscale("log")
-    axis.set_yscale("log")
-    for family in phenomenon.families:
-        style = _style(family)
-        line = [
-            p
-            for p in family.points
-            if p.is_on_main_line and _value(p, error) is not None
-        ]
-        line.sort(key=lambda point: -(point.step_s or 0.0))
-        if line:
-            axis.plot(
-                [p.cost for p in line],
-                [_value(p, error) or math.nan for p in line],
-                **style,
-            )
-            if error == "numerical" and family.is_default and style["color"] == GREY:
-                # The name of an engine without a colour of its own stands at the end of its line.
-                end = (line[-1].cost, _value(line[-1], error) or MIN_SHOWN)
-                place: dict[str, Any] = {
-                    "xytext": (5, 0),
-                    "textcoords": "offset points",
-                    "va": "center",
-                }
-                axis.annotate(
-                    family.backend,
-                    end,
-                    fontsize=7.5,
-                    color=style["color"],
-                    annotation_clip=False,
-                    **place,
-                )
-        others = [
-            p
-            for p in family.points
-            if not p.is_on_main_line and _value(p, error) is not None
-        ]
-        if others:
-            cross: dict[str, Any] = {
-                "marker": "x",
-                "ms": 6,
-                "mew": 1.6,
-                "ls": "",
-                "color": style["color"],
-            }
-            axis.plot(
-                [p.cost for p in others],
-                [_value(p, error) or math.nan for p in others],
-                **cross,
-            )
-    unit = "real scatter" if phenomenon.unit == "scatter" else phenomenon.unit
-    axis.set_ylabel(f"{title}\n[{unit}]", fontsize=8.5)
-    axis.tick_params(labelsize=8)
+    is_over_scatter = phenomenon.unit == "scatter"
+    unit = "real scatter" if is_over_scatter else phenomenon.unit
+    start_panel(axis, f"{title}\n[{unit}]")
     axis.margins(x=0.12)
-    floors = [
-        family.floor
-        for family in phenomenon.families
-        if family.floor is not None and family.floor > MIN_SHOWN
-    ]
-    if phenomenon.unit == "scatter":
-        axis.axhline(1.0, color=REAL, lw=1.0, ls="-", zorder=1)
-    if floors:
+    for family in phenomenon.families:
+        line, others = _places(family, error, True), _places(family, error, False)
+        draw_errors(
+            axis,
+            family.backend,
+            line,
+            others,
+            name=family.name,
+            is_default=family.is_default,
+        )
+        is_grey = not backend_class(family.backend).color
+        if line and error == "numerical" and family.is_default and is_grey:
+            # The name of an engine without a colour of its own stands at the end of its line.
+            axis.annotate(
+                family.backend,
+                line[-1],
+                xytext=(5, 0),
+                textcoords="offset points",
+                va="center",
+                fontsize=7.5,
+                color=GREY,
+                annotation_clip=False,
+            )
+    floors = [family.floor for family in phenomenon.families if family.floor]
+    if shown := [floor for floor in floors if floor > MIN_SHOWN]:
         axis.axhspan(
-            min(floors) * 0.97,
-            max(floors) * 1.03,
+            min(shown) * 0.97,
+            max(shown) * 1.03,
             color="#9a9a9a",
             alpha=0.55,
             lw=0.0,
             zorder=1,
+            label="parametric floor",
         )
-    set_ticks(axis)
+    finish_panel(axis, has_scatter=is_over_scatter)
 
 
-def _value(point: Point, error: str) -> float | None:
-    """Return an error that a logarithmic axis can show; None for the converged motion's own numerical error."""
-    value = getattr(point, error)
-    if value is None or (error == "numerical" and point.is_reference):
-        return None
-    return max(float(value), MIN_SHOWN)
-
-
-def _style(family: Family) -> dict[str, Any]:
-    engine = backend_class(family.backend)
-    shared = {
-        "color": engine.color or GREY,
-        "marker": engine.marker,
-        "ms": 5,
-        "lw": 1.3,
-    }
-    return (
-        shared
-        if family.is_default
-        else shared | {"ls": (0, (4, 2)), "mfc": "white", "lw": 1.0, "ms": 4.5}
-    )
-
-
-def _legend(tradeoff: Tradeoff) -> Sequence[Any]:
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
-    every = [
-        family for phenomenon in tradeoff.phenomena for family in phenomenon.families
+def _places(family: Family, error: str, is_on_main_line: bool) -> Places:
+    """Return costs and errors, the coarsest step first; the converged motion has no numerical error of its own."""
+    points = [
+        (point, getattr(point, error))
+        for point in sorted(family.points, key=lambda one: -(one.step_s or 0.0))
+        if point.is_on_main_line is is_on_main_line
+        and not (error == "numerical" and point.is_reference)
     ]
-    named = {
-        family.name: family
-        for family in sorted(every, key=lambda one: (one.backend, not one.is_default))
-    }
-    lines: list[Any] = [
-        Line2D([], [], label=name, **_style(family)) for name, family in named.items()
-    ]
-    lines.append(Line2D([], [], color=REAL, lw=1.0, label="scatter of real trials"))
-    return [*lines, Patch(facecolor="#9a9a9a", alpha=0.55, label="parametric floor")]
+    return [(point.cost, value) for point, value in points if value is not None]
 
 
 def measure(request: Request) -> None:

@@ -1,11 +1,9 @@
-"""Tests that are collected once and run in forks: which test covers which line, and whether tests notice a fault."""
+"""Tests that run in forks: which test covers which line, and whether tests notice a fault."""
 
 from __future__ import annotations
 
 import contextlib
 import ctypes
-import functools
-import gc
 import hashlib
 import json
 import os
@@ -15,11 +13,9 @@ import signal
 import subprocess
 import sys
 import time
-from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from types import CodeType, FunctionType
 from typing import Any
 
 import coverage
@@ -27,7 +23,6 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 CONSOLE = os.dup(1)
-CACHE = type(functools.cache(lambda: None))
 PACKAGE = "gauge_envs"
 PYTEST = ("-q", "-p", "no:cacheprovider", "-p", "no:xdist", "--no-header")
 
@@ -59,11 +54,18 @@ class Recorder:
     """A plugin of pytest: a context of the coverage for each test, and for each fixture that several tests share."""
 
     coverage: Any
-    users: dict[str, list[str]]
+    # Tests by the fixtures that they use.
+    users: dict[str, list[str]] = field(default_factory=dict)
     seconds: dict[str, float] = field(default_factory=dict)
     failed: set[str] = field(default_factory=set)
     context: str = ""
     started_s: float = 0.0
+
+    def pytest_collection_finish(self, session: Any) -> None:
+        """Note the fixtures of each test."""
+        for item in session.items:
+            for name in item.fixturenames:
+                self.users.setdefault(f"@{name}", []).append(item.nodeid)
 
     def pytest_runtest_logstart(self, nodeid: str) -> None:
         """Begin the context of a test."""
@@ -92,101 +94,6 @@ class Recorder:
 
 
 @dataclass(eq=False)
-class Collected:
-    """A plugin of pytest that gives its process to some work once all tests are collected."""
-
-    work: Callable[[Collected], None]
-    state: Path
-    session: Any = None
-    items: dict[str, Any] = field(default_factory=dict)
-    functions: dict[tuple[str, str, int], list[FunctionType]] = field(
-        default_factory=lambda: defaultdict(list)
-    )
-    caches: list[Any] = field(default_factory=list)
-
-    def pytest_runtestloop(self, session: Any) -> bool:
-        """Note tests, functions and caches, and begin the work in place of the tests."""
-        self.session = session
-        self.items = {item.nodeid: item for item in session.items}
-        gc.unfreeze()
-        for one in gc.get_objects():
-            if type(one) is FunctionType:
-                self.functions[_key(one.__code__)].append(one)
-            elif type(one) is CACHE:
-                self.caches.append(one)
-        gc.freeze()
-        self.work(self)
-        return True
-
-    def run(self, tests: list[str], *, to_the_end: bool = False) -> int:
-        """Run tests in their order up to the first failure, and return how many failed."""
-        items = [self.items[test] for test in tests]
-        for item, following in zip(items, [*items[1:], None], strict=True):
-            item.config.hook.pytest_runtest_protocol(item=item, nextitem=following)
-            if self.session.testsfailed and not to_the_end:
-                break
-        return int(self.session.testsfailed)
-
-    def covered(self, file: str, path: str) -> Covered:
-        """Return what a file of tests covers; it is run again if it or a module that it covers has changed since."""
-        known = covered(file, self.state)
-        if known.seconds and known.modules.get(path) in (None, digest(path)):
-            return known
-        place = place_of(file, self.state)
-        place.parent.mkdir(exist_ok=True)
-        started = time.monotonic()
-        fork(lambda: self._measure(file, place), 1000)
-        say(f"{time.monotonic() - started:6.1f} s  {file}")
-        return covered(file, self.state)
-
-    def _measure(self, file: str, out: Path) -> int:
-        tests = [test for test in self.items if test.partition("::")[0] == file]
-        users: dict[str, list[str]] = {}
-        for test in tests:
-            for name in self.items[test].fixturenames:
-                users.setdefault(f"@{name}", []).append(test)
-        tree = Path.cwd()
-        measured = coverage.Coverage(
-            data_file=None, config_file=False, source=[str(tree / PACKAGE)]
-        )
-        recorder = Recorder(measured, users)
-        self.session.config.pluginmanager.register(recorder)
-        measured.start()
-        self.run(tests, to_the_end=True)
-        measured.stop()
-        data = measured.get_data()
-        found = Covered(file)
-        for path in data.measured_files():
-            name = str(Path(path).relative_to(tree))
-            for line, contexts in data.contexts_by_lineno(path).items():
-                covering = {
-                    test for one in contexts if one for test in users.get(one, [one])
-                }
-                if covering:
-                    found.lines.setdefault(name, {})[str(line)] = sorted(covering)
-        found.seconds = {
-            test: round(seconds, 3)
-            for test, seconds in recorder.seconds.items()
-            if test not in recorder.failed
-        }
-        found.modules = {path: digest(path) for path in found.lines}
-        out.write_text(json.dumps(asdict(found)))
-        return 0
-
-    def plant(self, pairs: Iterable[tuple[CodeType, CodeType]]) -> None:
-        """Give functions another code, as `code_pairs` returns them.
-
-        What a module has computed at its import stays as it is, so that a fault may survive there.
-        """
-        for old, new in pairs:
-            for function in self.functions[_key(old)]:
-                function.__code__ = new
-        for cache in self.caches:
-            if cache.__module__.startswith(PACKAGE):
-                cache.cache_clear()
-
-
-@dataclass(eq=False)
 class Selection:
     """A plugin of pytest that leaves the named tests, in their order."""
 
@@ -209,35 +116,57 @@ def place_of(file: str, state: Path) -> Path:
     return state / "coverage" / f"{file.replace('/', '-')}-{digest(file)}.json"
 
 
-def covered(file: str, state: Path) -> Covered:
-    """Return what a file of tests covers, as far as it was measured."""
+def covered(file: str, path: str, state: Path) -> Covered:
+    """Return what a file of tests covers; it is run again if it or a module that it covers has changed since.
+
+    Args:
+        file: The file of tests.
+        path: The module.
+        state: Folder that keeps what was measured.
+    """
     place = place_of(file, state)
+    if place.exists():
+        known = Covered(**json.loads(place.read_text()))
+        if known.modules.get(path) in (None, digest(path)):
+            return known
+    place.parent.mkdir(exist_ok=True)
+    started = time.monotonic()
+    fork(lambda: measure(file, place), 1000)
+    say(f"{time.monotonic() - started:6.1f} s  {file}")
     return Covered(**json.loads(place.read_text())) if place.exists() else Covered(file)
 
 
-def _key(code: CodeType) -> tuple[str, str, int]:
-    return code.co_filename, code.co_qualname, code.co_firstlineno
-
-
-def _codes(code: CodeType) -> Iterator[CodeType]:
-    """Yield all code inside a code, in the order of the text."""
-    for inner in code.co_consts:
-        if isinstance(inner, CodeType):
-            yield inner
-            yield from _codes(inner)
-
-
-def code_pairs(path: str, changed: str) -> list[tuple[CodeType, CodeType]]:
-    """Return the code of each function of a module and of its changed text; none if they have other functions."""
-    before, after = (
-        [*_codes(compile(text, str(Path(path).absolute()), "exec"))]
-        for text in (Path(path).read_text("utf-8"), changed)
+def measure(file: str, out: Path) -> int:
+    """Run a file of tests, and write which of them that pass cover which lines; return 0."""
+    tree = Path.cwd()
+    measured = coverage.Coverage(
+        data_file=None, config_file=False, source=[str(tree / PACKAGE)]
     )
-    shape, other_shape = (
-        [(code.co_qualname, code.co_freevars) for code in codes]
-        for codes in (before, after)
-    )
-    return [*zip(before, after, strict=True)] if shape == other_shape else []
+    recorder = Recorder(measured)
+    measured.start()
+    pytest.main([file, *PYTEST], plugins=[recorder])
+    measured.stop()
+    data = measured.get_data()
+    found = Covered(file)
+    for path in data.measured_files():
+        name = str(Path(path).relative_to(tree))
+        for line, contexts in data.contexts_by_lineno(path).items():
+            covering = {
+                test
+                for one in contexts
+                if one
+                for test in recorder.users.get(one, [one])
+            }
+            if covering:
+                found.lines.setdefault(name, {})[str(line)] = sorted(covering)
+    found.seconds = {
+        test: round(seconds, 3)
+        for test, seconds in recorder.seconds.items()
+        if test not in recorder.failed
+    }
+    found.modules = {path: digest(path) for path in found.lines}
+    out.write_text(json.dumps(asdict(found)))
+    return 0
 
 
 def copy_tree(target: Path) -> None:
@@ -305,7 +234,7 @@ def fork(work: Callable[[], int], limit: float) -> int:
     return os.waitstatus_to_exitcode(status)
 
 
-def anew(tests: list[str]) -> int:
-    """Collect the files of tests, run the tests up to the first failure, and return pytest's exit code."""
+def notice(tests: list[str]) -> int:
+    """Run tests up to the first failure, and return pytest's exit code."""
     files = {test.partition("::")[0] for test in tests}
     return int(pytest.main([*sorted(files), *PYTEST, "-x"], plugins=[Selection(tests)]))

@@ -6,14 +6,13 @@ python -m scripts.mutants again --seed 1                run the survivors once m
 
 Own code, because mutmut changes functions alone and draws no sample, and cosmic-ray runs one command for all mutants.
 
-All runs in a copy of the repository below `.venv/mutants`. The tests are collected once, in a minute; `--tests FOLDERS`
-collects fewer, and `--only PATHS` leaves mutants of other files out. A mutant is planted in a fork of that process: a
-changed function gets its new code, and a line that runs at import has its tests collected anew. It meets the tests that
-cover its line, at most 20 CPU s of them as measured without it: those of its own room, the fastest first, then those of
-the files nearest by imports. The first failure kills it, and so do four times the time and 40 s. What no test covers
-has survived. What a file of tests covers is measured when it is first needed, and anew after a change of that file or
-of the module with the mutant. The first 300 mutants take about two hours of an idle core, of which an hour measures;
-later ones take 10 s each. A call that was interrupted goes on.
+All runs in a copy of the repository below `.venv/mutants`. A mutant is written into its file there, and tests run in a
+fork that imports it. It meets the tests that cover its line, at most 20 CPU s of them as measured without it: those of
+its own room, the fastest first, then those of the files nearest by imports. The first failure kills it, and so do four
+times the time and 40 s. What no test covers has survived. What a file of tests covers is measured when it is first
+needed, and anew after a change of that file or of the module with the mutant; `--tests FOLDERS` leaves other files out,
+and `--only PATHS` mutants of other modules. The first 300 mutants take about two hours of an idle core, of which an
+hour measures; later ones take 10 s each. A call that was interrupted goes on.
 """
 
 from __future__ import annotations
@@ -30,25 +29,11 @@ import tomllib
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
-
-import pytest
 
 from scripts import mutant_tests
 from scripts.changed_tests import importers, near_tests
 from scripts.mutant_operators import Mutant, mutants
-from scripts.mutant_tests import (
-    PACKAGE,
-    PYTEST,
-    ROOT,
-    Collected,
-    Covered,
-    anew,
-    code_pairs,
-    covered,
-    fork,
-    say,
-)
+from scripts.mutant_tests import PACKAGE, ROOT, Covered, covered, fork, notice, say
 from scripts.size import room_of
 
 EQUIVALENT = Path(__file__).with_name("mutants_equivalent.toml")
@@ -172,21 +157,16 @@ def _tests_of(mutant: Mutant, cover: Covered) -> set[str]:
     return found or cover.users(mutant.path)
 
 
-def meet(
-    mutant: Mutant,
-    parts: Iterator[tuple[list[str], float]],
-    run: Callable[[list[str]], int],
-) -> str:
-    """Return what becomes of a mutant whose file is changed while its tests run in forks."""
+def meet(mutant: Mutant, parts: Iterator[tuple[list[str], float]]) -> str:
+    """Return what becomes of a mutant that is in its file while tests run."""
     file = Path(mutant.path)
     sound = file.read_bytes()
     faulty = changed(mutant)
     outcome = "uncovered"
     for tests, seconds in parts:
-        # Children of the tests import it from there.
         file.write_text(faulty, "utf-8")
         try:
-            code = fork(lambda tests=tests: run(tests), 40 + 4 * seconds)
+            code = fork(lambda tests=tests: notice(tests), 40 + 4 * seconds)
         finally:
             # A later mutant of the same length must not meet the bytecode of this one.
             file.write_bytes(sound)
@@ -195,38 +175,6 @@ def meet(
             return "killed"
         outcome = "survived"
     return outcome
-
-
-def in_forks(
-    sample: list[Mutant],
-    state: Path,
-    tests: list[str],
-    done: Callable[[Mutant, str], None],
-) -> int:
-    """Collect tests, measure what they cover where it is needed, and plant all mutants that functions hold."""
-
-    def work(collected: Collected) -> None:
-        files = {test.partition("::")[0] for test in collected.items}
-        for mutant in sample:
-            parts = plan(mutant, files, collected.covered)
-            if is_planted(mutant):
-                pairs = code_pairs(mutant.path, changed(mutant))
-
-                def run(tests: list[str], pairs: list[Any] = pairs) -> int:
-                    collected.plant(pairs)
-                    return collected.run(tests)
-
-                done(mutant, meet(mutant, parts, run))
-            else:
-                # It measures what the tests cover.
-                next(parts, None)
-
-    return int(pytest.main([*tests, *PYTEST], plugins=[Collected(work, state)]))
-
-
-def is_planted(mutant: Mutant) -> bool:
-    """Return whether a function holds a mutant and keeps its variables."""
-    return not mutant.at_import and bool(code_pairs(mutant.path, changed(mutant)))
 
 
 def equivalents() -> dict[str, str]:
@@ -310,15 +258,14 @@ def main() -> None:
         tree = state / "tree"
         mutant_tests.copy_tree(tree)
         mutant_tests.enter(tree, state / "tests.log")
-        if fork(lambda: in_forks(left, state, options.tests, done), 1e6):
-            raise SystemExit(f"the tests do not run: see {state / 'tests.log'}")
         files = {
-            str(path.relative_to(tree)) for path in tree.glob("tests/**/test_*.py")
+            str(path.relative_to(tree))
+            for folder in options.tests
+            for path in (tree / folder).rglob("test_*.py")
         }
         for mutant in left:
-            if not is_planted(mutant):
-                parts = plan(mutant, files, lambda file, _: covered(file, state))
-                done(mutant, meet(mutant, parts, anew))
+            parts = plan(mutant, files, lambda file, path: covered(file, path, state))
+            done(mutant, meet(mutant, parts))
     table(sample, results())
 
 

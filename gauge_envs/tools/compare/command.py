@@ -179,7 +179,8 @@ def draw_cost(sources: Sequence[str] | None, out: Path) -> tuple[Iterable[Path],
     """Write error over cost as a picture, in Markdown and in JSON."""
     from gauge_envs.pages.document import as_markdown, as_rows, save_file
     from gauge_envs.pages.figures import save_png
-    from gauge_envs.tools.compare.cost import cost_curves, cost_document, draw_costs
+    from gauge_envs.tools.compare.cost import cost_curves, cost_document
+    from gauge_envs.tools.compare.cost_figure import draw_costs
 
     results, skipped = loaded_results(sources, with_scene=True)
     notes: list[str] = []

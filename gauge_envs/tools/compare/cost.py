@@ -24,11 +24,10 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from itertools import takewhile
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from gauge_envs.backends.registry import backend_class
 from gauge_envs.errors import GaugeError, ShapeError
 from gauge_envs.evaluation.deviation import sampled_frames
 from gauge_envs.evaluation.metrics.trajectory import trajectory_rmse
@@ -36,7 +35,6 @@ from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.evaluation.swing import swing_metrics
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.pages.document import Document
-from gauge_envs.pages.figures import REAL, new_figure, tidy_axis
 from gauge_envs.pages.results import raw_score
 from gauge_envs.pages.table import Column, Place, Table
 from gauge_envs.pages.text import quantity_text, short_id
@@ -45,10 +43,6 @@ from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.result import Result
 from gauge_envs.runs.result_file import recorded_experiment
 from gauge_envs.scene.geometry import FloatArray
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 STEP = "timestep_s"
 EFFORT = (
@@ -441,9 +435,6 @@ def _converged(curve: CostCurve) -> SettingCost | None:
     return best
 
 
-# --- the table -------------------------------------------------------------------------------------------------------
-
-
 def cost_document(curves: Sequence[CostCurve]) -> Document:
     """Return a table with a row for each curve; its JSON has a row for each setting."""
     # The cost of the reference engine with default settings, by experiment.
@@ -531,111 +522,3 @@ def _error_text(error: float | None) -> str:
 def step_text(step_s: float | None) -> str:
     """Return a step as a fraction of a second; empty without one."""
     return f"1/{1.0 / step_s:.6g} s" if step_s else ""
-
-
-# --- the picture -----------------------------------------------------------------------------------------------------
-
-GREY = "#707070"
-"""Colour of engines that state none."""
-
-MIN_SHOWN = 1e-4
-"""Errors below this are drawn at the lower edge."""
-
-ROW_IN = 2.3
-
-
-def draw_costs(curves: Sequence[CostCurve]) -> Figure:
-    """Return the picture: each row is an experiment, with its numerical error and that against its reference."""
-    groups: dict[tuple[str, str], list[CostCurve]] = {}
-    for curve in curves:
-        groups.setdefault((short_id(curve.id), str(curve.first.parameters)), []).append(
-            curve
-        )
-    figure = new_figure(10.0, ROW_IN * len(groups) + 1.3)
-    grid = figure.subplots(len(groups), 2, squeeze=False, sharex="row")
-    for (left, right), ((name, parameters), members) in zip(
-        grid, groups.items(), strict=True
-    ):
-        _draw_errors(left, members, "numerical")
-        left.set_ylabel(f"numerical error\n[{members[0].unit}]", fontsize=8.5)
-        _draw_errors(right, members, "to_reference")
-        reference = "the solution" if members[0].measure.is_verified else "reality"
-        right.set_ylabel(
-            f"error against {reference}\n[{members[0].unit}]", fontsize=8.5
-        )
-        changed = "" if parameters == "calibrated" else f", {parameters}"
-        left.set_title(f"{name}{changed}", loc="left", fontsize=11, fontweight="bold")
-    for axis in grid[-1]:
-        axis.set_xlabel(f"{curves[0].time} seconds per simulated second", fontsize=9)
-    labels: dict[str, Any] = {}
-    for axis in figure.axes:
-        labels |= dict(zip(*reversed(axis.get_legend_handles_labels()), strict=True))
-    figure.legend(
-        labels.values(),
-        labels,
-        loc="outside upper left",
-        ncols=5,
-        frameon=False,
-        fontsize=9,
-    )
-    return figure
-
-
-def _draw_errors(axis: Axes, curves: Sequence[CostCurve], error: str) -> None:
-    """Draw one error of all curves over their cost: lines for the step, crosses for other iterations."""
-    tidy_axis(axis)
-    axis.set_xscale("log")
-    axis.set_yscale("log")
-    axis.tick_params(labelsize=8)
-    for curve in curves:
-        engine = backend_class(curve.first.backend or "file")
-        style: dict[str, Any] = {
-            "color": engine.color or GREY,
-            "marker": engine.marker,
-            "ms": 5,
-            "lw": 1.3,
-        }
-        if "preset" in curve.first.settings_given:
-            style |= {"ls": "--", "mfc": "white", "lw": 1.0}
-        cross: dict[str, Any] = {"color": style["color"], "marker": "x", "ls": ""}
-        crossed = [one for one in curve.settings if not one.is_main]
-        for settings, looks in (
-            (curve.main_line, style | {"label": curve.name}),
-            (crossed, cross),
-        ):
-            # The converged motion has no numerical error of its own.
-            shown = [
-                one
-                for one in settings
-                if not (error == "numerical" and one.is_converged)
-            ]
-            points = [
-                (one.cost, curve.over_scatter(getattr(one, error))) for one in shown
-            ]
-            known = [
-                (cost, max(value, MIN_SHOWN))
-                for cost, value in points
-                if value is not None
-            ]
-            axis.plot(
-                [cost for cost, _ in known], [value for _, value in known], **looks
-            )
-    if curves[0].measure.scatter:
-        axis.axhline(1.0, color=REAL, lw=1.0, zorder=1, label="scatter of real trials")
-    set_ticks(axis)
-
-
-def set_ticks(axis: Axes) -> None:
-    """Label 1, 2 and 5 of each decade of cost, and whole decades of error, of which at least one is shown."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
-    low, high = axis.get_ylim()
-    axis.set_ylim(min(low, 0.5 * high), max(high, 2.0 * low))
-    low, high = axis.get_ylim()
-    lower = 0.7 * 10.0 ** math.floor(math.log10(low) + 0.3)
-    upper = 10.0 ** math.ceil(math.log10(high) - 0.1)
-    axis.set_ylim(min(low, lower), max(high, upper))
-    axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    for one in (axis.xaxis, axis.yaxis):
-        one.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        one.set_minor_formatter(NullFormatter())
