@@ -29,7 +29,6 @@ from scripts.environment_page import family_document, note_of
 
 PAGES = ROOT / "docs" / "environments"
 VARIANTS = (*variants(), *beyond_variants())
-ONE_EACH = {one.family: one.name for one in VARIANTS}.values()
 MOST_LINES, WIDTH = 60, 100
 
 
@@ -60,15 +59,7 @@ def test_every_registered_experiment_has_a_page_that_names_it():
 
 @pytest.mark.parametrize(
     "name",
-    [
-        *(
-            pytest.param(
-                one.name, marks=[] if one.name in ONE_EACH else [pytest.mark.slow]
-            )
-            for one in VARIANTS
-        ),
-        *(task.name for task in control_tasks()),
-    ],
+    [one.name for one in (*VARIANTS, *control_tasks())],
 )
 def test_an_id_is_shown_on_a_page(name):
     lines = shown(name).splitlines()

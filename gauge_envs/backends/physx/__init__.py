@@ -59,7 +59,7 @@ class BackendPhysX(BundledBackend):
         if scene.deformables:
             yield (
                 f"{first_of([body.name for body in scene.deformables])} is deformable: PhysX's cloth and foam need "
-                "a GPU, and SAPIEN's chains have no spherical joint for ropes"
+                "a GPU, and SAPIEN has no ropes or rods"
             )
         hinges = Counter(
             joint.body for joint in scene.joints if isinstance(joint, Hinge)

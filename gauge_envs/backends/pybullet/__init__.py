@@ -37,8 +37,7 @@ __all__ = ["BackendPyBullet"]
 LAST_PYTHON_WITH_WHEELS = (3, 11)
 
 UNSUPPORTED = {
-    Cloth: "is cloth, and Bullet's bending springs have no stiffness while it is flat: a clamped strip of 80 mm hangs "
-    "down by 75 to 88 mm, whatever their stiffness",
+    Cloth: "is cloth, and Bullet's bending springs have no stiffness while it is flat",
     Rod: "is a rod, and Bullet's chains have no bending stiffness",
 }
 
