@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from difflib import get_close_matches
 from enum import StrEnum
@@ -167,12 +167,15 @@ def nearest(name: str, known: Iterable[str]) -> str:
         or [n for n in names if n.startswith(name)][:6]
         or get_close_matches(name, [*names, *heads], n=3, cutoff=0.5)
     )
-    more = f" and {len(names) - 12} more" if len(names) > 12 else ""
     return (
-        f"did you mean {', '.join(near)}?"
-        if near
-        else f"known: {', '.join(names[:12]) or 'none'}{more}"
+        f"did you mean {', '.join(near)}?" if near else f"known: {first_names(names)}"
     )
+
+
+def first_names(names: Sequence[str], most: int = 12) -> str:
+    """Return names in a line: of many the first ones, and how many more there are; `none` for none."""
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more if names else "none"
 
 
 class UnknownNameError(GaugeError, LookupError):

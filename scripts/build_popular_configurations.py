@@ -18,7 +18,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from gauge_envs.errors import GaugeError
+from gauge_envs.errors import GaugeError, first_names
 from gauge_envs.files import json_ready, write_whole
 from gauge_envs.tools.sanity import (
     Report,
@@ -402,10 +402,7 @@ def share_range(rows: Sequence[Mapping[str, Any]], phenomenon: str) -> str:
 def cells(row: Mapping[str, Any]) -> list[str]:
     """Return the cells of a row of the page."""
     values, targets = row["values"], row["targets"]
-    more = len(targets) - MOST_TARGETS
-    names = ", ".join(targets[:MOST_TARGETS]) + (
-        f" and {more} more" if more > 0 else ""
-    )
+    names = first_names(targets, MOST_TARGETS)
     creep = values.get("foot-creep")
     return [
         names + deciding(row),

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from gauge_envs.experiments.variants import task_files
-from scripts.generated import ROOT, SCORING
+from scripts.generated import ROOT, SCORING, not_raised
 from scripts.inputs import references_digest, task_digest
 
 LEDGER = ROOT / "tests" / "experiments" / "revisions.json"
@@ -30,19 +30,6 @@ def current(scoring: Path = SCORING) -> dict[str, dict[str, Any]]:
     return found
 
 
-def not_raised(
-    stated: dict[str, dict[str, Any]], found: dict[str, dict[str, Any]]
-) -> list[str]:
-    """Return the families whose numbers changed under the same revision."""
-    return [
-        family
-        for family, one in found.items()
-        if (earlier := stated.get(family))
-        and one["digest"] != earlier["digest"]
-        and one["revision"] <= earlier["revision"]
-    ]
-
-
 def contents(scoring: Path = SCORING) -> dict[Path, str]:
     """Return the ledger.
 
@@ -50,7 +37,7 @@ def contents(scoring: Path = SCORING) -> dict[Path, str]:
         ValueError: The numbers of a family changed, and its revision is the same.
     """
     found = current(scoring)
-    kept = not_raised(json.loads(LEDGER.read_text(encoding="utf-8")), found)
-    if kept:
+    stated = json.loads(LEDGER.read_text(encoding="utf-8"))
+    if kept := not_raised(stated, found, "revision"):
         raise ValueError(f"raise `revision` in the task file of {', '.join(kept)}")
     return {LEDGER: json.dumps(found, indent=1, sort_keys=True) + "\n"}

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from gauge_envs.cli.schemas import output_schema, schema_names
-from scripts.generated import ROOT
+from scripts.generated import ROOT, not_raised
 
 LEDGER = ROOT / "tests" / "cli" / "schemas.json"
 
@@ -39,19 +39,6 @@ def _without_words(schema: Any) -> Any:
     }
 
 
-def not_raised(
-    stated: dict[str, dict[str, Any]], found: dict[str, dict[str, Any]]
-) -> list[str]:
-    """Return the outputs whose schema changed under the same version."""
-    return [
-        name
-        for name, one in found.items()
-        if (earlier := stated.get(name))
-        and one["digest"] != earlier["digest"]
-        and one["version"] <= earlier["version"]
-    ]
-
-
 def contents() -> dict[Path, str]:
     """Return the ledger.
 
@@ -60,7 +47,7 @@ def contents() -> dict[Path, str]:
     """
     found = current()
     stated = json.loads(LEDGER.read_text(encoding="utf-8")) if LEDGER.exists() else {}
-    if kept := not_raised(stated, found):
+    if kept := not_raised(stated, found, "version"):
         raise ValueError(
             f"raise `version` in [outputs] of an instrument.toml: {', '.join(kept)}"
         )

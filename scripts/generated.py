@@ -94,7 +94,7 @@ def with_part(page: str, name: str, script: str, part: str) -> str:
 def stale_note(name: str) -> list[str]:
     """Return what a page says above data that were measured before one of their inputs changed."""
     row = rows()[name]
-    found = [one.name for one in changed(row)]
+    found = changed(row)
     if not found:
         return []
     return [f"These data are older than {several(found)} ({row.cost}).", ""]
@@ -104,6 +104,21 @@ def markdown_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> Iterat
     """Yield the lines of a table in Markdown, with cells as they are."""
     for cells in (head, ["---"] * len(head), *rows):
         yield f"| {' | '.join(cells)} |"
+
+
+def not_raised(
+    stated: Mapping[str, Mapping[str, Any]],
+    found: Mapping[str, Mapping[str, Any]],
+    number: str,
+) -> list[str]:
+    """Return what changed by its digest in a ledger, while its number, as `version`, was not raised."""
+    return [
+        name
+        for name, one in found.items()
+        if (earlier := stated.get(name))
+        and one["digest"] != earlier["digest"]
+        and one[number] <= earlier[number]
+    ]
 
 
 def same_text(stored: str, generated: str) -> bool:

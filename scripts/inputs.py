@@ -17,6 +17,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from gauge_envs.errors import first_names
 from gauge_envs.experiments.variants import variants
 
 ROOT = Path(__file__).parents[1]
@@ -161,16 +162,14 @@ def staleness(row: Row, root: Path = ROOT) -> str:
         return ""
     stale = {file for one in found for file in row.files(root, one.of)}
     names = sorted(str(file.relative_to(root)) for file in stale)
-    shown = names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1} more"
-    why = several([one.name for one in found])
+    shown, why = first_names(names, 1), several(found)
     how = row.command or f"python -m scripts build {row.name}"
     return f"{shown}: measured before {why} changed. Make anew: {how} ({row.cost})"
 
 
-def several(names: Sequence[str]) -> str:
-    """Return names in words, the first ones of many."""
-    more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
-    return ", ".join(names[:SHOWN]) + more
+def several(found: Sequence[Input]) -> str:
+    """Return inputs in words, the first ones of many."""
+    return first_names([one.name for one in found], SHOWN)
 
 
 def inputs(row: Row, root: Path = ROOT) -> Iterator[Input]:

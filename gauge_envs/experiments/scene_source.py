@@ -13,7 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gauge_envs.errors import AssetError
+from gauge_envs.errors import AssetError, first_names
 from gauge_envs.experiments.experiment import Asset, AssetKind
 from gauge_envs.files import MEGABYTE, os_errors, read_regular
 from gauge_envs.references.metrics import EVENT_METRICS
@@ -123,7 +123,7 @@ def check_fit(found: Experiment, wanted: Experiment) -> None:
             raise AssetError(
                 path,
                 name,
-                f"no body of that name, which {found.name} records; it has: {_listed(names)}",
+                f"no body of that name, which {found.name} records; it has: {first_names(names)}",
             )
         if scene.body(name).motion is not Motion.DYNAMIC:
             raise AssetError(
@@ -140,8 +140,8 @@ def check_fit(found: Experiment, wanted: Experiment) -> None:
                 raise AssetError(
                     path,
                     name,
-                    f"no deformable body of that name carries markers; it has: {_listed(known)}; markers are read off "
-                    "nodes, and rigid bodies have none: record those by position",
+                    f"no deformable body of that name carries markers; it has: {first_names(known)}; markers are read "
+                    "off nodes, and rigid bodies have none: record those by position",
                 )
         count = len(wanted.coordinates)
         if len(found.coordinates) != count:
@@ -160,8 +160,3 @@ def check_fit(found: Experiment, wanted: Experiment) -> None:
             found.recorded[0],
             f"no hinge, which {', '.join(found.score.metrics)} are measured from",
         )
-
-
-def _listed(names: Sequence[str]) -> str:
-    more = f" and {len(names) - 12} more" if len(names) > 12 else ""
-    return ", ".join(names[:12]) + more if names else "none"

@@ -11,6 +11,7 @@ from importlib.util import find_spec
 import pytest
 from places import ROOT
 from programs import printed
+from texts import fenced
 
 from gauge_envs.cli.app import load_command
 from gauge_envs.registry import command_lines, instruments_by
@@ -47,15 +48,6 @@ COMPILED_ONLY = {"sanity.md", "sanity_stacks.md", "sweeps.md"}
 
 def name_of(page):
     return str(page.relative_to(ROOT))
-
-
-def fenced(page, language):
-    """Code blocks of a page in a language."""
-    return re.findall(
-        rf"^```{language}\n(.*?)^```$",
-        page.read_text(encoding="utf-8"),
-        flags=re.MULTILINE | re.DOTALL,
-    )
 
 
 def prose(page):

@@ -9,7 +9,7 @@ from typing import Any
 
 import mujoco
 
-from gauge_envs.errors import ParameterError
+from gauge_envs.errors import ParameterError, first_names
 from gauge_envs.scene import Scene
 
 DEFORMABLES_SINCE = 4
@@ -126,13 +126,8 @@ def check_installed(chosen: Mapping[str, Any], changes: Mapping[str, Any]) -> No
 def without_deformables(scene: Scene) -> Iterator[str]:
     """Yield the reason why the installed version is not used for the deformable bodies of a scene."""
     if scene.deformables and int(mujoco.__version__.split(".")[0]) < DEFORMABLES_SINCE:
-        names = ", ".join(repr(body.name) for body in scene.deformables[:3])
-        more = (
-            ""
-            if len(scene.deformables) <= 3
-            else f" and {len(scene.deformables) - 3} more"
-        )
+        names = first_names([repr(body.name) for body in scene.deformables], 3)
         yield (
-            f"deformable bodies ({names}{more}) need MuJoCo {DEFORMABLES_SINCE}, whose constants for them differ from "
+            f"deformable bodies ({names}) need MuJoCo {DEFORMABLES_SINCE}, whose constants for them differ from "
             f"those of the installed MuJoCo {mujoco.__version__}: install mujoco>={DEFORMABLES_SINCE}"
         )

@@ -10,6 +10,7 @@ import typer
 
 from gauge_envs.cli import arguments
 from gauge_envs.cli.output import echo, message
+from gauge_envs.errors import first_names
 
 if TYPE_CHECKING:
     from gauge_envs.pages.table import Table
@@ -52,8 +53,7 @@ def list_scenes(patterns: Sequence[str]) -> list[Table]:
     from gauge_envs.tools.assets.build import asset_rows, assets_folder
 
     def owners(names: str) -> str:
-        first, *others = names.split(", ")
-        return f"{first} and {len(others)} more" if others else first
+        return first_names(names.split(", "), 1)
 
     size = Column("bytes", "KiB", lambda size: f"{size / 1024:.1f}", is_number=True)
     columns = (Column("file", "file"), size, Column("of", "of", owners))

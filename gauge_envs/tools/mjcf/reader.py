@@ -36,7 +36,7 @@ from gauge_envs.backends.mujoco.model import (
 from gauge_envs.backends.mujoco.model_settings import option_settings
 from gauge_envs.backends.mujoco.settings import settings_for
 from gauge_envs.backends.shared.rigid import hinges_by_body
-from gauge_envs.errors import AssetError, ShapeError
+from gauge_envs.errors import AssetError, ShapeError, first_names
 from gauge_envs.files import MEGABYTE, child_refusal, read_regular
 from gauge_envs.scene import (
     BodyHinge,
@@ -286,11 +286,10 @@ def _check_bodies(path: Path, model: mujoco.MjModel, scene: Scene) -> None:
     hinged = hinges_by_body(scene)
     for body in scene.bodies:
         if body.name not in known:
-            shown = ", ".join(known[:12]) + (
-                f" and {len(known) - 12} more" if len(known) > 12 else ""
-            )
             raise AssetError(
-                path, body.name, f"no body of that name: the file has {shown or 'none'}"
+                path,
+                body.name,
+                f"no body of that name: the file has {first_names(known)}",
             )
         if body.motion is Motion.FIXED:
             continue

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from gauge_envs.pages.text import vector_text
 from gauge_envs.scene import GRAVITY_M_PER_S2, Vector
 from gauge_envs.scene.geometry import vector
 from gauge_envs.tools.sanity.model import (
@@ -200,7 +201,7 @@ def gravity_row(
         return replace(GRAVITY_ROW, configured=size)
     cosine = float(vector @ down) / (size * GRAVITY_M_PER_S2)
     tilt = float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
-    was = " ".join(f"{component:g}" for component in gravity)
+    was = vector_text(gravity)
     return replace(
         GRAVITY_ROW,
         configured=size,

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
+from gauge_envs.errors import first_names
 from gauge_envs.pages.document import (
     Document,
     Heading,
@@ -165,9 +166,7 @@ def _advice_line(report: Report) -> str:
         reasons = dict.fromkeys(row.remark for row in report.rows if row.remark)
         return "; ".join(("Nothing was measured", *[*reasons][:MOST_NAMED]))
     if missing:
-        named = ", ".join(missing[:MOST_NAMED]) + (
-            f" and {len(missing) - MOST_NAMED} more" * (len(missing) > MOST_NAMED)
-        )
+        named = first_names(missing, MOST_NAMED)
         return f"Incomplete: {len(missing)} of {measured + len(missing)} rows were not measured: {named}"
     texts = [f"No flags: {counts_text(report)}", *report.notes]
     off = [row.phenomenon for row in report.rows if row.verdict.is_off]

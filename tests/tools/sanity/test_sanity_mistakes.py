@@ -16,7 +16,7 @@ from gauge_envs.tools.sanity.robot.alike import factors
 from gauge_envs.tools.sanity.robot.legs import bent_legs_nm
 from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
 from gauge_envs.tools.sanity.robot.remedies import REMEDIES
-from gauge_envs.tools.sanity.robot.whole_rows import outside
+from gauge_envs.tools.sanity.robot.stance_rows import outside
 from gauge_envs.tools.sanity.target_checks import robot_row
 
 UNNAMED = 1 / 20

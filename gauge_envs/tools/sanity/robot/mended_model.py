@@ -11,7 +11,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from gauge_envs.errors import TargetError
+from gauge_envs.errors import TargetError, first_names
 from gauge_envs.tools.sanity.model import Settings
 from gauge_envs.tools.sanity.robot.mujoco_feet import geom_name
 from gauge_envs.tools.sanity.robot.robot import (
@@ -133,10 +133,9 @@ def _words(
 
 def listed(names: Sequence[str]) -> str:
     """Return names in a row, and the number of those beyond the twelfth."""
-    shown, more = names[:MOST_NAMES], len(names) - MOST_NAMES
-    if more > 0:
-        return f"{', '.join(shown)} and {more} more"
-    return " and ".join(filter(None, [", ".join(shown[:-1]), shown[-1]]))
+    if len(names) > MOST_NAMES:
+        return first_names(names, MOST_NAMES)
+    return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
 
 
 def element_names(robot: Robot, kind: str, several: Sequence[int]) -> list[str]:

@@ -25,6 +25,7 @@ from gauge_envs.backends.mujoco.model_settings import (
 )
 from gauge_envs.backends.mujoco.versions import sparse_advice
 from gauge_envs.errors import TargetError
+from gauge_envs.pages.text import vector_text
 from gauge_envs.scene import GRAVITY_M_PER_S2, Vector
 from gauge_envs.scene.geometry import FloatArray, IntArray, vector
 from gauge_envs.tools.sanity.model import ContactGroup, Need, TrainingConfiguration
@@ -307,11 +308,7 @@ def _contact_notes(groups: tuple[ContactGroup, ...]) -> list[str]:
 
 
 def _constant_text(value: Any) -> str:
-    return (
-        " ".join(f"{number:g}" for number in value)
-        if isinstance(value, list)
-        else f"{value:g}"
-    )
+    return vector_text(value) if isinstance(value, list) else f"{value:g}"
 
 
 # --- names -----------------------------------------------------------------------------------------------------------

@@ -11,6 +11,8 @@ from gauge_envs.tools.sanity.robot import (
     rollout,
     sides,
     solver_agreement,
+    stance_rows,
+    stop_rows,
     whole_rows,
     wiring_rows,
 )
@@ -32,6 +34,8 @@ __all__ = [
     "rollout",
     "sides",
     "solver_agreement",
+    "stance_rows",
+    "stop_rows",
     "whole_rows",
     "wiring_rows",
 ]

@@ -34,7 +34,7 @@ from gauge_envs.tools.sanity.robot.robot import (
     tendon_joints,
 )
 from gauge_envs.tools.sanity.robot.sides import STRAIGHT
-from gauge_envs.tools.sanity.robot.whole_rows import are_twins
+from gauge_envs.tools.sanity.robot.stop_rows import are_twins
 
 BEYOND = 0.02
 """Distance of a pose beyond a range over the range up to which it is at the stop."""

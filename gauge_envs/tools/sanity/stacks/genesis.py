@@ -7,6 +7,7 @@ solver's `sol_params` for constants of contacts.
 from pathlib import Path
 from typing import Any
 
+from gauge_envs.errors import first_names
 from gauge_envs.files import MEGABYTE, json_document
 from gauge_envs.tools.sanity.gauge_probe import is_of
 from gauge_envs.tools.sanity.model import (
@@ -260,10 +261,9 @@ def _groups(
                 )
     groups = []
     for mixed, names in sorted(counted.items(), key=lambda item: -len(item[1])):
-        first, *others = dict.fromkeys(names)
-        more = f" and {len(others)} more" if others else ""
+        several = first_names([*dict.fromkeys(names)], 1)
         group = ContactGroup(
-            geoms=f"{'ground' if ground else 'bodies'} with {first}{more}",
+            geoms=f"{'ground' if ground else 'bodies'} with {several}",
             pair_count=len(names),
             constants={"solref": list(mixed[:2]), "solimp": list(mixed[2:])},
             is_used=True,
