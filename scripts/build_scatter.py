@@ -26,23 +26,25 @@ from typing import Any
 import numpy as np
 
 from gauge_envs.evaluation.scatter import (
+    LEVEL,
+    TOLD_SHARE,
+    differs,
+    is_held,
+    published_numbers,
+    scatter_test,
+)
+from gauge_envs.evaluation.scatter_groups import (
     HELD_FRAMES,
     HELD_LATE_S,
-    LEVEL,
     SPREADS,
-    TOLD_SHARE,
     TRIAL_COUNT,
     GroupModel,
     delayed,
-    differs,
     drawn_noises,
     experiment_models,
     group_models,
     group_scores,
-    is_held,
     marker_noise,
-    published_numbers,
-    scatter_test,
 )
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import load_experiment

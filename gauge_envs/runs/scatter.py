@@ -8,14 +8,13 @@ import numpy as np
 from gauge_envs.envs.arguments import jittered_experiment
 from gauge_envs.envs.at_once import episodes_in_lockstep
 from gauge_envs.evaluation.scatter import (
-    SPREADS,
-    TRIAL_COUNT,
     Scatter,
     is_held,
     published_numbers,
     refused_scatter,
     scatter_test,
 )
+from gauge_envs.evaluation.scatter_groups import SPREADS, TRIAL_COUNT
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Outcome, Result

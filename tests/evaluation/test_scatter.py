@@ -9,29 +9,31 @@ import pytest
 from gauge_envs.errors import UnknownNameError
 from gauge_envs.evaluation.metrics.trajectory import trajectory_dtw
 from gauge_envs.evaluation.scatter import (
-    HELD_LATE_S,
     LEVEL,
     NOT_TESTED,
-    SPREADS,
     TELLS_NOTHING,
     TOLD_SHARE,
-    TRIAL_COUNT,
     VERDICTS,
-    GroupModel,
-    Spread,
-    delayed,
     differs,
-    drawn_noises,
-    dtw_of_pairs,
-    group_models,
-    group_scores,
     is_held,
-    marker_noise,
     published_numbers,
     refused_scatter,
     scatter_ranks,
     scatter_test,
     scatter_text,
+)
+from gauge_envs.evaluation.scatter_groups import (
+    HELD_LATE_S,
+    SPREADS,
+    TRIAL_COUNT,
+    GroupModel,
+    Spread,
+    delayed,
+    drawn_noises,
+    dtw_of_pairs,
+    group_models,
+    group_scores,
+    marker_noise,
 )
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.pages.document import Paragraph

@@ -26,6 +26,11 @@ FACTS = ("physics", COST_TITLE)
 COLOR_COUNT = 7
 """Colours in the style of the pages: of configurations, or of engines with at most two each where these are more."""
 
+Results = Mapping[int, Result]
+"""First result of each configuration that ran, by its index."""
+
+Parts = list[Part]
+
 LOST = (Outcome.DIVERGED, Outcome.FAILED, Outcome.DECLINED)
 """Outcomes without a score."""
 

@@ -18,7 +18,7 @@ from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result_file import load_result
 from gauge_envs.scene.jitter import Jitter
 from gauge_envs.tools.site import save_site
-from gauge_envs.tools.site.build import quantized, replay_data
+from gauge_envs.tools.site.replay_data import quantized, replay_data
 from gauge_envs.tools.site.reproduce import run_command
 
 SETTINGS = {"timestep_s": 1 / 900}

@@ -16,12 +16,8 @@ from gauge_envs.tools.sanity.robot.finding import (
     row,
 )
 from gauge_envs.tools.sanity.robot.joints import placed_bodies, servos, speed_servos
-from gauge_envs.tools.sanity.robot.robot import (
-    Robot,
-    acts_on_joints,
-    swapped_motors,
-    tendon_joints,
-)
+from gauge_envs.tools.sanity.robot.motor_names import swapped_motors
+from gauge_envs.tools.sanity.robot.robot import Robot, acts_on_joints, tendon_joints
 
 SAME_ANGLE = 0.05
 """Difference from 1 up to which a command counts as the angle of its joint."""

@@ -21,6 +21,7 @@ from gauge_envs.tools.sanity.robot.joints import home_key, springs
 from gauge_envs.tools.sanity.robot.maker_rows import families
 from gauge_envs.tools.sanity.robot.mass_rows import size_m
 from gauge_envs.tools.sanity.robot.mirror import mirror_pairs, zero_pose
+from gauge_envs.tools.sanity.robot.motor_names import misread_joints
 from gauge_envs.tools.sanity.robot.mujoco_feet import joints_of
 from gauge_envs.tools.sanity.robot.robot import (
     Robot,
@@ -30,7 +31,6 @@ from gauge_envs.tools.sanity.robot.robot import (
     ends_of,
     grasp_kinds,
     joints_of_motors,
-    misread_joints,
     tendon_joints,
 )
 from gauge_envs.tools.sanity.robot.sides import STRAIGHT
