@@ -53,12 +53,12 @@ def without_machine(text, folders):
 def difference(name, text, *, approve):
     """Return the lines in which a text differs from the approved one, or write it if it is to be approved."""
     file = FOLDER / f"{name}.txt"
-    stored = file.read_text(encoding="utf-8") if file.is_file() else ""
+    stored = file.read_text() if file.is_file() else ""
     if same_text(_without_empty_lines(stored), _without_empty_lines(text)):
         return ""
     if approve:
         file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_text(text, encoding="utf-8")
+        file.write_text(text)
         return ""
     lines = difflib.unified_diff(
         stored.splitlines(),

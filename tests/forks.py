@@ -101,7 +101,7 @@ def run_forks(cases, folder, environment):
 
     def text(number, name):
         file = outputs / f"{number}.{name}"
-        return file.read_text(encoding="utf-8") if file.exists() else ""
+        return file.read_text() if file.exists() else ""
 
     return {
         name: subprocess.CompletedProcess(

@@ -39,7 +39,7 @@ class Table:
 
     @classmethod
     def read(cls, file):
-        content = tomllib.loads(file.read_text(encoding="utf-8"))
+        content = tomllib.loads(file.read_text())
         return cls(
             pages=tuple(content["pages"]),
             environments={
@@ -74,8 +74,7 @@ class Table:
             - set(root.glob("docs/studies/*"))
         )
         pages = [
-            (file.relative_to(root).as_posix(), file.read_text(encoding="utf-8"))
-            for file in files
+            (file.relative_to(root).as_posix(), file.read_text()) for file in files
         ]
         found = [
             self.command(page, text)

@@ -14,7 +14,7 @@ from places import ROOT
 def folder(tmp_path, monkeypatch):
     """A folder of approved files with the file `one`."""
     monkeypatch.setattr(approval, "FOLDER", tmp_path)
-    (tmp_path / "one.txt").write_text("wood   0.412 mm, 3 trials\n", encoding="utf-8")
+    (tmp_path / "one.txt").write_text("wood   0.412 mm, 3 trials\n")
     return tmp_path
 
 
@@ -50,7 +50,7 @@ def test_every_approved_file_has_a_test():
     words = {
         node.value.rpartition("/")[2]
         for file in (ROOT / "tests").rglob("*.py")
-        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
+        for node in ast.walk(ast.parse(file.read_text()))
         if isinstance(node, ast.Constant) and isinstance(node.value, str)
     }
     files = approval.FOLDER.rglob("*.txt")

@@ -82,7 +82,7 @@ def core(tmp_path_factory):
             if entry.is_dir() and entry.name not in kept:
                 shutil.rmtree(entry)
     shutil.rmtree(package / "rendering")
-    (folder / "sitecustomize.py").write_text(BLOCKER, encoding="utf-8")
+    (folder / "sitecustomize.py").write_text(BLOCKER)
     return folder
 
 

@@ -15,9 +15,7 @@ from scripts.lowest_versions import constraints, requirements
 from scripts.newest_versions import newest
 
 PACKAGE = ROOT / "gauge_envs"
-PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))[
-    "project"
-]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 
 DISTRIBUTION = {
     "mpl_toolkits": "matplotlib",
@@ -108,7 +106,7 @@ def _for_types(node):
 def files():
     """What each file of the package imports, as of `imported`."""
     return {
-        file.relative_to(PACKAGE).as_posix(): imported(file.read_text(encoding="utf-8"))
+        file.relative_to(PACKAGE).as_posix(): imported(file.read_text())
         for file in PACKAGE.rglob("*.py")
     }
 
@@ -210,7 +208,6 @@ def test_constraints_are_the_lower_bounds(tmp_path):
     file.write_text(
         '[project]\nname = "mine"\ndependencies = ["numpy>=1.26", "mujoco>=4.0,<5"]\n'
         '[project.optional-dependencies]\nplot = ["matplotlib>=3.8", "mine[dm]"]\ndm = ["dm-env>=1.6"]\n',
-        encoding="utf-8",
     )
     assert constraints(file) == ["mujoco==4.0", "numpy==1.26"]
     assert constraints(file, ["plot"]) == [
@@ -223,8 +220,6 @@ def test_constraints_are_the_lower_bounds(tmp_path):
 
 def test_a_requirement_without_a_lower_bound_is_named(tmp_path):
     file = tmp_path / "pyproject.toml"
-    file.write_text(
-        '[project]\nname = "mine"\ndependencies = ["numpy<3"]\n', encoding="utf-8"
-    )
+    file.write_text('[project]\nname = "mine"\ndependencies = ["numpy<3"]\n')
     with pytest.raises(ValueError, match=r"'numpy<3' has no lower bound"):
         constraints(file)

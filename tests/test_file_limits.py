@@ -420,7 +420,7 @@ def test_a_file_of_a_stranger_has_one_reader():
     reading = {
         str(file.relative_to(package)): calls
         for file in package.rglob("*.py")
-        if (calls := reading_calls(file.read_text(encoding="utf-8")))
+        if (calls := reading_calls(file.read_text()))
     }
     del reading["files.py"]
     assert {

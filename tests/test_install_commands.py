@@ -60,7 +60,7 @@ def shown_outputs(page, text):
     }
 
 
-SHOWN = shown_outputs("README.md", (ROOT / "README.md").read_text(encoding="utf-8"))
+SHOWN = shown_outputs("README.md", (ROOT / "README.md").read_text())
 
 
 @pytest.fixture(scope="module")
@@ -138,7 +138,7 @@ def test_the_first_command_of_a_reader_is_run():
 
 
 def test_the_readme_is_read_in_a_minute():
-    words = (ROOT / "README.md").read_text(encoding="utf-8").split()
+    words = (ROOT / "README.md").read_text().split()
     assert len(words) <= 900
 
 
@@ -150,7 +150,7 @@ def test_a_page_names_the_extras_that_its_commands_need():
         for extra in TABLE.environments[environment]
         if not re.search(
             rf"`{extra}`|\[[\w,]*\b{extra}\b[\w,]*\]",
-            (ROOT / page).read_text(encoding="utf-8"),
+            (ROOT / page).read_text(),
         )
     ]
     assert missing == []
@@ -187,10 +187,9 @@ def test_the_first_rule_decides(tmp_path):
         '[environments]\ndefault = []\nplot = ["plot"]\n'
         '[[rules]]\ncommand = "gauge plot --live*"\nskip = "needs a screen"\n'
         '[[rules]]\ncommand = "gauge plot*"\nenvironment = "plot"\n',
-        encoding="utf-8",
     )
     (tmp_path / "a.md").write_text(
-        "```sh\ngauge list\ngauge plot r\ngauge plot --live r\n```\n", encoding="utf-8"
+        "```sh\ngauge list\ngauge plot r\ngauge plot --live r\n```\n"
     )
     assert Table.read(file).commands(tmp_path) == (
         Command("a.md", "gauge list", "default"),

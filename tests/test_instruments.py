@@ -46,11 +46,9 @@ def foreign(tmp_path, monkeypatch):
     folder = tmp_path / "drift_tools"
     folder.mkdir()
     (folder / "__init__.py").touch()
-    (folder / "command.py").write_text(COMMAND, encoding="utf-8")
-    (folder / "layers.py").write_text(
-        "read_scene = read_points = write_scene = None\n", encoding="utf-8"
-    )
-    (folder / "instrument.toml").write_text(DECLARATION, encoding="utf-8")
+    (folder / "command.py").write_text(COMMAND)
+    (folder / "layers.py").write_text("read_scene = read_points = write_scene = None\n")
+    (folder / "instrument.toml").write_text(DECLARATION)
     point = EntryPoint("drift", "drift_tools", registry.INSTRUMENTS_GROUP)
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setattr(
@@ -94,7 +92,7 @@ def test_a_foreign_instrument_cannot_take_a_command_of_this_package(
     foreign,
 ):
     text = DECLARATION.replace("drift =", "list =")
-    (foreign / "instrument.toml").write_text(text, encoding="utf-8")
+    (foreign / "instrument.toml").write_text(text)
     assert registry.instruments_by("commands")["list"].name == "catalog"
 
 
@@ -108,9 +106,7 @@ def test_a_foreign_instrument_cannot_take_a_command_of_this_package(
     ],
 )
 def test_a_wrong_declaration_is_an_error_that_names_the_file(foreign, old, new, place):
-    (foreign / "instrument.toml").write_text(
-        DECLARATION.replace(old, new), encoding="utf-8"
-    )
+    (foreign / "instrument.toml").write_text(DECLARATION.replace(old, new))
     with pytest.raises(RegistryError, match="instrument 'drift'") as caught:
         registry.instruments()
     assert place in str(caught.value) and str(foreign) in str(caught.value)

@@ -27,7 +27,7 @@ INSTALL = {
 def locked() -> dict[str, list[str]]:
     """Return the versions in the lock by name; a package may have one for each version of Python."""
     found: dict[str, list[str]] = {}
-    for line in LOCK.read_text(encoding="utf-8").splitlines():
+    for line in LOCK.read_text().splitlines():
         one = Requirement(line)
         (version,) = one.specifier
         found.setdefault(one.name, []).append(version.version)
@@ -36,14 +36,14 @@ def locked() -> dict[str, list[str]]:
 
 def test_the_lock_has_versions_that_the_project_allows() -> None:
     versions = locked()
-    project = tomllib.loads(PYPROJECT.read_text(encoding="utf-8"))["project"]
+    project = tomllib.loads(PYPROJECT.read_text())["project"]
     for requirement in requirements(project, ["dev"]):
         found = versions[requirement.name.replace("_", "-").lower()]
         assert all(requirement.specifier.contains(one) for one in found), requirement
 
 
 def test_the_lock_names_no_index() -> None:
-    assert "://" not in LOCK.read_text(encoding="utf-8")
+    assert "://" not in LOCK.read_text()
 
 
 @pytest.mark.slow

@@ -62,11 +62,9 @@ def test_the_searches_find_a_name():
     "path", BACKENDS, ids=lambda path: path.relative_to(PACKAGE).as_posix()
 )
 def test_no_backend_names_a_task(path):
-    assert named(path.read_text(encoding="utf-8")) == []
+    assert named(path.read_text()) == []
 
 
 def test_the_core_treats_no_task_specially():
-    found = {
-        path.name: list(ids_in_code(path.read_text(encoding="utf-8"))) for path in CORE
-    }
+    found = {path.name: list(ids_in_code(path.read_text())) for path in CORE}
     assert {name: ids for name, ids in found.items() if ids} == {}

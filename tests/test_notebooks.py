@@ -15,7 +15,7 @@ NOTEBOOKS = sorted((ROOT / "examples" / "notebooks").glob("*.ipynb"))
 
 
 def cells(notebook):
-    found = json.loads(notebook.read_text(encoding="utf-8"))["cells"]
+    found = json.loads(notebook.read_text())["cells"]
     return found
 
 
@@ -36,9 +36,9 @@ def run(notebook):
 def test_a_notebook_installs_what_it_needs_first_and_holds_no_output(
     notebook,
 ):
-    extras = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))[
-        "project"
-    ]["optional-dependencies"]
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"][
+        "optional-dependencies"
+    ]
     code = [cell for cell in cells(notebook) if cell["cell_type"] == "code"]
     installed = re.fullmatch(
         r'# [\w ]+\.\n%pip install -q "../..\[([\w,]+)\]"', "".join(code[0]["source"])

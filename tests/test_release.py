@@ -13,7 +13,7 @@ from places import ROOT
 from gauge_envs.cli.app import load_command
 from gauge_envs.registry import command_lines
 
-PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 WORKFLOWS = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
 PUBLISHERS = {
     (name, "publish")
@@ -23,7 +23,7 @@ PUBLISHERS = {
 
 
 def workflow(file):
-    return yaml.safe_load(file.read_text(encoding="utf-8"))
+    return yaml.safe_load(file.read_text())
 
 
 def steps(file):
@@ -32,10 +32,10 @@ def steps(file):
 
 def test_the_version_is_the_same_everywhere():
     version = PROJECT["project"]["version"]
-    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
     headings = re.findall(
         r"^## \[(.+)\](?: - (\S+))?$",
-        (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"),
+        (ROOT / "CHANGELOG.md").read_text(),
         re.MULTILINE,
     )
     released = [one for one in headings if one[0] != "Unreleased"]
@@ -44,7 +44,7 @@ def test_the_version_is_the_same_everywhere():
     stated = [
         file
         for file in (ROOT / "gauge_envs").rglob("*.py")
-        if f'"{version}"' in file.read_text(encoding="utf-8")
+        if f'"{version}"' in file.read_text()
     ]
     assert stated == []
 
@@ -60,7 +60,7 @@ def test_a_workflow_may_only_read_but_to_publish():
         }
         assert writing <= PUBLISHERS
         assert all("environment" in content["jobs"][name] for _, name in writing)
-        assert "secrets." not in file.read_text(encoding="utf-8")
+        assert "secrets." not in file.read_text()
 
 
 def test_actions_are_of_a_stated_version():
@@ -86,9 +86,7 @@ def test_releases_are_installed_on_the_versions_that_the_package_states():
 
 @pytest.mark.parametrize("file", WORKFLOWS, ids=lambda file: file.name)
 def test_commands_of_a_workflow_exist(file):
-    targets = re.findall(
-        r"^([\w-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE
-    )
+    targets = re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
     extras = PROJECT["project"]["optional-dependencies"]
     for command in (step["run"] for step in steps(file) if "run" in step):
         for target in re.findall(r"\bmake ([\w-]+)", command):

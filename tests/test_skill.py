@@ -16,7 +16,7 @@ from gauge_envs.cli.schemas import schema_names
 from gauge_envs.registry import instruments_by
 
 SKILL = ROOT / ".agents" / "skills" / "gauge-envs" / "SKILL.md"
-TEXT = SKILL.read_text(encoding="utf-8")
+TEXT = SKILL.read_text()
 
 MOST_WORDS = 400
 
@@ -100,7 +100,7 @@ def test_its_commands_and_keys_exist():
 def test_following_it_leads_from_an_empty_folder_to_a_mended_model(wheel, tmp_path):
     """The creep and the height are those of MuJoCo alone, before and after."""
     model = tmp_path / "robot.xml"
-    model.write_text(FLAWED, encoding="utf-8")
+    model.write_text(FLAWED)
     variables = {
         name: value
         for name, value in os.environ.items()
@@ -126,13 +126,13 @@ def test_following_it_leads_from_an_empty_folder_to_a_mended_model(wheel, tmp_pa
     told = follow(activate, f"python - <<'END'\n{read}END")
     line, *rows = told.stdout.splitlines()
     assert {"foot-creep", "rest-height"} <= {row.partition(" ")[0] for row in rows}
-    model.write_text(mended(FLAWED, line), encoding="utf-8")
+    model.write_text(mended(FLAWED, line))
     done = follow(activate, again)
     assert done.returncode == 0, done.stderr
-    after = (tmp_path / "after.jsonl").read_text(encoding="utf-8")
+    after = (tmp_path / "after.jsonl").read_text()
     assert '"worst": "inside"' in after.splitlines()[0]
     (creep_before, height_before), (creep_after, height_after) = map(
-        creep_mm_per_s, (FLAWED, model.read_text(encoding="utf-8"))
+        creep_mm_per_s, (FLAWED, model.read_text())
     )
     print(f"creep {creep_before:.3g} to {creep_after:.3g} mm/s", end=", ")
     print(f"height {height_before:.3g} to {height_after:.3g} mm; {line}")

@@ -5,12 +5,12 @@ import re
 
 def changed_text(path, *replacements, to=None, count=1):
     """Replace texts of a file, each of which must be in it; return the file, or the copy that holds the result."""
-    text = path.read_text(encoding="utf-8")
+    text = path.read_text()
     for old, new in replacements:
         assert old in text, old
         text = text.replace(old, new, count)
     target = path if to is None else to
-    target.write_text(text, encoding="utf-8")
+    target.write_text(text)
     return target
 
 
@@ -18,6 +18,6 @@ def fenced(page, language):
     """Return the code blocks of a page in a language."""
     return re.findall(
         rf"^```{language}\n(.*?)^```$",
-        page.read_text(encoding="utf-8"),
+        page.read_text(),
         flags=re.MULTILINE | re.DOTALL,
     )

@@ -53,9 +53,7 @@ GROUND_M = np.array([0.1, 0.2, 0.3])
 def environment(tmp_path_factory):
     """Environment variables of a process that finds the example as if it were installed, and this module."""
     target = tmp_path_factory.mktemp("installed")
-    project = tomllib.loads((PACKAGE / "pyproject.toml").read_text(encoding="utf-8"))[
-        "project"
-    ]
+    project = tomllib.loads((PACKAGE / "pyproject.toml").read_text())["project"]
     facts = (
         target / f"{project['name'].replace('-', '_')}-{project['version']}.dist-info"
     )
@@ -486,8 +484,7 @@ def test_the_engine_in_arrays_obeys_the_laws_and_its_worlds_do_not_touch(measure
 def unquoted():
     """Python blocks of the guide that are not quoted from the example."""
     sources = [
-        (PACKAGE / name).read_text(encoding="utf-8")
-        for name in ("point_engine.py", "marbles.py")
+        (PACKAGE / name).read_text() for name in ("point_engine.py", "marbles.py")
     ]
     return [
         block
@@ -527,9 +524,7 @@ def test_gauge_commands_of_the_guide_run(environment, tmp_path):
         if line.startswith("gauge ")
     ]
     # The steps of the guide call the reader's engine `mine`.
-    steps = re.findall(
-        r"^\d\. `(gauge [^`]*)`", GUIDE.read_text(encoding="utf-8"), flags=re.MULTILINE
-    )
+    steps = re.findall(r"^\d\. `(gauge [^`]*)`", GUIDE.read_text(), flags=re.MULTILINE)
     commands += [shlex.split(step.replace("mine", "point")) for step in steps]
     assert {command[1] for command in commands} == {"list", "backend", "run"}
     for command in commands:

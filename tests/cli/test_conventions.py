@@ -39,7 +39,7 @@ OPEN_SETS = {"--known", "--set", "--parameter", "--training"}
 UNITS = {"kg_m2", "n_per_m", "n_s_per_m", "m_s", "kg", "mm", "deg", "hz", "s", "m"}
 """Ends of the names of quantities in Python."""
 
-TABLE = (ROOT / "tests/cli/spellings.txt").read_text(encoding="utf-8")
+TABLE = (ROOT / "tests/cli/spellings.txt").read_text()
 
 
 def options(name):
@@ -239,7 +239,7 @@ def values_of(command, words, option):
 @pytest.mark.parametrize(("command", "expected"), SPELLINGS, ids=lambda text: text)
 def test_a_spelling_is_accepted_or_answered(gauge, tmp_path, command, expected):
     (tmp_path / "empty_folder").mkdir()
-    (tmp_path / "my.csv").write_text("1\n", encoding="utf-8")
+    (tmp_path / "my.csv").write_text("1\n")
     _, *words = shlex.split(command)
     if expected[:2] in ("! ", "+ "):
         result = gauge(*words)

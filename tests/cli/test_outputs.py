@@ -122,7 +122,7 @@ sweep --shard 3 --only SlopeSlider-2-wood
 
 
 def test_what_cannot_be_met_is_refused_in_the_approved_words(gauge, approved, tmp_path):
-    (tmp_path / "bad.csv").write_text("1,2,3\n1,nan,3\n", encoding="utf-8")
+    (tmp_path / "bad.csv").write_text("1,2,3\n1,nan,3\n")
     commands = REFUSED.strip().splitlines()
     approved("cli/refused", approval.refused_commands(gauge, *commands))
 

@@ -60,7 +60,7 @@ def test_every_command_with_json_has_a_schema():
     assert {*formatted, *KINDS, "result-file"} == set(schema_names())
     assert {*HERE, *ELSEWHERE, "result-file"} == set(schema_names())
     for file in ELSEWHERE.values():
-        text = (Path(__file__).parents[1] / file).read_text(encoding="utf-8")
+        text = (Path(__file__).parents[1] / file).read_text()
         assert "--json" in text or "check_lines(" in text
 
 
@@ -74,7 +74,7 @@ def test_an_output_follows_its_schema(gauge, tmp_path, command):
 def test_a_result_file_follows_its_schema(gauge, tmp_path):
     gauge("run", "SlopeSlider-2-wood", "--out", tmp_path)
     (file,) = tmp_path.glob("*.json")
-    check_lines("result-file", file.read_text(encoding="utf-8"))
+    check_lines("result-file", file.read_text())
 
 
 # --- what a schema refuses ---
@@ -209,7 +209,7 @@ def test_the_command_prints_the_schema(gauge):
 
 
 def test_a_schema_changes_only_with_its_version():
-    stated, found = json.loads(LEDGER.read_text(encoding="utf-8")), current()
+    stated, found = json.loads(LEDGER.read_text()), current()
     assert not_raised(stated, found, "version") == [], (
         "raise `version` in the instrument.toml"
     )

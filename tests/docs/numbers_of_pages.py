@@ -85,10 +85,10 @@ def numbers_of_study(name):
     """Every number in the note and in the tables of a study, or in its findings if it ended, without its sign."""
     folder = ROOT / "studies" / name
     if not folder.is_dir():
-        findings = (ROOT / "studies" / "README.md").read_text(encoding="utf-8")
+        findings = (ROOT / "studies" / "README.md").read_text()
         return values(findings.partition(f"\n## {name}\n")[2].partition("\n## ")[0])
     text = "\n".join(
-        file.read_text(encoding="utf-8")
+        file.read_text()
         for file in (folder / "README.md", *sorted(folder.glob("*.csv")))
     )
     return values(text)
@@ -128,7 +128,7 @@ def sourceless(page, numbers_for=lambda phrase: ()):
     Returns:
         For each such block its numbers and its text.
     """
-    whole = page.read_text(encoding="utf-8")
+    whole = page.read_text()
     shown_numbers = values(shown(whole))
     found = []
     for block, introduction in blocks(visible(whole)):

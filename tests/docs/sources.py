@@ -29,7 +29,7 @@ UNIT_FACTORS = {
 }
 """Units of pages, over those in which the package keeps its values; lengths of recordings are in mm."""
 
-SOURCES = tomllib.loads((ROOT / "tests/docs/sources.toml").read_text(encoding="utf-8"))
+SOURCES = tomllib.loads((ROOT / "tests/docs/sources.toml").read_text())
 
 
 def numbers_in(value):
@@ -77,7 +77,7 @@ def numbers_of(source):
     if kind == "ranges":
         return tuple(numbers_in(justified_ranges(words[0]).ranges))
     if "/" in source:
-        return values((ROOT / source).read_text(encoding="utf-8"))
+        return values((ROOT / source).read_text())
     try:
         module = vars(import_module(f"gauge_envs.{source}"))
         return tuple(numbers_in([module[name] for name in module if name.isupper()]))
@@ -90,7 +90,7 @@ def numbers_of(source):
 
 def conformance_numbers(engine):
     """Yield results of the checks of an engine, how far they are off, and how many have each status."""
-    text = (ROOT / "scoring" / "conformance.json").read_text(encoding="utf-8")
+    text = (ROOT / "scoring" / "conformance.json").read_text()
     for column in json.loads(text)["columns"]:
         if column["backend"] != engine:
             continue

@@ -26,7 +26,7 @@ RUNNER = CliRunner()
 
 
 def blocks(page, language):
-    text = (ROOT / "docs" / page).read_text(encoding="utf-8")
+    text = (ROOT / "docs" / page).read_text()
     return re.findall(
         rf"^```{language}\n(.*?)^```$", text, flags=re.MULTILINE | re.DOTALL
     )
@@ -43,7 +43,7 @@ def parts(request, tmp_path, monkeypatch):
     name = path.removesuffix(".py").replace("/", ".")
     assert not (ROOT / path).exists()
     file = tmp_path / Path(path).name
-    file.write_text(named.pop(path), encoding="utf-8")
+    file.write_text(named.pop(path))
     model.checks()  # Checks that are imported later would be lost with the copy.
     monkeypatch.setattr(model, "_CHECKS", dict(model._CHECKS))
     monkeypatch.chdir(tmp_path)
@@ -95,7 +95,7 @@ def test_the_tests_that_a_guide_runs_exist(page):
     files = [word for line in lines for word in line.split() if word.endswith(".py")]
     assert files
     assert [file for file in files if not (ROOT / file).is_file()] == []
-    known = "\n".join((ROOT / file).read_text(encoding="utf-8") for file in files)
+    known = "\n".join((ROOT / file).read_text() for file in files)
     chosen = re.findall(r"\b(?:every_check|faults_show)\b", " ".join(lines))
     assert [name for name in chosen if name not in known] == []
 
@@ -146,7 +146,7 @@ def test_the_phenomenon_is_right_in_the_presets_and_wrong_where_a_fault_is_plant
     parts, monkeypatch
 ):
     module, others = parts
-    text = (ROOT / "docs" / "adding_a_phenomenon.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "adding_a_phenomenon.md").read_text()
     ((name, file, function),) = re.findall(r'`([\w-]+) = \["(\w+)", "(\w+)"\]`', text)
     assert module.__name__.endswith(f".{file}")
     monkeypatch.setitem(phenomena.RIGID, name, (file, function))
@@ -190,7 +190,7 @@ def test_the_phenomenon_reads_a_known_motion(parts, monkeypatch):
 
 @pytest.fixture
 def tiny(parts, monkeypatch):
-    text = (ROOT / "docs" / "adding_a_stack.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "adding_a_stack.md").read_text()
     (name,) = re.findall(r'Add `"(\w+)"` to `STACKS`', text)
     assert parts[0].__name__ == f"{stacks.__name__}.{name}"
     monkeypatch.setattr(stacks, "STACKS", (name, *stacks.STACKS))
@@ -200,12 +200,12 @@ def tiny(parts, monkeypatch):
 @guide("adding_a_stack.md")
 def test_the_stack_is_read_and_its_change_is_printed(tiny):
     (content,) = blocks("adding_a_stack.md", "yaml")
-    Path("run.tiny").write_text(content, encoding="utf-8")
+    Path("run.tiny").write_text(content)
     read = configuration(Path("run.tiny"))
     assert read.settings == {"timestep_s": 0.005, "iterations": 20, "cone": "pyramidal"}
     assert (read.frame_skip, read.gravity_m_per_s2) == (4, (0.0, 0.0, -9.81))
     (printed,) = outputs("adding_a_stack.md", "gauge sanity")
-    text = (ROOT / "docs" / "adding_a_stack.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "adding_a_stack.md").read_text()
     (stated,) = re.findall(r"It prints `(.*?)`", text)
     assert printed.startswith(stated)
 
@@ -250,6 +250,6 @@ def test_reading_what_the_stack_writes_gives_the_settings_back(
     ],
 )
 def test_the_stack_refuses_what_it_cannot_read(tiny, content, says):
-    Path("run.tiny").write_text(content, encoding="utf-8")
+    Path("run.tiny").write_text(content)
     with pytest.raises(TargetError, match=says):
         configuration(Path("run.tiny"))

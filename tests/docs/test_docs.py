@@ -55,7 +55,7 @@ def prose(page):
     text = re.sub(
         r"^```.*?^```$",
         "",
-        page.read_text(encoding="utf-8"),
+        page.read_text(),
         flags=re.MULTILINE | re.DOTALL,
     )
     return re.sub(r"`[^`\n]*`", "", text)
@@ -85,7 +85,7 @@ SCRIPTS = [
 @pytest.mark.parametrize("script", SCRIPTS, ids=name_of)
 def test_scripts_import_names_that_exist(script):
     """Scripts that take minutes are not run by tests, so that a renamed function would break them unseen."""
-    for node in ast.walk(ast.parse(script.read_text(encoding="utf-8"))):
+    for node in ast.walk(ast.parse(script.read_text())):
         if (
             isinstance(node, ast.ImportFrom)
             and (node.module or "").partition(".")[0] == "gauge_envs"
@@ -105,7 +105,7 @@ def anchors(page):
     text = re.sub(
         r"^```.*?^```$",
         "",
-        page.read_text(encoding="utf-8"),
+        page.read_text(),
         flags=re.MULTILINE | re.DOTALL,
     )
     titles = re.findall(r"^#+ (.*)$", text, flags=re.MULTILINE)
@@ -175,10 +175,10 @@ def test_python_blocks_run_and_print_what_they_state(
     for block in fenced(page, "toml"):
         if match := re.match(r"# (tasks/\w+\.toml)\n", block):
             (tmp_path / "tasks").mkdir(exist_ok=True)
-            (tmp_path / match[1]).write_text(block, encoding="utf-8")
+            (tmp_path / match[1]).write_text(block)
     code = "\n".join(fenced(page, "python"))
     if "examples/" in code:
-        assert "in a clone of the" in page.read_text(encoding="utf-8")
+        assert "in a clone of the" in page.read_text()
         (tmp_path / "examples").symlink_to(ROOT / "examples", target_is_directory=True)
     exec(compile(code, page.name, "exec"), {"__name__": "guide"})
     stated = re.findall(r"^ *print\(.*\)  # (.*)$", code, flags=re.MULTILINE)
@@ -203,7 +203,7 @@ def test_other_python_blocks_compile_and_import(page):
 
 def test_the_tutorial_quotes_its_task_file():
     (quoted,) = fenced(DOCS / "tutorial.md", "toml")
-    file = (ROOT / "tasks" / "bouncing_ball.toml").read_text(encoding="utf-8")
+    file = (ROOT / "tasks" / "bouncing_ball.toml").read_text()
     tables = quoted.strip().split("\n\n")
     assert len(tables) > 5
     assert [table for table in tables if table not in file] == []
@@ -228,7 +228,7 @@ def mentioned(page):
     text = re.sub(
         r"^```.*?^```$",
         "",
-        page.read_text(encoding="utf-8"),
+        page.read_text(),
         flags=re.MULTILINE | re.DOTALL,
     )
     return [
@@ -283,7 +283,7 @@ def test_the_page_of_commands_lists_every_command_with_an_example():
     page = DOCS / "commands.md"
     rows = re.findall(
         r"^\| `([a-z -]+)` \| .* \| `gauge (.*)` \|$",
-        page.read_text(encoding="utf-8"),
+        page.read_text(),
         flags=re.MULTILINE,
     )
     assert [name for name, _ in rows] == list(instruments_by("commands"))
@@ -360,7 +360,7 @@ def test_the_page_of_an_engine_lists_its_presets(engine):
         *settings.PRESETS,
         *(["training"] if hasattr(settings, "TRAINING_CHANGES") else []),
     }
-    page = (DOCS / "engines" / f"{engine}.md").read_text(encoding="utf-8")
+    page = (DOCS / "engines" / f"{engine}.md").read_text()
     table = page.partition("\n## Presets\n")[2].partition("\n## ")[0]
     assert set(re.findall(r"^\| `(\w+)` \|", table, flags=re.MULTILINE)) == presets
 

@@ -51,7 +51,7 @@ def test_every_registered_experiment_has_a_page_that_names_it():
     assert ids == {variant.id for variant in VARIANTS}
     absent = []
     for variant in VARIANTS:
-        page = (PAGES / f"{variant.family}.md").read_text(encoding="utf-8")
+        page = (PAGES / f"{variant.family}.md").read_text()
         if f"\n| {variant.id} |" not in page:
             absent.append(variant.id)
     assert absent == []
@@ -191,7 +191,6 @@ def test_limits_are_of_known_variants_and_studies(tmp_path):
         page = tmp_path / "limit.md"
         page.write_text(
             f"{limit.text} [study](../studies/{note_of(limit.study)})\n",
-            encoding="utf-8",
         )
         bare += sourceless(page)
     assert bare == []

@@ -12,7 +12,7 @@ MOST_BYTES = 4_000_000
 
 
 def test_every_picture_is_on_the_page_and_none_is_left_over():
-    page = PAGE.read_text(encoding="utf-8")
+    page = PAGE.read_text()
     sizes = {file.name: file.stat().st_size for file in PICTURES.iterdir()}
     assert set(re.findall(r"\]\(images/gallery/([^)]+)\)", page)) == set(sizes)
     assert all(sizes.values())

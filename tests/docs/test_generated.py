@@ -95,11 +95,11 @@ def test_a_changed_input_makes_its_measured_files_stale(checkout, approved):
     before, lines = changed_inputs(checkout), []
     for file, old, new in CHANGES:
         path = checkout / file
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text()
         assert old in text
-        path.write_text(text.replace(old, new, 1), encoding="utf-8")
+        path.write_text(text.replace(old, new, 1))
         after = changed_inputs(checkout)
-        path.write_text(text, encoding="utf-8")
+        path.write_text(text)
         stale = sorted(name for name in before if after[name] != before[name])
         lines += [f"{file}: {old}", *(f"    {name}" for name in stale)]
     approved("docs/stale", "\n".join(lines))
@@ -154,7 +154,7 @@ def test_files_that_name_their_script_are_in_its_row():
                 and file.parent != copies
             ):
                 for script in re.findall(
-                    r"ritten by scripts/(\w+)\.py", file.read_text(encoding="utf-8")
+                    r"ritten by scripts/(\w+)\.py", file.read_text()
                 ):
                     marked += 1
                     assert file in by_builder[script], f"{file} names {script}"
@@ -216,9 +216,9 @@ def test_every_other_difference_of_a_generated_file_is_found(
 ):
     file = tmp_path / "a.csv"
     assert stale_files({file: PRINTED}) == [file]
-    file.write_text(PRINTED.replace(stored, generated), encoding="utf-8")
+    file.write_text(PRINTED.replace(stored, generated))
     assert stale_files({file: PRINTED}) == [file]
-    file.write_text(PRINTED, encoding="utf-8")
+    file.write_text(PRINTED)
     assert stale_files({file: PRINTED}) == []
 
 

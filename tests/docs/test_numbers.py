@@ -71,7 +71,7 @@ It prints 0.31 and not 2.5 s.
 
 def test_a_planted_number_is_found(tmp_path):
     page = tmp_path / "page.md"
-    page.write_text(PAGE, encoding="utf-8")
+    page.write_text(PAGE)
     found = [
         one.partition("   in: ")[0] for one in sourceless(page, lambda _: [1.0, 540.0])
     ]

@@ -39,10 +39,10 @@ def test_every_study_has_a_command_of_a_script_and_its_note_names_all_scripts():
     scripts = sorted(STUDIES.glob("*/*.py"))
     assert {file.parent.name for file in scripts} == set(COMMANDS)
     for file in scripts:
-        if "__main__" not in file.read_text(encoding="utf-8"):
+        if "__main__" not in file.read_text():
             continue
         name = f"{file.parent.name}.{file.stem}"
-        note = (file.parent / "README.md").read_text(encoding="utf-8")
+        note = (file.parent / "README.md").read_text()
         assert f"python -m studies.{name}" in note
     for study, command in COMMANDS.items():
         assert (STUDIES / study / f"{command.split()[0]}.py").is_file()
@@ -72,13 +72,13 @@ def test_a_script_runs_as_its_note_says(study, tmp_path, monkeypatch):
             timeout=TIMEOUT_S,
             check=False,
         )
-    assert done.returncode == 0, wrong.read_text(encoding="utf-8")
+    assert done.returncode == 0, wrong.read_text()
     assert printed.read_bytes() or study == "joints"
 
 
 def test_the_page_of_sanity_counts_the_blind_draws_as_their_rows_do():
-    page = (ROOT / "docs/sanity.md").read_text(encoding="utf-8")
-    with (STUDIES / "robots/blind.csv").open(encoding="utf-8") as file:
+    page = (ROOT / "docs/sanity.md").read_text()
+    with (STUDIES / "robots/blind.csv").open() as file:
         mistakes = list(csv.DictReader(file))
 
     def named(**chosen):

@@ -74,14 +74,14 @@ def test_a_warning_that_is_an_error_is_raised_each_time():
 def test_warnings_have_the_approved_words(approved, tmp_path):
     copy = tmp_path / "usd_experiment"
     shutil.copytree(ROOT / "examples" / "usd_experiment", copy)
-    text = (copy / "crate.toml").read_text(encoding="utf-8")
+    text = (copy / "crate.toml").read_text()
     head, _, rest = text.partition("[band]")
     kept = "\n".join(
         line
         for line in rest.partition("[provenance]")[2].splitlines()
         if not line.startswith("band =")
     )
-    (copy / "crate.toml").write_text(f"{head}[provenance]{kept}\n", encoding="utf-8")
+    (copy / "crate.toml").write_text(f"{head}[provenance]{kept}\n")
     # A foam of another stiffness is not the one that was solved.
     other = {"foam.young_modulus_pa": 1e5}
     requests = (

@@ -190,10 +190,8 @@ def test_damaged_events_are_named(
 ) -> None:
     folder = tmp_path / "scoring" / "bands"
     folder.mkdir(parents=True)
-    text = (data_folder("scoring") / "bands" / "events.toml").read_text(
-        encoding="utf-8"
-    )
-    (folder / "events.toml").write_text(text.replace("0.37", "-0.37"), encoding="utf-8")
+    text = (data_folder("scoring") / "bands" / "events.toml").read_text()
+    (folder / "events.toml").write_text(text.replace("0.37", "-0.37"))
     monkeypatch.setattr(tables, "data_folder", lambda name: tmp_path / name)
     with pytest.raises(
         ReferenceFileError, match=r"events\.2\.values_s\.1: .*given: -0\.37"

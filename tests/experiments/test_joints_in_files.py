@@ -88,7 +88,7 @@ def built(folder, old="", new="", material="brass", **overrides):
     """Return the scene of the arm's task file with one passage changed; `upper__mass_kg` overrides a constant."""
     assert old in ARM
     path = folder / "arm.toml"
-    path.write_text(ARM.replace(old, new, 1) if old else ARM, encoding="utf-8")
+    path.write_text(ARM.replace(old, new, 1) if old else ARM)
     stated = {key.replace("__", "."): value for key, value in overrides.items()}
     return SceneBuilder(
         path, load_task(path), Variant("Arm", None, material), stated
@@ -138,7 +138,7 @@ def test_a_torque_motor_has_a_sampled_command(tmp_path):
         .replace(COMMAND, command)
     )
     path = tmp_path / "arm.toml"
-    path.write_text(text.replace('"servo"', '"torque"'), encoding="utf-8")
+    path.write_text(text.replace('"servo"', '"torque"'))
     scene = SceneBuilder(
         path, load_task(path), Variant("Arm", None, "brass"), {}
     ).build()
@@ -277,7 +277,7 @@ joints = "nominal: a test"
 def swing(tmp_path):
     """Experiment file whose layer has the arm of the task file."""
     to_usd(built(tmp_path), tmp_path / "arm.usda")
-    (tmp_path / "swing.toml").write_text(SWING, encoding="utf-8")
+    (tmp_path / "swing.toml").write_text(SWING)
     return tmp_path / "swing.toml"
 
 
@@ -332,7 +332,7 @@ def test_an_experiment_file_with_motors_runs_and_its_result_reads_back(swing, tm
 )
 def test_wrong_terms_in_an_experiment_file(old, new, error, reason, swing):
     assert old in SWING
-    swing.write_text(SWING.replace(old, new, 1), encoding="utf-8")
+    swing.write_text(SWING.replace(old, new, 1))
     with pytest.raises(error, match=reason):
         load_experiment_file(swing)
 

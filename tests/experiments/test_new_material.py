@@ -40,14 +40,14 @@ def tasks_with_glass(tmp_path, monkeypatch):
     folder = tmp_path / "tasks"
     shutil.copytree(data_folder("tasks"), folder)
     file = folder / "slope_slider.toml"
-    text = file.read_text(encoding="utf-8")
+    text = file.read_text()
     for old, new in EDITS:
         assert text.count(old) == 1
         text = text.replace(old, new)
     starts = r"\[subtasks\.(\d)\.initial\.wood\]\n((?:\w.*\n)+)"
     text, count = re.subn(starts, r"\g<0>\n[subtasks.\1.initial.glass]\n\2", text)
     assert count == 3
-    file.write_text(text, encoding="utf-8")
+    file.write_text(text)
     caches = (
         variants._read_files,
         variants.variants,

@@ -12,7 +12,7 @@ from scripts.inputs import task_digest
 
 
 def test_what_decides_scores_changes_only_with_the_revision():
-    stated, found = json.loads(LEDGER.read_text(encoding="utf-8")), current()
+    stated, found = json.loads(LEDGER.read_text()), current()
     assert not_raised(stated, found, "revision") == [], (
         "scores may change: raise `revision` in the task file"
     )
@@ -38,10 +38,10 @@ def test_a_change_without_a_raise_is_found():
 )
 def test_the_digest_knows_numbers_from_texts(old, new, changes, tmp_path):
     task = data_folder("tasks") / "slope_slider.toml"
-    text = task.read_text(encoding="utf-8")
+    text = task.read_text()
     assert old in text
     edited = tmp_path / "slope_slider.toml"
-    edited.write_text(text.replace(old, new, 1), encoding="utf-8")
+    edited.write_text(text.replace(old, new, 1))
     assert (task_digest(edited) != task_digest(task)) is changes
 
 

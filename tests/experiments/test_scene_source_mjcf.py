@@ -148,7 +148,7 @@ def test_a_longer_step_is_the_files(edited):
 
 
 def test_an_edited_table_is_a_change(edited):
-    text = shipped(CLOTH).read_text(encoding="utf-8")
+    text = shipped(CLOTH).read_text()
     numbers = re.search(
         r'name="flex_bending/textile/weight" size="\d+" data="([^ ]*)', text
     )
@@ -161,7 +161,7 @@ def test_an_edited_table_is_a_change(edited):
 
 def rows_text(change):
     """The driven motion of the tilted board as it stands in its file, and changed."""
-    text = shipped(TILTED).read_text(encoding="utf-8")
+    text = shipped(TILTED).read_text()
     match = re.search(r'name="driver/board" size="\d+" data="([^"]*)"', text)
     rows = np.array(match.group(1).split(), dtype=np.float64).reshape(-1, 19)
     change(rows)
@@ -199,7 +199,7 @@ def shifted(rows):
 
 
 def moved_node():
-    text = shipped(CLOTH).read_text(encoding="utf-8")
+    text = shipped(CLOTH).read_text()
     node = re.search(r'<body name="textile/\d+" pos="', text).group(0)
     return node, f"{node}1"
 
@@ -295,7 +295,7 @@ def test_only_mujoco_has_model_files():
 
 
 def test_changes_of_a_model_find_every_kind_of_edit():
-    text = shipped(SLIDE).read_text(encoding="utf-8")
+    text = shipped(SLIDE).read_text()
     built = mujoco.MjModel.from_xml_string(text)
     for old, new, message in (
         (
@@ -344,7 +344,7 @@ THROWN = {
 def test_an_exported_start_velocity_replays_bit_for_bit(tmp_path, rollout):
     experiment = load_experiment(SLIDE, THROWN)
     write_mjcf(experiment, tmp_path / "thrown.xml")
-    text = (tmp_path / "thrown.xml").read_text(encoding="utf-8")
+    text = (tmp_path / "thrown.xml").read_text()
     assert "mj_resetDataKeyframe" in text
     assert '<key name="start"' in text
     file = backend("mujoco").build_file(

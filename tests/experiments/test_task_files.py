@@ -29,7 +29,7 @@ def test_75_variants_resolve_to_a_scene():
 
 @pytest.mark.parametrize("path", task_files(), ids=lambda path: path.stem)
 def test_every_file_has_the_same_order(path):
-    keys = list(tomllib.loads(path.read_text(encoding="utf-8")))
+    keys = list(tomllib.loads(path.read_text()))
     assert keys == sorted(keys, key=ORDER.index)
 
 
@@ -212,19 +212,18 @@ def test_a_wrong_file_names_file_key_and_reason(
 
 
 def test_flat_piece_encloses_no_volume(tmp_path):
-    text = task_path("SlopeContact").read_text(encoding="utf-8")
+    text = task_path("SlopeContact").read_text()
     flat = "pieces_m = [[[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0], [0.1, 0.1, 0.0]]]"
     path = tmp_path / "flat.toml"
     path.write_text(
         re.sub(r"pieces_m = \[\n.*?\n\]", flat, text, count=1, flags=re.DOTALL),
-        encoding="utf-8",
     )
     with pytest.raises(TaskFileError, match="no volume"):
         load_task(path)
 
 
 def test_calibrated_value_that_cannot_be_used_is_kept_beside_its_substitute():
-    raw = tomllib.loads(task_path("StickStack").read_text(encoding="utf-8"))
+    raw = tomllib.loads(task_path("StickStack").read_text())
     entry = raw["constants"]["rod"]["soft"]["poisson_ratio"]
     assert (entry["calibrated"], entry["used"]) == (0.62, 0.49)
     rod = next(
@@ -264,7 +263,7 @@ frames = "nominal"
 @pytest.mark.parametrize(
     "content",
     [
-        *(path.read_text(encoding="utf-8") for path in task_files()),
+        *(path.read_text() for path in task_files()),
         SUBTASKS,
         SUBTASKS.replace("[subtasks.1]", '["subtasks".1]'),
         SUBTASKS.replace("[subtasks.1]", "[subtasks]\n1.frames.steel = 6\n[other]"),

@@ -268,9 +268,7 @@ def test_turntable_three_repeats_the_recorded_strokes():
 
 def test_ball_parameter_sets_are_the_recorded_means():
     facts = tomllib.loads(
-        (data_folder("scoring") / "facts" / "bouncing_ball_summary.toml").read_text(
-            encoding="utf-8"
-        )
+        (data_folder("scoring") / "facts" / "bouncing_ball_summary.toml").read_text()
     )
     recorded = experiment("BouncingBall-rubber", "recorded")
     ball, ground = recorded.scene.body("ball"), recorded.scene.body("ground")
@@ -287,7 +285,7 @@ def test_ball_parameter_sets_are_the_recorded_means():
 @pytest.mark.parametrize("material", ["wood", "plastic", "metal"])
 def test_the_effective_friction_is_that_of_the_recorded_slides(material):
     file = data_folder("scoring") / "facts" / "slope_slider_30deg_summary.toml"
-    facts = tomllib.loads(file.read_text(encoding="utf-8"))
+    facts = tomllib.loads(file.read_text())
     contact, _ = experiment(f"SlopeSlider-2-{material}", "effective").scene.contacts
     assert contact.friction == facts[material]["friction"]["mean"]
 

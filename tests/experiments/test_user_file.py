@@ -328,7 +328,6 @@ def flung(tmp_path):
         path = tmp_path / "cloth.toml"
         path.write_text(
             f'{text}[score]\nobservable = "marker_position"\n[provenance]\nscene = "metadata"\n',
-            encoding="utf-8",
         )
         return path
 
@@ -667,7 +666,7 @@ def test_a_trajectory_of_another_simulator_is_scored(gauge, tmp_path):
 
 BLOCKS = re.findall(
     r"^```(\w+)\n(.*?)^```$",
-    GUIDE.read_text(encoding="utf-8"),
+    GUIDE.read_text(),
     flags=re.MULTILINE | re.DOTALL,
 )
 TABLES = [text for kind, text in BLOCKS if kind == "toml"]
@@ -675,19 +674,19 @@ TABLES = [text for kind, text in BLOCKS if kind == "toml"]
 
 def test_the_guide_quotes_the_experiment_file():
     quoted, _ = TABLES
-    assert CRATE.read_text(encoding="utf-8").endswith(quoted)
+    assert CRATE.read_text().endswith(quoted)
 
 
 def test_the_guide_names_markers_as_they_are_read(flung):
     path = flung(fewer)
-    text = path.read_text(encoding="utf-8")
-    path.write_text(text.replace("[score]", f"{TABLES[1]}[score]"), encoding="utf-8")
+    text = path.read_text()
+    path.write_text(text.replace("[score]", f"{TABLES[1]}[score]"))
     markers = load_experiment_file(str(path)).scene.markers
     assert (len(markers.positions_m), markers.faces) == (9, ((0, 1, 4),))
 
 
 def test_the_guide_names_every_key():
-    table = GUIDE.read_text(encoding="utf-8").rpartition("| key | what |")[2]
+    table = GUIDE.read_text().rpartition("| key | what |")[2]
     from gauge_envs.tools.usd.experiment_file import ExperimentFile
 
     for key in ExperimentFile.model_fields:

@@ -15,7 +15,7 @@ from gauge_envs.experiments import variants as module
 from gauge_envs.experiments.task_files import task_spec
 from gauge_envs.experiments.variants import find_subject, user_variants
 
-PAGE = (ROOT / "docs/adding_an_experiment.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs/adding_an_experiment.md").read_text()
 (PUCK,) = re.findall(
     r"^```toml\n(# tasks/puck.*?)^```$", PAGE, re.DOTALL | re.MULTILINE
 )

@@ -17,12 +17,10 @@ EXAMPLE = ROOT / "examples" / "usd_experiment"
 
 
 def test_a_scene_that_cannot_be_built_is_found(tmp_path):
-    text = task_path("SlopeSlider").read_text(encoding="utf-8")
+    text = task_path("SlopeSlider").read_text()
     file = tmp_path / "slope_slider.toml"
-    file.write_text(
-        text.replace('board = "kinematic"', 'board = "dynamic"'), encoding="utf-8"
-    )
-    assert file.read_text(encoding="utf-8") != text
+    file.write_text(text.replace('board = "kinematic"', 'board = "dynamic"'))
+    assert file.read_text() != text
     with pytest.raises(
         TaskFileError,
         match=r"slope_slider\.toml: drivers: 'board' is driven but dynamic",

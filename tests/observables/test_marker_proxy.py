@@ -50,9 +50,9 @@ def test_an_old_result_without_the_key_is_by_node(tmp_path):
     write_result(result, file)
     assert file.name == "BouncingBall-rubber.mujoco.calibrated.json"
     assert load_result(file).marker_proxy == "material"
-    content = json.loads(file.read_text(encoding="utf-8"))
+    content = json.loads(file.read_text())
     del content["marker_proxy"], content["asset"], content["score"]["edited"]
-    file.write_text(json.dumps(content), encoding="utf-8")
+    file.write_text(json.dumps(content))
     old = load_result(file)
     assert old == replace(result, marker_proxy="node")
     assert result_file_name(old) == "BouncingBall-rubber.mujoco.calibrated.node.json"

@@ -21,9 +21,7 @@ GRAVITY = 9.80665
 
 def sidecar(variant):
     return tomllib.loads(
-        (data_folder("scoring") / "bands" / f"{variant}.toml").read_text(
-            encoding="utf-8"
-        )
+        (data_folder("scoring") / "bands" / f"{variant}.toml").read_text()
     )
 
 
@@ -179,7 +177,7 @@ def test_ideal_ball(restitution, start, contact, release, score):
 def test_slope_summary_inverts_coulomb_sliding():
     text = (
         data_folder("scoring") / "facts" / "slope_slider_30deg_summary.toml"
-    ).read_text(encoding="utf-8")
+    ).read_text()
     for material, summary in tomllib.loads(text).items():
         friction, acceleration = (
             summary["friction"]["mean"],

@@ -82,7 +82,7 @@ def test_mujoco_has_half_the_step_of_every_scored_experiment():
 def test_a_table_is_read_as_it_was_written(tmp_path):
     table = ConvergenceTable(NOTES, {}).with_rows([ROW, DIVERGED])
     file = tmp_path / "mujoco.csv"
-    file.write_text(table.text(), encoding="utf-8")
+    file.write_text(table.text())
     found = ConvergenceTable.read(file)
     assert found == table
     assert found.of("SlopeSlider-2-wood") == {"timestep_s": ROW}
@@ -102,7 +102,7 @@ def test_a_table_is_read_as_it_was_written(tmp_path):
 )
 def test_damage_is_named(old, new, message, tmp_path):
     file = tmp_path / "mujoco.csv"
-    file.write_text(TEXT, encoding="utf-8")
+    file.write_text(TEXT)
     with pytest.raises(ReferenceFileError, match=f"mujoco.csv: {message}"):
         ConvergenceTable.read(changed_text(file, (old, new)))
 

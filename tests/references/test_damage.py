@@ -138,8 +138,8 @@ def test_tables_notice_a_changed_fact(contents, facts, replacement, stale, scori
     if facts.startswith("recordings/"):
         # Statistics of one recording suffice.
         stated = scoring / "facts" / "recordings" / "statistics.toml"
-        sections = re.split(r"(?m)^(?=\[)", stated.read_text(encoding="utf-8"))
+        sections = re.split(r"(?m)^(?=\[)", stated.read_text())
         kept = [one for one in sections if one.startswith("[foam_bending")]
-        stated.write_text("".join(kept), encoding="utf-8")
+        stated.write_text("".join(kept))
     changed_text(scoring / "facts" / facts, replacement, count=-1)
     assert {file.name for file in stale_files(contents(scoring))} == stale

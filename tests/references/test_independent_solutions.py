@@ -58,9 +58,7 @@ def chord_deg(load: float, inside_m: float = 0.0) -> float:
 
 
 def cantilever_rows() -> list[dict[str, str]]:
-    with (ROOT / "studies" / "models" / "cantilever.csv").open(
-        encoding="utf-8"
-    ) as file:
+    with (ROOT / "studies" / "models" / "cantilever.csv").open() as file:
         return list(csv.DictReader(file))
 
 

@@ -240,14 +240,12 @@ def test_the_mean_of_two_solutions_lies_between_them():
 def test_damage_is_named(tmp_path):
     for file in FOLDER.glob(f"{FOAM}.*"):
         (tmp_path / file.name).write_bytes(file.read_bytes())
-    sidecar = json.loads((tmp_path / f"{FOAM}.json").read_text(encoding="utf-8"))
-    (tmp_path / f"{FOAM}.json").write_text(
-        json.dumps(sidecar | {"solved_frames": 7}), encoding="utf-8"
-    )
+    sidecar = json.loads((tmp_path / f"{FOAM}.json").read_text())
+    (tmp_path / f"{FOAM}.json").write_text(json.dumps(sidecar | {"solved_frames": 7}))
     with pytest.raises(ReferenceFileError, match=r"has arrays .* expected .*\(7, "):
         models._read(tmp_path / f"{FOAM}.npz", FOAM)
     models._read.cache_clear()
-    (tmp_path / f"{FOAM}.json").write_text("{", encoding="utf-8")
+    (tmp_path / f"{FOAM}.json").write_text("{")
     with pytest.raises(ReferenceFileError, match=f"{FOAM}.json"):
         models._read(tmp_path / f"{FOAM}.npz", FOAM)
 

@@ -153,7 +153,7 @@ def test_the_table_cannot_be_emptied_through_the_returned_dict():
 def test_world_model_table_is_complete():
     lines = (
         (data_folder("scoring") / "published" / "world_model_results.csv")
-        .read_text(encoding="utf-8")
+        .read_text()
         .splitlines()
     )
     assert len(lines) == 1 + 14

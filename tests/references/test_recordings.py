@@ -55,9 +55,7 @@ def facts_folder():
 
 
 def recordings():
-    return tomllib.loads(
-        (facts_folder() / "recordings.toml").read_text(encoding="utf-8")
-    )
+    return tomllib.loads((facts_folder() / "recordings.toml").read_text())
 
 
 def table(name):
@@ -67,11 +65,10 @@ def table(name):
 def test_the_table_of_coverage_names_every_id_and_its_check_finds_a_change(
     tmp_path, monkeypatch
 ):
-    page = (ROOT / "docs" / "coverage.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "coverage.md").read_text()
     stale = tmp_path / "coverage.md"
     stale.write_text(
         page.replace("| SlopeSlider-2-wood | trials |", "| SlopeSlider-2-wood | law |"),
-        encoding="utf-8",
     )
     monkeypatch.setattr(build_coverage, "PAGE", stale)
     assert stale_files(build_coverage.contents()) == [stale]
@@ -87,7 +84,7 @@ def test_the_table_of_coverage_names_every_id_and_its_check_finds_a_change(
 
 
 def test_no_default_preset_fails_a_check_of_what_is_ranked():
-    data = json.loads(build_engine_table.DATA.read_text(encoding="utf-8"))
+    data = json.loads(build_engine_table.DATA.read_text())
     defaults = {
         one["engine"]: one for one in data["configurations"] if not one["preset"]
     }
@@ -375,7 +372,7 @@ def test_a_score_on_a_withheld_band_says_so(rollout):
 
 def test_a_score_uses_what_is_withheld_when_asked_to(tmp_path, gauge):
     file = tmp_path / "still.csv"
-    file.write_text("\n".join(["504.278,408.961,180.622"] * 10), encoding="utf-8")
+    file.write_text("\n".join(["504.278,408.961,180.622"] * 10))
     words = ("score", file, "--id", "SlopeContact-wood", "--json")
     plain, asked = (
         json.loads(gauge(*words, *more).stdout)["score"]
@@ -506,9 +503,7 @@ def test_the_recorded_period_is_that_of_the_angles():
 
 
 def test_the_recorded_bounce_agrees_with_the_trials():
-    text = (data_folder("scoring") / "facts" / "bouncing_ball_summary.toml").read_text(
-        encoding="utf-8"
-    )
+    text = (data_folder("scoring") / "facts" / "bouncing_ball_summary.toml").read_text()
     trials, seen = tomllib.loads(text), recordings()["bouncing_ball"]["facts"]
     assert seen["rebound_ratio"]["value"] == pytest.approx(
         trials["rebound_ratio"]["mean"], rel=0.01

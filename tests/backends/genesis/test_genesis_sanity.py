@@ -76,7 +76,7 @@ def test_a_built_scene_states_the_constants_of_its_geoms(engine):
 def test_saved_options_are_those_of_the_scene(engine, tmp_path):
     scene = ball_scene(iterations=7, noslip_iterations=3)
     path = tmp_path / "options.json"
-    path.write_text(scene.options.model_dump_json(), encoding="utf-8")
+    path.write_text(scene.options.model_dump_json())
     assert "Genesis" in reader_of(path).accepts
     values = {
         "sim": {"dt": 0.004, "substeps": 2},
@@ -96,7 +96,7 @@ def test_saved_options_are_those_of_the_scene(engine, tmp_path):
 
 def test_a_settings_file_is_no_file_of_options(tmp_path):
     path = tmp_path / "settings.json"
-    path.write_text('{"backend": "mujoco"}', encoding="utf-8")
+    path.write_text('{"backend": "mujoco"}')
     assert reader_of(path).accepts.startswith("a settings file")
 
 

@@ -58,7 +58,7 @@ def read(scene, folder, *replacements):
         assert old in text, text
         text = text.replace(old, new)
     path = folder / "chain.xml"
-    path.write_text(text, encoding="utf-8")
+    path.write_text(text)
     return path, BackendMuJoCo().read_file(path, scene)
 
 

@@ -412,7 +412,7 @@ def loaded(text):
 
 
 def checked_in_text(name):
-    return (assets_folder() / "mjcf" / f"{name}.xml").read_text(encoding="utf-8")
+    return (assets_folder() / "mjcf" / f"{name}.xml").read_text()
 
 
 @pytest.mark.parametrize("name", [*RIGID, *ONE_OF_EACH_DEFORMABLE_FAMILY])
@@ -460,7 +460,7 @@ def replayed(experiment, text, frames):
             data.qvel[joint.dofadr[0] :][:6] = row[7:13]
             data.xfrc_applied[model.body(path.body).id] = row[13:]
             if f"grip/{path.body}" in text:
-                readme = (assets_folder() / "README.md").read_text(encoding="utf-8")
+                readme = (assets_folder() / "README.md").read_text()
                 begin = readme.index("    base, turn, turned =")
                 lines = textwrap.dedent(
                     readme[begin : readme.index("\n\n", begin)]

@@ -40,7 +40,7 @@ from gauge_envs.tools.assets.isaac_sim import (
 from gauge_envs.tools.usd.isaac_fabric import surface_constants
 
 SCHEMAS = tomllib.loads(
-    (Path(__file__).parent / "omni_physics_schemas.toml").read_text(encoding="utf-8")
+    (Path(__file__).parent / "omni_physics_schemas.toml").read_text()
 )
 CYLINDERS = "/physics/collisionApproximateCylinders"
 PREFIXES = ("omniphysics:", "physx")
@@ -442,7 +442,7 @@ def test_command_writes_what_it_can_and_names_the_rest(tmp_path, gauge):
 def play(tmp_path, monkeypatch):
     def run(name, motion, *options):
         layer = tmp_path / f"{name}.usda"
-        layer.write_text(layer_text(name), encoding="utf-8")
+        layer.write_text(layer_text(name))
         stub = StubIsaacSim(motion)
         stub.install(monkeypatch)
         arguments = [str(layer), "--out", str(tmp_path / "out.csv"), *options]
@@ -484,7 +484,7 @@ def deformed(name):
 
 
 def columns(path):
-    header, *rows = path.read_text(encoding="utf-8").splitlines()
+    header, *rows = path.read_text().splitlines()
     return header.split(","), np.array(
         [row.split(",") for row in rows], dtype=np.float64
     )
@@ -699,7 +699,7 @@ BUNDLED = assets_folder() / "usd" / "BouncingBall-rubber.usda"
     [
         (None, "no such file"),
         ("not USD", "cannot open the file"),
-        (BUNDLED.read_text(encoding="utf-8"), "not a layer of 'gauge data isaac-sim'"),
+        (BUNDLED.read_text(), "not a layer of 'gauge data isaac-sim'"),
     ],
     ids=["none", "no USD", "of another command"],
 )
@@ -711,7 +711,7 @@ def test_a_file_that_is_no_layer_is_refused(
     monkeypatch.setattr(sys, "argv", ["run_layer.py"])
     layer = tmp_path / "layer.usda"
     if content is not None:
-        layer.write_text(content, encoding="utf-8")
+        layer.write_text(content)
     assert RUN_LAYER.main([str(layer)]) == 2
     assert reason in capsys.readouterr().err
     assert stub.times_s == []

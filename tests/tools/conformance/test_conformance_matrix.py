@@ -84,7 +84,7 @@ def test_an_engine_that_dies_costs_its_own_cells(installed, tmp_path, gauge):
         ("mujoco", "slide-plane", Status.PASS),
     ]
     assert result.exit_code == 1
-    text = page.read_text(encoding="utf-8")
+    text = page.read_text()
     assert "segmentation fault" in text
     assert "at-import" in text
     assert "SystemExit: 3" in text

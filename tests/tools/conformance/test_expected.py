@@ -24,7 +24,7 @@ def broken(monkeypatch, tmp_path, gauge):
 
     def run(text, *options):
         file = tmp_path / "known.toml"
-        file.write_text(text, encoding="utf-8")
+        file.write_text(text)
         words = ("backend", "check", "mine", "--expected", file, *ONLY, *options)
         return gauge(*words)
 
@@ -48,7 +48,7 @@ def test_exactly_the_listed_checks_fail(broken, tmp_path, text, code, words, col
     badge = tmp_path / "badge.json"
     result = broken(text, "--badge", badge)
     assert (result.exit_code, words in " ".join(result.stderr.split())) == (code, True)
-    found = json.loads(badge.read_text(encoding="utf-8"))
+    found = json.loads(badge.read_text())
     assert (found["message"], found["color"]) == ("2 of 3 checks", color)
 
 
@@ -75,7 +75,7 @@ def test_a_list_is_of_one_engine(broken):
 def test_checks_are_tests_of_pytest(tmp_path):
     """In an environment without cloth the engine declines it; rebound-flat fails in MuJoCo."""
     (tmp_path / "known.toml").write_text(
-        'rebound-flat = "each point rebounds"\ntime = "late"\n', encoding="utf-8"
+        'rebound-flat = "each point rebounds"\ntime = "late"\n'
     )
     words = "-p gauge_pytest -p no:cacheprovider --gauge-engine mujoco --gauge-expected known.toml --junitxml out.xml"
     done = subprocess.run(

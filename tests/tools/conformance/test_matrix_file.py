@@ -34,9 +34,9 @@ def edited(column, tmp_path):
 
     def write(change):
         file = write_columns([column], tmp_path / "column.json")
-        document = json.loads(file.read_text(encoding="utf-8"))
+        document = json.loads(file.read_text())
         change(document["columns"][0])
-        file.write_text(json.dumps(document), encoding="utf-8")
+        file.write_text(json.dumps(document))
         return file
 
     return write
@@ -113,7 +113,7 @@ def test_a_column_is_in_one_file_only(column, tmp_path):
 )
 def test_another_file_is_refused_with_its_reason(tmp_path, text, message):
     file = tmp_path / "other.json"
-    file.write_text(text, encoding="utf-8")
+    file.write_text(text)
     with pytest.raises(ResultFileError, match=message):
         read_columns(file)
 
@@ -134,7 +134,7 @@ def test_pages_are_made_of_files_without_a_run(column, tmp_path, gauge):
     result = gauge(*words, "--out", page, "--out", both, "--format", "markdown")
     assert result.exit_code == 0, result.output
     assert "| mujoco | PGS | solver = PGS | 2 of 2 |" in result.stdout
-    assert "mine" in page.read_text(encoding="utf-8")
+    assert "mine" in page.read_text()
     assert [(one.title, tally(one)) for one in read_columns(both)] == [
         ("mujoco PGS", "2 of 2"),
         ("mine", "2 of 2"),
@@ -171,10 +171,7 @@ def test_a_baseline_decides_the_exit_code(column, tmp_path, gauge):
     assert gauge(*arguments, "--out", file).exit_code == 1
     assert gauge(*arguments, "--baseline", file).exit_code == 0
     file.write_text(
-        file.read_text(encoding="utf-8").replace(
-            '"status": "fail"', '"status": "pass"'
-        ),
-        encoding="utf-8",
+        file.read_text().replace('"status": "fail"', '"status": "pass"'),
     )
     worse = gauge(*arguments, "--baseline", file)
     assert (worse.exit_code, "worse" in worse.stdout) == (1, True)

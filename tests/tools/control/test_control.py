@@ -187,11 +187,7 @@ def test_ratio_and_z():
 @pytest.mark.parametrize("material", MATERIALS)
 def test_uncertainty_of_friction_is_how_far_single_trials_are_from_it(material):
     path = data_folder("scoring") / "facts" / "slope_slider_30deg.csv"
-    rows = [
-        line
-        for line in path.read_text(encoding="utf-8").splitlines()
-        if not line.startswith("#")
-    ]
+    rows = [line for line in path.read_text().splitlines() if not line.startswith("#")]
     trials = {}
     for row in csv.DictReader(rows):
         if row["material"] == material:

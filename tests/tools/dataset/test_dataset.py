@@ -234,7 +234,7 @@ def test_published_baselines_come_out_of_the_importer(tmp_path):
     found = imported(tmp_path)
     assert set(found) == set(bundled)
     for name, one in found.items():
-        text = (scoring / "bands" / f"{name}.toml").read_text(encoding="utf-8")
+        text = (scoring / "bands" / f"{name}.toml").read_text()
         facts = tomllib.loads(text)
         for row in one.rows:
             stated = facts[row.metric]["mean"], facts[row.metric]["std"]

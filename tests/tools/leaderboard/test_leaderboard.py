@@ -45,7 +45,7 @@ def write_statement(root, configuration, settings="", **changes):
     folder.mkdir(parents=True)
     lines = ["format = 1", *(f"{key} = {json.dumps(values[key])}" for key in values)]
     text = "\n".join([*lines, f"settings = {{{settings}}}"])
-    (folder / "submission.toml").write_text(text, encoding="utf-8")
+    (folder / "submission.toml").write_text(text)
     return folder
 
 
@@ -155,9 +155,9 @@ def restated(old, new):
 
     def change(folder):
         file = folder / "submission.toml"
-        text = file.read_text(encoding="utf-8")
+        text = file.read_text()
         assert old in text
-        file.write_text(text.replace(old, new), encoding="utf-8")
+        file.write_text(text.replace(old, new))
 
     return change
 
@@ -336,12 +336,12 @@ def test_one_configuration_of_an_engine_counts_in_ranks(gauge, board):
     alone[0]["folder"] = by_name["default"]["folder"]
     assert found[: len(alone)] == alone
     file = folder_of(board, "coarse") / "submission.toml"
-    shown = file.read_text(encoding="utf-8")
-    file.write_text(shown.replace("shown", "reported"), encoding="utf-8")
+    shown = file.read_text()
+    file.write_text(shown.replace("shown", "reported"))
     text = gauge("leaderboard", "table", board).stdout
     assert "Reported by their submitters" in text
     assert "Other configurations" not in text
-    file.write_text(shown.replace("shown", "ranked"), encoding="utf-8")
+    file.write_text(shown.replace("shown", "ranked"))
     found = faults(board)
     assert len(found) == 2
     assert all("one configuration of an engine counts in ranks" in one for one in found)
@@ -428,7 +428,7 @@ def test_a_leaderboard_asks_for_the_experiments_of_its_file(gauge, board):
     "text", ['experiments = ["SlopSlider-*"]', "experiments = 3", "format = 1", "["]
 )
 def test_a_file_that_states_no_experiments_is_refused(gauge, board, text):
-    (board / "board.toml").write_text(text, encoding="utf-8")
+    (board / "board.toml").write_text(text)
     done = gauge("leaderboard", "check", board)
     assert done.exit_code == 2
     said = " ".join(done.output.split())
@@ -439,7 +439,7 @@ def test_a_file_that_states_no_experiments_is_refused(gauge, board, text):
 
 
 WORKFLOW = yaml.safe_load(
-    (ROOT / ".github" / "workflows" / "leaderboard.yml").read_text(encoding="utf-8")
+    (ROOT / ".github" / "workflows" / "leaderboard.yml").read_text()
 )
 
 
@@ -508,7 +508,7 @@ def test_the_workflow_runs_every_submission_that_a_change_touches(
 ):
     tree = committed(honest, tmp_path)
     file = tree / "leaderboard" / changed.replace("VERSION", MUJOCO)
-    with file.open("a", encoding="utf-8") as stream:
+    with file.open("a") as stream:
         stream.write("#")
     assert bash(COMMIT, tree).returncode == 0
     assert changed_folders(tree) == [
@@ -540,8 +540,8 @@ def test_the_workflow_runs_all_that_is_not_stated_as_reported(
     write_statement(tmp_path / "leaderboard", "one", standing=standing)
     folder = Path("leaderboard/mujoco") / MUJOCO / "one"
     file = tmp_path / folder / "submission.toml"
-    text = file.read_text(encoding="utf-8").replace("settings = {}", "")
-    file.write_text(f"{text}[settings]\n{settings}\n", encoding="utf-8")
+    text = file.read_text().replace("settings = {}", "")
+    file.write_text(f"{text}[settings]\n{settings}\n")
     step = STUBS + GAUGE_STUB + workflow_step("run", "run")
     done = bash(step, tmp_path, FOLDER=str(folder), PYTHON=sys.executable)
     assert done.returncode == 0, done.stderr
@@ -606,7 +606,7 @@ def many(board):
 
 def reported(board):
     file = folder_of(board) / "submission.toml"
-    with file.open("a", encoding="utf-8") as stream:
+    with file.open("a") as stream:
         stream.write('\nstanding = "reported"\n')
 
 
@@ -631,7 +631,7 @@ def other_folder(board):
 
 
 def page(board):
-    (board / "leaderboard.md").write_text("| mujoco | 1 |", encoding="utf-8")
+    (board / "leaderboard.md").write_text("| mujoco | 1 |")
 
 
 def fewer(board):
@@ -682,8 +682,8 @@ def twice_in_archive(board):
 
 def endless(board):
     file = folder_of(board) / "submission.toml"
-    text = file.read_text(encoding="utf-8")
-    file.write_text(text.replace("{}", '{ timestep_s = "1e-9" }'), encoding="utf-8")
+    text = file.read_text()
+    file.write_text(text.replace("{}", '{ timestep_s = "1e-9" }'))
 
 
 def older_list(board):
@@ -834,10 +834,10 @@ def test_a_forgery_changes_no_rank(name, commits, honest, honest_rows, tmp_path)
     found = ranked_rows(tree)
     if expected == "void":
         assert found == honest_rows
-        assert "| mujoco | 1 |" not in page.read_text(encoding="utf-8")
+        assert "| mujoco | 1 |" not in page.read_text()
     if expected == "unranked":
         assert not any(one["record"] == "submission" for one in found)
-        assert "Reported by their submitters" in page.read_text(encoding="utf-8")
+        assert "Reported by their submitters" in page.read_text()
     if name == "a link in place of the results":
         kept = (tree / "leaderboard" / "kept").read_bytes()
         assert kept == (folder_of(honest) / ARCHIVE).read_bytes()

@@ -139,7 +139,7 @@ def test_torsional_and_rolling_friction_of_other_engines(engine):
 
 @pytest.mark.parametrize("place", [0, 1])
 def test_an_example_of_the_page_is_what_the_command_prints(place, gauge):
-    page = (ROOT / "docs" / "recipes.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "recipes.md").read_text()
     command, printed = re.findall(
         r"```sh\n([^\n]*)\n```\n\n```text\n(.*?)```", page, re.DOTALL
     )[place]

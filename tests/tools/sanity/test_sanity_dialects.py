@@ -289,7 +289,6 @@ def of_toml(text, folder):
     file = folder / "settings.toml"
     file.write_text(
         'backend = "mujoco"\n[settings]\n' + re.sub(r", (?=\w+ = )", "\n", text),
-        encoding="utf-8",
     )
     return dict(configuration(file).settings)
 

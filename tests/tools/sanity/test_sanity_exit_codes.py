@@ -243,7 +243,7 @@ def test_a_baseline_without_parts_is_to_be_written_again(monkeypatch, tmp_path):
 
 @pytest.mark.slow
 def test_the_steps_of_the_action_run(tmp_path):
-    action = yaml.safe_load((ROOT / "action.yml").read_text(encoding="utf-8"))
+    action = yaml.safe_load((ROOT / "action.yml").read_text())
     assert action["runs"]["using"] == "composite"
     values = {name: one.get("default", "") for name, one in action["inputs"].items()}
     command = f'#!/bin/sh\nexec {sys.executable} -c "from gauge_command import main; main()" "$@"\n'
@@ -328,7 +328,7 @@ def test_the_steps_of_the_action_run(tmp_path):
 )
 def test_a_flagged_model_is_told_in_every_format(gauge, tmp_path, name):
     """JSON follows its schema, SARIF has the flags, and a run is no regression of itself."""
-    (tmp_path / "my robot.xml").write_text(FAULTS[name].xml(), encoding="utf-8")
+    (tmp_path / "my robot.xml").write_text(FAULTS[name].xml())
     words = ["sanity", "my robot.xml", "--only", ",".join(FAULTS[name].rows)]
     shown = gauge(*words, "--json")
     assert shown.exit_code == 1
@@ -345,6 +345,6 @@ def test_a_flagged_model_is_told_in_every_format(gauge, tmp_path, name):
     # SARIF 2.1.0, section 3.4.3: a URI reference of RFC 3986, which has no spaces.
     (location,) = results[0]["locations"]
     assert location["physicalLocation"]["artifactLocation"]["uri"] == "my%20robot.xml"
-    (tmp_path / "earlier.json").write_text(shown.stdout, encoding="utf-8")
+    (tmp_path / "earlier.json").write_text(shown.stdout)
     again = gauge(*words, "--baseline", "earlier.json")
     assert (again.exit_code, "regression" in again.stderr) == (0, False)

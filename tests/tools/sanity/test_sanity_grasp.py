@@ -251,7 +251,7 @@ def test_advice_that_is_followed_mends_the_hand(name):
 
 @pytest.mark.slow
 def test_the_command_of_the_page_finds_the_creep_of_mujoco_out_of_the_box(gauge):
-    page = (ROOT / "docs" / "sanity.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "sanity.md").read_text()
     (command,) = re.findall(r"\ngauge (sanity [^\n]*grasp[^\n]*)\n", page)
     outcome = gauge(*shlex.split(command), "--json")
     rows = [json.loads(line) for line in outcome.stdout.splitlines()]

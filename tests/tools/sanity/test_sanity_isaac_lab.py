@@ -303,7 +303,7 @@ def test_a_hydra_file_has_the_same_below_env(tmp_path):
 
 
 def test_the_older_namespace_and_its_keys_are_read():
-    text = G1.read_text(encoding="utf-8").replace("isaaclab.", "omni.isaac.lab.")
+    text = G1.read_text().replace("isaaclab.", "omni.isaac.lab.")
     older = yaml_document(text)
     older["sim"] |= {"disable_contact_processing": False, "use_gpu_pipeline": True}
     older["sim"]["physx"]["use_gpu"] = True

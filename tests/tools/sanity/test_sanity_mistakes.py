@@ -752,7 +752,7 @@ def test_a_foot_with_toes_without_a_shape_ends_no_run():
 @pytest.mark.parametrize("name", ["half_cheetah.xml", "humanoidstandup.xml"])
 def test_legs_one_behind_the_other_and_a_lying_robot_are_no_biped(name):
     file = Path(gymnasium.__file__).parent / "envs/mujoco/assets" / name
-    robot = robot_of(file.read_text(encoding="utf-8"))
+    robot = robot_of(file.read_text())
     for row in ("robot-level", "robot-balance"):
         assert robot_row(row, robot).verdict is Verdict.DECLINED
 

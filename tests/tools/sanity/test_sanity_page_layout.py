@@ -132,9 +132,7 @@ def test_nothing_is_wider_than_the_screen_and_text_is_readable(width, height, tm
     # A window is at least 500 pixels wide, so the page is shown in a frame.
     frame = f'<iframe style="border:0" width="{width}" height="{height}" srcdoc="{html.escape(page)}"></iframe>'
     path = tmp_path / "frame.html"
-    path.write_text(
-        f"<!DOCTYPE html><title></title><body>{frame}</body>", encoding="utf-8"
-    )
+    path.write_text(f"<!DOCTYPE html><title></title><body>{frame}</body>")
     assert CHROMIUM is not None
     arguments = [
         "--headless",

@@ -25,7 +25,7 @@ def row_of(report, name):
 
 
 def test_the_documents_recommend_what_is_tested():
-    text = (ROOT / "docs" / "sanity.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "sanity.md").read_text()
     option = {
         name: value
         for name, value in RECOMMENDED["option"].items()

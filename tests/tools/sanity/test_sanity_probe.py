@@ -22,7 +22,7 @@ from gauge_envs.tools.sanity import check, configuration, gauge_probe as program
 from gauge_envs.tools.sanity.gauge_probe import ARRAYS, ProbeError, plain
 
 SUFFIX = ".gaugeprobe.json"
-PROGRAM = Path(program.__file__).read_text(encoding="utf-8")
+PROGRAM = Path(program.__file__).read_text()
 
 # Every kind of geom and joint, objects without names, hulls, height fields, a mocap body, pairs, excludes, a keyframe.
 HARD = """
@@ -111,7 +111,7 @@ def test_the_program_is_python_3_8_and_imports_only_the_standard_library():
 
 def run_program(folder, *arguments):
     """Run the program in a folder, without the sources of this package on the path."""
-    (folder / "gauge_probe.py").write_text(PROGRAM, encoding="utf-8")
+    (folder / "gauge_probe.py").write_text(PROGRAM)
     environment = {
         name: value for name, value in os.environ.items() if name != "PYTHONPATH"
     }
@@ -155,11 +155,10 @@ def test_a_file_gives_the_same_table_as_the_target(tmp_path):
     ],
 )
 def test_forms_of_targets(tmp_path, arguments, name):
-    (tmp_path / "model.xml").write_text(HARD, encoding="utf-8")
+    (tmp_path / "model.xml").write_text(HARD)
     (tmp_path / "robots.py").write_text(
         "import mujoco\nSPEC = mujoco.MjSpec.from_file('model.xml')\n\ndef make():\n    return SPEC.compile()\n\n"
         "class Env:\n    def __init__(self, skip):\n        self.frame_skip, self.mj_model = skip, make()\n",
-        encoding="utf-8",
     )
     done = run_program(tmp_path, *arguments)
     assert done.returncode == 0, done.stderr

@@ -39,7 +39,7 @@ def test_a_range_is_judged_as_a_whole(ends, words):
 
 def test_a_range_in_a_file_is_flagged_and_one_value_is_none():
     cfg = yaml.load(
-        (ROOT / "tests/tools/sanity/data/isaac_lab_g1_flat.yaml").read_text(encoding="utf-8"),
+        (ROOT / "tests/tools/sanity/data/isaac_lab_g1_flat.yaml").read_text(),
         Loader=Plain,
     )  # fmt: skip
     found = check(cfg, only=["friction-range"])

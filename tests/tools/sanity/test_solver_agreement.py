@@ -191,7 +191,7 @@ def test_a_sparse_file_of_the_user_warns_under_the_faulty_release(
     monkeypatch.setattr(mujoco, "__version__", FAULTY)
     sliding = (assets_folder() / "mjcf" / "SlopeSlider-2-wood.xml").read_text()
     file, scene = tmp_path / "pile.xml", tmp_path / "slide.xml"
-    file.write_text(pile(2, 1, 0).replace("sparse", layout), encoding="utf-8")
+    file.write_text(pile(2, 1, 0).replace("sparse", layout))
     scene.write_text(
         sliding.replace("<option ", f'<option jacobian="{layout}" ', 1), "utf-8"
     )
@@ -212,7 +212,7 @@ def sparse_text():
 def test_a_check_without_flags_names_the_faulty_release(monkeypatch, tmp_path):
     monkeypatch.setattr(mujoco, "__version__", FAULTY)
     file = tmp_path / "pile.xml"
-    file.write_text(pile(1, 0, 0), encoding="utf-8")
+    file.write_text(pile(1, 0, 0))
     told = CliRunner().invoke(app, ["sanity", str(file), "--only", "robot-solver"])
     words = " ".join(told.output.split())
     assert "No flags" in words

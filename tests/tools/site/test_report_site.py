@@ -31,7 +31,7 @@ class Page(HTMLParser):
         super().__init__()
         self.elements = []
         self.texts = []
-        self.feed(file.read_text(encoding="utf-8"))
+        self.feed(file.read_text())
 
     def handle_starttag(self, tag, attrs):
         self.elements.append((tag, dict(attrs)))
@@ -116,7 +116,7 @@ def test_nothing_is_loaded_from_elsewhere(site):
         site / "assets" / "replay.js",
     ):
         assert not re.search(
-            r"https?://|//[a-z]+\.[a-z]|@import|url\(", file.read_text(encoding="utf-8")
+            r"https?://|//[a-z]+\.[a-z]|@import|url\(", file.read_text()
         ), file.name
 
 
@@ -183,7 +183,7 @@ def test_hostile_texts_are_escaped(results, tmp_path):
     for page in pages(out):
         assert "img" not in tags(page), page.name
         assert "script" not in tags(page), page.name
-        assert "\x1b" not in page.read_text(encoding="utf-8")
+        assert "\x1b" not in page.read_text()
     assert EVIL in Page(out / "reproduce.html").text
 
 
@@ -228,9 +228,7 @@ def test_lines_of_many_configurations_are_those_of_their_engines(results, tmp_pa
         for preset in ({}, {"preset": "out_of_box"})
     }
     save_site(many, tmp_path / "site", replays=False)
-    drawn = (tmp_path / "site" / "experiment-SlopeSlider-2-wood.html").read_text(
-        encoding="utf-8"
-    )
+    drawn = (tmp_path / "site" / "experiment-SlopeSlider-2-wood.html").read_text()
     lines = re.findall(
         r'<polyline points="[^"]*" stroke="(.*?)"( stroke-dasharray="5 3")? class="curve"',
         drawn,

@@ -29,7 +29,7 @@ iterations = [20, 50, 100]
 
 def spec_of(folder, text):
     file = folder / "sweep.toml"
-    file.write_text(text, encoding="utf-8")
+    file.write_text(text)
     return sweep_spec(load_sweep_file(file))
 
 

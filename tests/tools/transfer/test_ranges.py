@@ -51,7 +51,7 @@ SERVO = {
 @pytest.fixture(name="arm")
 def arm_file(tmp_path):
     file = tmp_path / "arm.xml"
-    file.write_text(ARM, encoding="utf-8")
+    file.write_text(ARM)
     return file
 
 
@@ -61,12 +61,12 @@ LIKE = ["ServoArm-so101", "SlopeSlider-2-wood"]
 @pytest.fixture(name="arm_ranges", scope="module")
 def arm_ranges_fixture(tmp_path_factory):
     file = tmp_path_factory.mktemp("arm") / "arm.xml"
-    file.write_text(ARM, encoding="utf-8")
+    file.write_text(ARM)
     return subject_ranges(str(file), like=LIKE, payload_kg=(0.0, 0.3), body="fore")
 
 
 def rows(name):
-    with (ROOT / "studies" / name).open(encoding="utf-8") as file:
+    with (ROOT / "studies" / name).open() as file:
         return list(csv.DictReader(file))
 
 
@@ -189,7 +189,7 @@ def test_a_robot_on_an_unknown_floor_may_meet_any_measured_pair(arm):
 
 
 def test_a_factor_needs_a_friction_in_the_file(arm):
-    arm.write_text(ARM.replace('frictionloss="0.2"', ""), encoding="utf-8")
+    arm.write_text(ARM.replace('frictionloss="0.2"', ""))
     found = subject_ranges(str(arm), like=LIKE)
     (dry,) = (one for one in found.left_out if one.name == "joints.dry_friction_n_m")
     assert "no frictionloss for elbow" in dry.reason
@@ -424,7 +424,7 @@ def test_the_command_writes_a_file_and_says_what_is_left_out(gauge, arm):
     lines = [json.loads(line) for line in done.stdout.splitlines()]
     assert [line["kind"] for line in lines] == ["range", *["left_out"] * 4]
     check_lines("transfer randomize", done.stdout)
-    compile(Path("randomized_mujoco.py").read_text(encoding="utf-8"), "file", "exec")
+    compile(Path("randomized_mujoco.py").read_text(), "file", "exec")
     bare = gauge("transfer", "randomize", "FoamBending-soft", "--for", "gymnasium")
     assert bare.exit_code == 2
     assert "no range is justified" in bare.output

@@ -34,18 +34,16 @@ class Planted(Bench):
 
     def __init__(self, folder, plant=None, xml="", **options):
         model = folder / "scene.xml"
-        model.write_text(SCENE, encoding="utf-8")
+        model.write_text(SCENE)
         super().__init__(model, folder, **({"steps": 20, "seed": 0} | options))
         self.plant, self.xml = plant, xml
 
     def execute(self, side, job, worker_arguments):
-        stated = json.loads(job.read_text(encoding="utf-8"))
+        stated = json.loads(job.read_text())
         if side.title.startswith("new") and self.xml:
             changed = job.with_suffix(".xml")
-            changed.write_text(self.xml, encoding="utf-8")
-            job.write_text(
-                json.dumps(stated | {"model": str(changed)}), encoding="utf-8"
-            )
+            changed.write_text(self.xml)
+            job.write_text(json.dumps(stated | {"model": str(changed)}))
         # NumPy parses headers with `ast`, which Python 3.11 may break off in two threads at once.
         with WORKING:
             worker.main(job)

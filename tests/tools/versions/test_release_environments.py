@@ -188,7 +188,7 @@ def started(folder, model):
 def test_an_interrupted_installation_leaves_nothing_and_two_at_once_make_one(tmp_path):
     """It needs a package index."""
     model = tmp_path / "scene.xml"
-    model.write_text(SCENE, encoding="utf-8")
+    model.write_text(SCENE)
     interrupted = started(tmp_path, model)
     assert "installed into" in interrupted.stderr.readline()
     deadline_s = time.monotonic() + 60.0
@@ -246,7 +246,7 @@ def test_a_setting_that_is_none_says_what_would_be_one(settings, told):
 )
 def test_a_file_that_is_no_python_is_named(tmp_path, text, told):
     file = tmp_path / "python"
-    file.write_text(text, encoding="utf-8")
+    file.write_text(text)
     file.chmod(0o755 if text else 0o644)
     bench = Bench(tmp_path / "scene.xml", tmp_path, steps=1, seed=0)
     with pytest.raises(VersionsError, match=told):
@@ -255,7 +255,7 @@ def test_a_file_that_is_no_python_is_named(tmp_path, text, told):
 
 def test_a_worker_that_fails_says_why(tmp_path):
     model = tmp_path / "newer.xml"
-    model.write_text(SCENE.replace("<body", "<newer/><body"), encoding="utf-8")
+    model.write_text(SCENE.replace("<body", "<newer/><body"))
     bench = Bench(model, tmp_path, steps=1, seed=0)
     with pytest.raises(
         VersionsError, match=r"old cannot run .*newer.xml: .*XML.*newer"
@@ -280,15 +280,15 @@ def test_a_setting_that_a_release_lacks_is_left_out_and_listed(tmp_path):
         )
     )
     model = tmp_path / "scene.xml"
-    model.write_text(text, encoding="utf-8")
+    model.write_text(text)
     corners = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n"
     faces = "f 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
-    (tmp_path / "parts" / "m.obj").write_text(corners + faces, encoding="utf-8")
+    (tmp_path / "parts" / "m.obj").write_text(corners + faces)
     compiled, dropped = worker.without_unknown(model, tmp_path / "made")
     assert dropped == ['option newer="1"', 'geom newest="a b"', 'option cone="round"']
     assert compiled.opt.timestep == 0.004
     assert compiled.nmesh == 1
-    assert model.read_text(encoding="utf-8") == text
+    assert model.read_text() == text
 
 
 class OfMuJoCo3:
@@ -298,7 +298,7 @@ class OfMuJoCo3:
 
     @classmethod
     def from_xml_path(cls, path):
-        if ' input="pos"' in Path(path).read_text(encoding="utf-8"):
+        if ' input="pos"' in Path(path).read_text():
             raise ValueError(
                 "Error: input is only available for so3, pid and dcmotor actuators, actuator 'servo' (id = 0)\n"
                 "Element name 'servo', id 0, line 2"
@@ -313,7 +313,7 @@ def test_an_attribute_that_a_release_has_for_other_actuators_is_left_out(
     model = tmp_path / "scene.xml"
     servo = '<general name="servo" joint="hinge" input="pos" gainprm="80"/>'
     text = f"<mujoco><actuator>\n{servo}\n</actuator></mujoco>"
-    model.write_text(text, encoding="utf-8")
+    model.write_text(text)
     monkeypatch.setattr(worker.mujoco, "MjModel", OfMuJoCo3)
     _, dropped = worker.without_unknown(model, tmp_path / "made")
     assert dropped == ['actuator input="pos"']

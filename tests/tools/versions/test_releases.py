@@ -12,19 +12,19 @@ from studies.what_changed import checks, engine_releases, what_changed
 
 
 def test_the_note_has_the_checks_by_release():
-    page = (ROOT / "studies" / "what_changed" / "README.md").read_text(encoding="utf-8")
+    page = (ROOT / "studies" / "what_changed" / "README.md").read_text()
     assert what_changed.table() in page
     assert json.loads(what_changed.BADGE.read_text()) == what_changed.badge()
 
 
 def test_a_release_of_an_engine_is_in_table_and_badge(tmp_path, monkeypatch):
     """Planted: a release of Drake in which a box on a slope rests, as in 1.37."""
-    page = (ROOT / "studies" / "what_changed" / "README.md").read_text(encoding="utf-8")
+    page = (ROOT / "studies" / "what_changed" / "README.md").read_text()
     assert engine_releases.table() in page
     before = engine_releases.badges()
     for engine, badge in before.items():
         file = engine_releases.HERE / f"badge_{engine}.json"
-        assert json.loads(file.read_text(encoding="utf-8")) == badge
+        assert json.loads(file.read_text()) == badge
     copied = tmp_path / "engines.csv"
     copied.write_bytes(engine_releases.RESULTS.read_bytes())
     monkeypatch.setattr(engine_releases, "RESULTS", copied)

@@ -92,7 +92,7 @@ def Cube "block" (prepend apiSchemas = ["PhysicsRigidBodyAPI", "PhysicsCollision
 
 def test_a_usd_layer_without_a_duration_is_a_subject(tmp_path):
     layer = tmp_path / "block.usda"
-    layer.write_text(LAYER, encoding="utf-8")
+    layer.write_text(LAYER)
     found = read_subject(str(layer), tmp_path)
     assert mujoco.MjModel.from_xml_path(str(found.file)).body_mass[-1] == 3.0
 
@@ -100,7 +100,7 @@ def test_a_usd_layer_without_a_duration_is_a_subject(tmp_path):
 def test_a_driven_body_of_an_id_moves_as_its_driver(tmp_path):
     """The plate of a turntable is at the poses of its motion, one every 1/180 s; the XML has none of them."""
     read = read_subject("Turntable-1-wood", tmp_path)
-    assert "numeric" not in read.file.read_text(encoding="utf-8")
+    assert "numeric" not in read.file.read_text()
     bench = Bench(read.file, tmp_path, steps=300, seed=0, motion=read.motion)
     _, file = bench.run(side("here"))
     with np.load(file) as states, np.load(read.motion) as motions:

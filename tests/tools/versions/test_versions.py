@@ -137,7 +137,7 @@ def test_a_side_whose_boxes_and_balls_are_as_deep_as_their_geometry_is_right(tmp
 
     for plant, right in ((halved, "old"), (left_out, "")):
         bench = Planted(tmp_path, plant, steps=5)
-        bench.model.write_text(deep, encoding="utf-8")
+        bench.model.write_text(deep)
         found = compare(bench, side("old"), side("new"))
         depths = [one for one in found.rulings if "as deep" in one.law]
         assert [one.right for one in depths] == [right] * bool(right)
@@ -179,12 +179,12 @@ def test_a_saved_state_settles_and_the_body_that_falls_is_named(tmp_path):
     )
     gone = shelf.replace('name="shelf"', 'name="shelf" contype="0" conaffinity="0"')
     bench = Planted(tmp_path, None, gone, steps=60)
-    bench.model.write_text(shelf, encoding="utf-8")
+    bench.model.write_text(shelf)
     model = mujoco.MjModel.from_xml_string(shelf)
     states = tmp_path / "saved.npz"
     np.savez(states, qpos=model.qpos0[None])
     bench = Planted(tmp_path, None, gone, steps=60, saved=states)
-    bench.model.write_text(shelf, encoding="utf-8")
+    bench.model.write_text(shelf)
     found = compare(bench, side("old"), side("new"))
     (one,) = found.settled
     assert (one.segment, one.body, one.end_before, one.end_after) == (
@@ -214,7 +214,7 @@ def test_a_bisection_names_the_neighbours(tmp_path):
 
 def test_the_command_runs_a_process_for_each_side(tmp_path):
     model = tmp_path / "scene.xml"
-    model.write_text(SCENE, encoding="utf-8")
+    model.write_text(SCENE)
     words = ["backend", "versions", str(model), "mujoco", "mujoco:gravity=[0,0,-5]"]
     done = CliRunner().invoke(app, [*words, "--steps", "3", "--json"])
     assert done.exit_code == 1, done.output
@@ -316,11 +316,11 @@ def test_a_result_file_is_the_motion_of_its_own_run(tmp_path):
     assert (found.verdict, found.largest) == (Verdict.IDENTICAL, 0.0)
     # What chaos makes of nothing is within the noise, and a millimetre at the start is not.
     for shift_mm, verdict in ((1e-9, Verdict.SAME), (1.0, Verdict.DIFFERENT)):
-        stated = json.loads(file.read_text(encoding="utf-8"))
+        stated = json.loads(file.read_text())
         for sample in stated["trajectory"]["samples"]:
             sample[0] += shift_mm
         moved = tmp_path / "moved.json"
-        moved.write_text(json.dumps(stated), encoding="utf-8")
+        moved.write_text(json.dumps(stated))
         sides[1] = read_side(str(moved))[0]
         found, _ = compare_motions("BouncingBall-rubber", *sides, seed=0)
         assert found.verdict is verdict
@@ -378,7 +378,7 @@ def test_returns_of_a_policy_are_compared_seed_by_seed(
     tmp_path, monkeypatch, is_scripted
 ):
     """Three steps of reward action + seed - time step: the sides differ by 0.003 in each episode."""
-    (tmp_path / "played.py").write_text(POLICY, encoding="utf-8")
+    (tmp_path / "played.py").write_text(POLICY)
     np.save(tmp_path / "actions.npy", np.array([[0.5], [0.25]]))
     monkeypatch.chdir(tmp_path)
     policy = "actions.npy" if is_scripted else "played:policy"
@@ -409,7 +409,7 @@ def test_what_is_no_policy(policy):
 def test_a_release_is_imported_in_place_of_the_installed_one(tmp_path):
     """The folder of a release has precedence for MuJoCo alone."""
     for name in ("mujoco", "typer"):
-        (tmp_path / f"{name}.py").write_text("__version__ = '0.0'", encoding="utf-8")
+        (tmp_path / f"{name}.py").write_text("__version__ = '0.0'")
     code = (
         f"import sys; sys.path.insert(0, {str(Path(worker.__file__).parent)!r})\n"
         "from episodes_worker import use_release\n"

@@ -101,9 +101,7 @@ def shot(motion, seed, folder, *, fps=30.0):
     )
     roll = "[motion]\ninertia_factor = 0.4\n" if motion == "roll" else ""
     board = f"[board]\nsquare_m = {SQUARE_M}\noffset_m = {OFFSET_M}\noffset_sigma_m = {OFFSET_SIGMA_M}\n"
-    toml.write_text(
-        f"size_px = {list(SIZE_PX)}\n{board}{swing}{roll}", encoding="utf-8"
-    )
+    toml.write_text(f"size_px = {list(SIZE_PX)}\n{board}{swing}{roll}")
     return Shot(
         video=video,
         camera=toml,

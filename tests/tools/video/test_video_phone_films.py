@@ -329,8 +329,8 @@ def test_places_scatter_as_the_points_that_they_are_placed_by():
 
 
 def test_the_camera_file_of_the_guide_is_read(tmp_path):
-    page = (ROOT / "docs" / "world_models.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "world_models.md").read_text()
     blocks = re.findall(r"^```toml\n(.*?)^```$", page, flags=re.MULTILINE | re.DOTALL)
     (text,) = (text for text in blocks if "size_px" in text)
-    (tmp_path / "camera.toml").write_text(text, encoding="utf-8")
+    (tmp_path / "camera.toml").write_text(text)
     assert read_camera(tmp_path / "camera.toml").board.square_m == 0.03

@@ -81,8 +81,8 @@ def test_all_files_are_fetched_and_again_with_the_same_command(source, tmp_path)
     assert all((out / file.file).read_bytes() == content(file) for file in TABLE)
     # The repository has a wrong prompt of the plastic cube.
     plastic = out / "SlopeSlider-2-plastic.txt"
-    assert plastic.read_text(encoding="utf-8") == PLASTIC
-    note = " ".join((out / NOTE).read_text(encoding="utf-8").split())
+    assert plastic.read_text() == PLASTIC
+    note = " ".join((out / NOTE).read_text().split())
     assert "`SlopeSlider-2-plastic.txt` is not the file of the repository" in note
     assert REPOSITORY in note and COMMIT in note and "MIT licence" in note
 
@@ -165,8 +165,8 @@ def test_the_command_reads_a_folder_and_reports(source, tmp_path, gauge):
 def test_a_file_of_the_user_is_never_replaced(source, tmp_path, name):
     out = tmp_path / "out"
     out.mkdir()
-    (out / name).write_text("mine", encoding="utf-8")
+    (out / name).write_text("mine")
     with pytest.raises(DatasetError, match=rf"{name} is another file: move it away"):
         fetch_inputs(out, source=source)
     assert names(out) == {name}
-    assert (out / name).read_text(encoding="utf-8") == "mine"
+    assert (out / name).read_text() == "mine"

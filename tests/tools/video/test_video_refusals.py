@@ -53,7 +53,7 @@ CAMERAS = [
 
 
 def tracked(file):
-    text = file.read_text(encoding="utf-8") if file.exists() else ""
+    text = file.read_text() if file.exists() else ""
     return read_track(file, fps=None if text.startswith("time") else 30.0)
 
 

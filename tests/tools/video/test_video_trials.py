@@ -20,7 +20,7 @@ FACTS = SCORING / "facts" / "recordings"
 
 
 def _recorded(name):
-    with (FACTS / f"{name}.csv").open(encoding="utf-8") as file:
+    with (FACTS / f"{name}.csv").open() as file:
         rows = list(csv.DictReader(line for line in file if not line.startswith("#")))
     return {
         key: np.array([float(row[key]) if row[key] else math.nan for row in rows])
@@ -49,7 +49,7 @@ def test_the_recorded_pendulum_has_its_period():
 
 def _trials(name, column):
     """Return one coordinate of all trials of a variant [m], shape [trial_count, frame_count]."""
-    with (SCORING / "trials" / f"{name}.csv").open(encoding="utf-8") as file:
+    with (SCORING / "trials" / f"{name}.csv").open() as file:
         rows = list(csv.DictReader(file))
     names = [key for key in rows[0] if key.endswith(column)]
     return (
