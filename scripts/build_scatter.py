@@ -60,7 +60,7 @@ from gauge_envs.references.scatter import (
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.scatter import scattered_runs
 from gauge_envs.scene import Scene
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.scene.jitter import Jitter, jittered, misplaced
 from scripts.build_power import LOW, _with_contacts, motion
 from scripts.generated import Request, append_rows, read_rows
@@ -154,7 +154,7 @@ def faulty_scenes(experiment: Experiment) -> Iterator[tuple[str, Scene]]:
     bodies = []
     for body in scene.bodies:
         shift = np.subtract(moved[body.name].pose.position_m, body.pose.position_m)
-        size = float(np.linalg.norm(shift))
+        size = length_of(shift)
         if size > 0.0:
             place = np.add(body.pose.position_m, OFFSET_M / size * shift)
             pose = replace(body.pose, position_m=tuple(place.tolist()))
@@ -305,7 +305,7 @@ def responses(name: str) -> dict[int, tuple[FloatArray, FloatArray]]:
 
     highs = {column: changed(column, KNOT) for column in range(6)}
     known = {column: high for column, high in highs.items() if high is not None}
-    largest = max(float(np.linalg.norm(high)) for high in known.values())
+    largest = max(length_of(high) for high in known.values())
     found = {}
     for column, high in known.items():
         low: FloatArray | None = -high

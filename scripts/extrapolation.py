@@ -9,7 +9,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 from scipy.optimize import brentq
 
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import FloatArray, length_of
 
 ORDERS = (0.5, 2.2)
 """Smallest and largest order that counts as observed. A larger one is two errors that cancel."""
@@ -48,7 +48,7 @@ def observed_order(
     changes must point the same way, and p must lie in `ORDERS`.
     """
     first, second = (runs[0] - runs[1]).ravel(), (runs[1] - runs[2]).ravel()
-    sizes = float(np.linalg.norm(first)), float(np.linalg.norm(second))
+    sizes = length_of(first), length_of(second)
     if not all(sizes) or float(first @ second) < LEAST_COSINE * sizes[0] * sizes[1]:
         return None
 

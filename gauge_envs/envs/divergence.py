@@ -7,7 +7,7 @@ import numpy as np
 
 from gauge_envs.backends.device import HOST, DeviceWorlds, HostArrays
 from gauge_envs.scene import Scene
-from gauge_envs.scene.geometry import BoolArray, FloatArray
+from gauge_envs.scene.geometry import BoolArray, FloatArray, length_of
 
 
 def speed_fault(
@@ -202,4 +202,4 @@ class DeformableBoundsOfWorlds:
 
 
 def _extent_m(nodes: FloatArray) -> float:
-    return float(np.linalg.norm(np.ptp(nodes, axis=0)))
+    return length_of(np.ptp(nodes, axis=0))

@@ -15,7 +15,7 @@ from gauge_envs.observables.kinds import Observable
 from gauge_envs.scene import BodyHinge, Hinge, Motion, Scene
 from gauge_envs.scene.bodies import Deformable
 from gauge_envs.scene.drivers import Driver
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.scene.meshes import outline_m
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLES_PER_FRAME
 
@@ -58,7 +58,7 @@ def driver_radius_m(driver: Driver, start_m: FloatArray, duration_s: float) -> f
         if motion.kind == "rotate":
             arm = np.cross(start_m - np.asarray(motion.point_m), motion.axis)
             # The chord of any angle is at most the diameter; both ends lie within the radius so far.
-            radius_m += 2.0 * (float(np.linalg.norm(arm)) + radius_m)
+            radius_m += 2.0 * (length_of(arm) + radius_m)
         else:
             profiles = sum(
                 np.abs(profile.values_at(times_s)).max() for profile in motion.profiles
@@ -78,7 +78,7 @@ class Reach:
         self._scene = scene
         self._spans_m = {
             body.name: DeformableBounds.STRETCH
-            * float(np.linalg.norm(np.ptp(outline_m(body), axis=0)))
+            * length_of(np.ptp(outline_m(body), axis=0))
             for body in scene.deformables
         }
         self._balls = self._held_rigid()
@@ -151,7 +151,7 @@ class Reach:
                 )
 
     def _distance_m(self, name: str, point_m: FloatArray) -> float:
-        return float(np.linalg.norm(self._scene.body(name).pose.position_m - point_m))
+        return length_of(self._scene.body(name).pose.position_m - point_m)
 
     def _farthest_m(self, deformable: Deformable, name: str) -> float:
         """Return the largest distance of a deformable body from a rigid body's origin at the start [m]."""

@@ -14,7 +14,7 @@ from gauge_envs.references.tables import FileModel, read_toml, scoring_folder
 from gauge_envs.references.user_data import DataSource
 from gauge_envs.scene import Hinge, Pose, RigidBody, Scene, Sphere, Tether
 from gauge_envs.scene.contact_faces import blocked_directions
-from gauge_envs.scene.geometry import FloatArray, Vector, vector
+from gauge_envs.scene.geometry import FloatArray, Vector, length_of, vector
 from gauge_envs.scene.jitter import swung
 from gauge_envs.scene.profiles import SampledProfile
 from gauge_envs.scene.timing import FRAME_RATE_HZ
@@ -259,7 +259,7 @@ def _swinging(
         angular = np.cross(arm, velocity) @ axis / (arm @ arm) * axis
     else:
         turn = np.cross(arm, recorded)
-        size = float(np.linalg.norm(turn))
+        size = length_of(turn)
         rotation = Rotation.from_rotvec(
             np.arctan2(size, arm @ recorded) * turn / size if size else np.zeros(3)
         )

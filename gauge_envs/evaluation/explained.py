@@ -13,7 +13,7 @@ from gauge_envs.evaluation.numerics import interpolated
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.bands import Band
 from gauge_envs.references.sensitivities import InputUncertainty, Sensitivities
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 LEAST_SHARE = 0.01
@@ -134,7 +134,7 @@ def _lowering_shares(change: FloatArray, deviations: Deviations) -> set[float]:
     shape = np.where(known, _at(change, frames_s - offset_s), 0.0).ravel()
     if first.velocity is not None:
         velocity = np.where(known, first.velocity, 0.0).ravel()
-        direction = velocity / max(float(np.linalg.norm(velocity)), 1e-300)
+        direction = velocity / max(length_of(velocity), 1e-300)
         shape = shape - (shape @ direction) * direction
     slope = float(deviation @ shape)
     square = float(shape @ shape)

@@ -20,7 +20,7 @@ from gauge_envs.references.published import (
 )
 from gauge_envs.scene import Box, Cloth, Plane, RigidBody, Scene, SoftBody
 from gauge_envs.scene.contact_faces import TOUCHING_M
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 
@@ -128,7 +128,7 @@ def slide(scene: Scene, body: str, support: str) -> Straight:
         )
     normal = facets[face, :3]
     downhill = np.array([0.0, 0.0, -1.0]) + normal[2] * normal
-    sine = float(np.linalg.norm(downhill))
+    sine = length_of(downhill)
     friction = _friction_of_pair(scene, body, support)
     acceleration = scene.gravity_m_per_s2 * (sine - friction * float(normal[2]))
     if sine == 0.0 or acceleration <= 0.0:
@@ -190,7 +190,7 @@ def pulled(
     moved_m = driver.path(puller.pose, times_s)[:, :3] - puller_start_m
     along = moved_m[-1] / np.linalg.norm(moved_m[-1])
     middle_twist = driver.state(puller.pose, 0.5 * times_s[-1])[1]
-    speed_m_per_s = float(np.linalg.norm(middle_twist[:3]))
+    speed_m_per_s = length_of(middle_twist[:3])
 
     # Tension per width of the cloth at the table's edge: friction of what still lies on the table, T = mu g m / width.
     edge_m = float((table.pose.to_world(table.shape.corners_m) @ along).max())

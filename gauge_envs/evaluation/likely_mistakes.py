@@ -14,7 +14,7 @@ from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.observables.observer import observe_markers
 from gauge_envs.references.bands import Band
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 START_TOLERANCE_MM = 30.0
@@ -230,7 +230,7 @@ def _angle_mistake(
     known = np.isfinite(mean)
     simulated, mean = simulated[known], mean[known]
     product_ = float(simulated @ mean)
-    sizes = float(np.linalg.norm(simulated)), float(np.linalg.norm(mean))
+    sizes = length_of(simulated), length_of(mean)
     if not all(sizes) or product_ / (sizes[0] * sizes[1]) < DEGREES_CORRELATION:
         return None
     ratio = product_ / sizes[1] ** 2

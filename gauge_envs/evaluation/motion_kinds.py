@@ -28,7 +28,7 @@ from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.bands import Band
 from gauge_envs.scene import ContactMode, Scene
-from gauge_envs.scene.geometry import FloatArray, IntArray
+from gauge_envs.scene.geometry import FloatArray, IntArray, length_of
 
 if TYPE_CHECKING:
     from scipy.interpolate import BSpline
@@ -309,7 +309,7 @@ def _uniform_acceleration(
         values,
         float(times_s[-1]),
         values[0],
-        acceleration=float(np.linalg.norm(acceleration)),
+        acceleration=length_of(acceleration),
     )
 
 

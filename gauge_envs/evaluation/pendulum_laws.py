@@ -15,7 +15,7 @@ from gauge_envs.errors import ShapeError
 from gauge_envs.references.published import Baseline, ChainLaw, SwingLaw
 from gauge_envs.scene import Hinge, Scene, Sphere
 from gauge_envs.scene.contact_faces import TOUCHING_M
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.scene.meshes import body_mass_properties
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
@@ -89,14 +89,14 @@ class Pendulum:
         centre, inertia = body_mass_properties(body)
         arm = body.pose.to_world(centre) - anchor
         across = arm - (arm @ axis) * axis
-        distance = float(np.linalg.norm(across))
+        distance = length_of(across)
         own_axis = body.pose.rotation.inv().apply(axis)
         radius_of_gyration_squared = float(own_axis @ inertia @ own_axis) / body.mass_kg
         down = np.array([0.0, 0.0, -1.0]) + axis[2] * axis
         start = math.atan2(float(np.cross(down, across) @ axis), float(down @ across))
         longer = distance + longer_m
         origin = np.array(body.pose.position_m) - anchor + longer_m / distance * across
-        gravity = scene.gravity_m_per_s2 * float(np.linalg.norm(down))
+        gravity = scene.gravity_m_per_s2 * length_of(down)
         return cls(
             anchor_m=anchor,
             axis=axis,

@@ -22,7 +22,7 @@ from gauge_envs.references.metrics import EVENT_METRICS
 from gauge_envs.references.published import Baseline, EventQuantity, recorded_events
 from gauge_envs.references.sensitivities import input_uncertainties
 from gauge_envs.scene import Hinge
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 NORMAL_95 = 1.959964
@@ -149,9 +149,7 @@ def _swing(experiment: Experiment, frames: FloatArray) -> _Swing | None:
         return None
     scene, body = experiment.scene, experiment.recorded[0]
     hinge = next(j for j in scene.joints if isinstance(j, Hinge) and j.body == body)
-    arm_m = float(
-        np.linalg.norm(np.subtract(scene.body(body).pose.position_m, hinge.anchor_m))
-    )
+    arm_m = length_of(np.subtract(scene.body(body).pose.position_m, hinge.anchor_m))
     rest_height_mm = 1e3 * (hinge.anchor_m[2] - arm_m)
     highest_m = max(scene.body(joint.body).pose.position_m[2] for joint in scene.joints)
     return _Swing(frames[:, :3], rest_height_mm, 1e3 * highest_m - rest_height_mm)

@@ -57,7 +57,7 @@ from gauge_envs.references.bands import Band
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.published import Baseline
 from gauge_envs.references.sensitivities import input_uncertainties
-from gauge_envs.scene.geometry import BoolArray, FloatArray, IntArray
+from gauge_envs.scene.geometry import BoolArray, FloatArray, IntArray, length_of
 
 BELOW_NOISE = 0.01
 """Share of draws below which an observed distance counts as smaller than its own errors."""
@@ -196,7 +196,7 @@ class BandErrors:
         count, releases_s = self.trial_count, self._trials @ direction / size
         if count < LEAST_TRIALS or not releases_s.any():
             return aligned
-        std_s = float(np.linalg.norm(releases_s)) / math.sqrt(count - 1)
+        std_s = length_of(releases_s) / math.sqrt(count - 1)
         late_s = np.concatenate(
             [[0.0], releases_s, np.outer(SMEARS, std_s * RELEASES).ravel()]
         )
@@ -347,7 +347,7 @@ class BandErrors:
             Effects in the order of the trials, shape [trial_count]; empty without single trials.
         """
         vector = self.flat(deviation)
-        size = float(np.linalg.norm(vector))
+        size = length_of(vector)
         along = (
             self._trials @ (vector / size)
             if size > 0.0
@@ -380,7 +380,7 @@ class BandErrors:
         if refusal(series) is not None:
             return None
         vector = self.flat(deviation)
-        size = float(np.linalg.norm(vector))
+        size = length_of(vector)
         low, high = self._interval(
             vector, widening(series), over_baseline=over_baseline
         )
@@ -399,7 +399,7 @@ class BandErrors:
     ) -> tuple[float, float]:
         tail = 0.5 * (1.0 - LEVEL)
         ratio = self._ratio(wider, over_baseline=over_baseline)
-        drawn, size = self._components.drawn(wider), float(np.linalg.norm(vector))
+        drawn, size = self._components.drawn(wider), length_of(vector)
         squares = np.einsum("kc,kc->k", drawn, drawn)
         # e . d and |d - e| of each draw
         along = tall_product(drawn, self._components.shapes @ vector)
@@ -493,7 +493,7 @@ class BandErrors:
             baseline: Baseline that normalizes, in the unit of the deviation.
         """
         vector = self.flat(deviation)
-        size = float(np.linalg.norm(vector))
+        size = length_of(vector)
         stds: list[tuple[ErrorSource, float]] = []
         count = self.trial_count
         for source, factors in zip(self.sources, self.factors, strict=True):
@@ -502,9 +502,7 @@ class BandErrors:
             freedom = count * (count - 1) if count and source.kind in TRIAL_KINDS else 1
             if source.kind == "smear":
                 effects = np.std(tall_product(factors, effects), axis=0)
-            stds.append(
-                (source, float(np.linalg.norm(effects)) / math.sqrt(freedom) / baseline)
-            )
+            stds.append((source, length_of(effects) / math.sqrt(freedom) / baseline))
         baseline_source = ErrorSource(
             name="baseline",
             kind="baseline",
@@ -513,9 +511,7 @@ class BandErrors:
             columns=slice(0, 0),
         )
         relative = (
-            float(np.linalg.norm(self.influence)) / math.sqrt(count * (count - 1))
-            if count
-            else 0.0
+            length_of(self.influence) / math.sqrt(count * (count - 1)) if count else 0.0
         )
         relative = relative or float(np.std(self.baseline))
         stds.append((baseline_source, relative * size / baseline))

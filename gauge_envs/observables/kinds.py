@@ -7,6 +7,7 @@ from enum import StrEnum
 import numpy as np
 
 from gauge_envs.scene import Markers, Scene
+from gauge_envs.scene.geometry import length_of
 
 
 class Observable(StrEnum):
@@ -62,7 +63,7 @@ def largest_distance(
     faces = np.asarray(markers.faces)
     if observable is Observable.CURVATURE:
         faces_at = np.bincount(faces.ravel(), minlength=len(places_mm))
-        return math.pi * float(np.linalg.norm(faces_at))
+        return math.pi * length_of(faces_at)
     if scene.drivers:
         reach_mm = sum(
             1e3 * scene.duration_s * one.speed_limit_m_per_s(scene.body(one.body))
@@ -71,7 +72,7 @@ def largest_distance(
     corners_mm = places_mm[faces]
     sides_mm = np.linalg.norm(corners_mm - np.roll(corners_mm, 1, axis=1), axis=2)
     one, other = np.sort(sides_mm + reach_mm, axis=1)[:, :2].T
-    return float(np.linalg.norm(0.5 * one * other))
+    return length_of(0.5 * one * other)
 
 
 def coordinate_names(

@@ -23,7 +23,7 @@ from gauge_envs.observables.functions import (
 )
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.scene import Cloth, Deformable, Markers, Scene
-from gauge_envs.scene.geometry import FloatArray, IntArray
+from gauge_envs.scene.geometry import FloatArray, IntArray, length_of
 
 MARKER_REACH_M = 0.01
 """Largest distance between a marker and its proxy (paper, simulation and track: below 1 cm)."""
@@ -276,7 +276,7 @@ def _material_points(
                 body.pose.to_body(targets_m)[:, :2],
             )
         for marker, (simplex, share) in enumerate(_barycentric(name, points, queries)):
-            missed = float(np.linalg.norm(share @ nodes[simplex] - targets_m[marker]))
+            missed = length_of(share @ nodes[simplex] - targets_m[marker])
             if missed < best[marker]:
                 best[marker] = missed
                 indices[marker], weights[marker] = 0, 0.0

@@ -24,14 +24,14 @@ from gauge_envs.files import (
     read_regular,
     toml_document,
 )
-from gauge_envs.scene.geometry import FloatArray, Vector
+from gauge_envs.scene.geometry import FloatArray, Vector, length_of
 
 MOST_TABLE_BYTES = 16 * MEGABYTE
 """Largest size of a table."""
 
 
 def _unit(axis: Vector) -> Vector:
-    if abs(float(np.linalg.norm(axis)) - 1.0) > 1e-9:
+    if abs(length_of(axis) - 1.0) > 1e-9:
         raise ValueError(f"{list(axis)} is not a unit vector: normalize it")
     return axis
 

@@ -7,7 +7,7 @@ from gauge_envs.evaluation.reference_path import ReferencePath
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.tables import Camera
 from gauge_envs.scene import Hinge, Plane, Scene
-from gauge_envs.scene.geometry import FloatArray, vector
+from gauge_envs.scene.geometry import FloatArray, length_of, vector
 from gauge_envs.scene.meshes import outline_m
 
 FIELD_OF_VIEW_DEG = 30.0
@@ -108,7 +108,7 @@ def scene_view(scene: Scene, *, reference: ReferencePath | None = None) -> View:
         points.append(reference.places_m[known])
     corners = np.concatenate(points)
     low, high = corners.min(axis=0), corners.max(axis=0)
-    radius = max(0.5 * float(np.linalg.norm(high - low)), LEAST_RADIUS_M)
+    radius = max(0.5 * length_of(high - low), LEAST_RADIUS_M)
     azimuth_deg = AZIMUTH_DEG
     for joint in scene.joints:
         axis = joint.axis if isinstance(joint, Hinge) else (0.0, 1.0, 0.0)

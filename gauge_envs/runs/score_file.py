@@ -2,8 +2,6 @@
 
 from pathlib import Path
 
-import numpy as np
-
 from gauge_envs.errors import ParameterError, TrajectoryFileError
 from gauge_envs.evaluation.deformation import score_deformation
 from gauge_envs.evaluation.deviation import sampled_frames
@@ -29,7 +27,7 @@ from gauge_envs.references.imported import dataset_record
 from gauge_envs.references.user_data import DataSource
 from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result
 from gauge_envs.runs.result_file import asset_record, load_result, recorded_experiment
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 MOST_SIGMAS = 6.0
@@ -137,7 +135,7 @@ def _with_its_trial(
     stated = origin.scatter.get("trial")
     trials = shots.trials() if stated is None else (stated,)
     found = [with_trial(experiment, trial) for trial in trials]
-    return min(found, key=lambda one: float(np.linalg.norm(start_values(one) - start)))
+    return min(found, key=lambda one: length_of(start_values(one) - start))
 
 
 def _scatter_mm(origin: StatedOrigin) -> float:

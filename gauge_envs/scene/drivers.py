@@ -15,6 +15,7 @@ from gauge_envs.scene.geometry import (
     NonNegative,
     Pose,
     Vector,
+    length_of,
     quaternion_products,
     rotation_matrices,
     unit_quaternions,
@@ -44,7 +45,7 @@ class DriverMotion:
     profiles: tuple[Profile, ...]
 
     def __post_init__(self) -> None:
-        if abs(float(np.linalg.norm(self.axis)) - 1.0) > 1e-9:
+        if abs(length_of(self.axis) - 1.0) > 1e-9:
             raise ValueError(f"axis {list(self.axis)} is not a unit vector")
 
     def value(self, time_s: float) -> float:

@@ -38,6 +38,11 @@ def vector(values: ArrayLike) -> Vector:
     return x, y, z
 
 
+def length_of(values: ArrayLike) -> float:
+    """Return the Euclidean length of a vector, or the root of the sum of squares of all entries of an array."""
+    return float(np.linalg.norm(values))
+
+
 @dataclass(frozen=True, kw_only=True)
 class Pose:
     """Position [m] and orientation (unit quaternion w, x, y, z) of a body frame in the world."""

@@ -16,7 +16,7 @@ from gauge_envs.scene.bodies import (
     RigidBody,
     Tether,
 )
-from gauge_envs.scene.geometry import FloatArray, Pose, vector
+from gauge_envs.scene.geometry import FloatArray, Pose, length_of, vector
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
@@ -199,7 +199,7 @@ def hinge_fault(
                 return f"{title}: {name!r} is {motion}. Join dynamic bodies, or use a Hinge to the world"
             if name in fastened:
                 return f"{title}: {name!r} has a string or an attachment as well: remove one of them"
-        length = float(np.linalg.norm(hinge.axis))
+        length = length_of(hinge.axis)
         if not abs(length - 1.0) <= UNIT:
             return f"{title}: its axis {hinge.axis} is not a unit vector: normalize it"
         roots = [_root(group, name) for name in (hinge.first, hinge.second)]

@@ -33,7 +33,7 @@ from gauge_envs.scene.bodies import (
     Tether,
 )
 from gauge_envs.scene.contact_faces import ContactFaces, TouchingGroup
-from gauge_envs.scene.geometry import Plane
+from gauge_envs.scene.geometry import Plane, length_of
 from gauge_envs.scene.hinged import UNIT, hinge_fault, parent_hinges
 from gauge_envs.scene.meshes import body_mass_properties
 
@@ -231,7 +231,7 @@ class Scene:
         linear = np.array(body.linear_velocity_m_per_s)
         angular = np.array(body.angular_velocity_rad_per_s)
         if isinstance(guide, Slider):
-            length = float(np.linalg.norm(guide.axis))
+            length = length_of(guide.axis)
             if abs(length - 1.0) > UNIT:
                 raise ParameterError(
                     f"the slider of {name!r} has an axis of length {length:.6g}: normalize it"

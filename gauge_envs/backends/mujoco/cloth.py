@@ -26,7 +26,7 @@ from gauge_envs.backends.shared.attachments import RigidAttachment
 from gauge_envs.backends.shared.cloth_grid import ClothGrid, attached_vertices
 from gauge_envs.errors import ParameterError
 from gauge_envs.scene import Air, Cloth, Scene
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import FloatArray, length_of
 
 ELASTIC_BOTH = 3
 """MuJoCo's code for a flex that both stretches and bends."""
@@ -300,7 +300,7 @@ def check_air_step(
         timestep_s: Step of the simulation [s].
     """
     assert scene.air is not None
-    fastest = scene.speed_limit_m_per_s + float(np.linalg.norm(scene.air.wind_m_per_s))
+    fastest = scene.speed_limit_m_per_s + length_of(scene.air.wind_m_per_s)
     for part in parts:
         density = part.cloth.areal_density_kg_per_m2
         stable = scene.air.stable_speed_m_per_s(

@@ -23,7 +23,7 @@ from gauge_envs.backends.shared.attachments import (
 )
 from gauge_envs.errors import ShapeError
 from gauge_envs.scene import Rod, Rope
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import FloatArray, length_of
 
 ROD_SEGMENTS = 15
 """Default number of segments of a rod; a clamped rod with a load at its end then deflects within 0.2 % of theory."""
@@ -59,7 +59,7 @@ class LinePartMuJoCo(FlexPart):
         """Return a reader of material points in or on the line; each moves with its cross-section, without twist."""
         start_m = self.rest_m[0]
         span_m = self.rest_m[-1] - start_m
-        length_m = float(np.linalg.norm(span_m))
+        length_m = length_of(span_m)
         axis = span_m / length_m
         count = len(self.rest_m) - 1
         # Distances from the start along the line, in segments.
@@ -235,7 +235,7 @@ def _add_flex(
         type="grid",
         dim=1,
         count=[count + 1, 1, 1],
-        spacing=[float(np.linalg.norm(rest_m[1] - rest_m[0])), 1.0, 1.0],
+        spacing=[length_of(rest_m[1] - rest_m[0]), 1.0, 1.0],
         # Only this function of MuJoCo requires a node spacing above the thickness; the true radius follows below.
         radius=1e-5,
         equality=1,

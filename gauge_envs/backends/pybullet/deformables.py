@@ -24,7 +24,7 @@ from gauge_envs.backends.shared.cells import grid_points
 from gauge_envs.backends.shared.soft_rows import lame_constants
 from gauge_envs.errors import ShapeError
 from gauge_envs.scene import Cylinder, Motion, Region, RigidBody, Rope, Scene, SoftBody
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.scene.meshes import mass_properties, nodes_in, tetrahedra
 
 SEGMENT_M = 0.0125
@@ -70,7 +70,7 @@ class RopePart:
     ) -> Callable[[], FloatArray]:
         """Return a reader of material points, each of which moves with its segment."""
         span = self.rest_m[-1] - self.rest_m[0]
-        length = float(np.linalg.norm(span))
+        length = length_of(span)
         along = (points_m - self.rest_m[0]) @ span / length
         if not np.all((along > -1e-5) & (along < length + 1e-5)):
             raise ShapeError(

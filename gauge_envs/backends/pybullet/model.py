@@ -45,7 +45,7 @@ from gauge_envs.scene import (
     SoftBody,
     Tether,
 )
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.scene.hinged import hinge_trees, other_end, parent_hinges
 
 EARLY_CONTACTS = 1e18
@@ -294,7 +294,7 @@ class WorldPyBullet(BulletWorld):
         frame = self.frame(body)
         anchor = np.asarray(joint.anchor_m)
         along = np.asarray(body.pose.position_m) - anchor
-        apart_m = float(np.linalg.norm(along))
+        apart_m = length_of(along)
         string = Rotation.align_vectors([along], [[0.0, 0.0, 1.0]])[0]
         mass_kg = STRING_MASS * body.mass_kg
         light: dict[str, Any] = {

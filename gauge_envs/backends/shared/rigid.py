@@ -26,6 +26,7 @@ from gauge_envs.scene import (
 from gauge_envs.scene.geometry import (
     FloatArray,
     Vector,
+    length_of,
     quaternion_products,
     quaternion_vectors,
     unit_quaternions,
@@ -262,7 +263,7 @@ class TetherSpring:
         from scipy.spatial.transform import Rotation
 
         arm = np.asarray(self.tether.anchor_m) - state[:3]
-        length = float(np.linalg.norm(arm))
+        length = length_of(arm)
         if length <= self.tether.length_m:
             return None
         along = arm / length

@@ -17,7 +17,7 @@ from gauge_envs.evaluation.estimators import (
 )
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import Pose
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import FloatArray, length_of
 
 LEVEL = 1e-9
 """Sine of the slope below which a support is level; x of its frame is then the first axis."""
@@ -41,7 +41,7 @@ class Slope:
         frame = support.matrix
         normal = frame[:, 2]
         downhill = normal[2] * normal - [0.0, 0.0, 1.0]
-        sine = float(np.linalg.norm(downhill))
+        sine = length_of(downhill)
         downhill = downhill / sine if sine > LEVEL else frame[:, 0]
         axes = np.array([downhill, np.cross(normal, downhill), normal])
         return cls(axes=axes, angle_rad=math.atan2(sine, float(normal[2])))

@@ -31,7 +31,7 @@ from gauge_envs.evaluation.verification import (
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.bands import Band
 from gauge_envs.runs.result import Outcome, Result
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.scene.timing import SAMPLES_PER_FRAME
 
 DRAWN_REPEATS = 20
@@ -215,7 +215,7 @@ def _along_difference(
         return first, second
     apart = first.deviations[list(chosen)].mean(axis=0)
     apart = apart - second.deviations[list(others)].mean(axis=0)
-    direction = apart / max(float(np.linalg.norm(apart)), 1e-300)
+    direction = apart / max(length_of(apart), 1e-300)
     moved = []
     for one, deviations in ((first, first.deviations), (second, second.deviations)):
         assert one.errors is not None

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from gauge_envs.evaluation.estimators import acceleration_m_per_s2
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import BodyHinge, Hinge, Scene, Slider
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.tools.conformance.torques import wrong_torques
 
 FAR_MM, FAR_DEG = 0.5, 0.5
@@ -159,7 +159,7 @@ def _hinges(rollout: Rollout) -> Iterator[str]:
             axis, anchor_m = axis @ first.pose.matrix, first.pose.to_body(anchor_m)
         angles = (turns * turns[0].inv()).as_rotvec()
         largest = int(np.linalg.norm(angles, axis=1).argmax())
-        angle = float(np.linalg.norm(angles[largest]))
+        angle = length_of(angles[largest])
         if angle < LEAST_TURN_RAD:
             continue
         off_deg = _between_deg(angles[largest], axis)
@@ -168,7 +168,7 @@ def _hinges(rollout: Rollout) -> Iterator[str]:
         local_m = scene.body(name).pose.to_body(np.array(hinge.anchor_m))
         off_m, left_m = _pivot(places_m, turns, local_m, anchor_m)
         across_mm = 1e3 * (off_m - (off_m @ axis) * axis)
-        size_mm = float(np.linalg.norm(across_mm))
+        size_mm = length_of(across_mm)
         if size_mm > FAR_MM and 1e3 * left_m < 0.1 * size_mm:
             yield (
                 f"the {name} turns about a point {size_mm:.3g} mm from the anchor of its {joint}, off by "

@@ -23,7 +23,7 @@ from gauge_envs.scene import (
     Shape,
     Sphere,
 )
-from gauge_envs.scene.geometry import FloatArray, vector
+from gauge_envs.scene.geometry import FloatArray, length_of, vector
 from gauge_envs.scene.meshes import mass_properties
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 from gauge_envs.tools.bench.parts import body, corners
@@ -356,7 +356,7 @@ def _wrench_reset(lab: Lab) -> Measurement:
         simulation.reset(0)
         simulation.advance(PUSH_S)
         return Measurement(
-            measured=float(np.linalg.norm(states_now(simulation, ["body-0"])[0, 7:10]))
+            measured=length_of(states_now(simulation, ["body-0"])[0, 7:10])
         )
 
 

@@ -27,7 +27,7 @@ from gauge_envs.scene import (
     RigidBody,
     Scene,
 )
-from gauge_envs.scene.geometry import FloatArray, vector
+from gauge_envs.scene.geometry import FloatArray, length_of, vector
 from gauge_envs.scene.hinged import hinge_angle_rad, hinge_frames
 from gauge_envs.tools.bench.parts import body, box, box_inertia_kg_m2
 from gauge_envs.tools.conformance.lab import Lab
@@ -148,9 +148,7 @@ def _hinged_fall(rollout: Rollout) -> Measurement:
         acceleration_m_per_s2(rollout.times_s, path_m)
         for path_m in _centre(rollout)[:, :3].T
     ]
-    return Measurement(
-        measured=float(np.linalg.norm(np.add(acceleration, [0.0, 0.0, G])))
-    )
+    return Measurement(measured=length_of(np.add(acceleration, [0.0, 0.0, G])))
 
 
 @_tumbling.check("hinged-momentum", source=SOURCE)

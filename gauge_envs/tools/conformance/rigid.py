@@ -19,7 +19,7 @@ from gauge_envs.scene import (
     Sphere,
     Tether,
 )
-from gauge_envs.scene.geometry import vector
+from gauge_envs.scene.geometry import length_of, vector
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 from gauge_envs.tools.bench.parts import ball, body, box, contact, ground
 from gauge_envs.tools.conformance.lab import Lab
@@ -289,7 +289,7 @@ def _tether_rest(rollout: Rollout) -> Measurement:
     for name, (anchor_m, length_m) in STRINGS_M.items():
         arms_m = rollout.position(name)[late] - anchor_m
         shares[name] = float(np.linalg.norm(arms_m, axis=1).mean()) / length_m
-        aside_mm = 1e3 * float(np.linalg.norm(arms_m[:, :2].mean(axis=0)))
+        aside_mm = 1e3 * length_of(arms_m[:, :2].mean(axis=0))
         if aside_mm > LEAST_ASIDE_MM:
             aside.append(
                 f"; the {name} hangs {aside_mm:.3g} mm beside its anchor: the anchor is elsewhere"

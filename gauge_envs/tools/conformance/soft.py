@@ -22,7 +22,7 @@ from gauge_envs.scene import (
     Scene,
     SoftBody,
 )
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 from gauge_envs.tools.bench.parts import driven_box, driver, ramp
 from gauge_envs.tools.conformance.lab import Lab, clamped
@@ -208,7 +208,7 @@ def _start_error(rollout: Rollout) -> Measurement:
     nodes_m = rollout.nodes_m[line.name][0]
     end = line.pose.to_world(0.5 * line.length_m * np.array(along))
     error_mm = largest_mm(nodes_m[-1:] - end)
-    length_m = float(np.linalg.norm(nodes_m[-1] - nodes_m[0]))
+    length_m = length_of(nodes_m[-1] - nodes_m[0])
     hint = "its length is right: it has another position or orientation"
     if abs(length_m - line.length_m) > 1e-4 * error_mm:
         hint = (

@@ -17,7 +17,7 @@ from gauge_envs.scene import (
     Shape,
     Sphere,
 )
-from gauge_envs.scene.geometry import FloatArray, vector
+from gauge_envs.scene.geometry import FloatArray, length_of, vector
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 from gauge_envs.tools.bench.parts import box_inertia_kg_m2
 from gauge_envs.tools.conformance.lab import Lab
@@ -261,7 +261,7 @@ def _fast_spin(lab: Lab) -> Rollout:
 def _spin_fast(rollout: Rollout) -> Measurement:
     rotations = rollout.rotation("thrown")
     turned = (rotations[1:] * rotations[:-1].inv()).magnitude()
-    reported = float(np.linalg.norm(rollout.angular_velocity("thrown")[-1]))
+    reported = length_of(rollout.angular_velocity("thrown")[-1])
     rate = float(turned.sum() / rollout.times_s[-1])
     return Measurement(
         measured=rate,

@@ -11,6 +11,7 @@ from gauge_envs.scene import Scene
 from gauge_envs.scene.geometry import (
     FloatArray,
     Pose,
+    length_of,
     rotation_matrices,
     unit_quaternions,
 )
@@ -222,7 +223,7 @@ class FrictionLimit(ControlEnv):
     def _cube_radius_m(self) -> float:
         """Distance of the cube from the axis [m]."""
         arm = self.world.body_states((CUBE,))[0, :3] - self._point_m
-        return float(np.linalg.norm(arm - self._axis * (self._axis @ arm)))
+        return length_of(arm - self._axis * (self._axis @ arm))
 
     # --- task ---
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from gauge_envs.evaluation.reference_path import ReferencePath
 from gauge_envs.scene import Scene
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
 from gauge_envs.tools.control.env import ControlEnv
 from gauge_envs.tools.control.limit import Ending, Limit
@@ -249,8 +249,8 @@ class LeastTimeLimit(ControlEnv):
         if self._arrived_s == 0.0:
             return 0.0
         distance_m, speed = (
-            float(np.linalg.norm(self._moved_m)),
-            float(np.linalg.norm(self._cube_velocity)),
+            length_of(self._moved_m),
+            length_of(self._cube_velocity),
         )
         needed = self.least_deceleration_m_per_s2(distance_m, self._arrived_s, speed)
         return needed / self.experiment.scene.gravity_m_per_s2

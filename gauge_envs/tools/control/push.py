@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from gauge_envs.scene import Box, Motion, Scene
-from gauge_envs.scene.geometry import FloatArray, vector
+from gauge_envs.scene.geometry import FloatArray, length_of, vector
 from gauge_envs.tools.control.least_time import CUBE, LeastTimeLimit
 from gauge_envs.tools.control.stage import (
     FRAME_S,
@@ -141,7 +141,7 @@ class PushLimit(LeastTimeLimit):
         """Return the action that pushes until the cube coasts to the goal, if its friction is fraction mu."""
         braking = fraction * self.limit.value * self.experiment.scene.gravity_m_per_s2
         to_goal = self.goal_m - self._moved_m
-        left_m = float(np.linalg.norm(to_goal))
+        left_m = length_of(to_goal)
         direction = to_goal / max(left_m, 1e-9)
         speed = float(self._cube_velocity @ direction)
         pusher = self._stage.rate_m_per_s

@@ -21,7 +21,7 @@ from gauge_envs.references.published import published_baselines
 from gauge_envs.scene import Pose
 from gauge_envs.scene.driver_fit import motion_coordinates
 from gauge_envs.scene.drivers import Driver
-from gauge_envs.scene.geometry import BoolArray, FloatArray
+from gauge_envs.scene.geometry import BoolArray, FloatArray, length_of
 from gauge_envs.tools.dataset.findings import TrialError
 from gauge_envs.tools.dataset.trial import PoseTrack, Trial
 
@@ -169,7 +169,7 @@ def _check_start(name: str, positions_mm: FloatArray, start_m: FloatArray) -> No
     captured = np.flatnonzero(~np.isnan(positions_mm).any(axis=1))
     if not captured.size:
         raise TrialError(name, "it was never captured", "samples are expected")
-    distance = float(np.linalg.norm(positions_mm[captured[0]] - 1e3 * start_m))
+    distance = length_of(positions_mm[captured[0]] - 1e3 * start_m)
     if distance > START_RANGE_MM:
         raise TrialError(
             name,
@@ -343,7 +343,7 @@ def _driver_track(
         coordinates=coordinates,
         residual_mm=residual_mm,
         residual_rad=residual_rad,
-        start_offset_mm=1e3 * float(np.linalg.norm(offset)),
+        start_offset_mm=1e3 * length_of(offset),
     )
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from mujoco import rollout
 
 from gauge_envs.runs.rollout import DivergedError
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.scene.servo_friction import Holding, holding
 from gauge_envs.tools.identify.logs import Log
 from gauge_envs.tools.identify.paste import JOINT, paste
@@ -107,14 +107,14 @@ class ModelJoints:
             turned[dof] = 1.0
             mujoco.mj_mulM(model, data, momentum, turned)
             body = int(model.jnt_bodyid[joint.id])
-            arm_m = float(np.linalg.norm(data.subtree_com[body] - joint.xanchor))
+            arm_m = length_of(data.subtree_com[body] - joint.xanchor)
             if model.jnt_type[joint.id] == mujoco.mjtJoint.mjJNT_SLIDE:
                 arm_m = 1.0
             weight = float(model.body_subtreemass[body]) * arm_m
             sizes.append(
                 (
                     float(momentum[dof] - model.dof_armature[dof]),
-                    weight * float(np.linalg.norm(model.opt.gravity)),
+                    weight * length_of(model.opt.gravity),
                 )
             )
         return max(one for one, _ in sizes), max(one for _, one in sizes)

@@ -24,7 +24,7 @@ from gauge_envs.scene import (
     Scene,
     Sphere,
 )
-from gauge_envs.scene.geometry import FloatArray, vector
+from gauge_envs.scene.geometry import FloatArray, length_of, vector
 from gauge_envs.scene.hinged import (
     hinge_angle_rad,
     hinge_frames,
@@ -123,7 +123,7 @@ class SceneJoints:
         scene, anchor_m = self.scene, self.scene.hinges[0].anchor_m
         inertia = weight = 0.0
         for body in scene.dynamic_bodies:
-            arm_m = float(np.linalg.norm(np.subtract(body.pose.position_m, anchor_m)))
+            arm_m = length_of(np.subtract(body.pose.position_m, anchor_m))
             inertia += float(np.trace(body_mass_properties(body)[1])) / 3.0
             inertia += body.mass_kg * arm_m**2
             weight += scene.gravity_m_per_s2 * body.mass_kg * arm_m

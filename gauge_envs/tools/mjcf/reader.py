@@ -49,7 +49,7 @@ from gauge_envs.scene import (
 )
 from gauge_envs.scene.driver_fit import sampled_motions
 from gauge_envs.scene.drivers import Driver
-from gauge_envs.scene.geometry import FloatArray, vector
+from gauge_envs.scene.geometry import FloatArray, length_of, vector
 from gauge_envs.scene.hinged import other_end, parent_hinges
 from gauge_envs.scene.motors import Servo
 from gauge_envs.scene.timing import DRIVE_INTERVAL_S, FRAME_RATE_HZ
@@ -263,9 +263,7 @@ def read_model(path: Path, scene: Scene, simulation: SimulationMuJoCo) -> ModelF
         body_hinges=tuple(
             _hinge(model, built, hinge, hanging[hinge]) for hinge in scene.body_hinges
         ),
-        gravity_m_per_s2=same_or(
-            float(np.linalg.norm(model.opt.gravity)), scene.gravity_m_per_s2
-        ),
+        gravity_m_per_s2=same_or(length_of(model.opt.gravity), scene.gravity_m_per_s2),
     )
     changes = [*model_changes(model, built), *_velocity_changes(scene, placed)]
     drivers = []

@@ -21,6 +21,7 @@ import numpy as np
 from gauge_envs.files import versions
 from gauge_envs.runs.rollout import DeclinedError
 from gauge_envs.scene import GRAVITY_M_PER_S2
+from gauge_envs.scene.geometry import length_of
 from gauge_envs.tools.sanity.measure import (
     Measurements,
     TimeLimitError,
@@ -279,9 +280,7 @@ class _Side:
             return GRAVITY_M_PER_S2, np.array([-GRAVITY_M_PER_S2, 0.0])
         vector, up = np.asarray(gravity), np.asarray(self.configuration.up)
         along = float(vector @ up)
-        return float(np.linalg.norm(vector)), np.array(
-            [along, float(np.linalg.norm(vector - along * up))]
-        )
+        return length_of(vector), np.array([along, length_of(vector - along * up)])
 
     def stated_friction(self) -> float | None:
         """Return the sliding friction of a foot on the ground; None when the target states none."""
@@ -353,7 +352,7 @@ def _step_row(sides: Sequence[_Side]) -> ChangeRow:
 def _gravity_row(sides: Sequence[_Side]) -> ChangeRow:
     """Return the row on gravity, by the length of the difference of both."""
     (trained, first), (deployed, second) = (side.gravity() for side in sides)
-    apart = float(np.linalg.norm(first - second))
+    apart = length_of(first - second)
     tolerance, both = GRAVITY_ROW.reality.tolerance, (trained, deployed)
     differs = apart > abs(trained - deployed) + tolerance
     remark = "the directions differ" if differs else ""

@@ -11,7 +11,7 @@ import numpy as np
 
 from gauge_envs.pages.text import vector_text
 from gauge_envs.scene import GRAVITY_M_PER_S2, Vector
-from gauge_envs.scene.geometry import vector
+from gauge_envs.scene.geometry import length_of, vector
 from gauge_envs.tools.sanity.model import (
     INSIDE_WITHIN,
     Cause,
@@ -195,8 +195,8 @@ def gravity_row(
         )
     upright = _upright_gravity(configuration)
     vector, down = np.asarray(gravity), np.asarray(upright)
-    size = float(np.linalg.norm(vector))
-    deviation = float(np.linalg.norm(vector - down)) / GRAVITY_ROW.reality.tolerance
+    size = length_of(vector)
+    deviation = length_of(vector - down) / GRAVITY_ROW.reality.tolerance
     if deviation <= INSIDE_WITHIN:
         return replace(GRAVITY_ROW, configured=size)
     cosine = float(vector @ down) / (size * GRAVITY_M_PER_S2)

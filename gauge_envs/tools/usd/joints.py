@@ -25,7 +25,7 @@ from gauge_envs.scene.bodies import (
 )
 from gauge_envs.scene.driver_fit import sampled_motions
 from gauge_envs.scene.drivers import Driver, DriverMotion
-from gauge_envs.scene.geometry import FloatArray, Pose, pose_distance, vector
+from gauge_envs.scene.geometry import FloatArray, Pose, length_of, pose_distance, vector
 from gauge_envs.scene.motors import Motor
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.usd.layer import (
@@ -205,8 +205,8 @@ def read_body_hinge(
     ]
     anchor = places[0] if edited or exact[0] is None else exact[0]
     axis = axes[0] if edited or exact[1] is None else exact[1]
-    gap = max(float(np.linalg.norm(place - anchor)) for place in places)
-    askew = max(float(np.linalg.norm(one - axis)) for one in axes)
+    gap = max(length_of(place - anchor) for place in places)
+    askew = max(length_of(one - axis) for one in axes)
     if not max(gap, askew) <= GAP_M:
         raise source.fault(
             prim,
@@ -299,7 +299,7 @@ def _letter(source: Source, prim: Usd.Prim) -> str:
 
 def _normalized(axis: FloatArray) -> FloatArray:
     """Return a unit vector; an axis that was edited has single precision, and one that a task file may state stays."""
-    length = float(np.linalg.norm(axis))
+    length = length_of(axis)
     return axis if abs(length - 1.0) <= 1e-9 else axis / length
 
 
@@ -389,14 +389,14 @@ def _hinge(
         rounded=lambda a: hinge_axis(wxyz(hinge_frame(vector(a)))),
     )
     assert axis is not None
-    if abs(float(np.linalg.norm(axis)) - 1.0) > UNIT:
+    if abs(length_of(axis) - 1.0) > UNIT:
         raise source.fault(
             prim, f"its axis {axis.tolist()} is not a unit vector: normalize it"
         )
     axis = _normalized(axis)
     if not is_free or _is_edited(moving.rotation):
-        gap = 0.0 if is_free else float(np.linalg.norm(moving.place() - anchor))
-        askew = float(np.linalg.norm(moving.axis(letter) - axis))
+        gap = 0.0 if is_free else length_of(moving.place() - anchor)
+        askew = length_of(moving.axis(letter) - axis)
         if max(gap, askew) > GAP_M:
             raise source.fault(
                 prim,

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.errors import AssetError
 from gauge_envs.files import MEGABYTE, child_refusal, read_regular
-from gauge_envs.scene.geometry import FloatArray, Pose, vector
+from gauge_envs.scene.geometry import FloatArray, Pose, length_of, vector
 from gauge_envs.tools.usd.layer import FOLLOWS, WRITTEN, digest, wxyz
 
 SINGLE_RELATIVE = 3e-7
@@ -601,7 +601,7 @@ class Source:
 
     def _quaternion(self, op: UsdGeom.XformOp, time: Usd.TimeCode) -> FloatArray:
         quaternion = self._op_value(op, (4,), time, np.array([1.0, 0.0, 0.0, 0.0]))
-        length = float(np.linalg.norm(quaternion))
+        length = length_of(quaternion)
         if abs(length - 1.0) < 1e-12:
             return quaternion
         if abs(length - 1.0) > UNIT_QUATERNION:

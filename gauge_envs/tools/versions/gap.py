@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gauge_envs.scene.geometry import length_of
 from gauge_envs.tools.versions.model import Parting, Quantity
 from gauge_envs.tools.versions.processes import Arrays, Observed
 
@@ -143,7 +144,7 @@ class Visit:
     def _differs(self, index: int, name: str) -> bool:
         """Return whether accelerations of a kind part at a state by more than rounding."""
         one, two = self.gap.before[name][index], self.gap.after[name][index]
-        size = max(float(np.linalg.norm(one)), float(np.linalg.norm(two)))
+        size = max(length_of(one), length_of(two))
         return not np.allclose(one, two, rtol=0.0, atol=LEAST_LIMIT / 10.0 * size)
 
     def _cause(self, index: int) -> tuple[Quantity, str]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import FloatArray, length_of
 
 PARALLEL = 1e-9
 """Length of a cross product below which two edges are parallel."""
@@ -44,7 +44,7 @@ def _ball_m(other: Solid, ball: Solid) -> float:
     if np.all(outside <= 0.0):
         # The centre leaves by the nearest face.
         return radius_m - float(np.max(outside))
-    return radius_m - float(np.linalg.norm(np.maximum(outside, 0.0)))
+    return radius_m - length_of(np.maximum(outside, 0.0))
 
 
 def _box_box_m(one: Solid, two: Solid) -> float:
@@ -54,7 +54,7 @@ def _box_box_m(one: Solid, two: Solid) -> float:
     for first in one.rotation.T:
         for second in two.rotation.T:
             cross = np.cross(first, second)
-            length = float(np.linalg.norm(cross))
+            length = length_of(cross)
             if length > PARALLEL:
                 axes.append(cross / length)
     overlaps = []

@@ -12,7 +12,7 @@ from gauge_envs.evaluation.metrics.events import momentum_transfer_efficiency
 from gauge_envs.references.published import published_baselines
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import Hinge, Scene, Sphere, Vector
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.tools.sanity.model import Reality
 from gauge_envs.tools.sanity.phenomena.base import (
     PUBLISHED_TRIALS,
@@ -283,8 +283,6 @@ def momentum() -> Phenomenon:
 
 
 def _arm_m(scene: Scene, hinge: Hinge) -> float:
-    return float(
-        np.linalg.norm(
-            np.asarray(scene.body(hinge.body).pose.position_m) - hinge.anchor_m
-        )
+    return length_of(
+        np.asarray(scene.body(hinge.body).pose.position_m) - hinge.anchor_m
     )

@@ -16,7 +16,7 @@ from gauge_envs.evaluation.pendulum_laws import pendulum_period_s
 from gauge_envs.references.published import published_baselines
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import ConvexUnion, Hinge, RigidBody, Scene, Sphere
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.sanity.model import Reality
 from gauge_envs.tools.sanity.phenomena.base import (
@@ -223,7 +223,7 @@ def period() -> Phenomenon:
     """Return the period of a pendulum."""
     scenario, hinge, ball, arm = _pendulum()
     assert isinstance(ball.shape, Sphere)
-    length = float(np.linalg.norm(arm))
+    length = length_of(arm)
 
     def aside_mm(rollout: Rollout) -> FloatArray:
         return 1e3 * (rollout.position(ball.name)[:, 0] - hinge.anchor_m[0])
@@ -261,7 +261,7 @@ def period() -> Phenomenon:
 def energy() -> Phenomenon:
     """Return the energy that a pendulum loses."""
     scenario, hinge, ball, arm = _pendulum()
-    rest_mm = 1e3 * (hinge.anchor_m[2] - float(np.linalg.norm(arm)))
+    rest_mm = 1e3 * (hinge.anchor_m[2] - length_of(arm))
     return Phenomenon(
         title=f"pendulum: energy lost within {scenario.seconds:.0f} s",
         quantity="energy loss",

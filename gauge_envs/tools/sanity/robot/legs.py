@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import mujoco
 import numpy as np
 
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.tools.sanity.robot.finding import standing_of
 from gauge_envs.tools.sanity.robot.ground_rows import geoms_of, limbs_of
 from gauge_envs.tools.sanity.robot.joints import foot_load_n, start
@@ -40,7 +40,7 @@ def wrong_knees(robot: Robot, limb: list[int], limbs: list[list[int]]) -> Iterat
     model, data, foot = robot.model, start(robot), limb[0]
     hips_m = data.xpos[[one[-1] for one in limbs]]
     apart_m = hips_m[1] - hips_m[0]
-    aside = apart_m / max(float(np.linalg.norm(apart_m)), 1e-9)
+    aside = apart_m / max(length_of(apart_m), 1e-9)
     ahead = np.cross(aside, np.asarray(robot.up))
     of_foot = np.flatnonzero(model.jnt_bodyid == foot)
     if not len(of_foot) or not geoms_of(robot, foot):
@@ -65,7 +65,7 @@ def wrong_knees(robot: Robot, limb: list[int], limbs: list[list[int]]) -> Iterat
         shin_m = ankle_m - data.xanchor[joint]
         bent_rad = low_rad + high_rad
         is_knee = abs(bent_rad) > ONE_SIDED * (high_rad - low_rad)
-        if is_knee and float(np.linalg.norm(shin_m)) > least_m:
+        if is_knee and length_of(shin_m) > least_m:
             turn = data.xaxis[joint] * np.sign(bent_rad)
             if float(np.cross(turn, shin_m) @ to_toes) > 0.0:
                 yield joint

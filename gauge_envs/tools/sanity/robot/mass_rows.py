@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
 from gauge_envs.scene import GRAVITY_M_PER_S2, Vector
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.tools.sanity.robot.finding import (
     Finding,
     body_name,
@@ -103,7 +103,7 @@ def size_m(robot: Robot) -> float:
         turn = data.xmat[body].reshape(3, 3)
         places.append(data.xpos[body] + _points(robot, body) @ turn.T)
     every = np.vstack(places)
-    return float(np.linalg.norm(np.ptp(every, axis=0))) if len(every) else 0.0
+    return length_of(np.ptp(every, axis=0)) if len(every) else 0.0
 
 
 def _box(robot: Robot, body: int) -> tuple[FloatArray, FloatArray]:
@@ -342,10 +342,10 @@ def _inertia(robot: Robot) -> Finding:
         low_m, high_m = _box(robot, body)
         centre_m = robot.model.body_ipos[body]
         beyond_m = np.maximum(np.maximum(low_m - centre_m, centre_m - high_m), 0.0)
-        away_m = float(np.linalg.norm(beyond_m))
-        diagonal_m = max(float(np.linalg.norm(high_m - low_m)), 1e-9)
+        away_m = length_of(beyond_m)
+        diagonal_m = max(length_of(high_m - low_m), 1e-9)
         name = body_name(robot, body)
-        middle_m = float(np.linalg.norm(0.5 * (low_m + high_m)))
+        middle_m = length_of(0.5 * (low_m + high_m))
         if middle_m > AT_ORIGIN * diagonal_m and not centre_m.any():
             at_origin.append(name)
         if away_m > FAR_CENTRE * diagonal_m:

@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.tools.sanity.robot.copies import FEW_COPIES, SAME, copies_of, depth_of
 from gauge_envs.tools.sanity.robot.finding import (
     limits_of,
@@ -161,7 +161,7 @@ def mirror_pairs(robot: Robot) -> list[MirrorPair]:
                 other=int(joints[other]),
                 depth=int(depths[one]),
                 apart_m=float(places_m[one]),
-                distance_m=float(np.linalg.norm(anchors_m[one])),
+                distance_m=length_of(anchors_m[one]),
                 # The mirror image of an axis of rotation is turned once more.
                 cosine=float(flip.prod() * flip * axes[one] @ axes[other]),
                 along=int(np.abs(axes[one]).argmax()),

@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 
 from gauge_envs.scene import GRAVITY_M_PER_S2
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.tools.sanity.robot.joints import (
     driven_dofs,
     driven_joints,
@@ -68,7 +68,7 @@ def hold_pose(robot: Robot, slope_deg: float = 0.0) -> HoldMotion:
     data = start(robot, model)
     hinges = model.jnt_qposadr[driven_joints(robot)].tolist()
     begin = data.qpos.copy()
-    gravity_m_per_s2 = float(np.linalg.norm(model.opt.gravity))
+    gravity_m_per_s2 = length_of(model.opt.gravity)
     up = np.asarray(robot.up)
     if slope_deg:
         # On a slope a, gravity is g (sin(a) along - cos(a) up) in the frame of the ground.
@@ -146,7 +146,7 @@ def pushed_m(robot: Robot) -> FloatArray:
         for _ in range(max(1, round(PUSH_S / model.opt.timestep))):
             mujoco.mj_step(model, data)
         data.xfrc_applied[:] = 0.0
-        moved_m.append(float(np.linalg.norm(data.xipos[body] - begin_m)))
+        moved_m.append(length_of(data.xipos[body] - begin_m))
     return np.array(moved_m)
 
 

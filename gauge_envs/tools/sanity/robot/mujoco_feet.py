@@ -28,7 +28,7 @@ from gauge_envs.scene import (
     Sphere,
     Vector,
 )
-from gauge_envs.scene.geometry import BoolArray, FloatArray, IntArray, vector
+from gauge_envs.scene.geometry import BoolArray, FloatArray, IntArray, length_of, vector
 from gauge_envs.tools.sanity.gauge_probe import STANDING, driven
 from gauge_envs.tools.sanity.model import ContactGroup
 from gauge_envs.tools.sanity.robot.foot import COPIES, FootGeometry
@@ -304,7 +304,7 @@ def support_m(model: mujoco.MjModel, stance: Stance, geom: int) -> FloatArray:
         point = size[0] * down + [0.0, 0.0, size[1] * np.sign(down[2])]
     elif kind == "CYLINDER":
         aside = np.array([down[0], down[1], 0.0])
-        point = size[0] * aside / max(float(np.linalg.norm(aside)), FLAT) + [
+        point = size[0] * aside / max(length_of(aside), FLAT) + [
             0.0,
             0.0,
             size[1] * np.sign(down[2]),

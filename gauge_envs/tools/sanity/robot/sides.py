@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.tools.sanity.robot.copies import (
     EXACT,
     OF_LINKS,
@@ -287,7 +287,7 @@ def _shares(robot: Robot, pair: MirrorPair) -> Iterator[tuple[str, float]]:
     is_odd = is_alone and (has_copy or (len(others) >= FEW_PAIRS and not is_explained))
     is_odd &= not pair.is_turned
     yield DIRECTION, VISIBLE * is_odd
-    yield "centre of mass", float(np.linalg.norm(pair.centres_apart_m)) / size_m
+    yield "centre of mass", length_of(pair.centres_apart_m) / size_m
     followers = {*coupled_pairs(model).ravel().tolist()}
     # Of two fingers that a coupling closes, one has the motor.
     follows = bool(followers & {pair.joint, pair.other})

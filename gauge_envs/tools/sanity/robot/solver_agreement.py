@@ -9,7 +9,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.tools.sanity.robot.finding import (
     Finding,
     NotMeasuredError,
@@ -300,5 +300,5 @@ THREADS = "one thread and two"
 
 def _relative(one: FloatArray, two: FloatArray, data: mujoco.MjData) -> float:
     """Return the difference of two accelerations over the larger one; at rest, over that without constraints."""
-    size = max(float(np.linalg.norm(each)) for each in (one, two, data.qacc_smooth))
-    return float(np.linalg.norm(one - two)) / max(size, AT_REST)
+    size = max(length_of(each) for each in (one, two, data.qacc_smooth))
+    return length_of(one - two) / max(size, AT_REST)

@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.tools.sanity.robot.finding import (
     Finding,
     NotApplicableError,
@@ -56,7 +56,7 @@ def _two_feet(robot: Robot) -> list[list[int]]:
     data = start(robot)
     places = data.xpos[[int(limb[-1]) for limb in alike]]
     apart_m = places[1] - places[0]
-    distance_m = float(np.linalg.norm(apart_m))
+    distance_m = length_of(apart_m)
     on_limb = np.isin(robot.model.jnt_bodyid, alike[0]) & joints_of(
         robot.model, "HINGE"
     )

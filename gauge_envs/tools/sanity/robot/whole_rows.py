@@ -8,7 +8,7 @@ import numpy as np
 
 from gauge_envs.backends.mujoco.model_settings import COLUMNS
 from gauge_envs.pages.text import vector_text
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.tools.sanity.robot.finding import (
     Finding,
     body_name,
@@ -124,7 +124,7 @@ def _overlap(model: mujoco.MjModel, first: list[int], second: list[int]) -> floa
 @row("robot-medium")
 def _medium(robot: Robot) -> Finding:
     model, option = robot.model, robot.model.opt
-    wind = float(np.linalg.norm(option.wind))
+    wind = length_of(option.wind)
     pressure_pa = 0.5 * float(option.density) * (1.0 + wind) ** 2
     pressure_pa += float(option.viscosity) / VISCOUS_LENGTH_M
     root = first_moving_body(model, robot.bodies[0]) if robot.bodies else 0
