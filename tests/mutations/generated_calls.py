@@ -124,8 +124,7 @@ def call_changes(  # noqa: C901  # one branch for each kind of fault
 class _Calls(Passed):
     """A simulation that counts its time and remembers what was passed before."""
 
-    def __init__(self, inner, scene):
-        super().__init__(inner, scene)
+    def begin(self):
         self.time_s, self.before = 0.0, {}
 
     def reset(self, seed):
@@ -444,8 +443,7 @@ def kept(part: str, when: str, only: str = "") -> type[Passed]:
 
 def buffers(what: str) -> type[Passed]:
     class Reused(Passed):
-        def __init__(self, inner, scene):
-            super().__init__(inner, scene)
+        def begin(self):
             self._given = {}
 
         def _same(self, key, found):
@@ -468,11 +466,10 @@ def buffers(what: str) -> type[Passed]:
 
 def settings(factor: float) -> type[Passed]:
     class Tells(Passed):
-        def __init__(self, inner, scene):
-            super().__init__(inner, scene)
+        def begin(self):
             self.settings = {
-                **inner.settings,
-                "timestep_s": factor * float(inner.settings["timestep_s"]),
+                **self.inner.settings,
+                "timestep_s": factor * float(self.inner.settings["timestep_s"]),
             }
 
     return Tells
@@ -486,9 +483,8 @@ class _LastGravity:
 
 def gravity_of_last() -> type[Passed]:
     class Shared(Passed):
-        def __init__(self, inner, scene):
-            super().__init__(inner, scene)
-            _LastGravity.value = -scene.gravity_m_per_s2
+        def begin(self):
+            _LastGravity.value = -self.scene.gravity_m_per_s2
 
         def advance(self, seconds):
             self.inner.model.opt.gravity[2] = _LastGravity.value

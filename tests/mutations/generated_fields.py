@@ -580,26 +580,26 @@ def switched(  # noqa: C901
     """Return a simulation of MuJoCo whose constants are those of an edited scene while a condition holds."""
 
     class Switched(Passed):
-        def __init__(self, inner, scene):
-            super().__init__(inner, scene)
-            changed = edit(scene)
+        def begin(self):
+            model = self.inner.model
+            changed = edit(self.scene)
             self._arrays = []
-            if changed is scene or changed == scene:
+            if changed is self.scene or changed == self.scene:
                 return
             try:
-                faulty = _mujoco().build(changed, _asked(inner.settings)).model
+                faulty = _mujoco().build(changed, _asked(self.inner.settings)).model
             except (GaugeError, ValueError):
                 return
-            for name in dir(inner.model):
+            for name in dir(model):
                 if name.startswith("_"):
                     continue
-                here, there = getattr(inner.model, name), getattr(faulty, name, None)
+                here, there = getattr(model, name), getattr(faulty, name, None)
                 are_arrays = isinstance(here, np.ndarray) and isinstance(
                     there, np.ndarray
                 )
                 if are_arrays and here.shape == there.shape and (here != there).any():
                     self._arrays.append((here, here.copy(), there.copy()))
-            here, there = inner.model.opt.gravity, faulty.opt.gravity
+            here, there = model.opt.gravity, faulty.opt.gravity
             if not np.array_equal(here, there):
                 self._arrays.append((here, here.copy(), there.copy()))
 

@@ -44,8 +44,7 @@ class _ReversedBetween(Passed):
 class _SoftFriction(Passed):
     """Dry friction with MuJoCo's own impedance."""
 
-    def __init__(self, inner, scene):
-        super().__init__(inner, scene)
+    def begin(self):
         self.inner.model.dof_solimp[:] = (0.9, 0.95, 0.001, 0.5, 2.0)
         self.inner.model.dof_solref[:] = (0.02, 1.0)
 
@@ -85,9 +84,8 @@ def _pads(kind, shape):
 class _SoftPads(Passed):
     """Contacts of bodies with motors have MuJoCo's largest softness."""
 
-    def __init__(self, inner, scene):
-        super().__init__(inner, scene)
-        if scene.motors:
+    def begin(self):
+        if self.scene.motors:
             self.inner.model.pair_solref[:] = (0.05, 1.0)
             self.inner.model.pair_solimp[:] = (0.9, 0.9, 0.001, 0.5, 2.0)
 
@@ -95,9 +93,8 @@ class _SoftPads(Passed):
 class _CreepingPads(Passed):
     """Friction of bodies with motors has the impedance of the normal force."""
 
-    def __init__(self, inner, scene):
-        super().__init__(inner, scene)
-        if scene.motors:
+    def begin(self):
+        if self.scene.motors:
             self.inner.model.opt.impratio = 0.1
 
 

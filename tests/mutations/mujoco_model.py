@@ -16,9 +16,8 @@ def _model(change):
     """Return a simulation whose MuJoCo model is changed after it is built."""
 
     class Changed(Passed):
-        def __init__(self, inner, scene):
-            super().__init__(inner, scene)
-            change(self.inner.model, scene)
+        def begin(self):
+            change(self.inner.model, self.scene)
             # MuJoCo keeps the mass matrix of simple bodies as a constant.
             mujoco.mj_setConst(self.inner.model, self.inner.data)
 

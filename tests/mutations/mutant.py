@@ -28,6 +28,10 @@ class Passed(WrappedSimulation):
         super().__init__(inner)
         self.scene = scene
         self._fixed = {one.name for one in scene.bodies if one.motion is Motion.FIXED}
+        self.begin()
+
+    def begin(self):
+        """Prepare the fault; a healthy simulation does nothing."""
 
     def fault(self):
         """Report none, so that checks measure what the fault does."""

@@ -143,8 +143,7 @@ class _NodesDrift(Passed):
 class _NodesLag(Passed):
     """Nodes are those of an interval before."""
 
-    def __init__(self, inner, scene):
-        super().__init__(inner, scene)
+    def begin(self):
         self._before = {}
 
     def reset(self, seed):

@@ -55,16 +55,14 @@ class _ReadsFirst(Passed):
 class _StepsAtBuild(Passed):
     """Has already moved when it is built."""
 
-    def __init__(self, inner, scene):
-        super().__init__(inner, scene)
+    def begin(self):
         self.inner.advance(1.0 / 180.0)
 
 
 class _DriveLate(Passed):
     """Drives each body by the interval before."""
 
-    def __init__(self, inner, scene):
-        super().__init__(inner, scene)
+    def begin(self):
         self._before = {}
 
     def reset(self, seed):
@@ -107,8 +105,7 @@ class _StateStaysBehind(Passed):
 class _LiveState(Passed):
     """Returns a state that changes as the simulation goes on."""
 
-    def __init__(self, inner, scene):
-        super().__init__(inner, scene)
+    def begin(self):
         self._given = []
 
     def advance(self, seconds):

@@ -10,8 +10,7 @@ from mutations.mutant import Passed, fault
 class _WrenchOnce(Passed):
     """Applies a wrench during one interval only."""
 
-    def __init__(self, inner, scene):
-        super().__init__(inner, scene)
+    def begin(self):
         self._applied = set()
 
     def apply_wrench(self, body, wrench):
@@ -38,16 +37,18 @@ class _ForceAtOrigin(Passed):
 class _RollingFriction(Passed):
     """Brakes spheres and cylinders in contact by a torque of 0.01 m g times their radius."""
 
-    def __init__(self, inner, scene):
-        super().__init__(inner, scene)
+    def begin(self):
         touching = {
             name
-            for contact in scene.contacts
+            for contact in self.scene.contacts
             for name in (*contact.first, *contact.second)
         }
         self._levers = {
-            one.name: 0.01 * one.mass_kg * scene.gravity_m_per_s2 * one.shape.radius_m
-            for one in scene.dynamic_bodies
+            one.name: 0.01
+            * one.mass_kg
+            * self.scene.gravity_m_per_s2
+            * one.shape.radius_m
+            for one in self.scene.dynamic_bodies
             if isinstance(one.shape, Sphere | Cylinder) and one.name in touching
         }
 
