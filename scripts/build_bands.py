@@ -18,11 +18,11 @@ from gauge_envs import load_experiment
 from gauge_envs.evaluation.estimators import slide_friction
 from gauge_envs.evaluation.metrics.trajectory import trajectory_dtw, trajectory_rmse
 from gauge_envs.references.published import published_baselines
+from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.scene.geometry import BoolArray, FloatArray
-from scripts.generated import SCORING
+from gauge_envs.scene.timing import FRAME_RATE_HZ
+from scripts.generated import SCORING, frame_table
 
-GRAVITY_M_S2 = 9.80665  # the paper's value, from its dynamic error
-FRAME_RATE_HZ = 30
 SLOPE_RAD = math.radians(30)
 SLOPE_MATERIALS = ("wood", "plastic", "metal")
 BALL_VARIANT = "BouncingBall-rubber"
@@ -109,12 +109,12 @@ class Impact:
     @property
     def start_height(self) -> float:
         """Height from which the ball fell from rest, in m."""
-        return self.height + self.speed_in**2 / (2 * GRAVITY_M_S2)
+        return self.height + self.speed_in**2 / (2 * GRAVITY_M_PER_S2)
 
     @property
     def release_time(self) -> float:
         """Time at which the fall began, in s."""
-        return self.time - self.speed_in / GRAVITY_M_S2
+        return self.time - self.speed_in / GRAVITY_M_PER_S2
 
 
 def read_rows(file: Path) -> list[dict[str, str]]:
@@ -193,7 +193,9 @@ def reconstruct_bounces(impacts: Sequence[Impact], frame_count: int) -> Trials:
         after_impact = np.maximum(times, impact.release_time) - impact.time
         speed = np.where(after_impact < 0, -impact.speed_in, impact.speed_out)
         height = (
-            impact.height + speed * after_impact - GRAVITY_M_S2 / 2 * after_impact**2
+            impact.height
+            + speed * after_impact
+            - GRAVITY_M_PER_S2 / 2 * after_impact**2
         )
         positions[trial] = 1000 * height
     measured = np.broadcast_to(
@@ -262,14 +264,8 @@ def band_csv(trials: Trials, variant: str) -> str:
 def trials_csv(trials: Trials) -> str:
     """Return the text of the table of single trials."""
     numbers = range(1, len(trials.positions_mm) + 1)
-    lines = [
-        "frame," + ",".join(f"trial.{number}.{trials.coordinate}" for number in numbers)
-    ]
-    lines += [
-        f"{frame}," + ",".join(f"{x:.6f}" for x in row)
-        for frame, row in enumerate(trials.positions_mm.T)
-    ]
-    return "\n".join(lines) + "\n"
+    names = [f"trial.{number}.{trials.coordinate}" for number in numbers]
+    return frame_table(names, trials.positions_mm.T, decimals=6)
 
 
 def band_toml(trials: Trials) -> str:
@@ -297,12 +293,12 @@ def slides_summary_toml(slides: dict[str, list[Slide]]) -> str:
     """Return the summary of SlopeSlider-2 as text: measured acceleration, and the kinetic friction from it."""
     lines = [
         GENERATED,
-        f"# Over the trials of each material of SlopeSlider-2; g = {GRAVITY_M_S2} m/s^2.",
+        f"# Over the trials of each material of SlopeSlider-2; g = {GRAVITY_M_PER_S2} m/s^2.",
     ]
     for material, trials in slides.items():
         acceleration = np.array([slide.quadratic()[0] / 1000 for slide in trials])
         friction = [
-            slide_friction(one, SLOPE_RAD, gravity_m_per_s2=GRAVITY_M_S2)
+            slide_friction(one, SLOPE_RAD, gravity_m_per_s2=GRAVITY_M_PER_S2)
             for one in acceleration
         ]
         lines += ["", f"[{material}]", f"trial_count = {len(trials)}"]
@@ -323,7 +319,7 @@ def bounces_summary_toml(impacts: Sequence[Impact]) -> str:
     }
     lines = [
         GENERATED,
-        f"# Over the first impacts of BouncingBall, heights of the ball's centre; g = {GRAVITY_M_S2} m/s^2.",
+        f"# Over the first impacts of BouncingBall, heights of the ball's centre; g = {GRAVITY_M_PER_S2} m/s^2.",
     ]
     lines += [f"trial_count = {len(impacts)}"]
     lines += [

@@ -11,7 +11,7 @@ from __future__ import annotations
 import io
 import json
 import math
-import resource
+import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
@@ -46,7 +46,7 @@ from gauge_envs.references.published import published_baselines
 from gauge_envs.scene import Cloth, Rod, Scene, SoftBody
 from gauge_envs.scene.fabrics import Fabric
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.scene.timing import DRIVE_INTERVAL_S, FRAME_RATE_HZ
 from scripts.build_convergence import supported
 from scripts.extrapolation import (
     LEAST_SPAN,
@@ -104,9 +104,6 @@ CELL_FACTORS = (2.0, 0.5)
 
 COSTLY_CELL_FACTORS = (2.0, 2.0 / 3.0)
 """The same for soft bodies and vertex block descent, whose cost grows with a high power of the number of cells."""
-
-DRIVE_INTERVAL_S = 1.0 / 180.0
-"""Interval in which drivers move [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -260,7 +257,7 @@ def solve(experiment: Experiment, engine: str, level: Level) -> dict[str, Any]:
     """Return g(t), points and cost of an episode with zero actions; `fault` says why it was left out."""
     if engine == SHEET:
         return solve_as_sheet(experiment, level)
-    start = _processor_s()
+    start = time.process_time()
     last_frame = solved_span(experiment) - 1
     try:
         env = GaugeEnv(
@@ -280,7 +277,7 @@ def solve(experiment: Experiment, engine: str, level: Level) -> dict[str, Any]:
             *_, terminated, truncated, info = env.step(zero)
             over = terminated or truncated or info["frame"] >= last_frame
             fault = info.get("diverged", "")
-            if _processor_s() - start > LIMIT_S:
+            if time.process_time() - start > LIMIT_S:
                 fault = f"stopped after {LIMIT_S:g} s of processor time"
         trajectory = env.trajectory()
         count = solved_span(experiment)
@@ -299,7 +296,7 @@ def solve(experiment: Experiment, engine: str, level: Level) -> dict[str, Any]:
             "points_m": points[:count],
             "settings": json.dumps(settings),
             "versions": json.dumps(dict(env.versions)),
-            "processor_s": _processor_s() - start,
+            "processor_s": time.process_time() - start,
             "fault": fault,
         }
     finally:
@@ -308,7 +305,7 @@ def solve(experiment: Experiment, engine: str, level: Level) -> dict[str, Any]:
 
 def solve_as_sheet(experiment: Experiment, level: Level) -> dict[str, Any]:
     """Return the same of a sheet, with the factors on cell and step of a level."""
-    start = _processor_s()
+    start = time.process_time()
     sheet, markers = sheet_of(experiment.scene), experiment.scene.markers
     assert sheet is not None
     assert markers is not None
@@ -327,14 +324,9 @@ def solve_as_sheet(experiment: Experiment, level: Level) -> dict[str, Any]:
         "points_m": points_m,
         "settings": json.dumps({"preset": "undamped", "cells": cells}),
         "versions": json.dumps({"numpy": np.__version__}),
-        "processor_s": _processor_s() - start,
+        "processor_s": time.process_time() - start,
         "fault": "",
     }
-
-
-def _processor_s() -> float:
-    usage = resource.getrusage(resource.RUSAGE_SELF)
-    return usage.ru_utime + usage.ru_stime
 
 
 def wanted_experiments(patterns: Sequence[str]) -> Iterator[Experiment]:

@@ -32,7 +32,7 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-from scripts.generated import SCORING
+from scripts.generated import SCORING, frame_table
 
 NAME = "CubePush-light"
 RATE_HZ = 100.0
@@ -277,14 +277,10 @@ def contents(scoring: Path = SCORING) -> dict[Path, str]:
     error = np.hypot(
         NOISE_MM, ALIGN_ERROR_S * FRAME_RATE_HZ * np.abs(np.gradient(mean))
     )
-    table = [
-        "frame,mean.cube.x,sigma.cube.x,uncertainty.cube.x",
-        *_rows(np.column_stack([mean, sigma, error])),
-    ]
-    singles = [
-        ",".join(["frame", *(f"trial.{k + 1}.cube.x" for k in range(len(cubes_mm)))]),
-        *_rows(cubes_mm.T),
-    ]
+    names = ["mean.cube.x", "sigma.cube.x", "uncertainty.cube.x"]
+    table = frame_table(names, np.column_stack([mean, sigma, error]), decimals=3)
+    names = [f"trial.{k + 1}.cube.x" for k in range(len(cubes_mm))]
+    singles = frame_table(names, cubes_mm.T, decimals=3)
     sidecar = [
         "# Written by scripts/build_pushes.py; do not edit.",
         'grade = "trials"',
@@ -322,21 +318,12 @@ def contents(scoring: Path = SCORING) -> dict[Path, str]:
             "    ],",
         ]
     file_lines.append("]")
-    files = {
-        scoring / "trials" / f"{NAME}.toml": file_lines,
+    return {
+        scoring / "trials" / f"{NAME}.toml": "\n".join(file_lines) + "\n",
         scoring / "bands" / f"{NAME}.csv": table,
-        scoring / "bands" / f"{NAME}.toml": sidecar,
+        scoring / "bands" / f"{NAME}.toml": "\n".join(sidecar) + "\n",
         scoring / "trials" / f"{NAME}.csv": singles,
     }
-    return {file: "\n".join(lines) + "\n" for file, lines in files.items()}
-
-
-def _rows(values: FloatArray) -> list[str]:
-    """Return the rows of a table, with the number of the frame before them."""
-    return [
-        ",".join([str(frame), *(f"{value:.3f}" for value in row)])
-        for frame, row in enumerate(values)
-    ]
 
 
 def _numbers(values: Sequence[float] | FloatArray) -> list[float]:

@@ -21,7 +21,7 @@ from scipy.interpolate import CubicSpline
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.scene import GRAVITY_M_PER_S2
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-from scripts.generated import SCORING
+from scripts.generated import SCORING, frame_table
 
 RATE_HZ = 100.0
 FRAMES = 76
@@ -97,23 +97,15 @@ def contents(scoring: Path = SCORING) -> dict[Path, str]:
         uncertainty = np.hypot(
             NOISE_MM, RELEASE_STD_S * FRAME_RATE_HZ * np.gradient(mean)
         )
-        rows = [
-            f"{k},{value:.4f},{error:.4f}"
-            for k, (value, error) in enumerate(zip(mean, uncertainty, strict=True))
-        ]
-        files[scoring / "bands" / f"{variant}.csv"] = (
-            "\n".join(["frame,mean.end.z,uncertainty.end.z", *rows]) + "\n"
+        files[scoring / "bands" / f"{variant}.csv"] = frame_table(
+            ["mean.end.z", "uncertainty.end.z"],
+            np.column_stack([mean, uncertainty]),
+            decimals=4,
         )
         files[scoring / "bands" / f"{variant}.toml"] = sidecar_text(sigma)
-        singles = [
-            ",".join([str(k), *(f"{value:.4f}" for value in column)])
-            for k, column in enumerate(ends.T)
-        ]
-        header = ",".join(
-            ["frame", *(f"trial.{k + 1}.end.z" for k in range(len(both)))]
-        )
-        files[scoring / "trials" / f"{variant}.csv"] = (
-            "\n".join([header, *singles]) + "\n"
+        names = [f"trial.{k + 1}.end.z" for k in range(len(both))]
+        files[scoring / "trials" / f"{variant}.csv"] = frame_table(
+            names, ends.T, decimals=4
         )
     return files
 

@@ -10,6 +10,7 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
+from gauge_envs.scene.geometry import FloatArray
 from scripts.inputs import changed, rows, several
 
 ROOT = Path(__file__).parents[1]
@@ -104,6 +105,14 @@ def markdown_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> Iterat
     """Yield the lines of a table in Markdown, with cells as they are."""
     for cells in (head, ["---"] * len(head), *rows):
         yield f"| {' | '.join(cells)} |"
+
+
+def frame_table(names: Sequence[str], values: FloatArray, *, decimals: int) -> str:
+    """Return a CSV table of numbers, shape [frame_count, column_count], behind the number of their frame."""
+    lines = [",".join(["frame", *names])]
+    for frame, row in enumerate(values):
+        lines.append(",".join([str(frame), *(f"{x:.{decimals}f}" for x in row)]))
+    return "\n".join(lines) + "\n"
 
 
 def not_raised(

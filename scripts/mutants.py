@@ -11,8 +11,8 @@ fork that imports it. It meets the tests that cover its line, at most 20 CPU s o
 its own room, the fastest first, then those of the files nearest by imports. The first failure kills it, and so do four
 times the time and 40 s. What no test covers has survived. What a file of tests covers is measured when it is first
 needed, and anew after a change of that file or of the module with the mutant; `--tests FOLDERS` leaves other files out,
-and `--only PATHS` mutants of other modules. The first 300 mutants take about two hours of an idle core, of which an
-hour measures; later ones take 10 s each. A call that was interrupted goes on.
+and `--only PATHS` mutants of other modules. The first 300 mutants take some two hours of an idle core, of which an
+hour measures; each takes two seconds beside its tests. A call that was interrupted goes on.
 """
 
 from __future__ import annotations
