@@ -224,8 +224,8 @@ def _cell_levels(
 ) -> Iterator[Level]:
     """Yield the runs with other cells: of all deformable bodies of a scene, or of each segment of a rod."""
     is_vbd = default.get("solver") == "SolverVBD"
-    is_soft = any(isinstance(body, SoftBody) for body in scene.deformables)
-    is_rod = any(isinstance(body, Rod) for body in scene.deformables)
+    is_soft = scene.has(SoftBody)
+    is_rod = scene.has(Rod)
     for factor in COSTLY_CELL_FACTORS if is_soft or is_vbd else CELL_FACTORS:
         cell: dict[str, Any] = {"cell_m": factor * cell_m}
         if is_vbd:

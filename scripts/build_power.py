@@ -87,7 +87,7 @@ def _with_contacts(scene: Scene, constant: str, factor: float) -> Scene:
 
 def _with_deformables(scene: Scene) -> Iterator[tuple[str, Scene]]:
     constants: dict[str, tuple[str, tuple[float, ...]]] = {}
-    if any(isinstance(body, Cloth) for body in scene.deformables):
+    if scene.has(Cloth):
         constants = {
             "bend_stiffness_n_m_per_rad": ("bending", (NEARLY_NONE, LOW, PLATE)),
             "shear_stiffness_n_per_m": ("shear", (NEARLY_NONE, LOW)),
@@ -95,7 +95,7 @@ def _with_deformables(scene: Scene) -> Iterator[tuple[str, Scene]]:
         }
     elif scene.deformables:
         constants = {"young_modulus_pa": ("Young's modulus", (LOW,))}
-        if any(isinstance(body, SoftBody) for body in scene.deformables):
+        if scene.has(SoftBody):
             constants["poisson_ratio"] = ("Poisson's ratio", (LOW,))
     for field, (title, factors) in constants.items():
         for factor in factors:

@@ -11,6 +11,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, fields
 from functools import cached_property, lru_cache
 from itertools import product
+from types import UnionType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -109,9 +110,7 @@ class Scene:
         touching = tuple((tuple(one.first), tuple(one.second)) for one in self.contacts)
         joined = tuple((hinge.first, hinge.second) for hinge in self.body_hinges)
         _check_pairs(touching, self._moving, joined)
-        if self.air is not None and not any(
-            isinstance(body, Cloth) for body in self.deformables
-        ):
+        if self.air is not None and not self.has(Cloth):
             raise ParameterError(
                 "the scene has air and no cloth. Air acts on cloth alone: remove it"
             )
@@ -250,6 +249,10 @@ class Scene:
     def body(self, name: str) -> RigidBody:
         """Return the rigid body of a name; raise KeyError if the scene has none."""
         return self._by_name[name]
+
+    def has(self, kind: type | UnionType) -> bool:
+        """Return whether a deformable body is of a kind, as `Cloth | SoftBody`."""
+        return any(isinstance(body, kind) for body in self.deformables)
 
     @cached_property
     def dynamic_bodies(self) -> tuple[RigidBody, ...]:

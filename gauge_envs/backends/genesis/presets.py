@@ -42,9 +42,9 @@ STACK_BODIES = 20
 
 def presets_for(scene: Scene) -> Mapping[str, SettingsGenesis]:
     """Return the presets of a scene by name. Scenes with deformable bodies have presets of their solvers."""
-    if any(isinstance(body, Cloth) for body in scene.deformables):
+    if scene.has(Cloth):
         return pbd_presets(scene)
-    if any(isinstance(body, SoftBody) for body in scene.deformables):
+    if scene.has(SoftBody):
         return soft_presets(scene)
     return (
         {"default": SettingsGenesis(preset="default", timestep_s=1 / 1800)}

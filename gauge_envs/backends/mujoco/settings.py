@@ -209,15 +209,11 @@ def _preset_name(scene: Scene) -> str:
             if bodies & {body.name for body in scene.dynamic_bodies}:
                 return "cloth_loaded"
             return "cloth_probed" if bodies else "cloth"
-        if any(isinstance(body, SoftBody) for body in scene.deformables):
+        if scene.has(SoftBody):
             is_led = not (scene.contacts or scene.dynamic_bodies) and scene.drivers
             return "soft_driven" if is_led else "soft"
         # A rope is a chain of constraints without elasticity, so it needs the short time step of contacts.
-        return (
-            "rod"
-            if any(isinstance(body, Rod) for body in scene.deformables)
-            else "contact"
-        )
+        return "rod" if scene.has(Rod) else "contact"
     if not scene.contacts:
         return "contact_free"
     if len(scene.dynamic_bodies) >= STACK_BODY_COUNT:
@@ -227,7 +223,7 @@ def _preset_name(scene: Scene) -> str:
 
 def _training_preset(scene: Scene) -> SettingsMuJoCo:
     name = _preset_name(scene)
-    kind = "rope" if any(isinstance(body, Rope) for body in scene.deformables) else name
+    kind = "rope" if scene.has(Rope) else name
     kind = "soft_touched" if kind == "soft" and scene.contacts else kind
     return PRESETS[name].model_copy(
         update={"preset": TRAINING} | TRAINING_CHANGES[kind]

@@ -146,7 +146,7 @@ def settings_for(
             update={"timestep_s": settings.timestep_s / 2**halvings}
         )
     if settings.cell_m is not None:
-        soft = any(isinstance(body, SoftBody) for body in scene.deformables)
+        soft = scene.has(SoftBody)
         check_cells(
             "pybullet",
             scene,
@@ -159,7 +159,7 @@ def settings_for(
 def _preset_for(scene: Scene) -> str:
     if len(scene.dynamic_bodies) >= STACK_BODY_COUNT:
         return "stack"
-    if any(isinstance(body, SoftBody) for body in scene.deformables):
+    if scene.has(SoftBody):
         return "soft"
     if scene.deformables:
         return "rope"

@@ -158,7 +158,7 @@ class BulletWorld:
         self.scene, self.scale = scene, settings.units_per_m
         self.settings = settings
         # Soft bodies move otherwise in a world that others have used.
-        is_rigid = not any(isinstance(one, SoftBody) for one in scene.deformables)
+        is_rigid = not scene.has(SoftBody)
         self.client = _connect(is_reused=is_rigid)
         if self.client < 0:
             raise BackendError(

@@ -53,11 +53,7 @@ UNSUPPORTED = {Rope: "rope", Rod: "rod"}
 
 def steps_per_second(scene: Scene) -> int:
     """Return the rate at which the paper steps a scene in Isaac Sim [1/s]."""
-    return (
-        VOLUME_HZ
-        if any(isinstance(body, SoftBody) for body in scene.deformables)
-        else RIGID_AND_CLOTH_HZ
-    )
+    return VOLUME_HZ if scene.has(SoftBody) else RIGID_AND_CLOTH_HZ
 
 
 def unsupported_reason(scene: Scene) -> str | None:

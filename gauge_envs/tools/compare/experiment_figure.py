@@ -252,7 +252,7 @@ def _moment_rows(
 ) -> Iterator[Row]:
     """Yield the row of three moments, of cloth and foam whose markers are known."""
     scene = experiment.scene
-    if not any(isinstance(body, Cloth | SoftBody) for body in scene.deformables):
+    if not scene.has(Cloth | SoftBody):
         return
     others = series if against.reference is not None or against.of_start else series[1:]
     found = [moments_of(one, against, scene.markers) for one in others]
