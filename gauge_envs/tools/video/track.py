@@ -2,6 +2,7 @@
 
 import csv
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, TypeAlias
@@ -46,6 +47,20 @@ class Event:
     last_frame: int
     text: str
     is_note: bool = False
+
+    @classmethod
+    def over(
+        cls, kind: str, frames: Sequence[int], text: str, *, is_note: bool = False
+    ) -> "Event":
+        """Return an event that was seen in some frames, in order, with the first and the last of them in its text."""
+        first, last = frames[0], frames[-1]
+        return cls(
+            kind=kind,
+            first_frame=first,
+            last_frame=last,
+            text=f"{text} (frames {first} to {last})",
+            is_note=is_note,
+        )
 
 
 @dataclass(frozen=True, kw_only=True)

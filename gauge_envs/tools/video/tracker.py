@@ -1,4 +1,4 @@
-"""Track the object of a task through a video, and name what makes the track doubtful: its camera and scene too."""
+"""Track the object of a task through a video, and name what makes the track doubtful."""
 
 import math
 from collections.abc import Iterator
@@ -7,21 +7,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.errors import VideoError
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.tools.video.camera import SceneWatch
 from gauge_envs.tools.video.follow import (
     LEAST_KNOWN_SHARE,
     FaceFollower,
     ShapeFollower,
     Sight,
-    shrunk,
 )
 from gauge_envs.tools.video.frames import (
     LEAST_FRAMES,
     Cadence,
     Frames,
-    Picture,
     cadence_of,
-    cv2,
 )
 from gauge_envs.tools.video.laws import GRAVITY_M_PER_S2, LEAST_APEX_RAD
 from gauge_envs.tools.video.registration import registration_by_outline
@@ -294,7 +291,7 @@ def _twins(
     text = (
         f"a second object of the same shape and colour is seen in {len(frames)} frames"
     )
-    return [_event("duplicated", frames, text)]
+    return [Event.over("duplicated", frames, text)]
 
 
 def _hidden(follower: ShapeFollower | FaceFollower, task: VideoTask) -> str:
@@ -329,170 +326,4 @@ def _changes(path: list[Sight]) -> list[Event]:
     if len(odd) <= MOST_ODD * len(path):
         return []
     text = f"the object changes its shape by up to {misfits[odd].max():.0%}"
-    return [_event("shape", odd.tolist(), text)]
-
-
-# --- camera and scene -------------------------------------------------------------------------------------------------
-
-STRIDE = 3
-"""Frames from one look to the next."""
-
-CHANGED = 30.0
-"""Difference of the brightness with which a place has changed since the first frame."""
-
-BLACK = 16.0
-"""Brightness that no row or column of a bar beside the picture exceeds."""
-
-RECOMPOSED_SHARE = 0.2
-"""Share of the picture that must change for the scene to be another one."""
-
-STILL_PX = 0.5
-"""Mean shift of the corners of the picture up to which a camera counts as still [px]: compression stays below it."""
-
-MOST_SHIFT_PX, MOST_ZOOM = 60.0, 0.1
-"""Largest shift [px] and change of the scale that can be subtracted from a flat scene; depth shows beyond them."""
-
-LEAST_POINTS, LEAST_AGREEING = 12, 0.4
-"""Fewest points of the scene, and smallest share of them, that must agree on the motion of the camera."""
-
-
-class SceneWatch:
-    """Compares the scene of each frame with the first one, and subtracts the motion of the camera.
-
-    Args:
-        first: The first frame.
-        ignored: Part of the picture that moves on purpose, shape [480, 832].
-
-    Attributes:
-        moves: Motion of the camera in each frame since the first one, shape [2, 3]; None where it stands or is unknown.
-        differences: Largest difference of the brightness of each frame from the one before; the first is infinite.
-    """
-
-    def __init__(self, first: Picture, ignored: NDArray[np.bool_]) -> None:
-        self._grey = cv2.cvtColor(first, cv2.COLOR_BGR2GRAY)
-        self._first = shrunk(self._grey)
-        self._before = self._first
-        # Black bars beside the picture are no part of the scene: a model may fill them.
-        lit = self._first > BLACK
-        self._counted = shrunk(ignored.astype(np.uint8)) == 0
-        self._counted &= lit.any(axis=1, keepdims=True) & lit.any(axis=0, keepdims=True)
-        rows, columns = np.indices(self._first.shape) / len(self._first)
-        self._sides = np.stack([np.ones_like(rows), columns, rows], axis=-1)
-        mask = np.where(ignored, 0, 255).astype(np.uint8)
-        points = cv2.goodFeaturesToTrack(self._grey, 150, 0.02, 12, mask=mask)
-        self._points = np.zeros((0, 1, 2), np.float32) if points is None else points
-        self.moves: list[FloatArray | None] = []
-        self.differences: list[float] = []
-        self._unknown: list[int] = []
-        self._changed: dict[int, float] = {}
-
-    def look(self, picture: Picture) -> None:
-        """Find the motion of the camera in the next frame, and how much it differs from the one before."""
-        grey = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
-        small = shrunk(grey)
-        change = float(np.abs(small - self._before).max())
-        self._before = small
-        move = self._camera(grey)
-        if move is None:
-            self._unknown.append(len(self.moves))
-        elif _shift_px(move) <= STILL_PX:
-            move = None
-        self.differences.append(change if self.moves else math.inf)
-        self.moves.append(move)
-
-    def steadied(self, picture: Picture, frame: int) -> Picture:
-        """Return a frame as a camera that does not move would show it."""
-        move = self.moves[frame]
-        if move is None:
-            return picture
-        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-        size = REFERENCE_SIZE_PX
-        return np.asarray(
-            cv2.warpAffine(
-                picture, move, size, flags=flags, borderMode=cv2.BORDER_REPLICATE
-            )
-        )
-
-    def compare(self, picture: Picture, frame: int) -> None:
-        """Compare the scene of a steadied frame with that of the first one."""
-        if frame % STRIDE == 0:
-            grey = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
-            small = shrunk(grey)
-            # A lamp that moves or fades changes the brightness by a factor, which is even or rises to one side.
-            lit = self._sides[self._counted] * self._first[self._counted, None]
-            factors = np.linalg.lstsq(lit, small[self._counted], rcond=None)[0]
-            difference = np.abs(small - (self._sides @ factors) * self._first)
-            self._changed[frame] = (
-                float((difference[self._counted] > CHANGED).mean())
-                if self._counted.any()
-                else 0.0
-            )
-
-    def events(self) -> list[Event]:
-        """Return what happened to the camera and the scene."""
-        found = []
-        recomposed = [
-            frame for frame, share in self._changed.items() if share > RECOMPOSED_SHARE
-        ]
-        if recomposed:
-            worst = max(self._changed.values())
-            text = f"the scene is recomposed: up to {worst:.0%} of the picture differs from the first frame"
-            found.append(_event("scene", recomposed, text))
-        moved = {n: move for n, move in enumerate(self.moves) if move is not None}
-        if not moved:
-            return found
-        shift = max(map(_shift_px, moved.values()))
-        zooms = [float(np.hypot(*move[:, 0])) - 1.0 for move in moved.values()]
-        zoom = max(zooms, key=abs)
-        is_too_far = shift > MOST_SHIFT_PX or abs(zoom) > MOST_ZOOM
-        what = (
-            "more than a flat scene allows to subtract"
-            if is_too_far
-            else "this is subtracted"
-        )
-        text = f"the camera moves by up to {shift:.1f} px and zooms by up to {zoom:+.1%}; {what}"
-        found.append(_event("camera", list(moved), text, is_note=not is_too_far))
-        if len(self._unknown) > len(self.moves) // 10:
-            text = "the camera moves, and its motion is not found in some frames"
-            found.append(_event("camera", self._unknown, text))
-        return found
-
-    def _camera(self, grey: NDArray[np.uint8]) -> FloatArray | None:
-        """Return where the first frame is now, as shift, rotation and scale, shape [2, 3]; None if unknown."""
-        if len(self._points) < LEAST_POINTS:
-            return None
-        moved, status, _ = cv2.calcOpticalFlowPyrLK(
-            self._grey, grey, self._points, None, winSize=(21, 21), maxLevel=3
-        )
-        is_found = status.ravel() == 1
-        if is_found.sum() < LEAST_POINTS:
-            return None
-        before, after = self._points[is_found], moved[is_found]
-        matrix, inliers = cv2.estimateAffinePartial2D(
-            before, after, method=cv2.RANSAC, ransacReprojThreshold=1.5
-        )
-        if matrix is None or inliers.sum() < max(
-            LEAST_POINTS, LEAST_AGREEING * len(before)
-        ):
-            return None
-        return np.asarray(matrix)
-
-
-def _shift_px(move: FloatArray) -> float:
-    """Return the mean shift of the corners of the picture [px]."""
-    width, height = REFERENCE_SIZE_PX
-    corners = np.array([[0, 0], [width, 0], [0, height], [width, height]])
-    return float(
-        np.linalg.norm(corners @ move[:, :2].T + move[:, 2] - corners, axis=1).mean()
-    )
-
-
-def _event(kind: str, frames: list[int], text: str, *, is_note: bool = False) -> Event:
-    text = f"{text} (frames {frames[0]} to {frames[-1]})"
-    return Event(
-        kind=kind,
-        first_frame=frames[0],
-        last_frame=frames[-1],
-        text=text,
-        is_note=is_note,
-    )
+    return [Event.over("shape", odd.tolist(), text)]

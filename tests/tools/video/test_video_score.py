@@ -24,10 +24,11 @@ from gauge_envs.tools.video import (  # noqa: E402
     video_tasks,
 )
 from gauge_envs.tools.video.agreement import DETAILS, agreement  # noqa: E402
+from gauge_envs.tools.video.camera import SceneWatch  # noqa: E402
 from gauge_envs.tools.video.frames import FileFrames  # noqa: E402
 from gauge_envs.tools.video.scoring import faults_of, findings_of, paper_metrics  # noqa: E402
 from gauge_envs.tools.video.tasks import published_results  # noqa: E402
-from gauge_envs.tools.video.tracker import SceneWatch  # noqa: E402
+from gauge_envs.tools.video.tracker import _moving_part  # noqa: E402
 from gauge_envs.tools.video.words import (  # noqa: E402
     find_videos,
     results_table,
@@ -201,6 +202,50 @@ def test_bars_that_a_model_fills_are_no_other_scene():
             watch.compare(frame, number)
         watched[name] = any(event.kind == "scene" for event in watch.events())
     assert watched == {"bars": False, "scene": True}
+
+
+def plain_table(shift_px, *, is_even=False):
+    """What a watch says of a plate that turns on a faint table; its only clear points are on the plate."""
+    rng, task = np.random.default_rng(0), video_task("Turntable-2-plastic")
+    pivot = task.pivot_px
+
+    def grain(sigma_px):
+        texture = cv2.GaussianBlur(rng.normal(0.0, 1.0, (480, 832)), (0, 0), sigma_px)
+        return texture / texture.std()
+
+    def warped(picture, matrix):
+        flags = {"borderMode": cv2.BORDER_REPLICATE}
+        return cv2.warpAffine(picture, matrix, (832, 480), **flags)
+
+    table, plate = 40.0 + 2.0 * grain(5.0), 200.0 + 20.0 * grain(4.0)
+    disk = np.zeros((480, 832))
+    cv2.circle(disk, [round(value) for value in pivot], 225, 1.0, -1)
+    watch = None
+    for number in range(8):
+        turn = cv2.getRotationMatrix2D(pivot, 4.0 * number, 1.0)
+        shown = np.where(disk > 0.0, warped(plate, turn), table)
+        if is_even:
+            shown = np.full_like(shown, 120.0)
+        shift = np.eye(2, 3)
+        shift[0, 2] = shift_px * (number > 0)
+        noisy = warped(shown, shift) + rng.normal(0.0, 3.0, shown.shape)
+        grey = np.clip(noisy, 0.0, 255.0).astype(np.uint8)
+        picture = cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)
+        watch = watch or SceneWatch(picture, _moving_part(task))
+        watch.look(picture)
+    return [event.text for event in watch.events() if not event.is_note]
+
+
+def test_the_edge_of_a_plate_tells_that_the_camera_stands():
+    assert plain_table(0.0) == []
+
+
+@pytest.mark.parametrize(
+    "scene", [{"shift_px": 0.9}, {"shift_px": 20.0}, {"shift_px": 0.0, "is_even": True}]
+)
+def test_a_camera_whose_motion_is_not_seen_is_not_taken_for_still(scene):
+    (fault,) = plain_table(**scene)
+    assert "too little to tell that it stands (frames " in fault
 
 
 def test_a_still_picture_has_a_track_and_no_physics():
