@@ -85,8 +85,8 @@ class StepperMuJoCo(Stepper):
             "line_search_iterations": option.ls_iterations,
         }
         kept |= {
-            "tolerance": option.tolerance.numpy()[0],
-            "impratio": option.impratio_invsqrt.numpy()[0] ** -2,
+            "tolerance": float(option.tolerance.numpy()[0]),
+            "impratio": float(option.impratio_invsqrt.numpy()[0]) ** -2,
         }
         check_kept("Newton", settings.model_dump(), kept)
         has_pipeline = pair_count and not settings.mujoco_contacts

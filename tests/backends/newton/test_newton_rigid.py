@@ -48,6 +48,23 @@ def test_models_share_the_kernels_of_their_collision_pipelines():
     assert narrow_phase.create_narrow_phase_primitive_kernel is own
 
 
+def test_a_slide_is_within_the_uncertainty_of_its_solution():
+    """Hops cost a cube friction in single precision, less with a smaller impedance (studies/steps)."""
+    stiff = {"sustained_solimp": (0.95, 0.95, 0.001), "impratio": 10.0}
+    errors_mm = [
+        run_episode(
+            RunRequest("SlopeSlider-3-wood", backend="newton", settings=settings)
+        ).score.rmse
+        for settings in ({}, stiff)
+    ]
+    assert errors_mm[0] < 0.11 < 1.0 < errors_mm[1]
+
+
+def test_a_setting_may_be_rounded_to_single_precision():
+    scene = load_experiment("SlopeSlider-2-wood").scene
+    assert NEWTON.build(scene, {"impratio": 440.0}).settings["impratio"] == 440.0
+
+
 def test_out_of_the_box_restitution_has_no_effect_as_published():
     """The published Newton scores 22.71 (GAUGE, Table 5): its solver ignores the ball's coefficient of restitution."""
     scores = {
