@@ -258,6 +258,22 @@ def test_default_engine_pays_the_law(name):
     )
 
 
+def test_contacts_hold_no_more_than_friction_where_the_solver_converges():
+    """A solver that stops early leaves a force in excess, which Euler's method takes: 1.5 % with a tolerance of 1e-8."""
+    converged, stopped_early = (
+        engine_limit(
+            make(
+                "Turntable-Limit-wood",
+                settings={"preset": "training"} | tolerance,
+            ),
+            bounds=(0.95, 1.05),
+        )
+        for tolerance in ({}, {"tolerance": 1e-8})
+    )
+    assert 0.99 < converged < 1.0
+    assert stopped_early > 1.01
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", STEADY)
 def test_newton_agrees(name):
