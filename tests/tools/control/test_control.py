@@ -259,7 +259,7 @@ def test_default_engine_pays_the_law(name):
 
 
 def test_contacts_hold_no_more_than_friction_where_the_solver_converges():
-    """A solver that stops early leaves a force in excess, which Euler's method takes: 1.5 % with a tolerance of 1e-8."""
+    """A solver that stops early leaves a force in excess, which Euler's method takes: 1.5 % with 1e-8."""
     converged, stopped_early = (
         engine_limit(
             make(
