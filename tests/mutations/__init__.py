@@ -22,6 +22,7 @@ from mutations import (
 )
 from mutations.mutant import (
     FAILS_ITSELF,
+    PUBLISHED,
     Fault,
     Mutant,
     Passed,
@@ -32,6 +33,7 @@ from mutations.mutant import (
 __all__ = [
     "FAILS_ITSELF",
     "FAULTS",
+    "PUBLISHED",
     "Fault",
     "Mutant",
     "Passed",
