@@ -98,6 +98,10 @@ class World(ABC):
         """Return the positions of a deformable body's nodes [m], shape [node_count, 3]."""
         raise KeyError(name)
 
+    def stated_nodes(self, name: str) -> FloatArray | None:
+        """Return what `nodes` is at the start of `Scene.stated`, or None where the engine did not build that start."""
+        return None
+
     def track(self, name: str, points_m: FloatArray) -> Callable[[], FloatArray] | None:
         """Return a reader of material points of a deformable body, if the engine locates them better than its nodes do.
 

@@ -107,7 +107,16 @@ class ObserverMarkers:
         self.observed = partial(
             observe_markers, markers=scene.markers, observable=observable
         )
-        rest = {name: world.nodes(name) for name in scene.markers.bodies}
+        now_m = np.asarray(scene.markers.positions_m)
+        rest = {name: world.nodes(name) for name in self.bodies}
+        stated = scene.stated
+        if stated is not None and stated.markers is not None:
+            # A rigid motion keeps the material points, but not which of equal triangles rounding finds first.
+            found = {name: world.stated_nodes(name) for name in self.bodies}
+            before = {name: one for name, one in found.items() if one is not None}
+            if len(before) == len(rest):
+                scene, rest = stated, before
+        assert scene.markers is not None
         targets = np.asarray(scene.markers.positions_m)
         self.read = (
             _tracker(world, rest, targets) if proxy is MarkerProxy.MATERIAL else None
@@ -123,7 +132,7 @@ class ObserverMarkers:
             self.indices, self.weights = material_points(targets, rest, deformables)
         self.markers_m = self._marker_positions(world)
         self.largest_distance_m = float(
-            np.linalg.norm(self.markers_m - targets, axis=1).max()
+            np.linalg.norm(self.markers_m - now_m, axis=1).max()
         )
         self.width = len(self.observed(self.markers_m[None])[0])
 

@@ -1,6 +1,7 @@
 """Prescribed motion of a driven body in intervals of uniform acceleration."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
@@ -92,7 +93,7 @@ class DriverPath:
         self.offsets = np.zeros(self.motion_count)
         count = round((frame_count - 1) / FRAME_RATE_HZ / interval_s)
         self._path = _recorded_path(driver, start, count, interval_s)
-        self._recorded = _recorded_coordinates(driver.motions, count, interval_s)
+        self._recorded = _recorded_coordinates(_still(driver), count, interval_s)
 
     def reset(self) -> None:
         """Return to the recorded motion."""
@@ -358,11 +359,19 @@ def _recorded_path(
 ) -> Intervals:
     """Return the motion without actions; for minutes of motion it takes longer than the build of most scenes."""
     times_s = interval_s * np.arange(count + 1, dtype=np.float64)
-    coordinates, rates = _recorded_coordinates(driver.motions, count, interval_s)
+    coordinates, rates = _recorded_coordinates(_still(driver), count, interval_s)
     states = driver.moved(
         start_rows([start]), times_s, coordinates[: count + 1], rates[: count + 1]
     )
     return Intervals(states, interval_s)
+
+
+def _still(driver: Driver) -> tuple[DriverMotion, ...]:
+    """Return motions about the same line, whose coordinates are those of the driver's also where its scene leans."""
+    return tuple(
+        replace(one, axis=(1.0, 0.0, 0.0), point_m=(0.0, 0.0, 0.0))
+        for one in driver.motions
+    )
 
 
 @lru_cache(maxsize=32)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -11,7 +11,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gauge_envs.errors import ParameterError
-from gauge_envs.scene.bodies import BodyHinge, Cloth, Hinge, RigidBody, Tether
+from gauge_envs.scene.bodies import (
+    BodyHinge,
+    Cloth,
+    Hinge,
+    Markers,
+    RigidBody,
+    Tether,
+)
 from gauge_envs.scene.contact_faces import (
     TouchingGroup,
     blocked_directions,
@@ -84,7 +91,7 @@ def jittered(scene: Scene, jitter: Jitter, *, seed: int) -> Scene:
     - A ball translates in all three coordinates.
     - A hinged body rotates about its hinge. A tethered body swings with a tight string.
     - Bodies that hinges join move as one body, as the root of their tree does.
-    - A cloth without attachments translates and rotates in its plane.
+    - A cloth without attachments translates and rotates in its plane, with markers if it alone has any.
 
     Random velocities are added to those of the scene, in the same directions: in the plane of the face and about its
     normal, about a hinge, or about the anchor of a string. The velocity of a hinged or a tethered body rotates with its
@@ -109,12 +116,15 @@ def jittered(scene: Scene, jitter: Jitter, *, seed: int) -> Scene:
     is_moved = bool(scene.free)
     bodies = [groups.started(one) for one in scene.bodies]
     deformables: list[Any] = []
+    markers = scene.markers
     for deformable in scene.deformables:
         if isinstance(deformable, Cloth) and deformable.name not in attached:
             is_moved = True
             pose = deformable.pose
             move = _drawn(pose.position_m, face_normal(pose)[None], jitter, random)
             deformable = replace(deformable, pose=move(pose))
+            if markers is not None and markers.bodies == (deformable.name,):
+                markers = _carried(markers, move.place)
         deformables.append(deformable)
     if not is_moved:
         raise ParameterError(
@@ -122,7 +132,10 @@ def jittered(scene: Scene, jitter: Jitter, *, seed: int) -> Scene:
         )
     joined, body_hinges = _joined(bodies, scene)
     return scene.started(
-        bodies=joined, body_hinges=body_hinges, deformables=tuple(deformables)
+        bodies=joined,
+        body_hinges=body_hinges,
+        deformables=tuple(deformables),
+        markers=markers,
     )
 
 
@@ -159,7 +172,9 @@ def misplaced(scene: Scene, jitter: Jitter, drawn: Mapping[str, FloatArray]) -> 
         turn_rad = jitter.angle_rad * drawn[driver.body][3:]
         if not turn_rad.any():
             return scene
-        return tilted(scene, turn_rad, scene.body(driver.body).pose.position_m)
+        leaning = tilted(scene, turn_rad, scene.body(driver.body).pose.position_m)
+        vars(leaning)["stated"] = scene.stated or scene
+        return leaning
     drivers = []
     for driver in scene.drivers:
         shift_m = jitter.position_m * drawn[driver.body][:3]
@@ -203,12 +218,16 @@ class _Move:
     point_m: FloatArray
     shift_m: FloatArray | float = 0.0
 
+    def place(self, point_m: ArrayLike) -> Vector:
+        """Return a point after the move [m]."""
+        arm_m = rotation_matrices(self.turn) @ (np.asarray(point_m) - self.point_m)
+        return vector(arm_m + self.point_m + self.shift_m)
+
     def __call__(self, pose: Pose) -> Pose:
-        arm_m = rotation_matrices(self.turn) @ (pose.position_m - self.point_m)
-        position_m = arm_m + self.point_m + self.shift_m
+        position_m = self.place(pose.position_m)
         now = unit_quaternions(np.array(pose.quaternion))
         w, x, y, z = unit_quaternions(quaternion_products(self.turn, now)).tolist()
-        return Pose(position_m=vector(position_m), quaternion=(w, x, y, z))
+        return Pose(position_m=position_m, quaternion=(w, x, y, z))
 
 
 def _drawn(
@@ -226,6 +245,11 @@ def _drawn(
         shift = _along(shift, blocked)
     turn = angle_rad * blocked[0] if len(blocked) == 1 else np.zeros(3)
     return _Move(_turn(turn), np.asarray(point_m), shift)
+
+
+def _carried(markers: Markers, place: Callable[[ArrayLike], Vector]) -> Markers:
+    """Return markers that have moved."""
+    return replace(markers, positions_m=tuple(map(place, markers.positions_m)))
 
 
 def _along(vector_3: FloatArray, blocked: FloatArray) -> FloatArray:
@@ -405,7 +429,5 @@ def tilted(scene: Scene, rotation_rad: ArrayLike, about_m: ArrayLike) -> Scene:
             replace(one, motions=tuple(map(turned, one.motions)))
             for one in scene.drivers
         ),
-        markers=None
-        if markers is None
-        else replace(markers, positions_m=tuple(map(place, markers.positions_m))),
+        markers=None if markers is None else _carried(markers, place),
     )

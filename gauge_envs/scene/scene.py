@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, fields
 from functools import cached_property, lru_cache
 from itertools import product
 from types import UnionType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -70,6 +70,8 @@ class Scene:
         markers: Markers on deformable bodies, if any.
         gravity_m_per_s2: Downward acceleration [m/s^2].
         air: Air that acts on the cloth, if any; other bodies feel none.
+        stated: The scene that this one is with other starts; None for a stated scene, and after any `replace`. An engine
+            may compute what a rigid motion keeps, as rest lengths, there, so that no rounding depends on the start.
 
     Raises:
         ParameterError: A start velocity is not finite, belongs to a body that is not dynamic or is attached to a
@@ -97,6 +99,7 @@ class Scene:
     markers: Markers | None = None
     gravity_m_per_s2: float = GRAVITY_M_PER_S2
     air: Air | None = None
+    stated: ClassVar[Scene | None] = None
     _by_name: dict[str, RigidBody] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -404,6 +407,7 @@ class Scene:
         """
         kept = {name: vars(self)[name] for name in _ARGUMENTS}
         other = object.__new__(Scene)
+        vars(other)["stated"] = self.stated or self
         vars(other).update(kept | starts)
         vars(other)["_driven_speed_m_per_s"] = self._driven_speed_m_per_s
         other._check_starts()

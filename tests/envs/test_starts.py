@@ -98,6 +98,9 @@ def test_worlds_start_as_single_environments_do():
         "Pendulum-metal",
         "StickStack-soft",
         pytest.param("TableclothPulling-wood", marks=pytest.mark.slow),
+        "TextileFlinging-rayon",
+        "RotatingBall-rayon",
+        pytest.param("Funnel-rayon", marks=pytest.mark.slow),
     ],
 )
 @pytest.mark.parametrize("speed", [0.0, 0.01], ids=["still", "pushed"])

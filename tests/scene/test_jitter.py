@@ -87,6 +87,12 @@ def test_what_is_fixed_or_driven_stays_and_free_cloth_keeps_its_plane():
     assert moved != cloth and moved.pose.position_m[2] == pytest.approx(
         cloth.pose.position_m[2], abs=1e-12
     )
+    # Markers stay on the same material.
+    before, after = (
+        one.deformables[0].pose.to_body(np.array(one.markers.positions_m))
+        for one in (scene, other)
+    )
+    assert after == pytest.approx(before, abs=1e-12)
     turntable = load_experiment("Turntable-1-wood").scene
     kept = [
         body

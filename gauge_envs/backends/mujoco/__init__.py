@@ -65,9 +65,22 @@ class BackendMuJoCo(BundledBackend):
     def build(
         self, scene: Scene, settings: Mapping[str, Any] | None = None
     ) -> SimulationMuJoCo:
-        """Build a scene; settings are the fields of `SettingsMuJoCo`."""
+        """Build a scene; settings are the fields of `SettingsMuJoCo`.
+
+        A scene with deformable bodies that starts elsewhere than stated is built as stated and then moved, as a reset
+        does, if `SimulationMuJoCo.start_at` can: a model that is compiled elsewhere has other last bits.
+        """
         for reason in without_deformables(scene):
             raise UnsupportedSceneError(reason)
+        if scene.stated is not None and scene.deformables:
+            simulation = self._compiled(scene.stated, settings)
+            if simulation.start_at(scene):
+                return simulation
+        return self._compiled(scene, settings)
+
+    def _compiled(
+        self, scene: Scene, settings: Mapping[str, Any] | None
+    ) -> SimulationMuJoCo:
         chosen = settings_for(scene, settings)
         in_force = without_absent(chosen.model_dump(mode="json"))
         spec, model, parts = build_model(scene, chosen)

@@ -25,7 +25,7 @@ from gauge_envs.backends.mujoco.flex import (
 from gauge_envs.backends.shared.attachments import RigidAttachment
 from gauge_envs.backends.shared.cloth_grid import ClothGrid, attached_vertices
 from gauge_envs.errors import ParameterError
-from gauge_envs.scene import Air, Cloth, Scene
+from gauge_envs.scene import Air, Cloth, Pose, Scene
 from gauge_envs.scene.geometry import FloatArray, length_of
 
 ELASTIC_BOTH = 3
@@ -55,6 +55,10 @@ class ClothPartMuJoCo(FlexPart):
     ) -> None:
         super().__init__(flex, grid.rest_m, points)
         self.cloth, self.grid = cloth, grid
+
+    def place(self, model: mujoco.MjModel, pose: Pose) -> None:
+        """Let the cloth start at another pose in the compiled model, with what holds it; see `Points.place`."""
+        self.points.place(model, self.grid.at(pose))
 
     def carried(self, body: str) -> tuple[FloatArray, FloatArray]:
         """Return the attached vertices of a body, which have no mass in the model; see `FlexPart.carried`."""

@@ -59,9 +59,10 @@ class Points:
 
     def bind(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         """Look up the joints of the points in a compiled model."""
+        bodies = [model.body(self._names[index]).id for index in self.free]
+        self._bodies = np.array(bodies, dtype=np.intp)
         # A free point has slide joints along x, y and z, one after another.
-        first_joints = [model.body(self._names[index]).jntadr[0] for index in self.free]
-        joints = np.array(first_joints, dtype=np.intp)[:, None] + np.arange(3)
+        joints = model.body_jntadr[self._bodies][:, None] + np.arange(3)
         self._addresses = model.jnt_qposadr[joints].astype(np.intp)
         self.dofs = model.jnt_dofadr[joints].astype(np.intp)
         self._qpos = data.qpos
@@ -75,6 +76,16 @@ class Points:
         for body, rows in rows_by_body.items():
             arms_m = self._attached[rows[0]].pose.to_body(self._rest_m[rows])
             self._moving.append((rows, arms_m, *free_joint_views(model, data, body)))
+
+    def place(self, model: mujoco.MjModel, rest_m: FloatArray) -> None:
+        """Let the points start elsewhere in the compiled model, by a rigid motion that attached ones share.
+
+        Args:
+            model: The compiled model.
+            rest_m: World positions at the start [m], shape [point_count, 3].
+        """
+        self._rest_m = rest_m
+        model.body_pos[self._bodies] = rest_m[self.free]
 
     def positions(self) -> FloatArray:
         """Return the current world positions [m], shape [point_count, 3], from joint coordinates alone."""

@@ -28,14 +28,22 @@ from gauge_envs.backends.mujoco.model import (
 from gauge_envs.backends.mujoco.soft import Grip, SoftPartMuJoCo
 from gauge_envs.backends.shared.rigid import (
     MeanForces,
-    bodies_elsewhere,
     hinges_by_body,
     joints_by_body,
+    starts_elsewhere,
     world_hinges,
 )
 from gauge_envs.backends.shared.states import Snapshot, StateOrigin
 from gauge_envs.backends.world import Simulation
-from gauge_envs.scene import Hinge, Motion, Pose, Scene
+from gauge_envs.scene import (
+    Attachment,
+    Cloth,
+    Hinge,
+    Motion,
+    Pose,
+    RigidBody,
+    Scene,
+)
 from gauge_envs.scene.geometry import FloatArray
 
 BAD_STATES = {
@@ -111,11 +119,15 @@ class SimulationMuJoCo(Simulation):
             if isinstance(part, SoftPartMuJoCo):
                 self.grips += part.grips
         self.timestep_s = float(settings["timestep_s"])
+        self._cloths = {
+            name: part
+            for name, part in parts.items()
+            if isinstance(part, ClothPartMuJoCo)
+        }
+        self._stated_nodes = {name: one.nodes() for name, one in self._cloths.items()}
         self._air: list[AirOnCloth] = []
         if scene.air is not None:
-            cloth = [
-                part for part in parts.values() if isinstance(part, ClothPartMuJoCo)
-            ]
+            cloth = [*self._cloths.values()]
             check_air_step(scene, cloth, self.timestep_s)
             self._air = [AirOnCloth(scene.air, part, self.data) for part in cloth]
         # A scene in which a cloth touches nothing but itself.
@@ -124,12 +136,8 @@ class SimulationMuJoCo(Simulation):
             for contact in scene.contacts
             for name in (*contact.first, *contact.second)
         }
-        lone = parts.get(*touching) if len(touching) == 1 else None
-        self._folds = (
-            FoldWatch(lone, model, self.data)
-            if isinstance(lone, ClothPartMuJoCo)
-            else None
-        )
+        lone = self._cloths.get(touching.pop()) if len(touching) == 1 else None
+        self._folds = FoldWatch(lone, model, self.data) if lone else None
         self._state_size = mujoco.mj_stateSize(
             model, mujoco.mjtState.mjSTATE_INTEGRATION
         )
@@ -137,7 +145,7 @@ class SimulationMuJoCo(Simulation):
         self._grip_reader: GripReader | None = None
         self.contact_readers: list[MeanForces] = []
         self._driven: dict[str, DrivenBody] = {}
-        self._scene = scene
+        self._built = self._scene = scene
         actuators = {
             id(hinge): model.actuator(name).id
             for name, hinge in hinges_by_body(scene).items()
@@ -156,13 +164,14 @@ class SimulationMuJoCo(Simulation):
         self.data.qvel[:] = self._start_velocities
 
     def start_at(self, scene: Scene) -> bool:
-        """Place free bodies elsewhere in the compiled model; see `Simulation.start_at`.
+        """Place bodies elsewhere in the compiled model; see `Simulation.start_at`.
 
-        A scene is built anew if hinges join its bodies, or if it has deformable bodies and more than the motion of its
-        driven bodies differs.
+        A scene is built anew if hinges join its bodies, or if more than the starts of rigid bodies and cloths and the
+        motion of driven bodies differs. Fixed and driven bodies and cloths start elsewhere only in a model that was
+        compiled at their stated start, of which a rigid motion keeps all but places.
         The editable model, and the centre and extent of MuJoCo's own pictures, stay those of the first start.
         """
-        moved = bodies_elsewhere(self._scene, scene)
+        moved = starts_elsewhere(self._scene, scene)
         if moved == []:
             self._scene = scene
             self.reset(0)
@@ -176,28 +185,23 @@ class SimulationMuJoCo(Simulation):
         is_built_anew = scene.body_hinges or scene.guides or is_rounded
         if moved is None or self._fixes_start or is_scaled or is_built_anew:
             return False
+        others = {one.name for one in moved} - {
+            one.name for one in scene.dynamic_bodies
+        }
+        if others and not self._takes(scene, others):
+            return False
         velocities = start_velocities(scene, model)
         if velocities.any() != bool(model.nkey):
             return False
         hinges = world_hinges(scene)
-        for body in moved:
-            first = model.joint(body.name)
-            quaternion = np.array(body.pose.quaternion)
-            mujoco.mju_normalize4(quaternion)
-            index = int(first.bodyid[0])
-            model.body_pos[index] = body.pose.position_m
-            model.body_quat[index] = quaternion
-            hinge = hinges.get(body.name)
-            if hinge is None:
-                start = np.concatenate([body.pose.position_m, quaternion])
-                first.qpos0[:] = first.qpos_spring[:] = start
+        for one in moved:
+            if isinstance(one, Cloth):
+                self._cloths[one.name].place(model, one.pose)
             else:
-                anchor_m, axis = hinge_in_body(body, hinge)
-                # A second joint is the play of the first.
-                joints = slice(first.id, first.id + int(model.body_jntnum[index]))
-                model.jnt_pos[joints], model.jnt_axis[joints] = anchor_m, axis
-        # What follows from the start, such as inverse weights.
-        mujoco.mj_setConst(model, self.data)
+                self._place(one, hinges.get(one.name))
+        if scene.dynamic_bodies:
+            # What follows from the start, such as inverse weights.
+            mujoco.mj_setConst(model, self.data)
         model.key_qpos[:] = model.qpos0
         self._start_velocities[:] = velocities
         self._scene = scene
@@ -206,6 +210,45 @@ class SimulationMuJoCo(Simulation):
         self._origin = _origin(self.settings, scene)
         self.reset(0)
         return True
+
+    def _takes(self, scene: Scene, others: set[str]) -> bool:
+        """Return whether bodies that are not dynamic can start as a scene says.
+
+        Args:
+            scene: The scene.
+            others: Names of the fixed and driven bodies and of the cloths that start elsewhere than now.
+        """
+        if not scene.deformables or (scene.stated or scene) != self._built:
+            return False
+        rounding = 1e-9
+        return all(
+            held.deformable in self._cloths
+            # The reader of wrenches frees fixed bodies where they were compiled.
+            and scene.body(held.to).motion is not Motion.FIXED
+            and np.abs(_seen(scene, held) - _seen(self._built, held)).max() < rounding
+            for held in scene.attachments
+            if not others.isdisjoint((held.deformable, held.to))
+        )
+
+    def _place(self, body: RigidBody, hinge: Hinge | None) -> None:
+        """Let a rigid body start elsewhere in the compiled model."""
+        model = self.model
+        index = model.body(body.name).id
+        quaternion = np.array(body.pose.quaternion)
+        mujoco.mju_normalize4(quaternion)
+        model.body_pos[index] = body.pose.position_m
+        model.body_quat[index] = quaternion
+        if body.motion is Motion.FIXED:
+            return
+        first = model.joint(body.name)
+        if hinge is None:
+            start = np.concatenate([body.pose.position_m, quaternion])
+            first.qpos0[:] = first.qpos_spring[:] = start
+        else:
+            anchor_m, axis = hinge_in_body(body, hinge)
+            # A second joint is the play of the first.
+            joints = slice(first.id, first.id + int(model.body_jntnum[index]))
+            model.jnt_pos[joints], model.jnt_axis[joints] = anchor_m, axis
 
     def drive(
         self,
@@ -301,6 +344,11 @@ class SimulationMuJoCo(Simulation):
             else part.nodes()
         )
 
+    def stated_nodes(self, name: str) -> FloatArray | None:
+        """Return the nodes of a cloth where it was compiled; see `World.stated_nodes`."""
+        is_stated = self._scene.stated == self._built
+        return self._stated_nodes.get(name) if is_stated else None
+
     def track(self, name: str, points_m: FloatArray) -> Callable[[], FloatArray] | None:
         """Return a reader of material points of soft bodies, ropes and rods, or None for cloth; see `World.track`."""
         part = self._parts[name]
@@ -314,7 +362,7 @@ class SimulationMuJoCo(Simulation):
         """Return the wrenches on cloth and soft bodies, or None for ropes and rods; see `World.grip_wrenches`."""
         if self._grip_reader is None:
             self._grip_reader = GripReader(
-                self._scene, self.spec, self.model, self.data, self._parts, self.grips
+                self._built, self.spec, self.model, self.data, self._parts, self.grips
             )
         if not {*names} <= {*self._grip_reader.names}:
             return None
@@ -349,6 +397,18 @@ class SimulationMuJoCo(Simulation):
 
     def close(self) -> None:
         """Do nothing, since the simulation only holds memory."""
+
+
+def _seen(scene: Scene, held: Attachment) -> FloatArray:
+    """Return origin [m] and axes of a cloth in the frame of the body that holds it, shape [4, 3]."""
+    (cloth,) = (one for one in scene.deformables if one.name == held.deformable)
+    holder = scene.body(held.to).pose
+    return np.vstack(
+        [
+            holder.to_body(np.array(cloth.pose.position_m)),
+            cloth.pose.matrix.T @ holder.matrix,
+        ]
+    )
 
 
 def _origin(settings: Mapping[str, Any], scene: Scene) -> StateOrigin:

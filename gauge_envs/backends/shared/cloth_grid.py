@@ -7,7 +7,7 @@ import numpy as np
 from gauge_envs.backends.shared.attachments import RigidAttachment
 from gauge_envs.backends.shared.cells import grid_points
 from gauge_envs.errors import UnsupportedSceneError
-from gauge_envs.scene import Cloth, Motion, Region
+from gauge_envs.scene import Cloth, Motion, Pose, Region
 from gauge_envs.scene.geometry import BoolArray, FloatArray
 
 
@@ -34,9 +34,7 @@ class ClothGrid:
         x = np.linspace(-0.5 * size_x, 0.5 * size_x, nx + 1)
         y = np.linspace(-0.5 * size_y, 0.5 * size_y, ny + 1)
         self.plane_m = grid_points(x, y)
-        self.rest_m = cloth.pose.to_world(
-            np.column_stack([self.plane_m, np.zeros(len(self.plane_m))])
-        )
+        self.rest_m = self.at(cloth.pose)
         # Corners a, b, c, d of each cell, counter-clockwise from the lowest one.
         vertices = np.arange(len(self.plane_m)).reshape(nx + 1, ny + 1)
         a = vertices[:-1, :-1].ravel()
@@ -47,6 +45,12 @@ class ClothGrid:
         falling = np.stack([a, b, d, b, c, d], axis=-1)
         rises = np.tile(np.arange(ny) % 2 == 0, nx)
         self.triangles = np.where(rises[:, None], rising, falling).reshape(-1, 3)
+
+    def at(self, pose: Pose) -> FloatArray:
+        """Return the world positions of the vertices of the flat cloth [m], shape [vertex_count, 3]."""
+        return pose.to_world(
+            np.column_stack([self.plane_m, np.zeros(len(self.plane_m))])
+        )
 
     def within(self, region: Region) -> BoolArray:
         """Return whether each vertex lies in a region, shape [vertex_count]."""

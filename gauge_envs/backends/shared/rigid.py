@@ -15,6 +15,7 @@ from gauge_envs.backends.world import World
 from gauge_envs.scene import (
     BallJoint,
     BodyHinge,
+    Cloth,
     Hinge,
     Motion,
     Pose,
@@ -51,9 +52,12 @@ def _fields_without(kind: type, others: Iterable[str]) -> Callable[[object], obj
     return attrgetter(*({one.name for one in fields(kind) if one.init} - {*others}))
 
 
-_start_of = attrgetter(*_STARTS)
-_body_without_start = _fields_without(RigidBody, _STARTS)
-_scene_without_motion = _fields_without(Scene, ("bodies", "drivers"))
+_without_start = {
+    RigidBody: _fields_without(RigidBody, _STARTS),
+    Cloth: _fields_without(Cloth, ("pose",)),
+}
+_PLACED = ("bodies", "deformables", "drivers", "markers")
+_scene_without_places = _fields_without(Scene, _PLACED)
 
 
 def body_state(pose: Pose, velocity: Iterable[float] = (0.0,) * 6) -> FloatArray:
@@ -134,22 +138,28 @@ class PlacedWorld(World):
         return states
 
 
-def bodies_elsewhere(built: Scene, scene: Scene) -> list[RigidBody] | None:
-    """Return the dynamic bodies of a scene that start otherwise than in the one that was built.
+def starts_elsewhere(built: Scene, scene: Scene) -> list[RigidBody | Cloth] | None:
+    """Return the rigid bodies and the cloths of a scene that start otherwise than in the one that was built.
 
-    None if anything but the motion of driven bodies differs too.
+    None if anything but the motion of driven bodies and the places of markers differs too.
     """
     # Comparing tuples is quick where most of their members are the same objects.
-    if _scene_without_motion(built) != _scene_without_motion(scene):
+    if _scene_without_places(built) != _scene_without_places(scene):
         return None
-    moved = []
-    for old, new in zip(built.bodies, scene.bodies, strict=True):
-        if _body_without_start(old) != _body_without_start(new):
+    before = (*built.bodies, *built.deformables)
+    after = (*scene.bodies, *scene.deformables)
+    if len(before) != len(after):
+        return None
+    moved: list[RigidBody | Cloth] = []
+    for old, new in zip(before, after, strict=True):
+        if old == new:
+            continue
+        if not isinstance(new, RigidBody | Cloth) or type(old) is not type(new):
             return None
-        if _start_of(old) != _start_of(new):
-            if new.motion is not Motion.DYNAMIC:
-                return None
-            moved.append(new)
+        kept = _without_start[type(new)]
+        if kept(old) != kept(new):
+            return None
+        moved.append(new)
     return moved
 
 

@@ -53,6 +53,10 @@ class WrappedSimulation(Simulation):
         """Pass on."""
         return self.inner.nodes(name)
 
+    def stated_nodes(self, name: str) -> FloatArray | None:
+        """Pass on."""
+        return self.inner.stated_nodes(name)
+
     def track(self, name: str, points_m: FloatArray) -> Callable[[], FloatArray] | None:
         """Pass on."""
         return self.inner.track(name, points_m)
