@@ -23,9 +23,6 @@ from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX
 Picture: TypeAlias = NDArray[np.uint8]
 """A picture on the reference grid, blue, green and red, shape [480, 832, 3]."""
 
-EXACT = 1e-9
-"""Largest difference with which a registration is the plain scaling of both axes."""
-
 SKIPPING = 0.5
 """Scale below which interpolation skips pixels, so that pictures are averaged, which takes four times as long."""
 
@@ -55,33 +52,32 @@ class Registration:
     support: float = 1.0
     problem: str = ""
 
+    @property
+    def scale(self) -> FloatArray:
+        """Pixels of the grid for each pixel of the video, horizontally and vertically, shape [2]."""
+        return np.array([self.scale_x, self.scale_y])
+
+    @property
+    def offset_px(self) -> FloatArray:
+        """Place of the corner of the video on the grid [px], shape [2]."""
+        return np.array([self.offset_x_px, self.offset_y_px])
+
     def applied(self, picture: NDArray[np.uint8]) -> Picture:
         """Return a picture of the video on the reference grid; beyond its edges, the edge repeats.
 
         Args:
             picture: Picture of the video, shape [height, width, 3].
         """
-        height, width = picture.shape[:2]
-        plain = stretched((width, height))
-        place = (self.scale_x, self.scale_y, self.offset_x_px, self.offset_y_px)
-        if np.allclose(
-            place, (plain.scale_x, plain.scale_y, 0.0, 0.0), rtol=0.0, atol=EXACT
-        ):
+        if self.method == "stretch":
             return _resized(picture, REFERENCE_SIZE_PX)
+        size = np.array(picture.shape[1::-1])
         # Large pictures are averaged to the size of the grid first.
-        size = (
-            max(1, round(width * self.scale_x)),
-            max(1, round(height * self.scale_y)),
-        )
-        is_much_larger = min(self.scale_x, self.scale_y) < SKIPPING
-        near = _resized(picture, size) if is_much_larger else picture
-        scale = np.array(
-            [
-                self.scale_x * width / near.shape[1],
-                self.scale_y * height / near.shape[0],
-            ]
-        )
-        offset = np.array([self.offset_x_px, self.offset_y_px]) + 0.5 * scale - 0.5
+        near = picture
+        if self.scale.min() < SKIPPING:
+            width, height = np.maximum(np.rint(size * self.scale), 1).astype(int)
+            near = _resized(picture, (int(width), int(height)))
+        scale = self.scale * size / near.shape[1::-1]
+        offset = self.offset_px + 0.5 * scale - 0.5
         matrix = np.column_stack([np.diag(scale), offset])
         return np.asarray(
             cv2.warpAffine(
@@ -146,21 +142,19 @@ class Frames(ABC):
         fps: Frames per second.
         size_px: Width and height of the video itself [px].
         stated_count: Number of frames that a file states; 0 where it states none.
+        times_s: Times at which a file shows its frames [s], shape [frame_count], known once it has been read; None
+            when they follow from the rate.
     """
 
     name: str
     fps: float
     size_px: tuple[int, int]
     stated_count: int = 0
+    times_s: FloatArray | None = None
 
     @abstractmethod
     def native(self) -> Iterator[NDArray[np.uint8]]:
         """Yield all pictures in their own size: blue, green and red, shape [height, width, 3]."""
-
-    @property
-    def times_s(self) -> FloatArray | None:
-        """Times at which a file shows its frames [s], shape [frame_count]; None when they follow from the rate."""
-        return None
 
     def pictures(self, registration: Registration | None = None) -> Iterator[Picture]:
         """Yield all pictures on the reference grid.
@@ -233,18 +227,7 @@ class FileFrames(Frames):
             capture.release()
         self.fps = stated if fps is None else fps
         self._has_own_times = fps is None
-        self._times_s: list[float] = []
         self._check()
-
-    @property
-    def times_s(self) -> FloatArray | None:
-        """Times at which the file shows its frames [s], shape [frame_count], known once it has been read.
-
-        None when the rate was given instead.
-        """
-        return (
-            np.array(self._times_s) if self._has_own_times and self._times_s else None
-        )
 
     def native(self) -> Iterator[NDArray[np.uint8]]:
         """Yield all pictures in their own size."""
@@ -267,7 +250,8 @@ class FileFrames(Frames):
             raise VideoError(
                 f"{self.name}: no frame can be decoded; give an MP4 or WebM video"
             )
-        self._times_s = times
+        if self._has_own_times:
+            self.times_s = np.array(times)
 
     def _converted(self, path: Path) -> Path:
         """Return a file without loss that FFmpeg makes of one whose codec OpenCV lacks, as AV1; it is temporary."""

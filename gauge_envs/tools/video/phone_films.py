@@ -51,9 +51,6 @@ LEAST_FALL, REACH = 0.05, 4
 DRAWS = 40
 """Simulated tracks from which the interval of a material's constant is taken."""
 
-NORMAL_MEDIAN = 0.6744897501960817
-"""Median of the amount of a standard normal variable."""
-
 MOST_GRAVITY = 0.2
 """Largest share by which the gravity of a fall or a swing differs: a swing of a radian takes 0.12."""
 
@@ -101,6 +98,11 @@ class FrontalFilm(Frames):
         self._source = source
         self.motion = camera.motion
         self.poses = board_poses(source, camera)
+        self.times_s = source.times_s
+        if None in self.poses:
+            kept = np.array([one is not None for one in self.poses])
+            rated_s = np.arange(len(kept)) / self.fps
+            self.times_s = (rated_s if self.times_s is None else self.times_s)[kept]
         first = self.poses[0]
         assert first is not None
         self.first = first
@@ -131,15 +133,6 @@ class FrontalFilm(Frames):
         # What a moving camera uncovers is seen from the start, so that the scene stays the same.
         for _ in self.native():
             pass
-
-    @property
-    def times_s(self) -> FloatArray | None:
-        """Times of the frames that show the board [s]; None when they follow from the rate."""
-        times = self._source.times_s
-        if None not in self.poses:
-            return times
-        kept = np.array([one is not None for one in self.poses])
-        return (np.arange(len(kept)) / self.fps if times is None else times)[kept]
 
     def native(self) -> Iterator[Picture]:
         """Yield the frontal pictures of the frames that show the board; what a frame does not show stays."""
@@ -180,14 +173,12 @@ class FrontalFilm(Frames):
 
     def to_picture_px(self, points_px: FloatArray) -> FloatArray:
         """Return places in the first frame of places on the frontal grid [px], both of shape [count, 2]."""
-        return self.first.to_picture_px(
-            (points_px - self._origin_px) * (self.scale, -self.scale)
-        )
+        return self.first.to_picture_px(self._in_plane_m(points_px))
 
     def in_plane(self, track: Track) -> Track:
         """Return a track of the frontal film in millimetres of the plane of motion, from the pivot of a swing."""
-        places_m = (track.points_px - self._origin_px) * (self.scale, -self.scale)
-        places_m = places_m - np.array(self.motion.pivot_m or (0.0, 0.0))
+        pivot_m = self.motion.pivot_m or (0.0, 0.0)
+        places_m = self._in_plane_m(track.points_px) - pivot_m
         return replace(track, points_px=1e3 * places_m, is_metric=True)
 
     def task(self, motion: str, box_px: Sequence[float]) -> VideoTask:
@@ -219,6 +210,10 @@ class FrontalFilm(Frames):
     def _on_grid_px(self, places_m: FloatArray) -> FloatArray:
         """Return places on the frontal grid [px] of places in the plane [m], both of shape [count, 2]."""
         return places_m * (1.0, -1.0) / self.scale + self._origin_px
+
+    def _in_plane_m(self, points_px: FloatArray) -> FloatArray:
+        """Return places in the plane [m] of places on the frontal grid [px], both of shape [count, 2]."""
+        return (points_px - self._origin_px) * (self.scale, -self.scale)
 
 
 def score_phone_film(
@@ -331,6 +326,8 @@ def _slope_rad(task: VideoTask) -> float:
 
 def _drawn(result: VideoScore, task: VideoTask, calibration: Calibration) -> Estimate:
     """Return the restitution of a drop or the damping of a swing over simulated noise and calibrations."""
+    from scipy.stats import median_abs_deviation
+
     assert result.interval_frames is not None
     track = result.track
     first, last = np.searchsorted(track.frames, result.interval_frames)
@@ -352,15 +349,12 @@ def _drawn(result: VideoScore, task: VideoTask, calibration: Calibration) -> Est
     try:
         values = [judged(track.points_px)]
         for _ in range(DRAWS):
-            moved_px = rng.normal(track.points_px, noise)
-            moved_px = calibration.drawn(moved_px, rng)
+            moved_px = calibration.drawn(rng.normal(track.points_px, noise), rng)
             values.append(judged(moved_px + rng.normal(0.0, task.pivot_sigma_px, 2)))
     except ParameterError:
         return None, None
     # A few draws in which an impact is missed say nothing of the others: the scatter is that of the middle ones.
-    drawn = np.array(values[1:])
-    scatter = float(np.median(np.abs(drawn - np.median(drawn)))) / NORMAL_MEDIAN
-    half = 1.96 * scatter
+    half = 1.96 * float(median_abs_deviation(values[1:], scale="normal"))
     return values[0], (values[0] - half, values[0] + half)
 
 

@@ -91,8 +91,7 @@ def _judged(
     is_close = np.abs(distances[1:-1]) <= CLOSE_PX
     nearest = strength[:, is_close].max(axis=1)
     share = nearest / np.maximum(strength.max(axis=1), 1e-3)
-    offset = (one.offset_x_px, one.offset_y_px)
-    native = (points + 0.5 - offset) / (one.scale_x, one.scale_y)
+    native = (points + 0.5 - one.offset_px) / one.scale
     size = (picture.shape[1], picture.shape[0])
     is_seen = ((native > 0.0) & (native < size)).all(axis=1)
     if is_seen.mean() < LEAST_VISIBLE:
@@ -103,21 +102,21 @@ def _judged(
 def _candidates(size_px: tuple[int, int]) -> list[Registration]:
     """Return the ways in which a model reaches another size; those that are the same are there once."""
     plain = stretched(size_px)
+    if abs(plain.scale_x / plain.scale_y - 1.0) <= 1e-3:
+        return [plain]
     found = [plain]
-    for method, scale in (
-        ("crop", min(plain.scale_x, plain.scale_y)),
-        ("pad", max(plain.scale_x, plain.scale_y)),
-    ):
-        offset = 0.5 * (np.array(REFERENCE_SIZE_PX) - scale * np.array(size_px))
-        one = Registration(
-            scale_x=scale,
-            scale_y=scale,
-            offset_x_px=float(offset[0]),
-            offset_y_px=float(offset[1]),
-            method=method,
+    for method, choose in (("crop", min), ("pad", max)):
+        scale = choose(plain.scale_x, plain.scale_y)
+        x, y = 0.5 * (np.array(REFERENCE_SIZE_PX) - scale * np.array(size_px))
+        found.append(
+            Registration(
+                scale_x=scale,
+                scale_y=scale,
+                offset_x_px=float(x),
+                offset_y_px=float(y),
+                method=method,
+            )
         )
-        if abs(plain.scale_x / plain.scale_y - 1.0) > 1e-3:
-            found.append(one)
     return found
 
 

@@ -42,7 +42,6 @@ class Measured:
 
     mean: float
     std: float
-    source: str
 
 
 class Motion(StrEnum):
@@ -136,16 +135,10 @@ def _measured(task: str) -> dict[str, Measured]:
     family, _, material = task.rpartition("-")
     if family == "SlopeSlider-2":
         facts = toml_document((scoring_folder("facts") / TRIALS_FILE).read_bytes())
-        trials = facts[material]
-        found = trials["acceleration_m_s2"]
-        source = f"{trials['trial_count']} real trials (scoring/facts/{TRIALS_FILE})"
-        return {"a": Measured(mean=found["mean"], std=found["std"], source=source)}
+        found = facts[material]["acceleration_m_s2"]
+        return {"a": Measured(mean=found["mean"], std=found["std"])}
     return {
-        metric: Measured(
-            mean=baseline.mean,
-            std=baseline.std,
-            source="real trials as published (GAUGE, Table 5)",
-        )
+        metric: Measured(mean=baseline.mean, std=baseline.std)
         for metric, baseline in published_baselines(task).items()
         if metric in _law(task) and baseline.std is not None
     }

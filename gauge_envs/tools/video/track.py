@@ -100,12 +100,9 @@ class Track:
         """Return the track in whole pixels of the video, as the paper stores centroids, where its grid is known."""
         if self.registration is None:
             return self
-        scale = np.array([self.registration.scale_x, self.registration.scale_y])
-        offset = np.array(
-            [self.registration.offset_x_px, self.registration.offset_y_px]
-        )
-        whole = np.floor((self.points_px - offset) / scale)
-        return replace(self, points_px=whole * scale + offset)
+        scale, offset_px = self.registration.scale, self.registration.offset_px
+        whole = np.floor((self.points_px - offset_px) / scale)
+        return replace(self, points_px=whole * scale + offset_px)
 
     def shown_px(self, row: int) -> FloatArray:
         """Return all places as the camera of a row sees them [px], shape [frame_count, 2]."""

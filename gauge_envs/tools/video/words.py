@@ -260,24 +260,16 @@ def results_table(results: Results) -> Table:
                 }
             )
             text = None
-    titles = {
-        "mean": "mean",
-        "low": "95 % from",
-        "high": "to",
-        "spread": "spread",
-        "law": "law",
-        "real": "real trials",
-        "published": "published",
-        "clips": "clips",
-    }
+    numbers = ("mean", "low", "high", "spread", "law", "real", "published", "clips")
+    titles = {"low": "95 % from", "high": "to", "real": "real trials"}
     columns = (
         Column("model", "model"),
         Column("task", "task"),
         Column("metric", "metric"),
         Column("sound", "sound", "{:.0%}".format, is_number=True),
         *(
-            Column(key, title, short_text, is_number=True)
-            for key, title in titles.items()
+            Column(key, titles.get(key, key), short_text, is_number=True)
+            for key in numbers
         ),
         Column("agrees", "agrees", place=Place.BELOW),
     )

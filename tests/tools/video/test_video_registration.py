@@ -102,7 +102,11 @@ def test_a_registration_puts_pixels_where_it_says(factor):
     x, y = (np.array([300, 200]) * factor).round() + 0.5
     scale = 6 / 7 / factor
     grid = Registration(
-        scale_x=scale, scale_y=scale, offset_x_px=93.7, offset_y_px=2.0
+        scale_x=scale,
+        scale_y=scale,
+        offset_x_px=93.7,
+        offset_y_px=2.0,
+        method="pad",
     ).applied(picture)
     rows, columns = np.nonzero(grid[:, :, 0] > 127)
     assert (columns.mean() + 0.5, rows.mean() + 0.5) == pytest.approx(
