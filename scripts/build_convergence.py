@@ -11,9 +11,10 @@ can be stopped at any time.
 
 from __future__ import annotations
 
+import math
 import sys
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from fnmatch import fnmatchcase
@@ -38,7 +39,7 @@ from gauge_envs.references.convergence import (
     read_convergence,
 )
 from gauge_envs.references.published import published_baselines
-from gauge_envs.scene import Rod, SoftBody
+from gauge_envs.scene import Scene, SoftBody
 from gauge_envs.scene.geometry import FloatArray
 from scripts.generated import SCORING, Request
 
@@ -177,22 +178,27 @@ def default_value(
 ) -> float:
     """Return the value of a setting in the default run; the smallest edge for a mesh with a fixed number of cells."""
     value = default.settings.get(setting)
-    if value is not None:
-        return float(value)
-    edges = []
-    for body in experiment.scene.deformables:
+    if value is None:
+        value = least_edge_m(experiment.scene, default.nodes_m.__getitem__)
+    return float(value)
+
+
+def least_edge_m(scene: Scene, nodes_m: Callable[[str], FloatArray]) -> float:
+    """Return the least edge of the default cells of the deformable bodies of a scene [m]; infinite without any.
+
+    Args:
+        scene: The scene.
+        nodes_m: Returns the nodes of a body [m], shape [node_count, 3].
+    """
+    edges_m = [math.inf]
+    for body in scene.deformables:
         if isinstance(body, SoftBody):
-            # MuJoCo's foam: two cells across a single body, two along each body of a row.
-            edges.append(0.5 * min(body.shape.size_m))
-        elif isinstance(body, Rod):
-            edges.append(
-                float(
-                    np.linalg.norm(
-                        np.diff(default.nodes_m[body.name], axis=0), axis=1
-                    ).min()
-                )
-            )
-    return min(edges)
+            # MuJoCo's foam has two cells across a single body, and two along each body of a row.
+            edges_m.append(0.5 * min(body.shape.size_m))
+        else:
+            steps_m = np.diff(nodes_m(body.name), axis=0)
+            edges_m.append(float(np.linalg.norm(steps_m, axis=1).min()))
+    return min(edges_m)
 
 
 def finer_settings(

@@ -47,7 +47,7 @@ from gauge_envs.scene import Cloth, Rod, Scene, SoftBody
 from gauge_envs.scene.fabrics import Fabric
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import DRIVE_INTERVAL_S, FRAME_RATE_HZ
-from scripts.build_convergence import supported
+from scripts.build_convergence import least_edge_m, supported
 from scripts.extrapolation import (
     LEAST_SPAN,
     anchored,
@@ -242,15 +242,9 @@ def default_cell_m(experiment: Experiment, simulation: Simulation) -> float | No
     """Return the edge of the default cells [m]; None for a scene without cells."""
     if simulation.settings.get("cell_m") is not None:
         return float(simulation.settings["cell_m"])
-    edges = []
-    for body in experiment.scene.deformables:
-        if isinstance(body, SoftBody):
-            # MuJoCo's foam has two cells across a single body, and two along each body of a row.
-            edges.append(0.5 * min(body.shape.size_m))
-        else:
-            nodes_m = simulation.nodes(body.name)
-            edges.append(float(np.linalg.norm(np.diff(nodes_m, axis=0), axis=1).min()))
-    return min(edges, default=None)
+    if not experiment.scene.deformables:
+        return None
+    return least_edge_m(experiment.scene, simulation.nodes)
 
 
 def solve(experiment: Experiment, engine: str, level: Level) -> dict[str, Any]:
