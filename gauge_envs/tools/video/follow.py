@@ -70,12 +70,14 @@ class Sight:
         likeness: Likeness of shape and colour to the object in the first frame, from 0 to 1.
         size_ratio: Apparent size against that in the first frame.
         misfit: Difference of its profile across the motion from that of its outline, in parts of the area.
+        tint: Difference of its colour from the object's in the first frame at any brightness, in levels of 255.
     """
 
     place: FloatArray = field(default_factory=lambda: np.full(2, np.nan))
     likeness: float = 0.0
     size_ratio: float = math.nan
     misfit: float = 0.0
+    tint: float = 0.0
 
 
 def shrunk(picture: NDArray[Any]) -> NDArray[np.float32]:
@@ -185,8 +187,8 @@ class ShapeFollower:
         if value < LEAST_RESPONSE:
             return Sight()
         found = corner + middle
-        look = _likeness(_look(picture, found, self._size_px), self._colour)
-        return Sight(place=found, likeness=min(1.0, value) * look)
+        tint = _tint(_look(picture, found, self._size_px), self._colour)
+        return Sight(place=found, likeness=min(1.0, value) * _likeness(tint), tint=tint)
 
     def _measure(self, sight: Sight, picture: Picture) -> None:
         """Measure the size and the shape of what covers a place, by its profile across the motion.
@@ -360,11 +362,15 @@ def _look(picture: NDArray[Any], place: FloatArray, size_px: float) -> FloatArra
     return np.asarray(part.reshape(-1, 3).mean(axis=0), dtype=float)
 
 
-def _likeness(colour: FloatArray, known: FloatArray) -> float:
-    """Return the likeness of a colour to a known one at any brightness, from 0 to 1."""
+def _tint(colour: FloatArray, known: FloatArray) -> float:
+    """Return the largest difference of a channel from a known colour at any brightness."""
     gain = np.clip(colour @ known / max(float(known @ known), 1.0), 0.5, 2.0)
-    away = float(np.abs(colour - gain * known).max())
-    return math.exp(-max(0.0, away - TINT) / TINT_RANGE)
+    return float(np.abs(colour - gain * known).max())
+
+
+def _likeness(tint: float) -> float:
+    """Return the likeness of a colour that differs by a tint, from 0 to 1."""
+    return math.exp(-max(0.0, tint - TINT) / TINT_RANGE)
 
 
 def _cut(
@@ -497,6 +503,10 @@ class FaceFollower:
         if not self._is_shiny and self._outline(grey) < self._least_outline:
             return []
         sight = Sight(place=pose[1:], likeness=min(1.0, value))
+        if not self._is_shiny:
+            # Reflections change the colour of metal that turns.
+            shown = _look(picture, pose[1:], self._size_px)
+            sight.tint = _tint(shown, self._colour)
         if self._area == 0.0:
             return [sight]
         others = self._others(picture, sight)
@@ -585,7 +595,7 @@ class FaceFollower:
         # Correlation does not know the colour, and an edge of the plate is like one of the object.
         shown = _look(picture, found[1:], self._size_px)
         is_on_plate = math.dist(found[1:], self._pivot) < PLATE_RADIUS_PX
-        return found, is_on_plate * value * _likeness(shown, self._colour)
+        return found, is_on_plate * value * _likeness(_tint(shown, self._colour))
 
 
 def _grey(picture: Picture) -> NDArray[np.float32]:

@@ -17,7 +17,7 @@ from gauge_envs.tools.video.clock import clock_fault
 from gauge_envs.tools.video.frames import ArrayFrames, FileFrames, Frames
 from gauge_envs.tools.video.plane import Calibration, metric_on_grid
 from gauge_envs.tools.video.tasks import Motion, VideoTask, video_task
-from gauge_envs.tools.video.track import Event, Track
+from gauge_envs.tools.video.track import Track
 from gauge_envs.tools.video.tracker import track_object
 
 Metrics: TypeAlias = dict[str, float]
@@ -40,6 +40,10 @@ LEAST_CONFIDENCE = 0.5
 JUMP = 1.0
 """Distance from where an object that goes on, stops or turns can be when it is seen next, in its sizes, after which
 another one may be followed."""
+
+MOST_BESIDE, MOST_HIDDEN = 1.25, 3
+"""Largest distance from its row, less the way of a frame, at which a ball of a cradle is first or last seen, in its
+sizes, as beside its neighbours it is not told from them; and frames in which a post may hide it meanwhile."""
 
 RELEASE_FRAMES = 6.0
 """Frames before and after the first retained one between which rest ends."""
@@ -68,20 +72,30 @@ def faults_of(
     faults = []
     lost = rows[~track.is_found[rows]]
     # The outgoing ball of a cradle is looked for only where it swings out.
-    if len(lost) > MOST_MISSING * len(rows) and task.motion is not Motion.CRADLE:
+    is_cradle = task.motion is Motion.CRADLE
+    most_odd = MOST_MISSING * len(found if is_cradle else rows)
+    if len(lost) > MOST_MISSING * len(rows) and not is_cradle:
         faults.append(
             f"the object is lost in {len(lost) / len(rows):.0%} of the frames: {_runs(track.frames[lost])}"
         )
     early = track.size_ratio[np.isfinite(track.size_ratio)][:FIRST_SIZES]
     # A cradle's ball is first seen when it has swung out.
-    is_first = len(early) and task.motion is not Motion.CRADLE
+    is_first = len(early) and not is_cradle
     usual = float(np.median(early)) if is_first else 1.0
     changes = np.nan_to_num(track.size_ratio[found] / usual - 1.0)
     odd = np.abs(changes) > MOST_SIZE_CHANGE
-    inside = [one for one in track.events if _counts(one, track, first, last)]
+    inside = [
+        one
+        for one in track.events
+        if (
+            np.isin(track.frames[rows], one.frames).sum() > most_odd
+            if one.frames
+            else one.first_frame <= track.frames[last]
+        )
+    ]
     # Two alike objects that meet are seen as one, of another size and shape.
     is_alone = all(one.kind != "duplicated" for one in inside)
-    if is_alone and np.count_nonzero(odd) > MOST_MISSING * len(rows):
+    if is_alone and np.count_nonzero(odd) > most_odd:
         worst = changes[np.abs(changes).argmax()]
         faults.append(
             f"the object changes its size by up to {worst:+.0%} in frames {_runs(track.frames[found[odd]])}"
@@ -92,7 +106,7 @@ def faults_of(
             f"the object has another look in {is_odd.sum() / len(rows):.0%} of the frames: "
             f"their confidence is below {LEAST_CONFIDENCE:g}"
         )
-    jump = _jump(track, task, found)
+    jump = _vanishing(track, task) if is_cradle else _jump(track, task, found)
     faults += [jump] if jump else []
     clock = (
         "" if span is None else clock_fault(track, task, span, noise_px(track, span))
@@ -101,18 +115,9 @@ def faults_of(
     faults += [
         one.text
         for one in inside
-        if not one.is_note and (is_alone or one.kind != "shape")
+        if not one.is_note and (is_alone or one.kind != "changed")
     ]
     return faults, [one.text for one in inside if one.is_note]
-
-
-def _counts(event: Event, track: Track, first: int, last: int) -> bool:
-    """Return whether an event says something of the retained rows."""
-    start, end = track.frames[first], track.frames[last]
-    if event.kind != "shape":
-        return bool(event.first_frame <= end)
-    shared = min(event.last_frame, end) - max(event.first_frame, start) + 1
-    return bool(shared > MOST_MISSING * (end - start + 1))
 
 
 def findings_of(
@@ -172,7 +177,7 @@ def _jump(track: Track, task: VideoTask, rows: NDArray[np.intp]) -> str:
     An object that is lost for some frames has gone on, stopped or turned: its mean velocity meanwhile lies between
     those before and after and zero.
     """
-    if len(rows) < 3 or task.motion is Motion.CRADLE:
+    if len(rows) < 3:
         return ""
     counts = np.diff(rows)
     ways_px = np.diff(track.points_px[rows], axis=0)
@@ -191,6 +196,24 @@ def _jump(track: Track, task: VideoTask, rows: NDArray[np.intp]) -> str:
         return ""
     first, last = track.frames[rows[worst : worst + 2]]
     return f"the object jumps by {away_px[worst] / task.size_px:.1f} of its size between frames {first} and {last}"
+
+
+def _vanishing(track: Track, task: VideoTask) -> str:
+    """Return where the ball of a cradle is first or last seen farther from its row than it moves in a frame."""
+    assert task.rest_px is not None
+    rows, places = np.flatnonzero(track.is_found), track.points_px
+    swings = np.split(rows, np.flatnonzero(np.diff(rows) > MOST_HIDDEN + 1) + 1)
+    for swing in (one for one in swings if len(one) > 1):
+        for row, inner in (swing[:2], swing[:-3:-1]):
+            step_px = math.dist(places[row], places[inner])
+            away_px = math.dist(places[row], task.rest_px) - step_px
+            is_inside = 0 < row < len(places) - 1
+            if is_inside and away_px > MOST_BESIDE * task.size_px:
+                return (
+                    f"the ball appears or vanishes {away_px / task.size_px:.1f} of its size from its row "
+                    f"in frame {track.frames[row]}"
+                )
+    return ""
 
 
 def _from_triangle_px(place: FloatArray, one: FloatArray, other: FloatArray) -> float:

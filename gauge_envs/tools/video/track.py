@@ -35,11 +35,12 @@ class Event:
     """Something in a video that makes its track doubtful.
 
     Attributes:
-        kind: `given`, `duplicated`, `shape`, `camera`, `scene`, `registration`, `picture`, `cadence`, `time` or `file`.
+        kind: `given`, `duplicated`, `changed`, `camera`, `scene`, `registration`, `picture`, `cadence`, `time`, `file`.
         first_frame: First frame of it.
         last_frame: Last frame of it.
         text: Description with numbers.
         is_note: Whether it is stated of a track that may be sound.
+        frames: The frames of it, if it says something of a share of the retained ones only.
     """
 
     kind: str
@@ -47,6 +48,7 @@ class Event:
     last_frame: int
     text: str
     is_note: bool = False
+    frames: tuple[int, ...] = ()
 
     @classmethod
     def over(

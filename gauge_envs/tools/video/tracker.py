@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,6 +49,9 @@ CRADLE_BALLS, ARC_PLACES = 5, 30
 MOST_MISFIT, MOST_ODD = 0.25, 0.15
 """Largest difference from the shape in the first frame, in parts of the area, and share of frames with a larger one.
 A disk in the place of its square differs by 0.21, a square in that of its disk by 0.27, and their sides add to it."""
+
+MOST_TINT = 7.0
+"""Largest difference from the colour in the first frame, at any brightness, in levels of 255."""
 
 FOREIGN = (
     "the first frame does not show the object of the task at its place, "
@@ -107,6 +111,7 @@ def track_object(frames: Frames, task: VideoTask) -> Track:
             watch.compare(steady, number)
             candidates.append(follower.candidates(steady))
     path = followed(candidates, task, cadence.fps)
+    numbers = np.flatnonzero(cadence.is_new).tolist()
     centre = task.rest_px or task.centre_px
     early = [
         math.dist(one.place, centre)
@@ -132,11 +137,11 @@ def track_object(frames: Frames, task: VideoTask) -> Track:
             *_of_the_file(frames, cadence, *doubts),
             *watch.events(),
             *_twins(candidates, path, task),
-            *_changes(path),
+            *_changes(path, numbers, task),
         ),
         clock_s=cadence.times_s,
         registration=registration,
-        moves=tuple(watch.moves[frame] for frame in np.flatnonzero(cadence.is_new)),
+        moves=tuple(watch.moves[frame] for frame in numbers),
     )
 
 
@@ -314,16 +319,30 @@ def _hidden(follower: ShapeFollower | FaceFollower, task: VideoTask) -> str:
     )
 
 
-def _changes(path: list[Sight]) -> list[Event]:
-    """Return the event of an object that changes its shape."""
-    misfits = np.array([one.misfit for one in path])
+def _changes(path: list[Sight], numbers: list[int], task: VideoTask) -> Iterator[Event]:
+    """Yield the events of an object that changes its shape or its colour, from its sights in numbered frames."""
     is_found = np.array([one.likeness > 0.0 for one in path])
-    if not is_found.any():
-        return []
+    misfits = np.array([one.misfit for one in path])
+    tints = np.array([one.tint for one in path])
     # A background that is never seen is guessed, and so is what stands out from it.
-    usual = float(np.median(misfits[is_found][:FIRST_FRAMES]))
-    odd = np.flatnonzero(misfits - min(usual, MOST_MISFIT) > MOST_MISFIT)
-    if len(odd) <= MOST_ODD * len(path):
-        return []
-    text = f"the object changes its shape by up to {misfits[odd].max():.0%}"
-    return [Event.over("shape", odd.tolist(), text)]
+    first = misfits[is_found][:FIRST_FRAMES]
+    usual = min(float(np.median(first)), MOST_MISFIT) if len(first) else 0.0
+    # Blur alone may change a shape for some frames.
+    is_cradle = task.motion is Motion.CRADLE
+    most_odd = MOST_ODD * (np.count_nonzero(is_found) if is_cradle else len(path))
+    for odd, most, text in (
+        (
+            misfits - usual > MOST_MISFIT,
+            most_odd,
+            f"shape by up to {misfits.max():.0%}",
+        ),
+        (
+            tints > MOST_TINT,
+            0.0,
+            f"colour by up to {tints.max():.0f} levels of 255",
+        ),
+    ):
+        frames = [numbers[row] for row in np.flatnonzero(is_found & odd)]
+        if len(frames) > most:
+            event = Event.over("changed", frames, f"the object changes its {text}")
+            yield replace(event, frames=tuple(frames))

@@ -310,6 +310,12 @@ def test_a_swing_whose_apex_is_hidden_is_named():
     )
     assert whole.is_sound, whole.reasons
     assert "its apex is not seen" in half.findings[0]
+    # A ball that fades away on its arc is first or last seen there.
+    assert "from its row in frame 14" in half.reasons[0]
+    # What another ball looks like counts among the frames that show one.
+    grown = swung(task.id, np.r_[rest, swing, rest, 0.8 * swing, rest])
+    grown.size_ratio[37:42] = 1.5
+    assert "+50% in frames 37 to 41" in score_track(grown, task).reasons[0]
 
 
 def test_less_than_half_a_swing_says_little():
@@ -390,6 +396,19 @@ def test_an_object_that_grows_or_has_another_look_is_no_sound_track(
     assert not result.is_sound
     assert words in result.reasons[0]
     assert result.metrics["acceleration_m_s2"] == pytest.approx(1.7, rel=2e-3)
+
+
+@pytest.mark.parametrize(("light", "dye"), [(1.0, 0.0), (1.6, 0.0), (1.0, 15.0)])
+def test_a_black_ball_that_gets_another_colour_is_no_sound_track(light, dye):
+    """It may get brighter by as much, as it comes nearer to a lamp."""
+    one = clip("BouncingBall-rubber", np.random.default_rng(104))
+    frames = [frame.copy() for frame in one.frames]
+    for frame in frames[20:]:
+        is_ball = frame.max(axis=2) < 60
+        frame[is_ball] = light * frame[is_ball] + [0.0, dye, 0.0]
+    result = score(frames, one.fps, one.task)
+    is_named = any("changes its colour" in reason for reason in result.reasons)
+    assert (is_named, result.is_sound) == (dye > 0.0, dye == 0.0), result.reasons
 
 
 # --- files and the command -------------------------------------------------------------------------------------------
