@@ -71,7 +71,7 @@ class Scene:
         gravity_m_per_s2: Downward acceleration [m/s^2].
         air: Air that acts on the cloth, if any; other bodies feel none.
         stated: The scene that this one is with other starts; None for a stated scene, and after any `replace`. An
-            engine may compute what a rigid motion keeps, as rest lengths, there, so that no rounding depends on the start.
+            engine may compute there what a rigid motion keeps, as rest lengths: no rounding then depends on the start.
 
     Raises:
         ParameterError: A start velocity is not finite, belongs to a body that is not dynamic or is attached to a
