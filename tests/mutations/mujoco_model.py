@@ -272,7 +272,7 @@ FAULTS = dict(
         _own(
             "restore-warm-start",
             "restore forgets warm starts",
-            "restore-impact",
+            "restore-rest",
             "warm starts",
             simulation=_RestoreForgetsWarmStart,
         ),

@@ -167,7 +167,8 @@ def test_an_engine_is_within_the_scatter():
     score = run_episode(RunRequest(NAME)).score
     assert score is not None and score.rmse is not None
     assert score.validation.trial_count == 20 and score.compared_frames == FRAMES
-    assert score.rmse < 1.5
+    # The push is chaotic: with a start 0.1 um away, or another tolerance of the solver, it ends up to 2 mm elsewhere.
+    assert score.rmse < load_band(NAME).sigma.max()
 
 
 def test_an_odd_trial_on_its_own_path():

@@ -52,7 +52,6 @@ joint-delay              command.value:stale:one-call                       the 
 start-velocity           reset.velocity:drop:all                            starts at rest
 spin-fast                engine.spin:saturate:3                             limits or damps angular velocities
 glide-speed              engine.velocity:threshold:slow-frozen              sleep
-restore-rest             restore-warm-start                                 after restore()
 rod-start                lines-turned                                       z for a rod
 roll-cylinder            rolling-friction                                   rolling friction were
 slide-plane              plane-level                                        that the plane's normal
