@@ -38,7 +38,7 @@ from gauge_envs.scene.geometry import (
 from gauge_envs.scene.hinged import carried, moved_along, other_end, parent_hinges
 from gauge_envs.scene.scene import Scene
 
-JITTER_FORMAT = 2
+JITTER_FORMAT = 3
 """Number of this way to draw a start; another way gets another number, so that a sweep runs its repeats again."""
 
 
