@@ -46,6 +46,7 @@ rope-restore             restore.velocity:drop:all                          afte
 copies-alike             engine.spin:side:negative                          the order of bodies and pairs
 tether-place             Tether.anchor_m:offset:0-False                     furthest for the
 restore-edge             restore.velocity:drop:all                          after restore()
+restore-impact           restore.velocity:drop:all                          after restore()
 reset-start              reset.velocity:stale:all                           velocities are kept
 restore                  restore.velocity:drop:all                          velocities
 joint-delay              command.value:stale:one-call                       the next advance()
