@@ -54,7 +54,7 @@ TITLES = {
 
 
 DOUBT = "About 9 of 100 tracks that are called sound are wrong, in drawn clips that no rule was chosen on: look at it."
-"""What is said beside a sound track: 6 of 69 of the renderer that judges the present rules, `docs/world_models.md`."""
+"""What is said beside a sound track: 10 of 116 of the renderers that judge its rules, `docs/world_models.md`."""
 
 
 def task_table(tasks: Iterable[VideoTask]) -> Table:
