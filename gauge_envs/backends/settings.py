@@ -23,6 +23,9 @@ from gauge_envs.scene.timing import DRIVE_INTERVAL_S
 INTEGER_LIMIT = 2**31 - 1
 """Largest integer setting; engines hold integers in 32 bits."""
 
+STACK_BODY_COUNT = 20
+"""Smallest number of dynamic bodies for which presets named `stack` are used."""
+
 
 class SteppedSettings(BaseModel):
     """Settings that every engine has. An engine subclasses it and gives each of its settings a default and a rationale.

@@ -13,6 +13,7 @@ from pydantic import AfterValidator, Field, ValidationInfo, field_validator
 
 from gauge_envs.backends.mujoco.versions import check_installed
 from gauge_envs.backends.settings import (
+    STACK_BODY_COUNT,
     Native,
     SteppedSettings,
     load_presets,
@@ -188,9 +189,6 @@ ROPE_CELL_M = 0.01
 
 NODE_LIMIT = 60_000
 """Largest number of nodes of a body that `cell_m` may ask for; as many nodes of soft cells take 0.4 GB."""
-
-STACK_BODY_COUNT = 20
-"""Smallest number of dynamic bodies for which the preset `stack` is used."""
 
 
 def _preset_name(scene: Scene) -> str:

@@ -15,6 +15,7 @@ from pydantic import Field
 
 from gauge_envs.backends.newton.fabrics import vbd_constants
 from gauge_envs.backends.settings import (
+    STACK_BODY_COUNT,
     Native,
     SteppedSettings,
     read_presets,
@@ -279,7 +280,9 @@ def _preset_name(scene: Scene) -> str:
         return "rod"
     if not scene.contacts:
         return "contact_free"
-    return "impact_chain" if scene.has_impact_chain else "rigid"
+    if scene.has_impact_chain:
+        return "impact_chain"
+    return "stack" if len(scene.dynamic_bodies) >= STACK_BODY_COUNT else "rigid"
 
 
 def _cloth_preset(scene: Scene) -> str:

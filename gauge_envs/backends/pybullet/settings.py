@@ -13,6 +13,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, ValidationInfo, field_validator
 
 from gauge_envs.backends.settings import (
+    STACK_BODY_COUNT,
     Native,
     SteppedSettings,
     load_presets,
@@ -128,9 +129,6 @@ class SettingsPyBullet(SteppedSettings):
 
 
 PRESETS = load_presets(SettingsPyBullet, __file__)
-
-STACK_BODY_COUNT = 20
-"""Number of dynamic bodies from which a scene counts as a stack."""
 
 
 def settings_for(
