@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, fields
 from functools import cached_property, lru_cache
 from itertools import product
 from types import UnionType
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -99,7 +99,7 @@ class Scene:
     markers: Markers | None = None
     gravity_m_per_s2: float = GRAVITY_M_PER_S2
     air: Air | None = None
-    stated: ClassVar[Scene | None] = None
+    stated: Scene | None = field(init=False, default=None, repr=False, compare=False)
     _by_name: dict[str, RigidBody] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
