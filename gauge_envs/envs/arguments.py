@@ -370,9 +370,11 @@ class Starts:
             raise ParameterError(
                 f"options of reset are {options!r}, expected a mapping, as {{'jitter': True}}"
             )
-        if options is not None or seeded:
-            self._options = dict(options or {})
-        return self._chosen(self._options)
+        is_kept = options is None and not seeded
+        stated = self._options if is_kept else dict(options or {})
+        start = self._chosen(stated)
+        self._options = stated
+        return start
 
     def _chosen(
         self, options: Mapping[str, Any]

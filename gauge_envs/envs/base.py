@@ -248,6 +248,12 @@ class WorldsEnvironment(EngineEnvironment, VectorEnv[ObsType, Any, NDArray[Any]]
         self._check_started("render", started=self._is_reset)
         return tuple(self._picture(number) for number in range(self.num_envs))
 
+    def __getstate__(self) -> None:
+        """Raise an error: worlds in lockstep have no copies."""
+        raise EpisodeError(
+            f"{self._label}: worlds that step together are not copied or pickled; copy single environments"
+        )
+
     @abstractmethod
     def _picture(self, number: int) -> Rendered | None:
         """Return the picture of a world."""

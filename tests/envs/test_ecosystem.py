@@ -179,6 +179,14 @@ def test_a_pickle_of_another_version_of_the_engine_is_refused():
         pickle.loads(pickle.dumps(env))
 
 
+@pytest.mark.parametrize(
+    ("name", "label"), [(RIGID, RIGID), ("Carry-Limit-wood", "CarryLimit")]
+)
+def test_worlds_that_step_together_say_that_they_are_not_copied(name, label):
+    with pytest.raises(EpisodeError, match=f"{label}: worlds that step together"):
+        copy.deepcopy(gymnasium.make_vec(f"GAUGE/{name}", num_envs=1))
+
+
 def test_what_the_package_returns_pickles():
     env = gymnasium.make(f"GAUGE/{RIGID}")
     _, info = run_to_end(env)

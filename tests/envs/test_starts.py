@@ -171,6 +171,8 @@ def test_an_option_takes_the_argument_back_until_the_next_seed():
     assert not np.allclose(start_mm(env, seed=0), CALIBRATED_MM, atol=1e-3)
     for reset in ({"options": {"jitter": False}}, {}):
         assert start_mm(env, **reset) == pytest.approx(CALIBRATED_MM)
+        with pytest.raises(ParameterError, match="'reset_mask'"):
+            env.reset(options={"reset_mask": [True]})
     assert not np.allclose(start_mm(env, seed=0), CALIBRATED_MM, atol=1e-3)
     assert not np.allclose(start_mm(env, options={}), CALIBRATED_MM, atol=1e-3)
 

@@ -107,6 +107,10 @@ class ControlVectorEnv(WorldsEnvironment[FloatArray]):
         self._observations = np.zeros((num_envs, len(first.OBSERVED)))
         self._over = np.zeros(num_envs, dtype=np.bool_)
 
+    @property
+    def _label(self) -> str:
+        return type(self.worlds.envs[0]).__name__
+
     def reset(
         self,
         *,

@@ -106,6 +106,14 @@ def faults_of(
             f"the object has another look in {is_odd.sum() / len(rows):.0%} of the frames: "
             f"their confidence is below {LEAST_CONFIDENCE:g}"
         )
+    # Law, scale and direction are those of the known first frame.
+    if track.registration is not None and task.law and not is_cradle:
+        for place in track.points_px[track.is_found][:1]:
+            away = math.dist(place, task.centre_px) / task.size_px
+            if away > JUMP:
+                faults.append(
+                    f"the object is first seen {away:.1f} of its size from its place in the known first frame"
+                )
     jump = _vanishing(track, task) if is_cradle else _jump(track, task, found)
     faults += [jump] if jump else []
     clock = (

@@ -121,26 +121,30 @@ class Track:
         return self.frames / self.fps if self.clock_s is None else self.clock_s
 
 
+_or_none = BeforeValidator(lambda text: (text or "").strip() or None)
 Cell: TypeAlias = Annotated[
-    Annotated[float, Field(ge=-MOST_NUMBER, le=MOST_NUMBER)] | None,
-    BeforeValidator(lambda text: (text or "").strip() or None),
+    Annotated[float, Field(ge=-MOST_NUMBER, le=MOST_NUMBER)] | None, _or_none
 ]
-"""Number of a cell; None for an empty one."""
+"""Number of a cell; None for an empty one, to which no limit applies."""
 
 
 class _Row(BaseModel):
     """Row of a track; other columns are ignored."""
 
     time: Cell = None
-    frame: Annotated[Cell, Field(ge=0, le=LAST_FRAME, multiple_of=1)] = None
+    frame: Annotated[
+        Annotated[float, Field(ge=0, le=LAST_FRAME, multiple_of=1)] | None, _or_none
+    ] = None
     x: Cell = None
     y: Cell = None
     x_grid: Cell = None
     y_grid: Cell = None
     x_mm: Cell = None
     y_mm: Cell = None
-    size: Cell = None
-    confidence: Cell = None
+    size: Annotated[Annotated[float, Field(gt=0, le=MOST_NUMBER)] | None, _or_none] = (
+        None
+    )
+    confidence: Annotated[Annotated[float, Field(ge=0, le=1)] | None, _or_none] = None
 
 
 def read_track(
@@ -162,7 +166,8 @@ def read_track(
         size_px: Width and height of the video [px].
 
     Raises:
-        VideoError: The file cannot be read, lacks a column or the rate, or has a cell that is no finite number.
+        VideoError: The file cannot be read, lacks a column or the rate, states both rate and times, or has a cell that
+            is no finite number or a place outside of the video.
     """
     path = Path(path)
     if fps is not None and not (math.isfinite(fps) and fps > 0.0):
@@ -188,6 +193,8 @@ def read_track(
         raise VideoError(f"{path}: frame must increase from row to row")
     frames = numbers.astype(np.int64)
     clock_s = None
+    if {"time", "frame"} & names == {"time"} and fps is not None:
+        raise VideoError(f"{path}: its times state the rate: leave out --fps")
     if "time" in names and fps is None:
         clock_s = values["time"]
         if len(rows) < 2 or not (np.diff(clock_s) > 0.0).all():
@@ -199,18 +206,23 @@ def read_track(
             f"{path}: it has no column time: give the frame rate, as --fps 30"
         )
     places = np.column_stack([values[f"x{unit}"], values[f"y{unit}"]])
-    if not unit:
-        places = places * np.array(REFERENCE_SIZE_PX) / np.array(size_px, dtype=float)
     is_found = np.isfinite(places).all(axis=1)
     places[~is_found] = np.nan
+    if not unit:
+        if ((places < 0.0) | (places > size_px)).any():
+            width, height = size_px
+            raise VideoError(
+                f"{path}: x, y leave the picture of {width} x {height} pixels: put the video of another size beside "
+                "it, and leave cells empty where the object is not seen"
+            )
+        places = places * np.array(REFERENCE_SIZE_PX) / np.array(size_px, dtype=float)
     sizes = values["size"]
     known = sizes[np.isfinite(sizes) & is_found]
     return Track(
         frames=frames,
         fps=fps,
         points_px=places,
-        confidence=is_found
-        * np.clip(np.nan_to_num(values["confidence"], nan=1.0), 0.0, 1.0),
+        confidence=is_found * np.nan_to_num(values["confidence"], nan=1.0),
         size_ratio=sizes / known[0] if len(known) else sizes,
         events=(
             Event(
@@ -258,6 +270,8 @@ def _rows(path: Path) -> list[_Row]:
     rows: list[_Row] = []
     try:
         for cells in csv.DictReader(csv_text(content)):
+            if None in cells:
+                raise ValueError(f"line {len(rows) + 2} has more cells than line 1")
             rows.append(_Row.model_validate(cells))
     except ValidationError as error:
         name, cause = first_fault(error)

@@ -30,8 +30,14 @@ TRACKS = [
     ("frame,x,y\n3,1,1\n3,1,1\n", "frame must increase"),
     ("time,x,y\n0.1,1,1\n0,1,1\n", "time must increase"),
     ("x_mm,y_mm\n1,1\n", "no column time"),
+    ("time,y,x\n0,1,1\n", "its times state the rate"),
     ("frame,x,y\n", "no row"),
     ("frame,x,y\n0,inf,1\n", "line 2: x: .*given: 'inf'"),
+    ("frame,x,y\n0,1,1\n,1,1\n", "frame must increase"),
+    ("frame,x,y\n0,1,5,1\n", "line 2 has more cells"),
+    ("frame,x,y\n0,1,481\n", "leave the picture of 832 x 480 pixels"),
+    ("frame,x,y,size\n0,1,1,0\n", "line 2: size: .*greater than 0"),
+    ("frame,x,y,confidence\n0,1,1,60\n", "line 2: confidence: .*equal to 1"),
 ]
 CAMERAS = [
     (SIZE, "board: missing key"),
@@ -54,7 +60,7 @@ CAMERAS = [
 
 def tracked(file):
     text = file.read_text() if file.exists() else ""
-    return read_track(file, fps=None if text.startswith("time") else 30.0)
+    return read_track(file, fps=None if text.startswith("time,x,") else 30.0)
 
 
 @pytest.mark.parametrize(

@@ -287,6 +287,16 @@ def test_a_track_is_scored_like_a_video(is_metric, tmp_path):
     assert result.metrics["acceleration_m_s2"] == pytest.approx(1.7, rel=2e-3)
     interval = result.uncertainty["acceleration_m_s2"]
     assert interval[0] < 1.7 < interval[1]
+    assert result.is_sound
+
+
+def test_a_track_that_starts_elsewhere_is_not_sound(tmp_path):
+    """As one of a mirrored or cropped video, whose scale and direction are others."""
+    track = driven(SLIDE.id, 1.7)
+    away_px = np.array([-2.0 * SLIDE.size_px, 0.0])
+    other = replace(track, points_px=track.points_px + away_px)
+    result = score_track(read_track(save_track(other, tmp_path / "track.csv")), SLIDE)
+    assert "first seen 2.0 of its size from its place" in result.reasons[0]
 
 
 def swung(task, angles):
