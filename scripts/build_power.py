@@ -27,7 +27,7 @@ from gauge_envs.evaluation.verification import (
 )
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import load_experiment
-from gauge_envs.experiments.variants import variants
+from gauge_envs.experiments.variants import beyond_variants, variants
 from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.references.bands import Band
 from gauge_envs.references.power import POWER_COLUMNS, power_file
@@ -265,7 +265,7 @@ def measure(request: Request) -> None:
     done: dict[str, set[tuple[str, str]]] = defaultdict(set)
     for row in read_rows(file):
         done[row["variant"]].add((row["change"], row["quantity"]))
-    for variant in variants():
+    for variant in (*variants(), *beyond_variants()):
         name = variant.name
         experiment = load_experiment(name)
         band = reference_band(experiment)
