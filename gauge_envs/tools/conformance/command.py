@@ -107,8 +107,8 @@ def backend_check(
     gauge list checks shows the checks; for configurations, one per phenomenon runs without --only: NAME:default is the
     quick check of an engine. Exit code 1 when a check failed or raised an error; with --expected, when others than the
     listed ones failed; with --baseline, when one became worse or its value moved by more than its tolerance. A declined
-    check is no failure. Engines of other packages run in another process, all engines do with --isolate, --out,
-    --baseline or a configuration: one that crashes, exits or hangs there costs one check.
+    check is no failure, unless all are. Engines of other packages run in another process, all engines do with
+    --isolate, --out, --baseline or a configuration: one that crashes, exits or hangs there costs one check.
     """
     from gauge_envs.tools.conformance import checks
     from gauge_envs.tools.conformance.matrix import CANONICAL, read_columns
@@ -220,9 +220,23 @@ def _check(
                 print_json_lines([finding.to_dict()])
     if form is not Format.JSON:
         print_document(findings_document(findings), form)
+    has_failed = _failed(findings)
+    if judged is None:
+        return has_failed
+    return judged(findings) or not _is_measured(findings)
+
+
+def _is_measured(findings: Sequence[CheckResult]) -> bool:
+    return not all(one.missing for one in findings)
+
+
+def _failed(findings: Sequence[CheckResult]) -> bool:
+    """Tell how many checks failed, and return whether one did or nothing was measured."""
     bad = sum(finding.is_bad for finding in findings)
-    message(f"{counted(len(findings), 'check')}, {bad} failed")
-    return bad > 0 if judged is None else judged(findings)
+    is_measured = _is_measured(findings)
+    rest = "" if is_measured else "; nothing was measured"
+    message(f"{counted(len(findings), 'check')}, {bad} failed{rest}")
+    return bad > 0 or not is_measured
 
 
 def _checked_places(files: Mapping[str, Path]) -> Mapping[str, Path]:
@@ -302,14 +316,10 @@ def _matrix(
         return _is_worse(new, before, form)
     if form is not Format.JSON:
         print_document(matrix_document(columns, chosen), form)
-    bad = sum(finding.is_bad for column in new for finding in column.findings.values())
     if new:
-        message(
-            f"{counted(sum(len(column.findings) for column in new), 'check')}, {bad} failed"
-        )
-    else:
-        message(f"{counted(len(columns), 'column')} of files; no check ran")
-    return bad > 0
+        return _failed([one for column in new for one in column.findings.values()])
+    message(f"{counted(len(columns), 'column')} of files; no check ran")
+    return False
 
 
 def _is_worse(
