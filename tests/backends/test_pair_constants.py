@@ -5,11 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from straight import fitted_acceleration
 
 from gauge_envs.backends.base import scene_support
 from gauge_envs.backends.shared.pair_values import body_values, pair_values
 from gauge_envs.errors import UnsupportedSceneError
+from gauge_envs.evaluation.estimators import acceleration_m_per_s2
 from gauge_envs.runs.rollout import record
 from gauge_envs.scene import GRAVITY_M_PER_S2, Motion, Pose, Scene
 from gauge_envs.scene.geometry import vector
@@ -58,7 +58,7 @@ def test_pairs_have_their_friction(engine, motion, boards):
     down = scene.body("low").pose.rotation.apply([1.0, 0.0, 0.0])
     for pair in pairs:
         moved = rollout.position(pair[0]) @ down
-        found = fitted_acceleration(rollout.times_s, moved - moved[0])
+        found = acceleration_m_per_s2(rollout.times_s, moved - moved[0])
         normal = GRAVITY_M_PER_S2 * np.cos(np.pi / 6)
         friction = (0.5 * GRAVITY_M_PER_S2 - found) / normal
         # A step of the soft contacts of MuJoCo's solver ends before their friction does.

@@ -222,18 +222,6 @@ def test_flat_piece_encloses_no_volume(tmp_path):
         load_task(path)
 
 
-def test_calibrated_value_that_cannot_be_used_is_kept_beside_its_substitute():
-    raw = tomllib.loads(task_path("StickStack").read_text())
-    entry = raw["constants"]["rod"]["soft"]["poisson_ratio"]
-    assert (entry["calibrated"], entry["used"]) == (0.62, 0.49)
-    rod = next(
-        d
-        for d in load_experiment("StickStack-soft").scene.deformables
-        if d.name == "rod"
-    )
-    assert rod.poisson_ratio == 0.49
-
-
 def test_plate_with_hole_has_the_area_of_the_ring():
     shape = load_experiment("Funnel-satin").scene.body("board").shape
     hole = np.pi * 0.10**2

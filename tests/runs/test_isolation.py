@@ -1,6 +1,7 @@
 """Engines that crash, exit or hang cost their own episode, and results are the same in another process."""
 
 import atexit
+import math
 import os
 import subprocess
 import sys
@@ -231,10 +232,18 @@ def test_the_time_limit_also_ends_what_a_worker_started(tmp_path):
     wait_for_the_end_of(int((tmp_path / "started").read_text()))
 
 
-@pytest.mark.parametrize("limit_s", [0.0, -1.0, float("nan"), float("inf")])
-def test_a_time_limit_is_positive_and_finite(limit_s):
-    with pytest.raises(ParameterError, match="time limit"):
-        run_many([RunRequest(WOOD)], isolate=True, time_limit_s=limit_s)
+@pytest.mark.parametrize(
+    ("name", "limits"),
+    [
+        ("time_limit_s", (0.0, -1.0, math.nan, math.inf)),
+        ("memory_limit_gb", (0.0, -1.0, math.nan)),
+    ],
+)
+def test_a_limit_is_positive_and_that_of_time_finite(name, limits):
+    words = " ".join(name.split("_")[:2])
+    for limit in limits:
+        with pytest.raises(ParameterError, match=words):
+            run_many([RunRequest(WOOD)], isolate=True, **{name: limit})
 
 
 def take_memory(gigabytes):
@@ -250,12 +259,6 @@ def test_a_memory_limit_ends_the_call_and_not_the_program():
         ):
             worker.call(take_memory, 1.0)
         assert worker.call(os.getpid) > 0
-
-
-@pytest.mark.parametrize("limit_gb", [0.0, -1.0, float("nan")])
-def test_a_memory_limit_is_positive(limit_gb):
-    with pytest.raises(ParameterError, match="memory limit"):
-        run_many([RunRequest(WOOD)], isolate=True, memory_limit_gb=limit_gb)
 
 
 @pytest.mark.parametrize(

@@ -5,13 +5,13 @@ from importlib.util import find_spec
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from straight import fitted_acceleration
 
 from gauge_envs import load_experiment
 from gauge_envs.backends import backend
 from gauge_envs.backends.mujoco.model import build_model
 from gauge_envs.backends.mujoco.settings import settings_for
 from gauge_envs.errors import ParameterError
+from gauge_envs.evaluation.estimators import acceleration_m_per_s2
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2,
     Box,
@@ -163,7 +163,7 @@ def test_feet_slide_by_coulombs_law_and_stay_on_the_ground(engine, kind):
         simulation.close()
     along = scene.body("ground").pose.rotation.apply(places, inverse=True)
     law = GRAVITY_M_PER_S2 * (np.sin(np.radians(30.0)) - 0.3 * np.cos(np.radians(30.0)))
-    assert fitted_acceleration(np.arange(55) / 180.0, along[:, 0]) == pytest.approx(
+    assert acceleration_m_per_s2(np.arange(55) / 180.0, along[:, 0]) == pytest.approx(
         law, rel=0.02
     )
     assert np.abs(along[:, 1:]).max() < 1e-3

@@ -10,10 +10,10 @@ import pytest
 from quadruped import FEET, FOOT_RADIUS_M, GOOD, quadruped_xml
 from sanity_cases import moved
 from scipy.spatial.transform import Rotation
-from straight import fitted_acceleration
 
 from gauge_envs.backends import backend
 from gauge_envs.errors import TargetError
+from gauge_envs.evaluation.estimators import acceleration_m_per_s2
 from gauge_envs.scene import GRAVITY_M_PER_S2, Box, Capsule, ConvexUnion, Sphere
 from gauge_envs.tools.sanity import Need, Verdict, check, configuration
 from gauge_envs.tools.sanity.measure import Measurements, judged
@@ -249,7 +249,7 @@ def acceleration(settings, *, friction, slope_deg):
     downhill = rollout.scene.body("ground").pose.rotation.apply(
         rollout.displacement("foot"), inverse=True
     )[:, 0]
-    return fitted_acceleration(rollout.times_s, downhill)
+    return acceleration_m_per_s2(rollout.times_s, downhill)
 
 
 @pytest.mark.parametrize(

@@ -341,36 +341,21 @@ def test_three_per_cent_of_a_slide_are_visible():
     assert measured.verdict is Verdict.VISIBLE
 
 
+QUICK = "creep-*,rest-height,slide*,carry-wood,slip,rebound*,momentum,seam,point"
+
+
 @pytest.mark.parametrize(
-    "patterns",
+    ("name", "patterns"),
     [
-        (
-            "creep-*",
-            "rest-height",
-            "slide*",
-            "carry-wood",
-            "slip",
-            "rebound*",
-            "momentum",
-            "seam",
-            "point",
-        ),
-        pytest.param((), marks=pytest.mark.slow, id="all"),
+        ("mujoco", QUICK.split(",")),
+        pytest.param("mujoco", (), marks=pytest.mark.slow),
+        pytest.param("newton", (), marks=pytest.mark.slow),
     ],
 )
-def test_backend_default_raises_no_flag(patterns):
-    measurements = Measurements(MUJOCO)
+def test_the_default_of_a_backend_raises_no_flag(name, patterns):
+    pytest.importorskip(name)
+    measurements = Measurements(backend(name))
     found = {p.id: measurements.measure(p, {}) for p in phenomena(patterns)}
-    assert {
-        name for name, one in found.items() if one.verdict is not Verdict.INSIDE
-    } == set()
-
-
-@pytest.mark.slow
-def test_newtons_default_raises_no_flag():
-    pytest.importorskip("newton")
-    measurements = Measurements(backend("newton"))
-    found = {p.id: measurements.measure(p, {}) for p in phenomena()}
     assert {
         name for name, one in found.items() if one.verdict is not Verdict.INSIDE
     } == set()
