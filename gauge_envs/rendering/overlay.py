@@ -33,6 +33,8 @@ MOST_PATHS = 12
 """Largest number of points whose paths are drawn; the paths of more hide the scene."""
 MOST_POINTS = 240
 """Largest number of points of a path; more of them cost time, and show nothing more."""
+LEAST_LENGTH = 0.9
+"""Share of the length of a path that its drawn points keep. It is a choice."""
 
 
 def _no_points() -> FloatArray:
@@ -156,9 +158,20 @@ def _ghosts(
 
 
 def _paths(places_m: FloatArray) -> tuple[FloatArray, ...]:
-    """Return the path of each point, every k-th place and the last one; none of many points."""
+    """Return the path of each point, every k-th place and the last one; none of many points.
+
+    Where these cut turns off, as those of many swings, the path is its first places.
+    """
     if places_m.shape[1] > MOST_PATHS:
         return ()
     step = -(-len(places_m) // MOST_POINTS)
-    thinned_m = np.concatenate([places_m[:-1:step], places_m[-1:]])
-    return tuple(thinned_m[:, index] for index in range(places_m.shape[1]))
+    shown_m = np.concatenate([places_m[:-1:step], places_m[-1:]])
+    if _length_m(shown_m) < LEAST_LENGTH * _length_m(places_m):
+        shown_m = places_m[:MOST_POINTS]
+    return tuple(shown_m[:, index] for index in range(places_m.shape[1]))
+
+
+def _length_m(places_m: FloatArray) -> float:
+    """Return the length of all paths between known places [m]."""
+    ways_m = np.linalg.norm(np.diff(places_m, axis=0), axis=2)
+    return float(np.nansum(ways_m))

@@ -269,3 +269,25 @@ def test_a_reference_of_other_quantities_has_no_path():
 def test_render_overlay_is_true_or_false():
     with pytest.raises(ParameterError, match="render_overlay"):
         GaugeEnv("SlopeSlider-2-wood", render_overlay="yes")
+
+
+def test_the_path_of_many_swings_stays_on_their_circle():
+    experiment = load_experiment("Pendulum-metal")
+    (hinge,) = experiment.scene.joints
+    reference = reference_path(experiment, reference_band(experiment))
+    places_mm = 1e3 * reference.places_m.reshape(len(reference.places_m), -1)
+    overlay = tracked_overlay(
+        experiment,
+        reference,
+        time_s=0.0,
+        samples=places_mm,
+        markers_m=np.zeros((0, 3)),
+        poses={},
+    )
+    radius_m = np.linalg.norm(reference.places_m[0, 0] - hinge.anchor_m)
+    for path in (*overlay.paths, *overlay.recorded_paths):
+        middles_m = 0.5 * (path[1:] + path[:-1])
+        distances_m = np.linalg.norm(middles_m - hinge.anchor_m, axis=1)
+        distances_m = distances_m[np.isfinite(distances_m)]
+        assert distances_m == pytest.approx(radius_m, rel=0.02)
+        assert np.nanmax(path[:, 0]) - np.nanmin(path[:, 0]) > 1.3 * radius_m
