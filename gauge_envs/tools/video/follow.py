@@ -105,6 +105,7 @@ class ShapeFollower:
         self._task, self._size_px = task, task.size_px
         self._start = start = np.array(task.rest_px or task.centre_px)
         self._profile_px: FloatArray | None = None
+        self._beside_px: float | None = None
         self._colour = _look(first, start, task.size_px)
         self._half = math.ceil(0.5 * AROUND * task.size_px) + 2
         self._outline = self._drawn(1.0)
@@ -223,7 +224,7 @@ class ShapeFollower:
         start = gaps[gaps < half].max(initial=-1) + 1
         end = gaps[gaps > half].min(initial=len(along))
         seen_px = seen[:, start:end].sum(axis=1)
-        is_first = math.dist(sight.place, self._start) < NEAR * self._size_px
+        is_first = math.dist(sight.place, self._start) < CORE * self._size_px
         if (
             self._profile_px is None
             and is_first
@@ -237,6 +238,37 @@ class ShapeFollower:
         sight.size_ratio = math.sqrt(float(seen_px.sum()) / whole_px2)
         misses_px = np.abs(seen_px - wanted_px[is_known])
         sight.misfit = float(misses_px.sum()) / whole_px2
+        # The board and the shadow on it lie beyond the core.
+        core = seen[np.abs(across_px[is_known]) <= CORE * self._size_px, start:end]
+        if self._task.motion is Motion.SLIDE and self._task.law and core.any():
+            place_px = across_px[start:end]
+            away_px = float((core @ place_px).sum() / core.sum())
+            self._place_face(sight, away_px, is_first=is_first)
+
+    def _place_face(self, sight: Sight, away_px: float, *, is_first: bool) -> None:
+        """Place the face of a cube by the middle of all that is seen of the cube along its motion.
+
+        A dark side is not told from the face, so that the outline of the face may lie anywhere on both. In the first
+        frame the place of the face is known, and so is what its side adds there. That grows with the distance from
+        where the camera looks straight at the cube and sees no side, in the middle of the picture.
+
+        Args:
+            sight: The sight, of the outline; its place is changed.
+            away_px: The middle of what is seen, from that place along the motion [px].
+            is_first: Whether the cube is at its first place.
+        """
+        direction = np.array(self._task.direction)
+        way_px = float((sight.place - self._start) @ direction)
+        seen_px = way_px + away_px
+        if self._beside_px is None and is_first:
+            self._beside_px = seen_px
+        beside_px, half_px = self._beside_px or 0.0, 0.5 * self._size_px
+        middle_px = 0.5 * np.array(REFERENCE_SIZE_PX)
+        straight_px = float((middle_px - self._start) @ direction)
+        left_px = straight_px - seen_px
+        beyond_px = left_px - np.clip(left_px, -half_px, half_px)
+        face_px = seen_px - beside_px * beyond_px / (straight_px - half_px - beside_px)
+        sight.place = sight.place + (face_px - way_px) * direction
 
 
 def _uncovered(

@@ -213,3 +213,25 @@ def test_a_slide_that_stops_at_once_is_followed_to_its_rest():
     places = task.centre_px + along_px[:, None] * task.direction
     frames = [[Sight(place=place, likeness=0.9)] for place in places]
     assert all(one.likeness > 0.0 for one in followed(frames, task, 30.0))
+
+
+@pytest.mark.parametrize("depth", [0.0, 0.04, 0.08])
+def test_a_black_cube_has_its_face_where_its_dark_sides_are_seen_too(depth):
+    task = video_task("SlopeSlider-2-plastic")
+    corners = cv2.boxPoints(((0.0, 0.0), (task.size_px, task.size_px), 31.6 - 90.0))
+    middle_px = np.array([416.0, 240.0])
+    places = task.centre_px + np.outer([0.0, 60.0, 140.0, 330.0], task.direction)
+    pictures = []
+    for place in places:
+        picture = np.full((480, 832, 3), 200, np.uint8)
+        face = corners + place
+        # A pinhole camera sees the back of the cube smaller, towards the middle of the picture.
+        back = middle_px + (face - middle_px) / (1.0 + depth)
+        for points, colour in ((np.vstack([face, back]), (18,) * 3), (face, (28,) * 3)):
+            hull = cv2.convexHull(np.round(16.0 * points).astype(np.int32))
+            cv2.fillConvexPoly(picture, hull, colour, cv2.LINE_AA, 4)
+        pictures.append(picture)
+    follower = ShapeFollower(pictures[0], pictures[-1], task)
+    found = [follower.candidates(picture)[0].place for picture in pictures]
+    along_px = (found - places) @ task.direction
+    assert np.abs(along_px).max() < 0.5, along_px
