@@ -148,7 +148,13 @@ def place_mistake(
         tolerance: Largest distance of a point.
         unit: `mm` or `m`.
     """
-    if _farthest(places, start) <= tolerance:
+    turned = min(ALL_AXES, key=lambda one: _farthest(places, one.of_file(start)))
+    away, away_turned = (
+        _farthest(places, one) for one in (start, turned.of_file(start))
+    )
+    # Where coordinates are alike, the axes of another frame are near, but not as near as those of the scene.
+    is_turned = away > tolerance / 6.0 and away_turned < 0.1 * away
+    if away <= tolerance and not is_turned:
         return None
     distances = np.linalg.norm(places - start, axis=1)
     worst = int(distances.argmax())
@@ -156,14 +162,15 @@ def place_mistake(
         f"the first frame has {names[worst]} at {_listed(places[worst])}, "
         f"and the scene at {_listed(start[worst])} {unit}"
     )
+    if away <= tolerance:
+        return f"{stated}: the values look like {turned.words}"
     lengths = LENGTHS if unit == "mm" else {1e3: "millimetres", 1e2: "centimetres"}
     for axes in ALL_AXES:
         for factor, word in lengths.items():
             if _farthest(places / factor, axes.of_file(start)) <= tolerance:
                 also = "" if axes == ALL_AXES[0] else f", and like {axes.words}"
                 return f"{stated}: the values look like {word}{also}. {_times(factor)}"
-    turned = min(ALL_AXES, key=lambda one: _farthest(places, one.of_file(start)))
-    if _farthest(places, turned.of_file(start)) <= tolerance:
+    if away_turned <= tolerance:
         return f"{stated}: the values look like {turned.words}"
     shift = (places - start).mean(axis=0)
     if len(places) > 1 and _farthest(places - shift, start) <= tolerance:
