@@ -376,11 +376,12 @@ UNRANKED = (
     "rolling",
     "solver-",
     "copies-",
+    "tower-",
 )
 """Checks of what no ranked experiment has.
 
-Slip in impacts, as that of the copies, rubbing, flat landings, edges, deformable bodies, joints, grasps, and chains and
-heaps of more than 40 degrees of freedom.
+Slip in impacts, as that of the copies, rubbing, flat landings, edges, deformable bodies, joints, grasps, and chains,
+heaps and towers of more than 40 degrees of freedom.
 """
 
 

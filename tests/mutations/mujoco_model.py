@@ -177,6 +177,12 @@ def _friction_across(model, scene):
     model.pair_friction[:, 1] *= 0.8
 
 
+def _stops_early(model, scene):
+    if not scene.deformables:
+        model.opt.solver = mujoco.mjtSolver.mjSOL_PGS
+        model.opt.iterations = 10
+
+
 def _tether_centre(model, scene):
     for site in range(model.nsite):
         model.site_pos[site] += model.body_ipos[model.site_bodyid[site]]
@@ -324,6 +330,20 @@ FAULTS = dict(
             "contact-listed",
             "so soft",
             settings={"sustained_solref": (0.2, 1.0)},
+        ),
+        _own(
+            "contacts-yield",
+            "sustained contacts ten times as soft",
+            "tower-stands",
+            "yield under the weight",
+            settings={"sustained_solimp": (0.5, 0.5, 0.001)},
+        ),
+        _own(
+            "solver-stops",
+            "solver with ten iterations",
+            "tower-stands",
+            "a solver ends before",
+            simulation=_model(_stops_early),
         ),
         _own(
             "blast",

@@ -15,7 +15,6 @@ from pydantic import Field
 
 from gauge_envs.backends.newton.fabrics import vbd_constants
 from gauge_envs.backends.settings import (
-    STACK_BODY_COUNT,
     Native,
     SteppedSettings,
     read_presets,
@@ -24,8 +23,17 @@ from gauge_envs.backends.settings import (
 from gauge_envs.backends.shared.attachments import bonded_soft_bodies
 from gauge_envs.backends.shared.cells import CellSize, check_cells, common_cell_m
 from gauge_envs.backends.shared.cloth_grid import ClothGrid
+from gauge_envs.backends.shared.rigid import joints_by_body
 from gauge_envs.errors import ParameterError, UnsupportedSceneError
-from gauge_envs.scene import Cloth, Motion, Rod, Rope, Scene, SoftBody
+from gauge_envs.scene import (
+    Cloth,
+    ContactMode,
+    Motion,
+    Rod,
+    Rope,
+    Scene,
+    SoftBody,
+)
 from gauge_envs.scene.fabrics import Fabric
 
 
@@ -257,6 +265,12 @@ NODE_LIMIT = 200_000
 """Largest number of nodes or material points of a body that `cell_m` may ask for."""
 
 
+STACKED_BODY_COUNT = 3
+"""Smallest number of free bodies that may rest on each other for which the preset `stack` is used.
+
+By the law of the presets' file a tower of two bodies sinks by 0.12 mm with `rigid`, one of three by 0.28 mm.
+"""
+
 ITERATIONS_PER_RATIO = 0.33
 """Smallest number of iterations, over the ratio of elastic to inertial stiffness, to start from the last acceleration.
 
@@ -282,7 +296,18 @@ def _preset_name(scene: Scene) -> str:
         return "contact_free"
     if scene.has_impact_chain:
         return "impact_chain"
-    return "stack" if len(scene.dynamic_bodies) >= STACK_BODY_COUNT else "rigid"
+    return "stack" if len(_stacked(scene)) >= STACKED_BODY_COUNT else "rigid"
+
+
+def _stacked(scene: Scene) -> set[str]:
+    """Return the free bodies that may rest on other free bodies."""
+    free = {body.name for body in scene.dynamic_bodies} - {*joints_by_body(scene)}
+    found: set[str] = set()
+    for contact in scene.contacts:
+        first, second = free & {*contact.first}, free & {*contact.second}
+        if contact.mode is ContactMode.SUSTAINED and first and second:
+            found |= first | second
+    return found
 
 
 def _cloth_preset(scene: Scene) -> str:

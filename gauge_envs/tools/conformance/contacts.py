@@ -1,6 +1,7 @@
 """Contacts: friction, rebound, and energy that must not grow."""
 
 import math
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
@@ -8,7 +9,7 @@ import numpy as np
 
 from gauge_envs.evaluation.estimators import slide_friction
 from gauge_envs.runs.rollout import Rollout
-from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Box, Contact, Pose, Scene
+from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Box, Contact, Pose, Scene, Vector
 from gauge_envs.scene.geometry import vector
 from gauge_envs.tools.bench.drop import (
     RADIUS_M,
@@ -281,22 +282,25 @@ def _tumble(lab: Lab) -> Rollout:
 PILE_BOX_M = (0.1, 0.1, 0.05)
 
 
-@recorded("a slanting stack of six boxes on a plane, which falls over")
-def _pile(lab: Lab) -> Rollout:
+def _boxes_at(places_m: Iterable[Vector]) -> Scene:
+    """Return a second of boxes over a plane, which touch it and each other."""
     boxes = tuple(
-        box(
-            f"box-{index}",
-            (0.025 * index, 0.01 * (index % 2), 0.03 + 0.055 * index),
-            PILE_BOX_M,
-            mass_kg=0.3,
-        )
-        for index in range(6)
+        box(f"box-{index}", place, PILE_BOX_M, mass_kg=0.3)
+        for index, place in enumerate(places_m)
     )
     names = tuple(one.name for one in boxes)
     contacts = tuple(contact(names, other, friction=0.4) for other in (names, "ground"))
-    return lab.rollout(
-        Scene(bodies=(*boxes, ground()), contacts=contacts, duration_s=1.0)
-    )
+    return Scene(bodies=(*boxes, ground()), contacts=contacts, duration_s=1.0)
+
+
+_pile = rollout_of(
+    "a slanting stack of six boxes on a plane, which falls over",
+    _boxes_at((0.025 * i, 0.01 * (i % 2), 0.03 + 0.055 * i) for i in range(6)),
+)
+_tower = rollout_of(
+    "a tower of twenty boxes on a plane, as wide as two of them are high",
+    _boxes_at((0.0, 0.0, PILE_BOX_M[2] * (i + 0.5)) for i in range(20)),
+)
 
 
 @_tumble.check("drop-energy")
@@ -328,6 +332,17 @@ def _pile_sinks(rollout: Rollout) -> Measurement:
         )
         deepest = max(deepest, -float(heights.min()))
     return Measurement(measured=1e3 * deepest)
+
+
+@_tower.check("tower-stands")
+def _tower_stands(rollout: Rollout) -> Measurement:
+    top = rollout.scene.dynamic_bodies[-1].name
+    moved_mm = 1e3 * rollout.displacement(top)[rollout.between(0.8, 1.0)]
+    aside_mm = np.linalg.norm(moved_mm[:, :2], axis=1)
+    return Measurement(
+        measured=float(np.linalg.norm(moved_mm, axis=1).max()),
+        hint=f"its top is {-moved_mm[-1, 2]:.3g} mm lower and up to {aside_mm.max():.3g} mm aside",
+    )
 
 
 # --- oblique impacts -------------------------------------------------------------------------------------------------

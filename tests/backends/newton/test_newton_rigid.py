@@ -11,6 +11,8 @@ from gauge_envs import load_experiment
 from gauge_envs.references.published import published_baselines
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
+from gauge_envs.scene import GRAVITY_M_PER_S2, Scene
+from gauge_envs.tools.bench.parts import box, contact, ground
 
 pytest.importorskip("newton")
 
@@ -46,6 +48,27 @@ def test_models_share_the_kernels_of_their_collision_pipelines():
     ]
     assert kernels[0] is kernels[1]
     assert narrow_phase.create_narrow_phase_primitive_kernel is own
+
+
+def test_a_tower_sinks_by_the_compliance_of_its_contacts():
+    """Depth of a contact: (1 - impedance) T^2 of its load over the mass that it moves, of MuJoCo's documentation."""
+    size_m = (0.1, 0.1, 0.05)
+    for count, preset, impedance in ((2, "rigid", 0.5), (3, "stack", 0.99)):
+        boxes = [
+            box(str(i), (0.0, 0.0, 0.05 * (i + 0.5)), size_m) for i in range(count)
+        ]
+        names = tuple(one.name for one in boxes)
+        touch = [contact(names, other, friction=0.4) for other in (names, "ground")]
+        scene = Scene(bodies=(*boxes, ground()), contacts=tuple(touch), duration_s=0.3)
+        simulation = NEWTON.build(scene)
+        simulation.reset(0)
+        simulation.advance(scene.duration_s)
+        top_m = simulation.body_states(names)[-1, 2]
+        sink_m = boxes[-1].pose.position_m[2] - top_m
+        time_constant_s = simulation.settings["sustained_solref"][0]
+        law_m = (1.0 - impedance) * time_constant_s**2 * GRAVITY_M_PER_S2 * count**2 / 4
+        assert simulation.settings["preset"] == preset
+        assert sink_m == pytest.approx(law_m, rel=0.02)
 
 
 def test_a_slide_is_within_the_uncertainty_of_its_solution():
