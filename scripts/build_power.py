@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import sys
 from collections import defaultdict
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -141,11 +141,10 @@ def motion(
     scene: Scene,
     *,
     last_frame: int,
-    settings: Mapping[str, Any] | None = None,
 ) -> Episode:
-    """Return the episode of a scene up to a frame, with MuJoCo's default settings where none are given."""
+    """Return the episode of a scene up to a frame, with MuJoCo's default settings."""
     engine = backend_for("mujoco", experiment.model_file)
-    simulation = engine.build(scene, settings)
+    simulation = engine.build(scene)
     try:
         simulation.reset(0)
         episode = Episode(

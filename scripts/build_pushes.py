@@ -345,11 +345,9 @@ def driver_values(
     return times_s, path - pushes.hand_path(np.array([START_S]), trial)
 
 
-def pieces_m(
-    front_m: FloatArray, *, width_m: float = WIDTH_M, heights_m: FloatArray = HEIGHTS_M
-) -> list[FloatArray]:
+def pieces_m(front_m: FloatArray) -> list[FloatArray]:
     """Return the vertices of the two convex pieces of the hand, above and below the joint, in the frame of its body."""
-    front = np.column_stack([front_m, heights_m]) - [BODY_ORIGIN_M[0], BODY_ORIGIN_M[2]]
+    front = np.column_stack([front_m, HEIGHTS_M]) - [BODY_ORIGIN_M[0], BODY_ORIGIN_M[2]]
     joint = JOINT_M - BODY_ORIGIN_M[2]
     upper, lower = front[front[:, 1] > joint - 1e-9], front[front[:, 1] < joint + 1e-9]
     outlines = (
@@ -361,7 +359,7 @@ def pieces_m(
         corners = np.array(outline)[ConvexHull(np.array(outline)).vertices]
         pieces.append(
             np.array(
-                [[x, side * 0.5 * width_m, z] for side in (-1, 1) for x, z in corners]
+                [[x, side * 0.5 * WIDTH_M, z] for side in (-1, 1) for x, z in corners]
             )
         )
     return pieces

@@ -52,7 +52,6 @@ def measured(
     text: str,
     panel: str,
     *,
-    least: float = 0.0,
     is_positive: bool = False,
     show_default: bool | str = True,
 ) -> Any:
@@ -63,7 +62,6 @@ def measured(
         unit: Unit of the quantity, which the help shows in place of a type; empty for a number without a unit.
         text: Line of help.
         panel: Panel of the help.
-        least: Smallest value.
         is_positive: Whether zero is refused.
         show_default: Text for a default that is no number.
     """
@@ -76,8 +74,8 @@ def measured(
         if number is None:
             form = f" in {unit}, as 2 or 2{unit}" if unit else ", as 2"
             raise typer.BadParameter(f"{given!r}: expected a number{form}")
-        if number < least or (is_positive and number == 0.0):
-            wanted = "a positive number" if is_positive else f"{least:g} or more"
+        if number < 0.0 or (is_positive and number == 0.0):
+            wanted = "a positive number" if is_positive else "0 or more"
             raise typer.BadParameter(f"{given!r}: expected {wanted}")
         return number
 

@@ -237,7 +237,6 @@ def grid(
     *,
     number_from: int = 99,
     look: str = "stack dense",
-    notes: tuple[str, ...] = (),
 ) -> Table:
     """Return a table of cells that are texts or markup already.
 
@@ -246,13 +245,12 @@ def grid(
         rows: The cells.
         number_from: First column of numbers.
         look: Classes of the table on a page.
-        notes: Lines below the table.
     """
     columns = (
         Column(str(index), title, lambda cell: cell, is_number=index >= number_from)
         for index, title in enumerate(titles)
     )
-    return Table(columns=tuple(columns), rows=list(rows), notes=notes, look=look)
+    return Table(columns=tuple(columns), rows=list(rows), look=look)
 
 
 def _lines(table: Table, wide: bool, width: int) -> Iterator[Text]:

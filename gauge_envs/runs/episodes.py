@@ -230,20 +230,12 @@ def run_request(request: RunRequest) -> list[Result]:
         )
 
 
-def episode_result(
-    env: gymnasium.Env[Any, Any],
-    info: Mapping[str, Any],
-    *,
-    wall_s: float | None = None,
-    cpu_s: float | None = None,
-) -> Result:
+def episode_result(env: gymnasium.Env[Any, Any], info: Mapping[str, Any]) -> Result:
     """Return the result of an episode that has just ended.
 
     Args:
         env: Environment made by `gymnasium.make`, which the caller has stepped to the end.
         info: The `info` of its last step.
-        wall_s: Duration of the episode [s].
-        cpu_s: CPU time of the process in the episode [s].
     """
     from gauge_envs.envs.env import GaugeEnv
 
@@ -257,7 +249,7 @@ def episode_result(
         inner.episode,
         info["score"],
         engine_versions=inner.versions,
-        times_s=(wall_s, cpu_s),
+        times_s=(None, None),
     )
 
 
