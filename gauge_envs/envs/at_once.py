@@ -132,8 +132,14 @@ class EpisodesAtOnce(EpisodesOneByOne):
         self._bounds = RigidBoundsOfWorlds(
             [episode.experiment.scene for episode in self._episodes]
         )
-        self._samples[0] = self._observed(0)
-        self._record(self._every, self.worlds.body_states(self._dynamic))
+        states = self.worlds.body_states(self._dynamic)
+        # As a single world reads its start; an engine may round a place otherwise than a state.
+        self._samples[0] = (
+            1e3 * states[:, self._rows, :3].reshape(len(states), -1)
+            if self._markers is None
+            else self._observed(0)
+        )
+        self._record(self._every, states)
 
     def step(self, actions: Any) -> None:
         """Run a frame of the episodes that are not over."""
@@ -391,8 +397,7 @@ class BatchReward:
 def episodes_in_lockstep(
     arguments: EnvArguments,
     experiments: Sequence[Experiment],
-    stated: Experiment,
-    band: Band | None,
+    bands: Sequence[Band | None],
     *,
     together: bool = True,
     worlds: Worlds | None = None,
@@ -400,17 +405,16 @@ def episodes_in_lockstep(
     """Build worlds and their episodes. They run at once if the engine and the experiment allow it.
 
     Args:
-        arguments: Engine, settings and marker proxy; and the reference of worlds that do not have the stated one.
+        arguments: Engine, settings and marker proxy; and the reference of worlds that start as a single-shot trial.
         experiments: The experiment of each world; they differ in starts and constants.
-        stated: The experiment without the changes of the worlds.
-        band: Its band. Worlds with other constants, or with the start of a single-shot trial, have bands of their own.
+        bands: Band of each other world, which is that of its constants at their stated start.
         together: Whether the engine may build the worlds as one simulation.
         worlds: Worlds at the starts of the experiments, which are built otherwise.
     """
     if worlds is None:
         for one in experiments:
             check_support(one, arguments.backend)
-        engine = backend_for(arguments.backend, stated.model_file)
+        engine = backend_for(arguments.backend, experiments[0].model_file)
         scenes = [one.scene for one in experiments]
         worlds = worlds_in_intervals(
             engine, scenes, arguments.settings, together=together
@@ -419,13 +423,11 @@ def episodes_in_lockstep(
         Episode(
             one,
             world,
-            band=band
-            if one.trial is None and one.overrides == stated.overrides
-            else arguments.band(one),
+            band=band if one.trial is None else arguments.band(one),
             marker_proxy=arguments.proxy,
             backend=arguments.default_backend,
         )
-        for one, world in zip(experiments, worlds.worlds, strict=True)
+        for one, band, world in zip(experiments, bands, worlds.worlds, strict=True)
     ]
     # Single-shot trials have a band each.
     if worlds.are_separate or experiments[0].trial is not None:

@@ -169,6 +169,10 @@ class GaugeVectorEnv(WorldsEnvironment[Observation]):
             else experiment
             for one in constants
         ]
+        self._bands = [
+            self.band if one is experiment else self.arguments.band(one)
+            for one in self._stated
+        ]
         self._build(self._stated)
         self._set_spaces(num_envs, self.episodes[0])
 
@@ -183,7 +187,7 @@ class GaugeVectorEnv(WorldsEnvironment[Observation]):
             else:
                 self._free()
         self._lockstep = episodes_in_lockstep(
-            self.arguments, experiments, self.experiment, self.band, worlds=kept
+            self.arguments, experiments, self._bands, worlds=kept
         )
         self._is_reset = False
 
@@ -277,7 +281,16 @@ class GaugeVectorEnv(WorldsEnvironment[Observation]):
             [episode.is_over and episode.fault is None for episode in self.episodes]
         )
         samples[~over] = np.nan
-        return score_worlds(self.experiment, self.band, times_s=times_s, values=samples)
+        scores: dict[str, FloatArray] = {}
+        # A law depends on where a world's constants let it start; each band scores its worlds in one pass.
+        for band in {id(one.band): one.band for one in self.episodes}.values():
+            rows = [one.band is band for one in self.episodes]
+            found = score_worlds(
+                self.experiment, band, times_s=times_s, values=samples[rows]
+            )
+            for key, values in found.items():
+                scores.setdefault(key, np.full(self.num_envs, np.nan))[rows] = values
+        return scores
 
     def deformations(self) -> tuple[DeformationScore | None, ...]:
         """Return the statistics of deformation of each world's episode; see `GaugeEnv.deformation`."""

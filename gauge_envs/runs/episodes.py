@@ -72,7 +72,7 @@ def run_episodes(request: RunRequest) -> list[Result]:
         for start, seed in zip(starts, seeds, strict=True)
     ]
     lockstep = episodes_in_lockstep(
-        request, runs, experiment, request.band(experiment), together=together
+        request, runs, [request.band(experiment)] * len(runs), together=together
     )
     try:
         began_s = time.perf_counter(), time.process_time()

@@ -91,7 +91,7 @@ def scattered_runs(
     spread = asdict(request.jitter or Jitter())
     jitter = Jitter(**{name: share * std for name, std in spread.items()})
     experiments = [jittered_experiment(experiment, jitter, seed=seed) for seed in seeds]
-    lockstep = episodes_in_lockstep(request, experiments, experiment, None)
+    lockstep = episodes_in_lockstep(request, experiments, [None] * len(seeds))
     try:
         lockstep.play(seeds[0])
         return [

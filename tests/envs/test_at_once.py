@@ -19,7 +19,7 @@ from gauge_envs.experiments.resolve import load_experiment
 
 
 def zeros(envs):
-    return np.zeros(envs.num_envs, dtype=np.int64)
+    return np.zeros(envs.action_space.shape, dtype=np.int64)
 
 
 @pytest.mark.parametrize(
@@ -123,10 +123,19 @@ def test_training_leaves_scores_out():
             )
 
 
-def test_separate_simulations_give_the_same_arrays():
-    envs = gymnasium.make_vec("GAUGE/SlopeSlider-2-wood", num_envs=2, score_arrays=True)
+@pytest.mark.parametrize(
+    ("name", "place_m"),
+    [("SlopeSlider-2-wood", None), ("Turntable-1-wood", (0.46, 0.40688, 0.213902))],
+)
+def test_separate_simulations_give_the_same_arrays(name, place_m):
+    """The law of a world is that of the place at which its constants let it start."""
+    constants = [{}, {"cube.position_m": place_m}] if place_m else None
+    envs = gymnasium.make_vec(
+        f"GAUGE/{name}", num_envs=2, world_parameters=constants, score_arrays=True
+    )
     envs.reset(seed=1)
-    for _ in range(18):
+    infos = {}
+    while "rmse" not in infos:
         *_, infos = envs.step(zeros(envs))
     assert infos["rmse"] == pytest.approx(
         [score.rmse for score in envs.unwrapped.scores()], rel=1e-9
