@@ -241,8 +241,7 @@ class ShapeFollower:
         # The board and the shadow on it lie beyond the core.
         core = seen[np.abs(across_px[is_known]) <= CORE * self._size_px, start:end]
         if self._task.motion is Motion.SLIDE and self._task.law and core.any():
-            place_px = across_px[start:end]
-            away_px = float((core @ place_px).sum() / core.sum())
+            away_px = core.sum(axis=0) @ across_px[start:end] / core.sum()
             self._place_face(sight, away_px, is_first=is_first)
 
     def _place_face(self, sight: Sight, away_px: float, *, is_first: bool) -> None:
@@ -257,18 +256,16 @@ class ShapeFollower:
             away_px: The middle of what is seen, from that place along the motion [px].
             is_first: Whether the cube is at its first place.
         """
-        direction = np.array(self._task.direction)
-        way_px = float((sight.place - self._start) @ direction)
+        direction, half_px = np.array(self._task.direction), 0.5 * self._size_px
+        places = np.array([sight.place, 0.5 * np.array(REFERENCE_SIZE_PX)])
+        way_px, straight_px = (places - self._start) @ direction
         seen_px = way_px + away_px
-        if self._beside_px is None and is_first:
+        if is_first and self._beside_px is None:
             self._beside_px = seen_px
-        beside_px, half_px = self._beside_px or 0.0, 0.5 * self._size_px
-        middle_px = 0.5 * np.array(REFERENCE_SIZE_PX)
-        straight_px = float((middle_px - self._start) @ direction)
-        left_px = straight_px - seen_px
+        beside_px, left_px = self._beside_px or 0.0, straight_px - seen_px
         beyond_px = left_px - np.clip(left_px, -half_px, half_px)
-        face_px = seen_px - beside_px * beyond_px / (straight_px - half_px - beside_px)
-        sight.place = sight.place + (face_px - way_px) * direction
+        added_px = beside_px * beyond_px / (straight_px - half_px - beside_px)
+        sight.place = sight.place + (away_px - added_px) * direction
 
 
 def _uncovered(

@@ -418,12 +418,14 @@ def _straight(
         before = later[0]
     while start + 1 < established and along[start + 1] - before <= RELEASED_PX:
         start += 1
-    end = len(rows) - 1
+    end, steps = len(rows) - 1, np.diff(seen)
     if task.motion is Motion.FALL and rows[-1] < len(track.frames) - 1:
         # A ball that is lost has often hit the ground, and the last frame that shows it may contain that.
         end -= 1
     for row in range(established, len(rows) - 1):
-        if task.motion is Motion.FALL and along[row + 1] - along[row] < -REVERSAL_PX:
+        # The median hides a low rebound; a slip takes no two steps back.
+        back = min(along[row + 1] - along[row], steps[row : row + 2].max())
+        if task.motion is Motion.FALL and back < -REVERSAL_PX:
             # The median hides where a reversal is sharp. The frame next to an impact may lie after it.
             end = int(seen[: row + 1].argmax()) - 1
             break

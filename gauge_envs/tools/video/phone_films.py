@@ -20,7 +20,12 @@ from gauge_envs.tools.video import laws
 from gauge_envs.tools.video.board import board_poses, outer_corners
 from gauge_envs.tools.video.frames import Frames, Picture, cv2
 from gauge_envs.tools.video.plane import Calibration, CameraFile, main_direction
-from gauge_envs.tools.video.scoring import VideoScore, noise_px, score_track
+from gauge_envs.tools.video.scoring import (
+    VideoScore,
+    noise_px,
+    score_track,
+    swing_of,
+)
 from gauge_envs.tools.video.tasks import (
     REFERENCE_SIZE_PX,
     Motion,
@@ -332,19 +337,16 @@ def _drawn(result: VideoScore, task: VideoTask, calibration: Calibration) -> Est
     track = result.track
     first, last = np.searchsorted(track.frames, result.interval_frames)
     rng, noise = np.random.default_rng(0), noise_px(track, (first, last))
-    rows = np.flatnonzero(track.is_found[: last + 1])
-    rows = rows[rows >= first]
-    period, damping = result.metrics["pd"], result.details.get("damping_per_s", 0.0)
+
+    found = {**result.metrics, **result.details}
+    known = {name: value for name, value in found.items() if value is not None}
+    if not known:
+        return None, None
 
     def judged(points_px: FloatArray) -> float:
         sample = replace(track, points_px=points_px)
-        if period is None:
-            return restitution(sample, task)
-        angles = laws.swing_angles_rad(sample, task)
-        guess = (damping, 2.0 * math.pi / period)
-        return laws.fit_damped_oscillation(
-            track.times_s[rows], angles[rows], guess=guess
-        ).damping_per_s
+        swing = swing_of(sample, task, (first, last), known)
+        return restitution(sample, task) if swing is None else swing.damping_per_s
 
     try:
         values = [judged(track.points_px)]

@@ -8,6 +8,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import nnls
 
 from gauge_envs.errors import ParameterError, VideoError
 from gauge_envs.files import json_ready
@@ -41,9 +42,16 @@ JUMP = 1.0
 """Distance from where an object that goes on, stops or turns can be when it is seen next, in its sizes, after which
 another one may be followed."""
 
+FIRM_PX = 1e6
+"""Weight of what must hold exactly among distances in a picture [px]."""
+
 MOST_BESIDE, MOST_HIDDEN = 1.25, 3
 """Largest distance from its row, less the way of a frame, at which a ball of a cradle is first or last seen, in its
 sizes, as beside its neighbours it is not told from them; and frames in which a post may hide it meanwhile."""
+
+FREE = 7.0
+"""Distance from its first place, in its sizes, within which nothing hides a cube on its board or a ball that falls, and
+the picture does not end."""
 
 RELEASE_FRAMES = 6.0
 """Frames before and after the first retained one between which rest ends."""
@@ -114,12 +122,11 @@ def faults_of(
                 faults.append(
                     f"the object is first seen {away:.1f} of its size from its place in the known first frame"
                 )
-    jump = _vanishing(track, task) if is_cradle else _jump(track, task, found)
-    faults += [jump] if jump else []
-    clock = (
-        "" if span is None else clock_fault(track, task, span, noise_px(track, span))
-    )
-    faults += [clock] if clock else []
+    broken = [_vanishing(track, task) if is_cradle else _jump(track, task, found)]
+    if span is not None:
+        broken.append(_end_on_way(track, task, span))
+        broken.append(clock_fault(track, task, span, noise_px(track, span)))
+    faults += filter(None, broken)
     faults += [
         one.text
         for one in inside
@@ -224,19 +231,25 @@ def _vanishing(track: Track, task: VideoTask) -> str:
     return ""
 
 
+def _end_on_way(track: Track, task: VideoTask, span: tuple[int, int]) -> str:
+    """Return where an object is seen for the last time, while it slides or falls, though nothing hides it there."""
+    if task.motion not in (Motion.SLIDE, Motion.FALL) or not task.law:
+        return ""
+    row = int(np.flatnonzero(track.is_found)[-1])
+    away = math.dist(track.points_px[row], task.centre_px) / task.size_px
+    is_short = len(track.frames) - 1 - row <= MOST_HIDDEN
+    # A fall is retained up to the last frame but one.
+    if is_short or row > span[1] + 1 or away > FREE:
+        return ""
+    return f"the object vanishes on its way: frame {track.frames[row]} is the last that shows it"
+
+
 def _from_triangle_px(place: FloatArray, one: FloatArray, other: FloatArray) -> float:
     """Return the distance of a place from the triangle of zero and two others, all of shape [2]."""
-    sides = np.column_stack([one, other])
-    shares = np.linalg.lstsq(sides, place, rcond=None)[0]
-    if shares.min() >= 0.0 and shares.sum() <= 1.0:
-        return float(np.linalg.norm(place - sides @ shares))
-    corners = [np.zeros(2), one, other]
-    nearest = math.inf
-    for start, end in zip(corners, [*corners[1:], corners[0]], strict=True):
-        side = end - start
-        share = np.clip((place - start) @ side / max(side @ side, 1e-9), 0.0, 1.0)
-        nearest = min(nearest, math.dist(place, start + share * side))
-    return nearest
+    # Shares of the three corners are not negative, and their sum is held to 1.
+    corners = np.column_stack([one, other, np.zeros(2)])
+    _, away_px = nnls(np.vstack([corners, np.full(3, FIRM_PX)]), [*place, FIRM_PX])
+    return float(away_px)
 
 
 def _runs(frames: NDArray[np.int64]) -> str:
@@ -520,7 +533,7 @@ def _slow_noise(track: Track, rng: np.random.Generator) -> FloatArray:
     return np.column_stack([np.interp(rows, knots, values[:, axis]) for axis in (0, 1)])
 
 
-def _swing(
+def swing_of(
     track: Track, task: VideoTask, span: tuple[int, int], nominal: Metrics
 ) -> laws.OscillationFit | None:
     """Return the fit of a pendulum's swing in fractions of pixels; None for other motions."""
@@ -541,7 +554,7 @@ def _intervals(
 ) -> dict[str, tuple[float, float]]:
     """Return the interval of each metric, over simulated noise, scales, pivots and choices of the interval."""
     noise, rng = noise_px(track, span), np.random.default_rng(0)
-    swing = _swing(track, task, span, nominal)
+    swing = swing_of(track, task, span, nominal)
     guess = None if swing is None else swing.guess
     rows = _found(track, span)
     scale_sigma = math.hypot(FRAMING_SIGMA, 0.5 * task.size_sigma_px / task.size_px)

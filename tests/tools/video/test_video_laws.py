@@ -2,15 +2,18 @@
 
 import numpy as np
 import pytest
+from clips import track_of
 from scipy import stats
 
 from gauge_envs.errors import ParameterError
+from gauge_envs.tools.video import video_task
 from gauge_envs.tools.video.laws import (
     apices,
     dynamic_error,
     fit_constant_acceleration,
     fit_damped_oscillation,
     peak,
+    retained,
 )
 
 TIMES_S = np.arange(40) / 30.0
@@ -148,3 +151,18 @@ def test_an_apex_lies_between_two_frames():
     assert peak(times_s, 0.05 - 3.0 * (times_s - 0.22) ** 2) == pytest.approx(0.05)
     # Three places that are nearly a line have their other vertex far away.
     assert peak(times_s, 0.05 - 0.1 * times_s - 1e-9 * times_s**2) < 0.05
+
+
+def test_a_fall_ends_at_a_low_rebound():
+    """A ball that comes down with 2.5 m/s and rises by 17 mm is back in four frames: the third one is higher again."""
+    task = video_task("BouncingBall-rubber")
+    release_s, a, fall_m, restitution = 0.2, 7.87, 0.42, 0.2
+    fall_s = (2.0 * fall_m / a) ** 0.5
+    since_s = TIMES_S[:24] - release_s
+    late_s = np.clip(since_s - fall_s, 0.0, 2.0 * restitution * fall_s)
+    rise_m = restitution * a * fall_s * late_s - 0.5 * a * late_s**2
+    way_m = 0.5 * a * np.clip(since_s, 0.0, fall_s) ** 2 - rise_m
+    way_px = way_m[:, None] / task.scale_m_per_px
+    track = track_of(task.centre_px + way_px * np.array(task.direction), 30.0)
+    _, last = retained(track, task)
+    assert since_s[last] < fall_s < since_s[last + 2]

@@ -391,6 +391,20 @@ def test_a_jump_while_the_object_is_lost_is_named(speed_px, count, away):
 
 
 @pytest.mark.parametrize(
+    ("last", "shown", "is_named"), [(22, 40, True), (22, 25, False), (35, 40, False)]
+)
+def test_a_cube_that_is_lost_on_the_board_has_vanished(last, shown, is_named):
+    """It may leave the picture at the end of the board, and a clip may end in the last frames that show it."""
+    track = driven(SLIDE.id, 2.7)
+    places = track.points_px[:shown].copy()
+    places[last + 1 :] = np.nan
+    reasons = score_track(track_of(places, 30.0), SLIDE).reasons
+    assert any(f"vanishes on its way: frame {last}" in one for one in reasons) is (
+        is_named
+    )
+
+
+@pytest.mark.parametrize(
     ("field", "later", "words"),
     [
         ("size_ratio", 1.4, "its size by up to +40%"),
