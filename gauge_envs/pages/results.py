@@ -283,11 +283,18 @@ NO_MARKERS = (
 )
 """Why a result that is compared with a solution has no distance to it."""
 
+OTHER_CONSTANTS = (
+    "not judged: the law is of the calibrated constants, and these are others"
+)
+"""Verdict on a result whose distance from a law also holds what its constants change."""
+
 MAX_CAUSES = 3
 """Number of inputs that are named as possible causes of an error."""
 
 
-def reality_lines(name: str, score: Score) -> Iterator[str]:
+def reality_lines(
+    name: str, score: Score, *, has_other_constants: bool = False
+) -> Iterator[str]:
     """Yield whether a result could be a real trial by its distance, and what uncertain inputs can explain of it.
 
     Of a law or a solved model the line says how well the engine solves the scene.
@@ -295,10 +302,14 @@ def reality_lines(name: str, score: Score) -> Iterator[str]:
     Args:
         name: Name of the result.
         score: Its score.
+        has_other_constants: Whether the scene is not the one of which a law is.
     """
     if score.primary is None:
         return
     if BandGrade(score.grade).is_solution:
+        if has_other_constants:
+            yield f"{name}: {OTHER_CONSTANTS}."
+            return
         yield (
             f"{name}: {NO_MARKERS}."
             if score.verification is None

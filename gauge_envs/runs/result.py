@@ -304,6 +304,12 @@ class Result:
         return bool(self.asset.get("edited"))
 
     @property
+    def has_other_constants(self) -> bool:
+        """Whether the scene is not the calibrated one, of which the laws of the package are."""
+        is_asset = self.is_edited and not self.has_experiment_file
+        return self.parameters != "calibrated" or is_asset
+
+    @property
     def has_experiment_file(self) -> bool:
         """Whether the experiment is that of a user's experiment file."""
         return self.asset.get("kind") == AssetKind.EXPERIMENT

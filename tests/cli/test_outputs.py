@@ -31,6 +31,7 @@ EPISODES = {
     "run-markdown": "run SlopeSlider-2-wood --format markdown",
     "run-json": "run SlopeSlider-2-wood SlopeSlider-1-wood --json --seed=3 --set iterations=50",
     "run-declined": "run FoamBending-soft SlopeSlider-2-wood",
+    "run-gravity": "run NonsmoothContact-1-wood --parameter scene.gravity_m_per_s2=5",
     "run-no-set": "run 'BouncingBall-*' 'Turntable-1-*' --parameter effective",
     "score": "score slide.csv --id SlopeSlider-2-wood",
     "score-json": "score slide.csv --id SlopeSlider-2-wood --json",

@@ -9,6 +9,7 @@ from gauge_envs.evaluation.uncertainty import BudgetEntry
 from gauge_envs.pages.document import Document, Paragraph, Tone
 from gauge_envs.pages.results import (
     ALIGNED,
+    OTHER_CONSTANTS,
     SCATTER_NOTE,
     SCORE_METRICS,
     VERIFICATION_NOTE,
@@ -237,7 +238,9 @@ def verification_table(results: Sequence[Result]) -> Table:
                     else interval_text(one.scaled, one.scaled_95),
                     "frozen": with_unit(score_text(one.frozen), one.unit),
                     "power": one.power,
-                    "verdict": one.verdict,
+                    "verdict": OTHER_CONSTANTS
+                    if result.has_other_constants
+                    else one.verdict,
                     "convergence": discretization_text(
                         result, convergence_rows(result.backend, result.id)
                     )
@@ -358,7 +361,9 @@ def _remarks(result: Result) -> Iterator[str]:
     """Yield what the table does not say of a result."""
     name = short_id(result.id)
     if result.score.verification is None:
-        yield from reality_lines(name, result.score)
+        yield from reality_lines(
+            name, result.score, has_other_constants=result.has_other_constants
+        )
     if (found := result.score.validation) is not None:
         yield from (f"{name}: no interval of {reason}." for reason in found.refused)
         count = found.trial_count

@@ -251,7 +251,11 @@ def _causes(site: Site, results: Results) -> Parts:
     lines = [
         join([site.swatch(index), line])
         for index, result in results.items()
-        for line in reality_lines(site.labels[index], result.score)
+        for line in reality_lines(
+            site.labels[index],
+            result.score,
+            has_other_constants=result.has_other_constants,
+        )
     ]
     return [Heading("The distance in words"), listed(lines)] if lines else []
 
