@@ -164,12 +164,13 @@ def test_the_phenomenon_is_right_in_the_presets_and_wrong_where_a_fault_is_plant
         others["tests/tools/sanity/planted.py"], vars(planted)
     ).items()
     assert fault in planted.PLANTED
+    assert name in changed.rows.split()
     for one, verdict in ((None, Verdict.INSIDE), (changed, Verdict.WRONG)):
         (row,) = check(
             mujoco.MjModel.from_xml_string(planted.model_xml(one)), only=[name]
         ).rows
         assert row.verdict is verdict
-    assert set(row.cause.settings) & set(changed.culprits)
+    assert set(row.cause.settings) & set(changed.culprits.split())
 
 
 @guide("adding_a_phenomenon.md")
