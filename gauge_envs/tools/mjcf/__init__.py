@@ -5,11 +5,11 @@ from typing import TYPE_CHECKING
 from gauge_envs.registry import door
 
 if TYPE_CHECKING:
-    from gauge_envs.tools.mjcf.reader import (
+    from gauge_envs.tools.mjcf.drivers import (
         DRIVER_COLUMNS as DRIVER_COLUMNS,
         DRIVER_PREFIX as DRIVER_PREFIX,
-        PROBE as PROBE,
     )
+    from gauge_envs.tools.mjcf.reader import PROBE as PROBE
     from gauge_envs.tools.mjcf.writer import (
         NUMBER as NUMBER,
         expanded as expanded,

@@ -23,7 +23,6 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import mujoco
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.base import ModelFile
 from gauge_envs.backends.mujoco.flex import FlexPart, flex_table
@@ -36,7 +35,7 @@ from gauge_envs.backends.mujoco.model import (
 from gauge_envs.backends.mujoco.model_settings import option_settings
 from gauge_envs.backends.mujoco.settings import settings_for
 from gauge_envs.backends.shared.rigid import hinges_by_body
-from gauge_envs.errors import AssetError, ShapeError, first_names
+from gauge_envs.errors import AssetError, first_names
 from gauge_envs.files import MEGABYTE, child_refusal, read_regular
 from gauge_envs.scene import (
     BodyHinge,
@@ -47,23 +46,18 @@ from gauge_envs.scene import (
     RigidBody,
     Scene,
 )
-from gauge_envs.scene.driver_fit import sampled_motions
-from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.geometry import FloatArray, length_of, vector
 from gauge_envs.scene.hinged import other_end, parent_hinges
 from gauge_envs.scene.motors import Servo
-from gauge_envs.scene.timing import DRIVE_INTERVAL_S, FRAME_RATE_HZ
+from gauge_envs.scene.timing import DRIVE_INTERVAL_S
 from gauge_envs.tools.mjcf.diff import format_value, is_same, model_changes, same_or
+from gauge_envs.tools.mjcf.drivers import numerics, pose_of, read_driver
 
 if TYPE_CHECKING:
     from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
-    from gauge_envs.scene.driver_path import DriverPath
 
 AnyHinge = TypeVar("AnyHinge", Hinge, BodyHinge)
 
-
-DRIVER_PREFIX = "driver/"
-"""Prefix of the custom numeric with the motion of a driven body; the name of the body follows."""
 
 STATED_SETTINGS = (
     "timestep_s",
@@ -76,18 +70,12 @@ STATED_SETTINGS = (
 )
 """Settings that a result of a file holds."""
 
-DRIVER_COLUMNS = 19
-"""Number of columns of driven motion: qpos 7, qvel 6, xfrc_applied 6."""
-
 SHORTEST_STEP_S = 1e-7
 
 PROBE = Path(__file__).with_name("probe.py")
 """Script that loads an MJCF file in a child process."""
 
 MOST_FILE_BYTES = 16 * MEGABYTE
-
-SAME_MOTION = 1e-6
-"""Relative difference below which rows of driven motion are equal; accelerations are second differences of poses."""
 
 
 # --- loading ---------------------------------------------------------------------------------------------------------
@@ -164,15 +152,9 @@ def _settings(path: Path, model: mujoco.MjModel) -> dict[str, Any]:
 # --- custom numbers --------------------------------------------------------------------------------------------------
 
 
-def _numerics(model: mujoco.MjModel) -> dict[str, FloatArray]:
-    """Return the custom numbers of a model, by name."""
-    numerics = [model.numeric(index) for index in range(model.nnumeric)]
-    return {numeric.name: numeric.data for numeric in numerics}
-
-
 def _complete(path: Path, model: mujoco.MjModel) -> None:
     """Apply the file's custom numbers to the compiled flex tables."""
-    numbers = _numerics(model)
+    numbers = numerics(model)
     for name, values in numbers.items():
         table, _, rest = name.partition("/")
         body, _, part = rest.rpartition("/")
@@ -268,7 +250,7 @@ def read_model(path: Path, scene: Scene, simulation: SimulationMuJoCo) -> ModelF
     changes = [*model_changes(model, built), *_velocity_changes(scene, placed)]
     drivers = []
     for driver in placed.drivers:
-        read = _driver(path, model, placed, driver, simulation)
+        read = read_driver(path, model, placed, driver, simulation)
         drivers.append(read)
         if read != driver:
             changes.append(
@@ -384,7 +366,7 @@ def _poses(model: mujoco.MjModel, scene: Scene) -> Iterator[Pose]:
         if same_rotation and is_same(place.xpos, body.pose.position_m):
             yield body.pose
         else:
-            yield _pose(place.xpos, place.xquat)
+            yield pose_of(place.xpos, place.xquat)
 
 
 def _started(path: Path, model: mujoco.MjModel, scene: Scene) -> Iterator[RigidBody]:
@@ -480,11 +462,6 @@ def _velocity_changes(before: Scene, after: Scene) -> Iterator[str]:
                 yield f"{old.name}: {name} {format_value(getattr(old, name))} -> {format_value(getattr(new, name))}"
 
 
-def _pose(position_m: FloatArray, quaternion: FloatArray) -> Pose:
-    w, x, y, z = quaternion.tolist()
-    return Pose(position_m=vector(position_m), quaternion=(w, x, y, z))
-
-
 def _mass_kg(model: mujoco.MjModel, built: mujoco.MjModel, body: RigidBody) -> float:
     """Return the mass of a body in a file. Driven bodies keep the scene's mass, since theirs is a numerical setting."""
     mass, expected = (float(one.body(body.name).mass[0]) for one in (model, built))
@@ -536,113 +513,3 @@ def _hinge(
     if is_same(anchor, expected[0]) and is_same(axis, expected[1]):
         return hinge
     return replace(hinge, anchor_m=vector(anchor), axis=vector(axis))
-
-
-def driver_rows(
-    simulation: SimulationMuJoCo, path: DriverPath, count: int
-) -> FloatArray:
-    """Return the numbers that the backend writes to drive a body, interval by interval.
-
-    Args:
-        simulation: A simulation of the scene; its driven body moves.
-        path: Motion of the driven body.
-        count: Number of intervals.
-
-    Returns:
-        qpos (7), qvel (6) and xfrc_applied (6) before each interval, shape [count, 19].
-    """
-    model, data = simulation.model, simulation.data
-    joint, body = model.joint(path.body), model.body(path.body)
-    position, speed = int(joint.qposadr[0]), int(joint.dofadr[0])
-    still = np.zeros(path.motion_count)
-    rows = np.empty((count, DRIVER_COLUMNS))
-    for sample, row in enumerate(rows):
-        simulation.drive(path.body, *path.interval(sample, still))
-        row[:7] = data.qpos[position : position + 7]
-        row[7:13] = data.qvel[speed : speed + 6]
-        row[13:] = data.xfrc_applied[body.id]
-    return rows
-
-
-def _driver(
-    path: Path,
-    model: mujoco.MjModel,
-    scene: Scene,
-    driver: Driver,
-    simulation: SimulationMuJoCo,
-) -> Driver:
-    """Return the scene's driver if the file's rows equal its motion, otherwise a driver through the rows' poses."""
-    from gauge_envs.scene.driver_path import DriverPath
-
-    name = f"{DRIVER_PREFIX}{driver.body}"
-    numbers = _numerics(model).get(name)
-    if numbers is None:
-        raise AssetError(
-            path,
-            name,
-            "the custom numeric with the motion of this driven body is missing: add it",
-        )
-    if numbers.size == 0 or numbers.size % DRIVER_COLUMNS:
-        raise AssetError(
-            path,
-            name,
-            f"it has {numbers.size} numbers: whole rows of {DRIVER_COLUMNS} are expected",
-        )
-    rows = numbers.reshape(-1, DRIVER_COLUMNS)
-    count = round(scene.duration_s / DRIVE_INTERVAL_S)
-    rows = rows[np.minimum(np.arange(count), len(rows) - 1)]
-    frame_count = round(scene.duration_s * FRAME_RATE_HZ) + 1
-    expected = driver_rows(simulation, DriverPath(driver, scene, frame_count), count)
-    expected[:, 13:] *= (
-        model.body(driver.body).mass[0] / simulation.model.body(driver.body).mass[0]
-    )
-    if _same_rows(rows, expected):
-        return driver
-    if _same_rows(rows[:, :7], expected[:, :7]):
-        raise AssetError(
-            path,
-            name,
-            "velocities or forces changed but poses did not: change the poses",
-        )
-    poses = [
-        *(_pose(row[:3], row[3:7]) for row in rows),
-        _end_of(rows[-1], model.body(driver.body).mass[0]),
-    ]
-    start = scene.body(driver.body).pose
-    if not _same_rows(rows[:1, :7], np.array([[*start.position_m, *start.quaternion]])):
-        raise AssetError(
-            path,
-            name,
-            f"its rows start at {format_value(rows[0, :7])}, but the body elsewhere: make both poses equal",
-        )
-    try:
-        motions = sampled_motions(
-            start,
-            (np.arange(count + 1) * DRIVE_INTERVAL_S).tolist(),
-            poses,
-            like=driver.motions,
-        )
-    except ShapeError as error:
-        raise AssetError(path, name, str(error)) from error
-    return replace(
-        driver,
-        motions=motions,
-        provenance=f"nominal: edited in {path.name}, was {driver.provenance}",
-    )
-
-
-def _end_of(row: FloatArray, mass_kg: float) -> Pose:
-    """Return the pose at the end of the interval of a row of driven motion."""
-    seconds = DRIVE_INTERVAL_S
-    rotation = Rotation.from_quat(row[3:7], scalar_first=True)
-    rates = np.concatenate([row[7:10], rotation.apply(row[10:13])])
-    displacement = rates * seconds + 0.5 * row[13:] / mass_kg * seconds**2
-    return Pose.from_rotation(
-        vector(row[:3] + displacement[:3]),
-        Rotation.from_rotvec(displacement[3:]) * rotation,
-    )
-
-
-def _same_rows(rows: FloatArray, expected: FloatArray) -> bool:
-    size = np.abs(expected).max(axis=0, initial=0.0)
-    return bool((np.abs(rows - expected) <= SAME_MOTION * np.maximum(size, 1e-3)).all())

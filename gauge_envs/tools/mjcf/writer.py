@@ -22,7 +22,7 @@ from gauge_envs.scene import Scene
 from gauge_envs.scene.driver_path import DriverPath
 from gauge_envs.scene.geometry import FloatArray, IntArray
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
-from gauge_envs.tools.mjcf.reader import DRIVER_PREFIX, driver_rows
+from gauge_envs.tools.mjcf.drivers import DRIVER_PREFIX, driver_rows
 
 NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?")
 

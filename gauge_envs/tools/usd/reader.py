@@ -29,8 +29,8 @@ from gauge_envs.tools.usd.deformables import (
     read_markers,
     world_points,
 )
+from gauge_envs.tools.usd.driven import driven_body
 from gauge_envs.tools.usd.joints import (
-    driven_body,
     is_welded,
     joins_bodies,
     joint_prims,
