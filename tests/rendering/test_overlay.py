@@ -32,11 +32,18 @@ def changed(one, other):
     return np.abs(one.astype(int) - other).max(axis=2) > 40
 
 
+def drawn(name, width=240, height=180):
+    """Return the scene of an id and its renderer."""
+    experiment = load_experiment(name)
+    view = experiment_view(experiment)
+    return experiment.scene, SceneRenderer(
+        experiment.scene, {}, width, height, view=view
+    )
+
+
 @needs_opengl
 def test_balls_and_tubes_are_drawn_in_their_colour_where_their_points_are():
-    experiment = load_experiment("BouncingBall-rubber")
-    scene = experiment.scene
-    renderer = SceneRenderer(scene, {}, 480, 360, view=experiment_view(experiment))
+    scene, renderer = drawn("BouncingBall-rubber", 480, 360)
     plain = renderer.picture({}, {})
     place = np.array(scene.body("ball").pose.position_m) - [0.0, 0.0, 0.15]
     line = place + np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -0.1]])
@@ -58,9 +65,7 @@ def test_balls_and_tubes_are_drawn_in_their_colour_where_their_points_are():
 
 @needs_opengl
 def test_a_ghost_has_the_shape_of_its_body_and_lets_it_shine_through():
-    experiment = load_experiment("NonsmoothContact-1-wood")
-    scene = experiment.scene
-    renderer = SceneRenderer(scene, {}, 240, 180, view=experiment_view(experiment))
+    scene, renderer = drawn("NonsmoothContact-1-wood")
     body = scene.dynamic_bodies[0]
     pose = np.array([*body.pose.position_m, *body.pose.quaternion])
     # To the right of the picture, clear of the body.
@@ -88,9 +93,7 @@ def test_a_ghost_has_the_shape_of_its_body_and_lets_it_shine_through():
 @needs_opengl
 @pytest.mark.parametrize("name", ["SlopeSlider-2-wood", "NonsmoothContact-1-wood"])
 def test_a_ghost_that_coincides_with_its_body_is_drawn_alike_in_each_picture(name):
-    experiment = load_experiment(name)
-    scene = experiment.scene
-    renderer = SceneRenderer(scene, {}, 240, 180, view=experiment_view(experiment))
+    scene, renderer = drawn(name)
     body = scene.dynamic_bodies[0]
     pose = np.array([*body.pose.position_m, *body.pose.quaternion])
     plain = renderer.picture({body.name: pose}, {}).astype(int)
@@ -120,9 +123,7 @@ def test_a_ghost_that_coincides_with_its_body_is_drawn_alike_in_each_picture(nam
 
 @needs_opengl
 def test_markers_that_coincide_keep_the_colour_of_the_simulation():
-    experiment = load_experiment("BouncingBall-rubber")
-    scene = experiment.scene
-    renderer = SceneRenderer(scene, {}, 240, 180, view=experiment_view(experiment))
+    scene, renderer = drawn("BouncingBall-rubber")
     place = np.array([scene.body("ball").pose.position_m]) - [0.0, 0.0, 0.15]
     alone = renderer.picture({}, {}, Overlay(markers_m=place)).astype(int)
     for shift in (-1e-6, 1e-6):
