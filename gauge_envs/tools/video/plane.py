@@ -1,5 +1,6 @@
 """Films of one's own: the camera file, and how far the places in their plane may be off."""
 
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Self, TypeAlias
@@ -14,6 +15,7 @@ from pydantic import (
     model_validator,
 )
 
+from gauge_envs.errors import VideoError
 from gauge_envs.files import MEGABYTE, toml_document
 from gauge_envs.references.tables import FileModel, Model, faults_of, read_content
 from gauge_envs.scene.geometry import FloatArray
@@ -143,18 +145,43 @@ def main_direction(track: Track) -> Pair:
     return sign * float(x), sign * float(y)
 
 
+LEAST_SLOPE = 0.1
+"""Smallest sine of a slope."""
+
+METRIC_AXES = "x_mm and y_mm are in millimetres, to the right and up"
+
+MOST_ARM_ERROR = 0.3
+"""Largest relative error of the length of a swing in a track in millimetres; another unit is off by more."""
+
+
 def metric_on_grid(
     track: Track, task: VideoTask
 ) -> tuple[Track, VideoTask, Calibration]:
     """Return a track in millimetres on the grid, its task there, and that its places are exact.
 
-    A swing counts from its pivot; a slide has any direction.
+    A swing counts from its pivot; a slide has any direction that leads down.
+
+    Raises:
+        VideoError: The object goes up, or is not on the string or rod of a swing: the axes or the unit are others.
     """
     origin_px = np.array(task.pivot_px or task.centre_px)
     places_px = 1e-3 * track.points_px * [1.0, -1.0] / task.scale_m_per_px + origin_px
     track = replace(track, points_px=places_px, is_metric=False)
     if task.motion is Motion.SLIDE:
         task = replace(task, direction=main_direction(track))
+        found_px = places_px[track.is_found]
+        away, down = found_px[-1] - found_px[0]
+        if math.hypot(away, down) > max(task.size_px, down / LEAST_SLOPE):
+            raise VideoError(f"the object does not go down: {METRIC_AXES}")
+    if task.motion in (Motion.CRADLE, Motion.PENDULUM):
+        arms_px = places_px[track.is_found] - origin_px
+        hanging_px = np.subtract(task.rest_px or task.centre_px, origin_px)
+        share = np.median(np.hypot(*arms_px.T)) / math.hypot(*hanging_px)
+        if abs(share - 1.0) > MOST_ARM_ERROR or np.median(arms_px[:, 1]) < 0.0:
+            raise VideoError(
+                f"the object is not {1e3 * task.scale_m_per_px * math.hypot(*hanging_px):.0f} mm below the pivot of "
+                f"its swing: {METRIC_AXES}, from the pivot"
+            )
     exact = Calibration(points_px=places_px[:0], sigma_px=0.0)
     return track, replace(task, pivot_sigma_px=0.0), exact
 

@@ -16,7 +16,7 @@ from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.video import laws
 from gauge_envs.tools.video.clock import clock_fault
 from gauge_envs.tools.video.frames import ArrayFrames, FileFrames, Frames
-from gauge_envs.tools.video.plane import Calibration, metric_on_grid
+from gauge_envs.tools.video.plane import LEAST_SLOPE, Calibration, metric_on_grid
 from gauge_envs.tools.video.tasks import Motion, VideoTask, video_task
 from gauge_envs.tools.video.track import Track
 from gauge_envs.tools.video.tracker import track_object
@@ -60,8 +60,8 @@ LEAST_PERIODS = 0.5
 """Fewest periods by which both turns of a swing part its period from its damping and equilibrium."""
 
 
-MOST_GRAVITIES, LEAST_SLOPE = 1.2, 0.1
-"""Largest gravity that a motion may need, in that of the Earth, and smallest sine of a slope."""
+MOST_GRAVITIES = 1.2
+"""Largest gravity that a motion may need, in that of the Earth."""
 
 
 def faults_of(

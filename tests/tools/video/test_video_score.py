@@ -14,6 +14,7 @@ cv2 = pytest.importorskip("cv2")
 from clips import clip, driven, track_of, written  # noqa: E402
 from scipy import stats  # noqa: E402
 
+from gauge_envs.errors import VideoError  # noqa: E402
 from gauge_envs.experiments.resolve import load_experiment  # noqa: E402
 from gauge_envs.tools.video import (  # noqa: E402
     read_track,
@@ -297,6 +298,21 @@ def test_a_track_that_starts_elsewhere_is_not_sound(tmp_path):
     other = replace(track, points_px=track.points_px + away_px)
     result = score_track(read_track(save_track(other, tmp_path / "track.csv")), SLIDE)
     assert "first seen 2.0 of its size from its place" in result.reasons[0]
+
+
+@pytest.mark.parametrize(
+    ("name", "along_mm"),
+    [
+        (SLIDE.id, (-400.0, 250.0)),
+        ("Pendulum-metal", (20.0, 300.0)),
+        ("Pendulum-metal", (0.02, -0.3)),
+    ],
+)
+def test_a_track_in_other_axes_or_in_metres_is_refused(name, along_mm):
+    places_mm = np.linspace(0.7, 1.0, 40)[:, None] * along_mm
+    track = replace(track_of(places_mm, 30.0), is_metric=True)
+    with pytest.raises(VideoError, match="x_mm and y_mm are in millimetres"):
+        score_track(track, video_task(name))
 
 
 def swung(task, angles):
