@@ -288,7 +288,13 @@ def world_constants(
         raise ParameterError(
             f"world_parameters has {len(world_parameters)} entries for {num_envs} worlds: give one for each"
         )
-    return [{}] * num_envs if world_parameters is None else [*world_parameters]
+    constants = [*(world_parameters or ({},) * num_envs)]
+    for one in constants:
+        if not isinstance(one, Mapping):
+            raise ParameterError(
+                f"world_parameters has {one!r}: give overrides for each world, as {{'cube.friction': 0.3}}"
+            )
+    return constants
 
 
 def _listed(versions: Mapping[str, str]) -> str:

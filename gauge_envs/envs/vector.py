@@ -503,15 +503,18 @@ class ScoreEpisodes(VectorWrapper):
         env = self.env.unwrapped
         if isinstance(env, GaugeVectorEnv):
             return env.scores() if name == "score" else env.deformations()
+        env = cast("SyncVectorEnv | AsyncVectorEnv", env)
         if env.metadata["autoreset_mode"] is not AutoresetMode.SAME_STEP:
-            return cast("SyncVectorEnv | AsyncVectorEnv", env).call(name)
-        if "score" not in infos["final_info"]:
+            return env.call(name)
+        final = infos["final_info"]
+        last = env.get_attr("experiment")[0].frame_count - 1
+        if "score" not in final and ("diverged" in final or last in final["frame"]):
             raise EpisodeError(
                 "the sub-environments restart in the step that ends an episode, so its score is lost. Make them with "
                 "gymnasium.make, which scores each, or choose another autoreset mode."
             )
         none: list[None] = [None] * self.num_envs
-        return cast("Sequence[Any]", infos["final_info"].get(name, none))
+        return cast("Sequence[Any]", final.get(name, none))
 
 
 def scored_vector_env(

@@ -302,9 +302,11 @@ def _check_stated(
 
 
 def _data_source(variant: Variant, name: str, value: DataSource | str) -> DataSource:
+    if name == "reference" and value not in (DataSource.BUNDLED, DataSource.IMPORTED):
+        raise ParameterError(
+            f"reference {str(value)!r}: choose 'bundled' or 'imported'"
+        )
     source = chosen(DataSource, value, name)
-    if source is DataSource.ACTION and name == "reference":
-        raise ParameterError("reference 'action': choose 'bundled' or 'imported'")
     if source is DataSource.IMPORTED and load_imported(variant.name) is None:
         raise ParameterError(
             f"{variant.name}: {name}='imported', but no trials of it were imported; "

@@ -130,6 +130,9 @@ def test_calls_are_refused(approved):
         "seeds [0]": lambda: worlds().reset(seed=[0]),
         "worlds' option": lambda: worlds().reset(options={"jitterr": True}),
         "constants of one": lambda: worlds(world_parameters=[{}]),
+        "constants as a pair": lambda: worlds(
+            1, world_parameters=[("cube.friction", 1)]
+        ),
         "constant unknown": lambda: worlds(1, world_parameters=[{"cube.slip": 1.0}]),
         "scores of no reference": lambda: worlds(
             name="RopeWinding-rubber"

@@ -180,8 +180,13 @@ def test_bare_sub_environments_are_scored(vector):
     envs.close()
 
 
-def test_episodes_that_are_cut_short_have_no_score():
-    envs = ScoreEpisodes(SyncVectorEnv([lambda: TimeLimit(GaugeEnv(RIGID), 5)] * 2))
+@pytest.mark.parametrize("autoreset", AutoresetMode)
+def test_episodes_that_are_cut_short_have_no_score(autoreset):
+    envs = ScoreEpisodes(
+        SyncVectorEnv(
+            [lambda: TimeLimit(GaugeEnv(RIGID), 5)] * 2, autoreset_mode=autoreset
+        )
+    )
     envs.reset(seed=0)
     steps = run_to_end(envs)
     assert len(steps) == 5
