@@ -283,17 +283,17 @@ NO_MARKERS = (
 )
 """Why a result that is compared with a solution has no distance to it."""
 
-OTHER_CONSTANTS = (
-    "not judged: the law is of the calibrated constants, and these are others"
+ANOTHER_SCENE = (
+    "not judged: the solution is of the calibrated scene, and this is another one"
 )
-"""Verdict on a result whose distance from a law also holds what its constants change."""
+"""Verdict on a result whose distance from a solution also holds what its constants or its start change."""
 
 MAX_CAUSES = 3
 """Number of inputs that are named as possible causes of an error."""
 
 
 def reality_lines(
-    name: str, score: Score, *, has_other_constants: bool = False
+    name: str, score: Score, *, is_another_scene: bool = False
 ) -> Iterator[str]:
     """Yield whether a result could be a real trial by its distance, and what uncertain inputs can explain of it.
 
@@ -302,13 +302,13 @@ def reality_lines(
     Args:
         name: Name of the result.
         score: Its score.
-        has_other_constants: Whether the scene is not the one of which a law is.
+        is_another_scene: Whether the scene is not the one of which its solution is.
     """
     if score.primary is None:
         return
     if BandGrade(score.grade).is_solution:
-        if has_other_constants:
-            yield f"{name}: {OTHER_CONSTANTS}."
+        if is_another_scene:
+            yield f"{name}: {ANOTHER_SCENE}."
             return
         yield (
             f"{name}: {NO_MARKERS}."

@@ -304,10 +304,10 @@ class Result:
         return bool(self.asset.get("edited"))
 
     @property
-    def has_other_constants(self) -> bool:
-        """Whether the scene is not the calibrated one, of which the laws of the package are."""
+    def is_another_scene(self) -> bool:
+        """Whether the scene is not the calibrated one, of which the laws and solved models of the package are."""
         is_asset = self.is_edited and not self.has_experiment_file
-        return self.parameters != "calibrated" or is_asset
+        return self.parameters != "calibrated" or is_asset or bool(self.jitter)
 
     @property
     def has_experiment_file(self) -> bool:

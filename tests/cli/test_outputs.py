@@ -32,6 +32,7 @@ EPISODES = {
     "run-json": "run SlopeSlider-2-wood SlopeSlider-1-wood --json --seed=3 --set iterations=50",
     "run-declined": "run FoamBending-soft SlopeSlider-2-wood",
     "run-gravity": "run NonsmoothContact-1-wood --parameter scene.gravity_m_per_s2=5",
+    "run-scattered": "run SlopeContact-wood --jitter 5mm --seed 1",
     "run-no-set": "run 'BouncingBall-*' 'Turntable-1-*' --parameter effective",
     "score": "score slide.csv --id SlopeSlider-2-wood",
     "score-json": "score slide.csv --id SlopeSlider-2-wood --json",

@@ -338,7 +338,7 @@ def test_results_are_told_in_the_approved_words(approved):
         verification_text(replace(solved, uncertainty=None)),
         verification_text(replace(solved, distance_95=None, frozen=0.0)),
         *reality_lines("law", law),
-        *reality_lines("changed", law, has_other_constants=True),
+        *reality_lines("changed", law, is_another_scene=True),
         *reality_lines("markers", replace(law, verification=None)),
         *reality_lines("trials", trials),
         *reality_lines("far", replace(trials, validation=far, explained=None)),

@@ -9,7 +9,7 @@ from gauge_envs.evaluation.uncertainty import BudgetEntry
 from gauge_envs.pages.document import Document, Paragraph, Tone
 from gauge_envs.pages.results import (
     ALIGNED,
-    OTHER_CONSTANTS,
+    ANOTHER_SCENE,
     SCATTER_NOTE,
     SCORE_METRICS,
     VERIFICATION_NOTE,
@@ -238,8 +238,8 @@ def verification_table(results: Sequence[Result]) -> Table:
                     else interval_text(one.scaled, one.scaled_95),
                     "frozen": with_unit(score_text(one.frozen), one.unit),
                     "power": one.power,
-                    "verdict": OTHER_CONSTANTS
-                    if result.has_other_constants
+                    "verdict": ANOTHER_SCENE
+                    if result.is_another_scene
                     else one.verdict,
                     "convergence": discretization_text(
                         result, convergence_rows(result.backend, result.id)
@@ -362,7 +362,7 @@ def _remarks(result: Result) -> Iterator[str]:
     name = short_id(result.id)
     if result.score.verification is None:
         yield from reality_lines(
-            name, result.score, has_other_constants=result.has_other_constants
+            name, result.score, is_another_scene=result.is_another_scene
         )
     if (found := result.score.validation) is not None:
         yield from (f"{name}: no interval of {reason}." for reason in found.refused)

@@ -254,7 +254,7 @@ def _causes(site: Site, results: Results) -> Parts:
         for line in reality_lines(
             site.labels[index],
             result.score,
-            has_other_constants=result.has_other_constants,
+            is_another_scene=result.is_another_scene,
         )
     ]
     return [Heading("The distance in words"), listed(lines)] if lines else []
