@@ -26,7 +26,7 @@ from typing import Any, ClassVar, Literal
 from gauge_envs.backends.fabric_constants import FabricConstants
 from gauge_envs.backends.features import Feature, Support, needed_features
 from gauge_envs.backends.world import Simulation
-from gauge_envs.backends.worlds import Worlds, separate_worlds
+from gauge_envs.backends.worlds import SeparateWorlds, Worlds
 from gauge_envs.errors import ParameterError, UnsupportedSceneError
 from gauge_envs.scene import Pose, Scene
 from gauge_envs.scene.fabrics import Fabric
@@ -156,7 +156,7 @@ class Backend(ABC):
         Raises:
             ParameterError: A setting does not exist or has an invalid value.
         """
-        return separate_worlds([self.build(scene, settings) for scene in scenes])
+        return SeparateWorlds([self.build(scene, settings) for scene in scenes])
 
     def resolved_settings(
         self, scene: Scene, settings: Mapping[str, Any] | None = None

@@ -139,7 +139,7 @@ class Worlds(ABC):
         """Free the engine's resources. A second call does nothing."""
 
 
-class _SeparateWorlds(Worlds):
+class SeparateWorlds(Worlds):
     """Simulations that run one after another, for engines without batched worlds."""
 
     worlds: Sequence[Simulation]
@@ -149,21 +149,19 @@ class _SeparateWorlds(Worlds):
         self.worlds = simulations
 
     def reset(self, seed: int) -> None:
+        """Return each simulation to its start."""
         for simulation in self.worlds:
             simulation.reset(seed)
 
     def advance(self, seconds: float) -> None:
+        """Advance each simulation."""
         for simulation in self.worlds:
             simulation.advance(seconds)
 
     def close(self) -> None:
+        """Close each simulation."""
         for simulation in self.worlds:
             simulation.close()
-
-
-def separate_worlds(simulations: Sequence[Simulation]) -> Worlds:
-    """Return worlds that are simulations of their own."""
-    return _SeparateWorlds(simulations)
 
 
 class ArrayWorlds(Worlds):

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from gauge_envs.backends.worlds import separate_worlds
+from gauge_envs.backends.worlds import SeparateWorlds
 from mutations.generated_fields import leaves, rewritten
 from mutations.worlds import Batch
 
@@ -62,7 +62,7 @@ def _of_field(name: str, source: Source) -> Callable[..., Any]:
                 scene, owner, field, lambda part, old, v=values: next(v, old)
             )
             built.append(build(taken))
-        return separate_worlds(built)
+        return SeparateWorlds(built)
 
     return worlds
 
@@ -85,13 +85,13 @@ def _scaled_field(
             is_wrong = chosen(number, len(scenes))
             wrong = rewritten(scene, owner, field, scaled)
             built.append(build(wrong if is_wrong else scene))
-        return separate_worlds(built)
+        return SeparateWorlds(built)
 
     return worlds
 
 
 def _batch(kind: type[Batch]) -> Callable[..., Any]:
-    return lambda build, scenes: kind(separate_worlds([build(one) for one in scenes]))
+    return lambda build, scenes: kind(SeparateWorlds([build(one) for one in scenes]))
 
 
 CALLS = {"drive": 19, "command": 1, "wrench": 6}

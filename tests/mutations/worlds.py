@@ -3,7 +3,7 @@
 import numpy as np
 
 from gauge_envs.backends.device import DeviceWorlds, HostArrays
-from gauge_envs.backends.worlds import Worlds, separate_worlds
+from gauge_envs.backends.worlds import SeparateWorlds, Worlds
 from mutations.mutant import fault
 
 
@@ -72,7 +72,7 @@ def _raises(build, scenes):
 
 def _wrapped(kind):
     return lambda build, scenes: kind(
-        separate_worlds([build(scene) for scene in scenes])
+        SeparateWorlds([build(scene) for scene in scenes])
     )
 
 

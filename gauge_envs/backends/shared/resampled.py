@@ -11,7 +11,7 @@ import numpy as np
 from gauge_envs.backends.base import Backend, worlds_of
 from gauge_envs.backends.shared.wrapped import WrappedSimulation
 from gauge_envs.backends.world import Simulation
-from gauge_envs.backends.worlds import Worlds, separate_worlds
+from gauge_envs.backends.worlds import SeparateWorlds, Worlds
 from gauge_envs.scene import Pose, Scene
 from gauge_envs.scene.geometry import FloatArray, vector
 from gauge_envs.scene.timing import DRIVE_INTERVAL_S
@@ -52,7 +52,7 @@ def worlds_in_intervals(
     if abs(interval_s - DRIVE_INTERVAL_S) <= ROUNDING_S:
         return worlds
     worlds.close()
-    return separate_worlds(
+    return SeparateWorlds(
         [in_intervals(engine.build(scene, settings), scene) for scene in scenes]
     )
 

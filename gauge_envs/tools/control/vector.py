@@ -17,7 +17,7 @@ from gauge_envs.backends.shared.resampled import (
     worlds_in_intervals,
 )
 from gauge_envs.backends.world import Simulation
-from gauge_envs.backends.worlds import Worlds, separate_worlds
+from gauge_envs.backends.worlds import SeparateWorlds, Worlds
 from gauge_envs.envs.arguments import Scatter, check_episode_steps, check_support
 from gauge_envs.envs.base import WorldsEnvironment, world_constants
 from gauge_envs.envs.lockstep import check_length
@@ -282,7 +282,7 @@ class ControlWorlds:
                 check_support(experiment, env.backend_name)
                 built = self._engine.build(scene, self._settings)
                 worlds[number] = in_intervals(built, scene)
-        self._use(separate_worlds([worlds[number] for number in range(len(self.envs))]))
+        self._use(SeparateWorlds([worlds[number] for number in range(len(self.envs))]))
 
     def step(self, actions: Mapping[int, Any]) -> dict[int, Step]:
         """Simulate one frame in some worlds, with `limit` in `info` where an episode ends.
