@@ -105,7 +105,7 @@ class ShapeFollower:
         self._task, self._size_px = task, task.size_px
         self._start = start = np.array(task.rest_px or task.centre_px)
         self._profile_px: FloatArray | None = None
-        self._beside_px: float | None = None
+        self._added_px: tuple[float, float] | None = None
         self._colour = _look(first, start, task.size_px)
         self._half = math.ceil(0.5 * AROUND * task.size_px) + 2
         self._outline = self._drawn(1.0)
@@ -242,29 +242,37 @@ class ShapeFollower:
         core = seen[np.abs(across_px[is_known]) <= CORE * self._size_px, start:end]
         if self._task.motion is Motion.SLIDE and self._task.law and core.any():
             away_px = core.sum(axis=0) @ across_px[start:end] / core.sum()
-            self._place_face(sight, away_px, is_first=is_first)
+            wide_px = core.sum() / len(core)
+            self._place_face(sight, away_px, wide_px, is_first=is_first)
 
-    def _place_face(self, sight: Sight, away_px: float, *, is_first: bool) -> None:
+    def _place_face(
+        self, sight: Sight, away_px: float, wide_px: float, *, is_first: bool
+    ) -> None:
         """Place the face of a cube by the middle of all that is seen of the cube along its motion.
 
         A dark side is not told from the face, so that the outline of the face may lie anywhere on both. In the first
-        frame the place of the face is known, and so is what its side adds there. That grows with the distance from
-        where the camera looks straight at the cube and sees no side, in the middle of the picture.
+        frame the place of the face is known, and so is what is added there: by its side, which makes it wider and goes
+        with the distance from where the camera looks straight at the cube, in the middle of the picture; and by the
+        pattern of the face, which stays.
 
         Args:
             sight: The sight, of the outline; its place is changed.
             away_px: The middle of what is seen, from that place along the motion [px].
+            wide_px: Width of what is seen along the motion [px].
             is_first: Whether the cube is at its first place.
         """
         direction, half_px = np.array(self._task.direction), 0.5 * self._size_px
         places = np.array([sight.place, 0.5 * np.array(REFERENCE_SIZE_PX)])
         way_px, straight_px = (places - self._start) @ direction
         seen_px = way_px + away_px
-        if is_first and self._beside_px is None:
-            self._beside_px = seen_px
-        beside_px, left_px = self._beside_px or 0.0, straight_px - seen_px
+        if is_first and self._added_px is None:
+            most_px = max(0.5 * wide_px - half_px, 0.0)
+            side_px = float(np.clip(seen_px, -most_px, most_px))
+            self._added_px = side_px, seen_px - side_px
+        side_px, fixed_px = self._added_px or (0.0, 0.0)
+        left_px = straight_px - seen_px + fixed_px
         beyond_px = left_px - np.clip(left_px, -half_px, half_px)
-        added_px = beside_px * beyond_px / (straight_px - half_px - beside_px)
+        added_px = fixed_px + side_px * beyond_px / (straight_px - half_px - side_px)
         sight.place = sight.place + (away_px - added_px) * direction
 
 
