@@ -87,7 +87,8 @@ def test_resets_and_new_environments_take_no_more_memory():
             one.step(one.action_space.sample())
             one.close()
 
-    for work, warm_up, count in ((resets, 500, 5000), (environments, 20, 200)):
+    # The first 200 environments fill the allocator's arenas, by 12 to 24 MB once; a leak goes on.
+    for work, warm_up, count in ((resets, 500, 5000), (environments, 200, 200)):
         work(warm_up)
         before = resident_mb()
         work(count)
