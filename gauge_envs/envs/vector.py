@@ -283,7 +283,8 @@ class GaugeVectorEnv(WorldsEnvironment[Observation]):
         samples[~over] = np.nan
         scores: dict[str, FloatArray] = {}
         # A law depends on where a world's constants let it start; each band scores its worlds in one pass.
-        for band in {id(one.band): one.band for one in self.episodes}.values():
+        bands = [one.band for one in self.episodes if one.band is not None]
+        for band in {id(one): one for one in bands}.values():
             rows = [one.band is band for one in self.episodes]
             found = score_worlds(
                 self.experiment, band, times_s=times_s, values=samples[rows]
