@@ -182,8 +182,10 @@ def log_spread(
 def halves_change(motions: NDArray[np.float64]) -> float:
     """Return the 95th percentile of the change of the mean between halves of one setting, over its variance.
 
-    Starts of the halves differ, and each has half of them.
+    Starts of the halves differ, and each has half of them. NaN for fewer than six starts, as noise needs three in each.
     """
+    if len(motions) < 6:
+        return math.nan
     random = np.random.default_rng(0)
     size = len(motions) // 2
     changes = []
