@@ -270,9 +270,12 @@ class ShapeFollower:
             side_px = float(np.clip(seen_px, -most_px, most_px))
             self._added_px = side_px, seen_px - side_px
         side_px, fixed_px = self._added_px or (0.0, 0.0)
-        left_px = straight_px - seen_px + fixed_px
-        beyond_px = left_px - np.clip(left_px, -half_px, half_px)
-        added_px = fixed_px + side_px * beyond_px / (straight_px - half_px - side_px)
+        left_px = straight_px - np.array([side_px, seen_px - fixed_px])
+        first_px, beyond_px = left_px - np.clip(left_px, -half_px, half_px)
+        added_px = fixed_px
+        # Where the camera looks straight at the first place, the side is unknown.
+        if abs(first_px) > half_px:
+            added_px += side_px * beyond_px / first_px
         sight.place = sight.place + (away_px - added_px) * direction
 
 
