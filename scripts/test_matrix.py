@@ -23,7 +23,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from gauge_envs.backends.mujoco.versions import FAULTY_SPARSE
+from gauge_envs.backends.mujoco.versions import FAULTY_SPARSE, UNSTEADY_BOXES
 from scripts.lowest_versions import PYPROJECT, constraints
 
 ROOT = PYPROJECT.parent
@@ -196,6 +196,8 @@ def _check(commands: Path, out: Path) -> None:
     expected, _ = _failed(PUBLISHED)
     if release not in FAULTY_SPARSE:
         expected.discard("solver-pile")
+    if release in UNSTEADY_BOXES:
+        expected.add("tower-stands")
     if failed != expected:
         raise SystemExit(
             f"{' '.join(command)}: {failed} failed, not {expected}:\n{done.stdout}\n{done.stderr}"
