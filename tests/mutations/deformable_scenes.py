@@ -83,6 +83,16 @@ def _raised(scene):
     return replace(scene, deformables=tuple(raised))
 
 
+def _cloth_through_itself(scene):
+    cloths = {body.name for body in scene.deformables if isinstance(body, Cloth)}
+    kept = tuple(
+        one
+        for one in scene.contacts
+        if one.first != one.second or not cloths & {*one.first}
+    )
+    return replace(scene, contacts=kept)
+
+
 FAULTS = dict(
     (
         fault(
@@ -97,12 +107,7 @@ FAULTS = dict(
             "contact of cloth with itself left out",
             "cloth-touches-itself",
             "pass through each other",
-            scene=lambda scene: replace(
-                scene,
-                contacts=tuple(
-                    one for one in scene.contacts if one.first != one.second
-                ),
-            ),
+            scene=_cloth_through_itself,
         ),
         fault(
             "cloth-height",
