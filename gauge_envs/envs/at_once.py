@@ -407,7 +407,7 @@ def episodes_in_lockstep(
     Args:
         arguments: Engine, settings and marker proxy; and the reference of worlds that start as a single-shot trial.
         experiments: The experiment of each world; they differ in starts and constants.
-        bands: Band of each other world, which is that of its constants at their stated start.
+        bands: Band of each world, of its constants at their stated start. A single-shot trial has its own.
         together: Whether the engine may build the worlds as one simulation.
         worlds: Worlds at the starts of the experiments, which are built otherwise.
     """

@@ -152,7 +152,7 @@ def place_mistake(
     away, away_turned = (
         _farthest(places, one) for one in (start, turned.of_file(start))
     )
-    # Where coordinates are alike, the axes of another frame are near, but not as near as those of the scene.
+    # Where coordinates are alike, a file with other axes is within the tolerance, too, but fits its axes far better.
     is_turned = away > tolerance / 6.0 and away_turned < 0.1 * away
     if away <= tolerance and not is_turned:
         return None

@@ -18,6 +18,7 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import TypeAdapter
 
 from gauge_envs.envs.env import GaugeEnv
 
@@ -73,7 +74,7 @@ SETTINGS = {
 }
 """Settings by family. The first of each preset is the finest, to which the others are compared.
 
-`training` differs from the default in the step alone for the wall, the rope and the sticks, so that they have one list.
+For the wall and the sticks `training` has another step alone, and for the rope nothing, so that they have one list.
 """
 
 
@@ -112,6 +113,12 @@ class StartsError:
     moved: float
     cpu_s: float
     finest_cpu_s: float
+
+
+def read_rows() -> list[StartsError]:
+    """Read the table."""
+    with FILE.open(newline="", encoding="utf-8") as lines:
+        return TypeAdapter(list[StartsError]).validate_python([*csv.DictReader(lines)])
 
 
 def verdict(row: StartsError, share: float) -> Verdict:
