@@ -22,7 +22,6 @@ from gauge_envs.tools.video.frames import Frames, Picture, cv2
 from gauge_envs.tools.video.plane import Calibration, CameraFile, main_direction
 from gauge_envs.tools.video.scoring import (
     VideoScore,
-    noise_px,
     score_track,
     swing_of,
 )
@@ -336,7 +335,7 @@ def _drawn(result: VideoScore, task: VideoTask, calibration: Calibration) -> Est
     assert result.interval_frames is not None
     track = result.track
     first, last = np.searchsorted(track.frames, result.interval_frames)
-    rng, noise = np.random.default_rng(0), noise_px(track, (first, last))
+    rng, noise = np.random.default_rng(0), track.noise_px((first, last))
 
     found = {**result.metrics, **result.details}
     known = {name: value for name, value in found.items() if value is not None}

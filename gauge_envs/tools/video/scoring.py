@@ -8,15 +8,14 @@ from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import nnls
 
 from gauge_envs.errors import ParameterError, VideoError
 from gauge_envs.files import json_ready
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.video import laws
-from gauge_envs.tools.video.clock import clock_fault
 from gauge_envs.tools.video.frames import ArrayFrames, FileFrames, Frames
 from gauge_envs.tools.video.plane import LEAST_SLOPE, Calibration, metric_on_grid
+from gauge_envs.tools.video.soundness import Doubt, doubts_of, runs_text
 from gauge_envs.tools.video.tasks import Motion, VideoTask, video_task
 from gauge_envs.tools.video.track import Track
 from gauge_envs.tools.video.tracker import track_object
@@ -25,33 +24,6 @@ Metrics: TypeAlias = dict[str, float]
 
 LEAST_RETAINED = 5
 """Fewest retained frames from which metrics are taken."""
-
-MOST_MISSING = 0.15
-"""Largest share of retained frames of a sound track in which the object was not found, or has another size."""
-
-MOST_SIZE_CHANGE = 0.3
-"""Largest change of the apparent size of an object that is the same one."""
-
-FIRST_SIZES = 12
-"""Frames whose median is the size that an object has."""
-
-LEAST_CONFIDENCE = 0.5
-"""Smallest confidence of a frame that shows the object, which is the likeness to it in the first frame."""
-
-JUMP = 1.0
-"""Distance from where an object that goes on, stops or turns can be when it is seen next, in its sizes, after which
-another one may be followed."""
-
-FIRM_PX = 1e6
-"""Weight of what must hold exactly among distances in a picture [px]."""
-
-MOST_BESIDE, MOST_HIDDEN = 1.25, 3
-"""Largest distance from its row, less the way of a frame, at which a ball of a cradle is first or last seen, in its
-sizes, as beside its neighbours it is not told from them; and frames in which a post may hide it meanwhile."""
-
-FREE = 7.0
-"""Distance from its first place, in its sizes, within which nothing hides a cube on its board or a ball that falls, and
-the picture does not end."""
 
 RELEASE_FRAMES = 6.0
 """Frames before and after the first retained one between which rest ends."""
@@ -62,77 +34,6 @@ LEAST_PERIODS = 0.5
 
 MOST_GRAVITIES = 1.2
 """Largest gravity that a motion may need, in that of the Earth."""
-
-
-def faults_of(
-    track: Track, task: VideoTask, span: tuple[int, int] | None
-) -> tuple[list[str], list[str]]:
-    """Return why a track is not sound, and what else is said of it; the law of the motion plays no part.
-
-    Args:
-        track: The track.
-        task: The task.
-        span: First and last retained row; None when the object does not move.
-    """
-    first, last = span or (0, len(track.frames) - 1)
-    rows = np.arange(first, last + 1)
-    found = rows[track.is_found[rows]]
-    faults = []
-    lost = rows[~track.is_found[rows]]
-    # The outgoing ball of a cradle is looked for only where it swings out.
-    is_cradle = task.motion is Motion.CRADLE
-    most_odd = MOST_MISSING * len(found if is_cradle else rows)
-    if len(lost) > MOST_MISSING * len(rows) and not is_cradle:
-        faults.append(
-            f"the object is lost in {len(lost) / len(rows):.0%} of the frames: {_runs(track.frames[lost])}"
-        )
-    early = track.size_ratio[np.isfinite(track.size_ratio)][:FIRST_SIZES]
-    # A cradle's ball is first seen when it has swung out.
-    is_first = len(early) and not is_cradle
-    usual = float(np.median(early)) if is_first else 1.0
-    changes = np.nan_to_num(track.size_ratio[found] / usual - 1.0)
-    odd = np.abs(changes) > MOST_SIZE_CHANGE
-    inside = [
-        one
-        for one in track.events
-        if (
-            np.isin(track.frames[rows], one.frames).sum() > most_odd
-            if one.frames
-            else one.first_frame <= track.frames[last]
-        )
-    ]
-    # Two alike objects that meet are seen as one, of another size and shape.
-    is_alone = all(one.kind != "duplicated" for one in inside)
-    if is_alone and np.count_nonzero(odd) > most_odd:
-        worst = changes[np.abs(changes).argmax()]
-        faults.append(
-            f"the object changes its size by up to {worst:+.0%} in frames {_runs(track.frames[found[odd]])}"
-        )
-    is_odd = track.confidence[found] < LEAST_CONFIDENCE
-    if np.count_nonzero(is_odd) > MOST_MISSING * len(rows):
-        faults.append(
-            f"the object has another look in {is_odd.sum() / len(rows):.0%} of the frames: "
-            f"their confidence is below {LEAST_CONFIDENCE:g}"
-        )
-    # Law, scale and direction are those of the known first frame.
-    if track.registration is not None and task.law and not is_cradle:
-        for place in track.points_px[track.is_found][:1]:
-            away = math.dist(place, task.centre_px) / task.size_px
-            if away > JUMP:
-                faults.append(
-                    f"the object is first seen {away:.1f} of its size from its place in the known first frame"
-                )
-    broken = [_vanishing(track, task) if is_cradle else _jump(track, task, found)]
-    if span is not None:
-        broken.append(_end_on_way(track, task, span))
-        broken.append(clock_fault(track, task, span, noise_px(track, span)))
-    faults += filter(None, broken)
-    faults += [
-        one.text
-        for one in inside
-        if not one.is_note and (is_alone or one.kind != "changed")
-    ]
-    return faults, [one.text for one in inside if one.is_note]
 
 
 def findings_of(
@@ -162,7 +63,7 @@ def findings_of(
     if task.motion is Motion.CRADLE:
         swings = [track.frames[one] for one in laws.swings_without_apex(track, task)]
         found += [
-            f"the ball swings out in frames {_runs(one)}, and its apex is not seen"
+            f"the ball swings out in frames {runs_text(one)}, and its apex is not seen"
             for one in swings
         ]
     return found
@@ -186,86 +87,6 @@ def _gravities(task: VideoTask, metrics: Metrics) -> float:
     return 0.0
 
 
-def _jump(track: Track, task: VideoTask, rows: NDArray[np.intp]) -> str:
-    """Return the largest way that the speeds before and after it do not explain; empty for a continuous track.
-
-    An object that is lost for some frames has gone on, stopped or turned: its mean velocity meanwhile lies between
-    those before and after and zero.
-    """
-    if len(rows) < 3:
-        return ""
-    counts = np.diff(rows)
-    ways_px = np.diff(track.points_px[rows], axis=0)
-    rest = np.zeros((1, 2))
-    speeds_px = np.vstack([rest, ways_px / counts[:, None], rest])
-    away_px = np.array(
-        [
-            _from_triangle_px(way, count * before, count * after)
-            for way, count, before, after in zip(
-                ways_px, counts, speeds_px[:-2], speeds_px[2:], strict=True
-            )
-        ]
-    )
-    worst = int(away_px.argmax())
-    if away_px[worst] <= JUMP * task.size_px:
-        return ""
-    first, last = track.frames[rows[worst : worst + 2]]
-    return f"the object jumps by {away_px[worst] / task.size_px:.1f} of its size between frames {first} and {last}"
-
-
-def _vanishing(track: Track, task: VideoTask) -> str:
-    """Return where the ball of a cradle is first or last seen farther from its row than it moves in a frame."""
-    assert task.rest_px is not None
-    rows, places = np.flatnonzero(track.is_found), track.points_px
-    swings = np.split(rows, np.flatnonzero(np.diff(rows) > MOST_HIDDEN + 1) + 1)
-    for swing in (one for one in swings if len(one) > 1):
-        for row, inner in (swing[:2], swing[:-3:-1]):
-            step_px = math.dist(places[row], places[inner])
-            away_px = math.dist(places[row], task.rest_px) - step_px
-            is_inside = 0 < row < len(places) - 1
-            if is_inside and away_px > MOST_BESIDE * task.size_px:
-                return (
-                    f"the ball appears or vanishes {away_px / task.size_px:.1f} of its size from its row "
-                    f"in frame {track.frames[row]}"
-                )
-    return ""
-
-
-def _end_on_way(track: Track, task: VideoTask, span: tuple[int, int]) -> str:
-    """Return where an object is seen for the last time, while it slides or falls, though nothing hides it there."""
-    if task.motion not in (Motion.SLIDE, Motion.FALL) or not task.law:
-        return ""
-    row = int(np.flatnonzero(track.is_found)[-1])
-    away = math.dist(track.points_px[row], task.centre_px) / task.size_px
-    is_short = len(track.frames) - 1 - row <= MOST_HIDDEN
-    # A fall is retained up to the last frame but one.
-    if is_short or row > span[1] + 1 or away > FREE:
-        return ""
-    return f"the object vanishes on its way: frame {track.frames[row]} is the last that shows it"
-
-
-def _from_triangle_px(place: FloatArray, one: FloatArray, other: FloatArray) -> float:
-    """Return the distance of a place from the triangle of zero and two others, all of shape [2]."""
-    # Shares of the three corners are not negative, and their sum is held to 1.
-    corners = np.column_stack([one, other, np.zeros(2)])
-    _, away_px = nnls(np.vstack([corners, np.full(3, FIRM_PX)]), [*place, FIRM_PX])
-    return float(away_px)
-
-
-def _runs(frames: NDArray[np.int64]) -> str:
-    """Return frame numbers as runs: `3 to 9, 14`."""
-    if not len(frames):
-        return ""
-    parts = np.split(frames, np.flatnonzero(np.diff(frames) != 1) + 1)
-    texts = [
-        f"{part[0]} to {part[-1]}" if len(part) > 1 else f"{part[0]}" for part in parts
-    ]
-    shown = texts[:4]
-    return ", ".join(shown) + (
-        f" and {len(texts) - 4} more runs" if len(texts) > 4 else ""
-    )
-
-
 # --- score ------------------------------------------------------------------------------------------------------------
 
 PAPER_METRICS = ("a", "qfi", "r2", "pd", "mte", "de")
@@ -286,9 +107,6 @@ FRAMING_SIGMA = 0.005
 """Relative standard uncertainty of the pixel scale beside that of the measured length: depth and lens, from the four
 edges of the cubes, which differ by 1 %."""
 
-LEAST_NOISE_PX = 0.1
-"""Smallest scatter of a tracker from frame to frame that is assumed [px]."""
-
 SLOW_NOISE_PX = 0.25
 """Error of a place that stays for some frames [px]: that of a ball that is half hidden by the pendulum's post."""
 
@@ -304,7 +122,8 @@ class VideoScore:
         video: Name of the video or track.
         task: Id of the task.
         is_sound: Whether what was followed is the object, all the time; the law of its motion plays no part.
-        reasons: Why the track is not sound, with frame numbers.
+        doubt: What speaks most against the track; its level is at most 1 for a sound one.
+        reasons: Why the track is not sound, with frame numbers, the largest doubt first.
         findings: What else the clip shows.
         metrics: Values by name; None where a metric does not apply or there is no motion.
         uncertainty: Interval of each metric that holds 95 % of simulated tracks.
@@ -317,6 +136,7 @@ class VideoScore:
     video: str
     task: str
     is_sound: bool
+    doubt: Doubt
     reasons: tuple[str, ...]
     findings: tuple[str, ...]
     metrics: dict[str, float | None]
@@ -328,15 +148,16 @@ class VideoScore:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result without the track, JSON-ready."""
-        values: dict[str, Any] = json_ready(
-            {
-                one.name: getattr(self, one.name)
-                for one in fields(self)
-                if one.name != "track"
-            }
-        )
+        values = {
+            one.name: getattr(self, one.name)
+            for one in fields(self)
+            if one.name != "track"
+        }
         registration = self.track.registration
-        return {**values, "registration": registration and asdict(registration)}
+        values["doubt"] = asdict(self.doubt)
+        values["registration"] = registration and asdict(registration)
+        ready: dict[str, Any] = json_ready(values)
+        return ready
 
 
 def score(
@@ -388,7 +209,14 @@ def score_track(
     span = laws.retained(track, task)
     metrics: Metrics = {}
     details: Metrics = {}
-    faults, findings = faults_of(track, task, span)
+    doubts = sorted(doubts_of(track, task, span), key=lambda one: -one.level)
+    faults = [one.text for one in doubts if one.level > 1.0]
+    last_frame = track.frames[-1 if span is None else span[1]]
+    findings = [
+        one.text
+        for one in track.events
+        if one.is_note and one.first_frame <= last_frame
+    ]
     if span is not None:
         try:
             metrics, details = _metrics(track, task, span, task.scale_m_per_px)
@@ -404,6 +232,7 @@ def score_track(
         video=name,
         task=task.id,
         is_sound=not faults,
+        doubt=doubts[0],
         reasons=tuple(faults),
         findings=tuple(findings),
         metrics={one: metrics.get(one) for one in METRICS},
@@ -509,21 +338,6 @@ def paper_metrics(
 # --- uncertainty -----------------------------------------------------------------------------------------------------
 
 
-def noise_px(track: Track, span: tuple[int, int]) -> float:
-    """Return the scatter of a track from frame to frame [px], from its third differences: smooth motions have none."""
-    points = track.points_px[span[0] : span[1] + 1]
-    points = points[np.isfinite(points).all(axis=1)]
-    if len(points) < 8:
-        return LEAST_NOISE_PX
-    third = np.diff(points, n=3, axis=0)
-    scatter = (
-        float(np.median(np.abs(third - np.median(third, axis=0))))
-        / 0.6745
-        / math.sqrt(20.0)
-    )
-    return max(scatter, LEAST_NOISE_PX)
-
-
 def _slow_noise(track: Track, rng: np.random.Generator) -> FloatArray:
     """Return errors that stay for some frames [px], shape [frame_count, 2]."""
     count = len(track.frames) // SLOW_FRAMES + 2
@@ -553,7 +367,7 @@ def _intervals(
     calibration: Calibration | None,
 ) -> dict[str, tuple[float, float]]:
     """Return the interval of each metric, over simulated noise, scales, pivots and choices of the interval."""
-    noise, rng = noise_px(track, span), np.random.default_rng(0)
+    noise, rng = track.noise_px(span), np.random.default_rng(0)
     swing = swing_of(track, task, span, nominal)
     guess = None if swing is None else swing.guess
     rows = _found(track, span)

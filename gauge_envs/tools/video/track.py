@@ -26,6 +26,9 @@ MOST_NUMBER = 1e12
 LAST_FRAME = 10**9
 """Largest number of a frame."""
 
+LEAST_NOISE_PX = 0.1
+"""Smallest scatter of a tracker from frame to frame that is assumed [px]."""
+
 GIVEN = "the track is as given: no picture was looked at"
 """What is said of a track from a file."""
 
@@ -35,12 +38,11 @@ class Event:
     """Something in a video that makes its track doubtful.
 
     Attributes:
-        kind: `given`, `duplicated`, `changed`, `camera`, `scene`, `registration`, `picture`, `cadence`, `time`, `file`.
+        kind: `given`, `camera`, `scene`, `registration`, `picture`, `cadence`, `time`, `file`.
         first_frame: First frame of it.
         last_frame: Last frame of it.
         text: Description with numbers.
         is_note: Whether it is stated of a track that may be sound.
-        frames: The frames of it, if it says something of a share of the retained ones only.
     """
 
     kind: str
@@ -48,7 +50,6 @@ class Event:
     last_frame: int
     text: str
     is_note: bool = False
-    frames: tuple[int, ...] = ()
 
     @classmethod
     def over(
@@ -75,6 +76,9 @@ class Track:
         points_px: Centres [px], shape [frame_count, 2]; NaN where the object was not found.
         confidence: Likeness to the object of the first frame, 0 to 1, shape [frame_count]; 0 where it was not found.
         size_ratio: Apparent size divided by that in the first frame, shape [frame_count]; NaN where unknown.
+        misfit: Difference from the shape in the first frame, in parts of the area, shape [frame_count].
+        tint: Difference from the colour in the first frame, in levels of 255, shape [frame_count].
+        other_likeness: Largest likeness of another place to the object, 0 to 1, shape [frame_count].
         events: What happened in the video.
         clock_s: Times of the frames [s], shape [frame_count]; None where they follow from the rate.
         registration: How the video lies on the grid; None for a track in millimetres, or of a frontal film.
@@ -87,6 +91,9 @@ class Track:
     points_px: FloatArray
     confidence: FloatArray
     size_ratio: FloatArray
+    misfit: FloatArray
+    tint: FloatArray
+    other_likeness: FloatArray
     events: tuple[Event, ...] = ()
     clock_s: FloatArray | None = None
     registration: Registration | None = None
@@ -114,6 +121,17 @@ class Track:
             if move is None
             else self.points_px @ move[:, :2].T + move[:, 2]
         )
+
+    def noise_px(self, span: tuple[int, int]) -> float:
+        """Return the scatter from frame to frame [px] in some rows, by third differences: smooth motions have none."""
+        points = self.points_px[span[0] : span[1] + 1]
+        points = points[np.isfinite(points).all(axis=1)]
+        if len(points) < 8:
+            return LEAST_NOISE_PX
+        third = np.diff(points, n=3, axis=0)
+        deviation = np.median(np.abs(third - np.median(third, axis=0)))
+        # The median deviation of normal noise is 0.6745 of its scatter; third differences have 20 times its variance.
+        return max(float(deviation) / 0.6745 / math.sqrt(20.0), LEAST_NOISE_PX)
 
     @property
     def times_s(self) -> FloatArray:
@@ -217,6 +235,7 @@ def read_track(
             )
         places = places * np.array(REFERENCE_SIZE_PX) / np.array(size_px, dtype=float)
     sizes = values["size"]
+    unknown = np.zeros(len(rows))
     known = sizes[np.isfinite(sizes) & is_found]
     return Track(
         frames=frames,
@@ -224,6 +243,9 @@ def read_track(
         points_px=places,
         confidence=is_found * np.nan_to_num(values["confidence"], nan=1.0),
         size_ratio=sizes / known[0] if len(known) else sizes,
+        misfit=unknown,
+        tint=unknown,
+        other_likeness=unknown,
         events=(
             Event(
                 kind="given",

@@ -2,12 +2,12 @@
 
 import math
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.errors import VideoError
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.video.camera import SceneWatch
 from gauge_envs.tools.video.follow import (
     LEAST_KNOWN_SHARE,
@@ -46,13 +46,6 @@ MOST_SWING_RAD = 0.65 * math.pi
 CRADLE_BALLS, ARC_PLACES = 5, 30
 """Balls of the cradle, and places of an arc at which its background is looked at."""
 
-MOST_MISFIT, MOST_ODD = 0.25, 0.15
-"""Largest difference from the shape in the first frame, in parts of the area, and share of frames with a larger one.
-A disk in the place of its square differs by 0.21, a square in that of its disk by 0.27, and their sides add to it."""
-
-MOST_TINT = 7.0
-"""Largest difference from the colour in the first frame, at any brightness, in levels of 255."""
-
 FOREIGN = (
     "the first frame does not show the object of the task at its place, "
     "so its law, scale and direction do not apply"
@@ -67,9 +60,6 @@ BLIND = (
 
 LOST_SHARE = 0.02
 """Share of the stated frames that a sound file may lack: some count one too many."""
-
-TWIN_LIKENESS, LEAST_TWIN_FRAMES = 0.7, 3
-"""Likeness from which another place shows a second object, and fewest frames with it that are no accident."""
 
 
 def track_object(frames: Frames, task: VideoTask) -> Track:
@@ -133,11 +123,12 @@ def track_object(frames: Frames, task: VideoTask) -> Track:
         points_px=np.array([s.place for s in path]),
         confidence=np.array([s.likeness for s in path]),
         size_ratio=np.array([s.size_ratio for s in path]),
+        misfit=np.array([s.misfit for s in path]),
+        tint=np.array([s.tint for s in path]),
+        other_likeness=_other_likeness(candidates, path, task),
         events=(
             *_of_the_file(frames, cadence, *doubts),
             *watch.events(),
-            *_twins(candidates, path, task),
-            *_changes(path, numbers, task),
         ),
         clock_s=cadence.times_s,
         registration=registration,
@@ -277,26 +268,19 @@ def _moving_part(task: VideoTask) -> NDArray[np.bool_]:
     return np.hypot(columns - centre[0], rows - centre[1]) < radius
 
 
-def _twins(
+def _other_likeness(
     candidates: list[list[Sight]], path: list[Sight], task: VideoTask
-) -> list[Event]:
-    """Return the event of a second object that looks like the first one."""
-    frames = []
-    for number, (ones, chosen) in enumerate(zip(candidates, path, strict=True)):
+) -> FloatArray:
+    """Return in each frame the likeness of another place that is most like the object, shape [frame_count]."""
+    largest = np.zeros(len(path))
+    for row, (ones, chosen) in enumerate(zip(candidates, path, strict=True)):
         for one in ones:
             is_near = math.dist(one.place, chosen.place) < task.size_px
             # Where an object cannot be, it is seen for another one although its own place is unknown.
             is_other = chosen.likeness > 0.0 or not _is_allowed(one, task)
-            is_alike = one.likeness >= TWIN_LIKENESS
-            if is_alike and is_other and not is_near and not _is_neighbour(one, task):
-                frames.append(number)
-                break
-    if len(frames) < LEAST_TWIN_FRAMES:
-        return []
-    text = (
-        f"a second object of the same shape and colour is seen in {len(frames)} frames"
-    )
-    return [Event.over("duplicated", frames, text)]
+            if is_other and not is_near and not _is_neighbour(one, task):
+                largest[row] = max(largest[row], one.likeness)
+    return largest
 
 
 def _hidden(follower: ShapeFollower | FaceFollower, task: VideoTask) -> str:
@@ -317,32 +301,3 @@ def _hidden(follower: ShapeFollower | FaceFollower, task: VideoTask) -> str:
         f"swings of {blind_deg.min():.0f} to {blind_deg.max():.0f} degrees may be missed: the background there has the "
         "colour of the ball"
     )
-
-
-def _changes(path: list[Sight], numbers: list[int], task: VideoTask) -> Iterator[Event]:
-    """Yield the events of an object that changes its shape or its colour, from its sights in numbered frames."""
-    is_found = np.array([one.likeness > 0.0 for one in path])
-    misfits = np.array([one.misfit for one in path])
-    tints = np.array([one.tint for one in path])
-    # A background that is never seen is guessed, and so is what stands out from it.
-    first = misfits[is_found][:FIRST_FRAMES]
-    usual = min(float(np.median(first)), MOST_MISFIT) if len(first) else 0.0
-    # Blur alone may change a shape for some frames.
-    is_cradle = task.motion is Motion.CRADLE
-    most_odd = MOST_ODD * (np.count_nonzero(is_found) if is_cradle else len(path))
-    for odd, most, text in (
-        (
-            misfits - usual > MOST_MISFIT,
-            most_odd,
-            f"shape by up to {misfits.max():.0%}",
-        ),
-        (
-            tints > MOST_TINT,
-            0.0,
-            f"colour by up to {tints.max():.0f} levels of 255",
-        ),
-    ):
-        frames = [numbers[row] for row in np.flatnonzero(is_found & odd)]
-        if len(frames) > most:
-            event = Event.over("changed", frames, f"the object changes its {text}")
-            yield replace(event, frames=tuple(frames))

@@ -205,13 +205,16 @@ def _draw(task, picture, place, angle_deg):
 
 def track_of(places_px, fps):
     """A track of these places on the reference grid, one in each frame."""
-    ones = np.ones(len(places_px))
+    ones, zeros = np.ones(len(places_px)), np.zeros(len(places_px))
     return Track(
         frames=np.arange(len(places_px)),
         fps=fps,
         points_px=places_px,
         confidence=ones,
         size_ratio=ones,
+        misfit=zeros,
+        tint=zeros,
+        other_likeness=zeros,
     )
 
 

@@ -9,8 +9,8 @@ import pytest
 
 from gauge_envs.tools.video import video_task
 from gauge_envs.tools.video.follow import FaceFollower, ShapeFollower, Sight
+from gauge_envs.tools.video.soundness import MOST_MISFIT
 from gauge_envs.tools.video.tracker import (
-    MOST_MISFIT,
     _hidden,
     _is_neighbour,
     followed,

@@ -27,7 +27,8 @@ from gauge_envs.tools.video import (  # noqa: E402
 from gauge_envs.tools.video.agreement import DETAILS, agreement  # noqa: E402
 from gauge_envs.tools.video.camera import SceneWatch  # noqa: E402
 from gauge_envs.tools.video.frames import FileFrames  # noqa: E402
-from gauge_envs.tools.video.scoring import faults_of, findings_of, paper_metrics  # noqa: E402
+from gauge_envs.tools.video.scoring import findings_of, paper_metrics  # noqa: E402
+from gauge_envs.tools.video.soundness import doubts_of  # noqa: E402
 from gauge_envs.tools.video.tasks import published_results  # noqa: E402
 from gauge_envs.tools.video.tracker import _moving_part  # noqa: E402
 from gauge_envs.tools.video.words import (  # noqa: E402
@@ -401,7 +402,8 @@ def test_a_jump_while_the_object_is_lost_is_named(speed_px, count, away):
     right, down = SLIDE.direction
     places[16:] += away * SLIDE.size_px * np.array([-down, right])
     places[16 - count : 16] = np.nan
-    faults, _ = faults_of(track_of(places, 24.0), SLIDE, None)
+    doubts = list(doubts_of(track_of(places, 24.0), SLIDE, None))
+    faults = [one.text for one in doubts if one.level > 1.0]
     words = f"jumps by {away:.1f} of its size between frames {15 - count} and 16"
     assert [words in one for one in faults] == [True] * bool(away)
 
@@ -423,19 +425,47 @@ def test_a_cube_that_is_lost_on_the_board_has_vanished(last, shown, is_named):
 @pytest.mark.parametrize(
     ("field", "later", "words"),
     [
-        ("size_ratio", 1.4, "its size by up to +40%"),
-        ("confidence", 0.2, "another look"),
+        ("size_ratio", 1.4, "its size by up to +40% in frames 15 to"),
+        ("size_ratio", 0.6, "its size by up to -40% in frames 15 to"),
+        ("misfit", 0.5, "its shape by up to 50% in frames 15 to"),
+        ("tint", 14.0, "its colour by up to 14 levels of 255 in frames 15 to"),
+        ("confidence", 0.25, "another look in frames 15 to"),
+        ("other_likeness", 0.9, "a second object of the same shape and colour"),
     ],
 )
-def test_an_object_that_grows_or_has_another_look_is_no_sound_track(
-    field, later, words
-):
+def test_an_object_that_changes_is_no_sound_track(field, later, words):
     """A model may let a cube grow or melt; the law that the track follows does not matter."""
-    changed = np.where(np.arange(40) < 15, 1.0, later)
-    result = score_track(replace(driven(SLIDE.id, 1.7), **{field: changed}), SLIDE)
+    track = driven(SLIDE.id, 1.7)
+    first = getattr(track, field)
+
+    def judged(share):
+        changed = first + share * (later - first) * (np.arange(40) >= 15)
+        return score_track(replace(track, **{field: changed}), SLIDE)
+
+    result = judged(1.0)
     assert not result.is_sound
     assert words in result.reasons[0]
     assert result.metrics["acceleration_m_s2"] == pytest.approx(1.7, rel=2e-3)
+    # The doubt is in proportion to the change, and stated of a sound track too.
+    level = result.doubt.level
+    assert level > 1.0
+    slight = judged(0.9 / level)
+    assert slight.is_sound
+    assert slight.doubt.level == pytest.approx(0.9)
+    assert words.split(" in ")[0].split(" by ")[0] in slight.doubt.text
+
+
+def test_a_second_object_counts_when_it_has_parted():
+    """One that goes on from where the object stops is seen after the motion, and in no frame that is retained."""
+    track = driven(SLIDE.id, 1.7)
+    stopped = np.minimum(np.arange(40), 24)
+    places = track.points_px[stopped]
+    for count, is_sound in ((2, True), (3, False)):
+        likeness = np.where(np.arange(40) >= 40 - count, 0.9, 0.0)
+        parted = replace(track, points_px=places, other_likeness=likeness)
+        result = score_track(parted, SLIDE)
+        assert result.interval_frames[1] < 30
+        assert result.is_sound is is_sound
 
 
 @pytest.mark.parametrize(("light", "dye"), [(1.0, 0.0), (1.6, 0.0), (1.0, 15.0)])
@@ -462,7 +492,7 @@ def test_the_command_scores_a_file_and_draws_the_track(tmp_path, gauge):
     assert outcome.exit_code == 0, outcome.output
     line = json.loads(outcome.stdout)
     assert set(line) == {
-        *("video", "task", "is_sound", "reasons", "findings"),
+        *("video", "task", "is_sound", "doubt", "reasons", "findings"),
         *("metrics", "uncertainty"),
         *("interval_frames", "scale_m_per_px", "details", "registration"),
     }
@@ -652,7 +682,7 @@ def test_a_result_names_the_law_and_the_real_trials():
     task = video_task("SlopeSlider-2-plastic")
     result = score_track(driven(task.id, 2.9), task)
     first, doubt, *_, table = score_document(result, task).parts
-    assert "the track is sound" in first.text and "of 100 tracks" in doubt.text
+    assert "the track is sound" in first.text and "of 100 such tracks" in doubt.text
     law, real = [column.title for column in table.columns][-2:]
     assert (law, real) == ("law", "real trials")
     values = [column.text(table.rows[0]) for column in table.columns][-2:]

@@ -1,0 +1,261 @@
+"""Say whether what a track follows is the object, all the time, and how near it is to the bound of each rule."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import nnls
+
+from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.tools.video.clock import clock_fault
+from gauge_envs.tools.video.tasks import Motion, VideoTask
+from gauge_envs.tools.video.track import Track
+
+MOST_ODD = 0.15
+"""Largest share of the retained frames of a sound track that does not show the object as it was."""
+
+MOST_SIZE_CHANGE = 0.3
+"""Largest change of the apparent size of an object that is the same one."""
+
+MOST_MISFIT = 0.25
+"""Largest difference from the shape in the first frame, in parts of the area.
+A disk in the place of its square differs by 0.21, a square in that of its disk by 0.27, and their sides add to it."""
+
+MOST_TINT = 7.0
+"""Largest difference from the colour in the first frame, at any brightness, in levels of 255."""
+
+FIRST_SIZES, FIRST_SHAPES = 12, 3
+"""Frames whose median is the size that an object has, and those whose median is the misfit of its shape."""
+
+LEAST_CONFIDENCE = 0.5
+"""Smallest confidence of a frame that shows the object, which is the likeness to it in the first frame."""
+
+TWIN_LIKENESS, LEAST_TWIN_FRAMES = 0.7, 3
+"""Likeness from which another place shows a second object, and fewest frames with it that are no accident."""
+
+JUMP = 1.0
+"""Distance from where an object that goes on, stops or turns can be when it is seen next, in its sizes, after which
+another one may be followed."""
+
+FIRM_PX = 1e6
+"""Weight of what must hold exactly among distances in a picture [px]."""
+
+MOST_BESIDE, MOST_HIDDEN = 1.25, 3
+"""Largest distance from its row, less the way of a frame, at which a ball of a cradle is first or last seen, in its
+sizes, as beside its neighbours it is not told from them; and frames in which a post may hide it meanwhile."""
+
+FREE = 7.0
+"""Distance from its first place, in its sizes, within which nothing hides a cube on its board or a ball that falls, and
+the picture does not end."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Doubt:
+    """What speaks against a track.
+
+    Attributes:
+        level: What was measured, in what a sound track may have: above 1 it is not sound. Infinite where nothing is
+            measured.
+        text: What was seen, with numbers.
+    """
+
+    level: float
+    text: str
+
+
+def doubts_of(
+    track: Track, task: VideoTask, span: tuple[int, int] | None
+) -> Iterator[Doubt]:
+    """Yield what speaks against a track; the law of the motion plays no part.
+
+    Args:
+        track: The track.
+        task: The task.
+        span: First and last retained row; None when the object does not move.
+    """
+    first, last = span or (0, len(track.frames) - 1)
+    rows = np.arange(first, last + 1)
+    found = rows[track.is_found[rows]]
+    is_cradle = task.motion is Motion.CRADLE
+    # The outgoing ball of a cradle is looked for only where it swings out.
+    if not is_cradle:
+        yield _loss(track, rows)
+    twin = _twin(track)
+    yield twin
+    # Two alike objects that meet are seen as one, of another size and shape.
+    if twin.level <= 1.0:
+        yield from _changes(track, rows, is_cradle=is_cradle)
+    unlikeness = 1.0 - track.confidence
+    most_unlike = 1.0 - LEAST_CONFIDENCE
+    yield Doubt(
+        level=_exceeded(unlikeness[found], MOST_ODD * len(rows)) / most_unlike,
+        text=f"the object has another look{_where(track, found, unlikeness > most_unlike)}: its confidence falls to "
+        f"{track.confidence[found].min(initial=1.0):.2f}",
+    )
+    # Law, scale and direction are those of the known first frame.
+    if track.registration is not None and task.law and not is_cradle:
+        for place in track.points_px[track.is_found][:1]:
+            away = math.dist(place, task.centre_px) / task.size_px
+            yield Doubt(
+                level=away / JUMP,
+                text=f"the object is first seen {away:.1f} of its size from its place in the known first frame",
+            )
+    yield from _vanishing(track, task) if is_cradle else _jump(track, task, found)
+    texts = [
+        one.text
+        for one in track.events
+        if not one.is_note and one.first_frame <= track.frames[last]
+    ]
+    if span is not None:
+        texts.append(_end_on_way(track, task, span))
+        texts.append(clock_fault(track, task, span, track.noise_px(span)))
+    for text in filter(None, texts):
+        yield Doubt(level=math.inf, text=text)
+
+
+def _loss(track: Track, rows: NDArray[np.intp]) -> Doubt:
+    """Return in which share of the rows the object is lost."""
+    is_lost = ~track.is_found
+    share = float(is_lost[rows].mean())
+    return Doubt(
+        level=share / MOST_ODD,
+        text=f"the object is lost in {share:.0%} of the frames{_where(track, rows, is_lost)}",
+    )
+
+
+def _twin(track: Track) -> Doubt:
+    """Return how like the object another place is, in any frames: a second object is seen when it has parted."""
+    is_alike = track.other_likeness >= TWIN_LIKENESS
+    where = _where(track, np.arange(len(is_alike)), is_alike)
+    return Doubt(
+        level=_exceeded(track.other_likeness, LEAST_TWIN_FRAMES - 1) / TWIN_LIKENESS,
+        text=f"a second object of the same shape and colour is seen{where}",
+    )
+
+
+def _changes(
+    track: Track, rows: NDArray[np.intp], *, is_cradle: bool
+) -> Iterator[Doubt]:
+    """Yield by how much the object changes its size, its shape and its colour in more frames than a few."""
+    is_found = track.is_found
+    found = rows[is_found[rows]]
+    # A cradle's ball is not looked for in its row, and first seen when it has swung out.
+    most_odd = MOST_ODD * len(found if is_cradle else rows)
+    early = track.size_ratio[np.isfinite(track.size_ratio)][:FIRST_SIZES]
+    usual_size = float(np.median(early)) if len(early) and not is_cradle else 1.0
+    size_changes = np.nan_to_num(track.size_ratio / usual_size - 1.0)
+    # A background that is never seen is guessed, and so is what stands out from it.
+    first_misfits = track.misfit[is_found][:FIRST_SHAPES]
+    usual_misfit = float(np.median(first_misfits)) if len(first_misfits) else 0.0
+    misfits = np.maximum(track.misfit - min(usual_misfit, MOST_MISFIT), 0.0)
+    # Blur alone may change a shape for some frames, and the retained ones may be few.
+    everywhere = misfits[is_found] if is_cradle else misfits * is_found
+    usual_change = _exceeded(everywhere, MOST_ODD * len(everywhere))
+    for name, changes, bound, most_change, unit in (
+        ("size", size_changes, MOST_SIZE_CHANGE, math.inf, "{:+.0%}"),
+        ("shape", misfits, MOST_MISFIT, usual_change, "{:.0%}"),
+        ("colour", track.tint, MOST_TINT, math.inf, "{:.0f} levels of 255"),
+    ):
+        amounts = np.abs(changes)
+        amount = min(_exceeded(amounts[found], most_odd), most_change)
+        largest = unit.format(max(changes[found], key=abs, default=0.0))
+        where = _where(track, found, amounts > bound)
+        yield Doubt(
+            level=amount / bound,
+            text=f"the object changes its {name} by up to {largest}{where}",
+        )
+
+
+def _exceeded(values: FloatArray, count: float) -> float:
+    """Return the value that more than a count of values reach."""
+    rank = int(count) + 1
+    return float(np.sort(values)[-rank]) if rank <= len(values) else 0.0
+
+
+def _jump(track: Track, task: VideoTask, rows: NDArray[np.intp]) -> Iterator[Doubt]:
+    """Yield the largest way that the speeds before and after it do not explain.
+
+    An object that is lost for some frames has gone on, stopped or turned: its mean velocity meanwhile lies between
+    those before and after and zero.
+    """
+    if len(rows) < 3:
+        return
+    counts = np.diff(rows)
+    ways_px = np.diff(track.points_px[rows], axis=0)
+    rest = np.zeros((1, 2))
+    speeds_px = np.vstack([rest, ways_px / counts[:, None], rest])
+    away_px = np.array(
+        [
+            _from_triangle_px(way, count * before, count * after)
+            for way, count, before, after in zip(
+                ways_px, counts, speeds_px[:-2], speeds_px[2:], strict=True
+            )
+        ]
+    )
+    worst = int(away_px.argmax())
+    away = away_px[worst] / task.size_px
+    first, last = track.frames[rows[worst : worst + 2]]
+    yield Doubt(
+        level=away / JUMP,
+        text=f"the object jumps by {away:.1f} of its size between frames {first} and {last}",
+    )
+
+
+def _vanishing(track: Track, task: VideoTask) -> Iterator[Doubt]:
+    """Yield where the ball of a cradle is first or last seen farther from its row than it moves in a frame."""
+    assert task.rest_px is not None
+    rows, places = np.flatnonzero(track.is_found), track.points_px
+    swings = np.split(rows, np.flatnonzero(np.diff(rows) > MOST_HIDDEN + 1) + 1)
+    for swing in (one for one in swings if len(one) > 1):
+        for row, inner in (swing[:2], swing[:-3:-1]):
+            step_px = math.dist(places[row], places[inner])
+            away = (math.dist(places[row], task.rest_px) - step_px) / task.size_px
+            if 0 < row < len(places) - 1:
+                yield Doubt(
+                    level=away / MOST_BESIDE,
+                    text=f"the ball appears or vanishes {away:.1f} of its size from its row "
+                    f"in frame {track.frames[row]}",
+                )
+
+
+def _end_on_way(track: Track, task: VideoTask, span: tuple[int, int]) -> str:
+    """Return where an object is seen for the last time, while it slides or falls, though nothing hides it there."""
+    if task.motion not in (Motion.SLIDE, Motion.FALL) or not task.law:
+        return ""
+    row = int(np.flatnonzero(track.is_found)[-1])
+    away = math.dist(track.points_px[row], task.centre_px) / task.size_px
+    is_short = len(track.frames) - 1 - row <= MOST_HIDDEN
+    # A fall is retained up to the last frame but one.
+    if is_short or row > span[1] + 1 or away > FREE:
+        return ""
+    return f"the object vanishes on its way: frame {track.frames[row]} is the last that shows it"
+
+
+def _from_triangle_px(place: FloatArray, one: FloatArray, other: FloatArray) -> float:
+    """Return the distance of a place from the triangle of zero and two others, all of shape [2]."""
+    # Shares of the three corners are not negative, and their sum is held to 1.
+    corners = np.column_stack([one, other, np.zeros(2)])
+    _, away_px = nnls(np.vstack([corners, np.full(3, FIRM_PX)]), [*place, FIRM_PX])
+    return float(away_px)
+
+
+def _where(track: Track, rows: NDArray[np.intp], is_odd: NDArray[np.bool_]) -> str:
+    """Return in which of the frames of some rows something is odd: ` in frames 3 to 9, 14`; empty where in none."""
+    runs = runs_text(track.frames[rows[is_odd[rows]]])
+    return f" in frames {runs}" if runs else ""
+
+
+def runs_text(frames: NDArray[np.int64]) -> str:
+    """Return frame numbers as runs: `3 to 9, 14`."""
+    if not len(frames):
+        return ""
+    parts = np.split(frames, np.flatnonzero(np.diff(frames) != 1) + 1)
+    texts = [
+        f"{part[0]} to {part[-1]}" if len(part) > 1 else f"{part[0]}" for part in parts
+    ]
+    shown = texts[:4]
+    return ", ".join(shown) + (
+        f" and {len(texts) - 4} more runs" if len(texts) > 4 else ""
+    )
