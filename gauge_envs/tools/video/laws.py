@@ -430,10 +430,10 @@ def _straight(
             end = int(seen[: row + 1].argmax()) - 1
             break
         later = min(row + WINDOW, len(rows) - 1)
-        if (
-            later - row >= WINDOW // 2
-            and along[row + 1 : later + 1].max() - along[row] < MOVING_PX
-        ):
+        # Less than half a window before the end of a clip, the step before it must be larger.
+        is_long = later - row >= WINDOW // 2
+        is_stop = is_long or along[row] - along[row - 1] > MOVING_PX
+        if is_stop and along[row + 1 : later + 1].max() - along[row] < MOVING_PX:
             # This frame shows it at rest, and the exposure of the one before may hold the stop.
             end = row - 2
             break

@@ -178,29 +178,31 @@ def _jump(track: Track, task: VideoTask, rows: NDArray[np.intp]) -> Iterator[Dou
     """Yield the largest way that the speeds before and after it do not explain.
 
     An object that is lost for some frames has gone on, stopped or turned: its mean velocity meanwhile lies between
-    those before and after and zero.
+    those before and after and zero. So does that of two steps, over which a blend of two pictures spreads a jump.
     """
     if len(rows) < 3:
         return
-    counts = np.diff(rows)
-    ways_px = np.diff(track.points_px[rows], axis=0)
-    rest = np.zeros((1, 2))
-    speeds_px = np.vstack([rest, ways_px / counts[:, None], rest])
-    away_px = np.array(
-        [
-            _from_triangle_px(way, count * before, count * after)
-            for way, count, before, after in zip(
-                ways_px, counts, speeds_px[:-2], speeds_px[2:], strict=True
-            )
-        ]
-    )
-    worst = int(away_px.argmax())
-    away = away_px[worst] / task.size_px
-    first, last = track.frames[rows[worst : worst + 2]]
-    yield Doubt(
-        level=away / JUMP,
-        text=f"the object jumps by {away:.1f} of its size between frames {first} and {last}",
-    )
+    places_px = track.points_px[rows]
+    speeds_px = np.diff(places_px, axis=0) / np.diff(rows)[:, None]
+    # The object rests before its first step and after its last one.
+    around_px = np.pad(speeds_px, ((1, 1), (0, 0)))
+    for steps in (1, 2):
+        aways = {}
+        # Within two steps a motion may begin or end too.
+        for start in range(steps - 1, len(rows) - 2 * steps + 1):
+            end = start + steps
+            corners_px = (rows[end] - rows[start]) * around_px[[start, end + 1]]
+            away_px = _from_triangle_px(places_px[end] - places_px[start], *corners_px)
+            aways[start, end] = away_px / task.size_px
+        ends = max(aways, key=aways.__getitem__, default=(0, 0))
+        away = aways.get(ends, 0.0)
+        first, last = track.frames[rows[list(ends)]]
+        yield Doubt(
+            level=away / JUMP,
+            text=f"the object jumps by {away:.1f} of its size between frames {first} and {last}",
+        )
+        if away > JUMP:
+            return
 
 
 def _vanishing(track: Track, task: VideoTask) -> Iterator[Doubt]:

@@ -2,13 +2,14 @@
 
 import numpy as np
 import pytest
-from clips import track_of
+from clips import driven, track_of
 from scipy import stats
 
 from gauge_envs.errors import ParameterError
 from gauge_envs.tools.video import video_task
 from gauge_envs.tools.video.laws import (
     apices,
+    displacement_px,
     dynamic_error,
     fit_constant_acceleration,
     fit_damped_oscillation,
@@ -166,3 +167,14 @@ def test_a_fall_ends_at_a_low_rebound():
     track = track_of(task.centre_px + way_px * np.array(task.direction), 30.0)
     _, last = retained(track, task)
     assert since_s[last] < fall_s < since_s[last + 2]
+
+
+@pytest.mark.parametrize("rest", [2, 3, 6])
+def test_the_stop_before_the_end_of_a_clip_is_no_part_of_a_slide(rest):
+    """The cube stops between the frames 25 and 26, and the clip shows it at rest in a few frames."""
+    task = video_task("SlopeSlider-2-wood")
+    ways_px = displacement_px(driven(task.id, 2.5), task)
+    stopped_px = np.minimum(ways_px[: 26 + rest], 0.5 * (ways_px[25] + ways_px[26]))
+    places = task.centre_px + stopped_px[:, None] * np.array(task.direction)
+    _, last = retained(track_of(places, 30.0), task)
+    assert last == 24

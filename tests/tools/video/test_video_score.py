@@ -387,9 +387,9 @@ def test_a_cube_that_breaks_the_law_has_a_sound_track_until_it_may_be_another_on
     assert still.metrics["de"] == 0.0 and "says little" in still.findings[-1]
     assert found[0.0].metrics["de"] == 0.0 and found[39.0].metrics["de"] > 0.05
     assert "jumps" in found[130.0].reasons[0]
-    # A cube that stops at once at the end of its board is no other one; one that goes back is.
-    for way_px, is_sound in ((405.0, True), (325.0, False)):
-        way = np.r_[np.zeros(8), 5.0 * np.arange(10.0) ** 2, way_px, way_px]
+    # A cube that stops at once at the end of its board is no other one; one that goes back and on is.
+    for end_px, is_sound in (((405.0, 405.0), True), ((325.0, 415.0), False)):
+        way = np.r_[np.zeros(8), 5.0 * np.arange(10.0) ** 2, end_px]
         places = SLIDE.centre_px + way[:, None] * np.array(SLIDE.direction)
         assert score_track(track_of(places, 24.0), SLIDE).is_sound is is_sound
 
@@ -406,6 +406,18 @@ def test_a_jump_while_the_object_is_lost_is_named(speed_px, count, away):
     faults = [one.text for one in doubts if one.level > 1.0]
     words = f"jumps by {away:.1f} of its size between frames {15 - count} and 16"
     assert [words in one for one in faults] == [True] * bool(away)
+
+
+@pytest.mark.parametrize(("away", "is_named"), [(0.0, False), (1.3, True)])
+def test_a_jump_that_a_blend_of_two_pictures_spreads_is_named(away, is_named):
+    """Between them the track finds a place half way."""
+    track = driven(SLIDE.id, 1.7)
+    shares = np.clip(np.arange(40) - 25, 0.0, 2.0)[:, None] / 2.0
+    ahead_px = away * SLIDE.size_px * shares * np.array(SLIDE.direction)
+    jumped = replace(track, points_px=track.points_px + ahead_px)
+    doubts = [one for one in doubts_of(jumped, SLIDE, (10, 39)) if one.level > 1.0]
+    words = "of its size between frames 25 and 27"
+    assert [words in one.text for one in doubts] == [True] * is_named
 
 
 @pytest.mark.parametrize(
