@@ -10,7 +10,7 @@ import math
 import sys
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -60,11 +60,13 @@ class Entry:
         name: Variant.
         to_s: Time of the last frame [s]; None for the end of the episode.
         use_withheld: Whether to draw a recording that is withheld from scores.
+        camera: Entries that replace those of the environment's camera, which leaves room for any start.
     """
 
     name: str
     to_s: float | None = None
     use_withheld: bool = False
+    camera: Mapping[str, float] = field(default_factory=dict)
 
 
 GROUPS: dict[str, tuple[Entry, ...]] = {
@@ -97,14 +99,14 @@ GROUPS: dict[str, tuple[Entry, ...]] = {
         Entry("CantileverBeam-soft", 0.5, use_withheld=True),
     ),
     "Beyond the benchmark": (
-        Entry("CubeToss-acrylic"),
-        Entry("ElbowToss-blocks"),
+        Entry("CubeToss-acrylic", camera={"distance_m": 1.3}),
+        Entry("ElbowToss-blocks", camera={"distance_m": 0.75}),
         Entry("SiliconeBeam-52g-silicone", 0.5),
         Entry("CubePush-light"),
-        Entry("JointPendulum-viscous", 1.7),
-        Entry("DoublePendulum-bars", 2.0),
-        Entry("TorquePendulum-ak80"),
-        Entry("ServoArm-so101", 20.0),
+        Entry("JointPendulum-viscous", 1.7, camera={"distance_m": 0.6}),
+        Entry("DoublePendulum-bars", 2.0, camera={"distance_m": 0.75}),
+        Entry("TorquePendulum-ak80", camera={"distance_m": 1.3}),
+        Entry("ServoArm-so101", 20.0, camera={"azimuth_deg": 110.0, "distance_m": 0.6}),
     ),
 }
 
@@ -162,6 +164,7 @@ def draw(entry: Entry, file: Path) -> str:
         render_mode="rgb_array",
         width=width,
         height=height,
+        camera=entry.camera,
         render_overlay=True,
         use_withheld=entry.use_withheld,
     )
