@@ -487,7 +487,7 @@ class FaceFollower:
         self._wide = self._half + int(WINDOW * task.size_px)
         # Angle [rad] and place [px].
         self._pose = np.array([0.0, *task.centre_px])
-        self._step = np.zeros(3)
+        self._step, self._slip_px = np.zeros(3), np.zeros(2)
         self._face = _turned(_grey(first), self._pose, self._half)
         self._size_px = task.size_px
         self._least_outline = LEAST_OUTLINE * self._outline(_grey(first))
@@ -535,8 +535,9 @@ class FaceFollower:
         self._step, self._pose = pose - self._pose, pose
         face = _turned(grey, pose, self._half)
         self._face = (1.0 - RENEWAL) * self._face + RENEWAL * face
-        if self._pattern is not None:
+        if self._pattern is not None and (self._has_own or self._area == 0.0):
             # The renewed template would follow a cube that melts; its square has the threshold of all likenesses.
+            # Of a plain face it would know the sides and the shadow, which do not turn: its area says more.
             value = (
                 max(0.0, float((self._pattern_of(face) * self._pattern).mean())) ** 2
             )
@@ -562,9 +563,13 @@ class FaceFollower:
             # Reflections take corners from the area of metal.
             lost = 1.0 - self._corner_share(areas[0]) / self._corners
             found.misfit = max(found.misfit, lost)
-        slip_px = math.dist(middle, _rotation(self._pose[0]) @ self._middle)
-        if slip_px > MOST_SLIP * self._size_px:
+        slip_px = middle - _rotation(self._pose[0]) @ self._middle
+        if np.linalg.norm(slip_px) > MOST_SLIP * self._size_px:
             found.likeness = 0.0
+        if self._is_shiny:
+            # A renewed template drifts with reflections. Tints do not, and hold no shadow.
+            self._slip_px += RENEWAL * (slip_px - self._slip_px)
+            found.place = found.place + self._slip_px
         _, sizes, middles = areas
         is_large = sizes > TWIN_SHARE * self._area
         # The first area is all that is not covered.

@@ -9,7 +9,7 @@ import pytest
 
 from gauge_envs.tools.video import video_task
 from gauge_envs.tools.video.follow import FaceFollower, ShapeFollower, Sight
-from gauge_envs.tools.video.soundness import MOST_MISFIT
+from gauge_envs.tools.video.soundness import LEAST_CONFIDENCE, MOST_MISFIT
 from gauge_envs.tools.video.tracker import (
     _hidden,
     _is_neighbour,
@@ -180,6 +180,40 @@ def test_a_cube_on_a_turntable_keeps_its_area_and_outline(change):
     is_whole = chosen.likeness > 0.0 and not abs(chosen.size_ratio - 1.0) > 0.3
     is_whole = is_whole and chosen.misfit < MOST_MISFIT
     assert is_whole is (change in ("none", "second", "darkens"))
+
+
+@pytest.mark.parametrize(
+    ("task_id", "most_away"), [("Turntable-2-metal", 0.1), ("Turntable-2-wood", 0.25)]
+)
+def test_a_plain_face_on_a_turntable_is_known_by_its_area(task_id, most_away):
+    """A reflection passes over metal, and beside wood a shadow keeps its direction while the cube turns."""
+    task = video_task(task_id)
+    pivot, start = np.array(task.pivot_px), np.array(task.centre_px)
+    scene = np.full((480, 832, 3), 40, np.uint8)
+    plate = (140, 165, 185) if task.is_shiny else (210, 220, 225)
+    cv2.circle(scene, pivot.round().astype(int).tolist(), 225, plate, -1)
+    follower = None
+    for frame in range(50):
+        angle_deg = -1.5 * frame
+        turn = cv2.getRotationMatrix2D(pivot.tolist(), -angle_deg, 1.0)
+        centre = turn @ [*start, 1.0]
+        picture = scene.copy()
+        away_px = np.arange(832.0) - centre[0] + 30.0 - 0.5 * frame
+        metal = 190.0 + 60.0 * np.exp(-((away_px / 12.0) ** 2))[:, None]
+        looks = [(0.0, metal if task.is_shiny else (105, 150, 195))]
+        if not task.is_shiny:
+            looks.insert(0, (30.0, (120, 125, 130)))
+        for aside_px, colour in looks:
+            middle = np.add(centre, (aside_px, -0.6 * aside_px))
+            box = (middle.tolist(), (task.size_px,) * 2, angle_deg)
+            covered = np.zeros(scene.shape[:2], np.uint8)
+            cv2.fillPoly(covered, [cv2.boxPoints(box).round().astype(int)], 1)
+            picture = np.where(covered[..., None] > 0, colour, picture)
+        picture = picture.astype(np.uint8)
+        follower = follower or FaceFollower(picture, task)
+        sight = follower.candidates(picture)[0]
+        assert sight.likeness > LEAST_CONFIDENCE
+        assert math.dist(sight.place, centre) < most_away * task.size_px
 
 
 def test_a_swing_before_a_table_of_its_colour_is_said_to_be_missed():
