@@ -15,7 +15,7 @@ from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.video import laws
 from gauge_envs.tools.video.frames import ArrayFrames, FileFrames, Frames
 from gauge_envs.tools.video.plane import LEAST_SLOPE, Calibration, metric_on_grid
-from gauge_envs.tools.video.soundness import Doubt, doubts_of, runs_text
+from gauge_envs.tools.video.soundness import Doubt, doubts_of, runs_text, short_motion
 from gauge_envs.tools.video.tasks import Motion, VideoTask, video_task
 from gauge_envs.tools.video.track import Track
 from gauge_envs.tools.video.tracker import track_object
@@ -41,7 +41,7 @@ def findings_of(
 ) -> list[str]:
     """Return what a clip shows that its metrics do not say."""
     if span is None:
-        return ["the object does not move"]
+        return [] if short_motion(track, task) else ["the object does not move"]
     found = []
     shown_s = float(np.ptp(track.times_s[list(span)]))
     period_s = metrics.get("pd", 0.0)

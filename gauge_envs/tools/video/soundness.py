@@ -10,6 +10,7 @@ from scipy.optimize import nnls
 
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.video.clock import clock_fault
+from gauge_envs.tools.video.laws import ESTABLISHED, displacement_px
 from gauge_envs.tools.video.tasks import Motion, VideoTask
 from gauge_envs.tools.video.track import Track
 
@@ -108,7 +109,9 @@ def doubts_of(
         for one in track.events
         if not one.is_note and one.first_frame <= track.frames[last]
     ]
-    if span is not None:
+    if span is None:
+        texts.append(short_motion(track, task))
+    else:
         texts.append(_end_on_way(track, task, span))
         texts.append(clock_fault(track, task, span, track.noise_px(span)))
     for text in filter(None, texts):
@@ -233,6 +236,16 @@ def _end_on_way(track: Track, task: VideoTask, span: tuple[int, int]) -> str:
     if is_short or row > span[1] + 1 or away > FREE:
         return ""
     return f"the object vanishes on its way: frame {track.frames[row]} is the last that shows it"
+
+
+def short_motion(track: Track, task: VideoTask) -> str:
+    """Return how far an object gets that slides or falls in too few frames to be judged; empty if it rests."""
+    if task.direction is None or not track.is_found.any():
+        return ""
+    away = float(np.nanmax(displacement_px(track, task))) / task.size_px
+    if away <= ESTABLISHED:
+        return ""
+    return f"the object moves by {away:.1f} of its size, in too few frames to be judged"
 
 
 def _from_triangle_px(place: FloatArray, one: FloatArray, other: FloatArray) -> float:

@@ -259,6 +259,15 @@ def test_a_still_picture_has_a_track_and_no_physics():
     assert set(result.metrics.values()) == {None}
 
 
+def test_an_object_that_stops_after_two_steps_is_not_called_at_rest():
+    """Another one may go on from there."""
+    away_px = np.interp(np.arange(40), [10, 12], [0.0, SLIDE.size_px])
+    places = SLIDE.centre_px + away_px[:, None] * np.array(SLIDE.direction)
+    result = score_track(track_of(places, 24.0), SLIDE)
+    assert result.reasons[0].startswith("the object moves by 1.0 of its size, in too")
+    assert not result.findings and result.interval_frames is None
+
+
 @pytest.mark.parametrize("task", FIVE)
 def test_an_object_that_rests_does_not_move(task):
     one = video_task(task)
@@ -402,7 +411,7 @@ def test_a_jump_while_the_object_is_lost_is_named(speed_px, count, away):
     right, down = SLIDE.direction
     places[16:] += away * SLIDE.size_px * np.array([-down, right])
     places[16 - count : 16] = np.nan
-    doubts = list(doubts_of(track_of(places, 24.0), SLIDE, None))
+    doubts = list(doubts_of(track_of(places, 24.0), SLIDE, (0, 29)))
     faults = [one.text for one in doubts if one.level > 1.0]
     words = f"jumps by {away:.1f} of its size between frames {15 - count} and 16"
     assert [words in one for one in faults] == [True] * bool(away)
