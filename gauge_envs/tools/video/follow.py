@@ -32,6 +32,9 @@ ADAPTATION = 0.05
 HIDDEN, CORE = 1.1, 0.3
 """Half of the part of the first frame that an object and its shadow may hide, and of its core, in sizes."""
 
+PART = 0.2
+"""Least width of what is seen of an object that stops in that part of the last frame, in sizes."""
+
 MOST_CANDIDATES = 6
 """Most places of a frame that may show the object."""
 
@@ -289,8 +292,16 @@ def _uncovered(
     core = (start_px[0], start_px[1], int(CORE * size_px))
     change = _cut(first, *core)[0] - _cut(last, *core)[0].astype(np.float32)
     if np.median(np.abs(change).max(axis=2)) > CHANGED:
-        scene = first.copy()
-        scene[hidden] = last[hidden]
+        scene, colour = first.copy(), _look(first, start_px, size_px)
+        before, after = (
+            np.linalg.norm(one[hidden] - colour, axis=2) for one in (first, last)
+        )
+        # An object that stops beside its first place hides there in the last frame what the first one shows.
+        stopped = ((before > LEAST_CONTRAST) & (after < LEAST_CONTRAST)).astype("u1")
+        part = np.ones((int(PART * size_px),) * 2, np.uint8)
+        around = cv2.dilate(cv2.morphologyEx(stopped, cv2.MORPH_OPEN, part), part)
+        is_first = (around > 0) & (before > after)
+        scene[hidden] = np.where(is_first[..., None], first[hidden], last[hidden])
         return scene
     mask = np.zeros(first.shape[:2], dtype=np.uint8)
     mask[hidden] = 255

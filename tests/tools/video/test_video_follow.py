@@ -134,6 +134,24 @@ def test_an_object_has_its_size_and_shape_though_its_motion_smears_it(change, si
         assert sight.misfit < 0.1
 
 
+def test_a_ball_that_stops_beside_its_first_place_is_no_part_of_the_background():
+    rows, columns = np.mgrid[:480, :832]
+    first, moving, last = (
+        np.full((480, 832, 3), 200, np.uint8) for _ in ("first", "moving", "last")
+    )
+    for picture, away in ((first, 0.0), (moving, 0.7), (last, 1.1)):
+        down_px = rows - BALL.centre_px[1] - away * BALL.size_px
+        away_px = np.hypot(down_px, columns - BALL.centre_px[0])
+        picture[away_px < 0.5 * BALL.size_px] = 25
+    follower = ShapeFollower(first, last, BALL)
+    follower.candidates(first)
+    for picture, away in ((moving, 0.7), (last, 1.1)):
+        (sight,) = follower.candidates(picture)
+        wanted_px = np.add(BALL.centre_px, (0.0, away * BALL.size_px))
+        assert math.dist(sight.place, wanted_px) < 1.0
+        assert sight.size_ratio == pytest.approx(1.0, abs=0.05)
+
+
 @pytest.mark.parametrize(
     "change", ["none", "grows", "second", "spreads", "darkens", "flattens", "rounds"]
 )
