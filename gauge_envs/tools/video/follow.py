@@ -440,8 +440,11 @@ FACE, WINDOW, INNER = 0.6, 0.4, 0.42
 """Half of the followed square, how far around it the next one is looked for, and half of the part of it that shows the
 face alone, in sizes of the object."""
 
-LEAST_PATTERN = 8.0
+LEAST_PATTERN = 1.0
 """Smallest contrast of a pattern of a face, as the standard deviation of its brightness."""
+
+LEAST_PATTERN_CORRELATION = 0.7
+"""Smallest correlation with the pattern of a face that shows it again."""
 
 RENEWAL = 0.2
 """Share of a frame that the template takes over: metal changes its brightness as it turns to the lamp."""
@@ -474,6 +477,9 @@ LEAST_OUTLINE = 0.75
 SIDE, NEAR, EDGE_PX = 0.3, 0.1, 1.5
 """Half of the part of a side whose edge counts, and distance in which it lies, in sizes; blur of its profile [px]."""
 
+SLIP = 0.2
+"""Distance within which the pattern of the first frame is looked for, in sizes."""
+
 SMOOTH_PX = 3.0
 """Width of the grain that a pattern leaves out [px]."""
 
@@ -504,9 +510,12 @@ class FaceFollower:
         self._least_outline = LEAST_OUTLINE * self._outline(_grey(first))
         self._is_shiny = task.is_shiny
         self._colour = _look(first, self._pose[1:], task.size_px)
-        self._pattern: NDArray[np.floating] | None = None
-        if not task.is_shiny:
-            self._pattern = self._pattern_of(self._face)
+        self._square = _normed(smooth(self._face))
+        inner = int(INNER * task.size_px)
+        margin = self._half - inner
+        self._pattern = pattern_of(self._face, inner)[margin:-margin, margin:-margin]
+        # Reflections change the face of metal that turns.
+        self._has_pattern = not task.is_shiny and self._pattern.std() > LEAST_PATTERN
         width, height = REFERENCE_SIZE_PX
         rows, columns = np.mgrid[0:height, 0:width]
         away = np.hypot(*np.subtract([columns, rows], self._pivot[:, None, None]))
@@ -544,27 +553,30 @@ class FaceFollower:
             self._step = np.zeros(3)
             return []
         self._step, self._pose = pose - self._pose, pose
-        face = _turned(grey, pose, self._half)
+        anchored = self._anchor(grey)
+        face = _turned(grey, self._pose, self._half)
         self._face = (1.0 - RENEWAL) * self._face + RENEWAL * face
-        if self._pattern is not None and (self._has_own or self._area == 0.0):
+        if not self._is_shiny:
             # The renewed template would follow a cube that melts; its square has the threshold of all likenesses.
             # Of a plain face it would know the sides and the shadow, which do not turn: its area says more.
-            value = (
-                max(0.0, float((self._pattern_of(face) * self._pattern).mean())) ** 2
-            )
-        if not self._is_shiny and self._outline(grey) < self._least_outline:
-            return []
-        sight = Sight(place=pose[1:], likeness=min(1.0, value))
+            if self._has_pattern or self._area == 0.0:
+                whole = float((_normed(smooth(face)) * self._square).mean())
+                value = max(whole, anchored, 0.0) ** 2
+            if self._outline(grey) < self._least_outline:
+                return []
+        sight = Sight(place=self._pose[1:], likeness=min(1.0, value))
         if not self._is_shiny:
             # Reflections change the colour of metal that turns.
-            shown = _look(picture, pose[1:], self._size_px)
+            shown = _look(picture, sight.place, self._size_px)
             sight.tint = _tint(shown, self._colour)
         if self._area == 0.0:
             return [sight]
-        others = self._others(picture, sight)
+        others = self._others(picture, sight, is_anchored=anchored > 0.0)
         return [sight, *others] if sight.likeness > 0.0 else []
 
-    def _others(self, picture: Picture, found: Sight) -> list[Sight]:
+    def _others(
+        self, picture: Picture, found: Sight, *, is_anchored: bool
+    ) -> list[Sight]:
         """Return what else looks like the object, and by how much the area around it has changed in size and shape."""
         areas = self._areas(picture)
         size, longer, middle = _area_at(areas, found.place)
@@ -575,7 +587,8 @@ class FaceFollower:
             lost = 1.0 - self._corner_share(areas[0]) / self._corners
             found.misfit = max(found.misfit, lost)
         slip_px = middle - _rotation(self._pose[0]) @ self._middle
-        if np.linalg.norm(slip_px) > MOST_SLIP * self._size_px:
+        is_off = np.linalg.norm(slip_px) > MOST_SLIP * self._size_px
+        if is_off and not is_anchored:
             found.likeness = 0.0
         if self._is_shiny:
             # A renewed template drifts with reflections. Tints do not, and hold no shadow.
@@ -610,18 +623,22 @@ class FaceFollower:
         brightness = small.mean(axis=2, keepdims=True)
         return TINT_GAIN * (small - brightness) / (brightness + DARK)
 
-    def _pattern_of(self, face: NDArray[np.floating]) -> NDArray[np.floating]:
-        """Return the followed square at the mean brightness 0 and the contrast 1, without its grain.
+    def _anchor(self, grey: NDArray[np.float32]) -> float:
+        """Move the pose to where the pattern of the face in the first frame is seen again, and return how well it fits.
 
-        A face with a pattern of its own is known by that alone: beside it a camera sees other sides, which change.
+        The renewed template drifts, as the sides and the shadow around a face change with its place. Where the pattern
+        is not seen, as there is none or a model draws it anew, the pose stays, and 0 is returned.
         """
-        smooth = cv2.GaussianBlur(face, (0, 0), SMOOTH_PX)
-        margin = self._half - int(INNER * self._size_px)
-        inner = smooth[margin:-margin, margin:-margin]
-        if self._pattern is None:
-            self._has_own = bool(inner.std() > LEAST_PATTERN)
-        shown = inner if self._has_own else smooth
-        return (shown - shown.mean()) / max(float(shown.std()), 1e-9)
+        if not self._has_pattern:
+            return 0.0
+        half, margin = len(self._pattern) // 2, int(SLIP * self._size_px)
+        window = pattern_of(_turned(grey, self._pose, half + margin), half)
+        value, move = _aligned(self._pattern, window)
+        slip_px = float(np.hypot(*move[1:]))
+        if value < LEAST_PATTERN_CORRELATION or slip_px > margin:
+            return 0.0
+        self._pose = _moved(self._pose, move)
+        return value
 
     def _outline(self, grey: NDArray[np.float32]) -> float:
         """Return how strong the edges are at the object's sides, against the strongest ones around each of them."""
@@ -642,16 +659,58 @@ class FaceFollower:
         self, picture: Picture, grey: NDArray[np.float32], pose: FloatArray
     ) -> tuple[FloatArray, float]:
         """Return the pose near another one at which the picture is most like the template, and how much it is."""
-        window = _turned(grey, pose, self._wide)
-        margin = self._wide - self._half
-        value, warp = matched(self._face, window, margin, cv2.MOTION_EUCLIDEAN)
-        turn = math.atan2(warp[1, 0], warp[0, 0])
-        middle = warp @ [self._half, self._half, 1.0] - self._wide
-        found = pose + np.array([turn, *(_rotation(pose[0]) @ middle)])
+        value, move = _aligned(self._face, _turned(grey, pose, self._wide))
+        found = _moved(pose, move)
         # Correlation does not know the colour, and an edge of the plate is like one of the object.
         shown = _look(picture, found[1:], self._size_px)
         is_on_plate = math.dist(found[1:], self._pivot) < PLATE_RADIUS_PX
         return found, is_on_plate * value * _likeness(_tint(shown, self._colour))
+
+
+def smooth(grey: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Return a picture without its grain."""
+    return np.asarray(cv2.GaussianBlur(grey, (0, 0), SMOOTH_PX))
+
+
+def _normed(grey: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Return a picture at the mean brightness 0 and the contrast 1."""
+    return (grey - grey.mean()) / max(float(grey.std()), 1e-9)
+
+
+def pattern_of(grey: NDArray[np.floating], half: int) -> NDArray[np.floating]:
+    """Return a square without its grain, and without the even shading of the middle that a lamp makes.
+
+    Args:
+        grey: The square.
+        half: Half of the side of its middle [px].
+    """
+    smoothed = smooth(grey)
+    wide = len(grey) // 2
+    middle = smoothed[wide - half : wide + half + 1, wide - half : wide + half + 1]
+    along_px = np.arange(-half, half + 1)
+    # On a centred square the plane of least squares has each slope for itself.
+    square_px2 = (2 * half + 1) * float(along_px @ along_px)
+    down, right = middle.sum(axis=1) @ along_px, middle.sum(axis=0) @ along_px
+    places_px = np.arange(-wide, wide + 1)
+    plane = (down * places_px[:, None] + right * places_px) / square_px2
+    return np.asarray(smoothed - plane - middle.mean())
+
+
+def _aligned(
+    template: NDArray[np.floating], window: NDArray[np.floating]
+) -> tuple[float, FloatArray]:
+    """Return how like a square a part of a wider one is, and its angle [rad] and place [px] from the middle."""
+    half, wide = len(template) // 2, len(window) // 2
+    value, warp = matched(
+        template, window.astype(np.float32), wide - half, cv2.MOTION_EUCLIDEAN
+    )
+    turn = math.atan2(warp[1, 0], warp[0, 0])
+    return value, np.array([turn, *(warp @ [half, half, 1.0] - wide)])
+
+
+def _moved(pose: FloatArray, move: FloatArray) -> FloatArray:
+    """Return a pose that has moved by an angle and a place in its own directions."""
+    return pose + np.array([move[0], *(_rotation(pose[0]) @ move[1:])])
 
 
 def _grey(picture: Picture) -> NDArray[np.float32]:

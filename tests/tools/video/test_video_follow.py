@@ -260,6 +260,53 @@ def test_metal_on_a_plate_of_its_tint_is_said_to_hide(plate, is_hidden):
     assert bool(_hidden(FaceFollower(picture, task), task)) is is_hidden
 
 
+@pytest.mark.parametrize("pattern_std", [0.0, 3.0])
+def test_a_face_with_a_faint_pattern_does_not_drift(pattern_std):
+    """A shadow, a dark side and the light of a lamp keep their direction in the room while the cube turns."""
+    task = video_task("Turntable-2-wood")
+    size_px, side = task.size_px, 2 * round(0.5 * task.size_px) + 1
+    rng = np.random.default_rng(0)
+    pattern = cv2.GaussianBlur(rng.normal(size=(side, side)), (0, 0), 5.0)
+    pattern *= pattern_std / pattern.std()
+    rows, columns = np.mgrid[:480, :832]
+    turns_rad = -np.linspace(0.0, 2.4, 49)
+    pictures, centres = [], []
+    for turn_rad in turns_rad:
+        turn = np.array(
+            [
+                [math.cos(turn_rad), -math.sin(turn_rad)],
+                [math.sin(turn_rad), math.cos(turn_rad)],
+            ]
+        )
+        centre = task.pivot_px + turn @ (np.array(task.centre_px) - task.pivot_px)
+        picture = np.full((480, 832), 200.0)
+        corners = size_px * np.array(
+            [[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]]
+        )
+        for away_px, grey in ((16.0, 140.0), (7.0, 60.0)):
+            moved = (corners @ turn.T + centre + away_px).astype(int)
+            cv2.fillPoly(picture, [moved], grey)
+        place = np.column_stack([turn, centre - turn @ [side // 2, side // 2]])
+        face = cv2.warpAffine(150.0 + pattern, place, (832, 480))
+        shown = cv2.warpAffine(np.ones((side, side)), place, (832, 480))
+        lit = 1.0 + 0.0008 * (columns - rows)
+        picture = lit * (shown * face + (1.0 - shown) * picture)
+        pictures.append(
+            np.repeat(picture[..., None], 3, axis=2).clip(0, 255).astype(np.uint8)
+        )
+        centres.append(centre)
+    follower = FaceFollower(pictures[0], task)
+    sights = [(follower.candidates(one) or [Sight()])[0] for one in pictures]
+    lowest = min(one.likeness for one in sights)
+    if not pattern_std:
+        assert lowest < 0.9
+        return
+    assert lowest > 0.9
+    places = np.array([one.place for one in sights])
+    assert np.linalg.norm(places - centres, axis=1).max() < 0.03 * size_px
+    assert follower._pose[0] == pytest.approx(turns_rad[-1], abs=math.radians(1.0))
+
+
 def test_a_slide_that_stops_at_once_is_followed_to_its_rest():
     task = video_task("SlopeSlider-2-wood")
     along_px = np.minimum(2.4 * np.arange(24.0) ** 2, 400.0)
