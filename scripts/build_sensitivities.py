@@ -7,6 +7,7 @@ scores use it. It belongs to the default preset of the engine.
 from __future__ import annotations
 
 from gauge_envs import load_experiment, reference_band, variants
+from gauge_envs.backends.registry import support_of
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.sensitivities import sensitivities_text
 from gauge_envs.runs.request import RunRequest
@@ -17,16 +18,18 @@ ENGINES = ("mujoco", "drake", "genesis", "newton", "physx", "pybullet", "rapier"
 
 
 def measure(request: Request) -> None:
-    """Write the tables of all variants that are scored by default."""
+    """Write the tables of all variants that are scored by default, of each engine that simulates them."""
     for engine in request.engines or ENGINES:
         for variant in variants():
-            band = reference_band(load_experiment(variant.name))
+            experiment = load_experiment(variant.name)
+            band = reference_band(experiment)
             is_scored = (
                 band is not None
                 and band.grade is not BandGrade.MODEL
                 and band.normalized_by_baseline
             )
-            if not (is_scored and request.wants(variant.name)):
+            is_simulated = support_of(engine, experiment.scene)
+            if not (is_scored and is_simulated and request.wants(variant.name)):
                 continue
             file = SCORING / "sensitivities" / engine / f"{variant.name}.json"
             file.parent.mkdir(parents=True, exist_ok=True)
