@@ -4,7 +4,7 @@ No learned model is used, so a text prompt is not needed: the first frame of eac
 """
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -31,6 +31,9 @@ ADAPTATION = 0.05
 
 HIDDEN, CORE = 1.1, 0.3
 """Half of the part of the first frame that an object and its shadow may hide, and of its core, in sizes."""
+
+LEAST_OFF, MOST_OFF = 0.1, 0.5
+"""Distances from the line of a slide between which an outline may float across it, in sizes."""
 
 PART = 0.2
 """Least width of what is seen of an object that stops in that part of the last frame, in sizes."""
@@ -147,9 +150,8 @@ class ShapeFollower:
         )
         cv2.accumulateWeighted(picture, self._scene, ADAPTATION, mask=still)
         found = [one for one in found if one.likeness > 0.0]
-        for one in sorted(found, key=lambda one: math.dist(one.place, self._start)):
-            self._measure(one, picture)
-        return found
+        found.sort(key=lambda one: math.dist(one.place, self._start))
+        return [self._measured(one, picture) for one in found]
 
     def known_share(self, place: FloatArray) -> float:
         """Return on which share of the outline the background at a place has another colour than the object."""
@@ -193,6 +195,23 @@ class ShapeFollower:
         found = corner + middle
         tint = _tint(_look(picture, found, self._size_px), self._colour)
         return Sight(place=found, likeness=min(1.0, value) * _likeness(tint), tint=tint)
+
+    def _measured(self, sight: Sight, picture: Picture) -> Sight:
+        """Return a sight with its size and shape; one beside the line of a slide is moved to it if the shape says so.
+
+        An outline floats across a cube and its shadow on the board, which may have the colour of the cube.
+        """
+        sights = [sight]
+        if self._task.motion is Motion.SLIDE and self._task.law:
+            across = np.array(self._task.direction)[::-1] * (-1.0, 1.0)
+            off_px = (sight.place - self._start) @ across
+            if LEAST_OFF < abs(off_px) / self._size_px < MOST_OFF:
+                on_line = replace(sight, place=sight.place - off_px * across)
+                sights.insert(0, on_line)
+        for one in sights:
+            self._measure(one, picture)
+        sights.reverse()
+        return min(sights, key=lambda one: (math.isnan(one.size_ratio), one.misfit))
 
     def _measure(self, sight: Sight, picture: Picture) -> None:
         """Measure the size and the shape of what covers a place, by its profile across the motion.

@@ -341,3 +341,22 @@ def test_a_black_cube_has_its_face_where_its_dark_sides_are_seen_too(
     found = [follower.candidates(picture)[0].place for picture in pictures]
     along_px = (found - places) @ task.direction
     assert np.abs(along_px).max() < limit_px, along_px
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3])
+def test_a_cube_is_placed_without_its_shadow_on_the_board(share):
+    """The shadow has the colour of the cube, so that both are as high as 1.3 cubes."""
+    task = video_task("SlopeSlider-2-wood")
+    direction = np.array(task.direction)
+    across = np.array([-direction[1], direction[0]])
+    angle_deg = math.degrees(math.atan2(*direction[::-1]))
+    pictures, places = [], task.centre_px + np.outer([0.0, 90.0, 200.0], direction)
+    for place in places:
+        picture = np.full((480, 832, 3), 40, np.uint8)
+        middle = place - 0.5 * share * task.size_px * across
+        box = (middle.tolist(), (task.size_px, (1.0 + share) * task.size_px), angle_deg)
+        cv2.fillPoly(picture, [cv2.boxPoints(box).round().astype(int)], (105, 150, 195))
+        pictures.append(picture)
+    follower = ShapeFollower(pictures[0], pictures[-1], task)
+    found = [follower.candidates(picture)[0].place for picture in pictures]
+    assert np.linalg.norm(found - places, axis=1).max() < 0.1 * task.size_px
