@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.tools.video.follow import shrunk
 from gauge_envs.tools.video.frames import Picture, cv2
+from gauge_envs.tools.video.sight import shrunk
 from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX
 from gauge_envs.tools.video.track import Event
 

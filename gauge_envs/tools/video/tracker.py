@@ -9,12 +9,7 @@ from numpy.typing import NDArray
 from gauge_envs.errors import VideoError
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.video.camera import SceneWatch
-from gauge_envs.tools.video.follow import (
-    LEAST_KNOWN_SHARE,
-    FaceFollower,
-    ShapeFollower,
-    Sight,
-)
+from gauge_envs.tools.video.face import FaceFollower
 from gauge_envs.tools.video.frames import (
     LEAST_FRAMES,
     Cadence,
@@ -23,6 +18,8 @@ from gauge_envs.tools.video.frames import (
 )
 from gauge_envs.tools.video.laws import GRAVITY_M_PER_S2, LEAST_APEX_RAD
 from gauge_envs.tools.video.registration import registration_by_outline
+from gauge_envs.tools.video.shape import LEAST_KNOWN_SHARE, ShapeFollower
+from gauge_envs.tools.video.sight import Sight
 from gauge_envs.tools.video.tasks import (
     PLATE_RADIUS_PX,
     REFERENCE_SIZE_PX,

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from gauge_envs.tools.video import video_task
-from gauge_envs.tools.video.follow import FaceFollower, ShapeFollower, Sight
+from gauge_envs.tools.video.face import FaceFollower
+from gauge_envs.tools.video.shape import ShapeFollower
+from gauge_envs.tools.video.sight import Sight
 from gauge_envs.tools.video.soundness import LEAST_CONFIDENCE, MOST_MISFIT
 from gauge_envs.tools.video.tracker import (
     _hidden,
