@@ -269,8 +269,8 @@ OFF_LINE = 0.5
 ESTABLISHED = 0.25
 """Displacement with which a motion is established, in sizes of the object."""
 
-REVERSAL_PX = 0.5
-"""Step against a fall that is a reversal and no noise [px]."""
+IMPACT = 0.25
+"""Share of the speed that is left after an impact, at most."""
 
 APEX_SEPARATION_S = 0.35
 """Shortest time between two apices [s]: about half a period of the cradle's balls."""
@@ -418,28 +418,43 @@ def _straight(
         before = later[0]
     while start + 1 < established and along[start + 1] - before <= RELEASED_PX:
         start += 1
-    end, steps = len(rows) - 1, np.diff(seen)
+    end = len(rows) - 1
     if task.motion is Motion.FALL and rows[-1] < len(track.frames) - 1:
         # A ball that is lost has often hit the ground, and the last frame that shows it may contain that.
         end -= 1
     for row in range(established, len(rows) - 1):
-        # The median hides a low rebound; a slip takes no two steps back.
-        back = min(along[row + 1] - along[row], steps[row : row + 2].max())
-        if task.motion is Motion.FALL and back < -REVERSAL_PX:
-            # The median hides where a reversal is sharp. The frame next to an impact may lie after it.
-            end = int(seen[: row + 1].argmax()) - 1
-            break
         later = min(row + WINDOW, len(rows) - 1)
         # Less than half a window before the end of a clip, the step before it must be larger.
         is_long = later - row >= WINDOW // 2
         is_stop = is_long or along[row] - along[row - 1] > MOVING_PX
-        if is_stop and along[row + 1 : later + 1].max() - along[row] < MOVING_PX:
-            # This frame shows it at rest, and the exposure of the one before may hold the stop.
-            end = row - 2
+        is_at_rest = along[row + 1 : later + 1].max() - along[row] < MOVING_PX
+        is_impact = _is_impact(along, rows, row)
+        if (is_stop and is_at_rest) or is_impact:
+            is_before = is_impact and along[row + 1] - along[row] > MOVING_PX
+            # The exposure of the last frame before it may hold it.
+            end = row + is_before - 2
             break
     if task.motion is Motion.SLIDE:
         end = min(end, _last_on_line(track, task, rows, start))
     return (start, end) if end - start >= 3 else None
+
+
+def _is_impact(along: FloatArray, rows: NDArray[np.intp], row: int) -> bool:
+    """Return whether most of the speed is lost at once, and does not come back: a body stops, or rebounds.
+
+    Args:
+        along: Displacements along the motion [px].
+        rows: Their frames, in which the object is found.
+        row: Which of them.
+    """
+    earlier = np.arange(max(0, row - 2), row + 1)
+    before_px = float((np.diff(along[earlier]) / np.diff(rows[earlier])).max())
+    for count in (2, WINDOW):
+        later = min(row + count, len(rows) - 1)
+        after_px = (along[later] - along[row]) / (rows[later] - rows[row])
+        if after_px > min(IMPACT * before_px, before_px - MOVING_PX):
+            return False
+    return True
 
 
 def _last_on_line(

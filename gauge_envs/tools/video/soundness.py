@@ -10,7 +10,7 @@ from scipy.optimize import nnls
 
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.video.clock import clock_fault
-from gauge_envs.tools.video.laws import ESTABLISHED, displacement_px
+from gauge_envs.tools.video.laws import ESTABLISHED, WINDOW, displacement_px
 from gauge_envs.tools.video.tasks import Motion, VideoTask
 from gauge_envs.tools.video.track import Track
 
@@ -103,7 +103,12 @@ def doubts_of(
                 level=away / JUMP,
                 text=f"the object is first seen {away:.1f} of its size from its place in the known first frame",
             )
-    yield from _vanishing(track, task) if is_cradle else _jump(track, task, found)
+    if is_cradle:
+        yield from _vanishing(track, task)
+    else:
+        # A jump back ends a slide or a fall as a rebound does.
+        watched = np.flatnonzero(track.is_found[: last + 1 + WINDOW])
+        yield from _jump(track, task, watched[watched >= first])
     texts = [
         one.text
         for one in track.events
