@@ -331,8 +331,8 @@ class _Flight:
     def of(
         cls, times_s: FloatArray, heights_m: FloatArray, gravity_m_per_s2: float
     ) -> _Flight | None:
-        """Return the flight through some samples; None of fewer than `LEAST_FLIGHT`."""
-        if len(times_s) < LEAST_FLIGHT:
+        """Return the flight through some samples; None of fewer than `LEAST_FLIGHT`, or if the height stays the same."""
+        if len(times_s) < LEAST_FLIGHT or not np.ptp(heights_m):
             return None
         without_fall_m = heights_m + 0.5 * gravity_m_per_s2 * times_s**2
         speed_m_per_s, start_m = np.polyfit(times_s, without_fall_m, 1)

@@ -153,6 +153,16 @@ def bounce_heights(
     return heights
 
 
+def test_a_body_that_stays_in_one_height_flies_no_parabola() -> None:
+    """An engine may leave a body in a height to the last bit after its impact: it rose to there, and no farther."""
+    times_s = np.arange(0.0, 1.0, 0.01)
+    heights = bounce_heights(times_s, 0.5, 0.0)
+    is_late = times_s > math.sqrt(2.0 * 0.5 / G) + 0.02
+    heights[is_late] = 0.02
+    found = restitution_of_bounce(times_s, heights, released_m=0.5)
+    assert found == pytest.approx(math.sqrt(0.02 / 0.5))
+
+
 @given(st.floats(0.15, 1.0), st.floats(0.1, 1.0), intervals_s)
 def test_a_bounce_sampled_off_the_contact_has_its_restitution(
     e: float, drop_m: float, interval_s: float
