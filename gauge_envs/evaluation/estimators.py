@@ -331,7 +331,7 @@ class _Flight:
     def of(
         cls, times_s: FloatArray, heights_m: FloatArray, gravity_m_per_s2: float
     ) -> _Flight | None:
-        """Return the flight through some samples; None of fewer than `LEAST_FLIGHT`, or if the height stays the same."""
+        """Return the flight through some samples; None of fewer than `LEAST_FLIGHT`, or if no height changes."""
         if len(times_s) < LEAST_FLIGHT or not np.ptp(heights_m):
             return None
         without_fall_m = heights_m + 0.5 * gravity_m_per_s2 * times_s**2
