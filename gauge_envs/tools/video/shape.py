@@ -181,11 +181,12 @@ class ShapeFollower:
             off_px = (sight.place - self._start) @ across
             if LEAST_OFF < abs(off_px) / self._size_px < MOST_OFF:
                 on_line = replace(sight, place=sight.place - off_px * across)
-                sights.insert(0, on_line)
+                # The first one that is measured at the first place gives the profile of the object.
+                sights = [on_line, sight]
         for one in sights:
             self._measure(one, picture)
-        sights.reverse()
-        return min(sights, key=lambda one: (math.isnan(one.size_ratio), one.misfit))
+        # Of equal shapes the place stays.
+        return min(reversed(sights), key=_misfit)
 
     def _measure(self, sight: Sight, picture: Picture) -> None:
         """Measure the size and the shape of what covers a place, by its profile across the motion.
@@ -273,6 +274,11 @@ class ShapeFollower:
         if abs(first_px) > half_px:
             added_px += side_px * beyond_px / first_px
         sight.place = sight.place + (away_px - added_px) * direction
+
+
+def _misfit(sight: Sight) -> float:
+    """Return the misfit of a sight; infinite where its shape is not known."""
+    return math.inf if math.isnan(sight.size_ratio) else sight.misfit
 
 
 def _uncovered(
