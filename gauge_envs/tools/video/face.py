@@ -70,7 +70,7 @@ LEAST_OUTLINE = 0.75
 SIDE, NEAR, EDGE_PX = 0.3, 0.1, 1.5
 """Half of the part of a side whose edge counts, and distance in which it lies, in sizes; blur of its profile [px]."""
 
-SLIP = 0.2
+ANCHOR_REACH = 0.2
 """Distance within which the pattern of the first frame is looked for, in sizes."""
 
 SMOOTH_PX = 3.0
@@ -84,7 +84,8 @@ class FaceFollower:
     """Follows the face of a cube on a turntable by a template that turns with it and is renewed in each frame.
 
     The place and angle of largest correlation are found from those that the last two frames predict (Evangelidis and
-    Psarakis, 2008, as in OpenCV). An object that is lost there is looked for around the axis.
+    Psarakis, 2008, as in OpenCV). An object that is lost there is looked for around the axis. Where the pattern of the
+    face in the first frame is seen again, it corrects the drift of the template.
 
     Args:
         first: The first frame.
@@ -224,11 +225,11 @@ class FaceFollower:
         """
         if not self._has_pattern:
             return 0.0
-        half, margin = len(self._pattern) // 2, int(SLIP * self._size_px)
+        half, margin = len(self._pattern) // 2, int(ANCHOR_REACH * self._size_px)
         window = pattern_of(turned_square(grey, self._pose, half + margin), half)
         value, move = _aligned(self._pattern, window)
-        slip_px = float(np.hypot(*move[1:]))
-        if value < LEAST_PATTERN_CORRELATION or slip_px > margin:
+        moved_px = float(np.hypot(*move[1:]))
+        if value < LEAST_PATTERN_CORRELATION or moved_px > margin:
             return 0.0
         self._pose = _moved(self._pose, move)
         return value

@@ -159,8 +159,8 @@ def doubts_text(result: VideoScore, *, is_tracked: bool) -> Iterator[str]:
         doubt = result.doubt
         wrong = WRONG_OF_100[doubt.level <= CLEAR]
         yield (
-            f"largest doubt, {doubt.level:.2f} of what a sound track may have: {doubt.text}; of 100 such tracks of a "
-            f"new kind of drawn clips {wrong} were wrong: look at it"
+            f"nearest to a bound, at {doubt.level:.2f} of it: {doubt.text}. Of drawn clips of a kind that no rule had "
+            f"seen, {wrong} of 100 such tracks were wrong: look at it"
         )
 
 

@@ -10,7 +10,7 @@ import pytest
 from gauge_envs.tools.video import video_task
 from gauge_envs.tools.video.face import FaceFollower
 from gauge_envs.tools.video.shape import ShapeFollower
-from gauge_envs.tools.video.sight import Sight
+from gauge_envs.tools.video.sight import Sight, rotation_of
 from gauge_envs.tools.video.soundness import LEAST_CONFIDENCE, MOST_MISFIT
 from gauge_envs.tools.video.tracker import (
     _hidden,
@@ -274,12 +274,7 @@ def test_a_face_with_a_faint_pattern_does_not_drift(pattern_std):
     turns_rad = -np.linspace(0.0, 2.4, 49)
     pictures, centres = [], []
     for turn_rad in turns_rad:
-        turn = np.array(
-            [
-                [math.cos(turn_rad), -math.sin(turn_rad)],
-                [math.sin(turn_rad), math.cos(turn_rad)],
-            ]
-        )
+        turn = rotation_of(turn_rad)
         centre = task.pivot_px + turn @ (np.array(task.centre_px) - task.pivot_px)
         picture = np.full((480, 832), 200.0)
         corners = size_px * np.array(
