@@ -27,21 +27,28 @@ def zeros(envs):
     ["GAUGE/SlopeSlider-3-metal", "GAUGE/FoamShearing-soft", "GAUGE/Push-Limit-wood"],
 )
 def test_worlds_in_threads_have_the_bits_of_one_thread(name, monkeypatch):
-    """And the threads are used."""
+    """And the threads are used: the first waits for a second, which a pool begins only if the first is at work."""
     steps, used = {}, set()
     advance = mujoco.mj_step
+    second = threading.Event()
+    second.set()
 
     def noted(*arguments, **keywords):
         used.add(threading.get_ident())
+        if len(used) > 1:
+            second.set()
+        assert second.wait(timeout=60.0)
         advance(*arguments, **keywords)
 
     monkeypatch.setattr(mujoco, "mj_step", noted)
     for count in (1, 3):
         for module in (stepper, worlds):
             monkeypatch.setattr(module, "processors", lambda count=count: count)
-        used.clear()
         envs = gymnasium.make_vec(name, num_envs=3)
         envs.reset(seed=1)
+        used.clear()
+        if count > 1:
+            second.clear()
         actions = np.random.default_rng(0).uniform(
             -1.0, 1.0, (3, *envs.action_space.shape)
         )

@@ -200,11 +200,14 @@ def bench(subject: str, states: Path | None = None, **options: Any) -> Iterator[
         )
 
 
-_READING = threading.Lock()
-"""NumPy parses the header of an array with `ast`, which Python 3.11 may break off in two threads at once."""
+READING = threading.Lock()
+"""NumPy parses the header of an array with `ast`, which Python 3.11 may break off in two threads at once.
+
+Whoever reads arrays in a thread of `sides_at_once` takes it.
+"""
 
 
 def arrays(file: Path) -> dict[str, NDArray[Any]]:
     """Return the arrays of an NPZ that a worker wrote."""
-    with _READING, np.load(file) as found:
+    with READING, np.load(file) as found:
         return {name: np.array(found[name]) for name in found.files}

@@ -2,13 +2,12 @@
 
 import json
 import sys
-import threading
 
 import numpy as np
 
 from gauge_envs.tools.versions import worker
 from gauge_envs.tools.versions.model import Side
-from gauge_envs.tools.versions.processes import Bench
+from gauge_envs.tools.versions.processes import READING, Bench, arrays
 
 SCENE = """<mujoco><option timestep="0.004"/><worldbody><geom name="floor" type="plane" size="3 3 1"/>
 <body name="box" pos="0 0 0.0999"><freejoint/><geom name="box" type="box" size="0.1 0.1 0.1"/></body>
@@ -19,9 +18,6 @@ SCENE = """<mujoco><option timestep="0.004"/><worldbody><geom name="floor" type=
 
 def side(title, **settings):
     return Side(title=title, python=sys.executable, settings=settings)
-
-
-WORKING = threading.Lock()
 
 
 class Planted(Bench):
@@ -44,14 +40,13 @@ class Planted(Bench):
             changed = job.with_suffix(".xml")
             changed.write_text(self.xml)
             job.write_text(json.dumps(stated | {"model": str(changed)}))
-        # NumPy parses headers with `ast`, which Python 3.11 may break off in two threads at once.
-        with WORKING:
+        # The worker reads arrays too, here in a thread of this process.
+        with READING:
             worker.main(job)
         for file in job.parent.glob(f"{job.name.partition('.')[0]}.probe*.npz"):
             # The second file of such a job has the solution at its end.
             is_exact = stated.get("exact") and file.stem.endswith("probe1")
             if side.title.startswith("new") and self.plant and not is_exact:
-                with np.load(file) as arrays:
-                    found = {name: np.array(arrays[name]) for name in arrays.files}
+                found = arrays(file)
                 self.plant(found)
                 np.savez(file, **found)
