@@ -159,7 +159,9 @@ def worst_ratio(ratios: Mapping[str, float], what: str) -> Measurement:
     # Rounded, so that the last bit does not choose among equals.
     errors = {name: float(f"{abs(ratio - 1.0):.9g}") for name, ratio in ratios.items()}
     name = max(errors, key=lambda one: np.nan_to_num(errors[one], nan=np.inf))
-    right = [one for one, error in errors.items() if error < 0.1 * errors[name]]
+    # Beside a ratio without bound one that is 500 times off is not right.
+    largest = 0.1 * min(1.0, errors[name])
+    right = [one for one, error in errors.items() if error < largest]
     others = f"; right: {', '.join(right)}" if right else "; so are the others"
     return Measurement(
         measured=ratios[name],

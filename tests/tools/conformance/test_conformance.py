@@ -22,7 +22,7 @@ from gauge_envs.scene import Box, Scene
 from gauge_envs.tools.conformance import CheckResult, Status, checks, run_checks
 from gauge_envs.tools.conformance.forces import EULER_DEG, _frame_hint
 from gauge_envs.tools.conformance.lab import DisturbedLab, Lab
-from gauge_envs.tools.conformance.laws import torque_free_orientation
+from gauge_envs.tools.conformance.laws import torque_free_orientation, worst_ratio
 from gauge_envs.tools.conformance.rigid import _hinge_radius, _pendulum_energy
 from gauge_envs.tools.conformance.words import findings_document
 
@@ -439,6 +439,12 @@ def test_pendulum_period_is_the_integral_over_a_quarter_swing():
         gravity_m_per_s2=9.8,
     )
     assert measured == pytest.approx(expected, rel=1e-9)
+
+
+def test_what_is_off_by_far_is_not_right_beside_what_is_off_by_more():
+    ratios = {"stiff": np.inf, "soft": 0.002, "double": 2.0, "good": 1.01}
+    hint = worst_ratio(ratios, "K is").hint
+    assert hint == "K is inf times what it should be for stiff; right: good"
 
 
 def test_a_soft_hinge_and_lost_energy_are_measured():
