@@ -181,7 +181,8 @@ class Frames(ABC):
 def _check_container(path: Path) -> None:
     """Check that a file has the size of a clip and holds its pictures: a playlist is a text that names other files."""
     if not path.is_file():
-        raise VideoError(f"{path}: there is no such file")
+        fault = "it is a folder" if path.is_dir() else "there is no such file"
+        raise VideoError(f"{path}: {fault}")
     if path.stat().st_size > MOST_BYTES:
         raise VideoError(
             f"{path}: it is larger than {MOST_BYTES // MEGABYTE} MB; cut the clip to the event"

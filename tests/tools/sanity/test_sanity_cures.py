@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 import pytest
 import robot_faults
-from arm_faults import LATER, MISTAKES, good_xml, read
+from arm_faults import LATER, MISTAKES, good_xml, read, replaced
 from more_faults import GOOD, LATER as MORE_LATER, MISTAKES as MORE_MISTAKES
 
 from gauge_envs.tools.sanity import check, configuration
@@ -135,6 +135,27 @@ def test_the_written_robot_has_the_flags_that_are_left(name, tmp_path):
 def remedies(xml):
     before = read(xml)
     return find_remedies(before.robot, flags_of(before))
+
+
+@pytest.mark.parametrize(
+    ("robot", "old", "new", "cure"),
+    [
+        (
+            *("arm", '(name="joint3".*?)damping="1"', r'\1damping="400"'),
+            'damping="1" for joint3',
+        ),
+        (
+            *("arm", '(name="joint6")', r'\1 stiffness="400" springref="90"'),
+            'stiffness="0" for joint6',
+        ),
+        (
+            *("hand", 'condim="4"(\\s+priority="1" friction=)"1', r'condim="3"\1"0'),
+            'condim="3" friction="1 0.005 0.0001" priority="1" for index_pad and pads like it',
+        ),
+    ],
+)
+def test_what_is_wrong_in_one_place_is_mended_there(robot, old, new, cure):
+    assert remedies(replaced(old, new)(GOOD[robot]())).texts == (cure,)
 
 
 def test_a_remedy_that_compiles_the_model_again_keeps_the_earlier_ones():

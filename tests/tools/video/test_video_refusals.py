@@ -77,6 +77,7 @@ def tracked(file):
         ),
         ("zeros.mp4", FileFrames, "\0" * 1000, "OpenCV cannot decode it"),
         ("none.mp4", FileFrames, None, "there is no such file"),
+        (".", FileFrames, None, "it is a folder"),
     ],
 )
 def test_a_damaged_file_is_an_error_that_names_it(name, read, content, words, tmp_path):

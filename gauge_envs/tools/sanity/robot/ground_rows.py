@@ -194,16 +194,21 @@ def _finger_friction(robot: Robot) -> Finding:
     slipperiest = min(grips, key=grips.__getitem__)
     slippery = [geom for geom, grip in grips.items() if grip < 0.1]
     name = geom_name(model, slipperiest)
+
+    def condim_of(geom: int) -> int:
+        # Of a pad without friction, nothing says that it holds no torque.
+        return int(model.geom_condim[geom]) if has_friction[geom] else 4
+
     return Finding(
         value=grips[slipperiest],
         parts={geom_name(model, geom): grip for geom, grip in grips.items()},
         remark=f"{name}, a finger",
-        advice=f'condim="4" friction="1 0.005 0.0001" priority="1" for {name} and pads like it',
+        advice=f'condim="{condim_of(slipperiest)}" friction="1 0.005 0.0001" priority="1" for {name} and pads like it',
         changes={
             f"geom_{key}[{geom}]": value
             for geom in slippery
             for key, value in (
-                ("condim", 4),
+                ("condim", condim_of(geom)),
                 ("priority", 1),
                 ("friction", np.array([1.0, 0.005, 0.0001])),
             )

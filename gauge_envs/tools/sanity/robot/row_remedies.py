@@ -12,7 +12,7 @@ from gauge_envs.errors import TargetError
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.model import Settings
 from gauge_envs.tools.sanity.robot.behaviour import ORDER, WORSE, after_changes, step_s
-from gauge_envs.tools.sanity.robot.copies import quantities
+from gauge_envs.tools.sanity.robot.copies import odd_motors, quantities
 from gauge_envs.tools.sanity.robot.finding import limits_of, of_elements, standing_of
 from gauge_envs.tools.sanity.robot.joint_rows import (
     FAIR_RAD_PER_S2,
@@ -473,9 +473,15 @@ def _frictionloss(robot: Robot) -> Iterator[Remedy]:
 
 
 def drag_remedies(robot: Robot, name: str, units: Sequence[float]) -> Iterator[Remedy]:
-    """Yield less drag: the share of the torque that other joints lose, another unit, or what the row states."""
+    """Yield less drag: that of like joints, the share that others lose, another unit, or what the row states."""
     row, limits = f"robot-{name}", loads_nm(robot)
-    values = getattr(robot.model, f"dof_{name}")
+    values, dofs = getattr(robot.model, f"dof_{name}"), robot.model.jnt_dofadr
+    usual = {
+        int(dofs[joint]): float(values[dofs[other]])
+        for joint, (quantity, other) in odd_motors(robot).items()
+        if quantity == name
+    }
+    yield from elements_remedy(robot, of_elements(f"dof_{name}", usual))
     changes = dict(ROWS[row](robot).changes)
     wrong = [dof for dof in limits if dof in changed_rows(changes, f"dof_{name}")]
     shares = {dof: float(values[dof]) / limits[dof] for dof in limits}

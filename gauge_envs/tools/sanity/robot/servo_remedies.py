@@ -7,6 +7,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from gauge_envs.tools.sanity.robot.behaviour import FAIR_STEP_S
 from gauge_envs.tools.sanity.robot.finding import judged_row, limits_of, of_elements
 from gauge_envs.tools.sanity.robot.joints import (
     dof_of,
@@ -179,9 +180,10 @@ def _sag(robot: Robot) -> Iterator[Remedy]:
         return
     joints = [int(robot.model.actuator_trnid[a, 0]) for a in soft]
     sprung = [joint for joint in joints if springs(robot.model)[joint]]
-    yield from elements_remedy(
-        robot, of_elements("jnt_stiffness", dict.fromkeys(sprung, 0.0))
-    )
+    without = of_elements("jnt_stiffness", dict.fromkeys(sprung, 0.0))
+    for one in elements_remedy(robot, without):
+        # A spring that pulls a servo back makes no fair step.
+        yield replace(one, fair_step_s=FAIR_STEP_S)
     yield from gear_remedies(robot)
     every = position_servos(robot)
     largest_mrad = max(sags_mrad[a] for a in soft)
