@@ -308,7 +308,7 @@ def _lines(table: Table, wide: bool, width: int) -> Iterator[Text]:
             "; ".join(
                 f"{one.label}: {one.text(row)}"
                 for one in spilled
-                if one.value(row) is not None
+                if one.value(row) is not None and one.text(row)
             )
         )
         for text in filter(None, lines):

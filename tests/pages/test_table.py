@@ -168,6 +168,8 @@ def test_columns_that_do_not_fit_are_written_below_the_row():
         "rest                  10",
         "    default: 20; this: 30",
     ]
+    without = [{**row, "default": ""} for row in NAMED.rows]
+    assert printed(replace(NAMED, rows=without), 30)[-1] == "    this: 30"
 
 
 def test_long_titles_are_wrapped_at_blanks():

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from pydantic import (
     Field,
     NonNegativeFloat,
-    PositiveFloat,
     field_validator,
     model_validator,
 )
@@ -63,13 +62,13 @@ class Board(FileModel):
     """Printed board beside the motion, in every frame of a film, whose upper edge is level.
 
     Attributes:
-        square_m: Edge of a square as measured on the print [m].
+        square_m: Edge of a square as measured on the print [m], at most 1 m.
         sigma_m: Standard uncertainty of its corners: print and flatness [m].
         offset_m: Distance of the middle of the object from the board, towards the camera [m].
         offset_sigma_m: Its standard uncertainty [m].
     """
 
-    square_m: PositiveFloat
+    square_m: Annotated[float, Field(gt=0.0, le=1.0)]
     sigma_m: NonNegativeFloat = 0.0003
     offset_m: float
     offset_sigma_m: NonNegativeFloat = 0.002

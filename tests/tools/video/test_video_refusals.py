@@ -43,6 +43,7 @@ CAMERAS = [
     (SIZE, "board: missing key"),
     (SIZE + "[board]\nsquare_m = 0.035\n", "board.offset_m: missing key"),
     (SIZE + "[board]\noffset_m = 0\nsquare_m = 0\n", "board.square_m: .*given: 0"),
+    (SIZE + "[board]\noffset_m = 0\nsquare_m = 30\n", "board.square_m: .*given: 30"),
     (SIZE + "[board]\nsquare = 0.035\n", "board.square_m: missing key"),
     (CAMERA + "sigma = 1\n", "board.sigma: unknown key"),
     (CAMERA + "[motion]\npivot_m = [0.1, 0.2]\n", "pivot_sigma_m go together"),
