@@ -1,7 +1,4 @@
-"""Run this suite's own submissions of `leaderboard/`: each engine by its default preset and out of the box.
-
-Afterwards `gauge leaderboard table leaderboard --format markdown > leaderboard/leaderboard.md` writes the page.
-"""
+"""Run this suite's own submissions of `leaderboard/`, by default preset and out of the box, and write its page."""
 
 from __future__ import annotations
 
@@ -13,8 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from gauge_envs.backends.registry import uninstalled_backend
+from gauge_envs.pages.document import as_markdown
 from gauge_envs.tools.leaderboard import check_leaderboard
 from gauge_envs.tools.leaderboard.submission import STATEMENT_FILE
+from gauge_envs.tools.leaderboard.words import leaderboard_document
 from scripts import board_hashes
 from scripts.generated import ROOT, Request
 
@@ -72,9 +71,11 @@ def submit(folder: Path, text: str) -> None:
 
 
 def measure(request: Request) -> None:
-    """Write and run the submissions of engines."""
+    """Write and run the submissions of engines, and write the page of all."""
     for engine in request.engines or PACKAGES:
         for configuration, settings in configurations(engine):
             folder = BOARD / engine / version(PACKAGES[engine]) / configuration
             submit(folder, statement(engine, configuration, settings))
     board_hashes.write()
+    page = as_markdown(leaderboard_document(check_leaderboard(BOARD)))
+    (BOARD / "leaderboard.md").write_text(page, encoding="utf-8")
