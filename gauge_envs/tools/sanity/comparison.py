@@ -44,7 +44,10 @@ from gauge_envs.tools.sanity.phenomena import (
     selection,
 )
 from gauge_envs.tools.sanity.phenomena.base import Phenomenon
+from gauge_envs.tools.sanity.robot.finding import body_name
+from gauge_envs.tools.sanity.robot.mujoco_feet import joints_of
 from gauge_envs.tools.sanity.robot.quantities import QUANTITIES, quantities
+from gauge_envs.tools.sanity.robot.robot import Robot
 from gauge_envs.tools.sanity.stacks import configuration
 from gauge_envs.tools.sanity.target_checks import (
     CONTROL_ROW,
@@ -419,7 +422,8 @@ def _known_quantities(
 ) -> list[dict[str, dict[str, float]] | None]:
     """Return what both targets state of their parts; expressions get the names of joints of the other's model."""
     known = [
-        None if target.robot is None else quantities(target.robot) for target in targets
+        None if target.robot is None else _with_objects(target.robot)
+        for target in targets
     ]
     joints = next((list(one["damping"]) for one in known if one is not None), None)
     return [
@@ -428,6 +432,16 @@ def _known_quantities(
         else one
         for one, target in zip(known, targets, strict=True)
     ]
+
+
+def _with_objects(robot: Robot) -> dict[str, dict[str, float]]:
+    """Return the quantities of a robot, with the masses of the free bodies beside it."""
+    model = robot.model
+    free = set(model.jnt_bodyid[joints_of(model, "FREE")].tolist())
+    objects = free - set(robot.bodies)
+    masses = {body_name(robot, body): float(model.body_mass[body]) for body in objects}
+    known = quantities(robot)
+    return {**known, "mass": masses | known["mass"]}
 
 
 def _of_names(

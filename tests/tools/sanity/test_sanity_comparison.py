@@ -279,7 +279,8 @@ def test_a_change_of_the_robot_is_named(name):
 
 PARTS = """<mujoco><worldbody><body name="hand"><joint name="wrist"/><geom size=".05"/><site name="imu"/>
   <body name="left" pos=".1 0 0"><joint name="left" type="slide"/><geom size=".02"/></body>
-  <body name="right" pos="-.1 0 0"><joint name="right" type="slide"/><geom size=".02"/></body></body></worldbody>
+  <body name="right" pos="-.1 0 0"><joint name="right" type="slide"/><geom size=".02"/></body></body>
+  <body name="cube" pos="0 1 0"><freejoint/><geom size=".02" mass=".04"/></body></worldbody>
   <tendon><fixed name="split"><joint joint="left" coef="1"/><joint joint="right" coef=".5"/></fixed></tendon>
   <equality><joint joint1="left" joint2="right" polycoef="0 1 0 0 0"/></equality>
   <contact><exclude body1="hand" body2="left"/></contact>
@@ -288,6 +289,7 @@ PARTS = """<mujoco><worldbody><body name="hand"><joint name="wrist"/><geom size=
 
 PART_CHANGES = {
     'coef=".5"': ('coef="-.5"', "tendon-coefficient", "split of right"),
+    'mass=".04"': ('mass="40"', "mass", "cube"),
     "0 1 0 0 0": ("0 -1 0 0 0", "coupling", "left and right 1"),
     'body2="left"': ('body2="right"', "exclude", "hand and left"),
     'gear="2"': ('gear="-2"', "motor-gear", "wrist"),
