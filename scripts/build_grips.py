@@ -164,7 +164,7 @@ LOADS: dict[str, tuple[Load, ...]] = {
             windows=((1, 21), (22, 42), (43, 64)),
         ),
     ),
-    # The cube touches the foam in frame 12; the solution of the positions ends at frame 17 or 19.
+    # The cube touches the foam in frame 12, and has pressed it to a sixth of its width in frame 17.
     "FoamBending-*": (
         Load(
             quantity="weight and push in the grips",

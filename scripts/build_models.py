@@ -2,8 +2,9 @@
 
 `measure` runs each id on engines of different families: default settings, and each of time step, cell and iterations
 coarser and finer, one at a time. It extrapolates each of them to zero (Richardson), adds the corrections, and
-takes the mean over the engines. A cloth that moves alike across its width is solved by a one-dimensional sheet
-(`scripts/sheet.py`), which an engine only checks. `studies/models/README.md` has the method.
+takes the mean over the engines. An engine only checks a cloth that moves alike across its width, which a sheet solves
+(`scripts/sheet.py`), and foam that is pressed, which a block at rest solves (`scripts/solid.py`). The method is in
+`studies/models/README.md`.
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ from gauge_envs.observables.kinds import Observable
 from gauge_envs.observables.observer import observe_markers
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.models import (
+    BLOCK,
     SHEET,
     STRIDE,
     EngineSolution,
@@ -58,6 +60,7 @@ from scripts.extrapolation import (
 )
 from scripts.generated import SCORING, Request
 from scripts.sheet import marker_places_m, sheet_of, solve_sheet
+from scripts.solid import SOLVED_PLACES, block_points_m, is_pressed_block
 
 LIMIT_S = 900.0
 """Processor time of an episode at most [s]."""
@@ -95,6 +98,12 @@ CLOTH_HORIZON_S = 5.0
 The scenes have no damping, and the implicit steps of engines damp all the same. The longer the motion, the more of the
 agreement of engines is that of their damping."""
 
+BLOCK_CELLS = 3
+"""Cells across a block by default."""
+
+BLOCK_HORIZON_S = 0.6
+"""End of the solution of a block that is pressed [s]. Until then it is at rest in all but its slow motion."""
+
 TAUT_HORIZON_S = 1.5
 """The same of a sheet between two held ends [s]. It falls flat and is caught; from then on waves run to and fro in it,
 and each refinement moves the markers by a tenth of their motion."""
@@ -127,13 +136,15 @@ class Level:
 
 
 def engines_of(experiment: Experiment) -> tuple[str, ...]:
-    """Return the engines that solve an experiment, the sheet first where the cloth is one.
+    """Return the engines that solve an experiment, the sheet or the block first where it is one.
 
     All of them must simulate the same fabric: an engine whose law replaces a constant of it is left out.
     """
     wanted = DEFORMABLE_ENGINES if experiment.scene.deformables else RIGID_ENGINES
     if sheet_of(experiment.scene) is not None:
         return (SHEET, "mujoco")
+    if is_pressed_block(experiment.scene):
+        return (BLOCK, "mujoco")
     return tuple(
         name
         for name in wanted
@@ -165,9 +176,19 @@ SHEET_LEVELS = (
 )
 """Runs of the undamped sheet."""
 
+BLOCK_LEVELS = (
+    Level(parameter="base", factor=1.0, settings={}),
+    Level(parameter="step", factor=0.5, settings={"places": 2 * SOLVED_PLACES}),
+    Level(parameter="cell", factor=1.5, settings={"cells": 2}),
+    Level(parameter="cell", factor=0.75, settings={"cells": 4}),
+)
+"""Runs of the block; its steps are those of the driven body."""
+
 
 def solved_span(experiment: Experiment) -> int:
     """Return the number of frames, from the first one, that are solved."""
+    if is_pressed_block(experiment.scene):
+        return min(experiment.frame_count, round(BLOCK_HORIZON_S * FRAME_RATE_HZ) + 1)
     if not is_held_cloth(experiment):
         return experiment.frame_count
     sheet = sheet_of(experiment.scene)
@@ -180,6 +201,8 @@ def levels_of(experiment: Experiment, engine: str) -> list[Level]:
     """Return the runs of an engine, the cheapest parameters first."""
     if engine == SHEET:
         return list(SHEET_LEVELS)
+    if engine == BLOCK:
+        return list(BLOCK_LEVELS)
     scene = experiment.scene
     simulation = backend(engine).build(scene, {})
     default = dict(simulation.settings)
@@ -251,6 +274,8 @@ def solve(experiment: Experiment, engine: str, level: Level) -> dict[str, Any]:
     """Return g(t), points and cost of an episode with zero actions; `fault` says why it was left out."""
     if engine == SHEET:
         return solve_as_sheet(experiment, level)
+    if engine == BLOCK:
+        return solve_as_block(experiment, level)
     start = time.process_time()
     last_frame = solved_span(experiment) - 1
     try:
@@ -317,6 +342,32 @@ def solve_as_sheet(experiment: Experiment, level: Level) -> dict[str, Any]:
         ),
         "points_m": points_m,
         "settings": json.dumps({"preset": "undamped", "cells": cells}),
+        "versions": json.dumps({"numpy": np.__version__}),
+        "processor_s": time.process_time() - start,
+        "fault": "",
+    }
+
+
+def solve_as_block(experiment: Experiment, level: Level) -> dict[str, Any]:
+    """Return the same of a block at rest, with the cells and places of a level."""
+    start = time.process_time()
+    markers = experiment.scene.markers
+    assert markers is not None
+    cells = level.settings.get("cells", BLOCK_CELLS)
+    points_m = block_points_m(
+        experiment.scene,
+        np.arange(solved_span(experiment)) / FRAME_RATE_HZ,
+        np.asarray(markers.positions_m),
+        cells=cells,
+        places=level.settings.get("places", SOLVED_PLACES),
+    )
+    assert points_m is not None
+    return {
+        "frames": observe_markers(
+            points_m, markers=markers, observable=experiment.score.observable
+        ),
+        "points_m": points_m,
+        "settings": json.dumps({"preset": "at rest", "cells": cells}),
         "versions": json.dumps({"numpy": np.__version__}),
         "processor_s": time.process_time() - start,
         "fault": "",
@@ -439,12 +490,12 @@ def write_model(experiment: Experiment, runs: Sequence[Run], folder: Path) -> st
     each = solutions(runs, "frames")
     wanted = engines_of(experiment)
     # One fabric is worth more than two engines: where only one takes its constants, its refinement is the uncertainty.
-    is_sheet = SHEET in each
-    least = 1 if is_sheet or (len(wanted) == 1 and is_held_cloth(experiment)) else 2
+    is_sure = SHEET in each or BLOCK in each
+    least = 1 if is_sure or (len(wanted) == 1 and is_held_cloth(experiment)) else 2
     if len(each) < least:
         return unsolved_reason(experiment, each)
     each = {engine: each[engine] for engine in wanted if engine in each}
-    merged = anchored if is_sheet else combined
+    merged = anchored if is_sure else combined
     name, file = experiment.name, folder / f"{experiment.name}.npz"
     mean, uncertainty, apart = merged(
         [(value, spread) for value, spread, _ in each.values()]
@@ -467,7 +518,9 @@ def write_model(experiment: Experiment, runs: Sequence[Run], folder: Path) -> st
     ends = "" if len(known) == len(mean) else f"its uncertainty {exceeds}"
     if not ends and len(mean) < frame_count:
         ends = (
-            "solvers agree there because they damp alike, and the scene has no damping"
+            "the block is solved at rest, and there it is pressed to a fifth of its width"
+            if BLOCK in each
+            else "solvers agree there because they damp alike, and the scene has no damping"
         )
     found_points = solutions(runs, "points_m") if unit != "mm" else {}
     points = {engine: found_points[engine] for engine in each if engine in found_points}
@@ -480,7 +533,7 @@ def write_model(experiment: Experiment, runs: Sequence[Run], folder: Path) -> st
         spread = np.sqrt(np.square(spread).reshape(len(spread), -1, 3).mean(axis=2))
         point_count, point_gap = known_frames(
             np.sqrt(3.0) * spread,
-            (SHEET_SHARE if is_sheet else MOTION_SHARE) * rms(places - places[0]),
+            (SHEET_SHARE if SHEET in each else MOTION_SHARE) * rms(places - places[0]),
         )
         point_count = max(point_count, 1)
         point_arrays = {
@@ -488,7 +541,7 @@ def write_model(experiment: Experiment, runs: Sequence[Run], folder: Path) -> st
             "points_uncertainty": spread[:point_count:STRIDE].astype(np.float16),
         }
     is_short = max(count, point_count or 0) < LEAST_SPAN * len(mean)
-    if count < 2 or (is_short and not is_sheet):
+    if count < 2 or (is_short and not is_sure):
         return (
             f"the solutions of {', '.join(each)} agree for {count / FRAME_RATE_HZ:.2f} of "
             f"{len(mean) / FRAME_RATE_HZ:.2f} s; then the uncertainty of their mean {exceeds}"

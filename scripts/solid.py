@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
+from scipy.interpolate import PchipInterpolator, RegularGridInterpolator
 from scipy.sparse import coo_matrix, csc_matrix
 from scipy.sparse.linalg import splu
 
@@ -331,16 +331,53 @@ def _polar(gradients: FloatArray) -> tuple[FloatArray, FloatArray]:
     return turns, stretches
 
 
-def held_wrenches(
-    scene: Scene, times_s: FloatArray, *, cells: int
-) -> FloatArray | None:
-    """Return the wrenches of the bodies that hold a block, about their origins, shape [time_count, holder_count, 6].
+@dataclass(frozen=True, kw_only=True)
+class BlockAtRest:
+    """A block at rest at some places of the body that drives it.
+
+    Attributes:
+        solid: The body of the scene.
+        block: The block.
+        gap_m: Travel of the driven body up to which nothing changes.
+        travels_m: Travels of the driven body at the times that were asked for.
+        solved_m: Travels at which the block is solved.
+        poses: Poses of the driven body there.
+        places_m: Places of the nodes there, in the frame of the body, shape [solved_count, node_count, 3].
+    """
+
+    solid: SoftBody
+    block: Block
+    gap_m: float
+    travels_m: FloatArray
+    solved_m: FloatArray
+    poses: list[Pose]
+    places_m: FloatArray
+
+    def at_times(self, values: FloatArray) -> FloatArray:
+        """Return values of the solved travels at the times that were asked for; axis 0 is that of the travels."""
+        between = PchipInterpolator(self.solved_m, values)
+        return between(np.maximum(self.travels_m, self.gap_m))
+
+
+def is_pressed_block(scene: Scene) -> bool:
+    """Return whether a scene is a block between two fixed ends, on which a driven body presses."""
+    if len(scene.deformables) != 1 or len(scene.drivers) != 1:
+        return False
+    (solid,), (driver,) = scene.deformables, scene.drivers
+    return isinstance(solid, SoftBody) and driver.body not in scene.holders
+
+
+def block_at_rest(
+    scene: Scene, times_s: FloatArray, *, cells: int, places: int = SOLVED_PLACES
+) -> BlockAtRest | None:
+    """Return the block of a scene at rest, up to the travel of the driven body at the last time.
 
     Args:
         scene: A scene; None is returned if it is not that of one block with two held ends and one driven body, which
             holds an end or presses on the block.
         times_s: Times, at which the block is taken to be at rest.
         cells: Number of cells across the block; three times as many lie along it.
+        places: Number of places of the driven body at which the block is solved.
     """
     if len(scene.deformables) != 1 or len(scene.drivers) != 1:
         return None
@@ -398,14 +435,14 @@ def held_wrenches(
         ]
     )
     # Until it touches the block, a punch changes nothing.
-    solved_m = np.linspace(gap_m, travels_m[-1], SOLVED_PLACES)
+    solved_m = np.linspace(gap_m, travels_m[-1], places)
     solved_s = np.interp(solved_m, travels_m, times_s)
     share = (block.places_m[:, 2] - low_m) / (high_m - low_m)
     if not is_pressed and ends["low"].to == driver.body:
         share = 1.0 - share
     world_m = solid.pose.to_world(block.places_m)
     last_s = 0.0
-    found = []
+    poses, found = [], []
     for time_s in solved_s:
         pose, punch_m = driver.state(start, time_s)[0], np.inf
         if punch is None:
@@ -417,9 +454,70 @@ def held_wrenches(
             punch_m = float(solid.pose.to_body(foot_m)[0, punch.axis])
         places_m = block.at_rest(solid.pose.to_body(world_m), punch_m)
         world_m, last_s = solid.pose.to_world(places_m), time_s
-        found.append(_wrenches_now(scene, block, places_m, pose))
-    wrenches = PchipInterpolator(solved_m, np.array(found))
-    return wrenches(np.maximum(travels_m, gap_m))
+        poses.append(pose)
+        found.append(places_m)
+    return BlockAtRest(
+        solid=solid,
+        block=block,
+        gap_m=gap_m,
+        travels_m=travels_m,
+        solved_m=solved_m,
+        poses=poses,
+        places_m=np.array(found),
+    )
+
+
+def held_wrenches(
+    scene: Scene, times_s: FloatArray, *, cells: int
+) -> FloatArray | None:
+    """Return the wrenches of the bodies that hold a block, about their origins, shape [time_count, holder_count, 6].
+
+    The arguments are those of `block_at_rest`, and so is None.
+    """
+    rest = block_at_rest(scene, times_s, cells=cells)
+    if rest is None:
+        return None
+    found = [
+        _wrenches_now(scene, rest.block, places_m, pose)
+        for places_m, pose in zip(rest.places_m, rest.poses, strict=True)
+    ]
+    return rest.at_times(np.array(found))
+
+
+def block_points_m(
+    scene: Scene,
+    times_s: FloatArray,
+    points_m: FloatArray,
+    *,
+    cells: int,
+    places: int = SOLVED_PLACES,
+) -> FloatArray | None:
+    """Return where points of a block are [m], shape [time_count, point_count, 3].
+
+    Args:
+        scene: A scene as of `block_at_rest`, whose None is returned.
+        times_s: Times.
+        points_m: The points at the start, shape [point_count, 3].
+        cells: Number of cells across the block.
+        places: Number of places of the driven body at which the block is solved.
+    """
+    rest = block_at_rest(scene, times_s, cells=cells, places=places)
+    if rest is None:
+        return None
+    starts_m = rest.block.places_m
+    lines = [np.unique(starts_m[:, axis]) for axis in range(3)]
+    shape = (*(len(line) for line in lines), 3)
+    low_m, high_m = starts_m.min(axis=0), starts_m.max(axis=0)
+    # What a grip holds stays where the end is.
+    inside_m = np.clip(rest.solid.pose.to_body(points_m), low_m, high_m)
+    found = []
+    for places_m in rest.places_m:
+        moved_m = (places_m - starts_m).reshape(shape)
+        turned = rest.solid.pose.rotation.apply(
+            RegularGridInterpolator(lines, moved_m)(inside_m)
+        )
+        found.append(points_m + turned)
+    return rest.at_times(np.array(found))
 
 
 def _wrenches_now(

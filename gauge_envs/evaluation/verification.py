@@ -43,7 +43,7 @@ MOST_NAMED = 4
 
 @dataclass(frozen=True, kw_only=True)
 class Verification:
-    """Distance of an episode from the solution of its scene.
+    """Distance of an episode from the solution of the calibrated scene, also where an engine ran another one.
 
     Attributes:
         grade: Grade of the reference: `law` or `model`.
@@ -100,7 +100,7 @@ class Verification:
     def verdict(self) -> str:
         """What the distance says, in words."""
         if self.uncertainty is None:
-            return "the solution is exact: the distance is the error"
+            return "the solution of the calibrated scene is exact: there, the distance is the error"
         if self.frozen < LEAST_POWER * self.uncertainty:
             return f"tells nothing: a scene in which nothing moves is within {LEAST_POWER:g} u"
         if self.distance <= COVERAGE_FACTOR * self.uncertainty:

@@ -37,6 +37,9 @@ from gauge_envs.scene.geometry import FloatArray
 SHEET = "sheet"
 """Name of the one-dimensional sheet (`scripts/sheet.py`) among the engines of a solution, of which it is the mean."""
 
+BLOCK = "block"
+"""Name of the block at rest (`scripts/solid.py`) among them, likewise."""
+
 STRIDE = 5
 """Frames between stored values of an uncertainty, which varies slowly."""
 
@@ -126,6 +129,8 @@ class ModelSidecar(FileModel):
         *first, last = (one.engine for one in self.engines)
         if first and first[0] == SHEET:
             how = f"an undamped one-dimensional sheet solves it, checked with {last}"
+        elif first and first[0] == BLOCK:
+            how = f"a block at rest by finite elements solves it, checked with {last}"
         elif first:
             how = f"{', '.join(first)} and {last} solve it"
         else:

@@ -441,6 +441,26 @@ def test_bonded_blocks_of_unlike_stiffness_in_series(engine):
 
 
 @on_both
+def test_a_block_touches_what_it_lies_on_and_is_not_thrown_off(engine):
+    """Two tenths of a millimetre above a floor, which a thicker layer of contact would push it away from."""
+    gap_m = 2e-4
+    cube = block(length_m=EDGE_M, centre_m=(0.0, 0.0, 0.5 * EDGE_M + gap_m))
+    floor = fixed_box("floor", (0.0, 0.0, -0.05), (1.0, 1.0, 0.1))
+    scene = Scene(
+        bodies=(floor,),
+        deformables=(cube,),
+        contacts=(contact("foam", "floor", friction=0.3),),
+        duration_s=1.0,
+    )
+    simulation = built(engine, scene)
+    fall_s = np.sqrt(2.0 * gap_m / GRAVITY_M_PER_S2)
+    simulation.advance(round((fall_s + 0.1) / INTERVAL_S) * INTERVAL_S)
+    heights_m = simulation.nodes("foam")[:, 2]
+    assert -2e-5 < heights_m.min() < 1.2e-4
+    assert heights_m.max() < EDGE_M + gap_m
+
+
+@on_both
 @pytest.mark.slow
 def test_pressed_cube_does_not_sink_in(engine):
     bar = block(poisson=0.23, euler_deg=(90.0, 0.0, 0.0))

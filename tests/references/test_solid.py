@@ -16,6 +16,8 @@ from gauge_envs.evaluation.verification import (
 )
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.references.grips import solved_loads
+from gauge_envs.runs.episodes import run_episode
+from gauge_envs.runs.request import RunRequest
 from scripts.build_grips import frame_means, sample_times_s
 from scripts.solid import Block, Punch, held_wrenches
 
@@ -170,6 +172,25 @@ def test_stored_forces_are_those_of_a_block_of_other_cells_and_a_softer_one_is_t
         )
     assert max(distances[0]) < COVERAGE_FACTOR
     assert max(distances[1]) > LEAST_POWER
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["FoamBending-soft", "FoamBending-hard"])
+@pytest.mark.parametrize(
+    ("engine", "settings", "limit_mm"),
+    [
+        ("mujoco", {}, 0.15),
+        ("mujoco", {"cell_m": 0.0167}, 0.05),
+        ("newton", {}, 0.2),
+    ],
+)
+def test_engines_press_foam_as_the_block_is(name, engine, settings, limit_mm):
+    """A layer of contact of 0.5 mm in MuJoCo shows 0.25 mm, one of 1 mm in Newton 0.37 mm."""
+    pytest.importorskip(engine)
+    result = run_episode(RunRequest(name, backend=engine, settings=settings))
+    verified = result.score.verification
+    assert verified.quantity == "positions of 14 markers"
+    assert verified.distance < limit_mm
 
 
 @pytest.mark.parametrize("name", FOAMS)

@@ -73,6 +73,7 @@ def add_deformables(
             spec,
             soft_row,
             grip_mass_kg=settings.kinematic_mass_kg,
+            timestep_s=settings.timestep_s,
             cell_m=settings.cell_m,
         )
         parts |= dict.fromkeys(soft_row.names, part)

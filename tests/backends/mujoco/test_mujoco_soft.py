@@ -19,7 +19,13 @@ def part_of(spec, row, *, cells=None, damping_s=1e-4):
     with pytest.MonkeyPatch.context() as patch:
         for name in ("LONE_CELLS", "BONDED_CELLS"):
             patch.setattr(soft, name, cells or getattr(soft, name))
-        return add_soft(spec, row, grip_mass_kg=1e3, damping_s=damping_s)
+        return add_soft(
+            spec,
+            row,
+            grip_mass_kg=1e3,
+            timestep_s=spec.option.timestep,
+            damping_s=damping_s,
+        )
 
 
 class Bench:

@@ -159,10 +159,10 @@ def test_blocks_of_a_row_collide_on_their_own():
             1e3 * float(simulation.nodes(name)[:, 2].min())
             for name in ("foam", "rubber")
         ]
-    # Both rest on the millimetre that keeps nodes off what they touch.
-    assert lowest_mm["rubber"] == pytest.approx([1.0, 1.0], abs=0.1)
+    # Both rest on the layer that keeps nodes off what they touch.
+    assert lowest_mm["rubber"] == pytest.approx([0.1, 0.1], abs=0.02)
     # The heavy end tips over the edge of the light one, through the slab.
-    assert lowest_mm["foam"][0] == pytest.approx(1.0, abs=0.2)
+    assert lowest_mm["foam"][0] == pytest.approx(0.1, abs=0.2)
     assert lowest_mm["foam"][1] < -20.0
     assert lowest_mm["nothing"] == pytest.approx(
         [5.0 - 0.5e3 * GRAVITY_M_PER_S2 * 0.1**2] * 2, abs=0.2
