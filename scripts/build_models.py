@@ -336,16 +336,8 @@ def solve_as_sheet(experiment: Experiment, level: Level) -> dict[str, Any]:
         step_factor=level.settings.get("step", 1.0),
     )
     points_m = marker_places_m(sheet, nodes_m, np.asarray(markers.positions_m))
-    return {
-        "frames": observe_markers(
-            points_m, markers=markers, observable=experiment.score.observable
-        ),
-        "points_m": points_m,
-        "settings": json.dumps({"preset": "undamped", "cells": cells}),
-        "versions": json.dumps({"numpy": np.__version__}),
-        "processor_s": time.process_time() - start,
-        "fault": "",
-    }
+    settings = {"preset": "undamped", "cells": cells}
+    return _of_points(experiment, points_m, settings, start)
 
 
 def solve_as_block(experiment: Experiment, level: Level) -> dict[str, Any]:
@@ -362,12 +354,25 @@ def solve_as_block(experiment: Experiment, level: Level) -> dict[str, Any]:
         places=level.settings.get("places", SOLVED_PLACES),
     )
     assert points_m is not None
+    settings = {"preset": "at rest", "cells": cells}
+    return _of_points(experiment, points_m, settings, start)
+
+
+def _of_points(
+    experiment: Experiment,
+    points_m: FloatArray,
+    settings: Mapping[str, Any],
+    start: float,
+) -> dict[str, Any]:
+    """Return what `solve` does of places of markers, computed since a processor time [s]."""
+    markers = experiment.scene.markers
+    assert markers is not None
     return {
         "frames": observe_markers(
             points_m, markers=markers, observable=experiment.score.observable
         ),
         "points_m": points_m,
-        "settings": json.dumps({"preset": "at rest", "cells": cells}),
+        "settings": json.dumps(settings),
         "versions": json.dumps({"numpy": np.__version__}),
         "processor_s": time.process_time() - start,
         "fault": "",
