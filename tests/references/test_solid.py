@@ -180,7 +180,7 @@ def test_stored_forces_are_those_of_a_block_of_other_cells_and_a_softer_one_is_t
     ("engine", "settings", "limit_mm"),
     [
         ("mujoco", {}, 0.15),
-        ("mujoco", {"cell_m": 0.0167}, 0.05),
+        ("mujoco", {"cell_m": 0.0167}, 0.08),
         ("newton", {}, 0.2),
     ],
 )
