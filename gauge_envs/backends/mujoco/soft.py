@@ -51,7 +51,7 @@ SKIN_M = 1e-4
 0.5 mm, a cube pushes with 0.6 N too much. With one of 0.01 mm a row of blocks is thrown off the edge it touches."""
 
 CONTACT_TIME_S = 0.0025
-"""Time constant of contacts [s]; two time steps where these are longer."""
+"""Time constant of contacts [s]; two time steps where these are longer, as `refsafe` does not raise it for a flex."""
 
 CONTACT_SOLIMP = (0.9999, 0.9999, 0.001, 0.5, 2.0)
 """Impedance of contacts. MuJoCo softens the contacts of light bodies, and the nodes of a foam weigh 20 mg. A cube sinks
