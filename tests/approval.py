@@ -33,7 +33,10 @@ ROUNDING = 1e-12
 
 MACHINE = (
     (r'"versions": \{[^{}]*\}', '"versions": {...}'),
-    (r'"(wall_s|cpu_s|created|task_sha256)": ("[^"]*"|[-+\d.e]+)', r'"\1": ...'),
+    (
+        r'"(wall_s|cpu_s|created|processor|task_sha256)": ("[^"]*"|[-+\d.e]+)',
+        r'"\1": ...',
+    ),
     (r"\b(gauge-envs|gymnasium|mujoco|numpy|python) \d+(\.\w+)+", r"\1 VERSION"),
     (r" +$", ""),
 )

@@ -188,3 +188,21 @@ def test_files_have_no_compounds(tmp_path):
         to_usd(scene, tmp_path / "scene.usda")
     with pytest.raises(ParameterError, match="a compound of solids has no OBJ file"):
         shape_to_obj(scene.body("foot").shape, "foot")
+
+
+def test_inertia_of_a_right_tetrahedron_is_the_closed_form():
+    """Legs a, b, c: variances 3 a^2 / 80, covariances -a b / 80 about the centroid (a, b, c) / 4."""
+    legs_m, corner_m, mass_kg = (
+        np.array([0.1, 0.2, 0.4]),
+        np.array([0.3, -0.2, 0.5]),
+        2.0,
+    )
+    points_m = corner_m + np.vstack([np.zeros(3), np.diag(legs_m)])
+    centre_m, inertia = mass_properties(
+        ConvexUnion(pieces_m=(tuple(map(tuple, points_m.tolist())),)), mass_kg
+    )
+    covariance = -np.outer(legs_m, legs_m) / 80.0
+    np.fill_diagonal(covariance, 3.0 * legs_m**2 / 80.0)
+    expected = mass_kg * (np.trace(covariance) * np.eye(3) - covariance)
+    assert centre_m == pytest.approx(corner_m + legs_m / 4.0, abs=1e-9)
+    assert inertia == pytest.approx(expected, rel=1e-6)

@@ -1,13 +1,31 @@
 """Prescribed motions against their closed forms."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
+from scipy.spatial.transform import Rotation
 
 from gauge_envs.scene import Box, Motion, Pose, RigidBody, Scene
-from gauge_envs.scene.driver_path import DriverPath, DriverPathOfWorlds
+from gauge_envs.scene.driver_path import (
+    SAMPLE_INTERVAL_S,
+    DriverPath,
+    DriverPathInArrays,
+    DriverPathOfWorlds,
+)
 from gauge_envs.scene.drivers import Driver, DriverMotion
 from gauge_envs.scene.profiles import CosineProfile, SampledProfile, TrapezoidProfile
+
+ARRAYS = SimpleNamespace(
+    atan2=np.arctan2,
+    concat=np.concatenate,
+    **{
+        name: getattr(np, name)
+        for name in ("cos", "matmul", "sin", "sqrt", "square", "stack", "where")
+    },
+)
+"""Functions of NumPy, under the names that versions before 2 lack too."""
 
 
 def profiles():
@@ -159,3 +177,31 @@ def test_worlds_are_driven_as_one_alone_also_after_an_action_of_one_motion():
             )
     rates_m_or_rad = 0.3 * 2 / 180
     assert together.offsets == pytest.approx(rates_m_or_rad * acted)
+
+
+@pytest.mark.parametrize("angle_rad", [0.3, 3.0, 3.3, 6.0, -3.5])
+def test_mean_rate_of_an_interval_is_the_shorter_rotation(angle_rad):
+    """The rotation vector of SciPy, also where the body turns by more than half a turn in one interval."""
+    axis = (0.0, 0.6, 0.8)
+    spin = DriverMotion(
+        kind="rotate",
+        axis=axis,
+        point_m=(0.0, 0.0, 0.0),
+        profiles=(
+            SampledProfile(times_s=(0.0, SAMPLE_INTERVAL_S), values=(0.0, angle_rad)),
+        ),
+        residual_rate=1.0,
+    )
+    path = DriverPathInArrays(
+        Driver(body="plate", motions=(spin,), provenance="nominal"),
+        Pose(position_m=(0.0, 0.0, 0.0), quaternion=(0.5, 0.5, -0.5, 0.5)),
+        2,
+        1,
+        arrays=ARRAYS,
+        put=np.asarray,
+    )
+    path.begin_frame(0, np.zeros((1, 1)))
+    row = path.interval(0)[0]
+    mean_rate_rad_s = row[10:13] + 0.5 * SAMPLE_INTERVAL_S * row[16:19]
+    expected_rad = Rotation.from_rotvec(angle_rad * np.array(axis)).as_rotvec()
+    assert mean_rate_rad_s * SAMPLE_INTERVAL_S == pytest.approx(expected_rad, abs=1e-9)
