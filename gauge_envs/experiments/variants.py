@@ -1,18 +1,18 @@
 """List the variants of the package: family, subtask and material.
 
-This module reads names alone and imports no pydantic model, so that importing the package is quick.
+The names of the experiments are in `tasks/index.csv`, because parsing all task files takes longer than the rest
+of an import. A test compares the index with the task files.
 """
 
+import csv
 import os
-import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import StrEnum
 from fnmatch import fnmatchcase
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 from gauge_envs.errors import ParameterError, TaskFileError, UnknownNameError
 from gauge_envs.files import MEGABYTE, data_folder, read_regular, toml_document
@@ -52,17 +52,25 @@ OWN_TASKS = "GAUGE_TASKS"
 """Environment variable with folders of task files outside the package, or single ones, as `PATH` lists folders."""
 
 
-FRAME_COUNT = re.compile(rb"([A-Za-z0-9_-]+) = ([1-9][0-9]*)")
-"""Line of the frames of a material; others are left to the reader of TOML, which takes as long as all the rest."""
+INDEX_FILE = "index.csv"
+"""File of the names of the package's experiments, which importing the package reads in place of all task files."""
 
-TABLE = re.compile(rb"\[\[?[A-Za-z_]")
-"""Begin of the header of a table, as task files write it."""
 
-ODD_TABLE = re.compile(rb"\[\[?\s*[\"'A-Za-z_]")
-"""Begin of a header that task files write in another way, or of an array."""
+@dataclass(frozen=True)
+class ListedVariant:
+    """A variant with what its registration needs.
 
-NAMED_SUBTASKS = re.compile(rb"^\s*[\"']?subtasks", re.MULTILINE)
-"""Subtasks before the first header, as a key."""
+    Attributes:
+        variant: Family, subtask and material.
+        file: Task file of the family.
+        collection: Where the experiment is from.
+        frame_count: Number of frames of an episode, or None where the task file gives none.
+    """
+
+    variant: Variant
+    file: Path
+    collection: Collection
+    frame_count: int | None
 
 
 def task_files() -> tuple[Path, ...]:
@@ -159,97 +167,61 @@ def user_variants() -> tuple[Variant, ...]:
 
 
 @cache
-def _read_files() -> tuple[
-    dict[str, tuple[Path, dict[str, Any]]], tuple[TaskFileError, ...]
-]:
-    """Return path and names of every task file, by family, and the errors of files that cannot be read.
+def _read_files() -> tuple[dict[Variant, ListedVariant], tuple[TaskFileError, ...]]:
+    """Return the variants of all task files, and the errors of user files that cannot be read.
 
     A file is validated when one of its variants is loaded.
     """
-    headers: dict[str, tuple[Path, dict[str, Any]]] = {}
+    listed = list(_indexed_variants())
+    files = {entry.variant.family: entry.file for entry in listed}
     faults: list[TaskFileError] = []
-    user_files = user_task_files()
-    for path in (*task_files(), *user_files):
+    for path in user_task_files():
         try:
-            raw = _names_of(read_regular(path, MEGABYTE))
-            family = _header(raw)
-            if family in headers:
-                known = headers[family][0].name
+            entries = variants_of_file(path, Collection.BEYOND)
+            family = entries[0].variant.family
+            if family in files:
+                known = files[family].name
                 raise ValueError(
                     f"family {family!r} is that of {known}: choose another name"
                 )
-            if path in user_files:
-                # No count and no average of the benchmark contains it.
-                raw["collection"] = Collection.BEYOND
-            headers[family] = (path, raw)
+            files[family] = path
+            listed.extend(entries)
         except (OSError, ValueError) as error:
             reason = error.strerror if isinstance(error, OSError) else error
             if isinstance(error, FileNotFoundError):
                 reason = f"{OWN_TASKS} names it, and it does not exist"
-            faults.append(
-                TaskFileError(
-                    path,
-                    None,
-                    f"cannot be read: {reason}; correct or remove the file",
-                )
+            message = f"cannot be read: {reason}; correct or remove the file"
+            faults.append(TaskFileError(path, None, message))
+    return {entry.variant: entry for entry in listed}, tuple(faults)
+
+
+def _indexed_variants() -> Iterator[ListedVariant]:
+    """Yield the variants of the package."""
+    folder = data_folder("tasks")
+    with (folder / INDEX_FILE).open(newline="", encoding="utf-8") as stream:
+        for row in csv.DictReader(stream):
+            yield ListedVariant(
+                Variant(row["family"], row["subtask"] or None, row["material"]),
+                folder / row["file"],
+                Collection(row["collection"]),
+                int(row["frames"]),
             )
-    return headers, tuple(faults)
 
 
-def _names_of(content: bytes) -> dict[str, Any]:
-    """Return the names in a task file: family, materials, collection and subtasks, and the frames of their episodes.
+def variants_of_file(path: Path, collection: Collection) -> list[ListedVariant]:
+    """Return the variants of a task file, of which names and frames alone are checked.
 
-    All of it takes twenty times as long to parse, and `import gauge_envs` reads every file.
+    Args:
+        path: The task file.
+        collection: Collection of the experiments.
+
+    Raises:
+        OSError: The file cannot be read.
+        ValueError: It is no TOML file, or it lacks the names of its variants.
     """
-    top, first, rest = content.partition(b"\n[")
-    names = [
-        line
-        for line in top.splitlines()
-        if line.startswith((b"family", b"materials", b"collection"))
-    ]
-    lines = (first + rest).splitlines()
-    frames = (first + rest).partition(b"\n[frames]\n")[2].partition(b"\n[")[0]
-    counts = [FRAME_COUNT.fullmatch(line) for line in frames.splitlines() if line]
-    if None in counts:
-        return toml_document(content)
-    subtasks = _subtask_lines(lines)
-    if subtasks is not None and not NAMED_SUBTASKS.search(top):
-        with suppress(ValueError):
-            raw = toml_document(b"\n".join((*names, *subtasks)))
-            raw["frames"] = {one[1].decode(): int(one[2]) for one in counts if one}
-            _header(raw)
-            return raw
-    return toml_document(content)
-
-
-def _subtask_lines(lines: Iterable[bytes]) -> list[bytes] | None:
-    """Return the headers of subtasks and their frames; None where only the reader of TOML finds them."""
-    found = []
-    in_subtask = False
-    for line in lines:
-        if in_subtask and line.startswith(b"frames = "):
-            found.append(line)
-        if not line.startswith(b"["):
-            continue
-        if line.startswith((b"[subtasks.", b"[[subtasks.")):
-            in_subtask = True
-            found.append(line)
-        elif TABLE.match(line):
-            in_subtask = False
-            if b"subtasks" in line:
-                return None
-        elif ODD_TABLE.match(line):
-            return None
-    return found
-
-
-def _header(raw: dict[str, Any]) -> str:
-    """Return the family of a task file, of which the names of its variants can be read."""
-    family, materials, subtasks = (
-        raw.get("family"),
-        raw.get("materials"),
-        raw.get("subtasks", {}),
-    )
+    raw = toml_document(read_regular(path, MEGABYTE))
+    family, materials = raw.get("family"), raw.get("materials")
+    subtasks = raw.get("subtasks", {})
     if not isinstance(family, str):
         raise ValueError("family: a name is expected")
     if not (
@@ -260,25 +232,27 @@ def _header(raw: dict[str, Any]) -> str:
         raise ValueError("materials: a list of names is expected")
     if not isinstance(subtasks, dict):
         raise ValueError("subtasks: a table is expected")
-    if raw.get("collection", Collection.GAUGE) not in tuple(Collection):
-        raise ValueError(f"collection: one of {', '.join(Collection)} is expected")
-    return family
-
-
-def _headers() -> dict[str, tuple[Path, dict[str, Any]]]:
-    return _read_files()[0]
+    listed = []
+    for subtask in subtasks or {None: None}:
+        frames = {
+            **raw.get("frames", {}),
+            **subtasks.get(subtask or "", {}).get("frames", {}),
+        }
+        for material in materials:
+            count = frames.get(material, frames.get("all"))
+            # A wrong number of frames is an error of the file when the variant is loaded.
+            is_count = isinstance(count, int) and count > 1
+            variant = Variant(family, subtask, material)
+            listed.append(
+                ListedVariant(variant, path, collection, count if is_count else None)
+            )
+    return listed
 
 
 def episode_steps(variant: Variant) -> int | None:
-    """Return the number of steps of an episode, one less than its frames; None where the task file states none.
-
-    A wrong number of frames is an error of the file when the variant is loaded.
-    """
-    raw = _headers()[variant.family][1]
-    subtask = raw.get("subtasks", {}).get(variant.subtask or "", {})
-    stated = {**raw.get("frames", {}), **subtask.get("frames", {})}
-    count = stated.get(variant.material, stated.get("all"))
-    return count - 1 if isinstance(count, int) and count > 1 else None
+    """Return the number of steps of an episode, one less than its frames; None where the task file gives none."""
+    frame_count = _read_files()[0][variant].frame_count
+    return None if frame_count is None else frame_count - 1
 
 
 def unreadable_task_files() -> tuple[TaskFileError, ...]:
@@ -302,10 +276,10 @@ def _unknown(
 
 def task_path(family: str) -> Path:
     """Return the path of a family's task file."""
-    try:
-        return _headers()[family][0]
-    except KeyError:
-        raise _unknown("family", family, _headers()) from None
+    files = {variant.family: entry.file for variant, entry in _read_files()[0].items()}
+    if family not in files:
+        raise _unknown("family", family, files)
+    return files[family]
 
 
 @cache
@@ -324,13 +298,8 @@ def beyond_variants() -> tuple[Variant, ...]:
 
 
 def _variants_of(collection: Collection) -> tuple[Variant, ...]:
-    return tuple(
-        Variant(family, subtask, material)
-        for family, (_, raw) in _headers().items()
-        if raw.get("collection", Collection.GAUGE) == collection
-        for subtask in raw.get("subtasks") or {None: None}
-        for material in raw["materials"]
-    )
+    listed = _read_files()[0].values()
+    return tuple(entry.variant for entry in listed if entry.collection == collection)
 
 
 def find_variant(name: str) -> Variant:

@@ -48,6 +48,11 @@ def tasks_with_glass(tmp_path, monkeypatch):
     text, count = re.subn(starts, r"\g<0>\n[subtasks.\1.initial.glass]\n\2", text)
     assert count == 3
     file.write_text(text)
+    with (folder / variants.INDEX_FILE).open("a") as index:
+        for subtask, frames in (("1", 9), ("2", 19), ("3", 46)):
+            index.write(
+                f"slope_slider.toml,SlopeSlider,{subtask},glass,gauge,{frames}\n"
+            )
     caches = (
         variants._read_files,
         variants.variants,

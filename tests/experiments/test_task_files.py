@@ -11,7 +11,15 @@ from gauge_envs import load_experiment
 from gauge_envs.errors import TaskFileError
 from gauge_envs.experiments.task_files import load_task, task_spec
 from gauge_envs.experiments.task_format import TaskSpec
-from gauge_envs.experiments.variants import _names_of, task_files, task_path, variants
+from gauge_envs.experiments.variants import (
+    INDEX_FILE,
+    Collection,
+    task_files,
+    task_path,
+    variants,
+    variants_of_file,
+)
+from gauge_envs.files import data_folder
 from gauge_envs.scene import Scene
 
 ORDER = list(TaskSpec.model_fields)
@@ -229,45 +237,32 @@ def test_plate_with_hole_has_the_area_of_the_ring():
     assert shape.volume_m3 == pytest.approx((0.25 - hole) * 0.012, rel=0.001)
 
 
-SUBTASKS = """family = "Puck"
-materials = ["steel"]
-notes = ["no subtasks here"]
-
-[frames]
-steel = 9
-
-[subtasks.1]
-weights = [
-[1, 2],
-]
-frames = { steel = 7 }
-
-[provenance]
-"subtasks.*.frames" = "nominal"
-frames = "nominal"
-"""
+def test_the_index_has_the_names_and_frames_of_the_task_files():
+    rows = ["file,family,subtask,material,collection,frames"]
+    for collection in Collection:
+        for path in task_files():
+            raw = tomllib.loads(path.read_text())
+            if raw.get("collection", "gauge") == collection:
+                for entry in variants_of_file(path, collection):
+                    variant = entry.variant
+                    rows.append(
+                        f"{path.name},{variant.family},{variant.subtask or ''},{variant.material},"
+                        f"{collection},{entry.frame_count}"
+                    )
+    index = data_folder("tasks") / INDEX_FILE
+    assert index.read_text().splitlines() == rows, "write these rows into the index"
 
 
-@pytest.mark.parametrize(
-    "content",
-    [
-        *(path.read_text() for path in task_files()),
-        SUBTASKS,
-        SUBTASKS.replace("[subtasks.1]", '["subtasks".1]'),
-        SUBTASKS.replace("[subtasks.1]", "[subtasks]\n1.frames.steel = 6\n[other]"),
-        SUBTASKS.replace("steel = 9", "steel = 9 # of 12"),
-        SUBTASKS.replace("[frames]\n", "[ frames ]\n"),
-        SUBTASKS.replace("notes =", "subtasks.2.frames.steel = 5\nnotes ="),
-    ],
-)
-def test_names_that_are_read_at_import_are_those_of_the_file(content):
-    names = _names_of(content.encode())
-    whole = tomllib.loads(content)
-    for key in ("family", "materials", "collection"):
-        assert names.get(key) == whole.get(key)
-    assert names.get("frames", {}) == whole.get("frames", {})
-    found, stated = names.get("subtasks", {}), whole.get("subtasks", {})
-    assert list(found) == list(stated)
-    assert [one.get("frames") for one in found.values()] == [
-        one.get("frames") for one in stated.values()
-    ]
+def test_frames_of_a_subtask_take_the_place_of_those_of_its_family(tmp_path):
+    path = tmp_path / "puck.toml"
+    path.write_text(
+        'family = "Puck"\nmaterials = ["steel", "brass"]\nframes.all = 9\n'
+        "[subtasks.1]\nframes.steel = 7\n[subtasks.2]\n"
+    )
+    entries = variants_of_file(path, Collection.BEYOND)
+    assert {entry.variant.name: entry.frame_count for entry in entries} == {
+        "Puck-1-steel": 7,
+        "Puck-1-brass": 9,
+        "Puck-2-steel": 9,
+        "Puck-2-brass": 9,
+    }
