@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
-import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +14,6 @@ from pxr import Ar, Gf, Sdf, Tf, Usd, UsdGeom, UsdPhysics, UsdShade
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.errors import AssetError
-from gauge_envs.files import MEGABYTE, child_refusal, read_regular
 from gauge_envs.scene.geometry import FloatArray, Pose, length_of, vector
 from gauge_envs.tools.usd.layer import FOLLOWS, WRITTEN, digest, wxyz
 
@@ -48,20 +44,6 @@ SINGLES = (
     "VtArray<GfVec3f>",
 )
 """C++ types with single precision or less."""
-
-
-MOST_FILE_BYTES = 256 * MEGABYTE
-
-MOST_TEXT_BYTES = 16 * MEGABYTE
-
-MOST_PRIMS = 20_000
-
-SPECIFIER = re.compile(rb"\b(?:def|over|class)\b")
-
-COMPOSITION = re.compile(
-    rb"subLayers|references|payload|inherits|specializes|variants|variantSet|instanceable|clips|relocates"
-)
-"""What makes the prims of a text layer more than those that it writes out."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,13 +100,6 @@ def usd_reason(error: Tf.ErrorException) -> str:
         return "it holds bytes that are not UTF-8 text"
 
 
-@lru_cache(maxsize=256)
-def _refusal(file: Path, sha256: str) -> str | None:
-    """Return why a file of this content must not be loaded, or None."""
-    probe = Path(__file__).with_name("probe.py")
-    return child_refusal(probe, str(file), str(MOST_PRIMS))
-
-
 class Source:
     """An opened stage.
 
@@ -159,7 +134,8 @@ class Source:
             )
 
     def _open(self) -> Usd.Stage:
-        self._check_limits()
+        if not self.file.is_file():
+            raise self.fault("", "there is no such file")
         try:
             stage = Usd.Stage.Open(str(self.file))
             for layer in stage.GetUsedLayers():
@@ -180,31 +156,6 @@ class Source:
         if broken:
             raise self.fault("", str(broken[0]))
         return stage
-
-    def _check_limits(self) -> None:
-        """Check that the file and what it refers to stay within limits of size, memory and time.
-
-        A text layer without composition is limited by its size. Any other file is opened in a child process first.
-        """
-        try:
-            content = read_regular(self.file, MOST_FILE_BYTES)
-        except FileNotFoundError:
-            raise self.fault("", "there is no such file") from None
-        except OSError as error:
-            raise self.fault("", f"cannot be read: {error.strerror or error}") from None
-        if content.startswith(b"#usda") and not COMPOSITION.search(content):
-            if len(content) > MOST_TEXT_BYTES:
-                size, limit = len(content) / MEGABYTE, MOST_TEXT_BYTES / MEGABYTE
-                raise self.fault(
-                    "",
-                    f"is a text layer of {size:.6g} MB, the limit is {limit:g} MB: save it as .usdc",
-                )
-            if len(SPECIFIER.findall(content)) > MOST_PRIMS:
-                raise self.fault("", f"it has more than {MOST_PRIMS} prims")
-            return
-        refusal = _refusal(self.file, hashlib.sha256(content).hexdigest())
-        if refusal is not None:
-            raise self.fault("", refusal)
 
     def _unit(self, name: str, value: float) -> float:
         if not 1.0 / LARGEST <= value <= LARGEST:
