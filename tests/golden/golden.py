@@ -1,0 +1,284 @@
+"""Golden numbers: what the suite computed before a change, for `test_golden.py` to compare with.
+
+    python -m tests.golden.golden                           # make the whole file again
+    python -m tests.golden.golden --only fabrics            # one part
+    python -m tests.golden.golden --only episodes SlopeSlider-1-wood
+
+Each part has a function that makes an entry of plain numbers and texts from its name. The file has the names, also
+those of the conformance checks. Only these functions use the package: when its code changes, change one of them, and
+the file stays as it is.
+"""
+
+import argparse
+import hashlib
+import json
+import warnings
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+
+from gauge_envs import load_experiment
+from gauge_envs.experiments.task_files import fabrics
+from gauge_envs.references.published import published_baselines
+from gauge_envs.tools.assets.build import assets_folder
+from gauge_envs.tools.assets.export import mjcf_text, usd_layer_text
+from gauge_envs.tools.conformance import run_checks
+from gauge_envs.tools.recipes.fabrics import fabric_constants
+from gauge_envs.tools.sanity import check
+
+FILE = Path(__file__).with_name("golden.json")
+
+CHAOTIC = ("Funnel", "RotatingBall", "RopeWinding", "WallBreaking")
+"""Families whose motions part by chaos: their first ten frames count, and no score."""
+
+
+# --- parts -----------------------------------------------------------------------------------------------------------
+
+
+def episode(name, *, engine="mujoco", seed=0, options=None, last_frame=None):
+    """Return the start, g(t) at ten frames, reward sum and score of an episode; the first two up to `last_frame`."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        env = gymnasium.make(f"GAUGE/{name}", backend=engine)
+        observation, info = env.reset(seed=seed, options=options)
+    frames = chosen_frames(name, env.spec.max_episode_steps)
+    last = frames[-1] if last_frame is None else last_frame
+    start = observation["bodies" if "bodies" in observation else "markers"]
+    entry = {"start": start, "g": {}, "markers": {}}
+    rewards = []
+    action = np.zeros(env.action_space.shape, env.action_space.dtype)
+    for frame in range(1, last + 1):
+        observation, reward, _, _, info = env.step(action)
+        rewards.append(reward)
+        if frame in frames:
+            entry["g"][str(frame)] = observation["observable"]
+            entry["markers"][str(frame)] = observation.get("markers", [])
+    if load_experiment(name).score.observable.unit == "mm":
+        del entry["markers"]
+    if last_frame is None and not name.startswith(CHAOTIC):
+        entry |= {"reward": sum(rewards), "score": score_values(info["score"])}
+    env.close()
+    return entry
+
+
+def chosen_frames(name, last):
+    """Return the first frames and some up to the last one, ten where an episode has as many."""
+    if name.startswith(CHAOTIC):
+        return list(range(1, 11))
+    return sorted(
+        {1, 2, 3, *np.linspace(min(4, last), last, 7).round().astype(int).tolist()}
+    )
+
+
+def score_values(score):
+    """Return the numbers of a score that any later form of it has too."""
+    reality, solution = score.validation, score.verification
+    values = {
+        "rmse": score.rmse,
+        "dtw": score.dtw,
+        "time_offset_s": score.release_offset_s,
+        "rmse_aligned": score.rmse_aligned,
+        "compared_frames": score.compared_frames,
+        "signed_error": score.signed_error,
+        "lsd": [score.lsd_s, score.lsd_normalized],
+        "mte": [score.mte, score.mte_normalized],
+        "pd": [score.pd_s, score.pd_normalized],
+        "el": score.el,
+        "estimates": {
+            one.parameter: [one.value, one.uncertainty, one.real, one.real_uncertainty]
+            for one in score.implied
+        },
+    }
+    if reality is not None:
+        for key in (
+            "rmse_normalized",
+            "dtw_normalized",
+            "rmse_aligned_normalized",
+            "mean_abs_z",
+            "inside_1sigma",
+            "inside_2sigma",
+            "percentile",
+        ):
+            values[key] = getattr(reality, key)
+    if solution is not None:
+        values["distance"] = solution.distance
+        if solution.uncertainty:
+            values["over_uncertainty"] = solution.distance / solution.uncertainty
+    return {
+        key: value
+        for key, value in values.items()
+        if value not in (None, {}, [None, None])
+    }
+
+
+def jittered(name):
+    """Return the episode of a start that is scattered by seed 1."""
+    return episode(name, seed=1, options={"jitter": True})
+
+
+def trial(name):
+    """Return the episode of a bundled trial, as `CubePush-light/0`."""
+    name, number = name.split("/")
+    return episode(name, options={"trial": int(number)})
+
+
+def conformance(engine):
+    """Return verdict, value and tolerance of each check on an engine."""
+    return {
+        one.check: [one.status.value, one.measured, one.width]
+        for one in run_checks(engine, only=tuple(read()["conformance"]["mujoco"]))
+    }
+
+
+def sanity(target):
+    """Return value, unit and verdict of each phenomenon that a training configuration shows."""
+    return {
+        row.phenomenon: [row.configured, row.unit, row.verdict.value]
+        for row in check(target, explain=False).rows
+        if row.applies and not row.phenomenon.startswith("robot-")
+    }
+
+
+def asset(name):
+    """Return the sha256 of a checked-in file, whose numbers the writer repeats but for their last digits."""
+    return hashlib.sha256((assets_folder() / name).read_bytes()).hexdigest()
+
+
+def asset_text(name):
+    """Return what the writer makes of a scene today, as `mjcf/SlopeSlider-1-wood.xml`."""
+    experiment = load_experiment(Path(name).stem)
+    return (
+        mjcf_text(experiment) if name.startswith("mjcf") else usd_layer_text(experiment)
+    )
+
+
+def fabric(name):
+    """Return the constants of a fabric in each engine's own terms."""
+    mapped = fabric_constants(fabrics("TextileFlinging")[name])
+    return {engine: dict(one.constants) for engine, one in mapped.items()}
+
+
+def published(name):
+    """Return the rows of the published table for a variant, by metric."""
+    return {
+        row.metric: [row.frames, row.unit, row.mean, row.std, *row.engines.values()]
+        for row in published_baselines(name).values()
+    }
+
+
+PARTS = {
+    "episodes": episode,
+    "jitter": jittered,
+    "trial": trial,
+    "conformance": conformance,
+    "sanity": sanity,
+    "assets": asset,
+    "fabrics": fabric,
+    "published": published,
+}
+"""What makes an entry of a part from its name."""
+
+
+# --- file ------------------------------------------------------------------------------------------------------------
+
+
+def plain(value):
+    """Return a value as JSON has it, numbers with ten digits: the tolerances are wider."""
+    if isinstance(value, dict):
+        return {key: plain(one) for key, one in value.items()}
+    if isinstance(value, np.ndarray | list | tuple):
+        return [plain(one) for one in value]
+    if isinstance(value, float | np.floating):
+        return float(f"{value:.10g}")
+    return value
+
+
+def read():
+    """Return the file: entries by part and name."""
+    return json.loads(FILE.read_text(encoding="utf-8"))
+
+
+def write(parts):
+    """Write the file with a line for each entry, so that a change shows as the lines of what changed."""
+    texts = []
+    for part, entries in parts.items():
+        lines = [
+            f"{json.dumps(name)}: {json.dumps(entry)}"
+            for name, entry in entries.items()
+        ]
+        texts.append(json.dumps(part) + ": {\n" + ",\n".join(lines) + "\n}")
+    FILE.write_text("{\n" + ",\n".join(texts) + "\n}\n", encoding="utf-8")
+
+
+# --- comparison ------------------------------------------------------------------------------------------------------
+
+
+NEAR_MM = 1e-6
+"""Largest difference of a rigid motion; rounding of each step moves most of them by less than 1e-7 mm."""
+
+NEAR_SOFT = {"mm": 1e-3, "mm^2": 2e-2, "rad": 1e-5}
+"""The same of cloth, foam and rods, by the unit of g(t): areas of 20 mm and angles of 30 mm cells follow positions."""
+
+NEAR_SENSITIVE_MM = {"NewtonsCradle": 0.1, "SlopeSlider-3": 1e-3, "WallBreaking": 10.0}
+"""The same where rounding moves more, through impacts, a start in contact, and 118 bricks that rest on one another."""
+
+
+def limits(name):
+    """Return the largest absolute and relative difference of an episode, by key.
+
+    A score has that of g(t), as it is a distance from a mean, and a relative one: it may be divided by a small scale.
+    """
+    experiment = load_experiment(name)
+    if experiment.scene.deformables:
+        near, relative = NEAR_SOFT[experiment.score.observable.unit], 1e-4
+    else:
+        near, relative = NEAR_MM, 1e-6
+    for family, wider in NEAR_SENSITIVE_MM.items():
+        if name.startswith(family):
+            near, relative = wider, 1e-3
+    return {
+        "start": (1e-9, 0.0),
+        "g": (near, 0.0),
+        "markers": (1e-6, 0.0),
+        "reward": (near, relative),
+        "score": (near, relative),
+    }
+
+
+def differences(found, stored, limit=(1e-9, 1e-9), path=""):
+    """Yield what differs by more than a limit, absolute and relative, with its place.
+
+    Values are numbers, texts, and lists and dictionaries of them. A limit may be one by key.
+    """
+    if isinstance(stored, dict | list) and isinstance(found, type(stored)):
+        if isinstance(stored, list):
+            found, stored = dict(enumerate(found)), dict(enumerate(stored))
+        for key in sorted({*found} | {*stored}, key=str):
+            one, other = found.get(key, "missing"), stored.get(key, "missing")
+            inner = limit[key] if isinstance(limit, dict) else limit
+            yield from differences(one, other, inner, f"{path}/{key}")
+    elif isinstance(stored, float) and isinstance(found, float | int):
+        absolute, relative = limit
+        if not abs(found - stored) <= absolute + relative * abs(stored):
+            yield f"{path}: {found!r} instead of {stored!r}"
+    elif found != stored:
+        yield f"{path}: {found!r} instead of {stored!r}"
+
+
+def main():
+    """Make the entries of the file again; a name that it does not have is added."""
+    parser = argparse.ArgumentParser(description=main.__doc__)
+    parser.add_argument("--only", choices=PARTS, help="one part")
+    parser.add_argument("names", nargs="*", help="entries of that part")
+    given = parser.parse_args()
+    parts = read()
+    for part in [given.only] if given.only else PARTS:
+        for name in given.names or parts[part]:
+            print(part, name, flush=True)
+            parts[part][name] = plain(PARTS[part](name))
+        write(parts)
+
+
+if __name__ == "__main__":
+    main()
