@@ -23,10 +23,9 @@ define lint
 	$(BIN)/lint-imports
 endef
 
-# What the pre-commit hooks run, and the tests nearest to what has changed, in a minute.
+# What the pre-commit hooks run, in a minute.
 check: $(VENV)/.installed
 	$(lint)
-	$(BIN)/python -m scripts.changed_tests
 
 test: $(VENV)/.installed
 	$(lint)
@@ -38,7 +37,7 @@ slow: $(VENV)/.installed
 	$(PYTEST) tests/backends -k drake
 	$(PYTEST) -m slow
 
-# Generated files: all that follow from data in seconds, or those of NAME.
+# Generated pages: all of them, or those of NAME.
 build: $(VENV)/.installed
 	$(BIN)/python -m scripts build $(NAME)
 

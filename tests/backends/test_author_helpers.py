@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from mutations import Passed
+from faults import Passed
 from scipy.spatial.transform import Rotation
 
 from gauge_envs import load_experiment

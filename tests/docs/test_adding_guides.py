@@ -8,10 +8,9 @@ import shlex
 import sys
 from pathlib import Path
 
+import faults
 import mujoco
-import mutations
 import pytest
-from mutations import rigid_scenes
 from places import ROOT
 from typer.testing import CliRunner
 
@@ -96,7 +95,7 @@ def test_the_tests_that_a_guide_runs_exist(page):
     assert files
     assert [file for file in files if not (ROOT / file).is_file()] == []
     known = "\n".join((ROOT / file).read_text() for file in files)
-    chosen = re.findall(r"\b(?:every_check|faults_show)\b", " ".join(lines))
+    chosen = re.findall(r"\bfaults_show\b", " ".join(lines))
     assert [name for name in chosen if name not in known] == []
 
 
@@ -114,11 +113,10 @@ def test_the_check_passes_and_is_the_only_one_that_its_fault_fails(parts, monkey
     )
     assert "fast-flight" in listed[0]
     assert "pass" in ran[0]
-    name, fault = value_of(
-        others["tests/mutations/rigid_scenes.py"], vars(rigid_scenes)
-    )
-    assert name not in mutations.FAULTS
-    mutant = mutations.Mutant(backend("mujoco"), fault)
+    entry = "{" + others["tests/faults.py"] + "}"
+    ((name, fault),) = value_of(entry, vars(faults)).items()
+    assert name not in faults.FAULTS
+    mutant = faults.Faulty(backend("mujoco"), fault)
     results = list(
         run_checks(
             mutant,

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from mutations import FAULTS, Fault, Mutant, Passed
+from faults import FAULTS, Fault, Faulty, Passed
 from scipy.integrate import quad
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
@@ -26,10 +26,10 @@ from gauge_envs.tools.conformance.laws import torque_free_orientation, worst_rat
 from gauge_envs.tools.conformance.rigid import _hinge_radius, _pendulum_energy
 from gauge_envs.tools.conformance.words import findings_document
 
-SOUND = Fault(what="none", caught_by="", says="")
+SOUND = Fault()
 
 
-class Changed(Mutant):
+class Changed(Faulty):
     """MuJoCo with a fault, which is none by default."""
 
     def __init__(self, fault=SOUND):
@@ -37,7 +37,7 @@ class Changed(Mutant):
 
 
 def simulated_by(simulation):
-    return Changed(Fault(what="", caught_by="", says="", simulation=simulation))
+    return Changed(Fault(simulation=simulation))
 
 
 @pytest.mark.parametrize(
@@ -315,13 +315,13 @@ def test_an_id_is_used_once():
 
 @pytest.fixture
 def gauge(monkeypatch):
-    """Runs the command; `mutant` is an installed backend whose friction is 20 % low and which knows no cloth."""
+    """Runs the command; `faulty` is an installed backend whose friction is 20 % low and which knows no cloth."""
     broken = Declines(FAULTS["friction-low"])
     known = registry.backend
     monkeypatch.setattr(registry, "is_bundled", lambda name: True)
     monkeypatch.setattr(
         "gauge_envs.tools.conformance.run.find_backend",
-        lambda name: broken if name == "mutant" else known(name),
+        lambda name: broken if name == "faulty" else known(name),
     )
     return lambda *arguments: CliRunner(env={"COLUMNS": "160"}).invoke(
         app, ["backend", "check", *arguments]
@@ -332,7 +332,7 @@ ONLY = ("--only", "slide", "--only", "cloth-stretch")
 
 
 def test_command_compares_backends(gauge):
-    result = gauge("mujoco", "mutant", *ONLY)
+    result = gauge("mujoco", "faulty", *ONLY)
     assert result.exit_code == 1
     words = " ".join(result.stdout.split())
     assert "as if the friction were 0.24 instead of 0.3" in words
@@ -343,10 +343,10 @@ def test_command_compares_backends(gauge):
     ("options", "rows", "code"),
     [
         (("mujoco", "--only", "free-fall"), "mujoco free-fall pass", 0),
-        (("mutant", "--only", "cloth-stretch"), "mutant cloth-stretch declined", 1),
+        (("faulty", "--only", "cloth-stretch"), "faulty cloth-stretch declined", 1),
         (
-            ("mujoco", "mutant", *ONLY),
-            "mujoco slide pass, mujoco cloth-stretch pass, mutant slide fail, mutant cloth-stretch declined",
+            ("mujoco", "faulty", *ONLY),
+            "mujoco slide pass, mujoco cloth-stretch pass, faulty slide fail, faulty cloth-stretch declined",
             1,
         ),
     ],

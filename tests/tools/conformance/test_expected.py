@@ -6,7 +6,7 @@ import sys
 from xml.etree import ElementTree
 
 import pytest
-from mutations import FAULTS, Mutant
+from faults import FAULTS, Faulty
 
 from gauge_envs.backends import backend, registry
 
@@ -17,7 +17,7 @@ SLIDE = 'slide = "friction is low"\n'
 @pytest.fixture
 def broken(monkeypatch, tmp_path, gauge):
     """Runs the checks of an engine whose friction is 20 % low with a file of expected failures."""
-    engine = Mutant(backend("mujoco"), FAULTS["friction-low"])
+    engine = Faulty(backend("mujoco"), FAULTS["friction-low"])
     find = "gauge_envs.tools.conformance.run.find_backend"
     monkeypatch.setattr(registry, "is_bundled", lambda name: True)
     monkeypatch.setattr(find, lambda name: engine)

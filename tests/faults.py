@@ -1,0 +1,219 @@
+"""An engine with one planted fault, which shows that a conformance check can fail."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gauge_envs.backends import Backend
+from gauge_envs.backends.shared.wrapped import WrappedSimulation
+from gauge_envs.scene import Cloth, Motion, Plane, Pose, Scene
+
+
+class Passed(WrappedSimulation):
+    """A healthy simulation; fixed bodies report the poses of the original scene.
+
+    Args:
+        inner: The simulation.
+        scene: The scene that the caller asked for.
+    """
+
+    def __init__(self, inner, scene):
+        super().__init__(inner)
+        self.scene = scene
+        self._fixed = {one.name for one in scene.bodies if one.motion is Motion.FIXED}
+
+    def fault(self):
+        """Report none, so that checks measure what the fault does."""
+
+    def body_states(self, names):
+        states = np.array(self.inner.body_states(names))
+        for row, name in zip(states, names, strict=True):
+            if name in self._fixed:
+                pose = self.scene.body(name).pose
+                row[:7] = [*pose.position_m, *pose.quaternion]
+        return states
+
+    def nodes(self, name):
+        return np.array(self.inner.nodes(name))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fault:
+    """A fault of an engine.
+
+    Attributes:
+        caught_by: Id of a check that fails.
+        says: Words of its diagnosis.
+        scene: What the engine builds instead of a scene.
+        simulation: Wrapper of its simulation.
+    """
+
+    caught_by: str = ""
+    says: str = ""
+    scene: Callable[[Scene], Scene] = lambda scene: scene
+    simulation: type[Passed] = Passed
+
+
+class Faulty(Backend):
+    """An engine with a fault.
+
+    Args:
+        healthy: The engine without it.
+        planted: The fault.
+    """
+
+    name = "faulty"
+
+    def __init__(self, healthy, planted):
+        self.features = healthy.features
+        self.healthy = healthy
+        self.planted = planted
+
+    def versions(self):
+        return self.healthy.versions()
+
+    def supports(self, scene):
+        return self.healthy.supports(scene)
+
+    def build(self, scene, settings=None):
+        inner = self.healthy.build(self.planted.scene(scene), settings)
+        return self.planted.simulation(inner, scene)
+
+
+# --- changes of a scene ---
+
+
+def change_bodies(change):
+    """Return a fault of each body."""
+    return lambda scene: replace(
+        scene, bodies=tuple(change(one) for one in scene.bodies)
+    )
+
+
+def change_contacts(**changes):
+    """Return a fault of numbers of each contact."""
+
+    def change(scene):
+        contacts = [
+            replace(one, **{key: do(getattr(one, key)) for key, do in changes.items()})
+            for one in scene.contacts
+        ]
+        return replace(scene, contacts=tuple(contacts))
+
+    return change
+
+
+def _level(body):
+    if not isinstance(body.shape, Plane):
+        return body
+    return replace(body, pose=Pose(position_m=body.pose.position_m))
+
+
+def _scalar_last(body):
+    x, y, z, w = body.pose.quaternion
+    return replace(body, pose=replace(body.pose, quaternion=(w, x, y, z)))
+
+
+def _stiff_cloth(scene):
+    deformables = [
+        replace(one, stretch_stiffness_n_per_m=1.3 * one.stretch_stiffness_n_per_m)
+        if isinstance(one, Cloth)
+        else one
+        for one in scene.deformables
+    ]
+    return replace(scene, deformables=tuple(deformables))
+
+
+# --- changes of a simulation ---
+
+
+class _HalfTime(Passed):
+    def advance(self, seconds):
+        super().advance(0.5 * seconds)
+
+
+class _DrivesLate(Passed):
+    def __init__(self, inner, scene):
+        super().__init__(inner, scene)
+        self._before = {}
+
+    def reset(self, seed):
+        self._before = {}
+        super().reset(seed)
+
+    def drive(self, body, pose, velocity, acceleration):
+        now = (pose, np.array(velocity), np.array(acceleration))
+        super().drive(body, *self._before.get(body, now))
+        self._before[body] = now
+
+
+class _NoReset(Passed):
+    def reset(self, seed):
+        pass
+
+
+class _NaNMass(Passed):
+    """Reports states of NaN from the first step on."""
+
+    has_stepped = False
+
+    def reset(self, seed):
+        self.has_stepped = False
+        super().reset(seed)
+
+    def advance(self, seconds):
+        self.has_stepped = True
+        super().advance(seconds)
+
+    def body_states(self, names):
+        states = super().body_states(names)
+        for row, name in zip(states, names, strict=True):
+            if self.has_stepped and self.scene.body(name).motion is Motion.DYNAMIC:
+                row[:] = np.nan
+        return states
+
+
+FAULTS = {
+    "gravity-upward": Fault(
+        caught_by="free-fall",
+        says="-1 times the gravity",
+        scene=lambda scene: replace(scene, gravity_m_per_s2=-scene.gravity_m_per_s2),
+    ),
+    "friction-low": Fault(
+        caught_by="slide",
+        says="friction were 0.24",
+        scene=change_contacts(friction=lambda friction: 0.8 * friction),
+    ),
+    "restitution-none": Fault(
+        caught_by="rebound-0.5",
+        says="restitution",
+        scene=change_contacts(restitution=lambda restitution: 0.0),
+    ),
+    "plane-level": Fault(
+        caught_by="roll-ball",
+        says="leaning plane is level",
+        scene=change_bodies(_level),
+    ),
+    "quaternion-order": Fault(
+        caught_by="start-orientation",
+        says="scalar first",
+        scene=change_bodies(_scalar_last),
+    ),
+    "cloth-stretch": Fault(
+        caught_by="cloth-stretch", says="stretches 0.7", scene=_stiff_cloth
+    ),
+    "half-time": Fault(
+        caught_by="free-fall",
+        says="simulates 0.5 times the time",
+        simulation=_HalfTime,
+    ),
+    "drive-late": Fault(caught_by="driven-path", says="late", simulation=_DrivesLate),
+    "no-reset": Fault(
+        caught_by="reset-start", says="does not restore", simulation=_NoReset
+    ),
+    "nan-mass": Fault(caught_by="finite", says="mass", simulation=_NaNMass),
+}
+"""Faults by name."""
