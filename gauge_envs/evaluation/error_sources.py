@@ -31,7 +31,7 @@ PRIOR_TRIALS = 10
 UNSEEN_EXCESS = 2.0
 """How much farther than the mean distance an outlier lies, in mean distances, that a sample did not show.
 
-It is chosen on half of the simulated worlds (`studies/coverage/levels.py`)."""
+It is chosen on half of the simulated worlds (`studies/coverage`)."""
 
 TABLE = "uncertainty of the mean in the band's table"
 """Source of a measured band's uncertainty."""

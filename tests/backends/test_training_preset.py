@@ -1,22 +1,10 @@
 """The preset `training` of the engines that build deformable bodies: it exists, follows the scene, and stays near."""
 
-import re
-from itertools import groupby
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from gauge_envs import load_experiment
 from gauge_envs.backends import backend
-from studies.steps import starts
-from studies.steps.steps import (
-    CHOSEN_ON,
-    DEFAULT_TOLERANCE,
-    SHARES,
-    longest_step,
-    read_rows,
-)
 
 SCENES = (
     "TextileFlinging-satin",
@@ -56,89 +44,6 @@ def test_every_scene_has_a_training_preset_that_is_not_finer(engine, name):
     assert {
         key: value for key, value in stated.items() if key != "timestep_s"
     }.items() <= training.items()
-
-
-@pytest.mark.parametrize(
-    ("preset", "families"),
-    [
-        ("training", ("TextileStretching",)),
-        ("training", ("FoamTwisting",)),
-        ("training", ("FoamBending",)),
-        ("default", [f"{family}-soft" for family in DEFAULT_TOLERANCE]),
-    ],
-)
-def test_a_preset_has_the_longest_step_that_the_rule_allows(preset, families):
-    """In every material that was measured; of hard foam the table has an exception."""
-    rows = [row for row in read_rows() if row.id.startswith(tuple(families))]
-    shortest = 0
-    for _, group in groupby(rows, key=lambda row: row.id):
-        chosen_on = [row for row in group if row.start == CHOSEN_ON]
-        steps_per_s = longest_step(chosen_on, SHARES[preset])
-        shortest = max(shortest, steps_per_s)
-    scene = load_experiment(rows[0].id).scene
-    changes = {} if preset == "default" else {"preset": preset}
-    settings = backend("mujoco").resolved_settings(scene, changes)
-    assert settings["timestep_s"] == pytest.approx(1 / shortest)
-
-
-def test_one_preset_alone_has_a_step_that_random_starts_refuse():
-    """That of RotatingBall, as docs/engines/mujoco.md says: no step that was tried is allowed."""
-    refused = set()
-    found = 0
-    for row in starts.read_rows():
-        for preset, share in SHARES.items():
-            changes = {} if preset == "default" else {"preset": preset}
-            settings = backend("mujoco").resolved_settings(
-                load_experiment(row.id).scene, changes
-            )
-            step = f"1/{round(1 / settings['timestep_s'])} s"
-            family_has_one_list = row.id.startswith(("Rope", "Wall", "Stick"))
-            listed_as = "default" if family_has_one_list else preset
-            if row.setting == f"{listed_as} {step}":
-                found += 1
-                if starts.verdict(row, share) == "refused":
-                    refused.add((row.id, preset))
-    assert found == 9
-    assert refused == {("RotatingBall-satin", "training")}
-
-
-def test_the_note_has_the_verdicts_of_its_table():
-    verdicts = {
-        (row.id, row.setting): [starts.verdict(row, share) for share in (0.1, 0.5)]
-        for row in starts.read_rows()
-    }
-    text = Path(starts.__file__).with_name("README.md").read_text(encoding="utf-8")
-    name, seen = "", 0
-    for line in text.splitlines():
-        cells = [cell.strip() for cell in line.strip("| ").split("|")]
-        if len(cells) < 6 or cells[-1] not in ("allowed", "refused", "undecided"):
-            continue
-        *first, at_default, at_training = cells
-        name = next(
-            (one.split(",")[0] for one in first if "-" in one and "," in one), name
-        )
-        setting = next(one for one in first if "1/" in one)
-        preset = "training" if setting.startswith("`training`") else "default"
-        step = re.search(r"1/\d+ s", setting)[0]
-        cap = re.search(r" \d+ iterations", setting)
-        row = verdicts[name, f"{preset} {step}{cap[0] if cap else ''}"]
-        assert at_training == row[1], line
-        assert at_default in ("", row[0]), line
-        seen += 1
-    assert seen == 18
-
-
-def test_the_change_of_a_mean_is_that_of_drawn_starts():
-    """Of a shift of half a scatter in ten directions; without the correction noise adds 1 / 8 of the variance."""
-    random = np.random.default_rng(0)
-    shift = np.full(10, 0.5 / np.sqrt(10.0))
-    found = [
-        starts.mean_change(shift + random.normal(0.0, np.sqrt(0.1), (8, 10)))
-        for _ in range(400)
-    ]
-    changes, errors = np.transpose(found)
-    assert changes.mean() == pytest.approx(0.25, abs=4.0 * changes.std() / 20.0)
-    assert (np.abs(changes - 0.25) < 2.0 * errors).mean() > 0.9
 
 
 @pytest.mark.parametrize(

@@ -61,23 +61,12 @@ def prose(page):
     return re.sub(r"`[^`\n]*`", "", text)
 
 
-# --- studies ---------------------------------------------------------------------------------------------------------
-
-
-def test_every_study_has_a_note():
-    folders = [
-        folder
-        for folder in (ROOT / "studies").iterdir()
-        if folder.is_dir() and folder.name != "__pycache__"
-    ]
-    assert [
-        folder.name for folder in folders if not (folder / "README.md").is_file()
-    ] == []
+# --- scripts ---------------------------------------------------------------------------------------------------------
 
 
 SCRIPTS = [
     file
-    for folder in ("benchmarks", "scripts", "studies")
+    for folder in ("benchmarks", "scripts")
     for file in sorted((ROOT / folder).rglob("*.py"))
 ]
 

@@ -1,5 +1,6 @@
 """Verification: distances by hand, coverage of the interval for errors of any correlation, power of references."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +13,10 @@ from gauge_envs.evaluation.score import VERIFICATION, Score, Validation
 from gauge_envs.evaluation.verification import (
     LEAST_POWER,
     Verification,
+    compared_points,
     inverted_interval,
+    solution_uncertainty,
+    stated_uncertainty,
     verification_band,
     verify,
 )
@@ -21,7 +25,6 @@ from gauge_envs.experiments.variants import variants
 from gauge_envs.references.bands import Band
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.scene.geometry import FloatArray
-from studies.coverage.verification import worlds
 
 FRAMES = 40
 
@@ -164,6 +167,46 @@ def test_the_interval_holds_the_true_distance_for_errors_in_few_and_many_directi
     assert inside / worlds >= 0.95 - 3.0 * np.sqrt(0.95 * 0.05 / worlds)
 
 
+LEVELS = (0.0, 0.5, 1.0, 2.0, 5.0)
+"""True distances over u."""
+
+WORLDS = 200
+
+
+def worlds(
+    name: str, correlation_frames: float, *, shared: bool
+) -> Iterator[tuple[float, tuple[float, float]]]:
+    """Yield the true distance over u, and its interval, of an engine that is off at a constant rate."""
+    band = reference_band(load_experiment(name))
+    compared, u = verification_band(band), solution_uncertainty(band)
+    known = np.isfinite(compared.mean).any(axis=1)
+    spread = np.nan_to_num(stated_uncertainty(compared)[known])
+    count, width = spread.shape
+    apart = np.subtract.outer(np.arange(count), np.arange(count)) / correlation_frames
+    root = np.linalg.cholesky(np.exp(-0.5 * apart**2) + 1e-6 * np.eye(count))
+    norm = np.sqrt(count * compared_points(compared))
+    used = np.isfinite(compared.mean[known])
+    random = np.random.default_rng(
+        [91, *name.encode(), int(correlation_frames), shared]
+    )
+    for level in LEVELS:
+        for _ in range(WORLDS):
+            drawn = random.standard_normal((count, 1 if shared else width))
+            error = spread * (root @ drawn)
+            rate = np.outer(np.linspace(0.0, 1.0, count), random.standard_normal(width))
+            rate *= used
+            motion = np.nan_to_num(compared.mean)
+            motion[known] += rate * level * u * norm / np.linalg.norm(rate) - error
+            markers_m = 1e-3 * motion.reshape(-1, width // 3, 3)
+            found = verify(
+                band,
+                frames=motion,
+                markers_m=None if band.points is None else markers_m,
+            )
+            assert found.scaled_95 is not None
+            yield level, found.scaled_95
+
+
 @pytest.mark.parametrize("shared", [True, False])
 @pytest.mark.parametrize(
     "correlation_frames",
@@ -175,9 +218,7 @@ def test_the_interval_holds_the_true_distance_for_errors_with_the_stated_shape(
 ) -> None:
     """Errors have the stated u of each frame and coordinate; an engine is off at a constant rate."""
     inside: dict[float, list[bool]] = {}
-    for true, _, (low, high) in worlds(
-        name, correlation_frames, shared=shared, offset="rate"
-    ):
+    for true, (low, high) in worlds(name, correlation_frames, shared=shared):
         inside.setdefault(true, []).append(low <= true <= high)
     for held in inside.values():
         assert np.mean(held) >= 0.95 - 3.0 * np.sqrt(0.95 * 0.05 / len(held))

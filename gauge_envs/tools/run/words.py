@@ -51,7 +51,7 @@ BUDGET_NOTE = (
 )
 
 FEW_TRIALS = 10
-"""Number of trials from which on raw intervals hold with late releases (`studies/coverage/levels.csv`)."""
+"""Number of trials from which on raw intervals hold with late releases (`studies/coverage`)."""
 
 FEW_TRIALS_NOTE = (
     "If releases were late, the interval of E_RMSE is too short: with 5 simulated trials it held the truth in 86 to "

@@ -3,13 +3,16 @@
 import numpy as np
 import pytest
 
-from studies.published_scores.published_scores import late_score
-
 pytest.importorskip("sapien")
 
 from sapien import physx
 
-from gauge_envs import load_experiment, variants
+from gauge_envs import (
+    load_experiment,
+    reference_band,
+    score_trajectory,
+    variants,
+)
 from gauge_envs.backends import backend
 from gauge_envs.backends.physx.settings import PRESETS
 from gauge_envs.errors import BackendError
@@ -146,6 +149,20 @@ def test_a_closed_simulation_says_so():
     simulation.close()
     with pytest.raises(BackendError, match="closed"):
         simulation.body_states(["ball"])
+
+
+def late_score(request, steps_late):
+    """Return the score of an undriven experiment whose frames are read some steps of 1/180 s late."""
+    trajectory, experiment = run_episode(request).trajectory, request.experiment()
+    times_s = np.array([*trajectory.times_s, *trajectory.later_times_s])
+    values = np.array([*trajectory.samples, *trajectory.later_samples])
+    return score_trajectory(
+        experiment,
+        reference_band(experiment),
+        times_s=times_s[: len(times_s) - steps_late],
+        values=values[steps_late:],
+        is_checked=True,
+    )
 
 
 @pytest.mark.parametrize(

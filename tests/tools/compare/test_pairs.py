@@ -3,6 +3,14 @@
 import numpy as np
 import pytest
 from scipy.stats import t as student
+from simulated_trials import (
+    Slide,
+    World,
+    align,
+    aligned_errors,
+    band_of,
+    leave_one_out,
+)
 
 from gauge_envs.evaluation.error_sources import DRAW_COUNT
 from gauge_envs.evaluation.uncertainty import band_errors
@@ -15,14 +23,6 @@ from gauge_envs.tools.compare.grades import (
     GradedExperiment,
     compare_grade,
     compare_pairs,
-)
-from studies.coverage.interval_coverage import (
-    Slide,
-    World,
-    align,
-    aligned_errors,
-    band_of,
-    leave_one_out,
 )
 
 TRIAL_COUNT = 20

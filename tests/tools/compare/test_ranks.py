@@ -5,6 +5,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 from scipy.stats import t as student, ttest_1samp
+from simulated_trials import band_of
 
 from gauge_envs.evaluation.uncertainty import band_errors
 from gauge_envs.tools.compare.draws import ScoreDraws
@@ -20,7 +21,6 @@ from gauge_envs.tools.compare.significance import (
     majority_p_value,
     p_value,
 )
-from studies.coverage.interval_coverage import band_of
 
 # --- p-values --------------------------------------------------------------------------------------------------------
 

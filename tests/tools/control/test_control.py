@@ -4,7 +4,6 @@ import copy
 import csv
 import math
 import pickle
-from itertools import groupby
 
 import approval
 import gymnasium
@@ -34,7 +33,6 @@ from gauge_envs.tools.control.slope_slider import SlopeSliderLimit
 from gauge_envs.tools.control.tasks import control_tasks, find_control_task
 from gauge_envs.tools.control.turntable import TurntableLimit
 from gauge_envs.tools.control.vector import ControlVectorEnv
-from studies.steps.steps import SHARES, longest_step, read_rows
 
 NAMES = tuple(task.name for task in control_tasks())
 STEADY = tuple(
@@ -285,25 +283,6 @@ def test_newton_agrees(name):
     # The cube creeps faster on Newton's turntable, behind which the law's policy lags.
     assert below.ratio == pytest.approx(by_law(ours, 0.98).ratio, abs=0.005)
     assert by_law(theirs, 1.02).ending not in GOOD
-
-
-def test_training_has_the_longest_step_that_the_rule_allows():
-    """For all materials, starts and goals that were measured."""
-    longest = {}
-    rows = sorted(read_rows(), key=lambda row: (row.id, row.start))
-    for (name, _), group in groupby(rows, key=lambda row: (row.id, row.start)):
-        family = name.partition("-Limit-")[0]
-        if name in NAMES:
-            step = longest_step(group, SHARES["training"])
-            longest[family] = max(longest.get(family, 0), step)
-    assert longest.keys() == {name.partition("-")[0] for name in NAMES} - {"Fling"}
-    for family, steps_per_s in longest.items():
-        name = next(name for name in NAMES if name.startswith(family))
-        env = make(name, settings={"preset": "training"})
-        assert env.simulation.settings["timestep_s"] == pytest.approx(1 / steps_per_s)
-        stated = {"preset": "training", "timestep_s": 1 / 3600}
-        env = make(name, settings=stated)
-        assert env.simulation.settings["timestep_s"] == 1 / 3600
 
 
 def test_engine_limit_of_soft_contacts():

@@ -29,7 +29,6 @@ from gauge_envs.tools.identify.mujoco_joints import ModelJoints, start_at
 from gauge_envs.tools.identify.rig import SceneJoints
 from gauge_envs.tools.identify.stages import Fitter
 from gauge_envs.tools.identify.words import identified_document
-from studies.joints.robots import rows_of
 
 ARM = """<mujoco><option timestep="{step}" integrator="implicitfast"/><worldbody><body>
   <SHOULDER/><inertial pos="0 0 -.1" mass=".2" diaginertia="1e-3 1e-3 1e-3"/>
@@ -444,14 +443,6 @@ def test_a_fit_leaves_the_minima_beside_the_best(
     # A servo that is solved implicitly with four times the step has slightly larger numbers.
     assert values["kp_n_m_per_rad"] == pytest.approx(kp, rel=0.1)
     assert values["dry_friction_n_m"] == pytest.approx(dry, rel=0.15)
-
-
-@pytest.mark.slow
-def test_files_that_differ_share_the_minimum_of_each():
-    """From three stiffnesses, the fit to all files ended with one 14 times too large, each file alone did not."""
-    rows = {row[2]: row for row in rows_of("finger", 5000)}
-    true, _, fitted = map(float, rows["kp_n_m_per_rad"][3:6])
-    assert fitted == pytest.approx(true, rel=0.15)
 
 
 def test_a_number_without_effect_is_not_determined_however_large():
