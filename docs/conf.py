@@ -19,7 +19,6 @@ version = release = installed_version("gauge-envs")
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 exclude_patterns = ["_build"]
-html_extra_path = ["llms.txt"]
 html_theme = "furo"
 html_title = "gauge-envs"
 html_show_sphinx = False

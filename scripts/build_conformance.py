@@ -22,7 +22,7 @@ from gauge_envs.tools.conformance.words import (
     measured_text,
     tally,
 )
-from scripts.generated import ROOT, SCORING, markdown_table, page_part, stale_note
+from scripts.generated import ROOT, SCORING, markdown_table, page_part
 
 PAGE = ROOT / "docs" / "engines" / "conformance.md"
 SCRIPT = f"scripts/{Path(__file__).name}"
@@ -93,14 +93,13 @@ def check_table(columns: Sequence[MatrixColumn]) -> Iterator[str]:
     yield from markdown_table(["check", "expected", *engines], rows)
 
 
-def contents(scoring: Path = SCORING) -> dict[Path, str]:
+def contents() -> dict[Path, str]:
     """Return the page with its generated part replaced."""
-    columns = read_columns(scoring / "conformance.json")
+    columns = read_columns(SCORING / "conformance.json")
     versions = {
         f"{name} {text}" for column in columns for name, text in column.versions.items()
     }
     lines = [
-        *stale_note("conformance-data"),
         *failures(columns),
         "",
         f"Run on {', '.join(sorted({column.made for column in columns}))} with {', '.join(sorted(versions))}.",

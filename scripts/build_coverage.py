@@ -50,7 +50,7 @@ from gauge_envs.references.scatter import (
     scatter_rows,
 )
 from gauge_envs.tools.catalog.words import deformation_text
-from scripts.generated import ROOT, SCORING, markdown_table, page_part
+from scripts.generated import ROOT, markdown_table, page_part
 
 SCRIPT = f"scripts/{Path(__file__).name}"
 PAGE = ROOT / "docs" / "coverage.md"
@@ -449,7 +449,7 @@ def deformation_lines() -> Iterator[str]:
     yield from (f"- {', '.join(names)}: {text}." for text, names in sharing.items())
 
 
-def contents(scoring: Path = SCORING) -> dict[Path, str]:
+def contents() -> dict[Path, str]:
     """Return the pages with their generated parts replaced."""
     rows = [coverage(variant) for variant in variants()]
     shorter = {

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 from gymnasium import spaces
+from PIL import Image, ImageSequence
 
 from gauge_envs import find_variant
 from gauge_envs.envs.env import GaugeEnv
@@ -28,8 +29,7 @@ from gauge_envs.references.grades import BandGrade
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.video import film_writer
 from scripts.environment_page import family_document
-from scripts.generated import ROOT, SCORING, Request, markdown_table
-from scripts.pictures import shrink
+from scripts.generated import ROOT, markdown_table
 
 SCRIPT = f"scripts/{Path(__file__).name}"
 PAGES = ROOT / "docs" / "environments"
@@ -50,6 +50,8 @@ SIZE = (288, 216)
 
 FPS = 10.0
 MOST_FRAMES = 36
+FILM_QUALITY = 35
+"""Quality of the frames of a picture in WebP, which makes it small."""
 
 
 @dataclass(frozen=True)
@@ -190,7 +192,27 @@ def draw(entry: Entry, file: Path) -> str:
     return caption_of(entry, env.experiment, env.band)
 
 
-def measure(request: Request) -> None:
+def shrink(file: Path) -> None:
+    """Write a film smaller, in place."""
+    frames, durations_ms = [], []
+    with Image.open(file) as picture:
+        for frame in ImageSequence.Iterator(picture):
+            frames.append(frame.convert("RGB"))
+            durations_ms.append(frame.info["duration"])
+    frames[0].save(
+        file,
+        "WEBP",
+        save_all=True,
+        append_images=frames[1:],
+        duration=durations_ms,
+        loop=0,
+        quality=FILM_QUALITY,
+        method=6,
+        minimize_size=True,
+    )
+
+
+def draw_missing() -> None:
     """Draw the pictures that are missing; one that is interrupted is drawn next time."""
     for family, entry in ENTRIES.items():
         file = picture_of(family)
@@ -210,7 +232,7 @@ def enclosed(text: str) -> str:
     return f"<!-- page, written by {SCRIPT} -->\n\n{text}\n<!-- end of page -->\n"
 
 
-def contents(scoring: Path = SCORING) -> dict[Path, str]:
+def contents() -> dict[Path, str]:
     """Return every page with its text."""
     families: dict[str, list[Variant]] = {}
     for variant in (*variants(), *beyond_variants()):

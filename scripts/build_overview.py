@@ -13,10 +13,9 @@ from gauge_envs.experiments.variants import beyond_variants, variants
 from gauge_envs.registry import engine_points
 from gauge_envs.tools.catalog.listing import facts_of
 from gauge_envs.tools.catalog.overview import STORED, inputs
-from scripts.generated import SCORING
 
 
-def contents(scoring: Path = SCORING) -> Mapping[Path, str]:
+def contents() -> Mapping[Path, str]:
     """Return the file with its text."""
     points = {point.name: point.value for point in engine_points()}
     bundled = {

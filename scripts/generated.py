@@ -1,17 +1,11 @@
-"""What builders of files share: requests, tables, parts of pages between marks, and comparisons of texts."""
+"""What builders share: tables, parts of pages between marks, and the comparison of texts."""
 
 from __future__ import annotations
 
-import csv
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Any
-
-from gauge_envs.scene.geometry import FloatArray
-from scripts.inputs import changed, rows, several
 
 ROOT = Path(__file__).parents[1]
 SCORING = ROOT / "scoring"
@@ -40,51 +34,16 @@ class Request:
     engines: tuple[str, ...] = ()
     ids: tuple[str, ...] = ("*",)
 
-    def wants(self, name: str) -> bool:
-        """Return whether a variant is one of those that are measured."""
-        return any(fnmatchcase(name, pattern) for pattern in self.ids)
-
-
-def read_rows(file: Path) -> list[dict[str, str]]:
-    """Return the rows of a CSV file; none where there is no file."""
-    if not file.is_file():
-        return []
-    with file.open(encoding="utf-8", newline="") as text:
-        return list(csv.DictReader(text))
-
-
-def append_rows(
-    file: Path, columns: Sequence[str], rows: Iterable[Mapping[str, Any]]
-) -> None:
-    """Add rows to a CSV file, which may be new, and print each; those before an interruption are there."""
-    is_new = not file.is_file()
-    with file.open("a", newline="", encoding="utf-8") as text:
-        writer = csv.DictWriter(text, columns, lineterminator="\n")
-        if is_new:
-            writer.writeheader()
-        for row in rows:
-            writer.writerow(row)
-            text.flush()
-            print(*row.values(), flush=True)
-
-
-def page_part(file: Path, name: str, script: str, part: str) -> dict[Path, str]:
-    """Return a page by its file, with the generated part of a name replaced as `with_part` does it."""
-    return {file: with_part(file.read_text(encoding="utf-8"), name, script, part)}
-
 
 def with_part(page: str, name: str, script: str, part: str) -> str:
     """Return a page whose generated part of a name is replaced.
 
-    The part stands between the lines `<!-- NAME, written by SCRIPT -->` and `<!-- end of NAME -->`.
+    The part is between the lines `<!-- NAME, written by SCRIPT -->` and `<!-- end of NAME -->`.
 
     Raises:
         ValueError: The page does not have both lines, once each and in order.
     """
-    begin, end = (
-        f"<!-- {name}, written by {script} -->",
-        f"<!-- end of {name} -->",
-    )
+    begin, end = f"<!-- {name}, written by {script} -->", f"<!-- end of {name} -->"
     before, first, rest = page.partition(begin)
     _, last, after = rest.partition(end)
     if not (first and last) or begin in after:
@@ -92,42 +51,15 @@ def with_part(page: str, name: str, script: str, part: str) -> str:
     return f"{before}{begin}\n\n{part.strip()}\n\n{end}{after}"
 
 
-def stale_note(name: str) -> list[str]:
-    """Return what a page says above data that were measured before one of their inputs changed."""
-    row = rows()[name]
-    found = changed(row)
-    if not found:
-        return []
-    return [f"These data are older than {several(found)} ({row.cost}).", ""]
+def page_part(file: Path, name: str, script: str, part: str) -> dict[Path, str]:
+    """Return a page by its file, with the generated part of a name replaced as `with_part` does it."""
+    return {file: with_part(file.read_text(encoding="utf-8"), name, script, part)}
 
 
 def markdown_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> Iterator[str]:
     """Yield the lines of a table in Markdown, with cells as they are."""
     for cells in (head, ["---"] * len(head), *rows):
         yield f"| {' | '.join(cells)} |"
-
-
-def frame_table(names: Sequence[str], values: FloatArray, *, decimals: int) -> str:
-    """Return a CSV table of numbers, shape [frame_count, column_count], behind the number of their frame."""
-    lines = [",".join(["frame", *names])]
-    for frame, row in enumerate(values):
-        lines.append(",".join([str(frame), *(f"{x:.{decimals}f}" for x in row)]))
-    return "\n".join(lines) + "\n"
-
-
-def not_raised(
-    stated: Mapping[str, Mapping[str, Any]],
-    found: Mapping[str, Mapping[str, Any]],
-    number: str,
-) -> list[str]:
-    """Return what changed by its digest in a ledger, while its number, as `version`, was not raised."""
-    return [
-        name
-        for name, one in found.items()
-        if (earlier := stated.get(name))
-        and one["digest"] != earlier["digest"]
-        and one[number] <= earlier[number]
-    ]
 
 
 def same_text(stored: str, generated: str) -> bool:
@@ -143,15 +75,6 @@ def same_text(stored: str, generated: str) -> bool:
         and old[::2] == new[::2]
         and all(map(_same_number, old[1::2], new[1::2]))
     )
-
-
-def stale_files(contents: Mapping[Path, str]) -> list[Path]:
-    """Return the files that are missing, or whose text differs in more than the last place of numbers."""
-    return [
-        file
-        for file, text in contents.items()
-        if not file.is_file() or not same_text(file.read_text(encoding="utf-8"), text)
-    ]
 
 
 def _same_number(stored: str, generated: str) -> bool:

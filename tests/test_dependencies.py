@@ -11,8 +11,7 @@ from packaging.requirements import Requirement
 from places import ROOT
 
 from gauge_envs.registry import bundled_instruments
-from scripts.lowest_versions import constraints, requirements
-from scripts.newest_versions import newest
+from scripts.lowest_versions import constraints
 
 PACKAGE = ROOT / "gauge_envs"
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
@@ -41,10 +40,6 @@ INDIRECT = {
 
 NOT_OF_USERS = {"bench", "dev", "docs"}
 """Extras of benchmarks, development and guides; the package imports nothing of theirs."""
-
-
-INSTALLED_LATER = {"bench", "data", "docs", "logs", "onnx", "ray", "rl"}
-"""Extras that the default tests do without; `scripts/newest_versions.py` adds those with which slow ones ran."""
 
 
 def canonical(name):
@@ -193,14 +188,6 @@ def test_every_requirement_has_a_lower_bound():
         and not any(bound.operator == ">=" for bound in one.specifier)
     ]
     assert without == []
-
-
-def test_every_requirement_has_a_newest_version_with_which_the_tests_have_passed():
-    found = newest()
-    assert list(found) == sorted(found)
-    extras = sorted(PROJECT["optional-dependencies"].keys() - INSTALLED_LATER)
-    for requirement in requirements(PROJECT, extras):
-        assert requirement.specifier.contains(found[requirement.name]), requirement
 
 
 def test_constraints_are_the_lower_bounds(tmp_path):

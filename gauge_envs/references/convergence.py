@@ -1,7 +1,6 @@
 """Convergence: the change of a whole episode when the time step or the cells are halved, or with the training preset.
 
-`scripts/build_convergence.py` measures it and writes `scoring/convergence/<engine>.csv`. A row that is absent was not
-measured.
+`scoring/convergence/<engine>.csv` holds it. A row that is absent was not measured.
 """
 
 from functools import cache

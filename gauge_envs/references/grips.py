@@ -1,7 +1,7 @@
 """Wrenches by which rods and grips hold a cloth or a foam, as solutions of the calibrated scenes give them.
 
-`scoring/grips.json` holds what `scripts/build_grips.py` writes. Positions of driven material do not see mass and
-stiffness; the force that drives it does.
+`scoring/grips.json` holds them. Positions of driven material do not see mass and stiffness; the force that drives it
+does.
 """
 
 from collections.abc import Mapping

@@ -1,8 +1,8 @@
 """Models: the solution of a calibrated scene by engines of different families, refined until its uncertainty is known.
 
-A variant without a real reference may have `scoring/models/<variant>.npz` and a sidecar `<variant>.json`, which
-`scripts/build_models.py` writes; `unsolved.json` says why others have none. A distance to it is the numerical error of
-an engine: verification (ASME V&V 20), and not validation. It says nothing of reality.
+A variant without a real reference may have `scoring/models/<variant>.npz` and a sidecar `<variant>.json`;
+`unsolved.json` says why others have none. A distance to it is the numerical error of an engine: verification (ASME
+V&V 20), and not validation. It says nothing of reality.
 """
 
 from collections.abc import Mapping
@@ -35,10 +35,10 @@ from gauge_envs.references.tables import (
 from gauge_envs.scene.geometry import FloatArray
 
 SHEET = "sheet"
-"""Name of the one-dimensional sheet (`scripts/sheet.py`) among the engines of a solution, of which it is the mean."""
+"""Name of the one-dimensional sheet among the engines of a solution, of which it is the mean."""
 
 BLOCK = "block"
-"""Name of the block at rest (`scripts/solid.py`) among them, likewise."""
+"""Name of the block at rest among them, likewise."""
 
 STRIDE = 5
 """Frames between stored values of an uncertainty, which varies slowly."""

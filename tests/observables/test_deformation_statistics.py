@@ -16,7 +16,6 @@ from gauge_envs.observables.deformation import (
     trial_statistics,
     white_noise_m,
 )
-from scripts.build_recordings import statistic_uncertainty
 
 UPRIGHT = MarkedSolid(axes=np.eye(3), long_axis=2)
 ROTATION = Rotation.from_rotvec([0.3, -1.1, 0.7]).as_matrix()
@@ -195,25 +194,6 @@ def test_wrong_shapes_are_named(rest, now, message):
 # Noise
 
 
-def test_uncertainty_is_the_scatter_of_noisy_markers():
-    random = np.random.default_rng(3)
-    sigma = np.tile([0.2e-3, 0.3e-3, 0.1e-3], (len(FOAM_MARKERS_M), 1))
-    now = mapped(FOAM_MARKERS_M, ROTATION @ np.diag([0.98, 0.98, 1.05]))
-    now = now + 0.001 * np.sin(40 * FOAM_MARKERS_M)
-    noise = independent_noise(sigma)
-    expected = statistic_uncertainty(FOAM_MARKERS_M, now, UPRIGHT, noise_m=noise)
-    draws = now + sigma * random.normal(size=(4000, *now.shape))
-    found = deformation_statistics(FOAM_MARKERS_M, draws, UPRIGHT)
-    known = np.isfinite(expected[:9])
-    assert known.sum() == 8
-    # The standard deviation of 4000 draws is itself good to 1.1 %.
-    assert found.std(axis=0)[:9][known] == pytest.approx(expected[:9][known], rel=0.045)
-    value = statistics(FOAM_MARKERS_M, now, noise_m=noise)["non_affine"]
-    assert (found[:, 9] ** 2).std() == pytest.approx(
-        (value + expected[9]) ** 2 - value**2, rel=0.045
-    )
-
-
 def test_noise_is_taken_off_the_residual():
     """In squares, on average over draws."""
     random = np.random.default_rng(4)
@@ -231,23 +211,6 @@ def test_noise_is_taken_off_the_residual():
         1e6 * sigma**2 * degrees / len(FOAM_MARKERS_M), rel=0.02
     )
     assert np.mean(corrected**2) == pytest.approx(exact**2, rel=0.01)
-
-
-def test_unseen_displacement_widens_the_residual_and_not_its_value():
-    now = FOAM_MARKERS_M + 0.001 * np.sin(40 * FOAM_MARKERS_M)
-    nothing = np.zeros((1, *now.shape))
-    unseen = independent_noise(np.full(now.shape, 0.5e-3))
-    narrow = statistic_uncertainty(FOAM_MARKERS_M, now, UPRIGHT, noise_m=nothing)[9]
-    wide = statistic_uncertainty(
-        FOAM_MARKERS_M, now, UPRIGHT, noise_m=nothing, unseen_m=unseen
-    )[9]
-    value = statistics(FOAM_MARKERS_M, now)["non_affine"]
-    draws = now + 0.5e-3 * np.random.default_rng(5).normal(size=(2000, *now.shape))
-    shown = deformation_statistics(FOAM_MARKERS_M, draws, UPRIGHT)[:, 9]
-    assert narrow == pytest.approx(0.0, abs=1e-12)
-    assert value + wide == pytest.approx(
-        np.sqrt(value**2 + np.sqrt(np.mean((shown**2 - value**2) ** 2))), rel=0.05
-    )
 
 
 def test_white_noise_of_a_moving_trial_is_found():

@@ -1,6 +1,4 @@
-"""Damage of bundled data is named with its file, and generated tables notice changed facts."""
-
-import re
+"""Damage of bundled data is named with its file."""
 
 import pytest
 from texts import changed_text
@@ -10,8 +8,6 @@ from gauge_envs.evaluation.reference import load_band
 from gauge_envs.references.bands import bundled_band
 from gauge_envs.references.deformation import bundled_deformation
 from gauge_envs.references.published import law_for, published_variants
-from scripts import build_bands, build_recordings, build_silicone_beam
-from scripts.generated import stale_files
 
 RESULTS, LAWS = "published/engine_results.csv", "bands/laws.toml"
 BAND, SIDECAR = "bands/SlopeSlider-2-wood.csv", "bands/SlopeSlider-2-wood.toml"
@@ -94,52 +90,3 @@ def test_a_measured_sigma_needs_an_uncertainty(scoring):
     (scoring / SEEN).write_text("frame,time_s,measured,mean.slide\n0,0.0,1,5\n")
     with pytest.raises(ReferenceFileError, match="the table has no uncertainty"):
         bundled_band("SlopeContact-wood")
-
-
-@pytest.mark.parametrize(
-    ("contents", "facts", "replacement", "stale"),
-    [
-        (
-            build_bands.contents,
-            "bouncing_ball.csv",
-            ("2.821644", "2.831644"),
-            {
-                "BouncingBall-rubber.csv",
-                "BouncingBall-rubber.toml",
-                "bouncing_ball_summary.toml",
-            },
-        ),
-        (
-            build_recordings.contents,
-            "recordings/slope_slider.csv",
-            ("85.53", "86.53"),
-            {"SlopeSlider-3-metal.csv"},
-        ),
-        (
-            build_silicone_beam.contents,
-            "silicone_beam.csv",
-            ("0g,1,90,64.635,53.543,36.349", "0g,1,90,64.635,53.543,60.000"),
-            {"SiliconeBeam-0g-silicone.csv", "SiliconeBeam-0g-silicone.toml"},
-        ),
-        (
-            build_recordings.statistics_files,
-            "recordings/foam_bending_markers.csv",
-            (
-                "\n1.56,319.35,195.23,346.17,187.74,",
-                "\n1.56,319.35,195.23,346.17,9187.74,",
-            ),
-            {"FoamBending-soft.csv", "FoamBending-hard.csv"},
-        ),
-    ],
-    ids=["trials", "recording", "beam", "deformation"],
-)
-def test_tables_notice_a_changed_fact(contents, facts, replacement, stale, scoring):
-    """What the copy shares with the repository is current, or the list would be longer."""
-    if facts.startswith("recordings/"):
-        # Statistics of one recording suffice.
-        stated = scoring / "facts" / "recordings" / "statistics.toml"
-        sections = re.split(r"(?m)^(?=\[)", stated.read_text())
-        kept = [one for one in sections if one.startswith("[foam_bending")]
-        stated.write_text("".join(kept))
-    changed_text(scoring / "facts" / facts, replacement, count=-1)
-    assert {file.name for file in stale_files(contents(scoring))} == stale

@@ -1,4 +1,4 @@
-"""Bands of published recordings: what was measured and no more; laws under their conditions; the coverage page."""
+"""Bands of published recordings: what was measured and no more; laws under their conditions."""
 
 import json
 import math
@@ -6,16 +6,13 @@ import tomllib
 
 import numpy as np
 import pytest
-from places import ROOT
 
-from gauge_envs import load_experiment, reference_band, score_trajectory, variants
+from gauge_envs import load_experiment, reference_band, score_trajectory
 from gauge_envs.evaluation.reference import band_grade
 from gauge_envs.files import data_folder
 from gauge_envs.references.bands import SigmaSource, bundled_band
 from gauge_envs.references.grades import BandGrade
-from gauge_envs.references.published import Baseline, law_for, published_baselines
-from scripts import build_coverage, build_engine_table, build_recordings
-from scripts.generated import stale_files
+from gauge_envs.references.published import law_for, published_baselines
 
 GRAVITY = 9.80665
 SCORED = ("SlopeSlider-3-metal", "Turntable-3-metal")
@@ -58,132 +55,7 @@ def recordings():
     return tomllib.loads((facts_folder() / "recordings.toml").read_text())
 
 
-def table(name):
-    return build_recordings.read_table(facts_folder() / f"{name}.csv")
-
-
-def test_the_table_of_coverage_names_every_id_and_its_check_finds_a_change(
-    tmp_path, monkeypatch
-):
-    page = (ROOT / "docs" / "coverage.md").read_text()
-    stale = tmp_path / "coverage.md"
-    stale.write_text(
-        page.replace("| SlopeSlider-2-wood | trials |", "| SlopeSlider-2-wood | law |"),
-    )
-    monkeypatch.setattr(build_coverage, "PAGE", stale)
-    assert stale_files(build_coverage.contents()) == [stale]
-    rows = page.partition("Why bands are withheld")[0].splitlines()
-    assert (
-        sum(
-            line.startswith(f"| {variant.name} |")
-            for variant in variants()
-            for line in rows
-        )
-        == 75
-    )
-
-
-def test_no_default_preset_fails_a_check_of_what_is_ranked():
-    data = json.loads(build_engine_table.DATA.read_text())
-    defaults = {
-        one["engine"]: one for one in data["configurations"] if not one["preset"]
-    }
-    assert set(defaults) == set(build_engine_table.ENGINES)
-    assert {
-        engine: build_engine_table.failed_checks(one)
-        for engine, one in defaults.items()
-    } == dict.fromkeys(defaults, 0)
-    slides = [build_engine_table.law_ratio(one, "slide") for one in defaults.values()]
-    assert slides == pytest.approx([1.0] * len(defaults), abs=0.01)
-
-
-def test_ranks_need_every_graded_episode_of_every_configuration(tmp_path):
-    with pytest.raises(
-        SystemExit,
-        match=r"no ranks: rapier lacks BouncingBall-rubber calibrated, .*Turntable-3-metal",
-    ):
-        build_engine_table.graded_results("rapier", "", tmp_path)
-
-
-# From pictures to frames
-
-
-def test_what_moves_evenly_is_met_at_every_frame_between_pictures():
-    times = np.arange(10) / 25
-    frames = np.arange(12) / 30
-    value, rate = build_recordings.at_frames(
-        times, 3 + 2 * times, frames, interval_s=1 / 25
-    )
-    inside = frames <= times[-1]
-    assert value[inside] == pytest.approx(3 + 2 * frames[inside], abs=1e-12)
-    assert rate[inside] == pytest.approx(2, abs=1e-9)
-    assert np.isnan(value[~inside]).all() and np.isnan(rate[~inside]).all()
-
-
-def test_nothing_is_invented_where_a_picture_is_missing():
-    times = np.arange(10) / 25
-    values = times.copy()
-    values[4] = np.nan
-    frames = np.arange(12) / 30
-    value, _ = build_recordings.at_frames(times, values, frames, interval_s=1 / 25)
-    within_gap = (frames > times[3]) & (frames < times[5])
-    assert within_gap.any()
-    assert np.isnan(value[within_gap]).all()
-    assert np.isfinite(
-        value[(frames <= times[3]) | ((frames >= times[5]) & (frames <= times[-1]))]
-    ).all()
-
-
-def test_the_mean_of_a_jump_does_not_overshoot():
-    value, _ = build_recordings.at_frames(
-        np.arange(8) / 25,
-        np.repeat([0.0, 1.0], 4),
-        np.linspace(0, 7 / 25, 50),
-        interval_s=1 / 25,
-    )
-    assert (value.min(), value.max()) == (0.0, 1.0)
-
-
-def test_pictures_before_a_marker_is_hidden_are_left_out_but_not_those_before_the_end():
-    values = np.array([0.0, 1.0, 2.0, 3.0, np.nan, 5.0, 6.0])
-    seen = build_recordings.seen_well(values, 2)
-    assert np.isnan(seen).tolist() == [False, False, True, True, True, False, False]
-    assert np.isnan(build_recordings.seen_well(values, 0)).sum() == 1
-
-
-def test_an_uncertain_time_counts_with_the_speed():
-    """A cube at 1.2 m/s whose pictures are good to 1 ms: 1.2 mm beside the 1.5 mm of the frame and the fit's."""
-    band, sigma_mm = bundled_band("SlopeSlider-3-metal"), table("slope_slider")
-    last = int(np.flatnonzero(band.measured)[-1])
-    speed = 30 * np.linalg.norm(band.mean[last] - band.mean[last - 1])
-    fitted = np.interp(0.96 + last / 30, sigma_mm["time_s"], sigma_mm["fit_sigma_mm"])
-    squares = np.square(band.uncertainty[last]) - fitted**2 - 1.5**2
-    assert squares.sum() == pytest.approx((1e-3 * speed) ** 2, rel=0.15)
-
-
 # What is known, and how well
-
-
-@pytest.mark.parametrize("variant", [*SCORED, *WITHHELD])
-def test_a_band_reads_as_it_was_built(variant):
-    band = bundled_band(variant)
-    experiment = load_experiment(variant)
-    name, recording, layout = next(
-        found
-        for found in build_recordings.supported(facts_folder())
-        if variant in found[1]["variants"]
-    )
-    built = build_recordings.recorded_band(variant, recording, layout, table(name))
-    assert band.grade is BandGrade.RECORDING
-    assert band.unit == experiment.spec.score.observable.unit
-    assert band.mean.shape == (experiment.frame_count, len(band.coordinates))
-    assert band.projection.shape == (len(band.coordinates), len(experiment.coordinates))
-    # The tables have two digits.
-    np.testing.assert_allclose(band.mean, built.mean, rtol=0, atol=0.0051)
-    np.testing.assert_allclose(band.uncertainty, built.uncertainty, rtol=0, atol=0.0051)
-    known = np.isfinite(built.mean).any(axis=1)
-    assert band.measured.tolist() == known.tolist()
-    assert band.withheld == recording.get("withheld")
 
 
 @pytest.mark.parametrize(
@@ -211,17 +83,6 @@ def test_sigma_is_the_published_scatter_where_there_is_one(variant):
     assert np.unique(band.sigma).size == 1
     assert width * band.sigma[0, 0] ** 2 == pytest.approx(
         baseline.mean**2 + baseline.std**2, rel=1e-5
-    )
-
-
-def test_sigma_from_scores_is_exact_for_an_ensemble():
-    """Trials of any shape: mean^2 + std^2 of their RMSE to the mean is the summed variance, averaged over frames."""
-    trials = np.random.default_rng(3).normal(size=(20, 40, 24)).cumsum(axis=1)
-    deviation = trials - trials.mean(axis=0)
-    rmse = np.sqrt(np.square(deviation).sum(axis=2).mean(axis=1))
-    baseline = Baseline("made up", "rmse", 40, "mm^2", rmse.mean(), rmse.std(), {})
-    assert build_recordings.sigma_of(baseline, 24) == pytest.approx(
-        math.sqrt(np.square(deviation).mean()), rel=1e-12
     )
 
 
@@ -285,18 +146,6 @@ def test_each_recording_says_what_it_is_and_what_was_assumed():
 # Which bands are scored on
 
 
-def test_a_band_is_withheld_unless_material_and_scatter_are_known():
-    """One recorded trial is of one material; and without a published scatter no score can be normalized."""
-    for _, recording, _ in build_recordings.supported(facts_folder()):
-        ambiguous = len(recording["variants"]) > 1
-        unscaled = any(
-            "rmse" not in published_baselines(variant)
-            for variant in recording["variants"]
-        )
-        if ambiguous or unscaled:
-            assert recording.get("withheld"), recording["video"]
-
-
 @pytest.mark.parametrize("variant", WITHHELD)
 def test_a_withheld_band_is_used_only_when_asked_for(variant):
     experiment = load_experiment(variant)
@@ -334,18 +183,6 @@ def test_the_pendulums_recording_is_withheld_as_circular():
     # Period of the first swings at 85 degrees, where the complete elliptic integral gives 1.1596 of the small one.
     expected_s = 2 * math.pi * math.sqrt(effective_m / GRAVITY) * 1.1596
     assert expected_s == pytest.approx(period_s, abs=0.015)
-
-
-def test_the_recorded_pyramid_falls_with_gravity_before_the_contact():
-    """The last three pictures before the contact, 1.2, 1.2 and 3 mm uncertain, give 8.2 +- 2.5 m/s^2."""
-    seen = table("nonsmooth_contact")
-    before, middle, last = seen["z_mm"][2:5]
-    assert seen["time_s"][2:5].tolist() == [1.92, 1.96, 2.0]
-    acceleration = -1e-3 * (before - 2 * middle + last) / 0.04**2
-    sigma = 1e-3 * math.sqrt(1.2**2 + (2 * 1.2) ** 2 + 3.0**2) / 0.04**2
-    assert acceleration == pytest.approx(8.2, abs=0.05)
-    assert sigma == pytest.approx(2.5, abs=0.05)
-    assert abs(acceleration - GRAVITY) < sigma
 
 
 @pytest.mark.parametrize("variant", SCORED)
@@ -443,63 +280,6 @@ def test_mujoco_is_scored_on_the_turntable(rollout, turntable):
 
 
 # What the facts say
-
-
-def test_slips_of_the_recorded_cube_are_the_means_of_the_table():
-    facts, seen = recordings()["turntable"]["facts"], table("turntable")
-    for event, start, end in (
-        ("start", 1.0, 2.28),
-        ("first_stop", 2.6, 4.28),
-        ("second_stop", 4.64, 5.52),
-    ):
-        window = (seen["time_s"] >= start - 1e-6) & (seen["time_s"] <= end + 1e-6)
-        slip, radius = (
-            facts[f"slip_after_{event}_deg"],
-            facts[f"radius_after_{event}_mm"] if "stop" in event else None,
-        )
-        assert seen["slip_deg"][window].mean() == pytest.approx(slip["value"], abs=0.06)
-        assert seen["slip_deg"][window].std() == pytest.approx(slip["sigma"], abs=0.25)
-        if radius is not None:
-            assert seen["radius_mm"][window].mean() == pytest.approx(
-                radius["value"], abs=0.06
-            )
-
-
-def test_speeds_and_accelerations_follow_from_the_tables():
-    described = recordings()
-    pulled, slid = table("tablecloth_pulling"), table("slope_contact")
-    moving = pulled["time_s"] > 2.1
-    for body in ("cube", "cloth"):
-        speed = np.polyfit(pulled["time_s"][moving], pulled[f"{body}_mm"][moving], 1)[0]
-        stated = described["tablecloth_pulling"]["facts"][f"{body}_speed_mm_per_s"]
-        assert speed == pytest.approx(stated["value"], abs=0.5)
-    times = slid["time_s"] - described["slope_contact"]["frame_zero_s"]
-    sliding = (times > 0) & (times < 0.17)
-    weight = 1 / slid["fit_sigma_mm"][sliding] ** 2
-    half_square = 0.5 * times[sliding] ** 2
-    acceleration = (
-        1e-3
-        * (weight * half_square)
-        @ slid["slide_mm"][sliding]
-        / (weight * half_square @ half_square)
-    )
-    stated = described["slope_contact"]["facts"]["slide_acceleration_m_per_s2"]
-    assert acceleration == pytest.approx(stated["value"], abs=stated["sigma"])
-
-
-def test_the_recorded_period_is_that_of_the_angles():
-    """Crossings of the vertical, half a period apart."""
-    swing = table("pendulum")
-    times, angle = swing["time_s"], swing["angle_deg"]
-    before = np.flatnonzero(angle[:-1] * angle[1:] < 0)
-    crossings = (
-        times[before] - angle[before] * np.diff(times)[before] / np.diff(angle)[before]
-    )
-    stated = recordings()["pendulum"]["facts"]["period_s"]
-    assert len(crossings) == 4
-    assert 2 * np.diff(crossings).mean() == pytest.approx(
-        stated["value"], abs=2 * stated["sigma"]
-    )
 
 
 def test_the_recorded_bounce_agrees_with_the_trials():

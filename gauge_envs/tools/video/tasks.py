@@ -33,7 +33,7 @@ SLOPE_DIRECTION = (-math.cos(math.radians(31.6)), math.sin(math.radians(31.6)))
 
 
 TRIALS_FILE = "slope_slider_30deg_summary.toml"
-"""File of `scoring/facts` with the accelerations of the real slides, which `scripts/build_bands.py` computes."""
+"""File of `scoring/facts` with the accelerations of the real slides."""
 
 
 @dataclass(frozen=True, kw_only=True)
