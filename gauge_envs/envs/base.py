@@ -1,4 +1,4 @@
-"""Bases of the environments: engine, spec, renderer, copies that continue bit for bit, and worlds in lockstep."""
+"""Bases of the environments: engine, spec, renderer, and worlds in lockstep."""
 
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
@@ -24,7 +24,7 @@ from gauge_envs.envs.pictures import (
     Pictures,
     Rendered,
 )
-from gauge_envs.errors import BackendError, EpisodeError, ParameterError
+from gauge_envs.errors import EpisodeError, ParameterError
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
@@ -103,6 +103,12 @@ class EngineEnvironment:
         """Name of the environment in error messages."""
         return self.experiment.id
 
+    def __getstate__(self) -> None:
+        """Raise an error: the models of most engines can be neither copied nor pickled."""
+        raise EpisodeError(
+            f"{self._label}: a running environment cannot be copied or pickled; make another one from its spec"
+        )
+
     def _check_open(self, call: str) -> None:
         """Raise an error if a method is called after `close`."""
         if self._is_closed:
@@ -125,15 +131,9 @@ class EngineEnvironment:
 class SimulationEnvironment(EngineEnvironment, gymnasium.Env[ObsType, ActType]):
     """An environment that holds one simulation.
 
-    Copies and pickles hold the experiment and the engine's state. A copy builds the simulation anew and continues bit
-    for bit, also in another process with the same versions of the engine.
-
     Attributes:
         simulation: The running simulation.
     """
-
-    REBUILT: ClassVar[tuple[str, ...]] = ("simulation",)
-    """Attributes that `_build` makes and that do not pickle."""
 
     def _build(self, experiment: Experiment) -> bool:
         """Build the simulation, unless there is one that takes the start, and return whether there was.
@@ -141,7 +141,6 @@ class SimulationEnvironment(EngineEnvironment, gymnasium.Env[ObsType, ActType]):
         Args:
             experiment: The experiment with the start that applies now.
         """
-        self._built = experiment
         scene = experiment.scene
         if "simulation" in vars(self):
             if self.simulation.start_at(scene):
@@ -152,38 +151,6 @@ class SimulationEnvironment(EngineEnvironment, gymnasium.Env[ObsType, ActType]):
         built = self._engine.build(scene, self._settings)
         self.simulation: Simulation = in_intervals(built, scene)
         return False
-
-    def _state(self) -> dict[str, Any]:
-        """Return the state of what `_build` makes."""
-        return {"simulation": self.simulation.state()}
-
-    def _restore(self, state: Mapping[str, Any]) -> None:
-        """Restore what `_state` returned."""
-        try:
-            self.simulation.restore(state["simulation"])
-        except BackendError as error:
-            raise BackendError(f"{self._label}: {error}") from None
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Return the plain attributes and the state of the simulation; an engine's model does not pickle."""
-        attributes = {
-            name: value
-            for name, value in vars(self).items()
-            if name not in self.REBUILT
-        }
-        return {"attributes": attributes, "state": self._state()}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        """Build the simulation and restore its state."""
-        vars(self).update(state["attributes"])
-        installed = versions_of(self.backend_name)
-        if installed != self.versions:
-            raise BackendError(
-                f"{self._label}: the pickle is from {_listed(self.versions)}, installed is {_listed(installed)}. "
-                "A state continues only in the version that made it: install that version, or run the episode again."
-            )
-        self._build(self._built)
-        self._restore(state["state"])
 
     def _check_running(self, *, started: bool, is_over: bool) -> None:
         """Raise an error if no step may follow."""
@@ -248,12 +215,6 @@ class WorldsEnvironment(EngineEnvironment, VectorEnv[ObsType, Any, NDArray[Any]]
         self._check_started("render", started=self._is_reset)
         return tuple(self._picture(number) for number in range(self.num_envs))
 
-    def __getstate__(self) -> None:
-        """Raise an error: worlds in lockstep have no copies."""
-        raise EpisodeError(
-            f"{self._label}: worlds that step together are not copied or pickled; copy single environments"
-        )
-
     @abstractmethod
     def _picture(self, number: int) -> Rendered | None:
         """Return the picture of a world."""
@@ -295,7 +256,3 @@ def world_constants(
                 f"world_parameters has {one!r}: give overrides for each world, as {{'cube.friction': 0.3}}"
             )
     return constants
-
-
-def _listed(versions: Mapping[str, str]) -> str:
-    return ", ".join(f"{package} {version}" for package, version in versions.items())

@@ -80,12 +80,3 @@ class DriverPaths:
         """Drive a scene through an interval of its recorded motion, counted from 0, and simulate it."""
         self.drive(simulation, index, self.no_rates)
         simulation.advance(self._interval_s)
-
-    def offsets(self) -> list[FloatArray]:
-        """Return the displacements by actions so far, for `restore`."""
-        return [path.offsets.copy() for path in self._paths]
-
-    def restore(self, offsets: Sequence[FloatArray]) -> None:
-        """Restore displacements by actions."""
-        for path, values in zip(self._paths, offsets, strict=True):
-            path.offsets = values.copy()

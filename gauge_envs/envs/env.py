@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, ClassVar, Unpack
+from typing import TYPE_CHECKING, Any, Unpack
 
 from gauge_envs.envs.arguments import (
     EnvArguments,
@@ -57,9 +57,6 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
     simulation diverged.
     `gymnasium.make` adds `score` and `deformation` at the end; see `ScoreEpisode`.
 
-    Copies and pickles are environments of their own. They continue bit for bit, also in another process with the same
-    versions of the engine.
-
     Args:
         variant: Name of the variant, as `SlopeSlider-2-wood`.
         render_mode: None; `human` for a window that the mouse turns, drawn by `reset` and `step`; `rgb_array`;
@@ -101,7 +98,6 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
         (18, 'trials')
     """
 
-    REBUILT: ClassVar[tuple[str, ...]] = ("simulation", "episode")
     episode: Episode
 
     def __init__(
@@ -151,13 +147,6 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
             backend=self.arguments.default_backend,
         )
         return is_kept
-
-    def _state(self) -> dict[str, Any]:
-        return super()._state() | {"episode": self.episode.state()}
-
-    def _restore(self, state: Mapping[str, Any]) -> None:
-        super()._restore(state)
-        self.episode.restore(state["episode"])
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

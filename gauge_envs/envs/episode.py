@@ -360,26 +360,6 @@ class Episode:
         first = ((self.frame or 0) * SAMPLES_PER_FRAME) + 1
         return self._samples[first : first + self._later * SAMPLES_PER_FRAME]
 
-    def state(self) -> dict[str, Any]:
-        """Return what `restore` needs to continue from here; the world has a state of its own."""
-        return {
-            "frame": self.frame,
-            "fault": self.fault,
-            "later": (self._later, self._later_limit),
-            "last_view": self._last_view,
-            "offsets": self._drivers.offsets(),
-            "recorded": [record.copy() for record in self._records()],
-        }
-
-    def restore(self, state: dict[str, Any]) -> None:
-        """Restore what `state` returned, from this episode or another one of the same experiment."""
-        self.frame, self.fault = state["frame"], state["fault"]
-        self._later, self._later_limit = state["later"]
-        self._last_view = state["last_view"]
-        self._drivers.restore(state["offsets"])
-        for record, kept in zip(self._records(), state["recorded"], strict=True):
-            record[:] = kept
-
     def record_in(
         self,
         samples: FloatArray,

@@ -186,10 +186,6 @@ class Pictures:
             self._window.close()
             self._window = None
 
-    def __getstate__(self) -> dict[str, Any]:
-        """Leave out renderer and window, whose graphics context neither pickles nor copies."""
-        return vars(self) | {"_renderer": None, "_window": None}
-
 
 def _checked_camera(camera: Mapping[str, Any] | None) -> dict[str, Any]:
     """Return the entries of a camera that replace others, or raise an error for what no camera has."""

@@ -1,6 +1,5 @@
 """Arguments that no environment can use, environments used after `close`, and environments in threads."""
 
-import copy
 import gc
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -11,7 +10,6 @@ from episodes import run_to_end
 
 import gauge_envs
 from gauge_envs import GaugeEnv
-from gauge_envs.errors import EpisodeError
 
 NAME = "SlopeSlider-2-wood"
 ID = f"GAUGE/{NAME}"
@@ -29,14 +27,6 @@ def test_jitter_builds_the_scene_anew_without_closing_the_environment():
     for options in ({"jitter": True}, {}):
         envs.reset(seed=1, options=options)
         envs.step([0, 0])
-
-
-def test_a_copy_of_a_closed_environment_is_closed():
-    env = GaugeEnv(NAME)
-    env.reset(seed=0)
-    env.close()
-    with pytest.raises(EpisodeError, match="after close"):
-        copy.deepcopy(env).reset()
 
 
 # --- threads and memory ---

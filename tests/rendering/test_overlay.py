@@ -1,7 +1,5 @@
 """Overlays of pictures: drawn where their points are, and only where they are asked for."""
 
-import copy
-import pickle
 from itertools import pairwise
 
 import gymnasium
@@ -192,10 +190,6 @@ def test_environments_draw_the_overlay_on_request_alone():
         for _ in range(8):
             env.step(0)
         pictures[overlay] = env.render()
-        if overlay:
-            for other in (copy.deepcopy(env), pickle.loads(pickle.dumps(env))):
-                assert np.abs(other.render().astype(int) - pictures[True]).max() <= 2
-                other.close()
         env.close()
     assert changed(pictures[False], pictures[True]).sum() > 20
     envs = gymnasium.make_vec(

@@ -50,8 +50,7 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
     One step is 1/30 s, in six intervals of 1/180 s with a constant action. The action is a Box [-1, 1] with an entry
     for each of `COMMANDED`. The subclass documents what they command, the observation, and the reward with its proof.
 
-    `info`: `frame`, `time_s`, and `diverged` (the reason) if the simulation diverged. Copies and pickles continue bit
-    for bit, also in another process with the same versions of the engine.
+    `info`: `frame`, `time_s`, and `diverged` (the reason) if the simulation diverged.
 
     Args:
         material: Material of the cube, the ball or the cloth.
@@ -85,7 +84,6 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
         rest_nodes_m: Nodes of each deformable body at the start of the episode [m], shape [node_count, 3], by name.
     """
 
-    REBUILT: ClassVar[tuple[str, ...]] = ("simulation", "world")
     SCENE: ClassVar[str]
     LAW: ClassVar[str]
     SIGMA_SOURCE: ClassVar[str]

@@ -1,9 +1,7 @@
 """Control tasks: their optimum is the law's limit, and engines that obey the law let a policy have just that."""
 
-import copy
 import csv
 import math
-import pickle
 
 import approval
 import gymnasium
@@ -82,33 +80,6 @@ def test_a_spec_builds_the_same_run():
     again = gymnasium.make(EnvSpec.from_json(env.spec.to_json()))
     assert again.unwrapped.limit == env.unwrapped.limit
     assert again.unwrapped.limit.value == 0.2
-
-
-@pytest.mark.parametrize("name", ["Turntable-Limit-wood", "Pendulum-Limit-metal"])
-@pytest.mark.parametrize(
-    "copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))]
-)
-def test_copies_go_on_from_where_they_are(name, copied):
-    env = make(name)
-    env.reset(seed=0)
-    for _ in range(5):
-        env.step(np.array([0.7]))
-    other = copied(env)
-    for action in (0.5, -0.2, 1.0):
-        ours, theirs = env.step(np.array([action])), other.step(np.array([action]))
-        assert np.array_equal(ours[0], theirs[0])
-        assert ours[1:] == theirs[1:]
-    assert np.array_equal(env.trajectory(), other.trajectory())
-
-
-def test_a_pickle_of_another_version_of_the_engine_is_refused():
-    env = make("Turntable-Limit-wood")
-    env.versions = {"mujoco": "3.0.0"}
-    with pytest.raises(
-        BackendError,
-        match=r"TurntableLimit: the pickle is from mujoco 3\.0\.0, installed is mujoco",
-    ):
-        pickle.loads(pickle.dumps(env))
 
 
 def reset(env):
