@@ -3,8 +3,8 @@
     python examples/train_control.py --task Throw-Limit-rubber --seed 0
 
 It needs the extra `rl`, trains PPO on one core, and writes OUT/TASK-SEED.zip (Stable-Baselines3), OUT/TASK-SEED.pkl
-(the statistics that scale observations) and OUT/TASK-SEED.csv (the learning curve). `gauge transfer` replays the first
-two.
+(the statistics that scale observations) and OUT/TASK-SEED.csv (the learning curve). `replay_policy.py` replays the
+first two on another engine.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
+import gymnasium
 import numpy as np
 import torch
 import typer
@@ -25,10 +26,10 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
-from gauge_envs.tools.control.env import ControlEnv
+import gauge_envs  # noqa: F401
+from gauge_envs.tools.control import ControlEnv
 from gauge_envs.tools.control.limit import Ending, LimitReport
 from gauge_envs.tools.control.play import Policy, play_paid
-from gauge_envs.tools.transfer.policy_replays import make_control_env, start_overrides
 
 UNSEEN = 10_000
 """Seed of the first unseen start; trainings have smaller seeds."""
@@ -65,9 +66,8 @@ def trained(task: str, seed: int, steps: int, settings: Mapping[str, Any], curve
     torch.set_num_threads(1)
     family = task.partition("-")[0]
     gamma, gae_lambda = DISCOUNTS[family]
-    starts = scattered_starts(task, settings, WORLDS, seed=seed)
-    alike = [make_control_env(task, settings=settings) for _ in range(WORLDS - len(starts))]
-    scaled = VecNormalize(DummyVecEnv([partial(Monitor, env) for env in (*starts, *alike)]), gamma=gamma)
+    worlds = [partial(Monitor, make_task(task, settings)) for _ in range(WORLDS)]
+    scaled = VecNormalize(DummyVecEnv(worlds), gamma=gamma)
     model = PPO(
         "MlpPolicy",
         scaled,
@@ -109,21 +109,19 @@ def deterministic(model: PPO) -> Policy:
     return lambda observation: model.predict(scaled.normalize_obs(observation), deterministic=True)[0]
 
 
-def scattered_starts(task: str, settings: Mapping[str, Any], count: int, *, seed: int) -> list[ControlEnv]:
-    """Return environments whose bodies start at places drawn from the measured uncertainty of the start.
+def make_task(task: str, settings: Mapping[str, Any]) -> ControlEnv:
+    """Return the environment of a task whose body starts within the measured uncertainty of its start."""
+    # The rod holds the cloth of Fling, which always starts alike.
+    jitter = None if task.startswith("Fling") else "real"
+    env = gymnasium.make(f"GAUGE/{task}", settings=settings, jitter=jitter).unwrapped
+    assert isinstance(env, ControlEnv)
+    return env
 
-    A task without such an uncertainty has one environment.
-    """
-    starts = start_overrides(make_control_env(task), count + 1, seed=seed)[1:] or [{}]
-    return [make_control_env(task, settings=settings, parameters=start or "calibrated") for start in starts]
 
-
-def played(envs: list[ControlEnv], policy: Policy | None = None) -> tuple[float, list[LimitReport]]:
-    """Return the mean reward and the reports of a policy, or of the law's; each environment has a goal of its own."""
-    runs = [
-        play_paid(env, policy or (lambda _, env=env: env.law_action(1.0)), seed=UNSEEN + number)
-        for number, env in enumerate(envs)
-    ]
+def played(env: ControlEnv, policy: Policy | None = None) -> tuple[float, list[LimitReport]]:
+    """Return the mean reward and the reports of a policy, or of the law's, on ten unseen starts."""
+    policy = policy or (lambda _: env.law_action(1.0))
+    runs = [play_paid(env, policy, seed=UNSEEN + number) for number in range(10)]
     return float(np.mean([paid for paid, _ in runs])), [report for _, report in runs]
 
 
@@ -142,11 +140,11 @@ def main(
 ) -> None:
     """Train a policy, and compare it with the law's own on ten unseen starts."""
     settings = SETTINGS[task.partition("-")[0]]
-    envs, began_s = scattered_starts(task, settings, 10, seed=UNSEEN), time.perf_counter()
+    env, began_s = make_task(task, settings), time.perf_counter()
     rows: list[tuple[float, ...]] = []
 
     def look(model: PPO) -> None:
-        paid, reports = played(envs, deterministic(model))
+        paid, reports = played(env, deterministic(model))
         arrived = np.mean([report.ending is Ending.REACHED for report in reports])
         ratio = np.mean([report.ratio for report in reports])
         rows.append((model.num_timesteps, time.perf_counter() - began_s, time.process_time(), arrived, ratio, paid))
@@ -158,8 +156,8 @@ def main(
     model.get_vec_normalize_env().save(str(out / f"{task}-{seed}.pkl"))
     with (out / f"{task}-{seed}.csv").open("w", newline="") as file:
         csv.writer(file).writerows([("steps", "wall_s", "cpu_s", "success", "ratio", "reward"), *rows])
-    print(f"trained:  {summary(played(envs, deterministic(model))[1])}")
-    print(f"the law:  {summary(played(envs)[1])}")
+    print(f"trained:  {summary(played(env, deterministic(model))[1])}")
+    print(f"the law:  {summary(played(env)[1])}")
 
 
 if __name__ == "__main__":

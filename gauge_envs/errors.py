@@ -73,10 +73,6 @@ class ParameterError(GaugeError, ValueError):
     """An argument names something that does not exist, or holds an impossible value."""
 
 
-class PolicyError(GaugeError, ValueError):
-    """A policy cannot be loaded, or does not fit the task; the message names the file and what is expected."""
-
-
 class RegistryError(GaugeError, RuntimeError):
     """An instrument is declared wrongly, or no installed one does what is asked."""
 

@@ -17,7 +17,7 @@ from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from stat import S_ISREG
-from tempfile import TemporaryDirectory, TemporaryFile
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -40,9 +40,6 @@ MOST_KEY_DOTS = 64
 CHILD_MEMORY = 2000 * MEGABYTE
 CHILD_CPU_S = 5
 CHILD_WALL_S = 60
-MOST_OUTPUT_BYTES = 300 * MEGABYTE
-"""Largest size of what a child prints."""
-
 CHILD_REFUSED = 3
 """Exit code of a child that prints why it refuses a file."""
 
@@ -123,15 +120,6 @@ def read_regular(file: Path, most_bytes: int) -> bytes:
             str(file),
         )
     return content
-
-
-def check_regular(files: Iterable[Path], most_bytes: int) -> None:
-    """Check files that a library opens itself: all are regular, and together of limited size."""
-    left = most_bytes
-    for file in files:
-        status = file.stat()
-        _check_regular(file, status, left)
-        left -= status.st_size
 
 
 def _check_regular(file: Path, status: os.stat_result, most_bytes: int) -> None:
@@ -303,71 +291,47 @@ def child_command(
     return command, os.environ | {"OMP_NUM_THREADS": "1", "PXR_WORK_THREAD_LIMIT": "1"}
 
 
-def child_output(
+def child_refusal(
     script: Path, *arguments: str, content: bytes = b"", cpu_s: int = CHILD_CPU_S
-) -> bytes:
-    """Return what a script prints that reads a file of a stranger, in a child process with limits of memory and time.
+) -> str | None:
+    """Return why a file of a stranger must not be loaded; None if a script loads it within limits.
 
-    Use it for a library that offers no limit of its own. The script exits with `CHILD_REFUSED` after it printed a
-    reason. Files that it writes are limited too, and temporary ones are removed.
+    The script loads the file as the library does, in a child process with limits of memory and time. It exits normally
+    also for a file that is wrong, and with `CHILD_REFUSED` after it printed a reason. Temporary files are removed.
 
     Args:
         script: Script that needs no module of this package.
         arguments: Arguments of the script.
         content: Standard input of the script.
         cpu_s: Limit of its processor time [s].
-
-    Raises:
-        ValueError: The file exceeds the limits, or the script or the library refuses it.
     """
     command, environment = child_command(script, *arguments, cpu_s=cpu_s)
     try:
-        with TemporaryDirectory() as folder, TemporaryFile() as output:
+        with TemporaryDirectory() as folder:
             done = subprocess.run(
                 command,
                 input=content,
-                stdout=output,
+                stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,
                 timeout=CHILD_WALL_S,
                 env=environment | {"TMPDIR": folder},
                 check=False,
             )
-            output.seek(0)
-            printed = output.read(MOST_OUTPUT_BYTES + 1)
     except subprocess.TimeoutExpired:
-        raise ValueError(f"loading it takes more than {CHILD_WALL_S} s") from None
+        return f"loading it takes more than {CHILD_WALL_S} s"
     except OSError as error:
-        cause = error.strerror or error
-        raise ValueError(f"no child process can be started to test it: {cause}") from None  # fmt: skip
-    if done.returncode == 0 and len(printed) > MOST_OUTPUT_BYTES:
-        limit = MOST_OUTPUT_BYTES // MEGABYTE
-        raise ValueError(f"it holds more than {limit} MB")
+        return f"no child process can be started to test it: {error.strerror or error}"
     if done.returncode == 0:
-        return printed
+        return None
     if done.returncode == CHILD_REFUSED:
-        raise ValueError(printed.decode(errors="replace").strip())
+        return done.stdout.decode(errors="replace").strip()
     out_of_time = (getattr(signal, "SIGXCPU", 0), getattr(signal, "SIGKILL", 0))
     if -done.returncode in out_of_time:
-        raise ValueError(f"loading it takes more than {cpu_s} s of processor time")
+        return f"loading it takes more than {cpu_s} s of processor time"
     limit = CHILD_MEMORY // MEGABYTE
-    raise ValueError(
+    return (
         f"loading it needs more than {limit} MB of memory, or the library crashes on it"
     )
-
-
-def child_refusal(
-    script: Path, *arguments: str, content: bytes = b"", cpu_s: int = CHILD_CPU_S
-) -> str | None:
-    """Return why a file of a stranger must not be loaded; None if a script loads it within limits.
-
-    The script loads the file as the library does, with the limits of `child_output`. It exits normally also for a file
-    that is wrong.
-    """
-    try:
-        child_output(script, *arguments, content=content, cpu_s=cpu_s)
-    except ValueError as error:
-        return str(error)
-    return None
 
 
 # --- writing ---------------------------------------------------------------------------------------------------------

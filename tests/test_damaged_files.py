@@ -24,11 +24,9 @@ from multiprocessing import get_context
 from pathlib import Path
 
 import fork_server
-import mujoco
 import numpy as np
 import pytest
 from places import ROOT
-from ros_bags import bag_of
 
 from gauge_envs import load_experiment
 from gauge_envs.errors import GaugeError
@@ -45,7 +43,6 @@ from gauge_envs.runs.score_file import score_file
 from gauge_envs.tools.assets.build import assets_folder
 from gauge_envs.tools.conformance.expected import read_expected
 from gauge_envs.tools.conformance.matrix import read_columns
-from gauge_envs.tools.identify.stack_logs import read_logs
 from gauge_envs.tools.leaderboard import check_leaderboard
 from gauge_envs.tools.leaderboard.archive import ARCHIVE, write_archive
 from gauge_envs.tools.sanity import configuration
@@ -53,7 +50,7 @@ from gauge_envs.tools.sanity.run import read_baseline
 from gauge_envs.tools.sweep.spec import load_sweep_file
 from gauge_envs.tools.usd.experiment_file import load_experiment_file
 from gauge_envs.tools.usd.reader import from_usd
-from gauge_envs.tools.versions.subject import read_states
+from gauge_envs.tools.versions.subject import check_states
 from gauge_envs.tools.video.plane import read_camera
 from gauge_envs.tools.video.track import read_track
 
@@ -126,82 +123,8 @@ def trajectory_npz() -> bytes:
     return array_file(g=samples())
 
 
-def log_csv() -> bytes:
-    return text_of("examples", "joint_swing.csv")()
-
-
-def log_npz() -> bytes:
-    times_s = np.linspace(0.0, 1.0, 50)
-    return array_file(time_s=times_s, position_rad=np.sin(times_s))
-
-
-def parquet_file() -> bytes:
-    import pyarrow
-    from pyarrow import parquet
-
-    rows = [[0.0, 1.0]] * 20
-    table = pyarrow.table(
-        {
-            "episode_index": [0] * 20,
-            "timestamp": list(np.linspace(0.0, 1.0, 20)),
-            "observation.state": rows,
-            "action": rows,
-        }
-    )
-    stream = io.BytesIO()
-    parquet.write_table(table, stream)
-    return stream.getvalue()
-
-
-def read_lerobot(file):
-    folder = file.with_suffix("")
-    (folder / "meta").mkdir(parents=True, exist_ok=True)
-    (folder / "data" / "0").mkdir(parents=True, exist_ok=True)
-    feature = {"names": ["a", "b"]}
-    features = {"observation.state": feature, "action": feature}
-    info = {"codebase_version": "v3.0", "features": features}
-    (folder / "meta" / "info.json").write_text(json.dumps(info))
-    (folder / "data" / "0" / "0.parquet").write_bytes(file.read_bytes())
-    return read_logs(folder, unit="rad")
-
-
-def bag_file() -> bytes:
-    folder = Path(f"bag{os.getpid()}")
-    content = (bag_of(folder, storage="mcap") / f"{folder}.mcap").read_bytes()
-    shutil.rmtree(folder)
-    return content
-
-
-SERVO = """<mujoco><worldbody><body><joint name="a"/><geom size="1"/></body></worldbody><actuator><position name="m"
-joint="a"/></actuator><sensor><jointpos name="s" joint="a"/></sensor></mujoco>"""
-
-
-def sysid_npz() -> bytes:
-    times_s = np.linspace(0.0, 1.0, 50)
-    angles = np.sin(times_s)[:, np.newaxis]
-    return array_file(
-        sensordata_times=times_s,
-        sensordata_data=angles,
-        sensordata_signal_mapping=np.array('{"s": [0, [0]]}'),
-        control_times=times_s,
-        control_data=angles,
-        control_signal_mapping=np.array('{"m_ctrl": [0, [0]]}'),
-    )
-
-
 def states_npz() -> bytes:
     return array_file(qpos=np.zeros((20, 7)), qvel=np.zeros((20, 6)))
-
-
-def states_hdf5() -> bytes:
-    import h5py
-
-    stream = io.BytesIO()
-    with h5py.File(stream, "w") as file:
-        group = file.create_group("data/demo_0")
-        group["states"] = np.zeros((20, 14))
-        group.attrs["model_file"] = "<mujoco/>"
-    return stream.getvalue()
 
 
 def track() -> bytes:
@@ -315,16 +238,7 @@ READERS = {
     "settings.toml": (text_of("examples", "sanity", "good.toml"), configuration),
     "settings.json": (json.dumps(SETTINGS).encode, configuration),
     "settings.yaml": (lambda: b"sim:\n  dt: 0.01\n  physx: {a: 1}\n", configuration),
-    "log.csv": (log_csv, read_logs),
-    "log.npz": (log_npz, read_logs),
-    "lerobot.parquet": (parquet_file, read_lerobot),
-    "log.mcap": (bag_file, read_logs),
-    "sysid.npz": (
-        sysid_npz,
-        lambda file: read_logs(file, mujoco.MjSpec.from_string(SERVO)),
-    ),
-    "states.npz": (states_npz, lambda file: read_states(file, file.parent)),
-    "states.hdf5": (states_hdf5, lambda file: read_states(file, file.parent)),
+    "states.npz": (states_npz, check_states),
     "camera.toml": (CAMERA.encode, read_camera),
     "track.csv": (track, lambda file: read_track(file, fps=30.0)),
     "expected.toml": (lambda: b'free-fall = "a reason"\n', read_expected),
@@ -342,11 +256,8 @@ READERS = {
 }
 """A valid file and the reader of each kind."""
 
-CHILDREN = {"scene.usda", "scene.xml", "robot.xml", "lerobot.parquet", "states.hdf5", "log.mcap"}  # fmt: skip
+CHILDREN = {"scene.usda", "scene.xml", "robot.xml"}  # fmt: skip
 """Kinds that a child process reads, which takes it half a second."""
-
-LIBRARIES = {"lerobot.parquet": "pyarrow", "states.hdf5": "h5py", "log.mcap": "rosbags"}
-"""Packages that read a kind, and may be absent."""
 
 
 # --- damage ----------------------------------------------------------------------------------------------------------
@@ -399,8 +310,6 @@ def read_all(name: str, count: int, folder: Path) -> dict:
 @pytest.mark.parametrize("name", READERS)
 def test_a_damaged_file_is_read_or_refused_in_words(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    if name in LIBRARIES:
-        pytest.importorskip(LIBRARIES[name])
     count = max(2, COUNT // 50) if name in CHILDREN else COUNT
     fork_server.start()
     with ProcessPoolExecutor(1, get_context("fork")) as pool:

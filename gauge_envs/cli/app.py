@@ -35,15 +35,11 @@ OTHER_WORDS = {
     "eval": "run",
     "evaluate": "run",
     "test": "run",
-    "transfer envelope": "transfer randomize, or gauge run --uncertainty for what constants do to a score",
     "versions": "backend versions",
     "probe": "sanity probe",
     "schema": "show COMMAND --schema, or gauge list schemas",
 }
 """Commands by the words that other tools have for them."""
-
-SHORT_NAMES = {"randomize": "transfer randomize"}
-"""Commands that are also found by their second word."""
 
 UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 """Errors of a full or broken disk."""
@@ -219,8 +215,6 @@ class _Group(typer.core.TyperGroup):
         )
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        if args[0] in SHORT_NAMES:
-            args = [*SHORT_NAMES[args[0]].split(), *args[1:]]
         for count in (2, 1):
             name = self._full(" ".join(args[:count]))
             if name in OTHER_WORDS:

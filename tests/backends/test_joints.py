@@ -3,7 +3,6 @@
 import copy
 from dataclasses import replace
 
-import mujoco
 import numpy as np
 import pytest
 from cloths import fabric
@@ -29,7 +28,6 @@ from gauge_envs.scene.motors import Servo, TorqueMotor
 from gauge_envs.scene.profiles import SampledProfile
 from gauge_envs.scene.servo_friction import ServoFriction
 from gauge_envs.tools.bench.parts import body, box, box_inertia_kg_m2, ramp
-from gauge_envs.tools.identify.rig import posed
 
 ENGINES = {
     "mujoco": "mujoco",
@@ -344,22 +342,3 @@ def test_a_braked_joint_coasts_as_its_law(name):
         expected = coasting_rate(law, *numbers, times_s)
         assert expected[-1] > 0.3 * rate
         assert rates == pytest.approx(expected, abs=0.001 * rate), law
-
-
-@pytest.mark.parametrize("hung", [True, False])
-def test_a_chain_has_the_accelerations_of_mujoco(hung):
-    """The mass matrix and the loads of friction laws, of a chain on the world and of one in free flight."""
-    law = JointDynamics(armature_kg_m2=0.001, servo=ServoFriction())
-    inner = replace(_arm().body_hinges[0], motor=None, dynamics=law)
-    outer = replace(_arm().joints[0], motor=None, dynamics=JointDynamics())
-    scene = replace(_arm(), joints=(outer,) * hung, body_hinges=(inner,))
-    scene = posed(scene, [0.4, 0.7][-1 - hung :], [1.0, 2.0][-1 - hung :])
-    simulation = backend("mujoco").build(scene)
-    simulation.reset(0)
-    accelerations = simulation.accelerations()
-    engine = simulation.inner
-    mujoco.mj_forward(engine.model, engine.data)
-    # In free flight the lower bar is the root.
-    names = ["upper", "lower"] if hung else ["upper"]
-    expected = [float(engine.data.joint(name).qacc[0]) for name in names]
-    assert accelerations == pytest.approx(expected, rel=1e-6)

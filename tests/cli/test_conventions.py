@@ -34,7 +34,7 @@ SHORT = {
     "--quiet": "-q",
 }
 
-OPEN_SETS = {"--known", "--set", "--parameter", "--training"}
+OPEN_SETS = {"--set", "--parameter"}
 
 UNITS = {"kg_m2", "n_per_m", "n_s_per_m", "m_s", "kg", "mm", "deg", "hz", "s", "m"}
 """Ends of the names of quantities in Python."""

@@ -142,7 +142,6 @@ def test_what_cannot_be_met_is_refused_in_the_approved_words(gauge, approved, tm
         ("run SlopeSlider-2-wood --memory 4GiB", "'4GiB': expected a number in GB"),
         ("recipe satin wood-on-wood", "(wood-on-wood)"),
         ("diagnose --order", "--order"),
-        ("transfer randomize", "SUBJECT"),
     ],
 )
 def test_a_refusal_with_words_of_a_library_names_the_place(gauge, command, place):

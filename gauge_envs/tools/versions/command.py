@@ -23,7 +23,7 @@ def backend_versions(
         typer.Argument(
             metavar="SUBJECT",
             help="Model file (MJCF, URDF, USD), id of this suite or of Gymnasium, module:function that makes an "
-            "environment or a model, or demonstrations with their model (.hdf5).",
+            "environment or a model.",
         ),
     ],
     versions: Annotated[
@@ -48,8 +48,7 @@ def backend_versions(
         Path | None,
         arguments.option(
             arguments.SCENE,
-            "Saved states: .npz with qpos, a row each, and qvel, act, ctrl and time if they are known; or .hdf5 "
-            "of LIBERO and robomimic, with :demo_3 behind it for another demonstration than the first.",
+            "Saved states: .npz with qpos, a row each, and qvel, act, ctrl and time if they are known.",
             metavar="FILE",
         ),
     ] = None,

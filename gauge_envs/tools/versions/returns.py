@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import sysconfig
 from collections.abc import Callable
@@ -12,16 +13,17 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from gauge_envs.errors import ParameterError
+from gauge_envs.evaluation.dependence import LEVEL
+from gauge_envs.evaluation.numerics import share_interval, student_quantile
 from gauge_envs.experiments.variants import find_variant, variants
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.tools.transfer import Estimate, estimate, success_share
 from gauge_envs.tools.versions.environments import (
     NUMPY_2_SINCE,
     made_environment,
     sides_at_once,
     version_key,
 )
-from gauge_envs.tools.versions.model import ReturnComparison, Side, Verdict
+from gauge_envs.tools.versions.model import Estimate, ReturnComparison, Side, Verdict
 from gauge_envs.tools.versions.processes import Bench
 
 WORKER = ("-B", str(Path(__file__).with_name("episodes_worker.py")))
@@ -79,7 +81,7 @@ def compare_returns(
                 played, (before, after)
             )
     change = _mean(second - first)
-    shares = [success_share(values) for values in (won, won_after)]
+    shares = [_success_share(values) for values in (won, won_after)]
     has_success = None not in shares
     success_change = _mean(won_after - won) if has_success else None
     verdict = Verdict.SAME
@@ -112,7 +114,21 @@ def _release(side: Side, say: Callable[[str], object]) -> dict[str, object]:
 
 
 def _mean(values: FloatArray) -> Estimate:
-    return estimate(float(values.mean()), values[np.newaxis])
+    """Return the mean over seeds with the interval of Student's t."""
+    mean = float(values.mean())
+    if len(values) < 2:
+        return Estimate(value=mean)
+    error = float(values.std(ddof=1)) / math.sqrt(len(values))
+    half = student_quantile(len(values) - 1, 0.5 * (1.0 + LEVEL)) * error
+    return Estimate(value=mean, low=mean - half, high=mean + half)
+
+
+def _success_share(values: FloatArray) -> Estimate | None:
+    """Return the share of successes with the exact interval of Clopper and Pearson."""
+    if np.isnan(values).any():
+        return None
+    low, high = share_interval(float(values.sum()), len(values), LEVEL)
+    return Estimate(value=float(values.mean()), low=low, high=high)
 
 
 def _excludes_zero(change: Estimate | None) -> bool:

@@ -1,4 +1,4 @@
-"""What versions are compared on: a model file, an id, a USD layer, an environment, or demonstrations."""
+"""What versions are compared on: a model file, an id, a USD layer, or an environment."""
 
 from __future__ import annotations
 
@@ -19,20 +19,17 @@ from gauge_envs.errors import ParameterError, needs_extra
 from gauge_envs.experiments.variants import find_variant, variants
 from gauge_envs.files import (
     MEGABYTE,
-    child_output,
     npz_arrays,
     npz_names,
     os_errors,
     read_regular,
 )
-from gauge_envs.tools.versions import hdf5_child
 
 if TYPE_CHECKING:
     from gauge_envs.scene import Scene
 
 MODEL_FILES = (".xml", ".mjcf", ".urdf")
 USD_FILES = (".usd", ".usda", ".usdc", ".usdz")
-HDF5_FILES = (".hdf5", ".h5")
 
 MOST_STATE_BYTES = 256 * MEGABYTE
 """Largest size of a file of states, and of its arrays in memory."""
@@ -65,36 +62,30 @@ def read_subject(text: str, folder: Path, states: Path | None = None) -> Subject
     """Return the model that a text names.
 
     Args:
-        text: Model file, USD layer, file of demonstrations (.hdf5), id of this suite or of Gymnasium, or
-            `module:function` of a function that returns an environment, a model, or the path of one.
+        text: Model file, USD layer, id of this suite or of Gymnasium, or `module:function` of a function that returns
+            an environment, a model, or the path of one.
         folder: Folder of files that are written.
-        states: Saved states: .npz, or .hdf5 as LIBERO and robomimic write it, with `:demo_3` behind it for another
-            demonstration than the first.
+        states: Saved states, .npz.
 
     Raises:
         ParameterError: It names no model, or no states.
     """
-    saved = None if states is None else read_states(states, folder)
+    if states is not None:
+        check_states(states)
     path = Path(text)
     if path.suffix.lower() in (*MODEL_FILES, *USD_FILES) and not path.is_file():
         raise ParameterError(f"{text}: there is no such file")
     if path.suffix.lower() in MODEL_FILES:
-        return Subject(text, path, saved)
+        return Subject(text, path, states)
     if path.suffix.lower() in USD_FILES:
-        return _of_scene(text, folder, saved)
-    if _is_hdf5(path):
-        model = _demonstration(path)[1]
-        if not model:
-            raise ParameterError(
-                f"{text} holds no model (attribute model_file): give the model, and this file as --states"
-            )
-        file = _written(folder, model)
-        return Subject(text, file, saved or read_states(path, folder))
+        return _of_scene(text, folder, states)
     module, _, function = text.partition(":")
     if function:
-        return Subject(text, _of_object(text, _called(module, function), folder), saved)
+        return Subject(
+            text, _of_object(text, _called(module, function), folder), states
+        )
     if text in {name for one in variants() for name in (one.name, one.id)}:
-        return _of_scene(text, folder, saved)
+        return _of_scene(text, folder, states)
     try:
         env = gymnasium.make(text)
     except Exception as error:  # Other environments raise exceptions of any kind.
@@ -103,7 +94,7 @@ def read_subject(text: str, folder: Path, states: Path | None = None) -> Subject
             f"{text!r} is no file, no id of this suite, and no environment of Gymnasium: {cause}"
         ) from error
     try:
-        return Subject(text, _of_object(text, env, folder), saved)
+        return Subject(text, _of_object(text, env, folder), states)
     finally:
         env.close()
 
@@ -235,30 +226,24 @@ def _written(folder: Path, text: str) -> Path:
 # --- saved states ----------------------------------------------------------------------------------------------------
 
 
-def read_states(path: Path, folder: Path) -> Path:
-    """Return saved states as an NPZ, which may be the file itself.
+def check_states(path: Path) -> None:
+    """Check that a file is an NPZ of states.
 
     Raises:
         ParameterError: There are no states, or too many.
     """
-    if not _is_hdf5(path):
-        content = _content(path)
-        try:
-            rows = npz_arrays(content, npz_names(content), MOST_STATE_BYTES)
-        except ValueError as error:
-            raise ParameterError(f"{path}: not an NPZ of states: {error}") from None
-        _check_rows(path, rows)
-        return path
-    file = folder / "states.npz"
-    rows = {"flat": _demonstration(path)[0]}
+    with os_errors(lambda cause: ParameterError(f"{path}: cannot be read: {cause}")):
+        content = read_regular(path, MOST_STATE_BYTES)
+    try:
+        rows = npz_arrays(content, npz_names(content), MOST_STATE_BYTES)
+    except ValueError as error:
+        raise ParameterError(f"{path}: not an NPZ of states: {error}") from None
     _check_rows(path, rows)
-    np.savez(file, allow_pickle=False, **rows)
-    return file
 
 
 def _check_rows(path: Path, rows: Mapping[str, np.ndarray]) -> None:
     """Check that arrays of states have finite numbers, and a row for each state."""
-    states = rows.get("flat", rows.get("qpos"))
+    states = rows.get("qpos")
     if states is None:
         raise ParameterError(
             f"{path} has no qpos, a row for each state; it has {', '.join(rows) or 'nothing'}"
@@ -274,28 +259,3 @@ def _check_rows(path: Path, rows: Mapping[str, np.ndarray]) -> None:
             )
         if not np.all(np.isfinite(values)):
             raise ParameterError(f"{path}: {name} has numbers that are not finite")
-
-
-def _content(path: Path) -> bytes:
-    with os_errors(lambda cause: ParameterError(f"{path}: cannot be read: {cause}")):
-        return read_regular(path, MOST_STATE_BYTES)
-
-
-def _is_hdf5(path: Path) -> bool:
-    return Path(str(path).partition(":")[0]).suffix.lower() in HDF5_FILES
-
-
-def _demonstration(path: Path) -> tuple[np.ndarray, str]:
-    """Return the states of a demonstration, shape [step_count, 1 + nq + nv], and its model; empty if it has none."""
-    with needs_extra("a file of demonstrations", "logs"):
-        importlib.import_module("h5py")
-    name, _, chosen = str(path).partition(":")
-    content = _content(Path(name))
-    script = Path(hdf5_child.__file__)
-    largest_bytes = str(MOST_STATE_BYTES)
-    try:
-        printed = child_output(script, chosen, largest_bytes, content=content)
-        arrays = npz_arrays(printed, ("states", "model"), MOST_STATE_BYTES, kinds="fU")
-    except ValueError as error:
-        raise ParameterError(f"{path}: cannot be read as HDF5: {error}") from None
-    return arrays["states"], str(arrays["model"])

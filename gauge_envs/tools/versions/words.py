@@ -17,6 +17,7 @@ from gauge_envs.pages.text import (
 from gauge_envs.tools.versions.gap import pair_text
 from gauge_envs.tools.versions.model import (
     Comparison,
+    Estimate,
     MotionComparison,
     Parting,
     Release,
@@ -26,7 +27,6 @@ from gauge_envs.tools.versions.model import (
 
 if TYPE_CHECKING:
     from gauge_envs.tools.compare import Comparison as ScoreComparison
-    from gauge_envs.tools.transfer import Estimate
 
 SHOWN_PAIRS = 8
 """Pairs of geoms that a terminal shows."""

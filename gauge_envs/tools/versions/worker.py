@@ -322,26 +322,9 @@ def moved(
 
 
 def saved(model: Any, file: str) -> dict[str, Any]:
-    """Return the rows of a file of saved states.
-
-    A row of `flat`, as robosuite and LIBERO save it, has time, qpos, qvel and act one behind the other.
-    """
+    """Return the rows of a file of saved states."""
     with np.load(file) as arrays:
         rows = {name: np.array(arrays[name]) for name in arrays.files}
-    if "flat" in rows:
-        flat = rows.pop("flat")
-        sizes = {"time": 1, "qpos": model.nq, "qvel": model.nv}
-        # Some files leave activations out.
-        if flat.shape[1] != sum(sizes.values()):
-            sizes["act"] = model.na
-        if flat.shape[1] != sum(sizes.values()):
-            raise SystemExit(
-                f"a saved state has {flat.shape[1]} numbers; the model has 1 + {model.nq} + {model.nv} + {model.na}"
-            )
-        ends = np.cumsum(list(sizes.values()))
-        for name, end in zip(sizes, ends, strict=True):
-            rows[name] = flat[:, end - sizes[name] : end]
-        rows["time"] = rows["time"][:, 0]
     columns = {"qpos": model.nq, "qvel": model.nv, "act": model.na, "ctrl": model.nu}
     for name, size in columns.items():
         if name in rows and rows[name].shape[1:] != (size,):

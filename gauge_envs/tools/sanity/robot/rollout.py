@@ -271,7 +271,7 @@ def _dry(robot: Robot) -> Finding:
     stated = [dof for dof in few if off or model.dof_frictionloss[dof] > 0.0]
     worst = min(stated or shares, key=shares.__getitem__)
     name, loss_nm = joint_name(robot, worst), float(model.dof_frictionloss[worst])
-    advice = f'{head}frictionloss="{losses[worst]:.2g}" or more for {name} and joints like it: `gauge recipe joint`'
+    advice = f'{head}frictionloss="{losses[worst]:.2g}" or more for {name} and joints like it'
     advisory = "the joint states no dry friction" if few and not stated else ""
     if not off and loss_nm > losses[worst]:
         if not model.dof_armature[list(shares)].any():

@@ -1,1 +1,0 @@
-"""Policies of other packages, as functions from an observation to an action."""

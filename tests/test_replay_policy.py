@@ -1,0 +1,20 @@
+"""The example that replays a policy on two engines."""
+
+import os
+
+from places import ROOT
+from programs import printed
+
+
+def test_a_policy_is_replayed_on_two_engines(tmp_path):
+    (tmp_path / "policies.py").write_text("def still(_):\n    return [0.0]\n")
+    shown = printed(
+        ROOT / "examples" / "replay_policy.py",
+        *("policies:still", "--id", "Turntable-Limit-wood"),
+        *("--other", "rapier", "--episodes", 1),
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(tmp_path)},
+    )
+    returns = dict(line.split() for line in shown.splitlines())
+    assert returns.keys() == {"mujoco", "rapier"}
+    assert all(float(one) >= 0.0 for one in returns.values())
