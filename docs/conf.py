@@ -53,12 +53,7 @@ PAGES_OF_FILES = {
 """Files outside `docs/` that the site shows as pages of its own, with the page that includes each."""
 
 
-BOARD = Path(__file__).parent / "_build" / "board" / "index.html"
-"""First page of the site of all results of `leaderboard/`, where `gauge report` has written it before this build."""
-
-NOTES = re.compile(
-    r"\[([^\]]+)\]\((?:\.\./)*(?:examples|leaderboard)/(?:\w+/)?README\.md\)"
-)
+NOTES = re.compile(r"\[([^\]]+)\]\((?:\.\./)*examples/(?:\w+/)?README\.md\)")
 """Links to notes beside code, which have no page in the site: their text stays."""
 
 STUDIES = Path(__file__).parents[1] / "studies"
@@ -98,10 +93,6 @@ def link_pages(app: Sphinx, page: str, source: list[str]) -> None:
     for file, target in PAGES_OF_FILES.items():
         depth = "../" * page.count("/")
         source[0] = source[0].replace(f"]({depth}{file}", f"]({depth}{target}")
-    if page == "leaderboard" and BOARD.exists():
-        source[0] = re.sub(
-            NOTES.pattern, r'<a href="board/index.html">\1</a>', source[0]
-        )
     source[0] = NOTES.sub(r"\1", source[0])
 
 

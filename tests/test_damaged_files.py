@@ -43,8 +43,6 @@ from gauge_envs.runs.score_file import score_file
 from gauge_envs.tools.assets.build import assets_folder
 from gauge_envs.tools.conformance.expected import read_expected
 from gauge_envs.tools.conformance.matrix import read_columns
-from gauge_envs.tools.leaderboard import check_leaderboard
-from gauge_envs.tools.leaderboard.archive import ARCHIVE, write_archive
 from gauge_envs.tools.sanity import configuration
 from gauge_envs.tools.sanity.run import read_baseline
 from gauge_envs.tools.sweep.spec import load_sweep_file
@@ -140,39 +138,6 @@ def matrix() -> bytes:
     return json.dumps(document).encode()
 
 
-STATEMENT = """format = 1
-engine = "mujoco"
-package = "mujoco"
-version = "1.0"
-configuration = "default"
-submitter = "a"
-settings = {timestep_s = 0.001}
-"""
-
-
-def check_statement(file):
-    folder = file.parent / "board" / "mujoco" / "1.0" / "default"
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / "submission.toml").write_bytes(file.read_bytes())
-    return check_leaderboard(folder)
-
-
-def check_results(file):
-    folder = file.parent / "other" / "mujoco" / "1.0" / "default"
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / "submission.toml").write_text(STATEMENT)
-    (folder / ARCHIVE).write_bytes(file.read_bytes())
-    return check_leaderboard(folder)
-
-
-def archive() -> bytes:
-    file = Path(f"archive{os.getpid()}.tar.xz")
-    write_archive(file, {"results/a.json": b"{}", "left_out.json": b"{}"})
-    content = file.read_bytes()
-    file.unlink()
-    return content
-
-
 CAMERA = """size_px = [1280, 720]
 [board]
 square_m = 0.03
@@ -245,8 +210,6 @@ READERS = {
     "matrix.json": (matrix, read_columns),
     "sweep.toml": (text_of("examples", "sweep.toml"), load_sweep_file),
     "baseline.json": (json.dumps(BASELINE).encode, read_baseline),
-    "submission.toml": (STATEMENT.encode, check_statement),
-    "results.tar.xz": (archive, check_results),
     "scene.usda": (USD.encode, lambda file: from_usd(file, duration_s=1.0)),
     "scene.xml": (
         (assets_folder() / "mjcf" / f"{ID}.xml").read_bytes,

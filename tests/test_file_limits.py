@@ -342,7 +342,6 @@ WITHOUT_LIMITS = {
     "tools/conformance/continuation.py": "a state in memory",
     "tools/conformance/run.py": "a task of this process in memory",
     "tools/conformance/model.py": "a file of the package",
-    "tools/leaderboard/archive.py": "an archive in memory, read within limits before",
     "tools/sanity/command.py": "a file of the package",
     "tools/sanity/gauge_probe.py": "runs in the environment that it reads, without this package",
     "tools/sanity/phenomena/__init__.py": "a file of the package",

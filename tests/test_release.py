@@ -15,9 +15,7 @@ from gauge_envs.registry import command_lines
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 WORKFLOWS = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
-PUBLISHERS = {
-    (name, "publish") for name in ("release.yml", "docs.yml", "leaderboard.yml")
-}
+PUBLISHERS = {(name, "publish") for name in ("release.yml", "docs.yml")}
 """Jobs that may write, each in an environment of its own."""
 
 

@@ -39,8 +39,6 @@ ELSEWHERE = {
     "backend versions": "tools/versions/test_versions.py",
     "data import": "tools/dataset/test_dataset_damage.py",
     "video score": "tools/video/test_video_score.py",
-    "leaderboard check": "tools/leaderboard/test_leaderboard.py",
-    "leaderboard table": "tools/leaderboard/test_leaderboard.py",
 }
 """File with tests that run the command with `--json` in this process."""
 
