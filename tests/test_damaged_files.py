@@ -49,7 +49,6 @@ from gauge_envs.tools.sweep.spec import load_sweep_file
 from gauge_envs.tools.usd.experiment_file import load_experiment_file
 from gauge_envs.tools.usd.reader import from_usd
 from gauge_envs.tools.versions.subject import check_states
-from gauge_envs.tools.video.plane import read_camera
 from gauge_envs.tools.video.track import read_track
 
 COUNT = int(os.environ.get("DAMAGED_FILES", "12"))
@@ -138,11 +137,6 @@ def matrix() -> bytes:
     return json.dumps(document).encode()
 
 
-CAMERA = """size_px = [1280, 720]
-[board]
-square_m = 0.03
-offset_m = 0.035
-"""
 USD = """#usda 1.0
 (
     metersPerUnit = 1
@@ -204,7 +198,6 @@ READERS = {
     "settings.json": (json.dumps(SETTINGS).encode, configuration),
     "settings.yaml": (lambda: b"sim:\n  dt: 0.01\n  physx: {a: 1}\n", configuration),
     "states.npz": (states_npz, check_states),
-    "camera.toml": (CAMERA.encode, read_camera),
     "track.csv": (track, lambda file: read_track(file, fps=30.0)),
     "expected.toml": (lambda: b'free-fall = "a reason"\n', read_expected),
     "matrix.json": (matrix, read_columns),

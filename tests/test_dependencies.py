@@ -34,6 +34,7 @@ INDIRECT = {
     "newton-usd-schemas": "Newton's USD importer imports it",
     "packaging": "Gymnasium's MuJoCo environments import it",
     "moviepy": "Gymnasium's RecordVideo imports it",
+    "stable-baselines3": "the examples train and replay with it",
     "torch": "Genesis imports it, and leaves the choice of a build to its users",
 }
 """Declared, and not imported by this package's own modules: the reason for each."""

@@ -13,7 +13,6 @@ contact that lasts 2 to 20 ms these numbers are 2e-5, 1.3e-4, 1.5e-4 and 1.5e-2.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -281,41 +280,6 @@ def first_bounce(
             default=0.0,
         ),
     )
-
-
-def restitution_of_flights(
-    times_s: FloatArray, heights_m: FloatArray, flights: Sequence[IntArray]
-) -> float:
-    """Return the mean restitution of the bounces between flights, where neither gravity nor contact is known.
-
-    As in a film, whose scale may be off. Between bounces the body flies free: z_k(t) = z_k + v_k t - g t^2 / 2. All
-    flights share one gravity, so that one linear least-squares fit gives z_k, v_k and g. Flights k and k + 1 meet at
-    the time of a bounce, where Newton's law gives e = -(v_{k+1} - g t) / (v_k - g t).
-
-    Args:
-        times_s: Times [s], shape [sample_count].
-        heights_m: Heights [m], same shape.
-        flights: Indices of the samples of each flight; two flights or more.
-    """
-    used = np.concatenate(flights)
-    flight_of = np.repeat(np.arange(len(flights)), [len(flight) for flight in flights])
-    sample = np.arange(len(used))
-    clock_s = times_s[used]
-    # Unknowns: z_0, v_0, z_1, v_1, ..., g.
-    basis = np.zeros((len(used), 2 * len(flights) + 1))
-    basis[sample, 2 * flight_of] = 1.0
-    basis[sample, 2 * flight_of + 1] = clock_s
-    basis[:, -1] = -0.5 * clock_s**2
-    unknowns = np.linalg.lstsq(basis, heights_m[used], rcond=None)[0]
-    starts_m, speeds_m_per_s, gravity_m_per_s2 = (
-        unknowns[:-1:2],
-        unknowns[1::2],
-        unknowns[-1],
-    )
-    impacts_s = -np.diff(starts_m) / np.diff(speeds_m_per_s)
-    before_m_per_s = speeds_m_per_s[:-1] - gravity_m_per_s2 * impacts_s
-    after_m_per_s = speeds_m_per_s[1:] - gravity_m_per_s2 * impacts_s
-    return float((-after_m_per_s / before_m_per_s).mean())
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -18,7 +17,6 @@ from gauge_envs.evaluation.estimators import (
     first_bounce,
     mean_period_s,
     rest_depth,
-    restitution_of_flights,
     slide_friction,
     speed_at_contact_m_per_s,
     steady_speed_m_per_s,
@@ -294,25 +292,6 @@ def test_a_flight_of_another_gravity_has_a_misfit() -> None:
     assert wrong is not None
     assert right.misfit < 1e-9
     assert wrong.misfit > 0.05
-
-
-@given(st.floats(0.4, 0.95), st.floats(0.5, 2.0))
-def test_flights_of_an_unknown_gravity_have_their_restitution(
-    e: float, scale: float
-) -> None:
-    """Heights of a film whose scale is off by a factor fall with another gravity, and bounce with the same ratio."""
-    drop_m = 0.4
-    fall_s = math.sqrt(2.0 * drop_m / G)
-    ends_s = fall_s * np.cumsum([0.0, 1.0, 2.0 * e, 2.0 * e**2])
-    times_s = np.arange(0.0, ends_s[-1], 1.0 / 120.0)
-    heights = scale * bounce_heights(times_s, drop_m, e)
-    flights = [
-        np.flatnonzero((times_s > low) & (times_s < high))
-        for low, high in pairwise(ends_s)
-    ]
-    assert restitution_of_flights(times_s, heights, flights) == pytest.approx(
-        e, abs=1e-9
-    )
 
 
 def test_the_speed_at_the_contact_is_that_of_the_fall() -> None:

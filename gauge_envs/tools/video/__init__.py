@@ -19,7 +19,6 @@ if TYPE_CHECKING:
         score as score,
         score_track as score_track,
     )
-    from gauge_envs.tools.video.soundness import Doubt as Doubt
     from gauge_envs.tools.video.submission import law_share as law_share
     from gauge_envs.tools.video.tasks import (
         Motion as Motion,

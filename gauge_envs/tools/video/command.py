@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -26,12 +25,6 @@ if TYPE_CHECKING:
     from gauge_envs.tools.video import VideoScore, VideoTask
 
 
-CAMERA = arguments.option(
-    arguments.SCENE,
-    "Board in the film, lens and motion, TOML.",
-    "--camera",
-    metavar="FILE",
-)
 RateOption = Annotated[
     float | None,
     arguments.measured(
@@ -41,16 +34,6 @@ RateOption = Annotated[
         arguments.SCENE,
         is_positive=True,
         show_default="that of the video",
-    ),
-]
-ObjectOption = Annotated[
-    str | None,
-    arguments.option(
-        arguments.SCENE,
-        "With --camera: left, top, width and height of a box around the object in the first frame, as "
-        "612,300,40,40.",
-        "--object",
-        metavar="px",
     ),
 ]
 
@@ -100,23 +83,12 @@ def video_score(
         str,
         arguments.option(
             arguments.SCENE,
-            "Task, see gauge list video-tasks; own films: slide, fall, pendulum.",
+            "Task, see gauge list video-tasks.",
             "--id",
             metavar="ID",
         ),
     ],
-    camera: Annotated[Path | None, CAMERA] = None,
     fps: RateOption = None,
-    object_box: ObjectOption = None,
-    angle_deg: Annotated[
-        float | None,
-        arguments.measured(
-            "--angle",
-            "deg",
-            "With --camera: slope of a slide or roll.",
-            arguments.SCENE,
-        ),
-    ] = None,
     out: Annotated[
         Path | None,
         arguments.folder("Folder for tracks, and videos with them drawn in."),
@@ -125,60 +97,27 @@ def video_score(
 ) -> bool:
     """Follow the object in videos, fit the law of the task, and report its metrics.
 
-    They have intervals. Films of one's own, with --camera, give friction, rolling resistance, restitution or damping
-    too. Exit code 1 when a track is not sound.
+    They have intervals. Exit code 1 when a track is not sound.
     """
     from gauge_envs.tools.video import save_track, video_task
     from gauge_envs.tools.video.frames import FileFrames
-    from gauge_envs.tools.video.phone_films import (
-        MOTIONS,
-        FrontalFilm,
-        score_phone_film,
-    )
-    from gauge_envs.tools.video.plane import read_camera
     from gauge_envs.tools.video.words import save_overlay, score_document
 
-    box_px = None if object_box is None else _box(object_box)
-    if any(map(_is_track, files)) and (out or camera):
+    if out is not None and any(map(_is_track, files)):
         raise ParameterError(
-            "--out and --camera need the video, and a track has none: leave out one of both"
+            "--out needs the video, and a track has none: leave out one of both"
         )
-    if (camera is None) != (box_px is None):
-        raise ParameterError("a film of one's own needs --camera and --object")
-    view = None if camera is None else read_camera(camera)
-    if task in MOTIONS and view is None:
-        raise ParameterError(
-            f"--id {task} is for films of one's own, with --camera and --object"
-        )
+    chosen = video_task(task)
     has_failed = False
     for file in files:
-        film = None
-        if view is None:
-            result = _judged(file, video_task(task), fps)
-        else:
-            film = FrontalFilm(FileFrames(file, fps=fps), view)
-            result = score_phone_film(film, task, box_px or (), angle_deg=angle_deg)
+        result = _judged(file, chosen, fps)
         if out is not None:
-            source = film or FileFrames(file, fps=fps)
-            message(save_overlay(source, result, out / f"{file.stem}.overlay.mp4"))
-            track = film.in_plane(result.track) if film else result.track
-            message(save_track(track, out / f"{file.stem}.track.csv"))
-        print_document(
-            score_document(result, None if task in MOTIONS else video_task(task)),
-            form,
-        )
+            overlay = out / f"{file.stem}.overlay.mp4"
+            message(save_overlay(FileFrames(file, fps=fps), result, overlay))
+            message(save_track(result.track, out / f"{file.stem}.track.csv"))
+        print_document(score_document(result, chosen), form)
         has_failed = has_failed or not result.is_sound
     return has_failed
-
-
-def _box(text: str) -> tuple[float, ...]:
-    """Return left, top, width and height of `612,300,40,40`."""
-    found = re.fullmatch(",".join([r"(\d+(?:\.\d*)?)"] * 4), text)
-    if found is None or not float(found[3]) * float(found[4]):
-        raise ParameterError(
-            f"--object {text}: give left, top, width and height of the box in pixels, as 612,300,40,40"
-        )
-    return tuple(map(float, found.groups()))
 
 
 def video_report(
@@ -276,56 +215,3 @@ def _judged(file: Path, task: VideoTask, fps: float | None = None) -> VideoScore
     sizes = [FileFrames(video).size_px for video in videos_beside(file)]
     track = read_track(file, fps=fps, size_px=(*sizes, REFERENCE_SIZE_PX)[0])
     return score_track(track, task, name=str(file))
-
-
-def video_check(
-    file: Annotated[Path, typer.Argument(metavar="FILM", help="Film of one's own.")],
-    camera: Annotated[Path, CAMERA],
-    object_box: ObjectOption = None,
-    fps: RateOption = None,
-    out: Annotated[
-        Path, arguments.target("Picture to write, .png: the first frame, drawn in.")
-    ] = Path("film_check.png"),
-) -> bool:
-    """Show what a film of one's own shows in its first frame, and what to mend before it is scored.
-
-    That is the board, how it is turned, the scale, and the object: without --object, what moves away from its place.
-    Exit code 1 when something is to be mended.
-    """
-    from gauge_envs.pages.document import save_file
-    from gauge_envs.tools.video.check import check_film, picture_bytes
-    from gauge_envs.tools.video.frames import FileFrames
-    from gauge_envs.tools.video.plane import read_camera
-    from gauge_envs.tools.video.words import check_table
-
-    box_px = None if object_box is None else _box(object_box)
-    findings, picture = check_film(
-        FileFrames(file, fps=fps), read_camera(camera), box_px
-    )
-    print_document(check_table(findings), Format.TEXT)
-    message(save_file(out, picture_bytes(picture)))
-    return any(one.advice for one in findings)
-
-
-def video_board(
-    file: Annotated[
-        Path,
-        typer.Argument(
-            metavar="FILE", help="File to write, .pdf or .png in true size."
-        ),
-    ],
-    square_mm: Annotated[
-        float,
-        arguments.measured(
-            "--square",
-            "mm",
-            "Edge of a square; 7 x 5 of 30 mm fit on A4 and Letter.",
-            arguments.SCENE,
-            is_positive=True,
-        ),
-    ] = 30.0,
-) -> None:
-    """Write a board to print, beside which a phone held by hand can film a motion."""
-    from gauge_envs.tools.video.board import save_board
-
-    echo(save_board(file, square_mm))

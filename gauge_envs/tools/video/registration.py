@@ -52,9 +52,6 @@ def registration_by_outline(
         task: The task.
     """
     size = (picture.shape[1], picture.shape[0])
-    if not task.law:
-        # A film of one's own has no known first frame: it is on the grid already.
-        return stretched(size)
     points, normals = _outline(task)
     candidates = [_judged(one, picture, points, normals) for one in _candidates(size)]
     best = max(one.support for one in candidates)

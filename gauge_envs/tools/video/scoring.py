@@ -14,8 +14,8 @@ from gauge_envs.files import json_ready
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.video import laws
 from gauge_envs.tools.video.frames import ArrayFrames, FileFrames, Frames
-from gauge_envs.tools.video.plane import LEAST_SLOPE, Calibration, metric_on_grid
-from gauge_envs.tools.video.soundness import Doubt, doubts_of, runs_text, short_motion
+from gauge_envs.tools.video.plane import LEAST_SLOPE, metric_on_grid
+from gauge_envs.tools.video.soundness import faults_of, runs_text, short_motion
 from gauge_envs.tools.video.tasks import Motion, VideoTask, video_task
 from gauge_envs.tools.video.track import Track
 from gauge_envs.tools.video.tracker import track_object
@@ -122,8 +122,7 @@ class VideoScore:
         video: Name of the video or track.
         task: Id of the task.
         is_sound: Whether what was followed is the object, all the time; the law of its motion plays no part.
-        doubt: What speaks most against the track; its level is at most 1 for a sound one.
-        reasons: Why the track is not sound, with frame numbers, the largest doubt first.
+        reasons: Why the track is not sound, with frame numbers.
         findings: What else the clip shows.
         metrics: Values by name; None where a metric does not apply or there is no motion.
         uncertainty: Interval of each metric that holds 95 % of simulated tracks.
@@ -136,7 +135,6 @@ class VideoScore:
     video: str
     task: str
     is_sound: bool
-    doubt: Doubt
     reasons: tuple[str, ...]
     findings: tuple[str, ...]
     metrics: dict[str, float | None]
@@ -154,7 +152,6 @@ class VideoScore:
             if one.name != "track"
         }
         registration = self.track.registration
-        values["doubt"] = asdict(self.doubt)
         values["registration"] = registration and asdict(registration)
         ready: dict[str, Any] = json_ready(values)
         return ready
@@ -189,28 +186,21 @@ def score(
     return score_track(track, chosen, name=source.name)
 
 
-def score_track(
-    track: Track,
-    task: VideoTask,
-    *,
-    name: str = "track",
-    calibration: Calibration | None = None,
-) -> VideoScore:
+def score_track(track: Track, task: VideoTask, *, name: str = "track") -> VideoScore:
     """Judge the motion of a track.
 
     Args:
-        track: The track, on the reference grid.
+        track: The track, on the reference grid or in millimetres.
         task: The task.
         name: Name of the result.
-        calibration: How a film of one's own is placed on the grid; None for the known first frame.
     """
-    if track.is_metric and track.is_found.any():
-        track, task, calibration = metric_on_grid(track, task)
+    has_exact_scale = track.is_metric and bool(track.is_found.any())
+    if has_exact_scale:
+        track, task = metric_on_grid(track, task)
     span = laws.retained(track, task)
     metrics: Metrics = {}
     details: Metrics = {}
-    doubts = sorted(doubts_of(track, task, span), key=lambda one: -one.level)
-    faults = [one.text for one in doubts if one.level > 1.0]
+    faults = faults_of(track, task, span)
     last_frame = track.frames[-1 if span is None else span[1]]
     findings = [
         one.text
@@ -226,13 +216,14 @@ def score_track(
     intervals = (
         {}
         if span is None or not metrics
-        else _intervals(track, task, span, metrics | details, calibration)
+        else _intervals(
+            track, task, span, metrics | details, has_exact_scale=has_exact_scale
+        )
     )
     return VideoScore(
         video=name,
         task=task.id,
         is_sound=not faults,
-        doubt=doubts[0],
         reasons=tuple(faults),
         findings=tuple(findings),
         metrics={one: metrics.get(one) for one in METRICS},
@@ -347,7 +338,7 @@ def _slow_noise(track: Track, rng: np.random.Generator) -> FloatArray:
     return np.column_stack([np.interp(rows, knots, values[:, axis]) for axis in (0, 1)])
 
 
-def swing_of(
+def _swing_of(
     track: Track, task: VideoTask, span: tuple[int, int], nominal: Metrics
 ) -> laws.OscillationFit | None:
     """Return the fit of a pendulum's swing in fractions of pixels; None for other motions."""
@@ -364,15 +355,16 @@ def _intervals(
     task: VideoTask,
     span: tuple[int, int],
     nominal: Metrics,
-    calibration: Calibration | None,
+    *,
+    has_exact_scale: bool,
 ) -> dict[str, tuple[float, float]]:
     """Return the interval of each metric, over simulated noise, scales, pivots and choices of the interval."""
     noise, rng = track.noise_px(span), np.random.default_rng(0)
-    swing = swing_of(track, task, span, nominal)
+    swing = _swing_of(track, task, span, nominal)
     guess = None if swing is None else swing.guess
     rows = _found(track, span)
     scale_sigma = math.hypot(FRAMING_SIGMA, 0.5 * task.size_sigma_px / task.size_px)
-    if calibration is not None:
+    if has_exact_scale:
         scale_sigma = 0.0
     found: dict[str, list[float]] = {}
     count = SAMPLES if task.motion is not Motion.PENDULUM else SAMPLES // 5
@@ -382,8 +374,6 @@ def _intervals(
             + rng.normal(0.0, noise, track.points_px.shape)
             + _slow_noise(track, rng)
         )
-        if calibration is not None:
-            points = calibration.drawn(points, rng)
         if task.pivot_px is not None and task.motion is not Motion.TURN:
             points = points + rng.normal(0.0, task.pivot_sigma_px, 2)
         if swing is not None:
@@ -419,7 +409,7 @@ def _intervals(
         errors = np.abs(np.array(found["pd"]) - nominal["pd"])
         away = float(np.percentile(errors, 100.0 * COVERAGE))
         intervals["pd"] = (max(0.0, nominal["pd"] - away), nominal["pd"] + away)
-    if calibration is not None and "de" in intervals:
+    if has_exact_scale and "de" in intervals:
         # A track has noise already, which excess counts as force. Simulated noise shows how much; it is reflected.
         high = intervals["de"][1]
         low = max(0.0, min(nominal["de"], 2.0 * nominal["de"] - high))

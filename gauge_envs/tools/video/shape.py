@@ -176,7 +176,7 @@ class ShapeFollower:
         An outline floats across a cube and its shadow on the board, which may have the colour of the cube.
         """
         sights = [sight]
-        if self._task.motion is Motion.SLIDE and self._task.law:
+        if self._task.motion is Motion.SLIDE:
             across = np.array(self._task.direction)[::-1] * (-1.0, 1.0)
             off_px = (sight.place - self._start) @ across
             if LEAST_OFF < abs(off_px) / self._size_px < MOST_OFF:
@@ -237,7 +237,7 @@ class ShapeFollower:
         sight.misfit = float(misses_px.sum()) / whole_px2
         # The board and the shadow on it lie beyond the core.
         core = seen[np.abs(across_px[is_known]) <= CORE * self._size_px, start:end]
-        if self._task.motion is Motion.SLIDE and self._task.law and core.any():
+        if self._task.motion is Motion.SLIDE and core.any():
             away_px = core.sum(axis=0) @ across_px[start:end] / core.sum()
             wide_px = core.sum() / len(core)
             self._place_face(sight, away_px, wide_px, is_first=is_first)

@@ -1,8 +1,7 @@
-"""Say whether what a track follows is the object, all the time, and how near it is to the bound of each rule."""
+"""Say why what a track follows is not the object, or not all the time."""
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,24 +51,8 @@ FREE = 7.0
 the picture does not end."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Doubt:
-    """What speaks against a track.
-
-    Attributes:
-        level: What was measured, in what a sound track may have: above 1 it is not sound. Infinite where nothing is
-            measured.
-        text: What was seen, with numbers.
-    """
-
-    level: float
-    text: str
-
-
-def doubts_of(
-    track: Track, task: VideoTask, span: tuple[int, int] | None
-) -> Iterator[Doubt]:
-    """Yield what speaks against a track; the law of the motion plays no part.
+def faults_of(track: Track, task: VideoTask, span: tuple[int, int] | None) -> list[str]:
+    """Return why a track is not sound; the law of the motion plays no part.
 
     Args:
         track: The track.
@@ -80,73 +63,81 @@ def doubts_of(
     rows = np.arange(first, last + 1)
     found = rows[track.is_found[rows]]
     is_cradle = task.motion is Motion.CRADLE
-    # The outgoing ball of a cradle is looked for only where it swings out.
-    if not is_cradle:
-        yield _loss(track, rows)
-    twin = _twin(track)
-    yield twin
-    # Two alike objects that meet are seen as one, of another size and shape.
-    if twin.level <= 1.0:
-        yield from _changes(track, rows, is_cradle=is_cradle)
-    unlikeness = 1.0 - track.confidence
-    most_unlike = 1.0 - LEAST_CONFIDENCE
-    yield Doubt(
-        level=_exceeded(unlikeness[found], MOST_ODD * len(rows)) / most_unlike,
-        text=f"the object has another look{_where(track, found, unlikeness > most_unlike)}: its confidence falls to "
-        f"{track.confidence[found].min(initial=1.0):.2f}",
-    )
-    # Law, scale and direction are those of the known first frame.
-    if track.registration is not None and task.law and not is_cradle:
-        for place in track.points_px[track.is_found][:1]:
-            away = math.dist(place, task.centre_px) / task.size_px
-            yield Doubt(
-                level=away / JUMP,
-                text=f"the object is first seen {away:.1f} of its size from its place in the known first frame",
-            )
-    if is_cradle:
-        yield from _vanishing(track, task)
-    else:
-        # A jump back ends a slide or a fall as a rebound does.
-        watched = np.flatnonzero(track.is_found[: last + 1 + WINDOW])
-        yield from _jump(track, task, watched[watched >= first])
-    texts = [
+    faults = [
         one.text
         for one in track.events
         if not one.is_note and one.first_frame <= track.frames[last]
     ]
     if span is None:
-        texts.append(short_motion(track, task))
+        faults.append(short_motion(track, task))
     else:
-        texts.append(_end_on_way(track, task, span))
-        texts.append(clock_fault(track, task, span, track.noise_px(span)))
-    for text in filter(None, texts):
-        yield Doubt(level=math.inf, text=text)
+        faults.append(_end_on_way(track, task, span))
+        faults.append(clock_fault(track, task, span, track.noise_px(span)))
+    # The outgoing ball of a cradle is looked for only where it swings out.
+    if not is_cradle:
+        faults.append(_loss(track, rows))
+    twin = _twin(track)
+    faults.append(twin)
+    # Two alike objects that meet are seen as one, of another size and shape.
+    if not twin:
+        faults += _changes(track, rows, is_cradle=is_cradle)
+    faults.append(_other_look(track, found, MOST_ODD * len(rows)))
+    if is_cradle:
+        faults += _vanishing(track, task)
+    else:
+        faults.append(_other_place(track, task))
+        # A jump back ends a slide or a fall as a rebound does.
+        watched = np.flatnonzero(track.is_found[: last + 1 + WINDOW])
+        faults.append(_jump(track, task, watched[watched >= first]))
+    return [one for one in faults if one]
 
 
-def _loss(track: Track, rows: NDArray[np.intp]) -> Doubt:
-    """Return in which share of the rows the object is lost."""
+def _loss(track: Track, rows: NDArray[np.intp]) -> str:
+    """Return in which frames the object is lost; empty where these are few."""
     is_lost = ~track.is_found
     share = float(is_lost[rows].mean())
-    return Doubt(
-        level=share / MOST_ODD,
-        text=f"the object is lost in {share:.0%} of the frames{_where(track, rows, is_lost)}",
+    if share <= MOST_ODD:
+        return ""
+    return (
+        f"the object is lost in {share:.0%} of the frames{_where(track, rows, is_lost)}"
     )
 
 
-def _twin(track: Track) -> Doubt:
-    """Return how like the object another place is, in any frames: a second object is seen when it has parted."""
+def _twin(track: Track) -> str:
+    """Return where a second object is seen, in any frames: it is seen when it has parted; empty where none is."""
     is_alike = track.other_likeness >= TWIN_LIKENESS
+    if np.count_nonzero(is_alike) < LEAST_TWIN_FRAMES:
+        return ""
     where = _where(track, np.arange(len(is_alike)), is_alike)
-    return Doubt(
-        level=_exceeded(track.other_likeness, LEAST_TWIN_FRAMES - 1) / TWIN_LIKENESS,
-        text=f"a second object of the same shape and colour is seen{where}",
+    return f"a second object of the same shape and colour is seen{where}"
+
+
+def _other_look(track: Track, found: NDArray[np.intp], most_odd: float) -> str:
+    """Return where the object has another look, in more frames than a few; empty where it has not."""
+    is_unlike = track.confidence < LEAST_CONFIDENCE
+    if np.count_nonzero(is_unlike[found]) <= most_odd:
+        return ""
+    least = track.confidence[found].min()
+    return (
+        f"the object has another look{_where(track, found, is_unlike)}: its confidence falls to "
+        f"{least:.2f}"
     )
 
 
-def _changes(
-    track: Track, rows: NDArray[np.intp], *, is_cradle: bool
-) -> Iterator[Doubt]:
-    """Yield by how much the object changes its size, its shape and its colour in more frames than a few."""
+def _other_place(track: Track, task: VideoTask) -> str:
+    """Return how far from its known place an object is first seen; empty where it is near."""
+    # Law, scale and direction are those of the known first frame.
+    if track.registration is None or not track.is_found.any():
+        return ""
+    place = track.points_px[track.is_found][0]
+    away = math.dist(place, task.centre_px) / task.size_px
+    if away <= JUMP:
+        return ""
+    return f"the object is first seen {away:.1f} of its size from its place in the known first frame"
+
+
+def _changes(track: Track, rows: NDArray[np.intp], *, is_cradle: bool) -> Iterator[str]:
+    """Yield by how much the object changes its size, its shape and its colour, in more frames than a few."""
     is_found = track.is_found
     found = rows[is_found[rows]]
     # A cradle's ball is not looked for in its row, and first seen when it has swung out.
@@ -167,13 +158,10 @@ def _changes(
         ("colour", track.tint, MOST_TINT, math.inf, "{:.0f} levels of 255"),
     ):
         amounts = np.abs(changes)
-        amount = min(_exceeded(amounts[found], most_odd), most_change)
-        largest = unit.format(max(changes[found], key=abs, default=0.0))
-        where = _where(track, found, amounts > bound)
-        yield Doubt(
-            level=amount / bound,
-            text=f"the object changes its {name} by up to {largest}{where}",
-        )
+        if min(_exceeded(amounts[found], most_odd), most_change) > bound:
+            largest = unit.format(max(changes[found], key=abs))
+            where = _where(track, found, amounts > bound)
+            yield f"the object changes its {name} by up to {largest}{where}"
 
 
 def _exceeded(values: FloatArray, count: float) -> float:
@@ -182,14 +170,14 @@ def _exceeded(values: FloatArray, count: float) -> float:
     return float(np.sort(values)[-rank]) if rank <= len(values) else 0.0
 
 
-def _jump(track: Track, task: VideoTask, rows: NDArray[np.intp]) -> Iterator[Doubt]:
-    """Yield the largest way that the speeds before and after it do not explain.
+def _jump(track: Track, task: VideoTask, rows: NDArray[np.intp]) -> str:
+    """Return where the object jumps: the speeds before and after do not explain its way; empty where it does not.
 
     An object that is lost for some frames has gone on, stopped or turned: its mean velocity meanwhile lies between
     those before and after and zero. So does that of two steps, over which a blend of two pictures spreads a jump.
     """
     if len(rows) < 3:
-        return
+        return ""
     places_px = track.points_px[rows]
     speeds_px = np.diff(places_px, axis=0) / np.diff(rows)[:, None]
     # The object rests before its first step and after its last one.
@@ -204,16 +192,13 @@ def _jump(track: Track, task: VideoTask, rows: NDArray[np.intp]) -> Iterator[Dou
             aways[start, end] = away_px / task.size_px
         ends = max(aways, key=aways.__getitem__, default=(0, 0))
         away = aways.get(ends, 0.0)
-        first, last = track.frames[rows[list(ends)]]
-        yield Doubt(
-            level=away / JUMP,
-            text=f"the object jumps by {away:.1f} of its size between frames {first} and {last}",
-        )
         if away > JUMP:
-            return
+            first, last = track.frames[rows[list(ends)]]
+            return f"the object jumps by {away:.1f} of its size between frames {first} and {last}"
+    return ""
 
 
-def _vanishing(track: Track, task: VideoTask) -> Iterator[Doubt]:
+def _vanishing(track: Track, task: VideoTask) -> Iterator[str]:
     """Yield where the ball of a cradle is first or last seen farther from its row than it moves in a frame."""
     assert task.rest_px is not None
     rows, places = np.flatnonzero(track.is_found), track.points_px
@@ -222,17 +207,13 @@ def _vanishing(track: Track, task: VideoTask) -> Iterator[Doubt]:
         for row, inner in (swing[:2], swing[:-3:-1]):
             step_px = math.dist(places[row], places[inner])
             away = (math.dist(places[row], task.rest_px) - step_px) / task.size_px
-            if 0 < row < len(places) - 1:
-                yield Doubt(
-                    level=away / MOST_BESIDE,
-                    text=f"the ball appears or vanishes {away:.1f} of its size from its row "
-                    f"in frame {track.frames[row]}",
-                )
+            if 0 < row < len(places) - 1 and away > MOST_BESIDE:
+                yield f"the ball appears or vanishes {away:.1f} of its size from its row in frame {track.frames[row]}"
 
 
 def _end_on_way(track: Track, task: VideoTask, span: tuple[int, int]) -> str:
     """Return where an object is seen for the last time, while it slides or falls, though nothing hides it there."""
-    if task.motion not in (Motion.SLIDE, Motion.FALL) or not task.law:
+    if task.motion not in (Motion.SLIDE, Motion.FALL):
         return ""
     row = int(np.flatnonzero(track.is_found)[-1])
     away = math.dist(track.points_px[row], task.centre_px) / task.size_px

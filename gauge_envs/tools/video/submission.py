@@ -7,12 +7,11 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from gauge_envs.files import read_regular
+from gauge_envs.files import MEGABYTE, read_regular, toml_document
 from gauge_envs.pages.table import Column, Table
-from gauge_envs.references.tables import FileModel
+from gauge_envs.references.tables import FileModel, faults_of, read_content
 from gauge_envs.tools.video.frames import MOST_BYTES
 from gauge_envs.tools.video.laws import GRAVITY_M_PER_S2
-from gauge_envs.tools.video.plane import read_model
 from gauge_envs.tools.video.prompts import COMMIT
 from gauge_envs.tools.video.scoring import VideoScore, way_in_sizes
 from gauge_envs.tools.video.tasks import Motion, VideoTask, video_tasks
@@ -94,7 +93,9 @@ def submission_faults(folder: Path, clips: Mapping[str, list[Path]]) -> list[str
     Raises:
         ReferenceFileError: The file cannot be read, or has another key or type.
     """
-    submission = read_model(folder / FILE, Submission)
+    with faults_of(folder / FILE):
+        content = read_content(folder / FILE, MEGABYTE)
+        submission = Submission.model_validate(toml_document(content))
     faults = []
     if submission.prompts != COMMIT:
         faults.append(

@@ -81,8 +81,7 @@ class VideoTask:
         rest_px: Position of the tracked ball when it hangs [px], shape [2]; None where there is none.
         is_shiny: Whether lamps change the pattern of its face as it turns.
         release_height_m: Height from which the incoming ball of a cradle is released [m].
-        law: Values of the law by the name of the metric, the column "real baseline" of the published table; empty for
-            a film of one's own.
+        law: Values of the law by the name of the metric, the column "real baseline" of the published table.
     """
 
     id: str
@@ -102,7 +101,7 @@ class VideoTask:
     @property
     def real(self) -> dict[str, Measured]:
         """What real trials measured, by the name of the metric; metrics without trials are absent."""
-        return _measured(self.id) if self.law else {}
+        return _measured(self.id)
 
     @property
     def scale_m_per_px(self) -> float:

@@ -81,7 +81,7 @@ class Track:
         other_likeness: Largest likeness of another place to the object, 0 to 1, shape [frame_count].
         events: What happened in the video.
         clock_s: Times of the frames [s], shape [frame_count]; None where they follow from the rate.
-        registration: How the video lies on the grid; None for a track in millimetres, or of a frontal film.
+        registration: How the video lies on the grid; None for a track in millimetres.
         is_metric: Whether the places are in millimetres, to the right and up in the plane of the motion.
         moves: Motion of the camera since the first frame that was subtracted, shape [2, 3] each; None where it stood.
     """

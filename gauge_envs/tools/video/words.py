@@ -3,8 +3,7 @@
 import math
 import re
 from base64 import b64encode
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +24,6 @@ from gauge_envs.tools.video import (
     video_tasks,
 )
 from gauge_envs.tools.video.agreement import agreement
-from gauge_envs.tools.video.check import Finding
 from gauge_envs.tools.video.frames import FileFrames, Frames, Picture, cv2
 from gauge_envs.tools.video.submission import FILE, Results
 from gauge_envs.tools.video.tasks import (
@@ -45,25 +43,11 @@ TITLES = {
     "de": "DE [N]",
     "acceleration_m_s2": "acceleration [m/s^2]",
     "form": "form",
-    "friction": "friction",
-    "rolling_resistance": "rolling resistance",
-    "restitution": "restitution",
-    "damping_per_s": "damping [1/s]",
 }
 """Titles of the metrics by name."""
 
 
-CLEAR = 0.7
-"""Largest doubt of a track that is far from the bounds of all rules."""
-
-WRONG_OF_100 = {True: 13, False: 42}
-"""Wrong ones of 100 sound tracks, by whether their doubt is at most `CLEAR`: 18 of 136 and 5 of 12 of the thirteenth
-renderer as first judged, `docs/world_models.md`."""
-
-VERDICT_NOTE = (
-    f"Of drawn clips of a kind that no rule had seen, {WRONG_OF_100[True]} of 100 sound tracks with a doubt up to "
-    f"{CLEAR:g} were wrong, and {WRONG_OF_100[False]} of 100 with a larger one: look at what was followed."
-)
+VERDICT_NOTE = "Of drawn clips of a new kind, 16 of 100 sound tracks were wrong: look at what was followed."
 """How far the verdict of a track can be trusted."""
 
 
@@ -97,25 +81,24 @@ def task_table(tasks: Iterable[VideoTask]) -> Table:
     )
 
 
-def score_document(result: VideoScore, task: VideoTask | None) -> Document:
+def score_document(result: VideoScore, task: VideoTask) -> Document:
     """Return the result of one video: its grade with the reasons, and each metric with its interval.
 
     Args:
         result: The result.
-        task: Task whose law and real trials stand beside it; None for a film of one's own.
+        task: Task whose law and real trials stand beside it.
     """
-    law = {} if task is None else task.law
-    real = {} if task is None else task.real
     scale = f"{1000.0 * result.scale_m_per_px:.3f} mm a pixel of the first frame"
-    is_tracked = task is not None and GIVEN not in result.findings
-    said = (*doubts_text(result, is_tracked=is_tracked), *result.findings)
+    said = (*result.reasons, *result.findings)
+    if result.is_sound and GIVEN not in result.findings:
+        said = (VERDICT_NOTE, *said)
     rows = [
         {
             "metric": TITLES[name],
             "video": value,
             "interval": result.uncertainty[name],
-            "law": law.get(name),
-            "real": real.get(name),
+            "law": task.law.get(name),
+            "real": task.real.get(name),
         }
         for name, value in result.metrics.items()
         if value is not None
@@ -138,30 +121,6 @@ def score_document(result: VideoScore, task: VideoTask | None) -> Document:
         ),
         rows=[result.to_dict()],
     )
-
-
-def check_table(findings: Sequence[Finding]) -> Table:
-    """Return the table of what a film shows before it is scored."""
-    return Table(
-        columns=(
-            Column("name", ""),
-            Column("text", "found"),
-            Column("advice", "to mend"),
-        ),
-        rows=[asdict(one) for one in findings],
-    )
-
-
-def doubts_text(result: VideoScore, *, is_tracked: bool) -> Iterator[str]:
-    """Yield why a track is not sound, or what speaks most against a sound one; of a given track no picture was seen."""
-    yield from result.reasons
-    if result.is_sound and is_tracked:
-        doubt = result.doubt
-        wrong = WRONG_OF_100[doubt.level <= CLEAR]
-        yield (
-            f"nearest to a bound, at {doubt.level:.2f} of it: {doubt.text}. Of drawn clips of a kind that no rule had "
-            f"seen, {wrong} of 100 such tracks were wrong: look at it"
-        )
 
 
 def verdict(result: VideoScore) -> str:
@@ -349,7 +308,7 @@ def _clip(model: str, result: VideoScore, file: Path) -> Html:
     return join(
         [
             element("p", element("b", name), f": {verdict(result)}"),
-            listed((*doubts_text(result, is_tracked=is_film), *result.findings)),
+            listed((*result.reasons, *result.findings)),
             pictures,
             element("figure", _curve(result)),
         ]

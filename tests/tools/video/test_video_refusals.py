@@ -1,21 +1,16 @@
-"""Hostile or damaged tracks, camera files, films and options of the video commands end in an error for people."""
+"""Hostile or damaged tracks, films and options of the video commands end in an error for people."""
 
 import numpy as np
 import pytest
-from approval import refused_commands
 
 cv2 = pytest.importorskip("cv2")
 
 from gauge_envs.errors import GaugeError, UnknownNameError, VideoError  # noqa: E402
 from gauge_envs.tools.video import read_track, score, video_task  # noqa: E402
 from gauge_envs.tools.video.frames import FileFrames  # noqa: E402
-from gauge_envs.tools.video.plane import read_camera  # noqa: E402
 
 HUGE = "9" * 400
 """An integer that no floating-point number holds."""
-
-SIZE = "size_px = [1280, 720]\n"
-CAMERA = SIZE + "[board]\nsquare_m = 0.035\noffset_m = 0.01\n"
 
 # What is written to a file, how it is read, and the place and the fault in the words of the error.
 TRACKS = [
@@ -39,24 +34,6 @@ TRACKS = [
     ("frame,x,y,size\n0,1,1,0\n", "line 2: size: .*greater than 0"),
     ("frame,x,y,confidence\n0,1,1,60\n", "line 2: confidence: .*equal to 1"),
 ]
-CAMERAS = [
-    (SIZE, "board: missing key"),
-    (SIZE + "[board]\nsquare_m = 0.035\n", "board.offset_m: missing key"),
-    (SIZE + "[board]\noffset_m = 0\nsquare_m = 0\n", "board.square_m: .*given: 0"),
-    (SIZE + "[board]\noffset_m = 0\nsquare_m = 30\n", "board.square_m: .*given: 30"),
-    (SIZE + "[board]\nsquare = 0.035\n", "board.square_m: missing key"),
-    (CAMERA + "sigma = 1\n", "board.sigma: unknown key"),
-    (CAMERA + "[motion]\npivot_m = [0.1, 0.2]\n", "pivot_sigma_m go together"),
-    (
-        CAMERA + "[lens]\nmatrix = [[1, 0, 9], [0, 1, 9], [0, 0, 2]]\n",
-        "lens.matrix: .*no camera matrix",
-    ),
-    ("size_px = [1280", "Unclosed array"),
-    ("a = " + "[" * 5000, "nested too deeply"),
-    ("a." * 5000 + "b = 1", "dots between two delimiters"),
-    (CAMERA.replace("1280", HUGE), "size_px.0: "),
-    (CAMERA.replace("0.01", HUGE), "board.offset_m: "),
-]
 
 
 def tracked(file):
@@ -68,7 +45,6 @@ def tracked(file):
     ("name", "read", "content", "words"),
     [
         *(("track.csv", tracked, *row) for row in TRACKS),
-        *(("camera.toml", read_camera, *row) for row in CAMERAS),
         ("text.mp4", FileFrames, "no video\n" * 100, "it is a text and no video"),
         (
             "list.mp4",
@@ -109,20 +85,9 @@ def test_an_unknown_task_is_an_error():
         video_task("SlopeSlider-2-woof")
 
 
-WRONG = """
-video board board.jpg
-video score track.csv --id SlopeSlider-2-wood --fps=30 --out drawn
-video score film.mp4 --id SlopeSlider-2-wood --camera camera.toml
-video score track.csv --id SlopeSlider-2-wood --fps=30 --camera camera.toml
-"""
-
-
-def test_wrong_options_are_named(tmp_path, gauge, approved):
+def test_a_film_of_a_track_is_refused(tmp_path, gauge):
     (tmp_path / "track.csv").write_text("frame,x,y\n1,2,3\n")
-    (tmp_path / "camera.toml").write_text(CAMERA)
-    boxes = [
-        f"film.mp4 --id slide --object={box}" for box in ("1,2,3", "1,2,0,4", "a,b,c,d")
-    ]
-    scores = [f"video score {words}" for words in boxes]
-    commands = [*WRONG.strip().splitlines(), *scores]
-    approved("video/wrong_options", refused_commands(gauge, *commands))
+    words = "score track.csv --id SlopeSlider-2-wood --fps=30 --out drawn"
+    result = gauge("video", *words.split())
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert "--out needs the video" in result.stderr
