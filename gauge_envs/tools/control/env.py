@@ -244,11 +244,6 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
     def _law_command(self, fraction: float) -> float | FloatArray:
         """Return the action of `law_action` before it is clipped to [-1, 1]."""
 
-    @property
-    def largest_reward(self) -> float:
-        """Largest sum of an episode's rewards that the law allows: 1, unless the reward grows with the limit."""
-        return 1.0
-
     def law_action(self, fraction: float) -> NDArray[np.float32]:
         """Return the action that the law suggests now, shape [len(COMMANDED)].
 

@@ -267,11 +267,6 @@ class FrictionLimit(ControlEnv):
 
     # --- reward ---
 
-    @property
-    def largest_reward(self) -> float:
-        """The friction used in each step, at most mu; what a slip's speed adds is left out."""
-        return self.limit.value * (self.frame_count - 1)
-
     def _reward(self, ending: Ending | None) -> float:
         if ending is Ending.SLIPPED:
             return -sum(self._used[-HOLD_FRAMES:])
