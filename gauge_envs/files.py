@@ -17,7 +17,7 @@ from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from stat import S_ISREG
-from tempfile import TemporaryDirectory
+from tempfile import TemporaryDirectory, TemporaryFile
 from typing import Any
 
 import numpy as np
@@ -307,16 +307,18 @@ def child_refusal(
     """
     command, environment = child_command(script, *arguments, cpu_s=cpu_s)
     try:
-        with TemporaryDirectory() as folder:
+        with TemporaryDirectory() as folder, TemporaryFile() as output:
             done = subprocess.run(
                 command,
                 input=content,
-                stdout=subprocess.PIPE,
+                stdout=output,
                 stderr=subprocess.DEVNULL,
                 timeout=CHILD_WALL_S,
                 env=environment | {"TMPDIR": folder},
                 check=False,
             )
+            output.seek(0)
+            printed = output.read()
     except subprocess.TimeoutExpired:
         return f"loading it takes more than {CHILD_WALL_S} s"
     except OSError as error:
@@ -324,7 +326,7 @@ def child_refusal(
     if done.returncode == 0:
         return None
     if done.returncode == CHILD_REFUSED:
-        return done.stdout.decode(errors="replace").strip()
+        return printed.decode(errors="replace").strip()
     out_of_time = (getattr(signal, "SIGXCPU", 0), getattr(signal, "SIGKILL", 0))
     if -done.returncode in out_of_time:
         return f"loading it takes more than {cpu_s} s of processor time"
