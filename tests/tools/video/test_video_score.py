@@ -28,7 +28,7 @@ from gauge_envs.tools.video.agreement import DETAILS, agreement  # noqa: E402
 from gauge_envs.tools.video.camera import SceneWatch  # noqa: E402
 from gauge_envs.tools.video.frames import FileFrames  # noqa: E402
 from gauge_envs.tools.video.scoring import findings_of, paper_metrics  # noqa: E402
-from gauge_envs.tools.video.soundness import doubts_of  # noqa: E402
+from gauge_envs.tools.video.soundness import faults_of  # noqa: E402
 from gauge_envs.tools.video.tasks import published_results  # noqa: E402
 from gauge_envs.tools.video.tracker import _moving_part  # noqa: E402
 from gauge_envs.tools.video.words import (  # noqa: E402
@@ -411,8 +411,7 @@ def test_a_jump_while_the_object_is_lost_is_named(speed_px, count, away):
     right, down = SLIDE.direction
     places[16:] += away * SLIDE.size_px * np.array([-down, right])
     places[16 - count : 16] = np.nan
-    doubts = list(doubts_of(track_of(places, 24.0), SLIDE, (0, 29)))
-    faults = [one.text for one in doubts if one.level > 1.0]
+    faults = faults_of(track_of(places, 24.0), SLIDE, (0, 29))
     words = f"jumps by {away:.1f} of its size between frames {15 - count} and 16"
     assert [words in one for one in faults] == [True] * bool(away)
 
@@ -424,9 +423,9 @@ def test_a_jump_that_a_blend_of_two_pictures_spreads_is_named(away, is_named):
     shares = np.clip(np.arange(40) - 25, 0.0, 2.0)[:, None] / 2.0
     ahead_px = away * SLIDE.size_px * shares * np.array(SLIDE.direction)
     jumped = replace(track, points_px=track.points_px + ahead_px)
-    doubts = [one for one in doubts_of(jumped, SLIDE, (10, 39)) if one.level > 1.0]
+    faults = faults_of(jumped, SLIDE, (10, 39))
     words = "of its size between frames 25 and 27"
-    assert [words in one.text for one in doubts] == [True] * is_named
+    assert [words in one for one in faults] == [True] * is_named
 
 
 @pytest.mark.parametrize(
