@@ -139,7 +139,7 @@ def test_the_core_shows_an_experiment(printed):
 
 def test_the_help_has_only_commands_of_the_core(printed):
     assert "score" in printed.help
-    assert "sanity" not in printed.help and "video" not in printed.help
+    assert "sanity" not in printed.help and "sweep" not in printed.help
 
 
 def scored(text):

@@ -16,10 +16,10 @@ if TYPE_CHECKING:
         METRICS as METRICS,
         PAPER_METRICS as PAPER_METRICS,
         VideoScore as VideoScore,
+        law_share as law_share,
         score as score,
         score_track as score_track,
     )
-    from gauge_envs.tools.video.submission import law_share as law_share
     from gauge_envs.tools.video.tasks import (
         Motion as Motion,
         VideoTask as VideoTask,

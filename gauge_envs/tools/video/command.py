@@ -18,7 +18,7 @@ from gauge_envs.cli.output import (
     message,
     print_document,
 )
-from gauge_envs.errors import GaugeError, ParameterError, VideoError
+from gauge_envs.errors import ParameterError, VideoError
 
 if TYPE_CHECKING:
     from gauge_envs.pages.table import Table
@@ -134,13 +134,11 @@ def video_report(
 ) -> bool:
     """Score the videos of many models, and write a page with a table and pictures.
 
-    The pictures show what was followed; table.csv and table.tex hold the table. Models with a submission.toml are
-    checked and ranked. Exit code 1 when a video cannot be judged, a file is named otherwise, or a submission lacks
-    something; the others are on the page.
+    The pictures show what was followed; table.csv and table.tex hold the table. Exit code 1 when a video cannot be
+    judged or a file is named otherwise; the others are on the page.
     """
     from gauge_envs.pages.document import save_file
     from gauge_envs.tools.video import video_task
-    from gauge_envs.tools.video.submission import FILE, ranking, submission_faults
     from gauge_envs.tools.video.words import (
         find_videos,
         results_table,
@@ -165,20 +163,8 @@ def video_report(
             except VideoError as error:
                 broken.append(str(error))
             progress.advance(f"{model}: {task}")
-    submitted = sorted(file.parent.name for file in folder.glob(f"*/{FILE}"))
-    faults: list[str] = []
-    for model in submitted:
-        clips_of_tasks = {
-            task: list(clips) for (one, task), clips in results.items() if one == model
-        }
-        try:
-            faults += submission_faults(folder / model, clips_of_tasks)
-        except GaugeError as error:
-            faults.append(str(error))
     for text in broken:
         message(text, "left out")
-    for text in faults:
-        message(text, "to mend")
     table = results_table(results)
     page = save_file(out / "index.html", video_page(results, table))
     rows = [
@@ -191,12 +177,8 @@ def video_report(
     save_file(out / "table.csv", table.csv())
     save_file(out / "table.tex", table.latex())
     print_document(table, Format.TEXT)
-    if submitted:
-        ranks = ranking(results, submitted)
-        save_file(out / "ranking.csv", ranks.csv())
-        print_document(ranks, Format.TEXT)
     echo(page)
-    return bool(broken or faults)
+    return bool(broken)
 
 
 def _is_track(file: Path) -> bool:

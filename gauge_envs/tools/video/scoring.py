@@ -326,6 +326,40 @@ def paper_metrics(
     }
 
 
+def law_share(result: VideoScore, task: VideoTask) -> float:
+    """Return how near a clip is to the law of its task, from 0 to 1; 0 for one that is refused.
+
+    Args:
+        result: The result.
+        task: The task.
+    """
+    if not result.is_sound:
+        return 0.0
+    # A cube that stands still needs no force.
+    is_still = task.motion is Motion.TURN and way_in_sizes(result.track, task) < 1.0
+    shares = []
+    for name, law in task.law.items():
+        value = result.metrics[name]
+        if name == "qfi":
+            continue
+        if value is None or is_still:
+            shares.append(0.0)
+        elif name == "de":
+            friction_n = task.friction * task.mass_kg * laws.GRAVITY_M_PER_S2
+            shares.append(1.0 / (1.0 + value / friction_n))
+        elif name == "r2":
+            shares.append(max(0.0, value))
+        else:
+            shares.append(_ratio(value, law))
+    return float(np.mean(shares))
+
+
+def _ratio(value: float, law: float) -> float:
+    """Return the smaller ratio of a value and its law, from 0 to 1."""
+    ratio = max(0.0, value) / law
+    return min(ratio, 1.0 / max(ratio, 1.0))
+
+
 # --- uncertainty -----------------------------------------------------------------------------------------------------
 
 

@@ -5,7 +5,7 @@ import re
 from base64 import b64encode
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from scipy.special import stdtrit
@@ -25,7 +25,6 @@ from gauge_envs.tools.video import (
 )
 from gauge_envs.tools.video.agreement import agreement
 from gauge_envs.tools.video.frames import FileFrames, Frames, Picture, cv2
-from gauge_envs.tools.video.submission import FILE, Results
 from gauge_envs.tools.video.tasks import (
     REFERENCE_SIZE_PX,
     Measured,
@@ -172,6 +171,10 @@ VALUES_NOTE = (
 )
 
 
+Results: TypeAlias = Mapping[tuple[str, str], Mapping[Path, VideoScore | None]]
+"""Results of the clips by model and task; None for a clip that cannot be judged."""
+
+
 def find_videos(folder: Path) -> tuple[list[tuple[str, str, Path]], list[Path]]:
     """Return model, task and file of the videos `MODEL/TASK.mp4` and `MODEL/TASK/seed_1.mp4`, and all other files.
 
@@ -180,7 +183,7 @@ def find_videos(folder: Path) -> tuple[list[tuple[str, str, Path]], list[Path]]:
     tasks = [task.id for task in video_tasks()]
     found, others = [], []
     for file in sorted(folder.rglob("*")):
-        if not file.is_file() or file.name.startswith(".") or file.name == FILE:
+        if not file.is_file() or file.name.startswith("."):
             continue
         name = file.relative_to(folder).with_suffix("").as_posix()
         parts = re.fullmatch("([^/]+)/([^/]+)(/seed_[0-9]+)?", name)
