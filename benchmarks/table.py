@@ -6,6 +6,7 @@ Times are processor times, so that other programs matter little; those of thread
 idle machine, and are left out on a busy one. Limits with a reason:
 
 - a step over bare MuJoCo: without the clock that MuJoCo reads in Python, a step of the environment is the cheaper one;
+- engines: none, as their times are compared and not judged;
 - dynamic time warping: tslearn compiles its loop with Numba, which with scikit-learn adds 280 MB to an installation.
   Here it is NumPy. Of light libraries, dtw-python takes twice as long with the same local costs.
 """
@@ -13,6 +14,7 @@ idle machine, and are left out on a busy one. Limits with a reason:
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import statistics
 import subprocess
@@ -29,8 +31,11 @@ import step
 import worlds
 
 from gauge_envs.backends.mujoco import BackendMuJoCo
+from gauge_envs.backends.registry import backend_names
 from gauge_envs.envs import stepper
-from gauge_envs.errors import MissingExtraError
+from gauge_envs.errors import GaugeError, MissingExtraError
+from gauge_envs.runs.episodes import run_episode
+from gauge_envs.runs.request import RunRequest
 
 BUSY = 0.3
 """Load of the machine from which wall times say nothing."""
@@ -43,7 +48,7 @@ class Row:
     Attributes:
         what: What is measured, over what.
         ratio: The ratio; None where it was not measured.
-        limit: Its limit.
+        limit: Its limit; infinite for none.
         is_least: Whether the limit is the least ratio, in place of the largest.
     """
 
@@ -173,12 +178,35 @@ def _one_thread_s(name: str, worlds_count: int, thread_count: int) -> float:
     return statistics.median(times)
 
 
+def engines() -> Iterator[Row]:
+    """Yield the processor time of an episode on each installed engine, over that on MuJoCo."""
+    names = ["mujoco", *(name for name in backend_names() if name != "mujoco")]
+    for experiment in ("SlopeSlider-2-wood", "BouncingBall-rubber", "Pendulum-metal"):
+        times_s: dict[str, float] = {}
+        for name in names:
+            try:
+                times_s[name] = _episode_s(experiment, name)
+            except GaugeError:
+                continue
+            if name != "mujoco":
+                ratio = times_s[name] / times_s["mujoco"]
+                yield Row(f"{name} / mujoco, {experiment}", ratio, math.inf)
+
+
+def _episode_s(experiment: str, engine: str) -> float:
+    """Return the processor time of reset and steps of an episode, the least of three [s]."""
+    request = RunRequest(experiment, backend=engine)
+    times_s = [run_episode(request).cpu_s for _ in range(3)]
+    return min(time_s for time_s in times_s if time_s is not None)
+
+
 PARTS: dict[str, Callable[[], Iterator[Row]]] = {
     "starts": starts,
     "threads": threads,
     "steps": steps,
     "warping": warping,
     "worlds": many_worlds,
+    "engines": engines,
 }
 
 
@@ -195,6 +223,8 @@ def main() -> int:
             for row in PARTS[part]():
                 ratio = "not measured" if row.ratio is None else f"{row.ratio:.2f}"
                 bound = f"{'at least' if row.is_least else 'at most'} {row.limit:g}"
+                if math.isinf(row.limit):
+                    bound = "-"
                 print(
                     f"{row.what:62} {ratio:>13} {bound:>14}{'  BEYOND' if row.is_beyond else ''}",
                     flush=True,

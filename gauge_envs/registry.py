@@ -12,7 +12,6 @@ The file has these keys, all optional but `position`:
     position = 200                      # place among the commands of `gauge --help`
     extra = "usd"                       # extra of gauge-envs without which no part of the instrument works
     listings = ["drifts"]               # kinds of `gauge list KIND`: function `list_drifts` of `command.py`
-    pictures = ["drift"]                # kinds of `gauge plot --kind KIND`: function `draw_drift` of `command.py`
     ids = "ids"                         # module with `register`, `names`, `summary` and `document` of Gymnasium ids
 
     [commands]                          # name and line of help; the function of `command.py` has the name
@@ -94,7 +93,6 @@ class Instrument:
         commands: Line of help of each command. A name of two words is listed in the help of the first one.
         groups: Line of help of each first word that is no command.
         listings: Kinds that `gauge list` knows.
-        pictures: Kinds that `gauge plot` knows.
         outputs: What its commands print with `--json`, by the words of the command; and other JSON that it writes.
         ids: Name of the module of its Gymnasium ids; or empty. `register()` registers them, `names()` returns them,
             `summary()` returns a line of `gauge list`, and `document(name)` the page of one in `gauge show`.
@@ -109,7 +107,6 @@ class Instrument:
     commands: Mapping[str, str] = field(default_factory=dict)
     groups: Mapping[str, str] = field(default_factory=dict)
     listings: tuple[str, ...] = ()
-    pictures: tuple[str, ...] = ()
     outputs: Mapping[str, Output] = field(default_factory=dict)
     ids: str = ""
     scene_files: SceneFiles | None = None
@@ -202,7 +199,6 @@ def _declared(name: str, package: str, file: Path) -> Instrument:
             commands=stated.get("commands", {}),
             groups=stated.get("groups", {}),
             listings=tuple(stated.get("listings", ())),
-            pictures=tuple(stated.get("pictures", ())),
             outputs={
                 name: Output(**one) for name, one in stated.get("outputs", {}).items()
             },
@@ -223,10 +219,10 @@ def _scene_files(package: str, stated: Mapping[str, Any]) -> SceneFiles:
 
 
 def instruments_by(kind: str) -> dict[str, Instrument]:
-    """Return the instrument of each command, listing, picture or output; the first that states a name has it.
+    """Return the instrument of each command, listing or output; the first that states a name has it.
 
     Args:
-        kind: `commands`, `listings`, `pictures` or `outputs`.
+        kind: `commands`, `listings` or `outputs`.
     """
     found: dict[str, Instrument] = {}
     for instrument in instruments():

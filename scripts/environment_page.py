@@ -23,7 +23,6 @@ from gauge_envs.tools.catalog.words import (
     grade_note,
     published_table,
     reasons_text,
-    span_text,
     step_text,
 )
 from scripts.generated import ROOT
@@ -353,15 +352,8 @@ def _engines(names: _Names, members: Sequence[Values]) -> Iterator[Part]:
             Column("ids", "ids"),
             Column("preset", "preset"),
             Column("timestep_s", "step [s]", step_text, is_number=True),
-            Column("cpu_s_per_s", "CPU s per simulated s", span_text, is_number=True),
-            Column("episode", "CPU s an episode", span_text, is_number=True),
         ),
         rows=rows,
-    )
-    yield Paragraph(
-        Markdown(
-            "[Cost of an episode](../../studies/cost/README.md) says how processor time was measured; - was not."
-        )
     )
     yield Bullets(declined) if declined else Paragraph("No engine declines.")
     yield from _convergence(names, members)
@@ -381,18 +373,15 @@ def _reasons(names: _Names, members: Sequence[Values], engine: str) -> list[str]
 def _running(
     names: _Names, members: Sequence[Values], engine: str
 ) -> Iterator[dict[str, Any]]:
-    """Yield preset, step and cost of the members that an engine runs."""
-    keys = ("preset", "timestep_s", "cpu_s_per_s")
+    """Yield preset and step of the members that an engine runs."""
+    keys = ("preset", "timestep_s")
 
     def facts(values: Values) -> dict[str, Any] | None:
         row = _of_engine(values, engine)
         return None if row["missing"] else {key: row[key] for key in keys}
 
-    for label, found, having in names.grouped(members, facts):
-        durations = [values["duration_s"] for values in having]
-        cost = found["cpu_s_per_s"]
-        span = cost and [cost[0] * min(durations), cost[1] * max(durations)]
-        yield {"ids": label, "episode": span} | found
+    for label, found, _ in names.grouped(members, facts):
+        yield {"ids": label} | found
 
 
 def _of_engine(values: Values, engine: str) -> Values:

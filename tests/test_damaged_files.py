@@ -34,7 +34,6 @@ from gauge_envs.evaluation.trajectory_file import read_trajectory
 from gauge_envs.experiments.resolve import load_experiment_from_asset
 from gauge_envs.files import MEGABYTE
 from gauge_envs.references.convergence import read_convergence
-from gauge_envs.references.sensitivities import _read as read_sensitivities
 from gauge_envs.references.tables import csv_header
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
@@ -187,12 +186,6 @@ READERS = {
     "convergence.csv": (
         text_of("scoring", "convergence", "mujoco.csv"),
         read_convergence.__wrapped__,
-    ),
-    "sensitivities.json": (
-        lambda: next(
-            (ROOT / "scoring" / "sensitivities" / "mujoco").glob("*.json")
-        ).read_bytes(),
-        lambda file: read_sensitivities.__wrapped__(file, 0),
     ),
     "settings.toml": (text_of("examples", "sanity", "good.toml"), configuration),
     "settings.json": (json.dumps(SETTINGS).encode, configuration),

@@ -144,7 +144,6 @@ def test_extras_are_imported_at_first_use(files):
         "envs/dm_env.py",
         "pages/figures.py",
         "tools/compare/",
-        "tools/diagnose/",
     )
     assert {
         file: names for file, names in at_once.items() if not file.startswith(own)

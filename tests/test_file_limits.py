@@ -37,7 +37,6 @@ from gauge_envs.files import (
     write_whole,
 )
 from gauge_envs.references.convergence import read_convergence
-from gauge_envs.references.sensitivities import _read as read_sensitivities
 from gauge_envs.references.tables import csv_header
 from gauge_envs.runs.result_file import load_result
 from gauge_envs.tools.sanity.stacks import configuration
@@ -73,7 +72,6 @@ READERS = {
     "settings.toml": configuration,
     "settings.json": configuration,
     "robot.xml": configuration,
-    "sensitivities.json": lambda file: read_sensitivities(file, 0),
     "convergence.csv": read_convergence,
 }
 

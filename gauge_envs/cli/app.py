@@ -23,23 +23,10 @@ from gauge_envs.cli.interrupts import (
     was_interrupted,
 )
 from gauge_envs.cli.output import EXIT_USAGE, echo, message, quieted
-from gauge_envs.cli.spelling import check_options, checked_values
 from gauge_envs.cli.streams import open_closed_streams, reserved_stdout
+from gauge_envs.cli.values import checked_values
 from gauge_envs.errors import GaugeError, ParameterError, UnknownNameError
 from gauge_envs.registry import command_lines, instruments_by
-
-OTHER_WORDS = {
-    "info": "show",
-    "describe": "show",
-    "envs": "list",
-    "eval": "run",
-    "evaluate": "run",
-    "test": "run",
-    "versions": "backend versions",
-    "probe": "sanity probe",
-    "schema": "show COMMAND --schema, or gauge list schemas",
-}
-"""Commands by the words that other tools have for them."""
 
 UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 """Errors of a full or broken disk."""
@@ -145,11 +132,6 @@ class _Command(typer.core.TyperCommand):
         _name_types(self, ctx)
         super().format_help(ctx, formatter)
 
-    def parse_args(self, ctx: Any, args: list[str]) -> Any:
-        if not ctx.resilient_parsing:
-            check_options(self.params, args)
-        return super().parse_args(ctx, args)
-
     def make_parser(self, ctx: Any) -> Any:
         parser: Any = super().make_parser(ctx)
         parse = parser.parse_args
@@ -157,7 +139,7 @@ class _Command(typer.core.TyperCommand):
         def checked(args: list[str]) -> Any:
             values, rest, order = parse(args)
             if not ctx.resilient_parsing:
-                values = checked_values(self.params, values, rest, order)
+                values = checked_values(self.params, values, order)
                 if values.get("json"):
                     if "form" in values:
                         raise ParameterError(
@@ -217,10 +199,6 @@ class _Group(typer.core.TyperGroup):
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         for count in (2, 1):
             name = self._full(" ".join(args[:count]))
-            if name in OTHER_WORDS:
-                raise ParameterError(
-                    f"unknown command {name!r}: write gauge {OTHER_WORDS[name]}"
-                )
             if name in command_lines():
                 return name, self.get_command(ctx, " ".join(args[:count])), args[count:]
         raise UnknownNameError(

@@ -297,22 +297,6 @@ Corrected = Annotated[
     ),
 ]
 
-Order = Annotated[
-    list[str] | None,
-    option(
-        SELECTION,
-        "Parts of the error in the order in which they are added to the fit.",
-        "--order",
-        metavar="PART",
-        show_default="release,offset,rate",
-    ),
-]
-
-MeasuredOnly = Annotated[
-    bool,
-    option(SELECTION, "Leave out extrapolated frames.", "--measured-only"),
-]
-
 # --- output ----------------------------------------------------------------------------------------------------------
 
 Form = Annotated[

@@ -106,11 +106,6 @@ class EnvArguments:
         """The marker proxy as an enum."""
         return MarkerProxy(self.marker_proxy)
 
-    @property
-    def default_backend(self) -> str | None:
-        """The engine with its default settings, for which sensitivities are stored; None for other settings."""
-        return None if self.settings else self.backend
-
     def experiment(self) -> Experiment:
         """Load the experiment."""
         return resolve_experiment(

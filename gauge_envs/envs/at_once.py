@@ -425,7 +425,6 @@ def episodes_in_lockstep(
             world,
             band=band if one.trial is None else arguments.band(one),
             marker_proxy=arguments.proxy,
-            backend=arguments.default_backend,
         )
         for one, band, world in zip(experiments, bands, worlds.worlds, strict=True)
     ]

@@ -77,7 +77,6 @@ class EpisodesOnDevice:
             self.worlds.worlds[0],
             band=band,
             marker_proxy=arguments.proxy,
-            backend=arguments.default_backend,
         )
         self.episodes = [first]
         self._experiment, self._band = stated, band

@@ -144,7 +144,6 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
             self.simulation,
             band=self.band,
             marker_proxy=self.arguments.proxy,
-            backend=self.arguments.default_backend,
         )
         return is_kept
 

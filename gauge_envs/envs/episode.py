@@ -98,7 +98,6 @@ class Episode:
         world: The world, at the start of the experiment's scene.
         band: Band that scores are relative to, or None.
         marker_proxy: Marker proxy of deformable bodies: tracked node or material point.
-        backend: Name of the engine, whose sensitivities the score uses; None for other settings than its default ones.
 
     Attributes:
         experiment: The experiment.
@@ -120,7 +119,6 @@ class Episode:
         *,
         band: Band | None,
         marker_proxy: MarkerProxy,
-        backend: str | None = None,
     ) -> None:
         check_drive_interval(world.settings)
         scene = experiment.scene
@@ -129,7 +127,6 @@ class Episode:
         self.marker_proxy = marker_proxy
         self.frame: int | None = None
         self.fault: str | None = None
-        self._backend = backend
         self._world = world
         is_aligned = (
             band is not None and band.grade.is_real and experiment.trial is None
@@ -433,7 +430,6 @@ class Episode:
             values=values,
             markers_m=self._markers_m,
             wrenches=self._wrenches if self.holders else None,
-            backend=self._backend,
             is_checked=True,
         )
 

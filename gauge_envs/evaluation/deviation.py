@@ -23,7 +23,6 @@ from gauge_envs.evaluation.uncertainty import BandErrors, band_errors
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.bands import Band
 from gauge_envs.references.published import Baseline
-from gauge_envs.references.sensitivities import Sensitivities, load_sensitivities
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
@@ -106,17 +105,6 @@ class Deviations:
     def first(self) -> Deviation:
         """The deviation of the primary score."""
         return self.aligned if self.is_aligned and self.aligned else self.raw
-
-
-def experiment_sensitivities(
-    experiment: Experiment, backend: str | None
-) -> Sensitivities | None:
-    """Return the stored sensitivities of an experiment on an engine; None without, if edited, and for later trials."""
-    return (
-        None
-        if experiment.edited or experiment.trial
-        else load_sensitivities(experiment.name, backend)
-    )
 
 
 def normalizing_baselines(experiment: Experiment, band: Band) -> Mapping[str, Baseline]:

@@ -13,7 +13,7 @@ from gauge_envs.evaluation.dependence import LEAST_TRIALS
 from gauge_envs.evaluation.numerics import tall_product
 from gauge_envs.references.bands import Band
 from gauge_envs.references.grades import BandGrade
-from gauge_envs.references.sensitivities import input_uncertainties
+from gauge_envs.references.uncertainties import PUBLISHED_TRIALS
 from gauge_envs.scene.geometry import FloatArray
 
 DRAW_COUNT = 4000
@@ -33,18 +33,12 @@ UNSEEN_EXCESS = 2.0
 
 It is chosen on half of the simulated worlds (`studies/coverage`)."""
 
-TABLE = "uncertainty of the mean in the band's table"
-"""Source of a measured band's uncertainty."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class ErrorSource:
-    """A group of error shapes with one origin; `columns` selects them."""
+    """A group of error shapes of one kind (`evaluation.uncertainty`); `columns` selects them."""
 
-    name: str
     kind: str
-    evaluation: str
-    source: str
     columns: slice
 
 
@@ -137,30 +131,14 @@ class ErrorShapes:
     factors: list[FloatArray]
     sources: list[ErrorSource]
 
-    def add(
-        self,
-        name: str,
-        kind: str,
-        evaluation: str,
-        source: str,
-        shapes: Sequence[FloatArray],
-        factors: FloatArray,
-    ) -> None:
+    def add(self, kind: str, shapes: Sequence[FloatArray], factors: FloatArray) -> None:
         """Add the shapes of one source; what no trial shows counts as no error."""
         start = sum(len(one) for one in self.shapes)
         kept = np.array([np.nan_to_num(shape) for shape in shapes])
         self.shapes.append(kept.reshape(len(kept), -1))
         self.factors.append(factors)
         columns = slice(start, start + len(kept))
-        self.sources.append(
-            ErrorSource(
-                name=name,
-                kind=kind,
-                evaluation=evaluation,
-                source=source,
-                columns=columns,
-            )
-        )
+        self.sources.append(ErrorSource(kind=kind, columns=columns))
 
 
 def add_trials(band: Band, trials: FloatArray, shapes: ErrorShapes) -> FloatArray:
@@ -180,49 +158,40 @@ def add_trials(band: Band, trials: FloatArray, shapes: ErrorShapes) -> FloatArra
         if size > 0.0
         else np.zeros_like(residuals)
     )
-    source, weights = f"scatter of {count} trials", trial_weights(count)
+    weights = trial_weights(count)
     # The mean is subtracted, so an error of the mean enters with the other sign.
-    shapes.add(
-        "release time of the mean", "release", "A", source, list(-shift), weights
-    )
-    shapes.add(
-        "mean of the trials", "sampling", "A", source, list(shift - residuals), weights
-    )
+    shapes.add("release", list(-shift), weights)
+    shapes.add("sampling", list(shift - residuals), weights)
     return relative_influence(np.linalg.norm(residuals, axis=1), residuals)
 
 
 def add_spread(
     band: Band, baseline_spread: float | None, shapes: ErrorShapes
-) -> tuple[FloatArray, str]:
-    """Add the error of a mean without single trials; return that of the baseline in each draw, and its source."""
-    scored_trials = band.trial_count or input_uncertainties().trials.count
+) -> FloatArray:
+    """Add the error of a mean without single trials, and return that of the baseline in each draw."""
+    scored_trials = band.trial_count or PUBLISHED_TRIALS
     trials = 1 if band.grade is BandGrade.RECORDING else scored_trials
-    count_text = "one trial" if trials == 1 else f"{trials} trials"
     std_of_mean = band.sigma / math.sqrt(trials)
     columns = list(np.eye(band.mean.shape[1])[:, None] * std_of_mean)
     shapes.add(
-        "mean of the trials",
         "sampling",
-        "B",
-        f"scatter of the trials over the root of their number ({count_text}), taken as constant in time",
         columns,
         random_numbers("sampling").standard_normal((DRAW_COUNT, len(columns))),
     )
     if baseline_spread is None:
-        return np.zeros(DRAW_COUNT), "not published"
+        return np.zeros(DRAW_COUNT)
     normal = random_numbers("baseline").standard_normal(DRAW_COUNT)
     ratio = np.maximum(1.0 + baseline_spread / math.sqrt(scored_trials) * normal, 0.1)
-    source = f"published standard deviation over the root of {scored_trials}"
-    return np.log(ratio), source
+    return np.asarray(np.log(ratio))
 
 
 def add_measurement(band: Band, shapes: ErrorShapes) -> None:
     """Add the stated uncertainty of a measured mean, that of extrapolated frames apart."""
     if band.uncertainty is None:
         return
-    for name, kind, frames in (
-        ("measured frames", "measurement", band.measured),
-        ("extrapolated frames", "extrapolation", ~band.measured),
+    for kind, frames in (
+        ("measurement", band.measured),
+        ("extrapolation", ~band.measured),
     ):
         spread = np.where(
             frames[:, None] & np.isfinite(band.uncertainty), band.uncertainty, 0.0
@@ -230,4 +199,4 @@ def add_measurement(band: Band, shapes: ErrorShapes) -> None:
         if spread.any():
             columns = [unit * spread for unit in np.eye(spread.shape[1])]
             factors = random_numbers(kind).standard_normal((DRAW_COUNT, len(columns)))
-            shapes.add(name, kind, "B", TABLE, columns, factors)
+            shapes.add(kind, columns, factors)

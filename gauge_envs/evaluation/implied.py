@@ -18,7 +18,7 @@ from gauge_envs.evaluation.motion_kinds import MotionKind, find_impact, recogniz
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.bands import Band
-from gauge_envs.references.sensitivities import input_uncertainties
+from gauge_envs.references.uncertainties import PUBLISHED_TRIALS, TILT_DEG
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.scene import GRAVITY_M_PER_S2
 from gauge_envs.scene.timing import FRAME_RATE_HZ
@@ -243,7 +243,7 @@ def _real_friction(band: Band) -> tuple[float, float, float] | None:
     if real is None:
         return None
     mean, error, scatter = real
-    tilt_rad = math.radians(input_uncertainties().tilt.std)
+    tilt_rad = math.radians(TILT_DEG)
     # mu = tan - a / (g cos), so d mu / d slope = 1 + mu tan.
     return (
         mean,
@@ -324,12 +324,13 @@ def _swing(
     frames = experiment.frame_count if baseline is None else baseline.frames
     seen = times_s <= (frames - 1) / FRAME_RATE_HZ + 1e-6
     period_s = oscillation_period(swing[seen], frame_rate_hz=1.0 / step_s)
-    count = input_uncertainties().trials.count
     real = None
     if baseline is not None:
         real = (
             baseline.mean,
-            None if baseline.std is None else baseline.std / math.sqrt(count),
+            None
+            if baseline.std is None
+            else baseline.std / math.sqrt(PUBLISHED_TRIALS),
             baseline.std,
         )
     found = [
@@ -339,7 +340,7 @@ def _swing(
             "s",
             period_s,
             0.0,
-            source=f"strongest frequency of the windowed spectrum; real: published mean, {count} trials",
+            source=f"strongest frequency of the windowed spectrum; real: published mean, {PUBLISHED_TRIALS} trials",
         )
     ]
     size = np.abs(swing)

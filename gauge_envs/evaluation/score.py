@@ -22,14 +22,12 @@ from gauge_envs.evaluation.deviation import (
     Deviation,
     Deviations,
     band_deviations,
-    experiment_sensitivities,
     normalizing_baselines,
     percentile_among,
     percentile_interval,
     sampled_frames,
     trial_distances,
 )
-from gauge_envs.evaluation.explained import Explained, explained
 from gauge_envs.evaluation.implied import ImpliedParameter, implied_parameters
 from gauge_envs.evaluation.likely_mistakes import value_mistake
 from gauge_envs.evaluation.metrics.trajectory import (
@@ -47,7 +45,6 @@ from gauge_envs.evaluation.swing import (
     swing_metrics,
     swing_notes,
 )
-from gauge_envs.evaluation.uncertainty import BudgetEntry
 from gauge_envs.evaluation.verification import Verification, verify, verify_loads
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.bands import Band
@@ -55,7 +52,6 @@ from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.metrics import METRICS
 from gauge_envs.references.models import solved_model
 from gauge_envs.references.published import Baseline
-from gauge_envs.references.sensitivities import Sensitivities
 from gauge_envs.scene.geometry import FloatArray, IntArray
 
 VERIFICATION = "verification"
@@ -86,7 +82,6 @@ class Validation:
         mean_abs_z: Mean |deviation| in units of sigma(t), over measured frames.
         inside_1sigma: Share of measured values within 1 sigma.
         inside_2sigma: Share within 2 sigma.
-        budget: Contributions to the uncertainty of the `primary` score, largest first.
         refused: Intervals that the trials do not support, each with its reason, as `rmse_95: 2 trials: ...`.
     """
 
@@ -106,7 +101,6 @@ class Validation:
     mean_abs_z: float | None = None
     inside_1sigma: float | None = None
     inside_2sigma: float | None = None
-    budget: tuple[BudgetEntry, ...] = ()
     refused: tuple[str, ...] = ()
 
 
@@ -157,9 +151,6 @@ class Score:
         events: Times of the cradle's last ball, simulated and recorded.
         el: Energy loss, ratio; 0 is ideal.
         implied: Physical parameters that the trajectory implies, beside those of the real trials.
-        explained: What uncertain inputs of the simulation can explain of the `primary` error, the most first; None
-            without sensitivities of the engine.
-        sensitivities: Engine and settings of these sensitivities.
         rmse_without: RMSE to the mean of the solutions without one engine, by that engine, of the engines that made a
             reference of grade `model`; empty for other grades. That of the simulated engine is free of its own part.
         withheld: Why the band is not used by default; None for a band that is.
@@ -203,8 +194,6 @@ class Score:
     events: tuple[EventTime, ...] | None = None
     el: float | None = None
     implied: tuple[ImpliedParameter, ...] = ()
-    explained: tuple[Explained, ...] | None = None
-    sensitivities: str | None = None
     rmse_without: Mapping[str, float] = field(default_factory=dict, hash=False)
     withheld: str | None = None
     edited: bool = False
@@ -284,8 +273,6 @@ def score_trajectory(
     values: FloatArray,
     markers_m: FloatArray | None = None,
     wrenches: FloatArray | None = None,
-    backend: str | None = None,
-    sensitivities: Sensitivities | None = None,
     is_checked: bool = False,
 ) -> Score:
     """Score a generalized trajectory.
@@ -301,9 +288,6 @@ def score_trajectory(
             of cloth and foam are compared by; None if they are not known.
         wrenches: Wrenches of the scene's `holders` in the mean over each frame, shape [frame_count, holder_count, 6];
             None if they are not known.
-        backend: Engine of the trajectory with its default settings, whose sensitivities say what inputs can explain;
-            None for other settings, or one of unknown origin.
-        sensitivities: Measured sensitivities that replace the stored ones of the engine.
         is_checked: Whether unit and start are known to be right, as those of an episode.
 
     Raises:
@@ -318,13 +302,7 @@ def score_trajectory(
     baselines = experiment.baselines
     scores: dict[str, Any] = {}
     if band is not None:
-        # An edited scene is another one, and another engine may treat a constant in another way.
-        if sensitivities is None:
-            stored = experiment_sensitivities(experiment, backend)
-            sensitivities = (
-                stored if stored is not None and stored.backend == backend else None
-            )
-        scores |= _band_scores(experiment, band, times_s, values, frames, sensitivities)
+        scores |= _band_scores(experiment, band, times_s, values, frames)
     scores["implied"] = implied_parameters(
         experiment,
         band,
@@ -383,7 +361,6 @@ def _band_scores(
     times_s: FloatArray,
     values: FloatArray,
     frames: FloatArray,
-    sensitivities: Sensitivities | None,
 ) -> dict[str, Any]:
     """Return the distances of g(t) from a band, and what its grade says of them."""
     simulated = band.project(frames)
@@ -406,7 +383,6 @@ def _band_scores(
         if squares.any()
         else 0.0,
         "signed_error": tuple(signed_error(simulated, band.mean).tolist()),
-        "sensitivities": None if sensitivities is None else _origin(sensitivities),
     }
     if not band.grade.is_solution:
         scores["validation"] = _validation(
@@ -422,10 +398,6 @@ def _band_scores(
             name: trajectory_rmse(simulated, mean)
             for name, mean in solved.others.items()
         }
-    if sensitivities is not None:
-        scores["explained"] = explained(
-            experiment, band, sensitivities, deviations, times_s=times_s, values=values
-        )
     return scores
 
 
@@ -451,7 +423,7 @@ def _validation(
     # Frames that were not measured are extrapolated: their mean is usable, their scatter is no data.
     sigma = np.where(band.measured[:, None], band.sigma, np.nan)
     z = z_scores(simulated, band.mean, sigma)
-    raw, aligned, first = deviations.raw, deviations.aligned, deviations.first
+    raw, aligned = deviations.raw, deviations.aligned
     trials = trial_distances(band)
     found: dict[str, Any] = {
         "rmse_normalized": _over(raw.rmse, baselines, "rmse"),
@@ -483,8 +455,6 @@ def _validation(
                 low / dtw_baseline.mean,
                 high / dtw_baseline.mean,
             )
-    if first.baseline is not None:
-        found["budget"] = first.errors.budget(first.values, baseline=first.baseline)
     return Validation(**found)
 
 
@@ -510,12 +480,3 @@ def _refused(deviations: Deviations) -> Iterator[str]:
         for end, reason in zip(("", "normalized_"), refusals, strict=True):
             if reason is not None:
                 yield f"{name}_{end}95: {reason}"
-
-
-def _origin(sensitivities: Sensitivities) -> str:
-    versions = [f"{name} {text}" for name, text in sensitivities.versions.items()]
-    settings = [
-        f"{key}={value:.4g}" if isinstance(value, float) else f"{key} {value}"
-        for key, value in sensitivities.settings.items()
-    ]
-    return f"{sensitivities.backend} ({', '.join([*versions, *settings])})"

@@ -20,7 +20,7 @@ from gauge_envs.evaluation.metrics.events import (
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.metrics import EVENT_METRICS
 from gauge_envs.references.published import Baseline, EventQuantity, recorded_events
-from gauge_envs.references.sensitivities import input_uncertainties
+from gauge_envs.references.uncertainties import PUBLISHED_TRIALS
 from gauge_envs.scene import Hinge
 from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.scene.timing import FRAME_RATE_HZ
@@ -230,7 +230,7 @@ def event_intervals(
         other = notes.get(alternative)
         choice = 0.0 if other is None else abs(other - value) / math.sqrt(3.0)
         of_estimator = math.hypot(choice, counted_s / math.sqrt(3.0)) / line.mean
-        relative = line.std / line.mean / math.sqrt(input_uncertainties().trials.count)
+        relative = line.std / line.mean / math.sqrt(PUBLISHED_TRIALS)
         half = NORMAL_95 * math.hypot(of_estimator, relative * value / line.mean)
         intervals[f"{metric}_normalized_95"] = (
             max(value / line.mean - half, 0.0),

@@ -84,16 +84,14 @@ class StatedOrigin:
     Attributes:
         id: Id of the experiment.
         parameters: Parameters of the scene, not checked.
-        backend: Engine of the trajectory with its default settings; None for other settings.
         has_asset: Whether the file is a result whose scene was that of an asset.
-        scatter: Standard deviations of its start, or its trial, as `Result.jitter`; empty for none.
+        jitter: Standard deviations of its start, or its trial, as `Result.jitter`; empty for none.
     """
 
     id: str | None = None
     parameters: Any = None
-    backend: str | None = None
     has_asset: bool = False
-    scatter: Mapping[str, Any] = field(default_factory=dict)
+    jitter: Mapping[str, Any] = field(default_factory=dict)
 
 
 def stated_origin(file: Path) -> StatedOrigin:
@@ -106,15 +104,12 @@ def stated_origin(file: Path) -> StatedOrigin:
         raise TrajectoryFileError(
             f"{file}: id is {name!r}, expected text such as 'GAUGE/SlopeSlider-2-wood'"
         )
-    backend, scatter = content.get("backend"), content.get("jitter")
+    jitter = content.get("jitter")
     return StatedOrigin(
         id=name,
         parameters=parameters,
-        backend=backend
-        if isinstance(backend, str) and not content.get("settings_given")
-        else None,
         has_asset=bool(content.get("asset")),
-        scatter=scatter if isinstance(scatter, dict) else {},
+        jitter=jitter if isinstance(jitter, dict) else {},
     )
 
 

@@ -56,7 +56,7 @@ from gauge_envs.evaluation.numerics import tall_product
 from gauge_envs.references.bands import Band
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.published import Baseline
-from gauge_envs.references.sensitivities import input_uncertainties
+from gauge_envs.references.uncertainties import TILT_DEG
 from gauge_envs.scene.geometry import BoolArray, FloatArray, IntArray, length_of
 
 BELOW_NOISE = 0.01
@@ -86,27 +86,6 @@ PROJECTION_FLOOR_MM = 1.0
 def _reported(value: float) -> float:
     """Return six significant digits: the last bits of a matrix product depend on the memory that holds it."""
     return float(f"{value:.6g}")
-
-
-@dataclass(frozen=True, kw_only=True)
-class BudgetEntry:
-    """One line of an uncertainty budget.
-
-    Attributes:
-        name: Name of the contribution.
-        kind: Kind, as in the module's list; `baseline` is the mean score of the real trials.
-        evaluation: `A`, by statistics of observations, or `B`, by other knowledge (GUM 4.2, 4.3).
-        standard_uncertainty: Effect on the normalized score for one standard uncertainty.
-        share: Share of the variance.
-        source: Origin of the number.
-    """
-
-    name: str
-    kind: str
-    evaluation: str
-    standard_uncertainty: float
-    share: float
-    source: str
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -148,8 +127,7 @@ class BandErrors:
         baseline: Logarithm of the measured over the true baseline in each draw, shape [draw_count].
         baseline_bias: Measured baseline over the true one on average: trials are nearer to a mean that they are part
             of, and farther from that of the others.
-        baseline_source: Origin of these two.
-        sources: Origin of each group of shapes.
+        sources: Kind of each group of shapes.
         trial_count: Number of trials with a shape of their own in each group `release` and `sampling`; 0 without.
         influence: Relative effect of each trial on the baseline, shape [trial_count].
     """
@@ -159,7 +137,6 @@ class BandErrors:
     factors: tuple[FloatArray, ...]
     baseline: FloatArray
     baseline_bias: float
-    baseline_source: str
     sources: tuple[ErrorSource, ...]
     trial_count: int
     influence: FloatArray
@@ -217,25 +194,14 @@ class BandErrors:
         )
         place = np.interp(drawn, SMEARS, np.arange(len(SMEARS)))
         factors = np.maximum(1.0 - np.abs(place[:, None] - np.arange(len(SMEARS))), 0.0)
-        shapes, scatter = smears - of_trials.mean(axis=0), f"scatter of {count} trials"
-        return aligned.with_source(
-            "smear of the mean by releases", "smear", "A", scatter, shapes, factors
-        )
+        return aligned.with_source("smear", smears - of_trials.mean(axis=0), factors)
 
     def with_source(
-        self,
-        name: str,
-        kind: str,
-        evaluation: str,
-        source: str,
-        shapes: FloatArray,
-        factors: FloatArray,
+        self, kind: str, shapes: FloatArray, factors: FloatArray
     ) -> BandErrors:
         """Return the errors with those of one more source."""
         columns = slice(len(self.shapes), len(self.shapes) + len(shapes))
-        added = ErrorSource(
-            name=name, kind=kind, evaluation=evaluation, source=source, columns=columns
-        )
+        added = ErrorSource(kind=kind, columns=columns)
         return replace(
             self,
             shapes=np.vstack([self.shapes, shapes]),
@@ -257,7 +223,6 @@ class BandErrors:
             self,
             baseline=baseline_draws(influence),
             baseline_bias=math.sqrt(count / (count - 1)),
-            baseline_source=f"scatter of the distances of {count} trials",
             influence=influence,
         )
 
@@ -276,18 +241,13 @@ class BandErrors:
         across = np.linalg.norm(
             moved - moved @ np.linalg.pinv(band.projection) @ band.projection, axis=1
         )
-        tilt = input_uncertainties().tilt
         if np.abs(across).max() < PROJECTION_FLOOR_MM:
             return self
         shape = self.flat(
-            math.radians(tilt.std) * across[:, None] * np.ones(len(band.projection))
+            math.radians(TILT_DEG) * across[:, None] * np.ones(len(band.projection))
         )
         factors = random_numbers("projection").standard_normal((DRAW_COUNT, 1))
-        name, source = (
-            "direction of the measured coordinate",
-            f"{tilt.std:.4g} {tilt.unit}: {tilt.source}",
-        )
-        return self.with_source(name, "projection", "B", source, shape[None], factors)
+        return self.with_source("projection", shape[None], factors)
 
     @cached_property
     def _components(self) -> _Components:
@@ -480,55 +440,6 @@ class BandErrors:
         lengths = square - along + squares - expected
         return np.asarray(np.sign(lengths) * np.sqrt(np.abs(lengths)) * ratio)
 
-    def budget(
-        self, deviation: FloatArray, *, baseline: float
-    ) -> tuple[BudgetEntry, ...]:
-        """Return the contributions to the uncertainty of a normalized score, largest first.
-
-        Each is the standard deviation along the observed deviation; without one, the root mean square over all
-        directions.
-
-        Args:
-            deviation: Simulation minus mean, shape [T, C].
-            baseline: Baseline that normalizes, in the unit of the deviation.
-        """
-        vector = self.flat(deviation)
-        size = length_of(vector)
-        stds: list[tuple[ErrorSource, float]] = []
-        count = self.trial_count
-        for source, factors in zip(self.sources, self.factors, strict=True):
-            shapes = self.shapes[source.columns]
-            effects = shapes @ (vector / size) if size > 0.0 else shapes
-            freedom = count * (count - 1) if count and source.kind in TRIAL_KINDS else 1
-            if source.kind == "smear":
-                effects = np.std(tall_product(factors, effects), axis=0)
-            stds.append((source, length_of(effects) / math.sqrt(freedom) / baseline))
-        baseline_source = ErrorSource(
-            name="baseline",
-            kind="baseline",
-            evaluation="A",
-            source=self.baseline_source,
-            columns=slice(0, 0),
-        )
-        relative = (
-            length_of(self.influence) / math.sqrt(count * (count - 1)) if count else 0.0
-        )
-        relative = relative or float(np.std(self.baseline))
-        stds.append((baseline_source, relative * size / baseline))
-        total = sum(std**2 for _, std in stds)
-        entries = [
-            BudgetEntry(
-                name=one.name,
-                kind=one.kind,
-                evaluation=one.evaluation,
-                standard_uncertainty=_reported(std),
-                share=_reported(std**2 / total) if total > 0.0 else 0.0,
-                source=one.source,
-            )
-            for one, std in stds
-        ]
-        return tuple(sorted(entries, key=lambda entry: -entry.share))
-
 
 def band_errors(band: Band, baseline: Baseline | None) -> BandErrors:
     """Return the errors of deviations from a band.
@@ -557,9 +468,8 @@ def _band_errors(band: Band, baseline_spread: float | None) -> BandErrors:
         influence = add_trials(band, trials, shapes)
         baseline = baseline_draws(influence)
         bias = math.sqrt((trial_count - 1) / trial_count)
-        baseline_source = f"scatter of the distances of {trial_count} trials"
     else:
-        baseline, baseline_source = add_spread(band, baseline_spread, shapes)
+        baseline = add_spread(band, baseline_spread, shapes)
     add_measurement(band, shapes)
     return BandErrors(
         known=known,
@@ -567,7 +477,6 @@ def _band_errors(band: Band, baseline_spread: float | None) -> BandErrors:
         factors=tuple(shapes.factors),
         baseline=baseline,
         baseline_bias=bias,
-        baseline_source=baseline_source,
         sources=tuple(shapes.sources),
         trial_count=trial_count,
         influence=influence,

@@ -31,7 +31,7 @@ from gauge_envs.scene.geometry import FloatArray
 COVERAGE_FACTOR = 1.96
 """Half width of a 95 % interval over the standard uncertainty."""
 
-LEAST_POWER = 5.0
+LEAST_FROZEN = 5.0
 """Distance of a scene in which nothing moves, in units of u, below which a reference tells nothing. It is a choice."""
 
 MARKER_AXES = 3
@@ -92,17 +92,12 @@ class Verification:
         return low / self.scale, high / self.scale
 
     @property
-    def power(self) -> float | None:
-        """The distance of a scene in which nothing moves, over u; None without u."""
-        return self.frozen / self.uncertainty if self.uncertainty else None
-
-    @property
     def verdict(self) -> str:
         """What the distance says, in words."""
         if self.uncertainty is None:
             return "the solution of the calibrated scene is exact: there, the distance is the error"
-        if self.frozen < LEAST_POWER * self.uncertainty:
-            return f"tells nothing: a scene in which nothing moves is within {LEAST_POWER:g} u"
+        if self.frozen < LEAST_FROZEN * self.uncertainty:
+            return f"tells nothing: a scene in which nothing moves is within {LEAST_FROZEN:g} u"
         if self.distance <= COVERAGE_FACTOR * self.uncertainty:
             return "no difference from the solution is seen"
         return "differs from the solution"

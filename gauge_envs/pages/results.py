@@ -3,7 +3,6 @@
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from gauge_envs.evaluation.scatter import ASSUMED, Scatter
 from gauge_envs.evaluation.score import VERIFICATION, Score
 from gauge_envs.evaluation.verification import Verification
 from gauge_envs.experiments.resolve import load_experiment
@@ -215,47 +214,10 @@ def percentile_text(score: Score, metric: str) -> str | None:
 
 VERIFICATION_NOTE = (
     "u: standard uncertainty of the solution. In brackets: 95 % interval of the true distance. Frozen: distance of a "
-    "scene in which nothing moves; of a force, that of none. `gauge show ID` lists which wrong constants are told. "
+    "scene in which nothing moves; of a force, that of none. "
     "Nothing here is of reality."
 )
 """What a table of verification needs to be read."""
-
-
-SCATTER_NOTE = (
-    "Mean (standard deviation) of E_RMSE and E_DTW, of each real trial to the mean of all, and of each run to that of "
-    "as many runs. p: share of groups that are as far from the others as the real trials are, with half, once "
-    "and twice the assumed spread of starts, and with uneven trials. Release: spread of delays that gives the real "
-    "E_RMSE; of held cloth and foam, an assumed one and the noise of markers that does."
-)
-"""What a table of the scatter needs to be read."""
-
-
-def scatter_cells(one: Scatter) -> dict[str, str]:
-    """Return the scatter of runs beside that of real trials as texts; of the runs with the assumed starts."""
-
-    def pair(mean: float, std: float) -> str:
-        return f"{score_text(mean)} ({score_text(std)})"
-
-    cells = {
-        "real_rmse": with_unit(pair(*one.real[:2]), one.unit),
-        "real_dtw": with_unit(pair(*one.real[2:]), one.unit),
-        "verdict": one.verdict,
-    }
-    middle = next((each for each in one.spreads if each.starts == ASSUMED), None)
-    if middle is None:
-        return cells
-    low_s, high_s = middle.release_95_s
-    fitted = f"{1e3 * middle.release_s:.0f} [{1e3 * low_s:.0f}, {1e3 * high_s:.0f}] ms"
-    if middle.noise_mm:
-        fitted = (
-            f"{1e3 * middle.release_s:.0f} ms assumed; noise {middle.noise_mm:.2g} mm"
-        )
-    return cells | {
-        "rmse": pair(*middle.simulated[:2]),
-        "dtw": pair(*middle.simulated[2:]),
-        "p": ", ".join(f"{each.p_value:.3f}" for each in one.spreads),
-        "release": fitted,
-    }
 
 
 def verification_text(one: Verification) -> str:
@@ -288,14 +250,11 @@ ANOTHER_SCENE = (
 )
 """Verdict on a result whose distance from a solution also holds what its constants or its start change."""
 
-MAX_CAUSES = 3
-"""Number of inputs that are named as possible causes of an error."""
-
 
 def reality_lines(
     name: str, score: Score, *, is_another_scene: bool = False
 ) -> Iterator[str]:
-    """Yield whether a result could be a real trial by its distance, and what uncertain inputs can explain of it.
+    """Yield whether a result could be a real trial by its distance.
 
     Of a law or a solved model the line says how well the engine solves the scene.
 
@@ -330,14 +289,6 @@ def reality_lines(
         if not farther:
             answer = f"none of the {count} is as far from the mean of the others"
         yield f"{name}: could it have been a real trial? By its distance {'yes' if farther else 'no'}: {answer}."
-    error = getattr(score, score.primary)
-    causes = [
-        f"{one.name} (+- {one.std:.2g}{'' if one.unit == '1' else f' {one.unit}'}) {score_text(error - one.left)}"
-        for one in (score.explained or ())[:MAX_CAUSES]
-    ]
-    if causes:
-        whole = with_unit(score_text(error), score.unit)
-        yield f"{name}: of {whole}, each alone can explain: {', '.join(causes)}."
 
 
 # --- convergence ---

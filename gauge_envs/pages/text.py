@@ -10,7 +10,6 @@ from gauge_envs.references.metrics import METRICS
 
 METRIC_TITLES = {key: metric.title for key, metric in METRICS.items()}
 
-COST_TITLE = "wall s/sim s"
 
 NORMALIZED_NOTE = (
     "Over real trials: score over the mean of theirs, aligned where the score is. LSD, MTE, PD: over the real value, 1 "

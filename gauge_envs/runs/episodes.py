@@ -25,11 +25,9 @@ from gauge_envs.files import json_ready, processor, versions
 from gauge_envs.references.bands import Band
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.imported import dataset_record
-from gauge_envs.references.sensitivities import Sensitivities, write_sensitivities
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result
 from gauge_envs.runs.result_file import asset_record
-from gauge_envs.runs.scatter import with_scatter
 from gauge_envs.scene.jitter import Jitter, scattered
 
 _log = logging.getLogger(__name__)
@@ -57,7 +55,7 @@ def run_episodes(request: RunRequest) -> list[Result]:
 
     Returns:
         Results in the order of their seeds. All are scored against the reference of the calibrated start, or each
-        against its own single-shot trial. As many repeats as there are real trials, or more, have a scatter.
+        against its own single-shot trial.
     """
     experiment = request.experiment()
     seeds = range(request.seed, request.seed + request.repeats)
@@ -81,7 +79,7 @@ def run_episodes(request: RunRequest) -> list[Result]:
             time.perf_counter() - began_s[0],
             time.process_time() - began_s[1],
         )
-        results = [
+        return [
             _finished(
                 # The grade is that of the calibrated start: a law may not hold for another one.
                 planned_result(request, experiment, seed=seed, jitter=start),
@@ -96,50 +94,12 @@ def run_episodes(request: RunRequest) -> list[Result]:
         ]
     finally:
         lockstep.worlds.close()
-    if request.uncertainty:
-        results = with_measured_uncertainty(request, results)
-    return with_scatter(request, results)
-
-
-def with_measured_uncertainty(
-    request: RunRequest, results: Sequence[Result]
-) -> list[Result]:
-    """Return results of a request scored with sensitivities that are measured for it.
-
-    The sensitivities of a calibrated experiment with the engine's default settings are stored in the user's data
-    folder, for later scores on the same engine.
-
-    Args:
-        request: The run.
-        results: Its results; those without a score stay as they are.
-    """
-    experiment = request.experiment()
-    band = request.band(experiment)
-    if band is None or not any(
-        result.outcome is Outcome.FINISHED for result in results
-    ):
-        return list(results)
-    from gauge_envs.runs.sensitivity import measure_sensitivities
-
-    measured = measure_sensitivities(request)
-    if (
-        not request.settings
-        and request.parameters == "calibrated"
-        and request.asset is None
-    ):
-        write_sensitivities(measured)
-    return [
-        rescored(one, experiment, band, request.backend, sensitivities=measured)
-        for one in results
-    ]
 
 
 def rescored(
     result: Result,
     experiment: Experiment,
     band: Band | None,
-    backend: str | None,
-    sensitivities: Sensitivities | None = None,
 ) -> Result:
     """Return a result with the score of its trajectory by this version of the package.
 
@@ -147,8 +107,6 @@ def rescored(
         result: A result; one without a finished trajectory stays as it is.
         experiment: Its experiment.
         band: Its reference; None without one.
-        backend: Engine whose stored sensitivities count; None for none.
-        sensitivities: Sensitivities in place of those.
     """
     if result.outcome is not Outcome.FINISHED or result.trajectory is None:
         return result
@@ -160,8 +118,6 @@ def rescored(
         values=values,
         markers_m=result.trajectory.markers_m(),
         wrenches=result.trajectory.recorded_wrenches(),
-        backend=backend,
-        sensitivities=sensitivities,
         is_checked=True,
     )
     return replace(result, score=score)

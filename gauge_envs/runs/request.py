@@ -20,8 +20,6 @@ class RunRequest(EnvArguments):
         seed: Seed of the first episode, 0 or more; each next repeat has one more.
         repeats: Number of episodes, 1 or more.
         jitter: Standard deviations of the start; None starts each episode as calibrated.
-        uncertainty: Measure by about 20 further runs what uncertain inputs can explain of the error of this very run.
-            By default stored sensitivities of the engine with its default settings say so.
 
     Example:
         >>> from gauge_envs.runs.episodes import run_episode
@@ -34,7 +32,6 @@ class RunRequest(EnvArguments):
     seed: int = 0
     repeats: int = 1
     jitter: Jitter | None = None
-    uncertainty: bool = False
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gauge_envs.evaluation.deformation import DeformationScore
-from gauge_envs.evaluation.scatter import Scatter
 from gauge_envs.evaluation.score import Score
 from gauge_envs.experiments.experiment import AssetKind, Experiment
 from gauge_envs.files import json_ready, versions
@@ -232,8 +231,6 @@ class Result:
     Attributes:
         id: Gymnasium id.
         outcome: How the episode ended.
-        scatter: Scatter of the repeats of its run beside that of real trials; None for fewer repeats than trials, and
-            where that is not published.
         backend: Name of the physics engine.
         parameters: Name of the parameter set, or the overrides.
         score: Distance to reality; a metric that does not apply is None.
@@ -274,7 +271,6 @@ class Result:
     task_sha256: str
     revision: int = 1
     deformation: DeformationScore | None = None
-    scatter: Scatter | None = None
     backend: str | None = None
     frames: int = 0
     diverged: bool = False

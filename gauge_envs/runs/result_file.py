@@ -118,7 +118,6 @@ def parse_result(text: bytes, name: str) -> Result:
         )
         content.setdefault("asset", {})
         content.setdefault("deformation", None)
-        content.setdefault("scatter", None)
         content.setdefault("cpu_s", None)
         content.setdefault("processor", "")
         missing = [key.name for key in fields(Result) if key.name not in content]

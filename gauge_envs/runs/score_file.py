@@ -71,7 +71,7 @@ def score_file(
         experiment,
         sampled_frames(experiment, trajectory.times_s, trajectory.values),
         band=band,
-        tolerance_mm=START_TOLERANCE_MM + _scatter_mm(origin),
+        tolerance_mm=START_TOLERANCE_MM + _jitter_mm(origin),
     )
     if fault is None and trajectory.markers_m is not None:
         fault = marker_mistake(experiment, trajectory.markers_m)
@@ -84,7 +84,6 @@ def score_file(
         times_s=trajectory.times_s,
         values=trajectory.values,
         markers_m=trajectory.markers_m,
-        backend=origin.backend,
         is_checked=True,
     )
     result = Result(
@@ -132,16 +131,16 @@ def _with_its_trial(
     shots = shots_of(experiment)
     if shots is None:
         return experiment
-    stated = origin.scatter.get("trial")
+    stated = origin.jitter.get("trial")
     trials = shots.trials() if stated is None else (stated,)
     found = [with_trial(experiment, trial) for trial in trials]
     return min(found, key=lambda one: length_of(start_values(one) - start))
 
 
-def _scatter_mm(origin: StatedOrigin) -> float:
-    """Return how far the stated scatter of a start may move a point [mm]."""
-    position_m = origin.scatter.get("position_m", 0.0)
-    angle_rad = origin.scatter.get("angle_rad", 0.0)
+def _jitter_mm(origin: StatedOrigin) -> float:
+    """Return how far the stated jitter of a start may move a point [mm]."""
+    position_m = origin.jitter.get("position_m", 0.0)
+    angle_rad = origin.jitter.get("angle_rad", 0.0)
     return MOST_SIGMAS * 1e3 * (position_m + LEVER_M * angle_rad)
 
 

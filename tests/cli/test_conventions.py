@@ -18,7 +18,7 @@ from gauge_envs.cli.arguments import (
     parsed_use,
     split_values,
 )
-from gauge_envs.cli.spelling import RENAMED, longest
+from gauge_envs.cli.values import longest
 from gauge_envs.errors import ParameterError, UnknownNameError
 from gauge_envs.references.user_data import DataSource
 from gauge_envs.registry import command_lines, instruments_by
@@ -103,7 +103,7 @@ def test_a_help_shows_no_type_of_python_and_no_default_in_two_brackets(gauge, na
 
 
 def test_one_word_is_one_thing():
-    """An option has the same name, unit and kind in every command that has it, and no command has an old one."""
+    """An option has the same name, unit and kind in every command that has it."""
     kinds = {}
     for _, one in ALL:
         shown = {"FILE": "PATH", "DIR": "PATH"}.get(str(one.metavar), one.metavar)
@@ -116,10 +116,6 @@ def test_one_word_is_one_thing():
         and len(found) > 1
     }
     assert differing == {}
-    assert {f"--{old.replace('_', '-')}" for old in RENAMED} & set(kinds) <= {
-        "--friction",
-        "--only",
-    }
 
 
 def value_for(one):

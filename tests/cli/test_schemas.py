@@ -33,7 +33,6 @@ HERE = {
 
 ELSEWHERE = {
     "compare": "tools/compare/test_comparison.py",
-    "diagnose": "tools/diagnose/test_error_budget.py",
     "sweep": "tools/sweep/test_cli_sweep.py",
     "recipe": "tools/recipes/test_recipe_requests.py",
     "backend versions": "tools/versions/test_versions.py",
@@ -191,7 +190,7 @@ def test_json_takes_every_number():
 
 def test_the_command_prints_the_schema(gauge):
     listed = gauge("list", "schemas", "list", "--json").stdout
-    assert json.loads(listed) == {"name": "list", "version": 3}
+    assert json.loads(listed) == {"name": "list", "version": 4}
     shown = json.loads(gauge("show", "backend check", "--schema").stdout)
     assert shown == output_schema("backend check")
     assert shown["$id"] == "urn:gauge-envs:backend-check:2"

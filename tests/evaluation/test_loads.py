@@ -10,7 +10,7 @@ from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.envs.episode import Episode
 from gauge_envs.evaluation.reference import reference_band, reference_loads
 from gauge_envs.evaluation.score import Score, score_trajectory
-from gauge_envs.evaluation.verification import COVERAGE_FACTOR, LEAST_POWER
+from gauge_envs.evaluation.verification import COVERAGE_FACTOR, LEAST_FROZEN
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.scene import Cloth
@@ -99,8 +99,8 @@ def test_a_soft_and_light_bar_fails_both_loads_that_the_right_one_meets(name, pu
     )
     scene = load_experiment(name).scene
     wrong = in_u(score(name, lighter(changed(scene, young_modulus_pa=0.8))))
-    assert wrong[pull] > LEAST_POWER
-    assert wrong["weight in the grips"] > LEAST_POWER
+    assert wrong[pull] > LEAST_FROZEN
+    assert wrong["weight in the grips"] > LEAST_FROZEN
 
 
 def test_a_stiff_sheet_of_a_wrong_density_fails_both_numbers_of_flinging():
@@ -108,13 +108,13 @@ def test_a_stiff_sheet_of_a_wrong_density_fails_both_numbers_of_flinging():
     name, settings = "TextileFlinging-satin", {"cell_m": 0.04}
     right = score(name, settings=settings)
     assert in_u(right).keys() == {"positions of 63 markers", "force of the rod"}
-    assert all(distance < LEAST_POWER for distance in in_u(right).values())
-    assert right.verification.power > LEAST_POWER
+    assert all(distance < LEAST_FROZEN for distance in in_u(right).values())
+    assert right.verification.frozen > LEAST_FROZEN * right.verification.uncertainty
     scene = load_experiment(name).scene
     stiff = changed(scene, bend_stiffness_n_m_per_rad=1e4)
     wrong = score(name, lighter(stiff), settings)
-    assert wrong.verification.scaled > LEAST_POWER
-    assert in_u(wrong)["force of the rod"] > LEAST_POWER
+    assert wrong.verification.scaled > LEAST_FROZEN
+    assert in_u(wrong)["force of the rod"] > LEAST_FROZEN
 
 
 def test_a_score_of_an_earlier_version_has_no_loads_and_is_read():

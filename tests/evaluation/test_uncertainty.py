@@ -1,9 +1,8 @@
-"""Intervals, percentiles, implied parameters and sensitivities of scores, on the bundled real trials."""
+"""Intervals, percentiles and implied parameters of scores, on the bundled real trials."""
 
 from __future__ import annotations
 
 import math
-import pickle
 from dataclasses import replace
 from functools import partial
 
@@ -16,7 +15,6 @@ from scipy.stats import binomtest, chi2, sem, t as student
 
 from gauge_envs import load_experiment, reference_band
 from gauge_envs.backends.registry import backend_for
-from gauge_envs.errors import ReferenceFileError
 from gauge_envs.evaluation.dependence import (
     GROUP_SHARE,
     LAG_MARGIN,
@@ -34,12 +32,8 @@ from gauge_envs.evaluation.error_sources import DRAW_COUNT
 from gauge_envs.evaluation.uncertainty import BELOW_NOISE, band_errors
 from gauge_envs.references.bands import bundled_band
 from gauge_envs.references.published import published_baselines
-from gauge_envs.references.sensitivities import input_uncertainties, load_sensitivities
 from gauge_envs.runs.episodes import run_episode, run_episodes
 from gauge_envs.runs.request import RunRequest
-from gauge_envs.runs.result_file import write_result
-from gauge_envs.runs.score_file import score_file
-from gauge_envs.runs.sensitivity import measure_sensitivities
 from gauge_envs.scene.jitter import Jitter
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 
@@ -114,56 +108,6 @@ def _shifted_rmse(times_s, values, mean, shift_s):
         [np.interp(queries_s[usable], times_s, column) for column in values.T]
     )
     return float(np.sqrt(np.square(moved - mean[usable]).sum(axis=1).mean()))
-
-
-# --- what inputs explain ---------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("name", "constant"),
-    [
-        (SLIDES[0], "cube.friction"),
-        (SLIDES[1], "cube.friction"),
-        (BALL, "ball.restitution"),
-    ],
-)
-def test_what_a_constant_explains_is_what_a_run_with_the_other_value_leaves(
-    scores, name, constant
-):
-    first = scores[name].explained[0]
-    assert first.name.startswith(constant.partition(".")[2])
-    published = getattr(
-        load_experiment(name).scene.contacts[0], constant.partition(".")[2]
-    )
-    moved = run_episode(
-        RunRequest(name, parameters={constant: published + first.change * first.std})
-    ).score
-    assert moved.rmse_aligned == pytest.approx(first.left, rel=0.03)
-    assert first.left < 0.3 * scores[name].rmse_aligned
-
-
-def test_nothing_explains_an_error_of_the_engine(scores, tmp_path):
-    """A table of another engine, of other settings or of other constants says nothing."""
-    assert scores[BALL].explained
-    assert (
-        run_episode(RunRequest(BALL, settings={"timestep_s": 1 / 3600})).score.explained
-        is None
-    )
-    # Also not where the result is scored again from its file.
-    write_result(
-        run_episode(RunRequest(BALL, settings={"timestep_s": 1 / 3600})),
-        tmp_path / "ball.json",
-    )
-    assert score_file(tmp_path / "ball.json")[0].score.explained is None
-    write_result(run_episode(RunRequest(BALL)), tmp_path / "default.json")
-    assert (
-        score_file(tmp_path / "default.json")[0].score.explained
-        == scores[BALL].explained
-    )
-    effective = run_episode(RunRequest(BALL, parameters="effective")).score.explained
-    assert not any(one.kind == "constant" for one in effective)
-    law = run_episode(RunRequest("SlopeSlider-1-plastic")).score
-    assert {one.kind for one in law.explained} <= {"discretization"}
 
 
 @pytest.mark.parametrize(
@@ -262,152 +206,6 @@ def test_a_pendulum_implies_its_period():
     assert (period.real, period.real_scatter) == (1.14, 0.066)
 
 
-def test_a_budget_is_whole_and_names_its_sources(scores):
-    for score in scores.values():
-        assert sum(entry.share for entry in score.validation.budget) == pytest.approx(
-            1.0, abs=1e-4
-        )
-        assert all(
-            entry.source and entry.evaluation in "AB"
-            for entry in score.validation.budget
-        )
-        kinds = {entry.kind for entry in score.validation.budget}
-        assert kinds >= {"sampling", "release", "baseline"} and not kinds & {
-            "constant",
-            "start",
-            "tilt",
-        }
-        assert score.sensitivities.startswith("mujoco")
-
-
-# --- sensitivities ---------------------------------------------------------------------------------------------------
-
-
-def test_measured_sensitivities_of_a_slide_are_those_of_the_closed_form():
-    table = load_sensitivities(SLIDES[0], "mujoco")
-    band = bundled_band(SLIDES[0])
-    times_s = np.arange(len(band.mean)) / 30.0
-    changes = {one.name: band.project(one.change)[:, 0] for one in table.inputs}
-    std = input_uncertainties().friction.std(0.273673, "wood")
-    friction = -500.0 * GRAVITY * math.cos(SLOPE) * std * times_s**2
-    tilt = (
-        500.0
-        * GRAVITY
-        * (math.cos(SLOPE) + 0.273673 * math.sin(SLOPE))
-        * math.radians(0.3)
-        * times_s**2
-    )
-    np.testing.assert_allclose(
-        changes["friction cube/board, cube/ground"], friction, atol=0.1
-    )
-    np.testing.assert_allclose(changes["tilt about y"], tilt, atol=0.05)
-    assert np.abs(changes["start of cube along its x axis"][:-1] - 1.0).max() < 0.025
-
-
-@pytest.mark.parametrize("name", [SLIDES[1], BALL])
-def test_stored_sensitivities_are_those_that_are_measured(name):
-    stored, measured = (
-        load_sensitivities(name, "mujoco"),
-        measure_sensitivities(RunRequest(name)),
-    )
-    assert [one.name for one in stored.inputs] == [one.name for one in measured.inputs]
-    for one, other in zip(stored.inputs, measured.inputs, strict=True):
-        np.testing.assert_allclose(
-            one.change,
-            other.change,
-            rtol=1e-3,
-            atol=1e-3 * np.abs(one.change).max() + 1e-9,
-        )
-
-
-def test_a_dry_joint_moves_the_swing_by_what_its_integration_says():
-    experiment, table = (
-        load_experiment("JointPendulum-dry"),
-        measure_sensitivities(RunRequest("JointPendulum-dry")),
-    )
-    (entry,) = [one for one in table.inputs if one.name == "pendulum.dry_friction_n_m"]
-    body, (joint,) = experiment.scene.body("pendulum"), experiment.scene.joints
-    arm = np.subtract(body.pose.position_m, joint.anchor_m)
-    length_m, dry = float(np.linalg.norm(arm)), joint.dynamics.dry_friction_n_m
-    weight = body.mass_kg * GRAVITY * length_m
-    rate = np.sqrt(weight / (body.mass_kg * length_m**2 + body.inertia_kg_m2))
-    start_rad, start_rate = (
-        np.arctan2(arm[0], -arm[2]),
-        -body.angular_velocity_rad_per_s[1],
-    )
-    times_s = np.arange(experiment.frame_count) / 30.0
-
-    def swing(dry_n_m):
-        """Steps of 0.1 ms, in which dry friction slows the swing down and never turns it round."""
-        angle, speed = start_rad, start_rate
-        slower = dry_n_m / weight * rate**2 * 1e-4
-        angles = []
-        for _ in range(round(1e4 * times_s[-1]) + 1):
-            angles.append(angle)
-            speed -= rate**2 * angle * 1e-4
-            speed = np.sign(speed) * max(abs(speed) - slower, 0.0)
-            angle += speed * 1e-4
-        places = np.rint(1e4 * times_s).astype(int)
-        return 1e3 * np.sin(np.array(angles)[places]) * length_m
-
-    expected_mm = swing(dry + entry.std) - swing(dry)
-    assert entry.std == pytest.approx(0.041 * dry)
-    assert (
-        np.abs(entry.change[:, 0] - expected_mm).max()
-        < 0.05 * np.abs(expected_mm).max()
-    )
-    # A cycle later the amplitude has lost 4 dry / (m g l) more.
-    loss_mm = 1e3 * length_m * 4.0 * entry.std / weight
-    assert np.abs(expected_mm[times_s < 2.0]).max() == pytest.approx(
-        2.0 * rate / (2.0 * np.pi) * loss_mm, rel=0.2
-    )
-
-
-def test_another_engine_takes_the_sensitivities_of_mujoco_and_says_so(
-    tmp_path, monkeypatch
-):
-    monkeypatch.setenv("GAUGE_DATA_DIR", str(tmp_path))
-    assert load_sensitivities(SLIDES[0], "unheard-of").backend == "mujoco"
-    assert load_sensitivities(SLIDES[0], "../mujoco").backend == "mujoco"
-    assert load_sensitivities("WallBreaking-wood", "mujoco") is None
-
-
-def test_measured_uncertainty_is_kept_for_later_scores(tmp_path, monkeypatch):
-    monkeypatch.setenv("GAUGE_DATA_DIR", str(tmp_path))
-    measured = run_episode(RunRequest(SLIDES[0], uncertainty=True)).score
-    assert (tmp_path / "sensitivities" / "mujoco" / f"{SLIDES[0]}.json").is_file()
-    stored = run_episode(RunRequest(SLIDES[0])).score
-    np.testing.assert_allclose(
-        measured.validation.rmse_normalized_95,
-        stored.validation.rmse_normalized_95,
-        atol=1e-3,
-    )
-    finer = run_episode(
-        RunRequest(SLIDES[0], uncertainty=True, settings={"timestep_s": 1 / 360})
-    ).score
-    assert "timestep_s=0.002778" in finer.sensitivities
-    steps = [
-        next(
-            one
-            for one in measure_sensitivities(
-                RunRequest(SLIDES[0], settings=settings)
-            ).inputs
-            if one.name == "time step"
-        )
-        for settings in ({}, {"timestep_s": 1 / 360})
-    ]
-    assert np.abs(steps[1].change).max() > 2.0 * np.abs(steps[0].change).max()
-
-
-def test_a_damaged_table_of_sensitivities_is_named(tmp_path, monkeypatch):
-    monkeypatch.setenv("GAUGE_DATA_DIR", str(tmp_path))
-    file = tmp_path / "sensitivities" / "mujoco" / f"{SLIDES[0]}.json"
-    file.parent.mkdir(parents=True)
-    file.write_text('{"variant": 3}')
-    with pytest.raises(ReferenceFileError, match=r"SlopeSlider-2-wood\.json"):
-        load_sensitivities(SLIDES[0], "mujoco")
-
-
 # --- errors of a band ------------------------------------------------------------------------------------------------
 
 
@@ -489,7 +287,7 @@ def test_few_alike_trials_count_as_scattered_in_their_number_of_directions(
     residuals = np.eye(count, errors.known.size) - 1.0 / count
     residuals[:, count:] = 0.0
     errors = without_sources(errors, trial_count=count).with_source(
-        "trials", "sampling", "A", "a test", residuals, np.zeros((DRAW_COUNT, count))
+        "sampling", residuals, np.zeros((DRAW_COUNT, count))
     )
     steps = np.linspace(-1.0, 1.0, count)
     distances = 3.0 * (1.0 + scatter * steps / steps.std(ddof=1))
@@ -520,10 +318,7 @@ def test_an_interval_along_one_error_follows_from_its_draws(size, over_baseline)
     errors = without_sources(
         errors, baseline=logarithm, baseline_bias=1.1, trial_count=0
     ).with_source(
-        "a direction",
         "start",
-        "B",
-        "a test",
         scatter * errors.flat(direction)[None],
         drawn[:, None],
     )
@@ -748,13 +543,6 @@ def test_an_episode_runs_on_after_its_last_frame_for_the_alignment_alone():
     )
     assert env.render().shape == (48, 64, 3)
     assert info["score"] == inner.score()
-
-
-def test_a_copy_of_an_ended_episode_scores_the_same():
-    env = gymnasium.make(f"GAUGE/{SLIDES[1]}")
-    score = run_to_end(env)[1]["score"]
-    assert pickle.loads(pickle.dumps(env.unwrapped)).score() == score
-    assert run_to_end(env)[1]["score"] == score
 
 
 def test_worlds_of_a_vector_environment_score_as_one_alone():

@@ -11,7 +11,7 @@ from scipy.special import erf
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.evaluation.score import VERIFICATION, Score, Validation
 from gauge_envs.evaluation.verification import (
-    LEAST_POWER,
+    LEAST_FROZEN,
     Verification,
     compared_points,
     inverted_interval,
@@ -95,7 +95,7 @@ def test_a_frozen_scene_has_the_distance_that_is_stated_and_differs() -> None:
 def test_a_reference_that_nothing_differs_from_tells_nothing() -> None:
     band = solution(np.full((FRAMES, 3), 50.0))
     found = verified(band, np.array(band.mean))
-    assert found.power is not None and found.power < LEAST_POWER
+    assert found.frozen < LEAST_FROZEN * found.uncertainty
     assert found.verdict.startswith("tells nothing")
 
 
@@ -282,7 +282,7 @@ def references() -> list[tuple[str, Band]]:
 
 
 def test_every_solved_reference_tells_a_scene_in_which_nothing_moves() -> None:
-    powers = {}
+    frozen_in_u = {}
     for name, band in references():
         compared = verification_band(band)
         assert compared is not None
@@ -292,7 +292,7 @@ def test_every_solved_reference_tells_a_scene_in_which_nothing_moves() -> None:
         )
         found = verify(band, frames=motion, markers_m=markers)
         assert found is not None
-        if found.power is not None:
-            powers[name] = found.power
-    weak = {name: power for name, power in powers.items() if power < LEAST_POWER}
-    assert len(powers) > 30 and not weak
+        if found.uncertainty is not None:
+            frozen_in_u[name] = found.frozen / found.uncertainty
+    weak = {name for name, size in frozen_in_u.items() if size < LEAST_FROZEN}
+    assert len(frozen_in_u) > 30 and not weak

@@ -1,7 +1,6 @@
 """The rigid experiments: masses fit the shapes, bodies touch without overlap, motions are the stated ones."""
 
 import itertools
-import math
 import tomllib
 from functools import cache
 
@@ -14,7 +13,6 @@ from scipy.spatial import ConvexHull
 from gauge_envs import load_experiment
 from gauge_envs.experiments.task_files import task_spec
 from gauge_envs.experiments.task_format import ContactSpec
-from gauge_envs.experiments.uncertain import uncertain_parameters
 from gauge_envs.experiments.variants import variants
 from gauge_envs.files import data_folder
 from gauge_envs.scene import (
@@ -329,27 +327,6 @@ def test_wall_is_hit_by_the_swinging_ball():
     assert reach == pytest.approx(0.022, abs=5e-4)
     hit = bricks[np.abs(bricks[:, 2] - height) < 0.0075][:, 2]
     assert np.unique(hit).tolist() == [0.10928]
-
-
-@pytest.mark.parametrize(
-    ("mass_kg", "is_published"),
-    [(0.1, True), (0.0003, True), (0.10004, False), (1e-5, False)],
-)
-def test_a_mass_off_the_published_step_has_no_uncertainty(mass_kg, is_published):
-    """Of a number that is rounded to 0.1 g, the standard uncertainty is the step over the root of 12."""
-    found = {
-        one.name: one
-        for one in uncertain_parameters(
-            load_experiment("SlopeSlider-2-wood", parameters={"cube.mass_kg": mass_kg})
-        )
-    }
-    assert ("cube.mass_kg" in found) == is_published
-    if is_published:
-        mass = found["cube.mass_kg"]
-        assert (mass.value, mass.std) == (
-            mass_kg,
-            pytest.approx(1e-4 / math.sqrt(12.0)),
-        )
 
 
 @pytest.mark.parametrize(

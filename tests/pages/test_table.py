@@ -12,7 +12,6 @@ import pytest
 from hypothesis import example, given, settings, strategies as st
 from rich.console import Console
 
-from gauge_envs.evaluation.explained import Explained
 from gauge_envs.evaluation.score import Score, Validation
 from gauge_envs.evaluation.verification import Verification
 from gauge_envs.pages.document import Terminal, as_markdown, as_rows
@@ -308,23 +307,6 @@ def test_results_are_told_in_the_approved_words(approved):
         validation=Validation(
             percentile=40.0, percentile_95=(12.0, 71.5), trial_count=20
         ),
-        explained=tuple(
-            Explained(
-                name=name,
-                kind="constant",
-                std=std,
-                unit=unit,
-                source="a test",
-                change=1.0,
-                left=left,
-            )
-            for name, unit, std, left in (
-                ("friction", "1", 0.0123, 1.1),
-                ("tilt", "deg", 0.3, 1.9),
-                ("start", "mm", 0.5, 2.25),
-                ("mass", "kg", 0.1, 2.4),
-            )
-        ),
     )
     law = replace(trials, grade="law", validation=None, verification=solved)
     far = Validation(percentile=100.0, trial_count=20)
@@ -343,7 +325,7 @@ def test_results_are_told_in_the_approved_words(approved):
         *reality_lines("changed", law, is_another_scene=True),
         *reality_lines("markers", replace(law, verification=None)),
         *reality_lines("trials", trials),
-        *reality_lines("far", replace(trials, validation=far, explained=None)),
+        *reality_lines("far", replace(trials, validation=far)),
         *reality_lines("near", replace(trials, validation=near)),
         *reality_lines("no primary", replace(trials, primary=None)),
         *(

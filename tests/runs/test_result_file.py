@@ -84,10 +84,20 @@ def test_one_damaged_file_is_skipped(key, value, reason, content, gauge, tmp_pat
     with pytest.raises(ResultFileError, match="not a result file") as caught:
         load_result(tmp_path / "a.json")
     assert reason in str(caught.value)
-    for command in ("compare", "diagnose"):
-        result = gauge(command, tmp_path)
-        assert result.exit_code == 1
-        assert "skipped:" in result.stderr and "SlopeSlider" in result.stdout
+    result = gauge("compare", tmp_path)
+    assert result.exit_code == 1
+    assert "skipped:" in result.stderr and "SlopeSlider" in result.stdout
+
+
+def test_keys_of_release_0_3_that_are_gone_are_ignored(content, tmp_path):
+    old = copy.deepcopy(content)
+    old["scatter"] = {"unit": "mm", "run_count": 40, "spreads": [], "verdict": "none"}
+    old["score"]["explained"] = [{"name": "friction cube/board", "left": 0.5}]
+    old["score"]["sensitivities"] = "mujoco (mujoco 4.0.0)"
+    old["score"]["validation"]["budget"] = [{"name": "baseline", "share": 1.0}]
+    for name, written in (("old.json", old), ("new.json", content)):
+        (tmp_path / name).write_text(json.dumps(written))
+    assert load_result(tmp_path / "old.json") == load_result(tmp_path / "new.json")
 
 
 def test_a_loaded_result_of_a_single_trial_keeps_its_file_name(content, tmp_path):
@@ -104,7 +114,7 @@ def test_a_result_whose_scene_cannot_be_built_is_skipped(content, tmp_path):
         json.dumps(content | {"parameters": {"ghost.friction": 1.0}})
     )
     (tmp_path / "b.json").write_text(json.dumps(content))
-    for kind in ("experiments", "compare", "diagnose"):
+    for kind in ("experiments", "compare"):
         arguments = [
             "plot",
             str(tmp_path),
@@ -166,10 +176,9 @@ def test_markdown_gets_no_heading_picture_or_code(hostile, gauge):
     assert r"\`:smile:\`" in result.stdout
 
 
-@pytest.mark.parametrize("command", ["compare", "diagnose"])
-def test_a_terminal_gets_no_escapes_of_a_file(command, hostile):
+def test_a_terminal_gets_no_escapes_of_a_file(hostile):
     result = CliRunner(env={"COLUMNS": "400"}).invoke(
-        app, [command, str(hostile), "--format", "wide"]
+        app, ["compare", str(hostile), "--format", "wide"]
     )
     assert result.exit_code == 0
     assert (
@@ -193,7 +202,7 @@ def test_styles_of_a_terminal_stay(monkeypatch, capsys):
 
 
 def test_a_dollar_sign_starts_no_formula(hostile, gauge, tmp_path):
-    for kind in ("experiments", "compare", "diagnose"):
+    for kind in ("experiments", "compare"):
         result = gauge("plot", hostile, "--kind", kind, "--out", tmp_path / kind)
         assert result.exit_code == 0, result.exception
         assert list((tmp_path / kind).glob("*.png"))

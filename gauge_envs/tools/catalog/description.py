@@ -9,27 +9,24 @@ from fnmatch import fnmatchcase
 from typing import Any
 
 import numpy as np
-from pydantic import Field, PositiveFloat, PositiveInt
+from pydantic import Field
 
 from gauge_envs.envs.reward import is_reward_bounded, reward_text
 from gauge_envs.evaluation.deformation import deformation_reference, real_statistics
-from gauge_envs.evaluation.power import reference_power
 from gauge_envs.evaluation.reference import (
     grade_of,
     load_band,
     reference_band,
 )
-from gauge_envs.evaluation.scatter import scatter_text
 from gauge_envs.experiments.experiment import Experiment, TaskExperiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.task_format import Substituted
 from gauge_envs.files import data_folder, json_ready
-from gauge_envs.references.bands import Band
 from gauge_envs.references.convergence import convergence_rows
 from gauge_envs.references.imported import DriverRecord, load_imported
 from gauge_envs.references.models import unsolved_scenes
 from gauge_envs.references.published import law_for
-from gauge_envs.references.tables import FileModel, read_rows, read_toml
+from gauge_envs.references.tables import FileModel, read_toml
 from gauge_envs.references.user_data import DataSource, has_import
 from gauge_envs.scene import Deformable, Hinge, RigidBody
 from gauge_envs.scene.hinged import joint_fields
@@ -56,24 +53,6 @@ class _Limits(FileModel):
     limit: tuple[Limit, ...]
 
 
-class Cost(FileModel):
-    """Measured processor time of the episodes of a family on an engine, over the simulated time [s/s].
-
-    Attributes:
-        engine: Name of the engine.
-        family: Name of the family.
-        ids: Number of variants that were measured.
-        least: Smallest cost among them.
-        most: Largest cost among them.
-    """
-
-    engine: str
-    family: str
-    ids: PositiveInt
-    least: PositiveFloat
-    most: PositiveFloat
-
-
 def all_limits() -> tuple[Limit, ...]:
     """Return all known limits."""
     return read_toml(data_folder("scoring") / "limits.toml", _Limits).limit
@@ -86,13 +65,6 @@ def known_limits(variant: str) -> tuple[Limit, ...]:
         for one in all_limits()
         if any(fnmatchcase(variant, pattern) for pattern in one.variants)
     )
-
-
-def episode_costs(family: str) -> dict[str, Cost]:
-    """Return what episodes of a family cost, by engine; engines that were not measured are absent."""
-    file = data_folder("scoring") / "costs.csv"
-    rows = (row for _, row in read_rows(file, list(Cost.model_fields), Cost))
-    return {row.engine: row for row in rows if row.family == family}
 
 
 def description(experiment: Experiment) -> dict[str, Any]:
@@ -154,20 +126,11 @@ def description(experiment: Experiment) -> dict[str, Any]:
 
 
 def _engines(experiment: Experiment) -> list[dict[str, Any]]:
-    """Return what each engine says of an experiment, what an episode costs on it, and its convergence."""
-    costs, rows = {}, []
-    if isinstance(experiment, TaskExperiment) and experiment.asset is None:
-        costs = episode_costs(experiment.variant.family)
-    for row in engine_rows(experiment):
-        cost = None if row["missing"] else costs.get(row["engine"])
-        rows.append(
-            row
-            | {
-                "cpu_s_per_s": None if cost is None else [cost.least, cost.most],
-                "convergence": convergence_rows(row["engine"], experiment.name),
-            }
-        )
-    return rows
+    """Return what each engine says of an experiment, and its convergence."""
+    return [
+        row | {"convergence": convergence_rows(row["engine"], experiment.name)}
+        for row in engine_rows(experiment)
+    ]
 
 
 def _of_task(experiment: TaskExperiment) -> dict[str, Any]:
@@ -274,26 +237,10 @@ def _reference(experiment: Experiment) -> dict[str, Any]:
         if used is None and unsolved is not None
         else None,
         "reward": reward_text(used, is_bounded=is_reward_bounded(experiment)),
-        "power": _power(experiment, used),
-        "scatter": scatter_text(experiment),
         "deformation": [
             dataclasses.asdict(one)
             for one in (real_statistics(deformation) if deformation else ())
         ],
-    }
-
-
-def _power(experiment: Experiment, used: Band | None) -> dict[str, Any] | None:
-    """Return what the reference tells, with the distances in units of what it leaves open."""
-    found = reference_power(experiment, used)
-    if found is None:
-        return None
-    return {
-        "unit": found.unit,
-        "scale": found.scale,
-        "scale_text": found.scale_text,
-        "told": dict(found.told),
-        "not_told": found.not_told,
     }
 
 

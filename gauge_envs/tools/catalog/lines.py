@@ -21,7 +21,6 @@ class ExperimentFacts(TypedDict):
         observable: What g(t) is.
         frames: Number of frames of 1/30 s.
         grade: What the reference is; see docs/scores.md.
-        tells: Changes of the scene that the reference tells.
     """
 
     id: str
@@ -30,7 +29,6 @@ class ExperimentFacts(TypedDict):
     observable: str
     frames: int
     grade: BandGrade
-    tells: Sequence[str]
 
 
 class ListLine(ExperimentFacts):
@@ -140,24 +138,6 @@ class SpaceEntry(TypedDict):
     meaning: str
 
 
-class PowerFacts(TypedDict):
-    """Which changes of the scene the reference tells.
-
-    Attributes:
-        unit: Unit of `scale`.
-        scale: What the reference leaves open.
-        scale_text: What `scale` is.
-        told: Distance of each change that it tells, over `scale`.
-        not_told: Changes that it does not tell.
-    """
-
-    unit: str
-    scale: float
-    scale_text: str
-    told: Mapping[str, float]
-    not_told: Sequence[str]
-
-
 class ReferenceFacts(TypedDict):
     """What an experiment is or could be scored against.
 
@@ -176,8 +156,6 @@ class ReferenceFacts(TypedDict):
         withheld: Why the band is not scored on by default.
         unsolved: Why the scene has no solution.
         reward: The reward of a step.
-        power: Which changes of the scene the reference tells.
-        scatter: Scatter of starts that real trials have.
         deformation: Real statistics of deformation, with which every run is compared beside its score.
     """
 
@@ -195,8 +173,6 @@ class ReferenceFacts(TypedDict):
     withheld: str | None
     unsolved: UnsolvedScene | None
     reward: str
-    power: PowerFacts | None
-    scatter: str
     deformation: Sequence[RealStatistic]
 
 
@@ -209,7 +185,6 @@ class EngineFacts(TypedDict):
         fault: Why it does not run here.
         preset: Default preset of the scene.
         timestep_s: Default time step [s].
-        cpu_s_per_s: Least and most processor time over simulated time of the family's ids [s/s]; null if unmeasured.
         convergence: What other settings change, by setting.
     """
 
@@ -218,7 +193,6 @@ class EngineFacts(TypedDict):
     fault: str | None
     preset: str | None
     timestep_s: float | None
-    cpu_s_per_s: Sequence[float] | None
     convergence: Mapping[str, Convergence]
 
 

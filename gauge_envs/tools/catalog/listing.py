@@ -7,8 +7,7 @@ from gauge_envs.backends import backend, backend_names, is_bundled, support_of
 from gauge_envs.backends.base import with_declared
 from gauge_envs.backends.registry import uninstalled_backend
 from gauge_envs.errors import GaugeError, MissingExtraError
-from gauge_envs.evaluation.power import reference_power
-from gauge_envs.evaluation.reference import grade_of, reference_band
+from gauge_envs.evaluation.reference import grade_of
 from gauge_envs.experiments.experiment import Experiment, TaskExperiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import Variant
@@ -45,7 +44,6 @@ def list_rows(
 
 def facts_of(experiment: TaskExperiment) -> dict[str, Any]:
     """Return what a row says of an experiment in any installation."""
-    power = reference_power(experiment, reference_band(experiment))
     return {
         "id": experiment.variant.id,
         "family": experiment.variant.family,
@@ -53,7 +51,6 @@ def facts_of(experiment: TaskExperiment) -> dict[str, Any]:
         "observable": experiment.score.observable.value,
         "frames": experiment.frame_count,
         "grade": grade_of(experiment).value,
-        "tells": [] if power is None else list(power.told),
     }
 
 

@@ -76,7 +76,6 @@ def list_table(rows: Sequence[Mapping[str, Any]]) -> Table:
             Column("observable", "observable", wide_only=True),
             Column("frames", "frames", is_number=True, wide_only=True),
             Column("grade", "grade"),
-            Column("tells", "tells", ", ".join, wide_only=True),
             Column(
                 "imported",
                 "imported trials",

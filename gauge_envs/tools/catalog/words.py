@@ -1,7 +1,6 @@
 """Experiments in words: the list, and each in full."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from functools import partial
 from typing import Any
 
 from gauge_envs.envs.arguments import EnvArguments
@@ -15,11 +14,9 @@ from gauge_envs.pages.text import (
     NORMALIZED_NOTE,
     pairs_text,
     plus_minus_text,
-    quantity_text,
     score_text,
     shortened,
     vector_text,
-    with_unit,
 )
 from gauge_envs.references.bands import SigmaSource
 from gauge_envs.references.grades import BandGrade
@@ -37,7 +34,6 @@ SHORT_NOTE = "Engines: score over that of real trials, as published (GAUGE, Tabl
 OTHER_QUESTION = (
     "Published, over real trials (GAUGE, Table 5): another question than grade {grade}"
 )
-COST_NOTE = "s/s: processor time over simulated time, least and most of the family's ids (studies/cost)."
 
 
 def experiment_document(values: Mapping[str, Any], *, detailed: bool) -> Document:
@@ -96,11 +92,8 @@ def _facts(values: Mapping[str, Any]) -> dict[str, str]:
         "g(t)": f"{observable['kind']} [{observable['unit']}]: {shortened(observable['coordinates'])}",
         "grade": grade_text(reference),
         "reference": reference["source"] or reference["law"] or "none",
-        **_power_facts(reference["power"]),
         "reward": reference["reward"],
     }
-    if reference["scatter"] != "-":
-        facts["scatter"] = reference["scatter"]
     if reference["deformation"]:
         facts["real"] = deformation_text(reference["deformation"])
     if asset is not None:
@@ -120,32 +113,6 @@ def _published(values: Mapping[str, Any]) -> Part:
     else:
         title, note = "Published", SHORT_NOTE
     return published_table(values["baselines"], title=title, note=note)
-
-
-def _power_facts(power: Mapping[str, Any] | None) -> dict[str, str]:
-    """Return which changes of the scene the reference tells, and which it does not."""
-    if power is None:
-        return {}
-    sizes = [f"{name} {size:.0f}" for name, size in power["told"].items()]
-    scale = with_unit(f"{power['scale']:.2g}", power["unit"])
-    facts = {
-        "tells": f"{', '.join(sizes) or 'nothing'} (over {scale}, {power['scale_text']})"
-    }
-    if power["not_told"]:
-        facts["tells not"] = _joined_changes(power["not_told"])
-    return facts
-
-
-def _joined_changes(names: Sequence[str]) -> str:
-    """Return names of changes, with `friction off or x 0.8` in place of two that follow each other."""
-    texts: list[str] = []
-    for name in names:
-        quantity, factor, value = name.partition(" x ")
-        if factor and texts and texts[-1] == f"{quantity} off":
-            texts[-1] += f" or x {value}"
-        else:
-            texts.append(name)
-    return ", ".join(texts)
 
 
 def deformation_text(statistics: Sequence[Mapping[str, Any]]) -> str:
@@ -220,12 +187,6 @@ def step_text(step_s: float) -> str:
     )
 
 
-def span_text(span: Sequence[float]) -> str:
-    """Return the least and the most of some numbers to two digits, once if both are the same."""
-    smallest, largest = (quantity_text(float(f"{value:.2g}")) for value in span)
-    return smallest if smallest == largest else f"{smallest} to {largest}"
-
-
 def reasons_text(missing: Sequence[str]) -> str:
     """Return why an engine declines a scene: the first reason, and the number of the others; empty without any."""
     return (
@@ -251,22 +212,12 @@ def _engines(values: Mapping[str, Any]) -> Iterator[Part]:
             ),
             Column("preset", "preset"),
             Column("timestep_s", "step [s]", step_text, is_number=True),
-            Column("cpu_s_per_s", "CPU s/s", span_text, is_number=True),
-            Column(
-                "",
-                "s/episode",
-                partial(_episode_cost, duration_s=values["duration_s"]),
-                is_number=True,
-            ),
             Column(
                 "", "works here", lambda row: "yes" if row["fault"] is None else "no"
             ),
         ),
         rows=running,
-        notes=(
-            *([COST_NOTE] if any(row["cpu_s_per_s"] for row in running) else []),
-            *(row["fault"] for row in running if row["fault"] is not None),
-        ),
+        notes=tuple(row["fault"] for row in running if row["fault"] is not None),
     )
     yield Facts(
         {
@@ -275,11 +226,6 @@ def _engines(values: Mapping[str, Any]) -> Iterator[Part]:
             if row["missing"]
         }
     )
-
-
-def _episode_cost(row: Mapping[str, Any], *, duration_s: float) -> str:
-    cost = row["cpu_s_per_s"]
-    return "-" if cost is None else span_text([value * duration_s for value in cost])
 
 
 def convergence_facts(values: Mapping[str, Any]) -> dict[str, str]:

@@ -1,4 +1,4 @@
-"""Engines, parameters and settings side by side: scores, ranks and pairs within each grade of reference."""
+"""Engines, parameters and settings side by side: scores and ranks within each grade of reference."""
 
 from typing import TYPE_CHECKING
 
@@ -11,22 +11,16 @@ if TYPE_CHECKING:
         ExperimentComparison as ExperimentComparison,
         compare as compare,
     )
-    from gauge_envs.tools.compare.cost_tables import cost_text as cost_text
     from gauge_envs.tools.compare.grades import (
-        DIFFERENT as DIFFERENT,
         PUBLISHED as PUBLISHED,
         GradeComparison as GradeComparison,
         GradeScore as GradeScore,
-        PairComparison as PairComparison,
     )
     from gauge_envs.tools.compare.lines import CompareLine as CompareLine
     from gauge_envs.tools.compare.rank_tables import (
-        PAIRED_NOTES as PAIRED_NOTES,
         deciding_text as deciding_text,
         grades_of as grades_of,
         mean_rank_text as mean_rank_text,
-        p_text as p_text,
-        verdict_text as verdict_text,
     )
     from gauge_envs.tools.compare.words import (
         comparison_document as comparison_document,

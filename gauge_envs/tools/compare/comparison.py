@@ -1,4 +1,4 @@
-"""Results of any configurations side by side: their scores, costs and distances, and what the data say of them."""
+"""Results of any configurations side by side: their scores, ranks and distances."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -9,7 +9,6 @@ import numpy as np
 
 from gauge_envs.errors import GaugeError
 from gauge_envs.evaluation.reference import reference_band
-from gauge_envs.evaluation.scatter import Scatter
 from gauge_envs.experiments.task_files import task_sha256
 from gauge_envs.experiments.variants import find_variant, variants
 from gauge_envs.pages.results import (
@@ -38,7 +37,6 @@ from gauge_envs.tools.compare.draws import (
 from gauge_envs.tools.compare.grades import (
     GradeComparison,
     GradedExperiment,
-    PairComparison,
     compare_grade,
     grade_name,
 )
@@ -65,12 +63,6 @@ class Cell:
     def ran(self) -> bool:
         """Whether any repeat ran, also if it diverged."""
         return any(result.error is None for result in self.results)
-
-    @property
-    def scatter(self) -> Scatter | None:
-        """Scatter of the repeats beside that of real trials; None without, and for repeats of several runs."""
-        found = {result.scatter for result in self.results}
-        return found.pop() if len(found) == 1 else None
 
     def values(self, metric: str, *, normalized: bool) -> list[float | None]:
         """Return the metric of each repeat, None for a repeat without it."""
@@ -110,19 +102,6 @@ class Cell:
         known = [score_percentile(result.score, metric) for result in self.results]
         spread = ScoreSpread.of([value for value in known if value is not None])
         return None if spread is None else spread.mean
-
-    @property
-    def wall_s_per_sim_s(self) -> float | None:
-        """Wall seconds per simulated second; None if no repeat has a wall time."""
-        return _cost([self])
-
-
-def _cost(cells: Iterable[Cell]) -> float | None:
-    """Return the wall seconds per simulated second of all repeats with a known wall time."""
-    results = [result for cell in cells for result in cell.results]
-    wall_s = sum(result.wall_s for result in results if result.wall_s is not None)
-    sim_s = sum(result.sim_s for result in results if result.wall_s is not None)
-    return wall_s / sim_s if sim_s > 0.0 and wall_s > 0.0 else None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -215,13 +194,6 @@ class ExperimentComparison:
 
     def graded(self) -> GradedExperiment:
         """Return the scores of this experiment for a comparison within its grade."""
-        counts = [
-            result.score.validation.trial_count
-            for cell in self.cells
-            if cell is not None
-            for result in cell.results
-            if result.score.validation is not None
-        ]
         return GradedExperiment(
             id=self.id,
             draws=tuple(None if cell is None else cell.draws for cell in self.cells),
@@ -229,30 +201,25 @@ class ExperimentComparison:
                 None if cell is None else cell.interval_95(self.primary)
                 for cell in self.cells
             ),
-            trial_count=next(filter(None, counts), None),
             scale_unit=self.scale_unit,
         )
 
 
 @dataclass(frozen=True, kw_only=True)
 class Summary:
-    """Counts and cost of one configuration over all its experiments.
+    """Counts of one configuration over all its experiments.
 
     Attributes:
         ran: Number of experiments that ran.
         scored: Number of those in which every repeat has a normalized RMSE, or a distance from the solution.
         diverged: Number of experiments in which a repeat diverged.
         not_run: Number of experiments that were declined or failed.
-        wall_s_per_sim_s: Wall seconds per simulated second over all experiments that ran.
-        wall_s_per_sim_s_common: Wall seconds per simulated second over `Comparison.run_by_all`.
     """
 
     ran: int
     scored: int
     diverged: int
     not_run: int
-    wall_s_per_sim_s: float | None
-    wall_s_per_sim_s_common: float | None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -274,8 +241,8 @@ class Comparison:
         """Label of each configuration."""
         return tuple(configuration_labels(self.configurations))
 
-    def names(self, of: Distance | PairComparison) -> dict[str, str]:
-        """Return the labels of the two configurations that a distance or a difference is between."""
+    def names(self, of: Distance) -> dict[str, str]:
+        """Return the labels of the two configurations that a distance is between."""
         return {"first": self.labels[of.first], "second": self.labels[of.second]}
 
     @cached_property
@@ -296,7 +263,7 @@ class Comparison:
     def compare_within(
         self, experiments: Sequence[ExperimentComparison]
     ) -> tuple[GradeComparison, ...]:
-        """Return ranks and pairs in experiments of one grade: configurations with the same constants, then the others.
+        """Return ranks in experiments of one grade, for each set of constants.
 
         Args:
             experiments: Experiments of the same grade, at least one.
@@ -323,15 +290,6 @@ class Comparison:
             for one in self.configurations
         )
 
-    @property
-    def run_by_all(self) -> tuple[ExperimentComparison, ...]:
-        """Experiments that every configuration ran, also if an episode diverged."""
-        return tuple(
-            one
-            for one in self.experiments
-            if all(cell is not None and cell.ran for cell in one.cells)
-        )
-
     def summaries(self) -> tuple[Summary, ...]:
         """Return one summary for each configuration, in their order."""
         return tuple(self._summary(index) for index in range(len(self.configurations)))
@@ -346,8 +304,6 @@ class Comparison:
             ),
             diverged=sum(cell.count(Outcome.DIVERGED) > 0 for cell in cells),
             not_run=sum(not cell.ran for cell in cells),
-            wall_s_per_sim_s=_cost(cells),
-            wall_s_per_sim_s_common=_cost(_cells_of(self.run_by_all, index)),
         )
 
 
@@ -455,7 +411,7 @@ def _cell_draws(results: Sequence[Result], notes: list[str]) -> ScoreDraws | Non
     scores = [normalized_score(result.score, metric) for result in results]
     if None in scores:
         return None
-    refused = f"{short_id(results[0].id)}: not compared in pairs, because its"
+    refused = f"{short_id(results[0].id)}: not ranked, because its"
     try:
         experiment = recorded_experiment(results[0])
         band = reference_band(

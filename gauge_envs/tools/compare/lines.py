@@ -4,17 +4,11 @@ from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal, TypedDict
 
 from gauge_envs.cli.schemas import Form
-from gauge_envs.evaluation.scatter import Scatter
 from gauge_envs.evaluation.verification import Verification
 from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.tools.compare.distance import Distance
 from gauge_envs.tools.compare.draws import ScoreSpread
-from gauge_envs.tools.compare.grades import (
-    ExperimentDifference,
-    Interval,
-    Mean,
-    PairComparison,
-)
+from gauge_envs.tools.compare.grades import Interval, Mean
 
 
 class RealFacts(TypedDict):
@@ -47,8 +41,6 @@ class CellFacts(TypedDict):
         percentile: Percentage of real trials that are closer to their mean.
         verification: Distance of each repeat from a law or a solved model.
         also_verified: The same of further quantities, as the force of a rod; a list for each repeat.
-        scatter: Scatter of the repeats beside that of real trials.
-        wall_s_per_sim_s: Wall time over simulated time [s/s].
         settings: Numerical settings of the engine.
         versions: Versions of the packages.
     """
@@ -63,8 +55,6 @@ class CellFacts(TypedDict):
     percentile: float | None
     verification: Sequence[Verification | None]
     also_verified: Sequence[Sequence[Verification]]
-    scatter: Scatter | None
-    wall_s_per_sim_s: float | None
     settings: Mapping[str, Any] | None
     versions: Mapping[str, str] | None
 
@@ -117,74 +107,36 @@ class RankedFacts(TypedDict):
 
     Attributes:
         label: Name of the configuration in tables.
-        rank: Rank over the grade.
         mean_rank: Mean of the ranks over the experiments that all have.
         mean_rank_95: Its 95 % interval.
         ranks: Rank in each experiment, by id.
     """
 
     label: str
-    rank: int | None
     mean_rank: float | None
     mean_rank_95: Interval | None
     ranks: Mapping[str, Mean]
 
 
-class GradeFacts(TypedDict):
-    """A grade of reference.
+class GradeLine(TypedDict):
+    """Ranks within a grade of reference.
 
     Attributes:
-        grade: Its name.
+        record: `grade`.
+        grade: Name of the grade.
         withheld: Whether the bands are withheld by default.
         constants: Constants that the configurations share.
         ids: Experiments that count.
+        configurations: Ranks of each configuration.
     """
 
+    record: Literal["grade"]
     grade: str
     withheld: bool
     constants: str
     ids: Sequence[str]
-
-
-class GradeLine(GradeFacts):
-    """Ranks within a grade.
-
-    Attributes:
-        record: `grade`.
-        configurations: Ranks of each configuration.
-        distinguishable: Numbers of distinguishable pairs, and of pairs, by experiment.
-    """
-
-    record: Literal["grade"]
     configurations: Sequence[RankedFacts]
-    distinguishable: Mapping[str, tuple[int, int]]
 
 
-DifferenceFacts = Annotated[ExperimentDifference, Form(properties=("distinguishable",))]
-
-
-class PairFacts(GradeFacts, Between):
-    """Two configurations.
-
-    Attributes:
-        record: `pair`.
-        experiments: Difference in each experiment.
-        closer_in: Numbers of experiments in which the first, and in which the second is distinguishably closer.
-    """
-
-    record: Literal["pair"]
-    experiments: Sequence[DifferenceFacts]
-    closer_in: tuple[int, int]
-
-
-PairLine = Annotated[
-    PairComparison,
-    Form(
-        without=("first", "second", "experiments"),
-        properties=("distinguishable",),
-        more=PairFacts,
-    ),
-]
-
-CompareLine = ExperimentLine | GradeLine | PairLine
-"""The scores of each experiment, the ranks of each grade, then all pairs."""
+CompareLine = ExperimentLine | GradeLine
+"""The scores of each experiment, then the ranks of each grade."""

@@ -1,19 +1,16 @@
-"""Tables of scores: against real trials, by the scatter of repeats, and from a solution of the scene."""
+"""Tables of scores: against real trials, and from a solution of the scene."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any
 
-from gauge_envs.evaluation.scatter import scatter_ranks
 from gauge_envs.evaluation.verification import Verification
 from gauge_envs.pages.results import (
     ALIGNED,
     PLAIN,
-    SCATTER_NOTE,
     SCORE_METRICS,
     VERIFICATION_NOTE,
     configuration_parts,
-    scatter_cells,
     versions_text,
 )
 from gauge_envs.pages.table import Column, Place, Table
@@ -63,12 +60,6 @@ CELL_NOTES = {
     "declined": "declined: the engine cannot build the scene",
     "failed": "failed: the episode ended in an error",
 }
-
-
-RANK_NOTE = (
-    "Rank: 1 where no difference is seen, before those that are unlike real trials; none where all have the same "
-    "answer, or where it hangs on the starts."
-)
 
 
 def score_table(comparison: Comparison, rows: Sequence[dict[str, Any]]) -> Table:
@@ -130,35 +121,6 @@ def score_table(comparison: Comparison, rows: Sequence[dict[str, Any]]) -> Table
             )
         ),
     )
-
-
-def scatter_tables(comparison: Comparison) -> Iterator[Table]:
-    """Yield the table of whether repeats scatter as real trials do, if any were enough for a test."""
-    rows = []
-    for one in comparison.experiments:
-        found = [None if cell is None else cell.scatter for cell in one.cells]
-        ranks = scatter_ranks(found)
-        for label, scatter, rank in zip(comparison.labels, found, ranks, strict=True):
-            if scatter is not None:
-                cells = scatter_cells(scatter)
-                rows.append({"id": one.id, "label": label, "rank": rank, **cells})
-    if rows:
-        yield Table(
-            title="Validation: scatter of repeats and of real trials",
-            columns=(
-                EXPERIMENT,
-                Column("label", "", place=Place.HEADING),
-                Column("rank", "rank", is_number=True),
-                Column("real_rmse", "real E_RMSE", is_number=True),
-                Column("rmse", "runs", is_number=True),
-                Column("real_dtw", "real E_DTW", is_number=True),
-                Column("dtw", "runs", is_number=True),
-                Column("p", "p", is_number=True),
-                Column("verdict", "verdict", place=Place.BELOW),
-            ),
-            rows=rows,
-            notes=(SCATTER_NOTE, RANK_NOTE),
-        )
 
 
 def verification_table(comparison: Comparison) -> Table:

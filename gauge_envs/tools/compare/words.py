@@ -12,18 +12,10 @@ from gauge_envs.pages.table import Table
 from gauge_envs.pages.text import QUESTIONS
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.tools.compare.comparison import Cell, Comparison
-from gauge_envs.tools.compare.cost_tables import (
-    cost_table,
-    distance_table,
-    summary_table,
-)
 from gauge_envs.tools.compare.grades import GradeComparison, GradeScore
-from gauge_envs.tools.compare.rank_tables import pair_tables, rank_tables
-from gauge_envs.tools.compare.score_tables import (
-    scatter_tables,
-    score_table,
-    verification_table,
-)
+from gauge_envs.tools.compare.rank_tables import rank_tables
+from gauge_envs.tools.compare.score_tables import score_table, verification_table
+from gauge_envs.tools.compare.summary_tables import distance_table, summary_table
 
 ALL_METRICS = tuple(SCORE_METRICS)
 
@@ -38,39 +30,30 @@ def check_metrics(names: Iterable[str]) -> tuple[str, ...]:
 
 
 def comparison_document(
-    comparison: Comparison,
-    metrics: Sequence[str] = ALL_METRICS,
-    *,
-    with_costs: bool = True,
+    comparison: Comparison, metrics: Sequence[str] = ALL_METRICS
 ) -> Document:
-    """Return scores, ranks and pairs of each grade, costs, distances without a reference, and a summary.
+    """Return scores and ranks of each grade, distances without a reference, and a summary.
 
-    Its rows are the scores of each experiment, the ranks of each grade, and all pairs; `record` states which.
+    Its rows are the scores of each experiment and the ranks of each grade; `record` states which.
 
     Args:
         comparison: The comparison.
         metrics: Metrics to show.
-        with_costs: Whether to show wall times.
     """
     rows = comparison_rows(comparison, metrics)
     tables: list[Table] = []
     if validated := _validation_rows(comparison, rows):
         tables.append(score_table(comparison, validated))
-    tables += scatter_tables(comparison)
     if any(one.is_verified for one in comparison.experiments):
         tables.append(verification_table(comparison))
     for question in QUESTIONS:
         tables += rank_tables(comparison, question)
-    for question in QUESTIONS:
-        tables += pair_tables(comparison, question)
-    if rows and with_costs:
-        tables.append(cost_table(comparison))
     if any(
         one.grade == BandGrade.NONE.value and one.distances
         for one in comparison.experiments
     ):
         tables.append(distance_table(comparison))
-    if rows and with_costs:
+    if rows:
         tables.append(summary_table(comparison))
     records = [{"record": "experiment", **row} for row in rows]
     records += _grade_records(comparison)
@@ -82,7 +65,7 @@ def comparison_document(
 
 
 def short_tables(comparison: Comparison, *, with_ranks: bool = True) -> list[Table]:
-    """Return the ranks within each grade, and the score of each experiment that comes first: no pairs.
+    """Return the ranks within each grade, and the score of each experiment that comes first.
 
     Args:
         comparison: The comparison.
@@ -173,8 +156,6 @@ def _cell_row(cell: Cell | None, metric: str | None) -> dict[str, Any]:
         "percentile": metric and cell.percentile(metric),
         "verification": verification,
         "also_verified": also_verified,
-        "scatter": None if cell.scatter is None else asdict(cell.scatter),
-        "wall_s_per_sim_s": cell.wall_s_per_sim_s,
         "settings": ran[0].settings if ran else None,
         "versions": ran[0].versions if ran else None,
     }
@@ -193,48 +174,18 @@ def _spread_row(
 
 
 def _grade_records(comparison: Comparison) -> Iterator[dict[str, Any]]:
-    """Yield the ranks of each grade, then all pairs."""
+    """Yield the ranks of each grade."""
     for grade in comparison.grades:
-        if not grade.scores:
-            continue
-        apart = {
-            one.id: [one.distinguishable_count, one.pair_count]
-            for one in grade.experiments
-        }
         yield {
             "record": "grade",
-            **_grade_row(grade),
+            "grade": grade.grade,
+            "withheld": grade.withheld,
+            "constants": grade.constants,
             "ids": grade.ids,
             "configurations": [
                 _rank_row(comparison, grade, one) for one in grade.scores
             ],
-            "distinguishable": apart,
         }
-    for grade in comparison.grades:
-        for pair in grade.pairs:
-            values = asdict(pair)
-            del values["first"], values["second"]
-            values["experiments"] = [
-                asdict(one) | {"distinguishable": one.distinguishable}
-                for one in pair.experiments
-            ]
-            yield {
-                "record": "pair",
-                **comparison.names(pair),
-                **_grade_row(grade),
-                **values,
-                "ids": pair.ids,
-                "closer_in": pair.counts,
-                "distinguishable": pair.distinguishable,
-            }
-
-
-def _grade_row(grade: GradeComparison) -> dict[str, Any]:
-    return {
-        "grade": grade.grade,
-        "withheld": grade.withheld,
-        "constants": grade.constants,
-    }
 
 
 def _rank_row(
@@ -252,7 +203,6 @@ def _rank_row(
     mean = score.mean_rank
     return {
         "label": comparison.labels[score.configuration],
-        "rank": score.rank,
         "mean_rank": mean and mean.value,
         "mean_rank_95": mean and mean.interval_95,
         "ranks": ranks,

@@ -33,7 +33,7 @@ from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.experiments.variants import Variant, find_variant
-from gauge_envs.references.sensitivities import input_uncertainties
+from gauge_envs.references.uncertainties import friction_std
 from gauge_envs.scene import Scene
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.jitter import Jitter, jittered
@@ -201,7 +201,7 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
         """Return the limit of a quantity that is at most the friction of two bodies."""
         # The uncertainty is that of the calibrated coefficient, also if an override replaces the coefficient.
         calibrated = pair_friction(load_experiment(self._variant).scene, *pair)
-        sigma = input_uncertainties().friction.std(calibrated, self._variant.material)
+        sigma = friction_std(calibrated, self._variant.material)
         return self._limit_of(
             quantity, "1", pair_friction(self.experiment.scene, *pair), sigma
         )

@@ -9,7 +9,7 @@ from scipy.optimize import minimize_scalar
 
 from gauge_envs.evaluation.reference_path import ReferencePath
 from gauge_envs.experiments.resolve import load_experiment
-from gauge_envs.references.sensitivities import input_uncertainties
+from gauge_envs.references.uncertainties import RESTITUTION_SHARE, START_M
 from gauge_envs.scene import Scene, Sphere
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.control.env import ControlEnv
@@ -165,17 +165,14 @@ class ThrowLimit(ControlEnv):
         scene = self.experiment.scene
         (restitution,) = (c.restitution for c in scene.contacts if PLATE in c.second)
         value = highest_m(self._drop_m, restitution, scene.gravity_m_per_s2)
-        known = input_uncertainties()
         # The uncertainty is that of the calibrated coefficient, also if an override replaces the coefficient.
         (calibrated,) = load_experiment(self._variant).scene.contacts
-        std = known.restitution.std(calibrated.restitution, self._variant.material)
+        std = RESTITUTION_SHARE * calibrated.restitution
         by_restitution_m = (
             highest_m(self._drop_m, restitution + std, scene.gravity_m_per_s2) - value
         )
         by_start_m = (
-            highest_m(
-                self._drop_m + known.start.std, restitution, scene.gravity_m_per_s2
-            )
+            highest_m(self._drop_m + START_M, restitution, scene.gravity_m_per_s2)
             - value
         )
         return self._limit_of(

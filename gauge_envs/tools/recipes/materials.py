@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from gauge_envs.errors import UnknownNameError
 from gauge_envs.experiments.task_files import task_spec
-from gauge_envs.references.sensitivities import input_uncertainties
+from gauge_envs.references import uncertainties
 from gauge_envs.references.tables import read_content, scoring_folder
 
 
@@ -114,7 +114,6 @@ def find_material(name: str, *, also: Iterable[str] = ()) -> MaterialPair:
     what, family, body, material = PLACES[name]
     spec = task_spec(family)
     constants = spec.constants_of(body, material, None)
-    uncertain = input_uncertainties()
     friction, restitution, mass_kg = (
         constants[key] for key in ("friction", "restitution", "mass_kg")
     )
@@ -122,7 +121,7 @@ def find_material(name: str, *, also: Iterable[str] = ()) -> MaterialPair:
     origin = spec.provenance_of(f"constants.{body}.{material}")
     # Only the ball's published restitution was compared with trials.
     std = (
-        uncertain.restitution.std(restitution, material)
+        uncertainties.RESTITUTION_SHARE * restitution
         if family == DROP[0] and name not in RECORDED
         else None
     )
@@ -133,13 +132,12 @@ def find_material(name: str, *, also: Iterable[str] = ()) -> MaterialPair:
         friction = None
     friction_std = None
     if friction is not None and name not in NOT_CALIBRATED:
-        friction_std = uncertain.friction.std(friction, material)
-    whence = (
-        [f"friction: {uncertain.friction.source}"] if friction_std is not None else []
-    )
-    whence += (
-        [f"restitution: {uncertain.restitution.source}"] if std is not None else []
-    )
+        friction_std = uncertainties.friction_std(friction, material)
+    whence = []
+    if friction_std is not None:
+        whence.append(f"friction: {uncertainties.FRICTION_SOURCE}")
+    if std is not None:
+        whence.append(f"restitution: {uncertainties.RESTITUTION_SOURCE}")
     return MaterialPair(
         name=name,
         what=what,

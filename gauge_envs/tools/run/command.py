@@ -50,14 +50,6 @@ def run(
     changes: arguments.Settings = None,
     seed: arguments.Seed = 0,
     repeats: arguments.Repeats = 1,
-    uncertainty: Annotated[
-        bool,
-        arguments.option(
-            arguments.NUMERICS,
-            "Measure sensitivities of this run, by about 20 further runs.",
-            "--uncertainty",
-        ),
-    ] = False,
     timeout: arguments.Timeout = None,
     memory: arguments.Memory = None,
     isolate: arguments.Isolate = False,
@@ -118,7 +110,6 @@ def run(
             parameters=constants,
             settings=settings,
             asset=asset,
-            uncertainty=uncertainty,
             **arguments.parsed_use(use, "drivers", "reference", "use_withheld"),
             jitter=scatter,
             marker_proxy=marker_proxy,
@@ -176,15 +167,13 @@ def run(
         )
         raise typer.Exit(EXIT_INTERRUPTED) from None
     except ResultFileError:
-        stderr_console().print(
-            Terminal(summary_document(results, budget=uncertainty), form is Format.WIDE)
-        )
+        stderr_console().print(Terminal(summary_document(results), form is Format.WIDE))
         message(
             f"stopped: {_totals(results, out)}; --resume continues from there when the cause is gone"
         )
         raise
     lost.report()
-    document = summary_document(results, budget=uncertainty)
+    document = summary_document(results)
     if form is Format.JSON:
         stderr_console().print(Terminal(document))
     else:

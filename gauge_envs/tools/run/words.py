@@ -1,16 +1,14 @@
 """Results of episodes beside the published scores: what the numbers mean, and what was not run and why."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from typing import Any
 
 from gauge_envs.evaluation.score import Score
-from gauge_envs.evaluation.uncertainty import BudgetEntry
 from gauge_envs.pages.document import Document, Paragraph, Tone
 from gauge_envs.pages.results import (
     ALIGNED,
     ANOTHER_SCENE,
-    SCATTER_NOTE,
     SCORE_METRICS,
     VERIFICATION_NOTE,
     discretization_text,
@@ -19,7 +17,6 @@ from gauge_envs.pages.results import (
     raw_score,
     reality_lines,
     result_label,
-    scatter_cells,
     score_interval,
 )
 from gauge_envs.pages.table import Column, Place, Table
@@ -45,11 +42,6 @@ DEFORMATION_NOTE = (
     "known. +-: 1-sigma uncertainty of one recording, or scatter over several trials. z: simulated minus real, over +-."
 )
 
-BUDGET_NOTE = (
-    "u: standard uncertainty of the score that is shown first, normalized. Type A is from observations, B from other "
-    "knowledge (GUM). Share: of the variance. --format wide shows the sources."
-)
-
 FEW_TRIALS = 10
 """Number of trials from which on raw intervals hold with late releases (`studies/coverage`)."""
 
@@ -70,7 +62,7 @@ EXPERIMENT = Column("id", "experiment", short_id, place=Place.HEADING)
 LABEL = Column("label", "", place=Place.HEADING)
 
 
-def summary_document(results: Sequence[Result], *, budget: bool = False) -> Document:
+def summary_document(results: Sequence[Result]) -> Document:
     """Return scores of results beside the published ones, what the numbers mean, and what was not run and why."""
     ran = [result for result in results if result.error is None]
     tables = []
@@ -80,10 +72,6 @@ def summary_document(results: Sequence[Result], *, budget: bool = False) -> Docu
         tables.append(_score_table(rows, title=title))
     if verified:
         tables.append(verification_table(verified))
-    if any(result.scatter is not None for result in ran):
-        tables.append(scatter_table(ran))
-    if budget and any(_budget(result) for result in ran):
-        tables.append(_budget_table(ran))
     if any(result.deformation is not None for result in ran):
         tables.append(_deformation_table(ran))
     lines = (Paragraph(line) for result in ran for line in _remarks(result))
@@ -189,38 +177,6 @@ def _score_rows(result: Result) -> list[dict[str, Any]]:
     return rows or ([common] if is_real else [])
 
 
-def scatter_table(results: Sequence[Result]) -> Table:
-    """Return whether runs scatter as real trials do, a row for the repeats of each run."""
-    rows = {
-        (
-            result.id,
-            result_label(replace(result, seed=None)),
-            result.scatter,
-        ): scatter_cells(result.scatter)
-        for result in results
-        if result.scatter is not None
-    }
-    return Table(
-        title="Validation: do the runs scatter as real trials do?",
-        columns=(
-            EXPERIMENT,
-            LABEL,
-            Column("real_rmse", "real E_RMSE", is_number=True),
-            Column("rmse", "runs", is_number=True),
-            Column("real_dtw", "real E_DTW", is_number=True),
-            Column("dtw", "runs", is_number=True),
-            Column("release", "release", is_number=True),
-            Column("p", "p", is_number=True),
-            Column("verdict", "verdict", place=Place.BELOW),
-        ),
-        rows=[
-            {"id": name, "label": label, **cells}
-            for (name, label, _), cells in rows.items()
-        ],
-        notes=(SCATTER_NOTE,),
-    )
-
-
 def verification_table(results: Sequence[Result]) -> Table:
     """Return how well engines solve the scenes of laws and solved models."""
     rows = []
@@ -237,7 +193,6 @@ def verification_table(results: Sequence[Result]) -> Table:
                     if not one.uncertainty
                     else interval_text(one.scaled, one.scaled_95),
                     "frozen": with_unit(score_text(one.frozen), one.unit),
-                    "power": one.power,
                     "verdict": ANOTHER_SCENE
                     if result.is_another_scene
                     else one.verdict,
@@ -258,49 +213,12 @@ def verification_table(results: Sequence[Result]) -> Table:
             Column("distance", "distance", is_number=True),
             Column("in_u", "over u", is_number=True),
             Column("frozen", "frozen", is_number=True),
-            Column("power", "frozen over u", score_text, is_number=True),
             Column("verdict", "verdict"),
             Column("convergence", "discretization", place=Place.BELOW),
         ),
         rows=rows,
         notes=(VERIFICATION_NOTE,),
     )
-
-
-def _budget_table(results: Sequence[Result]) -> Table:
-    origins = sorted(
-        {result.score.sensitivities for result in results if result.score.sensitivities}
-    )
-    return Table(
-        title="Uncertainty budget",
-        columns=(
-            EXPERIMENT,
-            LABEL,
-            Column("name", "contribution"),
-            Column("evaluation", "type"),
-            Column(
-                "standard_uncertainty",
-                "u",
-                lambda value: f"{value:.3f}",
-                is_number=True,
-            ),
-            Column(
-                "share", "share", lambda share: f"{100.0 * share:.0f} %", is_number=True
-            ),
-            Column("source", "source", wide_only=True),
-        ),
-        rows=[
-            {"id": result.id, "label": result_label(result), **asdict(entry)}
-            for result in results
-            for entry in _budget(result)
-        ],
-        notes=(BUDGET_NOTE, *(f"Sensitivities: {origin}." for origin in origins)),
-    )
-
-
-def _budget(result: Result) -> tuple[BudgetEntry, ...]:
-    found = result.score.validation
-    return () if found is None else found.budget
 
 
 def _deformation_table(results: Sequence[Result]) -> Table:

@@ -27,7 +27,7 @@ from gauge_envs.pages.html import (
 )
 from gauge_envs.pages.results import discretization_text
 from gauge_envs.pages.table import Table, grid
-from gauge_envs.pages.text import COST_TITLE, QUESTIONS, shortened
+from gauge_envs.pages.text import QUESTIONS, shortened
 from gauge_envs.references.convergence import convergence_rows
 from gauge_envs.runs.replay import (
     ReplayError,
@@ -39,7 +39,6 @@ from gauge_envs.tools.compare import ExperimentComparison, compare, mean_rank_te
 from gauge_envs.tools.site.experiment_page import experiment_page
 from gauge_envs.tools.site.model import (
     Site,
-    cell_cost,
     first_result,
     first_results,
     score_cell,
@@ -309,12 +308,8 @@ def _scores(site: Site, index: int, *, is_verified: bool) -> Table:
                 site.experiment_link(one, site.family(one)[0]),
                 score_cell(one, cell, one.primary),
             )
-            rows.append(
-                (name, one.grade_name, score, cell_cost(cell), convergence or "-")
-            )
-    return grid(
-        ("experiment", "grade", "score [95 %]", COST_TITLE, "discretization"), rows
-    )
+            rows.append((name, one.grade_name, score, convergence or "-"))
+    return grid(("experiment", "grade", "score [95 %]", "discretization"), rows)
 
 
 def _settings(site: Site, index: int) -> list[Part]:

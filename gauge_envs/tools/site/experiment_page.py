@@ -1,4 +1,4 @@
-"""The page of one experiment: curves over reality, scores, pairs, replay, error budgets, convergence, origin."""
+"""The page of one experiment: curves over reality, scores, replay, convergence, origin."""
 
 from collections.abc import Iterator, Sequence
 
@@ -6,7 +6,7 @@ from gauge_envs.errors import GaugeError
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.experiments.experiment import Experiment, TaskExperiment
 from gauge_envs.pages.document import Heading, Paragraph, Part, Tone
-from gauge_envs.pages.html import Html, element, folded, join, listed
+from gauge_envs.pages.html import Html, element, join, listed
 from gauge_envs.pages.results import (
     SCORE_METRICS,
     VERIFIED,
@@ -18,8 +18,6 @@ from gauge_envs.pages.table import Table, grid
 from gauge_envs.pages.text import (
     GRADE_NOTES,
     QUESTIONS,
-    interval_text,
-    quantity_text,
     score_text,
     with_unit,
 )
@@ -28,20 +26,12 @@ from gauge_envs.references.convergence import convergence_rows
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.published import PUBLISHED_ENGINES
 from gauge_envs.runs.result_file import recorded_experiment
-from gauge_envs.tools.compare import (
-    PAIRED_NOTES,
-    ExperimentComparison,
-    p_text,
-    verdict_text,
-)
-from gauge_envs.tools.diagnose import Diagnosis, diagnose, findings
+from gauge_envs.tools.compare import ExperimentComparison
 from gauge_envs.tools.site.curves import curves
 from gauge_envs.tools.site.model import (
-    FACTS,
     Parts,
     Results,
     Site,
-    cell_cost,
     first_results,
     score_cell,
     section,
@@ -52,33 +42,15 @@ from gauge_envs.tools.site.reproduce import run_commands
 
 REPLAY_SCRIPTS = ("assets/three.min.js", "assets/replay.js")
 
-PART_COLORS = {
-    "release": "#56b4e9",
-    "offset": "#009e73",
-    "rate": "#e69f00",
-    "rest": "#8c8c8c",
-}
-"""Colour of each part of an error budget."""
-
 SCORES_NOTE = (
     "Scores over the mean score of the real trials; without one, in the unit of the metric. "
     "In brackets: 95 % interval."
-)
-
-BUDGETS_NOTE = (
-    "Share of the squared error that is gone when the start moves in time (release), by a constant (offset), or when "
-    "the motion has another rate (rate). The rest is none of these."
 )
 
 CONVERGENCE_NOTE = (
     "Change of the whole trajectory when the time step or the cell of a mesh is halved, over the scatter of real "
     "trials; where the reference is a solution, in the unit of g(t). It was measured once for each engine with its "
     "default settings (scoring/convergence)."
-)
-
-UNCERTAINTY_NOTE = (
-    "Contributions to the interval of the first score. u: standard uncertainty of the normalized score. Type A is from "
-    "observations, B from other knowledge (GUM)."
 )
 
 
@@ -108,11 +80,8 @@ def experiment_page(
         *([Heading("3D replay"), *replays] if replays else []),
         *curves(site, one.unit, results, band),
         *_causes(site, results),
-        *_pairs(site, one),
         *_distances(site, one),
-        *_error_budgets(site, results),
         *section("Convergence", _convergence(site, results), CONVERGENCE_NOTE),
-        *_uncertainty(site, results),
         *section("Implied parameters", _implied(site, results)),
         *section("Did not finish", _not_run(site, one)),
         Heading("How to reproduce"),
@@ -189,7 +158,7 @@ def _forest(site: Site, one: ExperimentComparison) -> Parts:
     else:
         figure = forest(f"{title} over that of real trials", rows, unity="real trials")
     ranks = [
-        join([site.links[two.configuration], f": {place_text(grade, two.rank)}"])
+        join([site.links[two.configuration], f": {place_text(grade, two)}"])
         for grade in site.comparison.compare_within([one])
         for two in grade.ranked
         if len(grade.scores) > 1
@@ -226,7 +195,7 @@ def _score_section(
     if has_trials:
         titles.append("real trials closer")
         note += " Real trials closer: share of the real trials that are closer to their mean."
-    titles += FACTS
+    titles.append("physics")
     rows: list[list[str]] = []
     for index, cell in enumerate(one.cells):
         row: list[str] = [
@@ -236,7 +205,7 @@ def _score_section(
         if has_trials:
             percentile = percentiles[index]
             row.append("-" if percentile is None else f"{percentile:.0f} %")
-        row += [site.comparison.configurations[index].physics or "-", cell_cost(cell)]
+        row.append(site.comparison.configurations[index].physics or "-")
         rows.append(row)
     for engine, title in PUBLISHED_ENGINES.items():
         values = [(one.published(name) or {}).get(engine) for name in names]
@@ -258,42 +227,6 @@ def _causes(site: Site, results: Results) -> Parts:
         )
     ]
     return [Heading("The distance in words"), listed(lines)] if lines else []
-
-
-def _pairs(site: Site, one: ExperimentComparison) -> Parts:
-    rows = [
-        (
-            *(
-                join([site.swatch(index), site.labels[index]])
-                for index in (pair.first, pair.second)
-            ),
-            with_unit(
-                interval_text(found.difference, found.difference_95), one.scale_unit
-            ),
-            p_text(found.p_holm),
-            verdict_text(found.distinguishable),
-        )
-        for grade in site.comparison.grades
-        for pair in grade.pairs
-        for found in pair.experiments
-        if found.id == one.id
-    ]
-    if not rows:
-        return []
-    question = "verification" if one.is_verified else "validation"
-    apart = sum(row[-1] == verdict_text(True) for row in rows)
-    pairs = grid(("first", "second", "difference [95 %]", "p", "at 5 %"), rows)
-    return [
-        Heading("Pairs"),
-        Paragraph(
-            f"Difference of the scores, first minus second. {PAIRED_NOTES[question]} p is corrected for all pairs "
-            "(Holm).",
-            Tone.NOTE,
-        ),
-        folded(
-            f"{apart} of {len(rows)} pairs are distinguishable at 5 %", pairs.html()
-        ),
-    ]
 
 
 def _distances(site: Site, one: ExperimentComparison) -> Parts:
@@ -318,53 +251,6 @@ def _distances(site: Site, one: ExperimentComparison) -> Parts:
     )
 
 
-def _error_budgets(site: Site, results: Results) -> Parts:
-    budgets: list[Html] = []
-    for index, result in results.items():
-        try:
-            budgets.append(_budget(site, index, diagnose(result)))
-        except GaugeError:
-            # Without a reference or to no end: the page states both elsewhere.
-            continue
-    if not budgets:
-        return []
-    swatches = {
-        name: element("span", class_="swatch area", style=f"background:{c}")
-        for name, c in PART_COLORS.items()
-    }
-    key = listed(
-        (join([swatch, name]) for name, swatch in swatches.items()), class_="key"
-    )
-    return [
-        Heading("What the error is"),
-        Paragraph(BUDGETS_NOTE, Tone.NOTE),
-        key,
-        *budgets,
-    ]
-
-
-def _budget(site: Site, index: int, diagnosis: Diagnosis) -> Html:
-    shares = [(part.stage.value, part.share) for part in diagnosis.parts] + [
-        ("rest", diagnosis.rest.share)
-    ]
-    bars = (
-        element(
-            "span",
-            style=f"width:{100.0 * max(share, 0.0):.2f}%;background:{PART_COLORS[name]}",
-            title=f"{name} {share:.1%}",
-        )
-        for name, share in shares
-    )
-    texts = ", ".join(f"{name} {100.0 * share:.1f} %" for name, share in shares)
-    summary = [
-        site.swatch(index),
-        element("b", site.labels[index]),
-        f": RMSE {quantity_text(diagnosis.rmse)} {diagnosis.unit}; {texts}",
-        element("div", *bars, class_="shares", role="img", aria_label=texts),
-    ]
-    return folded(join(summary), listed(findings(diagnosis)))
-
-
 def _convergence(site: Site, results: Results) -> Table:
     rows = []
     for index, result in results.items():
@@ -372,38 +258,6 @@ def _convergence(site: Site, results: Results) -> Table:
         if text is not None:
             rows.append((site.links[index], text))
     return grid(("engine", "half step, half cell"), rows)
-
-
-def _uncertainty(site: Site, results: Results) -> Parts:
-    parts: list[Html] = []
-    titles = ("contribution", "type", "u", "share of the variance", "source")
-    for index, result in results.items():
-        found = result.score.validation
-        if found is None or not found.budget:
-            continue
-        rows = [
-            (
-                one.name,
-                one.evaluation,
-                f"{one.standard_uncertainty:.3f}",
-                f"{100.0 * one.share:.0f} %",
-                one.source,
-            )
-            for one in found.budget
-        ]
-        summary = join(
-            [
-                site.swatch(index),
-                element("b", site.labels[index]),
-                f": most is {found.budget[0].name}",
-            ]
-        )
-        parts.append(folded(summary, grid(titles, rows).html()))
-    return (
-        [Heading("Uncertainty"), Paragraph(UNCERTAINTY_NOTE, Tone.NOTE), *parts]
-        if parts
-        else []
-    )
 
 
 def _implied(site: Site, results: Results) -> Table:

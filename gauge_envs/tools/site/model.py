@@ -16,12 +16,9 @@ from gauge_envs.pages.document import Heading, Paragraph, Part, Tone, page
 from gauge_envs.pages.html import Html, below, element, join, slug
 from gauge_envs.pages.results import VERIFIED
 from gauge_envs.pages.table import Table
-from gauge_envs.pages.text import COST_TITLE, score_text, with_unit
+from gauge_envs.pages.text import score_text, with_unit
 from gauge_envs.runs.result import Outcome, Result
-from gauge_envs.tools.compare import Cell, Comparison, ExperimentComparison, cost_text
-
-FACTS = ("physics", COST_TITLE)
-"""What a table states of each configuration beside its scores."""
+from gauge_envs.tools.compare import Cell, Comparison, ExperimentComparison
 
 COLOR_COUNT = 7
 """Colours in the style of the pages: of configurations, or of engines with at most two each where these are more."""
@@ -234,12 +231,6 @@ def first_results(one: ExperimentComparison) -> dict[int, Result]:
         for index, cell in enumerate(one.cells)
         if (result := first_result(cell)) is not None
     }
-
-
-def cell_cost(cell: Cell | None) -> str:
-    """Return the wall seconds of a simulated second."""
-    cost = None if cell is None else cell.wall_s_per_sim_s
-    return "-" if cost is None else cost_text(cost)
 
 
 def score_cell(one: ExperimentComparison, cell: Cell | None, metric: str) -> Html:

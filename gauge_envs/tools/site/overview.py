@@ -8,15 +8,13 @@ from gauge_envs.pages.document import Heading, Paragraph, Part, Tone
 from gauge_envs.pages.html import Html, below, element, join, listed
 from gauge_envs.pages.results import SCORE_METRICS, versions_text
 from gauge_envs.pages.table import Column, Table, grid
-from gauge_envs.pages.text import COST_TITLE, GRADE_NOTES, QUESTIONS, counted
+from gauge_envs.pages.text import GRADE_NOTES, QUESTIONS, counted
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.tools.compare import (
-    DIFFERENT,
     PUBLISHED,
     ExperimentComparison,
     GradeComparison,
     GradeScore,
-    cost_text,
     deciding_text,
     grades_of,
     mean_rank_text,
@@ -47,10 +45,9 @@ ALIGNED_NOTE = (
 )
 
 RANK_NOTE = (
-    "Rank: 1 + number of engines that are distinguishably closer in more than half of the experiments, at 5 % for all "
-    "pairs together (Holm). Only engines with the same constants are ranked against each other. The intervals in the "
-    "cells overlap more: engines share errors, which cancel in a difference. Not distinguishable: no engine of the row "
-    "is distinguishably closer than another."
+    "Rank: mean over the experiments, with its 95 % interval by paired bootstrap. Only engines with the same constants "
+    "are ranked against each other. The intervals of scores overlap more: engines share errors, which cancel in a "
+    "difference."
 )
 
 MEAN_RANK_NOTE = (
@@ -115,12 +112,6 @@ def _question(site: Site, question: str) -> Iterator[Part]:
     graded = [grade for grade in grades if grade.ids]
     none: list[str] = ["No experiment has a score in all configurations."]
     answers = [_answer(site, grade) for grade in graded] or none
-    answers += [
-        line
-        for grade in grades
-        if grade.constants == DIFFERENT
-        for line in _changes(site, grade)
-    ]
     yield Heading(QUESTIONS[question])
     yield from _matrix(site, is_verified=question == "verification")
     yield Heading("Mean ranks, grade by grade", 3)
@@ -147,14 +138,9 @@ def _grade_title(grade: GradeComparison) -> str:
 
 
 def _answer(site: Site, grade: GradeComparison) -> Html:
-    """Return the lowest mean rank of a grade, what is not distinguishable from it, and what is."""
+    """Return the configuration with the lowest mean rank of a grade."""
     best, *others = grade.ranked
     assert best.mean_rank is not None
-    apart = {
-        pair.second if pair.first == best.configuration else pair.first: pair
-        for pair in grade.common_pairs
-        if best.configuration in (pair.first, pair.second) and pair.distinguishable
-    }
     over = f"{_constants(grade)}{counted(len(grade.ids), 'experiment')}"
     start = f"Against {_grade_title(grade)} ({over}): "
     if not others:
@@ -165,52 +151,13 @@ def _answer(site: Site, grade: GradeComparison) -> Html:
                 " alone, so without a rank.",
             ]
         )
-    sentences: list[str | Html] = [
-        element("b", start + "lowest mean rank "),
-        site.links[best.configuration],
-        f" {mean_rank_text(best.mean_rank)} of {len(grade.scores)}.",
-    ]
-    same = [
-        site.labels[one.configuration]
-        for one in others
-        if one.configuration not in apart
-    ]
-    closer = [index for index, pair in apart.items() if pair.closer == index]
-    further = [index for index in apart if index not in closer]
-    for indices, text in (
-        (further, "Distinguishably further"),
-        (closer, "Distinguishably closer"),
-    ):
-        if indices:
-            sentences.append(
-                f" {text}: {'; '.join(site.labels[index] for index in indices)}."
-            )
-    if same:
-        sentences.append(f" Not distinguishable from it: {'; '.join(same)}.")
-    return join(sentences)
-
-
-def _changes(site: Site, grade: GradeComparison) -> Iterator[Html]:
-    """Yield what other constants change in the same engine, which no rank says."""
-    for pair in grade.pairs:
-        engines = {
-            site.comparison.configurations[index].backend
-            for index in (pair.first, pair.second)
-        }
-        if len(engines) > 1:
-            continue
-        closer = pair.closer
-        further = pair.further
-        start = element(
-            "b",
-            f"Constants, against {_grade_title(grade)} ({counted(len(pair.ids), 'experiment')}): ",
-        )
-        between = (
-            f"not distinguishable: {site.labels[closer]} and {site.labels[further]}."
-        )
-        if pair.distinguishable:
-            between = f"{site.labels[further]} is distinguishably further than {site.labels[closer]}."
-        yield join([start, between])
+    return join(
+        [
+            element("b", start + "lowest mean rank "),
+            site.links[best.configuration],
+            f" {mean_rank_text(best.mean_rank)} of {len(grade.scores)}.",
+        ]
+    )
 
 
 def _constants(grade: GradeComparison) -> str:
@@ -223,13 +170,12 @@ def _ranking(site: Site, grade: GradeComparison) -> list[Part]:
             join([site.swatch(one.configuration), site.labels[one.configuration]]),
             site.comparison.configurations[one.configuration].physics,
             mean_rank_text(one.mean_rank),
-            place_text(grade, one.rank),
             deciding_text(grade, one.configuration),
         )
         for one in grade.ranked
         if one.mean_rank is not None
     ]
-    table = grid(("configuration", "physics", "mean rank", "rank", "rank in"), rows)
+    table = grid(("configuration", "physics", "mean rank", "rank in"), rows)
     return section(
         f"Against {_grade_title(grade)}",
         table,
@@ -358,27 +304,18 @@ def _matrix_cell(index: int, one: _Phenomenon) -> Html:
         whisker_text(
             mean.value, None if one.is_exact else mean.interval_95, one.scale_unit
         ),
-        below(place_text(grade, score.rank)),
+        below(place_text(grade, score)),
     ]
     if len(grade.ids) < len(one.members):
         parts.append(below(f"over {len(grade.ids)} of {len(one.members)} experiments"))
     return join([*parts, *lost])
 
 
-def place_text(grade: GradeComparison, rank: int | None) -> str:
-    """Return a rank in words; empty where there is nothing to compare with."""
-    count, shared = len(grade.scores), sum(one.rank == 1 for one in grade.scores)
-    if rank is None or count < 2:
+def place_text(grade: GradeComparison, score: GradeScore) -> str:
+    """Return a mean rank in words; empty where there is nothing to compare with."""
+    if score.mean_rank is None or len(grade.scores) < 2:
         return ""
-    if rank == 1:
-        return (
-            "not distinguishable"
-            if shared == count
-            else "rank 1"
-            if shared == 1
-            else f"rank 1 of {count}, shared"
-        )
-    return f"rank {rank} of {count}"
+    return f"rank {mean_rank_text(score.mean_rank)} of {len(grade.scores)}"
 
 
 # --- the rest ---
@@ -456,18 +393,10 @@ def _engines(site: Site) -> list[Part]:
             site.links[index],
             versions_text(one) or "-",
             *map(str, (summary.ran, summary.scored, summary.diverged, summary.not_run)),
-            "-"
-            if summary.wall_s_per_sim_s_common is None
-            else cost_text(summary.wall_s_per_sim_s_common),
         ]
         for index, (one, summary) in enumerate(
             zip(comparison.configurations, comparison.summaries(), strict=True)
         )
     ]
-    titles = ("engine", "versions", "ran", "scored", "diverged", "not run", COST_TITLE)
-    common = counted(len(comparison.run_by_all), "experiment")
-    note = (
-        f"Wall s/sim s: wall time over simulated time, over {common} that all ran. "
-        "It compares engines on one machine."
-    )
-    return section("Engines", grid(titles, rows, number_from=2), note)
+    titles = ("engine", "versions", "ran", "scored", "diverged", "not run")
+    return section("Engines", grid(titles, rows, number_from=2))

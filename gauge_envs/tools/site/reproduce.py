@@ -160,10 +160,9 @@ def reproduce_page(site: Site, command: str) -> str:
         join(
             [
                 code("gauge compare results/"),
-                " prints the scores, intervals, ranks and pairs of these pages.",
+                " prints the scores, intervals and ranks of these pages.",
             ]
         ),
-        join([code("gauge diagnose results/"), " prints the error budgets."]),
     )
     parts: list[Part] = [
         Paragraph(

@@ -125,11 +125,11 @@ def _apart(one: Result, other: Result) -> tuple[FloatArray, FloatArray]:
 
 
 def _closer(found: Comparison, results: Sequence[Result], sides: Sequence[Side]) -> str:
-    """Return the title of the side that is distinguishably closer to the reference; empty without one."""
+    """Return the title of the side whose rank is better in at least 95 % of the draws; empty without one."""
+    of_sides = [RunConfiguration.of(result) for result in results]
     for grade in found.grades:
-        for pair in grade.pairs:
-            if pair.distinguishable:
-                closer = found.configurations[pair.closer]
-                of_sides = [RunConfiguration.of(result) for result in results]
-                return sides[of_sides.index(closer)].title
+        for experiment in grade.experiments:
+            for index, rank in experiment.ranks.items():
+                if len(experiment.ranks) > 1 and rank.interval_95[1] == 1.0:
+                    return sides[of_sides.index(found.configurations[index])].title
     return ""

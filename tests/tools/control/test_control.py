@@ -20,7 +20,7 @@ from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
 from gauge_envs.backends.world import World
 from gauge_envs.errors import BackendError, GaugeError, ParameterError
 from gauge_envs.files import data_folder
-from gauge_envs.references.sensitivities import input_uncertainties
+from gauge_envs.references.uncertainties import friction_std
 from gauge_envs.scene import GRAVITY_M_PER_S2, Motion
 from gauge_envs.tools.control.env import ControlEnv
 from gauge_envs.tools.control.friction import HOLD_S, SLIP_SPEED_M_PER_S
@@ -172,9 +172,7 @@ def test_uncertainty_of_friction_is_how_far_single_trials_are_from_it(material):
     )
     calibrated = load_experiment(f"SlopeSlider-2-{material}").scene.contacts[0].friction
     expected = float(np.sqrt(np.mean((friction - calibrated) ** 2))) / calibrated
-    assert input_uncertainties().friction.std(1.0, material) == pytest.approx(
-        expected, rel=0.02
-    )
+    assert friction_std(1.0, material) == pytest.approx(expected, rel=0.02)
 
 
 def test_slope_and_turntable_have_the_calibrated_friction():
@@ -185,9 +183,7 @@ def test_slope_and_turntable_have_the_calibrated_friction():
         < SlopeSliderLimit("metal").limit.sigma
     )
     turntable = TurntableLimit("plastic")
-    assert turntable.limit.sigma == pytest.approx(
-        input_uncertainties().friction.std(0.322256, "plastic")
-    )
+    assert turntable.limit.sigma == pytest.approx(friction_std(0.322256, "plastic"))
     # An override changes what holds in the scene, not how well the real coefficient is known.
     assert (
         TurntableLimit("plastic", parameters={"cube.friction": 0.2}).limit.sigma

@@ -86,7 +86,7 @@ def pages(site):
 
 @pytest.mark.parametrize(
     "name",
-    ["index", "experiment-SlopeSlider-2-wood", "experiment-NonsmoothContact-3-wood"],
+    ["index", "experiment-SlopeSlider-2-wood"],
 )
 def test_the_text_of_a_page_is_the_approved_one(site, approved, name):
     lines = [line.strip() for line in Page(site / f"{name}.html").texts]
@@ -136,10 +136,8 @@ def test_the_first_page_says_whether_two_configurations_differ(is_same, tmp_path
         replays=False,
     )
     overview = Page(tmp_path / "site" / "index.html").text
-    experiment = Page(tmp_path / "site" / "experiment-SlopeSlider-2-wood.html").text
-    assert ("Not distinguishable from it" in overview) == is_same
-    assert ("is distinguishably further than" in overview) != is_same
-    assert f"{0 if is_same else 1} of 1 pairs are distinguishable" in experiment
+    # Configurations with other constants are not ranked against each other.
+    assert ("1.5 [1.0, 2.0] of 2" in overview) == is_same
 
 
 # --- strangers' files ---

@@ -1,13 +1,9 @@
-"""Tables of distances between engines where there is no reference, of cost, and a summary."""
+"""Tables of distances between engines where there is no reference, and a summary."""
 
 from typing import Any
 
 from gauge_envs.pages.table import Column, Table
-from gauge_envs.pages.text import (
-    COST_TITLE,
-    quantity_text,
-    short_id,
-)
+from gauge_envs.pages.text import quantity_text
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.tools.compare.comparison import Comparison
 from gauge_envs.tools.compare.distance import MOTION_SHARE, Distance
@@ -62,33 +58,8 @@ def distance_table(comparison: Comparison) -> Table:
     )
 
 
-def cost_text(value: float) -> str:
-    """Return the wall seconds of a simulated second."""
-    return f"{value:.2g}" if value < 10.0 else f"{value:.0f}"
-
-
-def cost_table(comparison: Comparison) -> Table:
-    """Return the wall time of each experiment over its simulated time."""
-    columns = (
-        Column(f"costs.{index}", label, cost_text, is_number=True)
-        for index, label in enumerate(comparison.labels)
-    )
-    return Table(
-        title=f"Cost, {COST_TITLE}",
-        columns=(Column("id", "experiment", short_id), *columns),
-        rows=[
-            {
-                "id": one.id,
-                "costs": [cell and cell.wall_s_per_sim_s for cell in one.cells],
-            }
-            for one in comparison.experiments
-        ],
-        wide_only=True,
-    )
-
-
 def summary_table(comparison: Comparison) -> Table:
-    """Return how many episodes of each configuration ran and have a score, and their cost."""
+    """Return how many episodes of each configuration ran and have a score."""
     summaries = zip(comparison.labels, comparison.summaries(), strict=True)
     counts = {
         "ran": "ran",
@@ -101,13 +72,6 @@ def summary_table(comparison: Comparison) -> Table:
         columns=(
             Column("label", "configuration"),
             *(Column(key, title, is_number=True) for key, title in counts.items()),
-            Column("wall_s_per_sim_s", COST_TITLE, cost_text, is_number=True),
-            Column("wall_s_per_sim_s_common", "in common", cost_text, is_number=True),
         ),
         rows=[{"label": label} | vars(one) for label, one in summaries],
-        notes=(
-            f"{COST_TITLE}: wall time of reset and steps over simulated time, without the time to build the scene; "
-            f"repeats that ran together share it; in common: over the {len(comparison.run_by_all)} that all ran. "
-            "Comparable only on one machine.",
-        ),
     )

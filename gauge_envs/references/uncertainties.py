@@ -1,0 +1,39 @@
+"""Standard uncertainties of published constants, and of how the real trials were set up."""
+
+PUBLISHED_TRIALS = 20
+"""Number of real trials of each task whose mean and standard deviation are published (paper, "Data Acquisition")."""
+
+TILT_DEG = 0.3
+"""Standard uncertainty of the angle of the board in the recording of SlopeSlider-3 [deg]."""
+
+START_M = 0.001
+"""Standard uncertainty of the start of a body [m]. The start height of 22 drops of BouncingBall scatters by 0.95 mm."""
+
+FRICTION_SHARES = {"wood": 0.06249, "plastic": 0.1448, "metal": 0.04674}
+"""Standard uncertainty of a published friction, over it, by material."""
+
+OTHER_FRICTION_SHARE = 0.0950
+"""Root mean square of these three, for materials without trials."""
+
+FRICTION_SOURCE = (
+    "distance of the published friction from that of single real slides: 20 wood, 20 plastic and 19 metal trials of "
+    "SlopeSlider-2 (scoring/facts/slope_slider_30deg_summary.toml); other: root mean square of the three"
+)
+
+RESTITUTION_SHARE = 0.2778
+"""Standard uncertainty of a published restitution, over it."""
+
+RESTITUTION_SOURCE = (
+    "distance of the published restitution from the rebound ratio of single real drops: 22 trials of BouncingBall "
+    "(scoring/facts/bouncing_ball_summary.toml); no other restitution was compared with trials"
+)
+
+
+def friction_std(value: float, material: str | None) -> float:
+    """Return the standard uncertainty of a published friction.
+
+    Args:
+        value: Published value.
+        material: Material of the variant.
+    """
+    return value * FRICTION_SHARES.get(material or "", OTHER_FRICTION_SHARE)
