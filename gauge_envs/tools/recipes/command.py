@@ -78,9 +78,7 @@ def recipe(
     ] = None,
     engine: Annotated[
         str | None,
-        arguments.backend(
-            "Engine, which must be given; also mujoco_warp, and isaac for a fabric."
-        ),
+        arguments.backend("Engine, which must be given; also isaac for a fabric."),
     ] = None,
     changes: Annotated[
         list[str] | None,

@@ -199,7 +199,7 @@ def find_recipe(engine: type[ContactSettings], aim: Aim) -> Recipe:
     settings, found = engine.aimed(aim), None
     try:
         settings = engine.model_validate(
-            _searched(engine.searched_on(), aim).model_dump() | aim.turning
+            _searched(engine, aim).model_dump() | aim.turning
         )
         found = measured(settings, aim.mass_kg, friction=aim.friction)
         if (
@@ -361,7 +361,7 @@ def _step_text(engine: type[ContactSettings], aim: Aim, name: str) -> str:
             break
         finer = aim.changed(timestep_s=step_s)
         try:
-            value = _reached(_searched(engine.searched_on(), finer), finer, name)
+            value = _reached(_searched(engine, finer), finer, name)
         except DivergedError:
             return f"With a time step of {step_s:.3g} s the simulation diverges."
         if not _is_missed(finer, name, value):

@@ -27,18 +27,6 @@ if TYPE_CHECKING:
     from gauge_envs.tools.sanity import Report
 
 
-class ReportFormat(StrEnum):
-    """Format of a sanity check on stdout."""
-
-    TEXT = "text"
-    WIDE = "wide"
-    MARKDOWN = "markdown"
-    JSON = "json"
-    JUNIT = "junit"
-    SARIF = "sarif"
-    GITHUB = "github"
-
-
 class FailOn(StrEnum):
     """Least bad verdict with which a sanity check fails."""
 
@@ -51,18 +39,8 @@ FailOnOption = Annotated[
     FailOn | None,
     arguments.option(
         arguments.SELECTION,
-        "Exit code 1 when a row is at least as bad; with --against, when a change is: wrong is large.",
+        "Exit code 1 when a row is at least as bad; with --against, when one of two that differ is.",
         show_default="visible",
-    ),
-]
-
-ReportForm = Annotated[
-    ReportFormat,
-    arguments.option(
-        arguments.OUTPUT,
-        "Format on stdout: text, wide with all columns, markdown, json; junit, sarif and github are for CI.",
-        "--format",
-        metavar="FORMAT",
     ),
 ]
 
@@ -79,14 +57,14 @@ FixOption = Annotated[
     Path | None,
     arguments.option(
         arguments.OUTPUT,
-        "Write the model with the change that mends most, checked again.",
+        "Write the model with the change that mends most, checked again: contact and solver settings.",
         metavar="OUT.xml",
     ),
 ]
 
 OutOption = Annotated[
     list[Path] | None,
-    arguments.target("Pages (.html), tables (.md) or rows (.json)."),
+    arguments.target("Tables (.md) or rows (.json)."),
 ]
 
 
@@ -113,7 +91,7 @@ def sanity(
         str | None,
         arguments.option(
             arguments.SCENE,
-            "Where the policy runs: report what changes to this target.",
+            "Check this target too, and print the rows of both beside each other.",
             metavar="TARGET",
         ),
     ] = None,
@@ -130,7 +108,7 @@ def sanity(
     baseline: BaselineOption = None,
     fix: FixOption = None,
     out: OutOption = None,
-    form: ReportForm = ReportFormat.TEXT,
+    form: arguments.Form = Format.TEXT,
 ) -> int:
     """Report which physics a training configuration gets wrong, and what corrects it.
 
@@ -151,12 +129,12 @@ def sanity(
         "only": only or [],
         "include_deformables": _with_deformables(only or []),
     }
+    files = arguments.by_suffix(out, ".md", ".json")
     if against is not None:
         if baseline is not None or pair is not None or fix is not None:
             raise ParameterError(
                 "--against goes with none of --baseline, --pair and --fix: leave them out"
             )
-        files = arguments.by_suffix(out, ".md", ".json")
         return _compare(
             target,
             against,
@@ -165,7 +143,7 @@ def sanity(
             files,
             form,
         )
-    exit_code, files = _judged_by(fail_on, baseline), _checked_files(out)
+    exit_code = _judged_by(fail_on, baseline)
     if fix is not None:
         check_can_mend(fix)
     geoms = None if pair is None else tuple(pair)
@@ -197,29 +175,14 @@ def _with_deformables(patterns: Sequence[str]) -> bool:
     )
 
 
-def _checked_files(out: Sequence[Path] | None) -> dict[str, Path]:
-    """Return the files of `--out`; a page needs what draws its pictures."""
-    from gauge_envs.tools.sanity.page import check_can_draw
-
-    files = arguments.by_suffix(out, ".html", ".md", ".json")
-    if ".html" in files:
-        check_can_draw()
-    return files
-
-
-def _print_report(
-    report: Report, form: ReportFormat, files: Mapping[str, Path]
-) -> None:
+def _print_report(report: Report, form: Format, files: Mapping[str, Path]) -> None:
     from gauge_envs.backends.mujoco.versions import SPARSE_FAULT
-    from gauge_envs.pages.document import Document, Paragraph, Tone, save_file
-    from gauge_envs.tools.sanity.formats import WRITERS
+    from gauge_envs.pages.document import Document, Paragraph, Tone
     from gauge_envs.tools.sanity.model import UNREAD
-    from gauge_envs.tools.sanity.page import sanity_page
     from gauge_envs.tools.sanity.words import is_clean, sanity_document, top_line
 
-    writers = {".html": lambda file: save_file(file, sanity_page(report))}
     shown = sanity_document(report)
-    if form is ReportFormat.TEXT and is_clean(report):
+    if form is Format.TEXT and is_clean(report):
         line = Paragraph(
             f"{report.configuration.name}: {top_line(report)}; {report.wall_s:.0f} s"
         )
@@ -231,11 +194,7 @@ def _print_report(
         shown = Document(
             parts=(line, *unread), rows=shown.rows, markdown=shown.markdown
         )
-    if form.value in WRITERS:
-        echo(WRITERS[form.value](report))
-        shown = Document(parts=(), rows=shown.rows, markdown=shown.markdown)
-    printed = Format.TEXT if form.value in WRITERS else Format(form.value)
-    print_document(shown, printed, files=files, writers=writers)
+    print_document(shown, form, files=files)
 
 
 def _judged_by(
@@ -265,43 +224,27 @@ def _judged_by(
 
 
 def _compare(
-    trained: str,
-    deployed: str,
+    first: str,
+    second: str,
     options: dict[str, Any],
     fail_on: FailOn | None,
     files: Mapping[str, Path],
-    form: ReportFormat,
+    form: Format,
 ) -> int:
-    """Print what changes between two targets, and return the exit code."""
-    from gauge_envs.pages.document import Document
-    from gauge_envs.tools.sanity.comparison import Change, compare
-    from gauge_envs.tools.sanity.comparison_words import comparison_document
-    from gauge_envs.tools.sanity.formats import github_comparison
+    """Print the rows of two targets beside each other, and return the exit code."""
+    from gauge_envs.tools.sanity import check, difference
+    from gauge_envs.tools.sanity.difference import difference_document
 
-    known = (*Format, ReportFormat.GITHUB)
-    if form.value not in {one.value for one in known}:
-        raise ParameterError(
-            f"--format {form.value} is of a check; --against has {', '.join(known)}"
-        )
-    comparison = compare(trained, deployed, **options)
-    shown = comparison_document(comparison)
-    if form is ReportFormat.GITHUB:
-        echo(github_comparison(comparison))
-        shown = Document(parts=(), rows=shown.rows, markdown=shown.markdown)
-    printed = Format.TEXT if form is ReportFormat.GITHUB else Format(form.value)
-    print_document(shown, printed, files=files)
-    bad = {
-        FailOn.WRONG: (Change.LARGE,),
-        FailOn.VISIBLE: (Change.LARGE, Change.VISIBLE),
-    }.get(fail_on or FailOn.VISIBLE, ())
-    changes = {row.change for row in comparison.rows} - {Change.NEITHER}
-    return (
-        EXIT_FAILED
-        if changes & set(bad)
-        else EXIT_INCOMPLETE
-        if changes <= {Change.UNKNOWN}
-        else 0
-    )
+    reports = [check(target, explain=False, **options) for target in (first, second)]
+    found = difference(*reports)
+    print_document(difference_document(found), form, files=files)
+    changed = [row for row in found.rows if row.is_changed]
+    if fail_on is FailOn.WRONG:
+        changed = [row for row in changed if row.is_wrong]
+    if changed and fail_on is not FailOn.NEVER:
+        return EXIT_FAILED
+    is_measured = any(row.is_measured for row in found.rows)
+    return 0 if is_measured else EXIT_INCOMPLETE
 
 
 def list_phenomena(patterns: Sequence[str]) -> list[Table]:

@@ -184,9 +184,6 @@ STANDING = ("home", "stand", "standing")
 COUNTS = ("nflex", "flg_adhesion", "flg_surfacevel")
 """Numbers of a compiled model that show parts which are not written."""
 
-PLAYGROUND_PACKAGE, MJLAB_PACKAGE = "mujoco_playground", "mjlab"
-"""Packages whose environments and task configurations hold more than a model."""
-
 MODEL_PLACES = (
     *("mj_model", "_mj_model", "model", "_model", "sim.mj_model", "sim.model"),
     *("physics.model.ptr", "physics.model", "physics.model._model"),
@@ -196,9 +193,6 @@ MODEL_PLACES = (
 
 SKIPS = ("frame_skip", "n_substeps", "_n_substeps", "cfg.decimation", "decimation")
 """Attributes that hold the steps of the engine for one action."""
-
-LIMIT_PLACES = ("", "cfg.sim", "sim.cfg", "_config", "config", "sim")
-"""Attributes that hold the limits of contacts and constraints of MJX and MuJoCo Warp."""
 
 
 def mujoco_model(target: Any) -> Any:
@@ -273,10 +267,8 @@ def capture_mujoco(target: Any) -> dict[str, Any]:
     qpos0 = flat(model.qpos0)
     armature, damping = flat(model.dof_armature), flat(model.dof_damping)
     driven_joints, driven_bodies = driven(model)
-    runs_on = implementation(target, model)
     data = {
-        "implementation": runs_on,
-        "stack": stack(target),
+        "implementation": implementation(target, model),
         "options": options,
         "known_flags": known,
         "counts": {
@@ -296,7 +288,6 @@ def capture_mujoco(target: Any) -> dict[str, Any]:
         "body_names": texts(model, model.name_bodyadr),
         "hulls": found_hulls,
         "keyframes": keyframes(model),
-        "limits": {} if runs_on == "c" else limits(target),
         "frame_skip": frame_skip(target),
     }
     source = f"model {title or 'unnamed'!r}, MuJoCo {mujoco.__version__}"
@@ -380,21 +371,14 @@ def texts(model: Any, addresses: Any) -> list[str]:
 def implementation(target: Any, model: Any) -> str:
     """Return `mjx` or `mujoco_warp` where one of them runs the model, else `c`."""
     choice = str(found(target, "_config.impl") or found(target, "config.impl") or "")
-    if choice == "warp" or is_of_package(target, MJLAB_PACKAGE):
+    if choice == "warp" or is_of_package(target, "mjlab"):
         return "mujoco_warp"
     is_mjx = (
         is_mjx_model(model)
         or choice == "jax"
-        or is_of_package(target, PLAYGROUND_PACKAGE)
+        or is_of_package(target, "mujoco_playground")
     )
     return "mjx" if is_mjx else "c"
-
-
-def stack(target: Any) -> str:
-    """Return `playground` or `mjlab` for their environments and task configurations; else nothing."""
-    if is_of_package(target, PLAYGROUND_PACKAGE):
-        return "playground"
-    return "mjlab" if is_of_package(target, MJLAB_PACKAGE) else ""
 
 
 def is_of_package(target: Any, package: str) -> bool:
@@ -404,18 +388,6 @@ def is_of_package(target: Any, package: str) -> bool:
             if part.__module__.split(".")[0] == package:
                 return True
     return False
-
-
-def limits(target: Any) -> dict[str, int]:
-    """Return the limits of contacts and constraints that a target states."""
-    values: dict[str, int] = {}
-    for place in LIMIT_PLACES:
-        for holder in (target, found(target, "unwrapped")):
-            for name in ("njmax", "nconmax", "naconmax"):
-                value = found(holder, place + "." + name)
-                if isinstance(value, int) and not isinstance(value, bool):
-                    values.setdefault(name, value)
-    return values
 
 
 def frame_skip(target: Any) -> int | None:
@@ -428,7 +400,7 @@ def frame_skip(target: Any) -> int | None:
     return None
 
 
-FORMAT, VERSION = "gauge-probe", 2
+FORMAT, VERSION = "gauge-probe", 3
 
 SUFFIX = ".gaugeprobe.json"
 
@@ -454,10 +426,8 @@ def isaaclab_cfg(target: Any) -> Any:
 
 
 def capture_isaaclab(target: Any) -> dict[str, Any]:
-    """Return the configuration as Isaac Lab writes it to `env.yaml`; IsaacGym's has other keys."""
+    """Return the configuration as Isaac Lab writes it to `env.yaml`."""
     cfg = isaaclab_cfg(target)
-    if found(cfg, "sim.physx.num_position_iterations") is not None:
-        return of_physx("isaacgym-cfg", "IsaacGym", {"cfg": plain(cfg)})
     entries = cfg.to_dict() if callable(getattr(cfg, "to_dict", None)) else cfg
     source = f"Isaac Lab, {type(cfg).__name__}"
     return of_physx("isaaclab-cfg", source, {"cfg": plain(entries)})

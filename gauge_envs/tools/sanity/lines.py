@@ -3,7 +3,7 @@
 from typing import Annotated, TypedDict
 
 from gauge_envs.cli.schemas import Form
-from gauge_envs.tools.sanity.comparison import ChangeRow, Comparison
+from gauge_envs.tools.sanity.difference import Difference, DifferenceRow
 from gauge_envs.tools.sanity.model import (
     PhenomenonResult,
     RealityKind,
@@ -11,7 +11,7 @@ from gauge_envs.tools.sanity.model import (
     TrainingConfiguration,
 )
 
-Configuration = Annotated[TrainingConfiguration, Form(without=("robot", "stated"))]
+Configuration = Annotated[TrainingConfiguration, Form(without=("robot",))]
 
 
 class PhenomenonLine(TypedDict):
@@ -42,13 +42,6 @@ class Checked(TypedDict):
     configuration: Configuration
 
 
-class Both(TypedDict):
-    """Both configurations, without their models."""
-
-    trained: Configuration
-    deployed: Configuration
-
-
 ReportLine = Annotated[
     Report,
     Form(
@@ -57,10 +50,7 @@ ReportLine = Annotated[
         more=Checked,
     ),
 ]
-ResultLine = Annotated[PhenomenonResult, Form(without=("curve",))]
-ComparisonLine = Annotated[
-    Comparison, Form(without=("rows", "trained", "deployed"), more=Both)
-]
+DifferenceLine = Annotated[Difference, Form(without=("rows",))]
 
-SanityLine = ReportLine | ResultLine | ComparisonLine | ChangeRow
-"""First the configuration, then each phenomenon; with --against first both configurations, then each quantity."""
+SanityLine = ReportLine | PhenomenonResult | DifferenceLine | DifferenceRow
+"""First the configuration, then each phenomenon; with --against first both targets, then each row."""

@@ -10,17 +10,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-import numpy as np
-
 from gauge_envs.backends import Backend, backend, backend_names, is_bundled, versions_of
 from gauge_envs.errors import GaugeError
 from gauge_envs.files import json_ready
 from gauge_envs.runs.isolation import CrashError, Worker
 from gauge_envs.runs.rollout import DeclinedError, DivergedError, Rollout
-from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.model import (
     VISIBLE_WITHIN,
-    Curve,
     Need,
     PhenomenonResult,
     Settings,
@@ -274,9 +270,6 @@ def judged(phenomenon: Phenomenon, rollout: Rollout) -> Measured:
 
 # --- rows of a report ------------------------------------------------------------------------------------------------
 
-CURVE_SAMPLES = 200
-"""Largest number of samples of a curve; a figure shows fewer."""
-
 
 def result_of(
     phenomenon: Phenomenon,
@@ -305,52 +298,6 @@ def result_of(
         remark=configured.remark,
         **details,
     )
-
-
-def curve_of(
-    phenomenon: Phenomenon, configured: Measured, default: Measured | None
-) -> Curve | None:
-    """Return the curves of a phenomenon that has one; reality is at the times of the default, if there is a default."""
-    trace, reality = phenomenon.trace, phenomenon.reality
-    if trace is None:
-        return None
-    times, values = _thinned(phenomenon, configured)
-    default_times, default_values = (
-        (times, ()) if default is None else _thinned(phenomenon, default)
-    )
-    shown: FloatArray = np.asarray(default_times)
-    centre = tolerance = np.zeros(0)
-    if trace.reality is not None:
-        centre, tolerance = trace.reality(shown)
-    elif trace.is_level:
-        centre, tolerance = (
-            np.full_like(shown, reality.value),
-            np.full_like(shown, reality.tolerance),
-        )
-    return Curve(
-        label=trace.label,
-        times_s=default_times,
-        default=default_values,
-        configured_times_s=times,
-        configured=values,
-        reality=tuple(centre.tolist()),
-        tolerance=tuple(tolerance.tolist()),
-    )
-
-
-def _thinned(
-    phenomenon: Phenomenon, measured: Measured
-) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return times and values of a trace, at `CURVE_SAMPLES` samples at most; empty without a rollout or a trace."""
-    if measured.rollout is None or phenomenon.trace is None:
-        return (), ()
-    shown = measured.rollout.between(0.0, phenomenon.trace.until_s)
-    times, values = (
-        measured.rollout.times_s[shown],
-        phenomenon.trace.values(measured.rollout)[shown],
-    )
-    stride = max(1, -(-len(times) // CURVE_SAMPLES))
-    return tuple(times[::stride].tolist()), tuple(values[::stride].tolist())
 
 
 SEVERITY = (Verdict.DECLINED, Verdict.INSIDE, Verdict.VISIBLE, Verdict.WRONG)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from secrets import token_hex
 
@@ -58,8 +57,7 @@ def write_mended(report: Report, file: Path) -> str:
         try:
             part.write_text(text, encoding="utf-8", newline="\n")
             after = _flags(part, report)
-            # The published number can be the mistake that is mended.
-            new, left = after - before - {"robot-maker"}, after & before
+            new, left = after - before, after & before
             if new or len(left) > cure.flag_count - cure.mended_count:
                 raise TargetError(
                     f"{file} is not written: the mended model, read again, has the flags "
@@ -74,11 +72,7 @@ def write_mended(report: Report, file: Path) -> str:
 
 def _flags(file: Path, report: Report) -> set[str]:
     """Return the flagged rows of a file."""
-    was = report.configuration.robot
-    read = configuration_of(str(file), pair=was.pair)
-    if read.robot is not None:
-        robot = replace(read.robot, action_rad=was.action_rad, delay_s=was.delay_s)
-        read = replace(read, robot=robot)
+    read = configuration_of(str(file), pair=report.configuration.robot.pair)
     measured = [
         row.phenomenon
         for row in report.rows

@@ -1,4 +1,4 @@
-"""Define the parts of a sanity check: configuration, verdicts, phenomena in reality and in simulation, and causes."""
+"""Define the parts of a sanity check: configuration, verdicts, phenomena in reality and in simulation, and the cure."""
 
 from __future__ import annotations
 
@@ -76,7 +76,6 @@ class Need(StrEnum):
     FOOT = "foot"
     SPACE = "space"
     """Motion in space, not in a plane along an axis of the world."""
-    SERVO = "servo"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,16 +120,6 @@ class FootContact:
     source: str
 
     @property
-    def mean_friction(self) -> float:
-        """Centre of the range of sliding friction."""
-        return 0.5 * sum(self.friction)
-
-    @property
-    def mean_restitution(self) -> float:
-        """Centre of the range of restitution."""
-        return 0.5 * sum(self.restitution)
-
-    @property
     def text(self) -> str:
         """Coefficients and their origin in one line."""
         static = (
@@ -146,68 +135,6 @@ def range_text(ends: tuple[float, float]) -> str:
     """Return a range in words; one number where its ends are equal."""
     low, high = ends
     return f"{low:.4g}" if low == high else f"{low:.4g} to {high:.4g}"
-
-
-@dataclass(frozen=True, kw_only=True)
-class CapacityLimits:
-    """Limits of an engine's memory for contacts.
-
-    Attributes:
-        njmax: Most constraint rows of a world; None when the engine chooses it.
-        naconmax: Most contacts of all worlds together; None when the engine chooses it.
-        worlds: Number of worlds that share `naconmax`; None when unknown.
-    """
-
-    njmax: int | None = None
-    naconmax: int | None = None
-    worlds: int | None = None
-
-
-@dataclass(frozen=True, kw_only=True)
-class ContactNeed:
-    """Contacts and constraint rows that a model needs, counted in MuJoCo's C engine.
-
-    Attributes:
-        rows: Most constraint rows of a world at one time.
-        contacts: Most contacts of a world at one time.
-        mean_contacts: Largest mean number of contacts of all motions at the same time.
-        situation: Motion in which most rows are needed.
-    """
-
-    rows: int
-    contacts: int
-    mean_contacts: float
-    situation: str
-
-
-@dataclass(frozen=True, kw_only=True)
-class ContactCapacity:
-    """Limits of a target, and what its own model needs.
-
-    Attributes:
-        limits: The limits.
-        need: What its model needs; None when it cannot be counted.
-        reason: Why it cannot be counted; empty when it can.
-    """
-
-    limits: CapacityLimits
-    need: ContactNeed | None = None
-    reason: str = ""
-
-    @property
-    def missing_rows(self) -> int:
-        """Constraint rows of a world for which there is no place."""
-        if self.need is None or self.limits.njmax is None:
-            return 0
-        return max(0, self.need.rows - self.limits.njmax)
-
-    @property
-    def missing_contacts(self) -> float:
-        """Contacts of a world, in the mean of all worlds, for which there is no place."""
-        limits = self.limits
-        if self.need is None or limits.naconmax is None or limits.worlds is None:
-            return 0.0
-        return max(0.0, self.need.mean_contacts - limits.naconmax / limits.worlds)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -230,10 +157,7 @@ class TrainingConfiguration:
         foot_geometry: Foot of the robot; None when the target has none, or does not state it.
         language: Name of the dialect in which changes are written; see `gauge_envs.tools.sanity.stacks`.
         foot_contact: Friction and restitution that a foot meets, as the target's materials state them; None if unknown.
-        capacity: Limits of the memory for contacts, and what the target's model needs; None when it states no limit.
-        trains_on: Engine that the target trains on where it differs from `backend`, as `mujoco_warp`; empty otherwise.
         robot: The target's own model, a `Robot`, which reports do not hold; None when it is not known.
-        stated: What a target without a model states of its joints: value by quantity and regular expression of names.
     """
 
     name: str
@@ -251,10 +175,7 @@ class TrainingConfiguration:
     foot_geometry: FootGeometry | None = None
     language: str = "toml"
     foot_contact: FootContact | None = None
-    capacity: ContactCapacity | None = None
-    trains_on: str = ""
     robot: Any = field(default=None, compare=False)
-    stated: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     def of_hand(self, *, is_flat: bool) -> TrainingConfiguration | None:
         """Return this with the contacts of a hand alone in use, if there is one; of its flat pads, or None without."""
@@ -353,59 +274,6 @@ class Reality:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Curve:
-    """Curve of a quantity over time.
-
-    Attributes:
-        label: Name of the quantity with its unit.
-        times_s: Times of `default` [s], shape [sample_count].
-        default: Values with the backend's default, shape [sample_count]; empty when there are none.
-        configured_times_s: Times of `configured` [s].
-        configured: Values in this configuration; empty when there are none.
-        reality: Centre of the interval of reality at `times_s`; empty when only one value is known.
-        tolerance: Half-width of the interval at `times_s`; empty when only one value is known.
-    """
-
-    label: str
-    times_s: tuple[float, ...] = ()
-    default: tuple[float, ...] = ()
-    configured_times_s: tuple[float, ...] = ()
-    configured: tuple[float, ...] = ()
-    reality: tuple[float, ...] = ()
-    tolerance: tuple[float, ...] = ()
-
-
-@dataclass(frozen=True, kw_only=True)
-class SettingTrial:
-    """One change of settings in the search for a cause.
-
-    Attributes:
-        changes: Changed settings with their new values.
-        value: Measured value of the phenomenon; None when the backend declined or the rollout diverged.
-        on_default: Whether the backend's default was changed instead of the configuration.
-    """
-
-    changes: Settings
-    value: float | None
-    on_default: bool = False
-
-
-@dataclass(frozen=True, kw_only=True)
-class Cause:
-    """Settings that are responsible for a visible or wrong phenomenon.
-
-    Attributes:
-        settings: Names of the settings; empty when no change of a few settings explains the error.
-        line: Explanation in one line.
-        tried: All changes that were tried.
-    """
-
-    settings: tuple[str, ...]
-    line: str
-    tried: tuple[SettingTrial, ...] = ()
-
-
-@dataclass(frozen=True, kw_only=True)
 class Cure:
     """The change of a few settings that mends most phenomena, as measured.
 
@@ -475,9 +343,7 @@ class PhenomenonResult:
         configured: Value in this configuration; None when not measured.
         verdict: Verdict of this configuration.
         default_verdict: Verdict of the backend's default.
-        cause: Responsible settings; None when the configuration is inside reality's scatter or was declined.
         remark: Why it was not measured, or how it failed; empty otherwise.
-        curve: Curve over time; None when there is none.
         advisory: Why the verdict does not count for the whole configuration; empty when it counts.
         applies: Whether the phenomenon applies to the target.
         geoms: Geoms whose contact constants decide the row; empty when all contacts have the same.
@@ -494,9 +360,7 @@ class PhenomenonResult:
     configured: float | None = None
     verdict: Verdict
     default_verdict: Verdict = Verdict.DECLINED
-    cause: Cause | None = None
     remark: str = ""
-    curve: Curve | None = None
     advisory: str = ""
     applies: bool = True
     geoms: str = ""
@@ -524,15 +388,6 @@ class PhenomenonResult:
     def to_dict(self) -> dict[str, Any]:
         """Return all attributes, JSON-ready."""
         return json_ready(asdict(self))
-
-
-def plain_report(report: Any, *names: str) -> dict[str, Any]:
-    """Return all attributes of a report, JSON-ready, without the models of its configurations, which have names."""
-    bare = {name: replace(getattr(report, name), robot=None) for name in names}
-    values: dict[str, Any] = json_ready(asdict(replace(report, **bare)))
-    for name in names:
-        del values[name]["robot"], values[name]["stated"]
-    return values
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -596,8 +451,11 @@ class Report:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return all attributes, JSON-ready."""
-        return plain_report(self, "configuration") | {
+        """Return all attributes, JSON-ready, without the target's own model."""
+        bare = replace(self, configuration=replace(self.configuration, robot=None))
+        values: dict[str, Any] = json_ready(asdict(bare))
+        del values["configuration"]["robot"]
+        return values | {
             "worst": self.worst.value,
             "unmeasured": list(self.unmeasured),
             "counts": self.counts,

@@ -1,4 +1,4 @@
-"""Run a sanity check: measure phenomena with the backend's default and the configuration, and find causes."""
+"""Run a sanity check: measure phenomena with the configuration and the backend's default, and find the cure."""
 
 from __future__ import annotations
 
@@ -13,23 +13,18 @@ from typing import Any
 
 from gauge_envs.errors import ParameterError, TargetError
 from gauge_envs.files import MEGABYTE, json_document, os_errors, read_regular, versions
-from gauge_envs.pages.text import with_unit
-from gauge_envs.tools.sanity.candidates import candidates_of
-from gauge_envs.tools.sanity.cause import find_cause
 from gauge_envs.tools.sanity.cure import find_cure
 from gauge_envs.tools.sanity.measure import (
     Measured,
     Measurements,
     Subject,
     TimeLimitError,
-    curve_of,
     result_of,
     subject_of,
     worst_of,
 )
 from gauge_envs.tools.sanity.model import (
     INSIDE_WITHIN,
-    Cause,
     Cure,
     PartOutcome,
     PhenomenonResult,
@@ -61,10 +56,10 @@ def check(
     explain: bool = True,
     notify: Callable[[PhenomenonResult], None] | None = None,
 ) -> Report:
-    """Return what physics a training configuration gets wrong, and which of its settings are responsible.
+    """Return what physics a training configuration gets wrong, and which change of its settings corrects most.
 
-    All phenomena are measured in the configuration first. Then come those of this package's preset and the causes where
-    a row is not inside, and the change that mends most, which is applied and measured.
+    All phenomena are measured in the configuration first. Then come those of this package's preset where a row is not
+    inside, and the change that corrects most flags, which is applied and measured.
 
     Args:
         target: A `TrainingConfiguration`, or a target of `gauge_envs.tools.sanity.configuration`.
@@ -73,7 +68,7 @@ def check(
         include_deformables: Whether to measure phenomena of grasps and of deformable bodies too.
         time_limit_s: Time after which no simulation starts any more [s]; rows that are not measured by then are
             declined. It bounds each simulation of an engine of another package too. None for no limit.
-        explain: Whether to find the responsible settings and the change that mends most.
+        explain: Whether to find the change that corrects most.
         notify: Function that is called with each row as soon as it is complete.
 
     Returns:
@@ -96,7 +91,7 @@ def check(
     with closing(
         Measurements(configuration.backend, time_limit_s=time_limit_s)
     ) as measurements:
-        run = _Run(measurements, configuration, explain=explain)
+        run = _Run(measurements, configuration)
         rows = []
         for row in run.rows(chosen):
             rows.append(row)
@@ -117,7 +112,7 @@ def check(
         cure: Cure | None = None
         tried: tuple[str, ...] = ()
         if explain:
-            rows, cure, tried = run.cured(rows)
+            cure, tried = run.cure(rows)
     notes = []
     if run.is_cut_short:
         notes.append(
@@ -142,69 +137,40 @@ def check(
 
 
 class _Run:
-    """Measures all phenomena in a configuration, and explains what is flagged."""
+    """Measures all phenomena in a configuration, and finds what corrects the flags."""
 
     def __init__(
         self,
         measurements: Measurements,
         configuration: TrainingConfiguration,
-        *,
-        explain: bool,
     ) -> None:
-        self._explain = explain
         self._measurements = measurements
         self._configuration = configuration
-        self._subjects: list[Subject] = []
-        self._unexplained: dict[str, Callable[[], Cause | None]] = {}
-        self._dialect = dialect(configuration.language)
         self.is_cut_short = False
 
     def rows(self, chosen: Sequence[str]) -> Iterator[PhenomenonResult]:
         """Yield a row for each phenomenon, those on what the target states at the end."""
-        for name in chosen:
-            if name not in STATED_IDS:
-                one = phenomenon(name)
-                self._subjects.append(
-                    subject_of(self._measurements, self._configuration, one)
-                )
-        outcomes = [self._in_time(one.measured) or {} for one in self._subjects]
+        subjects = [
+            subject_of(self._measurements, self._configuration, phenomenon(name))
+            for name in chosen
+            if name not in STATED_IDS
+        ]
+        outcomes = [self._in_time(one.measured) or {} for one in subjects]
         defaults: list[Measured | None] = []
-        for subject, outcome in zip(self._subjects, outcomes, strict=True):
+        for subject, outcome in zip(subjects, outcomes, strict=True):
             measure = partial(self._measurements.measure, subject.phenomenon, {})
             is_off = any(one.verdict is not Verdict.INSIDE for one in outcome.values())
             defaults.append(self._in_time(measure) if is_off else None)
-        yield from map(self._row, self._subjects, outcomes, defaults)
-        yield from target_rows(self._configuration, self._dialect, chosen)
+        yield from map(self._row, subjects, outcomes, defaults)
+        yield from target_rows(self._configuration, chosen)
 
-    def cured(
-        self, rows: Sequence[PhenomenonResult]
-    ) -> tuple[list[PhenomenonResult], Cure | None, tuple[str, ...]]:
-        """Return all rows with their causes, the change that mends most, and what else was tried.
-
-        A scene of many bodies takes longest. Where another row has a cause, the change to which it leads explains those
-        scenes too; the responsible setting is sought only where none has one.
-        """
-        causes: dict[str, Cause | None] = {}
-        if not any(row.is_flag and row.cause and row.experiment for row in rows):
-            causes = {n: self._in_time(find) for n, find in self._unexplained.items()}
-            rows = [replace(r, cause=causes.get(r.phenomenon, r.cause)) for r in rows]
-        cure, tried = self._cure(rows)
-        explained = [
-            replace(row, cause=_cause_of_cure(row, cure))
-            if row.phenomenon in {*self._unexplained} - {*causes}
-            else row
-            for row in rows
-        ]
-        return explained, cure, tried
-
-    def _cure(
+    def cure(
         self, rows: Sequence[PhenomenonResult]
     ) -> tuple[Cure | None, tuple[str, ...]]:
-        """Return the change that mends most flags, None when there is no flag or no cure, and what else was tried."""
-        search = (self._configuration, self._subjects, self._dialect, rows)
-        proposed = self._in_time(partial(candidates_of, *search)) or []
-        apply = (self._configuration, self._dialect, self._measurements)
-        found = self._in_time(partial(find_cure, *apply, proposed, rows))
+        """Return the change that corrects most flags, None without a flag or a cure, and what else was tried."""
+        words = dialect(self._configuration.language)
+        search = (self._configuration, words, self._measurements, rows)
+        found = self._in_time(partial(find_cure, *search))
         return (None, ()) if found is None else found
 
     def _in_time(self, work: Callable[[], Any]) -> Any:
@@ -230,15 +196,6 @@ class _Run:
         if configured.rollout is None:
             # A rollout that diverges is wrong whatever the target states.
             advisory = ""
-        cause = None
-        if self._explain and not advisory and default is not None:
-            settings = subject.sets[geoms]
-            search = (self._measurements, phenomenon, settings, configured, default)
-            find = partial(find_cause, *search, self._dialect)
-            if not phenomenon.has_many_bodies:
-                cause = self._in_time(find)
-            elif configured.verdict.is_off:
-                self._unexplained[phenomenon.id] = find
         # What an engine cannot simulate at all is no part of a check.
         is_unknown = default is not None and {configured.verdict, default.verdict} == {
             Verdict.DECLINED
@@ -248,8 +205,6 @@ class _Run:
             configured,
             default,
             applies=not is_unknown,
-            cause=cause,
-            curve=curve_of(phenomenon, configured, default),
             advisory=advisory,
         )
         if len(outcomes) == 1:
@@ -265,21 +220,6 @@ class _Run:
             for name, one in outcomes.items()
         )
         return replace(row, geoms=geoms, parts=parts)
-
-
-def _cause_of_cure(row: PhenomenonResult, cure: Cure | None) -> Cause:
-    """Return whether the change that mends most mends a row."""
-    if cure is None or row.phenomenon not in cure.mended:
-        return Cause(
-            settings=(), line="no change that was tried for other rows mends it"
-        )
-    before, after = (
-        "divergence" if value is None else with_unit(f"{value:.3g}", row.unit)
-        for value in (row.configured, cure.mended[row.phenomenon])
-    )
-    quantity = phenomenon(row.phenomenon).quantity
-    line = f"the first line brings {quantity} from {before} to {after}"
-    return Cause(settings=tuple(cure.changes), line=line)
 
 
 # --- comparison with an earlier run ----------------------------------------------------------------------------------

@@ -1,6 +1,5 @@
 """Sanity checks in words."""
 
-import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
@@ -46,17 +45,8 @@ STYLES = {
     Verdict.DECLINED: "dim",
 }
 
-MOST_TRIED = 4
-"""Largest number of changes without success that the first line names."""
-
-HALF_TEXT = 80
-"""Characters of the begin and of the end of a change without success in the first line; JSON has all of it."""
-
 MOST_NAMED = 2
 """Largest number of changes, or of rows that were not measured, that the first line names."""
-
-NOT_CHECKED = "not checked: numbers of a usual size that another robot has; a data sheet, a log or --against tells"
-"""What no row on a robot can tell."""
 
 REALITY = Column(
     "", "reality", lambda row: reality_text(row.reality, row.unit), is_number=True
@@ -66,23 +56,18 @@ REALITY = Column(
 LEGEND = (
     "Reality: mean of real trials and the interval of 95 % of further trials, or a law and its tolerance (gauge list "
     "phenomena, --format wide and pages name the source). Preset: this package's preset for the scene. This: the "
-    "checked configuration; after the verdict, its difference from reality. Below a row: the responsible setting, "
-    "found by resetting each setting to the engine's documented default and to this package's preset, and measuring "
-    "again."
+    "checked configuration; after the verdict, its difference from reality."
 )
 
 
 def sanity_document(report: Report) -> Document:
     """Return a sanity check: what was read, the table of phenomena, and the meaning of the verdicts.
 
-    Its rows are the configuration with the worst verdict, then each phenomenon without its curve.
+    Its rows are the configuration with the worst verdict, then each phenomenon.
     """
     checked, table = report.configuration, _phenomenon_table(report)
     whole = report.to_dict()
-    rows = (
-        {key: value for key, value in row.items() if key != "curve"}
-        for row in whole.pop("rows")
-    )
+    rows = whole.pop("rows")
     answer, tally = Paragraph(top_line(report), Tone.ANSWER), tally_text(report)
     return Document(
         parts=(
@@ -113,26 +98,7 @@ def sanity_document(report: Report) -> Document:
     )
 
 
-def _cut(text: str) -> str:
-    """Return a text without its middle where it is long: first what was tried, last how far it came."""
-    if len(text) <= 2 * HALF_TEXT:
-        return text
-    return f"{text[:HALF_TEXT].rstrip(' ,')} ... {text[-HALF_TEXT:].lstrip(' ,')}"
-
-
 def top_line(report: Report) -> str:
-    """Return wrong rows of the robot that no change mends, then the change that mends most rows.
-
-    Numbers that a published model of the robot states otherwise come first. Without a change, what the check found.
-    """
-    mended = () if report.cure is None else report.cure.mended
-    unlike = report.flags.get("robot-maker")
-    if unlike is None or "robot-maker" in mended:
-        return _advice_line(report)
-    return f"Unlike the published robot: {unlike.remark}. {_advice_line(report)}"
-
-
-def _advice_line(report: Report) -> str:
     """Return the change that mends most rows, and what is left; without one, what the check found."""
     flags = report.flags
     if report.cure is not None:
@@ -143,24 +109,14 @@ def _advice_line(report: Report) -> str:
             and name.startswith("robot-")
             and name not in report.cure.mended
         ]
-        first = (
-            f"Wrong in the robot itself, mend by hand: {', '.join(left)}. "
-            if left
-            else ""
-        )
+        first = f"Wrong in the robot itself: {', '.join(left)}. " if left else ""
         return f"{first}Mends most: {report.cure.line}"
     if flags:
-        text = counted(len(flags), "flag")
+        text = f"{counted(len(flags), 'flag')}: {', '.join(flags)}"
         if report.tried:
-            more = len(report.tried) - MOST_TRIED
-            several = [
-                *(_cut(one) for one in report.tried[:MOST_TRIED]),
-                *([f"and {more} more"] if more > 0 else []),
-            ]
-            return (
-                f"{text}. Tried, and none mends one without harm: {'; '.join(several)}"
-            )
-        return f"{text}: {', '.join(flags)}"
+            changes = counted(len(report.tried), "change")
+            text += f". None of {changes} of settings that were tried corrects one without harm"
+        return text
     measured, missing = report.counts["measured"], report.unmeasured
     if not measured:
         reasons = dict.fromkeys(row.remark for row in report.rows if row.remark)
@@ -172,9 +128,6 @@ def _advice_line(report: Report) -> str:
     off = [row.phenomenon for row in report.rows if row.verdict.is_off]
     if off:
         texts.append(f"advice that does not count: {', '.join(off)}")
-    measured_rows = {row.phenomenon for row in report.rows if row.parts}
-    if "robot-density" in measured_rows and "robot-maker" not in measured_rows:
-        texts.append(NOT_CHECKED)
     return "; ".join(texts)
 
 
@@ -290,7 +243,6 @@ def contact_table(checked: TrainingConfiguration) -> Table:
 
 
 def _phenomenon_table(report: Report) -> Table:
-    repeated = _repeated_causes(report)
     return Table(
         title="Phenomena",
         columns=(
@@ -313,16 +265,7 @@ def _phenomenon_table(report: Report) -> Table:
                 style=_style,
             ),
             Column("", "verdict", verdict_text, style=_style),
-            Column(
-                "",
-                "",
-                lambda row: repeated[row.phenomenon],
-                place=Place.BELOW,
-                narrow_only=True,
-            ),
-            Column(
-                "", "responsible", responsible_text, place=Place.BELOW, wide_only=True
-            ),
+            Column("", "remark", remark_text, place=Place.BELOW),
         ),
         rows=applicable(report),
     )
@@ -358,26 +301,6 @@ def by_reason(word: str, found: Sequence[tuple[str, str]]) -> list[Part]:
     ]
 
 
-CAUSE_VERB = " brings "
-"""Verb of a cause, between the settings and what they do."""
-
-
-def _repeated_causes(report: Report) -> dict[str, str]:
-    """Return what is responsible for each row, shorter where its cause is that of an earlier row, by phenomenon."""
-    first: dict[str, str] = {}
-    texts = {}
-    for row in report.rows:
-        shown = row
-        if row.cause is not None and CAUSE_VERB in row.cause.line:
-            change, effect = row.cause.line.split(CAUSE_VERB, maxsplit=1)
-            if first.setdefault(change, row.phenomenon) != row.phenomenon:
-                # Other settings that would do, and the source, stand in the wide table.
-                line = f"as for {first[change]}: {re.split(r' [(]|; ', effect)[0]}"
-                shown = replace(row, cause=replace(row.cause, line=line))
-        texts[row.phenomenon] = responsible_text(shown)
-    return texts
-
-
 def _style(row: PhenomenonResult) -> str:
     return "" if row.advisory else STYLES[row.verdict]
 
@@ -405,14 +328,13 @@ def verdict_text(row: PhenomenonResult) -> str:
     return f"{word}, {with_unit(f'{effect:+.3g}', row.unit)}"
 
 
-def responsible_text(row: PhenomenonResult) -> str:
-    """Return the remark of a row, the geoms that decide it, and its responsible settings."""
+def remark_text(row: PhenomenonResult) -> str:
+    """Return the geoms that decide a row, its remark, and what a flag means."""
     parts = (
         f"worst: {row.geoms}" if row.geoms and row.verdict.is_off else "",
         row.remark,
         row.advisory if row.verdict.is_off else "",
         row.consequence.removesuffix("."),
-        "" if row.cause is None else row.cause.line,
     )
     return "; ".join(filter(None, parts))
 

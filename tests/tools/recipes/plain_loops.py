@@ -147,18 +147,6 @@ def mujoco(snippet, foot):
     return stepped_places(foot, step, lambda: data.xpos[1])
 
 
-def mujoco_warp(snippet, foot):
-    """mujoco_warp on the CPU, from MJCF."""
-    import mujoco as mj
-    import mujoco_warp as mjw
-    import warp as wp
-
-    model = mjcf(snippet, foot)
-    with wp.ScopedDevice("cpu"):
-        on_warp, state = mjw.put_model(model), mjw.put_data(model, mj.MjData(model))
-        return stepped_places(foot, lambda: mjw.step(on_warp, state), lambda: state.qpos.numpy()[0, :3])  # fmt: skip
-
-
 def rapier(snippet, foot):
     """Rapier, from Python."""
     import rapier3d as rp
@@ -375,9 +363,9 @@ def genesis(snippet, foot):
 
 LOOPS = {
     loop.__name__: loop
-    for loop in (mujoco, rapier, physx, pybullet, drake, newton, mujoco_warp, genesis)
+    for loop in (mujoco, rapier, physx, pybullet, drake, newton, genesis)
 }
 SLIDES = ("mujoco", "rapier", "physx")
 """Engines in which a box can be kept from turning."""
-FEW_DROPS = ("newton", "mujoco_warp", "genesis")
+FEW_DROPS = ("newton", "genesis")
 """Engines of slow steps, which get two drops."""

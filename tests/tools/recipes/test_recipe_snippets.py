@@ -16,11 +16,10 @@ MODULES = {
     "pybullet": "pybullet",
     "drake": "pydrake",
     "newton": "newton",
-    "mujoco_warp": "mujoco_warp",
     # A folder of tests is a namespace package `genesis`.
     "genesis": "genesis.version",
 }
-HEAVY = ("pybullet", "drake", "newton", "mujoco_warp", "genesis")
+HEAVY = ("pybullet", "drake", "newton", "genesis")
 ENGINES = [
     pytest.param(name, marks=[pytest.mark.slow] if name in HEAVY else [])
     for name in MODULES

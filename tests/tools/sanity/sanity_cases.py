@@ -43,7 +43,7 @@ def read_text(*read):
     for one in read:
         foot = one.foot_contact
         values = {
-            "target": [one.name, one.backend, one.language, one.trains_on],
+            "target": [one.name, one.backend, one.language],
             "frame_skip": one.frame_skip,
             "gravity_m_per_s2": one.gravity_m_per_s2,
             "settings": one.settings,

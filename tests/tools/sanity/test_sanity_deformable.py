@@ -10,7 +10,6 @@ from gauge_envs.backends import backend
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
 from gauge_envs.runs.rollout import DeclinedError, DivergedError
 from gauge_envs.scene import Rope
-from gauge_envs.tools.sanity.cause import find_cause
 from gauge_envs.tools.sanity.measure import Measurements
 from gauge_envs.tools.sanity.model import Verdict
 from gauge_envs.tools.sanity.phenomena import phenomena
@@ -198,32 +197,6 @@ def test_an_engine_that_raises_has_diverged(monkeypatch):
 
 
 # --- engines ---------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("name", "settings", "responsible"),
-    [
-        ("foot-lag", CHEETAH, "integrator"),
-        pytest.param(
-            "cloth-carry",
-            {"cone": "pyramidal", "iterations": 50},
-            "cone",
-            marks=pytest.mark.slow,
-        ),
-        pytest.param(
-            "rope-length",
-            {"timestep_s": 0.0008, "integrator": "Euler"},
-            "timestep_s",
-            marks=pytest.mark.slow,
-        ),
-    ],
-)
-def test_what_harms_a_deformable_body_is_found(name, settings, responsible):
-    measurements, phenomenon = Measurements(MUJOCO), one(name)
-    configured = measurements.measure(phenomenon, settings)
-    default = measurements.measure(phenomenon, {})
-    cause = find_cause(measurements, phenomenon, settings, configured, default)
-    assert cause is not None and responsible in cause.settings
 
 
 @pytest.mark.slow

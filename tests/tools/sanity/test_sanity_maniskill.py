@@ -4,19 +4,14 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
-import gymnasium
-import numpy as np
 import pytest
 from sanity_cases import read_text
 
 from gauge_envs.backends import backend
 from gauge_envs.errors import TargetError
-from gauge_envs.tools.sanity import Verdict, check, configuration
+from gauge_envs.tools.sanity import Verdict, check
 from gauge_envs.tools.sanity.measure import Measurements
 from gauge_envs.tools.sanity.phenomena import phenomena
 from gauge_envs.tools.sanity.stacks.maniskill import maniskill_configuration
@@ -64,38 +59,6 @@ def test_damping_of_links_acts_on_links_alone():
     )
 
 
-def test_objects_are_read_as_their_values():
-    @dataclass
-    class SceneConfig:
-        gravity: Any = field(default_factory=lambda: np.array([0.0, 0.0, -9.81]))
-        bounce_threshold: float = 0.5
-
-    @dataclass
-    class SimConfig:
-        sim_freq: int = 200
-        control_freq: int = 20
-        scene_config: SceneConfig = field(default_factory=SceneConfig)
-
-    class Env(gymnasium.Env):
-        sim_config = SimConfig()
-
-    for target in (
-        SimConfig(),
-        asdict(SimConfig()) | {"scene_config": {"bounce_threshold": 0.5}},
-        Env(),
-    ):
-        found = configuration(target)
-        assert (
-            found.settings["timestep_s"],
-            found.settings["bounce_threshold_m_per_s"],
-        ) == (0.005, 0.5)
-    wrapped = SimpleNamespace(
-        unwrapped=SimpleNamespace(sim_config=SimConfig()),
-        spec=SimpleNamespace(id="Mine-v1"),
-    )
-    assert configuration(wrapped).name == "Mine-v1"
-
-
 @pytest.mark.parametrize(
     ("values", "message"),
     [
@@ -136,9 +99,6 @@ def test_the_finding_on_pick_cube_is_the_damping_of_links_and_the_bounce_thresho
         False,
     )
     assert rows["period"].verdict is Verdict.WRONG
-    assert rows["period"].cause is not None and rows["period"].cause.settings == (
-        "link_linear_damping_per_s",
-    )
     assert report.cure.line.startswith(
         "[link.set_linear_damping(0) for link in self.agent.robot.links]: the one flag"
     )

@@ -39,17 +39,6 @@ LONG = ("period", "energy", "wall-sag", "wall-drift", "beam")
 NEEDS_TWO_LINES = ("foot-lag",)
 
 
-def trace_words(phenomenon, rollout):
-    """Return a trace at the start, the middle and the end, with the interval of reality there."""
-    trace = phenomenon.trace
-    values, times_s = trace.values(rollout), rollout.times_s
-    shown = [0, len(times_s) // 2, len(times_s) - 1]
-    words = [trace.label, told(trace.until_s), told(values[shown])]
-    if trace.reality is not None:
-        words += [told(part[shown]) for part in trace.reality(times_s)]
-    return " ".join(words)
-
-
 def test_numbers_of_all_phenomena_are_the_approved_ones(approved):
     """Of an engine whose bodies move as stated functions of the time, so that no physics and no rounding matters."""
     lines = []
@@ -60,8 +49,6 @@ def test_numbers_of_all_phenomena_are_the_approved_ones(approved):
             continue
         rollout = run_scenario(WobblingBackend(), one.scenario, {})
         lines.append(f"  {told(replace(judged(one, rollout), rollout=None))}")
-        if one.trace is not None:
-            lines.append(f"  {trace_words(one, rollout)}")
     approved("sanity/phenomena", "\n".join(dict.fromkeys(lines)))
 
 

@@ -421,8 +421,6 @@ GENESIS = '{"sim": {"dt": %s, "gravity": [0, 0, 9.81]}, "rigid": {"integrator": 
         ("a.toml", "backend = ", r"a\.toml: ."),
         ("a.json", "{", r"a\.json: ."),
         ("a.json", "[1]", "the file: "),
-        ("deep.json", "[" * 100_000, "deep.json"),
-        ("deep.toml", "a = " + "[" * 100_000, "deep.toml"),
         ("a.toml", "\udcff", "a.toml"),
         (
             "a.toml",
@@ -560,15 +558,3 @@ def test_a_model_file_finds_its_meshes_by_either_name(tmp_path, name):
     ).write_text("""<mujoco><asset><mesh name="box" file="box.obj"/></asset><worldbody><body>
       <joint/><geom type="mesh" mesh="box"/></body></worldbody></mujoco>""")
     assert configuration(tmp_path / name).robot.model.nmesh == 1
-
-
-def test_a_model_that_takes_too_much_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr("gauge_envs.tools.sanity.stacks.mjcf.MODEL_CPU_S", 2)
-    bomb = '<replicate count="10000000" offset="1 0 0"><geom size="1"/></replicate>'
-    (tmp_path / "bomb.xml").write_text(
-        f"<mujoco><worldbody>{bomb}</worldbody></mujoco>"
-    )
-    with pytest.raises(
-        TargetError, match=r"loading it (takes more than 2 s|needs more than \d+ MB)"
-    ):
-        configuration(tmp_path / "bomb.xml")

@@ -9,7 +9,6 @@ __all__ = ["engine_names", "engine_settings"]
 
 CLASSES = {
     "mujoco": ("mujoco", "MuJoCoSettings"),
-    "mujoco_warp": ("mujoco", "MuJoCoWarpSettings"),
     "newton": ("newton", "NewtonSettings"),
     "physx": ("physx", "PhysXSettings"),
     "pybullet": ("pybullet", "PyBulletSettings"),

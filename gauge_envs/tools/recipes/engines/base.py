@@ -84,11 +84,6 @@ class ContactSettings(BaseModel, ABC):
         return backend(cls.engine)
 
     @classmethod
-    def searched_on(cls) -> type[ContactSettings]:
-        """Return the class on whose engine settings are sought; the found ones are measured on this engine."""
-        return cls
-
-    @classmethod
     @abstractmethod
     def aimed(cls, aim: Aim) -> Self:
         """Return the settings that are to give a behaviour, by the rule of the backend of this package."""

@@ -5,7 +5,6 @@ from typing import Any, ClassVar, Self
 
 from pydantic import Field, field_validator
 
-from gauge_envs.backends.base import Backend
 from gauge_envs.backends.mujoco.settings import PRESETS
 from gauge_envs.backends.shared.spring_damper import damping_ratio_of
 from gauge_envs.scene import GRAVITY_M_PER_S2
@@ -153,24 +152,6 @@ def _in_force(solimp: Solimp) -> Solimp:
         min(max(one, LEAST_IMPEDANCE), MOST_IMPEDANCE) for one in (d0, dwidth, midpoint)
     )
     return d0, dwidth, max(width_m, 0.0), midpoint, max(power, 1.0)
-
-
-class MuJoCoWarpSettings(MuJoCoSettings):
-    """The same settings on mujoco_warp, in single precision."""
-
-    engine: ClassVar[str] = "mujoco_warp"
-
-    @classmethod
-    def backend(cls) -> Backend:
-        """Return mujoco_warp on the CPU, with the model that MuJoCo compiles."""
-        from gauge_envs.tools.sanity import BackendMuJoCoWarp
-
-        return BackendMuJoCoWarp()
-
-    @classmethod
-    def searched_on(cls) -> type[ContactSettings]:
-        """Return MuJoCo's settings: its equations are the same, and a small scene runs a hundred times faster."""
-        return MuJoCoSettings
 
 
 def contact_of(aim: Aim) -> dict[str, Any]:

@@ -17,8 +17,7 @@ if TYPE_CHECKING:
     from gauge_envs.tools.sanity.phenomena.base import Phenomenon
     from gauge_envs.tools.sanity.robot.foot import FootGeometry
 
-GRAVITY_ID, CAPACITY_ID, CONTROL_ID = "gravity", "contact-capacity", "control-step"
-FRICTION_RANGE_ID = "friction-range"
+GRAVITY_ID, CONTROL_ID = "gravity", "control-step"
 """Rows on what a target states, which need no rollout."""
 
 _TABLES = tomllib.loads(
@@ -28,8 +27,14 @@ _TABLES = tomllib.loads(
 ROBOT_IDS = tuple(_TABLES["robot"])
 """Rows on the target's own model: its rollout, and what it states."""
 
-STATED_IDS = (GRAVITY_ID, CAPACITY_ID, CONTROL_ID, FRICTION_RANGE_ID, *ROBOT_IDS)
+STATED_IDS = (GRAVITY_ID, CONTROL_ID, *ROBOT_IDS)
 """Rows that run none of the suite's experiments."""
+
+UNCHANGED_IDS = frozenset(ROBOT_IDS) - {
+    *("robot-holds", "robot-stands", "robot-saturation", "robot-slip"),
+    *("robot-energy", "robot-servo", "robot-lag", "robot-frictionloss"),
+}
+"""Rows on the robot that no setting of the engine changes."""
 
 RIGID: Mapping[str, Sequence[str]] = _TABLES["rigid"]
 """Module, function and argument of the phenomena of rigid bodies by id, in the order of their rows."""
@@ -91,11 +96,6 @@ def selection(
             *_known(include_deformables=include_deformables),
         ),
     )
-
-
-def matches(name: str, only: Sequence[str]) -> bool:
-    """Return whether a name matches one of the patterns, also several in one text with commas."""
-    return any(fnmatchcase(name, pattern) for pattern in patterns_of(only))
 
 
 def patterns_of(only: Sequence[str]) -> list[str]:

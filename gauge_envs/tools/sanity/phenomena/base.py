@@ -1,6 +1,5 @@
 """Define a phenomenon: a scenario, a measured number, and its value in reality, from the facts of real trials."""
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
@@ -11,29 +10,8 @@ from gauge_envs.files import MOST_TOML_BYTES, data_folder, read_regular, toml_do
 from gauge_envs.references.published import published_baselines
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.scene.motors import Servo
 from gauge_envs.tools.sanity.model import Need, Reality
 from gauge_envs.tools.sanity.scenario import Scenario
-
-
-@dataclass(frozen=True, kw_only=True)
-class Trace:
-    """Quantity of a phenomenon that is drawn over time.
-
-    Attributes:
-        label: Name of the quantity with its unit.
-        values: Function from a rollout to the quantity, shape [sample_count].
-        reality: Function from times [s] to centre and half-width of the interval of reality; None when only one value
-            is known.
-        is_level: Whether reality has the phenomenon's interval at all times.
-        until_s: Last time that is drawn [s].
-    """
-
-    label: str
-    values: Callable[[Rollout], FloatArray]
-    reality: Callable[[FloatArray], tuple[FloatArray, FloatArray]] | None = None
-    is_level: bool = False
-    until_s: float = math.inf
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,13 +21,11 @@ class Phenomenon:
     Attributes:
         id: Stable name, which the list of phenomena gives.
         title: Title of a few words.
-        quantity: Name of the number, in one or two words.
         scenario: Scenario that shows the phenomenon.
         unit: Unit of the number; `1` for a pure number.
         reality: Value and scatter for real objects.
         value: Function that measures the number in a rollout of the scenario.
         failure: Function that returns a failure that no real trial shows, independent of the number; None for none.
-        trace: Quantity that is drawn over time; None when there is none.
         needs_friction: Whether the phenomenon means nothing without friction.
         needs_foot: Whether the scene is built from the foot of the target.
         needs_space: Whether the phenomenon means nothing to a robot that moves in a plane along an axis of the world.
@@ -59,13 +35,11 @@ class Phenomenon:
 
     id: str = ""
     title: str
-    quantity: str
     scenario: Scenario
     unit: str
     reality: Reality
     value: Callable[[Rollout], float]
     failure: Callable[[Rollout], str] | None = None
-    trace: Trace | None = None
     needs_friction: bool = False
     needs_foot: bool = False
     needs_space: bool = False
@@ -86,7 +60,6 @@ class Phenomenon:
             Need.FRICTION: self.needs_friction,
             Need.FOOT: self.needs_foot,
             Need.SPACE: self.needs_space,
-            Need.SERVO: any(isinstance(motor, Servo) for _, motor in scene.motors),
         }
         return (
             Need.GRAVITY,

@@ -17,7 +17,6 @@ from gauge_envs.tools.sanity.model import Reality
 from gauge_envs.tools.sanity.phenomena.base import (
     RECORDINGS,
     Phenomenon,
-    Trace,
     facts,
     recorded,
     recorded_reality,
@@ -60,7 +59,6 @@ def cloth_carry() -> Phenomenon:
 
     return Phenomenon(
         title="tablecloth: lag of the metal cube behind the pulling rod",
-        quantity="lag",
         scenario=Scenario(
             name="cloth", variant="TableclothPulling-metal", seconds=RECORDED_S
         ),
@@ -68,7 +66,6 @@ def cloth_carry() -> Phenomenon:
         reality=recorded_reality("tablecloth_pulling", "slip_of_cube_on_cloth_mm"),
         needs_friction=True,
         value=lambda rollout: lag_mm(rollout)[-1],
-        trace=Trace(label="lag behind the rod [mm]", values=lag_mm),
     )
 
 
@@ -100,7 +97,6 @@ def cloth_sag() -> Phenomenon:
 
     return Phenomenon(
         title="cloth, satin: sag of its lowest markers under its own weight",
-        quantity="sag",
         scenario=scenario,
         unit="mm",
         reality=Reality.law(
@@ -111,9 +107,6 @@ def cloth_sag() -> Phenomenon:
         ),
         value=lambda rollout: float(
             hann_mean(sag_mm(rollout)[rollout.between(HANGING_S, HANG_S)])
-        ),
-        trace=Trace(
-            label="sag of the lowest markers [mm]", values=sag_mm, is_level=True
         ),
     )
 
@@ -127,7 +120,6 @@ def fling_lag() -> Phenomenon:
 
     return Phenomenon(
         title="cloth, any fabric: largest angle behind a rod that flings it",
-        quantity="angle",
         scenario=Scenario(name="fling", variant=HUNG, seconds=FLING_S),
         unit="deg",
         reality=recorded_reality(
@@ -137,7 +129,6 @@ def fling_lag() -> Phenomenon:
             more="; satin swings like leather, which has 28 times its mass",
         ),
         value=lambda rollout: angle_deg(rollout).max(),
-        trace=Trace(label="angle of the cloth [deg]", values=angle_deg),
     )
 
 
@@ -166,7 +157,6 @@ def foam(name: str, variant: str, recording: str, verb: str) -> Phenomenon:
 
     return Phenomenon(
         title=f"foam, {verb} by {abs(grip):.0f} mm: change of the area of its marked face",
-        quantity="change",
         scenario=Scenario(name=f"foam-{name}", variant=variant, seconds=GRIPPED_S),
         unit="%",
         reality=Reality.measured(
@@ -177,7 +167,6 @@ def foam(name: str, variant: str, recording: str, verb: str) -> Phenomenon:
             source=f"one recorded trial of soft or hard foam; scatter: of the measurement ({RECORDINGS})",
         ),
         value=lambda rollout: change(rollout)[-1],
-        trace=Trace(label="change of the area [%]", values=change),
     )
 
 
@@ -194,13 +183,11 @@ def beam() -> Phenomenon:
 
     return Phenomenon(
         title="beam of rubber blocks: frequency of its oscillation",
-        quantity="frequency",
         scenario=Scenario(name="beam", variant="CantileverBeam-soft", seconds=SWING_S),
         unit="Hz",
         reality=recorded_reality("cantilever_beam", "frequency_hz"),
         advisory="the modulus of the blocks is not published, and the scene has that of the rubber rod",
         value=lambda rollout: _frequency_hz(rollout.times_s, height_mm(rollout)),
-        trace=Trace(label="height of the tip [mm]", values=height_mm),
     )
 
 
@@ -243,7 +230,6 @@ def rope_length() -> Phenomenon:
 
     return Phenomenon(
         title="rope: largest change of its length while two balls fall into it",
-        quantity="stretch",
         scenario=Scenario(
             name="rope",
             variant="RopeWinding-rubber",
@@ -255,7 +241,6 @@ def rope_length() -> Phenomenon:
             "the rope does not visibly stretch", 2.0, "the length of 340 mm of the rope"
         ),
         value=largest_mm,
-        trace=Trace(label="stretch of the rope [mm]", values=stretch_mm, is_level=True),
     )
 
 
@@ -270,7 +255,6 @@ def foot_lag() -> Phenomenon:
 
     return Phenomenon(
         title="elastic rod dragged over a board: lag of its foot",
-        quantity="lag",
         scenario=Scenario(name="foot", variant="StickStack-soft", seconds=DRAG_S),
         unit="mm",
         reality=Reality.measured(
@@ -282,5 +266,4 @@ def foot_lag() -> Phenomenon:
         ),
         needs_friction=True,
         value=lambda rollout: lag_mm(rollout)[rollout.between(STEADY_S, DRAG_S)].mean(),
-        trace=Trace(label="lag of the foot [mm]", values=lag_mm),
     )

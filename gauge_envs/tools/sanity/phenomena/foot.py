@@ -25,7 +25,7 @@ from gauge_envs.scene import (
 from gauge_envs.scene.geometry import FloatArray, vector
 from gauge_envs.tools.bench.slope import moved_m
 from gauge_envs.tools.sanity.model import COVERAGE, Reality
-from gauge_envs.tools.sanity.phenomena.base import Phenomenon, Trace
+from gauge_envs.tools.sanity.phenomena.base import Phenomenon
 from gauge_envs.tools.sanity.phenomena.friction import (
     CALM_INTERVAL_S,
     HOLD_S,
@@ -266,10 +266,6 @@ def _landed(
             0.0, tolerance=tolerance, source=source, rationale=rationale
         ),
         needs_foot=True,
-        trace=Trace(
-            label="height of the lowest sole [mm]",
-            values=lambda rollout: _lowest_mm(rollout, foot),
-        ),
         **attributes,
     )
 
@@ -282,7 +278,6 @@ def depth(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
         "rigid bodies do not overlap",
         DEPTH_MM,
         "a rubber ball of 20 mm radius (2 MPa) that lands with 3 kg is compressed as much (Hertz)",
-        quantity="depth",
         unit="mm",
         value=lambda rollout: -_lowest_mm(rollout, foot).min(),
     )
@@ -302,7 +297,6 @@ def rebound(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
         STAYS,
         HOP,
         f"a hop of {1e3 * HOP**2 * DROP_M:.0f} mm, which the eye sees",
-        quantity="rebound",
         unit="1",
         is_impact=True,
         value=ratio,
@@ -330,7 +324,6 @@ def rest(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
         STAYS,
         STANCE_S,
         "the stance of a trot; a foot that lands longer never rests before the next step",
-        quantity="time",
         unit="s",
         value=lambda rollout: max(
             last_s(rollout) - float(np.sqrt(2.0 * DROP_M / GRAVITY_M_PER_S2)), 0.0

@@ -20,7 +20,6 @@ from gauge_envs.tools.sanity.model import COVERAGE, Reality
 from gauge_envs.tools.sanity.phenomena.base import (
     RECORDINGS,
     Phenomenon,
-    Trace,
     acceleration,
     facts,
     position_scatter_mm,
@@ -114,15 +113,11 @@ def creeping(
 
     return Phenomenon(
         title=title,
-        quantity="creep",
         scenario=scenario,
         unit="mm/s",
         reality=Reality.law(0.0, tolerance=bound, source=source, rationale=rationale),
         needs_friction=True,
         value=speed_mm_per_s,
-        trace=Trace(
-            label="displacement downhill [mm]", values=downhill_mm, reality=reality
-        ),
     )
 
 
@@ -142,7 +137,6 @@ def rest_height(material: str) -> Phenomenon:
     """Return the gap between a cube at rest and its board."""
     return Phenomenon(
         title="resting height: gap between cube and board",
-        quantity="gap",
         scenario=_hold_scenario(material),
         unit="mm",
         reality=rigid_law("rigid bodies touch", 0.5, "the edge of 50 mm of the cube"),
@@ -150,7 +144,6 @@ def rest_height(material: str) -> Phenomenon:
         value=lambda rollout: _gaps_mm(rollout)[
             rollout.between(SETTLED_S, HOLD_S)
         ].mean(),
-        trace=Trace(label="gap [mm]", values=_gaps_mm, is_level=True),
     )
 
 
@@ -160,7 +153,6 @@ def thrown(material: str) -> Phenomenon:
     return replace(
         at_rest,
         title="release: height to which a cube that touches its board is thrown, above where it settles",
-        quantity="height",
         scenario=replace(
             at_rest.scenario,
             name=f"release-{material}",
@@ -206,16 +198,12 @@ def sliding(
 
     return Phenomenon(
         title=title,
-        quantity="acceleration",
         scenario=scenario,
         unit="m/s^2",
         reality=real,
         needs_friction=True,
         value=lambda rollout: acceleration(
             rollout, downhill_mm(rollout), STEADY_SLIDE_S, SLIDE_S
-        ),
-        trace=Trace(
-            label="displacement downhill [mm]", values=downhill_mm, reality=reality
         ),
     )
 
@@ -318,7 +306,6 @@ def carry(material: str) -> Phenomenon:
 
     return Phenomenon(
         title=f"static friction, {material}: slip on a slow turntable within 3 s",
-        quantity="slip",
         scenario=scenario,
         unit="mm",
         reality=Reality.law(
@@ -331,7 +318,6 @@ def carry(material: str) -> Phenomenon:
         needs_friction=True,
         needs_space=True,
         value=lambda rollout: slip_mm(rollout)[-1],
-        trace=Trace(label="slip on the plate [mm]", values=slip_mm, is_level=True),
     )
 
 
@@ -349,7 +335,6 @@ def slip() -> Phenomenon:
 
     return Phenomenon(
         title="kinetic friction, metal: slip when the turntable reverses",
-        quantity="slip",
         scenario=scenario,
         unit="deg",
         reality=Reality.measured(
@@ -364,5 +349,4 @@ def slip() -> Phenomenon:
         needs_friction=True,
         needs_space=True,
         value=lambda rollout: slip_deg(rollout)[rollout.between(*STEADY_S)].mean(),
-        trace=Trace(label="slip on the plate [deg]", values=slip_deg),
     )

@@ -13,7 +13,6 @@ from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Scene
 from gauge_envs.tools.bench.grasp import (
     HELD,
-    SQUEEZED,
     TURNED,
     pad_creep_um_per_s,
     pad_depth_um,
@@ -22,7 +21,7 @@ from gauge_envs.tools.bench.grasp import (
 from gauge_envs.tools.bench.turning import turning_scene
 from gauge_envs.tools.conformance import checks
 from gauge_envs.tools.sanity.model import Reality
-from gauge_envs.tools.sanity.phenomena.base import Phenomenon, rigid_law
+from gauge_envs.tools.sanity.phenomena.base import Phenomenon
 from gauge_envs.tools.sanity.scenario import Scenario
 
 MIDDLE = 0.545
@@ -57,7 +56,7 @@ HANDS: Mapping[str, tuple[Scene, Callable[[Rollout], float]]] = {
 """Scene and reading of what a robot's hand is judged by, by id of the check that has its law."""
 
 
-def grasped(id: str, quantity: str) -> Phenomenon:
+def grasped(id: str) -> Phenomenon:
     """Return a row on a box whose pads press with twice its weight, with law and tolerance of a conformance check.
 
     A hand that lifts its box with an acceleration a loads its pads as gravity g + a loads those of a hand at rest, so
@@ -73,33 +72,10 @@ def grasped(id: str, quantity: str) -> Phenomenon:
     )
     texts = {
         "title": known.title,
-        "quantity": quantity,
         "unit": known.unit,
         "reality": real,
     }
     return _row(name, scene, measure, **texts)
-
-
-def servo() -> Phenomenon:
-    """Return the depth of a light jaw in a cube, while its position servo presses with the largest torque."""
-
-    def depth_mm(rollout: Rollout) -> float:
-        settled = rollout.times_s > 0.5 * SQUEEZED.duration_s
-        return -1e3 * float(rollout.displacement("jaw")[settled, 0].mean())
-
-    title, real = (
-        "jaw of a servo sinks into a cube",
-        rigid_law("rigid bodies: no depth", 1.0, "a cube of 34 mm"),
-    )
-    return _row(
-        "grasp-servo",
-        SQUEEZED,
-        depth_mm,
-        title=title,
-        quantity="depth",
-        unit="mm",
-        reality=real,
-    )
 
 
 def rolling() -> Phenomenon:
@@ -124,7 +100,6 @@ def rolling() -> Phenomenon:
         scene,
         arm_mm,
         title=title,
-        quantity="rolling friction",
         unit="mm",
         reality=real,
     )

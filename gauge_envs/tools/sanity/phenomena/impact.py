@@ -17,7 +17,6 @@ from gauge_envs.tools.sanity.model import Reality
 from gauge_envs.tools.sanity.phenomena.base import (
     PUBLISHED_TRIALS,
     Phenomenon,
-    Trace,
     facts,
 )
 from gauge_envs.tools.sanity.scenario import Scenario
@@ -108,7 +107,6 @@ def rebound() -> Phenomenon:
     trials = facts("bouncing_ball_summary")
     restitution = float(trials["rebound_ratio"]["mean"])
     names = [f"ball-{index}" for index in range(len(LIFTS_M))]
-    drawn = names[LIFTS_M.index(0.0)]
 
     def ratios(rollout: Rollout) -> list[float]:
         return [_rebound_ratio(rollout, name) for name in names]
@@ -123,7 +121,6 @@ def rebound() -> Phenomenon:
 
     return Phenomenon(
         title="restitution: speed of a ball after an impact over that before",
-        quantity="rebound",
         scenario=Scenario(
             name="drop",
             variant="BouncingBall-rubber",
@@ -141,10 +138,6 @@ def rebound() -> Phenomenon:
         is_impact=True,
         value=lambda rollout: float(np.mean(ratios(rollout))),
         failure=failure,
-        trace=Trace(
-            label="height of the ball [mm]",
-            values=lambda rollout: _height_mm(rollout, drawn),
-        ),
     )
 
 
@@ -262,7 +255,6 @@ def momentum() -> Phenomenon:
 
     return Phenomenon(
         title="momentum transfer through a row of five balls",
-        quantity="momentum",
         scenario=scenario,
         unit="1",
         is_impact=True,
@@ -275,10 +267,6 @@ def momentum() -> Phenomenon:
         ),
         value=efficiency,
         failure=failure,
-        trace=Trace(
-            label="height of the last ball [mm]",
-            values=lambda rollout: rise_mm(rollout, names[-1]),
-        ),
     )
 
 

@@ -22,7 +22,6 @@ from gauge_envs.tools.sanity.model import Reality
 from gauge_envs.tools.sanity.phenomena.base import (
     RECORDINGS,
     Phenomenon,
-    Trace,
     acceleration,
     facts,
     recorded,
@@ -53,7 +52,6 @@ def seam() -> Phenomenon:
 
     return Phenomenon(
         title="sharp edges: tetrahedron slides down its seam",
-        quantity="acceleration",
         scenario=scenario,
         unit="m/s^2",
         reality=recorded_reality(
@@ -64,7 +62,6 @@ def seam() -> Phenomenon:
         ),
         needs_friction=True,
         value=lambda rollout: acceleration(rollout, slid_mm(rollout), *SEAM_S),
-        trace=Trace(label="displacement down the seam [mm]", values=slid_mm),
     )
 
 
@@ -76,7 +73,6 @@ def point() -> Phenomenon:
 
     return Phenomenon(
         title="sharp edges: penetration of a falling tip into the base",
-        quantity="depth",
         scenario=Scenario(
             name="point", variant="NonsmoothContact-1-wood", seconds=FALL_S
         ),
@@ -85,7 +81,6 @@ def point() -> Phenomenon:
             "rigid bodies do not overlap", 1.0, "the height of 75 mm of the pyramid"
         ),
         value=lambda rollout: depth_mm(rollout).max(),
-        trace=Trace(label="depth of the tip [mm]", values=depth_mm, is_level=True),
     )
 
 
@@ -132,7 +127,7 @@ def _without_ball(scene: Scene) -> Scene:
 
 
 def _wall(
-    title: str, quantity: str, extreme_mm: Callable[[FloatArray], FloatArray], of: str
+    title: str, extreme_mm: Callable[[FloatArray], FloatArray], of: str
 ) -> Phenomenon:
     """Return a row on a wall, by a function of the bricks' displacements [mm], shape [brick_count, sample_count, 3]."""
     scenario = Scenario(
@@ -159,14 +154,12 @@ def _wall(
 
     return Phenomenon(
         title=f"stacking: {title}",
-        quantity=quantity,
         scenario=scenario,
         unit="mm",
         reality=rigid_law("a dry wall does not move", 1.0, of),
         needs_friction=True,
         value=lambda rollout: values(rollout)[-1],
         failure=fallen,
-        trace=Trace(label=f"{quantity} of the wall [mm]", values=values, is_level=True),
     )
 
 
@@ -174,7 +167,7 @@ def wall_sag() -> Phenomenon:
     """Return the settling of a wall."""
     title = "settling of a wall of 118 bricks"
     return _wall(
-        title, "sag", lambda moved: -moved[..., 2].min(axis=0), "eleven layers of 15 mm"
+        title, lambda moved: -moved[..., 2].min(axis=0), "eleven layers of 15 mm"
     )
 
 
@@ -186,16 +179,13 @@ def wall_drift() -> Phenomenon:
         return aside
 
     title = f"drift of the bricks of a wall within {STAND_S:g} s"
-    return _wall(title, "drift", drift_mm, "the length of 40 mm of a brick")
+    return _wall(title, drift_mm, "the length of 40 mm of a brick")
 
 
 # --- a pendulum ------------------------------------------------------------------------------------------------------
 
 PERIOD_S = 10.0
 """Time of the first 300 frames, for which the period is published [s]."""
-
-CURVE_S = 5.0
-"""Drawn time, about four periods [s]."""
 
 SWING_INTERVAL_S = 0.02
 """Time between samples of a pendulum [s]: its period is told to 3e-6 and its energy to 5e-4."""
@@ -241,7 +231,6 @@ def period() -> Phenomenon:
     )
     return Phenomenon(
         title="pendulum: period from 90 degrees",
-        quantity="period",
         scenario=scenario,
         unit="s",
         reality=Reality.law(
@@ -252,9 +241,6 @@ def period() -> Phenomenon:
             rationale=f"{PERIOD_TOLERANCE:.0%}, an error of one swing in a hundred; the recording resolves no less",
         ),
         value=measured_s,
-        trace=Trace(
-            label="horizontal displacement [mm]", values=aside_mm, until_s=CURVE_S
-        ),
     )
 
 
@@ -264,7 +250,6 @@ def energy() -> Phenomenon:
     rest_mm = 1e3 * (hinge.anchor_m[2] - length_of(arm))
     return Phenomenon(
         title=f"pendulum: energy lost within {scenario.seconds:.0f} s",
-        quantity="energy loss",
         scenario=scenario,
         unit="1",
         reality=Reality.law(

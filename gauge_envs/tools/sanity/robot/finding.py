@@ -1,18 +1,15 @@
 """What is found of a robot for a row, and how it is judged."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
 from gauge_envs.tools.sanity.model import (
-    Cause,
     PartOutcome,
     PhenomenonResult,
     Reality,
     RealityKind,
-    Settings,
     Verdict,
 )
 from gauge_envs.tools.sanity.phenomena.base import facts
@@ -21,15 +18,6 @@ from gauge_envs.tools.sanity.robot.robot import Robot
 
 WHOLE = "the robot"
 """Part of a row that judges the robot as a whole."""
-
-OF_DRIVES = frozenset(
-    {
-        *("robot-frictionloss", "robot-dry", "robot-armature", "robot-rotor"),
-        *("robot-stiffness", "robot-sag", "robot-lag", "robot-torque", "robot-ringing"),
-        "robot-damping",
-    }
-)
-"""Rows on what drives and brakes joints."""
 
 NOT_STANDING = "no robot of the model stands on the ground under its own weight"
 
@@ -42,8 +30,6 @@ class Finding:
         value: The value; not finite for a motion that diverges.
         parts: Value of each part that the row judges, by its name; empty for the robot as a whole.
         remark: Parts of the model that decide it.
-        advice: What to change, in the words of a model.
-        changes: The same, by names that `Robot.changed` knows.
         declined: Why it does not apply; empty when it does.
         unmeasured: Why it applies and was not measured; empty when it was.
         advisory: Why it does not count; empty when it does.
@@ -53,8 +39,6 @@ class Finding:
     value: float = 0.0
     parts: Mapping[str, float] = field(default_factory=dict)
     remark: str = ""
-    advice: str = ""
-    changes: Settings = field(default_factory=dict)
     declined: str = ""
     unmeasured: str = ""
     advisory: str = ""
@@ -142,9 +126,6 @@ def judged_row(name: str, found: Finding) -> PhenomenonResult:
         ),
         configured=None if missing or not np.isfinite(value) else float(value),
         verdict=Verdict.DECLINED if missing else verdict,
-        cause=Cause(settings=tuple(found.changes), line=found.advice)
-        if found.advice and is_off
-        else None,
         remark=missing or found.remark,
         applies=not found.declined,
         consequence=known["consequence"] if is_off else "",
@@ -171,22 +152,6 @@ def _ratio(value: float, low: float, high: float) -> float:
     return ratio if ratio > 1.0 + 1e-9 else 1.0
 
 
-def also(parts: Mapping[str, float], worst: str, high: float) -> str:
-    """Return the names of other parts beyond a limit, one of each quantity, empty without any.
-
-    Args:
-        parts: Value of each part, whose name begins with its quantity, as `damping of left_knee`.
-        worst: Part that was named already.
-        high: The limit.
-    """
-    firsts = {}
-    for name in sorted(parts, key=parts.__getitem__):
-        quantity = name.partition(" of ")[0]
-        if parts[name] > high and not worst.startswith(quantity):
-            firsts[quantity] = name
-    return f"; also {', '.join(firsts.values())}" if firsts else ""
-
-
 def body_name(robot: Robot, body: int) -> str:
     """Return the name of a body, or its number."""
     return robot.model.body(body).name or f"body {body}"
@@ -200,16 +165,6 @@ def joint_name(robot: Robot, dof: int) -> str:
 def name_of(robot: Robot, joint: int) -> str:
     """Return the name of a joint, or its number."""
     return robot.model.joint(joint).name or f"joint {joint}"
-
-
-def first_joints(robot: Robot, dofs: Sequence[int]) -> str:
-    """Return the names of the joints of the first degrees of freedom."""
-    return ", ".join(joint_name(robot, dof) for dof in dofs[:3])
-
-
-def of_elements(array: str, values: Mapping[int, Any]) -> dict[str, Any]:
-    """Return the changes of rows of an array of the model, by names that `Robot.changed` knows."""
-    return {f"{array}[{number}]": value for number, value in values.items()}
 
 
 def by_joint(robot: Robot, values: Mapping[int, float]) -> dict[str, float]:

@@ -2,12 +2,12 @@
 
 import copy
 from dataclasses import replace
-from typing import Any
 
 import mujoco
 import numpy as np
 
 from gauge_envs.backends.mujoco.model_settings import COLUMNS, can_move
+from gauge_envs.pages.text import vector_text
 from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.tools.sanity.robot.finding import (
     NOT_STANDING,
@@ -27,9 +27,7 @@ from gauge_envs.tools.sanity.robot.mujoco_feet import (
 )
 from gauge_envs.tools.sanity.robot.robot import (
     Robot,
-    ancestors,
     disable_bit,
-    enabling,
     grasp_kinds,
     joints_of_motors,
     once,
@@ -37,11 +35,14 @@ from gauge_envs.tools.sanity.robot.robot import (
     switched_off,
 )
 
-MOST_BETWEEN = 4
-"""Links of a chain whose parts overlap, of which one may be misplaced."""
-
 WEIGHTLESS = 0.01
 """Gravity over that of the earth below which no ground carries anything."""
+
+LEAST_TIP_M = 0.0025
+"""Size below which a geom is a point of a larger pad; MuJoCo's default torsional friction of 5 mm fits it [m]."""
+
+MOST_TORSION_M = 0.1
+"""Torsional or rolling friction from which on, beyond the sliding one, the three are in another order [m]."""
 
 TRIED = 32
 """Random poses in which the overlap of two parts is tried."""
@@ -90,19 +91,15 @@ def _untouched_plane(robot: Robot) -> int | None:
 def _feet(robot: Robot) -> Finding:
     if (plane := _untouched_plane(robot)) is not None:
         name = geom_name(robot.model, plane)
-        keys = ("geom_contype", "geom_conaffinity")
         own = np.isin(robot.model.geom_bodyid, robot.bodies)
         if not (robot.model.geom_contype | robot.model.geom_conaffinity)[own].any():
             return Finding(
                 value=1.0,
                 remark=f"no shape of the robot can touch anything, so that it falls through {name}",
-                advice="contype and conaffinity of the class of its shapes that touch",
             )
         return Finding(
             value=1.0,
             remark=f"{name}: the robot falls through it",
-            advice=f'contype="1" conaffinity="1" for {name}',
-            changes={f"{key}[{plane}]": 1 for key in keys},
         )
     model, standing = robot.model, standing_of(robot)
     within = SOLE_WITHIN * standing.height_m
@@ -121,23 +118,11 @@ def _feet(robot: Robot) -> Finding:
             lame += [geom for geom in geoms if lows[geom] <= reach + within]
     if not lame and ground > lowest + within:
         lame = [geom for geom, low in lows.items() if low <= lowest + within]
-    floor = int(next(g for g in robot.pairs.geoms[robot.foot_rows[0]] if g not in lows))
-    offers = {
-        "geom_contype": model.geom_conaffinity,
-        "geom_conaffinity": model.geom_contype,
-    }
-    changes = {
-        f"{key}[{geom}]": int(other[floor]) or 1
-        for geom in lame
-        for key, other in offers.items()
-    }
     names = ", ".join(shortened([geom_name(robot.model, geom) for geom in lame]))
     return Finding(
         value=float(len(lame)),
         parts={geom_name(model, geom): 1.0 for geom in lame},
         remark=f"{names}: no partner on the ground" if lame else "",
-        advice=f"contype and conaffinity of {names} that match the ground's",
-        changes=changes,
         is_usual=True,
     )
 
@@ -192,27 +177,12 @@ def _finger_friction(robot: Robot) -> Finding:
     if not grips:
         return Finding(declined="no finger can touch anything")
     slipperiest = min(grips, key=grips.__getitem__)
-    slippery = [geom for geom, grip in grips.items() if grip < 0.1]
     name = geom_name(model, slipperiest)
-
-    def condim_of(geom: int) -> int:
-        # Of a pad without friction, nothing says that it holds no torque.
-        return int(model.geom_condim[geom]) if has_friction[geom] else 4
 
     return Finding(
         value=grips[slipperiest],
         parts={geom_name(model, geom): grip for geom, grip in grips.items()},
         remark=f"{name}, a finger",
-        advice=f'condim="{condim_of(slipperiest)}" friction="1 0.005 0.0001" priority="1" for {name} and pads like it',
-        changes={
-            f"geom_{key}[{geom}]": value
-            for geom in slippery
-            for key, value in (
-                ("condim", condim_of(geom)),
-                ("priority", 1),
-                ("friction", np.array([1.0, 0.005, 0.0001])),
-            )
-        },
     )
 
 
@@ -229,13 +199,6 @@ def _friction(robot: Robot) -> Finding:
         grips, key=lambda one: grips[one] if min(grips.values()) < 0.1 else -grips[one]
     )
     slippery = [one for one, grip in grips.items() if not 0.1 <= grip <= 2.0]
-    changes: dict[str, Any] = {}
-    for one in slippery:
-        for geom in robot.pairs.geoms[one].tolist():
-            changes |= {
-                f"geom_condim[{geom}]": 3,
-                f"geom_friction[{geom}]": np.array([0.8, 0.005, 0.0001]),
-            }
     names = pair_name(robot, row)
     rule = (
         f"condim {constants[row, 0]:.0f}"
@@ -247,8 +210,6 @@ def _friction(robot: Robot) -> Finding:
         parts={pair_name(robot, one): float(grip) for one, grip in grips.items()},
         remark=f"{names}: {rule}"
         + (f", and {len(slippery) - 1} more pairs" if len(slippery) > 1 else ""),
-        advice=f'condim="3" friction="0.8 0.005 0.0001" for {names}',
-        changes=changes,
     )
 
 
@@ -258,8 +219,6 @@ def _floor_friction(robot: Robot) -> Finding:
         return Finding(declined=NOT_STANDING)
     model, found = robot.model, Finding(value=1.0)
     ratios: dict[str, float] = {}
-    changes: dict[str, Any] = {}
-    _, largest = limits_of("robot-floor-friction")
     # What a geom takes from the default of all is no statement about it.
     common = 1.0 if robot.spec is None else float(robot.spec.default.geom.friction[0])
     explicit = {
@@ -279,26 +238,59 @@ def _floor_friction(robot: Robot) -> Finding:
             continue
         ratios[pair_name(robot, contact)] = met / smallest
         geom = pair[int(np.argmin(stated))]
-        # With its priority, its condim counts too.
-        condim = int(robot.pairs.constants[contact, 0])
-        has_condim = int(model.geom_condim[geom]) >= condim
-        if met / smallest > largest:
-            changes[f"geom_priority[{geom}]"] = 1
-            if not has_condim:
-                changes[f"geom_condim[{geom}]"] = condim
         if met / smallest > found.value:
             found = Finding(
                 value=met / smallest,
                 remark=f"{geom_name(robot.model, geom)} states {min(stated):g}, and the foot meets {met:g}",
-                advice='priority="1"'
-                + ("" if has_condim else f' condim="{condim}"')
-                + f" for {geom_name(robot.model, geom)}",
             )
-    geoms = sum(name.startswith("geom_priority") for name in changes)
-    several = f" and {geoms - 1} more" if geoms > 1 else ""
-    return replace(
-        found, parts=ratios, changes=changes, advice=f"{found.advice}{several}"
-    )
+    return replace(found, parts=ratios)
+
+
+@row("robot-torsion")
+def _torsion(robot: Robot) -> Finding:
+    model, pairs = robot.model, robot.pairs
+    _, largest = limits_of("robot-torsion")
+    friction = model.geom_friction
+    is_turned = friction[:, 1:].max(axis=1) > np.maximum(friction[:, 0], MOST_TORSION_M)
+    is_turned &= np.isin(model.geom_bodyid, robot.bodies)
+    turned = [g for g in np.unique(pairs.geoms).tolist() if is_turned[g]]
+    if turned:
+        several = [geom_name(model, geom) for geom in turned]
+        return Finding(
+            value=2.0 * largest,
+            parts=dict.fromkeys(several, 2.0 * largest),
+            remark=f"{several[0]}: friction {vector_text(friction[turned[0]])}, as in another order",
+        )
+    rows = robot.foot_rows
+    if not rows:
+        tips = {geom for body in fingers(robot) for geom in geoms_of(robot, body)}
+        touching = [bool(tips & set(two)) for two in pairs.geoms.tolist()]
+        rows = np.flatnonzero(touching).tolist()
+    if not rows:
+        return Finding(declined="no foot and no finger of the robot can touch")
+    levers: dict[str, float] = {}
+    worst, found = -1.0, Finding()
+    for number in rows:
+        condim = int(pairs.constants[number, 0])
+        friction = pairs.constants[number, COLUMNS["friction"]]
+        torsion_m = float(friction[2]) if condim >= 4 else 0.0
+        rolling_m = float(friction[3:].max()) if condim >= 6 else 0.0
+        two = pairs.geoms[number].tolist()
+        parts = [geom for geom in two if int(model.geom_bodyid[geom]) in robot.bodies]
+        reach_m = min(float(model.geom_rbound[geom]) or np.inf for geom in parts or two)
+        reach_m = max(reach_m, LEAST_TIP_M)
+        lever = max(torsion_m, rolling_m) / max(reach_m, 1e-6)
+        names = pair_name(robot, number)
+        levers[names] = lever
+        if lever > worst:
+            worst = lever
+            kind = "torsional" if torsion_m >= rolling_m else "rolling"
+            found = Finding(
+                value=lever,
+                parts=levers,
+                remark=f"{names}: {kind} friction {max(torsion_m, rolling_m):g} m on {1e3 * reach_m:.3g} mm",
+            )
+    return found
 
 
 @row("floor-tilt")
@@ -325,10 +317,6 @@ def _floor_tilt(robot: Robot) -> Finding:
     return Finding(
         value=angle if angle > 1e-4 else 0.0,
         remark=geom_name(robot.model, geom),
-        advice=f'zaxis="0 0 1" for {geom_name(robot.model, geom)}',
-        changes={f"geom_quat[{geom}]": np.array([1.0, 0.0, 0.0, 0.0])}
-        if not model.geom_bodyid[geom]
-        else {},
     )
 
 
@@ -378,8 +366,6 @@ def _without_contacts(robot: Robot) -> Finding:
         parts=parts,
         remark=f"contacts are switched off: {worst} pass through each other, parts do in {count} of "
         f"{TRIED} random poses",
-        advice=enabling(["contact"]),
-        changes={"contact": True},
         is_usual=True,
     )
 
@@ -412,17 +398,5 @@ def _overlap(robot: Robot) -> Finding:
         value=1e3 * depth_m,
         parts=parts,
         remark=f"{names[worst]}; {push_n:.3g} N push parts apart at the first step",
-        advice=_apart(robot, worst, names[worst]),
         advisory=advisory,
     )
-
-
-def _apart(robot: Robot, pair: tuple[int, int], names: str) -> str:
-    """Return what keeps two parts apart: what places the links of the chain between them, or their pair."""
-    first, second = (ancestors(robot.model, body) for body in pair)
-    between = sorted(first ^ second)
-    advice = f"exclude the pair {names}, make its geoms smaller, or state a keyframe with them apart"
-    if len(between) > MOST_BETWEEN:
-        return advice
-    links = ", ".join(body_name(robot, body) for body in between)
-    return f"pos and quat (w x y z) of {links}; where they are right, {advice}"

@@ -3,7 +3,6 @@
 import mujoco
 import numpy as np
 
-from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.scene.geometry import BoolArray, FloatArray
 from gauge_envs.tools.sanity.robot.finding import standing_of
 from gauge_envs.tools.sanity.robot.mujoco_feet import joints_of
@@ -11,23 +10,12 @@ from gauge_envs.tools.sanity.robot.robot import (
     JOINT_TRANSMISSIONS,
     Robot,
     acts_on_joints,
-    couplings_of,
-    joints_of_motors,
     once,
     random_poses,
 )
 
 SERVO_ERROR_RAD = 0.5
 """Error at which a servo without a limit asks for its largest torque [rad]."""
-
-LIGHT = 1e-3
-"""Torque of a weight, over the largest one of the robot, up to which a joint turns about a balanced part."""
-
-SAME_MASS = 0.01
-"""Difference of the masses of two fingers over the larger one up to which they are the same."""
-
-FEW_JOINTS = 3
-"""Driven hinges from which on a robot as a whole is judged."""
 
 
 def start(robot: Robot, model: mujoco.MjModel | None = None) -> mujoco.MjData:
@@ -220,61 +208,11 @@ def largest_weights_nm(robot: Robot) -> FloatArray:
     )
 
 
-def undriven(robot: Robot) -> list[int]:
-    """Return joints of a driven robot that nothing drives, springs or couples: hinges with a weight, and fingers.
-
-    A finger is a slide beside another one on the same body, whose link has the same mass and which something moves.
-    """
-    model = robot.model
-    drives_joints = acts_on_joints(model).all()
-    is_joint = couplings_of(model)
-    is_linkage = model.ntendon or not drives_joints or not is_joint.all()
-    if is_linkage or len(driven_dofs(robot)) < FEW_JOINTS:
-        return []
-    moved = {*joints_of_motors(model).tolist()}
-    moved |= {*model.eq_obj1id.tolist(), *model.eq_obj2id.tolist()}
-    moved |= {*np.flatnonzero(springs(model)).tolist()}
-    weights_nm = largest_weights_nm(robot)
-    is_hinge, is_slide = joints_of(model, "HINGE"), joints_of(model, "SLIDE")
-    bodies, parents = model.jnt_bodyid, model.body_parentid[model.jnt_bodyid]
-    masses_kg = model.body_subtreemass[bodies]
-    found = []
-    for dof, joint in enumerate(model.dof_jntid.tolist()):
-        # Joints of the first body place the robot in the world.
-        if joint in moved or not parents[joint] or bodies[joint] not in robot.bodies:
-            continue
-        is_twin = is_slide & (parents == parents[joint])
-        is_twin &= np.isclose(masses_kg, masses_kg[joint], rtol=SAME_MASS)
-        is_finger = is_slide[joint] and moved & {*np.flatnonzero(is_twin).tolist()}
-        is_heavy = weights_nm[dof] > LIGHT * weights_nm.max()
-        if is_finger or (is_hinge[joint] and is_heavy):
-            found.append(dof)
-    return found
-
-
-def one_sided(robot: Robot) -> dict[int, int]:
-    """Return actuators without muscles whose forces have one sign, by the hinge that each turns."""
-    model = robot.model
-    low, high = model.actuator_forcerange.T
-    is_muscle = model.actuator_gaintype == int(mujoco.mjtGain.mjGAIN_MUSCLE)
-    is_one = model.actuator_forcelimited.astype(bool) & (low * high >= 0.0)
-    is_one &= acts_on_joints(model) & ~is_muscle
-    driven = driven_dofs(robot)
-    actuators = np.flatnonzero(is_one).tolist()
-    found = {dof_of(robot, actuator): actuator for actuator in actuators}
-    return {dof: actuator for dof, actuator in found.items() if dof in driven}
-
-
 def springs(model: mujoco.MjModel) -> FloatArray:
     """Return the stiffness of the spring of each joint [N/m or Nm/rad], shape [njnt]."""
     # MuJoCo 4 has coefficients of a polynomial, earlier versions one number.
     linear: FloatArray = model.jnt_stiffness.reshape(model.njnt, -1)[:, 0]
     return linear
-
-
-def foot_load_n(robot: Robot) -> float:
-    """Return what each foot of a robot carries of its weight [N]."""
-    return robot.mass_kg * GRAVITY_M_PER_S2 / len(standing_of(robot).feet)
 
 
 def floor_m(robot: Robot) -> float:
@@ -340,16 +278,3 @@ def loads_nm(robot: Robot) -> dict[int, float]:
         if limit_nm > 0.0:
             loads[dof] = limit_nm
     return loads
-
-
-def speed_servos(robot: Robot) -> list[int]:
-    """Return servos that take a speed on joints with limits, though other servos take an angle."""
-    model = robot.model
-    gains, (_, angle, rate) = model.actuator_gainprm[:, 0], model.actuator_biasprm.T[:3]
-    is_speed = acts_on_joints(model) & (angle == 0.0) & servos(model).any()
-    is_speed &= (rate < 0.0) & np.isclose(gains, -rate)
-    return [
-        actuator
-        for actuator in np.flatnonzero(is_speed).tolist()
-        if model.jnt_limited[model.actuator_trnid[actuator, 0]]
-    ]

@@ -1,14 +1,14 @@
 """Judge the masses, inertias and sizes that a model states."""
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import mujoco
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from gauge_envs.scene import GRAVITY_M_PER_S2, Vector
+from gauge_envs.scene import Vector
 from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.tools.sanity.robot.finding import (
     Finding,
@@ -18,7 +18,6 @@ from gauge_envs.tools.sanity.robot.finding import (
 )
 from gauge_envs.tools.sanity.robot.ground_rows import geoms_of
 from gauge_envs.tools.sanity.robot.joints import placed_bodies, start
-from gauge_envs.tools.sanity.robot.mujoco_feet import geom_name, shortened
 from gauge_envs.tools.sanity.robot.robot import Robot, once
 
 SIGNS = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1).T
@@ -33,26 +32,17 @@ It is 0 in 36 of 38 models of makers, and 0.26 in the Tiago of robosuite.
 AT_ORIGIN = 0.15
 """Distance of the middle of a link from its origin over its size from which on its centre of mass is elsewhere too."""
 
-UNIT_ERRORS = {
-    1e3: "a density in g/cm^3 or a mass in tonnes",
-    1e-3: "a mass in grams",
-    1e6: "a mass in kt",
-}
-
 MASSLESS_KG = 1e-5
 """Mass up to which a body is a frame that carries no link; makers give such frames 1e-8 to 1e-6 kg [kg]."""
 
 PART_SHARE = 0.01
 """Share of the mass of a link up to which a body that is fixed to it is a part whose mass the link states."""
 
-SAME_KG = 0.02
-"""Difference of a mass from the stated one, over it, up to which they are the same."""
+UNSTATED_KG_PER_M3 = 1000.0
+"""Density of a geom that states none [kg/m^3]."""
 
-GRAMS_KG_PER_M3 = (0.1, 25.0)
-"""Stated densities that are in g/cm^3; foams have 30 and more [kg/m^3]."""
-
-UNIT_WITHIN = 35.0
-"""Factor within which a density in another unit is that of water."""
+SAME_PLACE = 0.3
+"""Overlap of the boxes around two sets of geoms, over the box around both, from which on they show the same part."""
 
 
 def extent(robot: Robot, body: int) -> Vector:
@@ -116,47 +106,21 @@ def _box(robot: Robot, body: int) -> tuple[FloatArray, FloatArray]:
 def _density(robot: Robot) -> Finding:
     model, worst = robot.model, 0.0
     found = Finding(declined="the shape of no link is known")
-    changes: dict[str, Any] = {}
-    of_placeholders: dict[str, Any] = {}
     densities: dict[str, float] = {}
-    low, high = limits_of("robot-density")
     for body in robot.bodies:
         mass_kg = float(model.body_mass[body])
         density, ratio = _link_density(robot, body)
         if not density:
             continue
-        is_placeholder = _is_placeholder(robot, body)
-        name = body_name(robot, body)
-        factor = min(UNIT_ERRORS, key=lambda one: abs(np.log(1000.0 / density / one)))
-        remark = f"{name} with {mass_kg:.3g} kg of {robot.mass_kg:.3g} kg"
-        is_unit = abs(np.log(1000.0 / density / factor)) < np.log(UNIT_WITHIN)
-        # The room around a link may be empty, but nothing makes a part denser.
-        is_unit &= density * factor <= high
-        if ratio > 1.0 and is_unit:
-            remark += f": {UNIT_ERRORS[factor]}?"
-            several = of_placeholders if is_placeholder else changes
-            several[f"body_mass[{body}]"] = model.body_mass[body] * factor
-            several[f"body_inertia[{body}]"] = model.body_inertia[body] * factor
-        if is_placeholder:
+        if _is_placeholder(robot, body):
             continue
+        name = body_name(robot, body)
         densities[name] = density
         if found.declined or ratio > worst:
             worst = ratio
-            links = f"{name} and links like it"
-            advice = f"give {links} the mass and inertia of the real part"
-            if is_unit:
-                advice = f"multiply mass and inertia, or the density, of {links} by {factor:g}"
-            if density < low:
-                geom = max(geoms_of(robot, body), key=lambda g: model.geom_rbound[g])
-                advice += f", or give {geom_name(model, geom)} its size"
-            found = Finding(value=density, remark=remark, advice=advice)
-    if densities and not any(low <= one <= high for one in densities.values()):
-        # All links are in another unit, and so are light ones.
-        changes |= of_placeholders
-    found = replace(found, changes=changes, parts=densities)
-    if worst <= 1.0 and (light := _thin_geoms(robot)):
-        return light
-    return found
+            remark = f"{name} with {mass_kg:.3g} kg of {robot.mass_kg:.3g} kg"
+            found = Finding(value=density, remark=remark)
+    return replace(found, parts=densities)
 
 
 def _is_placeholder(robot: Robot, body: int) -> bool:
@@ -198,31 +162,6 @@ def _link_density(robot: Robot, body: int) -> tuple[float, float]:
     return density, max(low / dense, thin / high)
 
 
-def _thin_geoms(robot: Robot) -> Finding | None:
-    """Return geoms of objects with a density in g/cm^3, that touch; None without any."""
-    if robot.spec is None:
-        return None
-    touching = {*np.unique(robot.pairs.geoms).tolist()}
-    lowest, highest = GRAMS_KG_PER_M3
-    # Links of the robot are judged by their mass.
-    touching -= {geom for body in robot.bodies for geom in geoms_of(robot, body)}
-    thin = [
-        geom
-        for geom in robot.spec.geoms
-        if geom.id in touching and lowest <= geom.density <= highest
-    ]
-    if not thin:
-        return None
-    names = ", ".join(shortened([geom_name(robot.model, geom.id) for geom in thin]))
-    density = float(thin[0].density)
-    return Finding(
-        value=density,
-        parts={geom_name(robot.model, geom.id): float(geom.density) for geom in thin},
-        remark=f"{names} with a density of {density:g} kg/m^3: is it in g/cm^3?",
-        advice=f'density="{1e3 * density:g}" for {names}',
-    )
-
-
 def _hull_m3(robot: Robot, body: int) -> float:
     """Return the volume of the hull of a body's meshes [m^3]; 0 without one."""
     model, points = robot.model, [np.zeros((0, 3))]
@@ -240,90 +179,10 @@ def _hull_m3(robot: Robot, body: int) -> float:
         return 0.0
 
 
-def _from_geoms(robot: Robot) -> Finding | None:
-    """Return the links whose stated mass the compiler replaces by that of their geoms; None without any."""
-    spec = robot.spec
-    from_geoms = int(mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE)
-    if spec is None or int(spec.compiler.inertiafromgeom) != from_geoms:
-        return None
-    stating = {body.id: body.mass for body in spec.bodies if body.explicitinertial}
-    stated_kg = sum(stating.values())
-    total_kg = float(robot.model.body_mass[[*stating]].sum())
-    if abs(total_kg - stated_kg) <= SAME_KG * stated_kg:
-        return None
-    return Finding(
-        value=max(total_kg, stated_kg) / stated_kg,
-        remark=f"{len(stating)} links have the mass of their geoms, {total_kg:.3g} kg, in place of the stated "
-        f"{stated_kg:.3g} kg: inertiafromgeom",
-        advice='<compiler inertiafromgeom="auto"/>',
-    )
-
-
-@row("robot-bound")
-def _bound(robot: Robot) -> Finding:
-    if found := _from_geoms(robot):
-        return found
-    spec = robot.spec
-    if spec is None or not (spec.compiler.boundmass or spec.compiler.boundinertia):
-        return Finding(declined="the model states neither boundmass nor boundinertia")
-    bare = spec.copy()
-    bare.compiler.boundmass = bare.compiler.boundinertia = 0.0
-    try:
-        model = bare.compile()
-    except ValueError:
-        return Finding(declined="without them a body has no mass: MuJoCo needs them")
-    stated_kg = model.body_mass[robot.bodies]
-    total_kg = float(stated_kg.sum())
-    inertias = robot.model.body_inertia[robot.bodies].max(axis=1)
-    stated_inertias = model.body_inertia[robot.bodies].max(axis=1)
-    is_raised = inertias > 1.02 * stated_inertias
-    raised = np.asarray(robot.bodies)[is_raised].tolist()
-    weight = float(stated_kg[is_raised].sum()) / total_kg
-    names = ", ".join(body_name(robot, body) for body in raised[:3])
-    remark = f"{len(raised)} links have more inertia than their geoms or their inertial element state: {names}"
-    return Finding(
-        value=max(robot.mass_kg / total_kg - 1.0, weight),
-        parts={body_name(robot, body): 1.0 for body in raised},
-        remark=remark if raised else "",
-        advice='<compiler boundmass="0" boundinertia="0"/>',
-        changes={"compiler_boundmass": 0.0, "compiler_boundinertia": 0.0},
-    )
-
-
-@row("robot-gravcomp")
-def _gravcomp(robot: Robot) -> Finding:
-    model = robot.model
-    lifted = [body for body in robot.bodies if model.body_gravcomp[body]]
-    heavy = [body for body in robot.bodies if model.body_mass[body] > MASSLESS_KG]
-    # A controller carries all that one link of a fixed base carries.
-    beyond = [b for b in heavy if b not in lifted and model.body_parentid[b] in lifted]
-    is_arm = not beyond and len(lifted) != 1
-    if not robot.is_floating and (is_arm or len(lifted) == len(heavy)):
-        return Finding(declined="a controller of a fixed base may carry its arm")
-    share = float(
-        (model.body_gravcomp * model.body_mass)[robot.bodies].sum() / robot.mass_kg
-    )
-    names = ", ".join(shortened([body_name(robot, body) for body in lifted]))
-    weight_n = robot.mass_kg * GRAVITY_M_PER_S2
-    return Finding(
-        value=abs(share),
-        parts={
-            body_name(robot, body): abs(float(model.body_gravcomp[body]))
-            for body in lifted
-        },
-        remark=f"{share * weight_n:.3g} N of {weight_n:.3g} N, of {names}"
-        if lifted
-        else "",
-        advice=f'gravcomp="0" for {names}',
-        changes={f"body_gravcomp[{body}]": 0.0 for body in lifted},
-        is_usual=not robot.is_floating,
-    )
-
-
 @row("robot-inertia")
 def _inertia(robot: Robot) -> Finding:
     low, high = limits_of("robot-inertia")
-    found, worst, changes = Finding(declined="the shape of no link is known"), 0.0, {}
+    found, worst = Finding(declined="the shape of no link is known"), 0.0
     shares: dict[str, float] = {}
     far: list[tuple[float, str, float, float]] = []
     at_origin: list[str] = []
@@ -354,16 +213,12 @@ def _inertia(robot: Robot) -> Finding:
         # The sum of the principal moments is twice the mass times the square of the polar radius of gyration.
         radius_m = float(np.sqrt(0.5 * inertia.sum() / mass_kg))
         shares[name] = radius_m / reach_m
-        share = (0.5 * reach_m / max(radius_m, 1e-9)) ** 2
         ratio = max(low * reach_m / max(radius_m, 1e-12), radius_m / reach_m / high)
-        if ratio > 1.0:
-            changes[f"body_inertia[{body}]"] = inertia * share
         if ratio > worst:
             worst = ratio
             found = Finding(
                 value=radius_m / reach_m,
                 remark=f"{name} of {mass_kg:.3g} kg: gyrates with {radius_m:.3g} m, and reaches {reach_m:.3g} m",
-                advice=f"give {name} the inertia of its geoms, about {share:.2g} of the stated one",
                 is_usual=radius_m < half_m,
             )
     if far:
@@ -372,7 +227,6 @@ def _inertia(robot: Robot) -> Finding:
             value=np.inf,
             parts=shares | {f"centre of mass of {one}": np.inf for _, one, *_ in far},
             remark=f"centre of mass of {name}: {away_m:.3g} m outside of a link of {diagonal_m:.2g} m",
-            advice=f"the centre of mass of {name} in the frame of its body, in metres",
             is_usual=away_m < half_m,
         )
     if 2 * len(at_origin) > len(shares):
@@ -381,7 +235,67 @@ def _inertia(robot: Robot) -> Finding:
             parts=shares | {f"centre of mass of {one}": np.inf for one in at_origin},
             remark=f"the centres of mass of {len(at_origin)} of {len(shares)} links are the origins of their bodies, "
             "and their shapes lie beside them",
-            advice="the `pos` of each `inertial`, from the data of its part",
             is_usual=True,
         )
-    return replace(found, changes=changes, parts=shares)
+    return replace(found, parts=shares)
+
+
+@row("robot-visual-mass")
+def _visual_mass(robot: Robot) -> Finding:
+    spec, model = robot.spec, robot.model
+    if spec is None or not robot.bodies:
+        return Finding(declined="the geoms that give a body its mass are not known")
+    can_collide = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    in_pairs = {*model.pair_geom1.tolist(), *model.pair_geom2.tolist()}
+    bare = spec.copy()
+    drawn: dict[int, list[int]] = {}
+    for body in robot.bodies:
+        geoms = geoms_of(robot, body)
+        solid = [geom for geom in geoms if can_collide[geom] or geom in in_pairs]
+        visual = [geom for geom in geoms if geom not in solid]
+        if solid and visual and _overlap(model, solid, visual) > SAME_PLACE:
+            drawn[body] = visual
+    numbers = {geom for geoms in drawn.values() for geom in geoms}
+    for geom, original in zip(bare.geoms, spec.geoms, strict=True):
+        if original.id in numbers:
+            geom.mass = 0.0
+    try:
+        with warnings.catch_warnings():
+            # What the compiler warns of was said as the model was read.
+            warnings.simplefilter("ignore")
+            masses = bare.compile().body_mass
+    except ValueError:
+        return Finding(declined="bodies have the mass of their visual geoms alone")
+    extra_kg = {
+        body: float(model.body_mass[body] - masses[body])
+        for body in drawn
+        if model.body_mass[body] - masses[body] > 1e-6 and masses[body] > 0.0
+    }
+    counted = {geom for body in extra_kg for geom in drawn[body]}
+    total_kg = robot.mass_kg
+    names = ", ".join(body_name(robot, body) for body in list(extra_kg)[:3])
+    stated_kg = total_kg - sum(extra_kg.values())
+    return Finding(
+        value=sum(extra_kg.values()) / stated_kg,
+        parts={body_name(robot, body): kg / stated_kg for body, kg in extra_kg.items()},
+        remark=f"{total_kg:.3g} kg for {stated_kg:.3g} kg, in {names}"
+        if extra_kg
+        else "",
+        is_usual=all(_is_meant(geom) for geom in spec.geoms if geom.id in counted),
+    )
+
+
+def _is_meant(geom: mujoco.MjsGeom) -> bool:
+    """Return whether a drawn geom can be a part with its own mass: it states one, or a density, or is no mesh."""
+    is_stated = np.isfinite(geom.mass) or geom.density != UNSTATED_KG_PER_M3
+    return bool(is_stated or geom.type != mujoco.mjtGeom.mjGEOM_MESH)
+
+
+def _overlap(model: mujoco.MjModel, first: list[int], second: list[int]) -> float:
+    """Return the volume that the boxes around two sets of geoms of a body share, over that of the box around both."""
+    corners, others = box_corners(model, first), box_corners(model, second)
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    other_low, other_high = others.min(axis=0), others.max(axis=0)
+    shared = np.clip(np.minimum(high, other_high) - np.maximum(low, other_low), 0, None)
+    around = np.maximum(high, other_high) - np.minimum(low, other_low)
+    return float(shared.prod() / max(around.prod(), 1e-18))

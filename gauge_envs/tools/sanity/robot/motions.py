@@ -6,11 +6,8 @@ from dataclasses import dataclass, field
 import mujoco
 import numpy as np
 
-from gauge_envs.scene import GRAVITY_M_PER_S2
-from gauge_envs.scene.geometry import FloatArray, length_of
+from gauge_envs.scene.geometry import length_of
 from gauge_envs.tools.sanity.robot.joints import (
-    driven_dofs,
-    driven_joints,
     floor_m,
     joint_inertias,
     motors_of,
@@ -27,9 +24,6 @@ HOLD_S, LATE_S = 2.0, 0.5
 FREE_S = 1.0
 """Time in which energy is read [s]."""
 
-PUSH_SHARES, PUSH_S = (0.05, 0.1), 0.5
-"""Pushes over the weight of the robot, and their time [s]."""
-
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 """All that a step depends on."""
 
@@ -44,7 +38,6 @@ class HoldMotion:
         load_shares: Share of the weight on each of its bodies that touch the ground, late in the motion.
         saturations: Mean torque over its limit of each driven degree of freedom, late in the motion.
         slip_mm_per_s: Mean speed of its feet along the ground, late in the motion [mm/s].
-        pose_error_rad: Largest angle of a driven hinge from the pose at the end [rad].
     """
 
     diverged_s: float = np.inf
@@ -52,7 +45,6 @@ class HoldMotion:
     load_shares: Mapping[int, float] = field(default_factory=dict)
     saturations: Mapping[int, float] = field(default_factory=dict)
     slip_mm_per_s: float = 0.0
-    pose_error_rad: float = 0.0
 
 
 @once
@@ -66,8 +58,6 @@ def hold_pose(robot: Robot, slope_deg: float = 0.0) -> HoldMotion:
     standing = robot.standing
     model = robot.without()
     data = start(robot, model)
-    hinges = model.jnt_qposadr[driven_joints(robot)].tolist()
-    begin = data.qpos.copy()
     gravity_m_per_s2 = length_of(model.opt.gravity)
     up = np.asarray(robot.up)
     if slope_deg:
@@ -119,35 +109,7 @@ def hold_pose(robot: Robot, slope_deg: float = 0.0) -> HoldMotion:
         load_shares={body: load_n / weight_n for body, load_n in loads_n.items()},
         saturations=saturations,
         slip_mm_per_s=1e3 * slip_m / LATE_S,
-        pose_error_rad=float(
-            np.abs(data.qpos[hinges] - begin[hinges]).max(initial=0.0)
-        ),
     )
-
-
-@once
-def pushed_m(robot: Robot) -> FloatArray:
-    """Return how far pushes move the body behind the last motor of a robot that holds its pose [m], shape [2].
-
-    Each acts along x for `PUSH_S`, with the shares `PUSH_SHARES` of the robot's weight.
-    """
-    model = robot.without()
-    data = start(robot, model)
-    for _ in range(max(1, round(HOLD_S / model.opt.timestep))):
-        mujoco.mj_step(model, data)
-    start_state = np.empty(mujoco.mj_stateSize(model, STATE))
-    mujoco.mj_getState(model, data, start_state, STATE)
-    body = int(model.dof_bodyid[list(driven_dofs(robot))[-1]])
-    begin_m = data.xipos[body].copy()
-    moved_m = []
-    for share in PUSH_SHARES:
-        mujoco.mj_setState(model, data, start_state, STATE)
-        data.xfrc_applied[body, 0] = share * robot.mass_kg * GRAVITY_M_PER_S2
-        for _ in range(max(1, round(PUSH_S / model.opt.timestep))):
-            mujoco.mj_step(model, data)
-        data.xfrc_applied[:] = 0.0
-        moved_m.append(length_of(data.xipos[body] - begin_m))
-    return np.array(moved_m)
 
 
 SINE_RAD, SINES_HZ, SERVO_HZ = 0.2, (0.7, 1.6), 3.0

@@ -71,7 +71,6 @@ def mujoco_configuration(
     pair: tuple[str, str] | None = None,
     frame_skip: int | None = None,
     spec: mujoco.MjSpec | None = None,
-    has_robot: bool = True,
 ) -> TrainingConfiguration:
     """Return the training configuration of a MuJoCo model, after a trial of its settings.
 
@@ -82,7 +81,6 @@ def mujoco_configuration(
         pair: Names of two geoms whose constants the experiments get, instead of all sets on ground.
         frame_skip: Steps of the engine for one action; None when unknown.
         spec: The model before it was compiled, with the ids of the compiled one; None when it is not known.
-        has_robot: Whether masses, joints and actuators of the model are those of the target.
     """
     options, pairs, up = option_settings(model), contact_pairs(model), _up(model)
     used = (
@@ -113,15 +111,13 @@ def mujoco_configuration(
     except NoFootError as error:
         foot = None
         inapplicable[Need.FOOT] = str(error)
-    if Need.CONTACT not in inapplicable and has_robot and never_touches(robot):
+    if Need.CONTACT not in inapplicable and never_touches(robot):
         inapplicable[Need.CONTACT] = (
             "the robot is fixed to the world and touches nothing in 200 random poses"
         )
-    if (
-        (normal := robot.plane_normal) is not None
-        and has_robot
-        and np.abs(normal).max() > ALONG_AN_AXIS
-    ):
+    if (normal := robot.plane_normal) is not None and np.abs(
+        normal
+    ).max() > ALONG_AN_AXIS:
         inapplicable[Need.SPACE] = (
             "the robot moves in a plane along an axis of the world, where slide-* judges it"
         )
@@ -140,7 +136,7 @@ def mujoco_configuration(
         is_model=True,
         foot_geometry=foot,
         language="mjcf",
-        robot=robot if has_robot else None,
+        robot=robot,
     )
 
 
@@ -272,7 +268,7 @@ def _option_notes(model: mujoco.MjModel) -> list[str]:
             "the model's medium (density, viscosity, wind) is not carried over; the experiments have none"
         )
     if advice := sparse_advice(model):
-        notes.append(f"{advice}, as robot-solver measures")
+        notes.append(advice)
     return notes + [note for name, note in ABSENT_PARTS.items() if getattr(model, name)]
 
 

@@ -1,11 +1,9 @@
 """The target's own model: its robot, what is known of it, and a copy with changes as a user would paste them."""
 
 import copy
-import re
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
 from functools import cached_property, wraps
-from itertools import product
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
 import mujoco
@@ -21,7 +19,6 @@ from gauge_envs.backends.mujoco.model import (
     SOLVERS,
 )
 from gauge_envs.backends.mujoco.model_settings import ContactPairs
-from gauge_envs.errors import TargetError
 from gauge_envs.scene import Vector
 from gauge_envs.scene.geometry import BoolArray, FloatArray
 from gauge_envs.tools.sanity.model import Settings
@@ -45,24 +42,6 @@ GEOM_FIELDS = {
 PAIRED = ("contact_solref", "contact_solimp")
 """Settings that explicit pairs state instead of their geoms, in the same form."""
 
-COMPILER = {
-    "compiler_degree": "degree",
-    "compiler_boundmass": "boundmass",
-    "compiler_boundinertia": "boundinertia",
-}
-"""Attributes of the compiler by the names of changes; they need the model's file."""
-
-LENGTHS = "compiler_lengths"
-"""Name of a change of all lengths of a model by a factor; it needs the model's file."""
-
-LENGTHS_OF = (
-    *product(("geoms", "sites"), ("pos", "size", "fromto")),
-    *product(("bodies", "frames", "joints", "cameras", "lights"), ("pos",)),
-    *(("bodies", "ipos"), ("meshes", "scale"), ("hfields", "size")),
-    *product(("tendons",), ("range", "springlength")),
-)
-"""Attributes of a spec that are lengths, behind the kind of their element."""
-
 CHANGED_ARRAYS = (
     "dof_armature",
     "body_gravcomp",
@@ -78,9 +57,6 @@ JOINT_TRANSMISSIONS = (
 )
 """Transmissions of actuators that act on a joint."""
 
-ELEMENT = re.compile(r"(\w+)\[(\d+)\]")
-"""Name of a change of one row of an array of the model, as `geom_condim[3]`."""
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Robot:
@@ -93,9 +69,6 @@ class Robot:
         standing: The robot that stands on the ground; None when there is none.
         spec: The model before it was compiled; None when only the compiled one is known.
         pair: Names of two geoms whose constants count; None for all on the ground.
-        action_rad: Angle by which an action of 1 moves the target of a servo [rad]; None when the task states none.
-        delay_s: Longest delay between an observation and the torque that answers it [s]; None when not stated.
-        changes: Changes that the model has and its spec has not, as `changed` takes them.
         known: What was measured of it, by the id of a row, or by function and arguments; see `once`.
     """
 
@@ -105,9 +78,6 @@ class Robot:
     standing: Standing | None = None
     spec: mujoco.MjSpec | None = None
     pair: tuple[str, str] | None = None
-    action_rad: float | None = None
-    delay_s: float | None = None
-    changes: Settings = field(default_factory=dict)
     known: dict[Any, Any] = field(default_factory=dict, init=False)
 
     @cached_property
@@ -240,90 +210,23 @@ class Robot:
         """Return a copy of the model with changes, and the geoms on the ground that state attributes of their own.
 
         Options are set; attributes of geoms reach those that take them from the default class, and each geom on the
-        ground that states its own is changed too. A name such as `geom_condim[3]` changes a row of an array.
+        ground that states its own is changed too.
         """
-        if LENGTHS in changes:
-            scaled = self.scaled(changes[LENGTHS])
-            return scaled.changed({k: v for k, v in changes.items() if k != LENGTHS})
         stating: dict[str, list[int]] = {}
-        model = self._compiled({**self.changes, **changes})
-        if model is None:
-            model = copy.copy(self.model)
-        else:
-            # A compiled model has none of the earlier changes.
-            changes = {**self.changes, **changes}
+        model = copy.copy(self.model)
         for name, value in changes.items():
-            if name in GEOM_FIELDS:
-                array = getattr(model, f"geom_{GEOM_FIELDS[name]}")
-                reached = self.reached_by_default(name)
-                others = self.grounded - set(reached)
-                stating[name] = sorted(
-                    geom for geom in others if not np.array_equal(array[geom], value)
-                )
-                # The margins and gaps of two geoms add up.
-                array[[*reached, *stating[name]]] = (
-                    value
-                    if name not in ("contact_margin_m", "contact_gap_m")
-                    else value / 2
-                )
-                self._change_pairs(model, name, value)
-            elif name in COMPILER or name.startswith(GEOM_MASS):
-                continue
-            elif found := ELEMENT.fullmatch(name):
-                getattr(model, found[1])[int(found[2])] = value
-            else:
+            if name not in GEOM_FIELDS:
                 set_option(model.opt, name, value)
-        try:
-            mujoco.mj_setConst(model, mujoco.MjData(model))
-        except mujoco.FatalError as error:
-            raise TargetError(f"the change needs the model's file: {error}") from None
+                continue
+            array = getattr(model, f"geom_{GEOM_FIELDS[name]}")
+            reached = self.reached_by_default(name)
+            others = self.grounded - set(reached)
+            stating[name] = sorted(
+                geom for geom in others if not np.array_equal(array[geom], value)
+            )
+            array[[*reached, *stating[name]]] = of_one_geom(name, value)
+            self._change_pairs(model, name, value)
         return model, {name: geoms for name, geoms in stating.items() if geoms}
-
-    def scaled(self, factor: float) -> "Robot":
-        """Return the robot with all lengths of its file times a factor; masses, inertias and gains stay as stated.
-
-        Its pose is the one before: read its model again to know how it stands.
-        """
-        if self.spec is None:
-            raise TargetError("the change needs the model's file")
-        # The ids of a copy are known once it was compiled.
-        spec = self.spec.copy()
-        spec.compile()
-        for kind, name in LENGTHS_OF:
-            for element in getattr(spec, kind):
-                setattr(element, name, factor * np.array(getattr(element, name)))
-        places, is_slide = self.model.jnt_qposadr, joints_of(self.model, "SLIDE")
-        for joint in (one for one in spec.joints if is_slide[one.id]):
-            joint.range, joint.ref = factor * joint.range, factor * joint.ref
-        free = places[joints_of(self.model, "FREE")]
-        lengths = np.concatenate(
-            [places[is_slide], *(free + axis for axis in range(3))]
-        )
-        for key in spec.keys:
-            positions = np.array(key.qpos)
-            if self._has_unit_of_bodies(positions, factor):
-                positions[lengths] *= factor
-            key.qpos = positions
-        try:
-            return replace(self, spec=spec, model=spec.compile(), standing=None)
-        except ValueError as error:
-            raise TargetError(f"MuJoCo cannot compile the change: {error}") from None
-
-    def spec_after(self, changes: Settings) -> mujoco.MjSpec | None:
-        """Return the spec whose lengths are those after changes; other changes are not in it."""
-        return self.scaled(changes[LENGTHS]).spec if LENGTHS in changes else self.spec
-
-    def _has_unit_of_bodies(self, qpos: FloatArray, factor: float) -> bool:
-        """Return whether the free bodies of a keyframe are as far away as their bodies, and not by a factor nearer."""
-        model = self.model
-        for joint in np.flatnonzero(joints_of(model, "FREE")).tolist():
-            first = int(model.jnt_qposadr[joint])
-            stated_m, places_m = model.qpos0[first : first + 3], qpos[first : first + 3]
-            lengths = np.linalg.norm([stated_m, places_m], axis=1)
-            if lengths.all():
-                away = float(np.log(lengths[1] / lengths[0]))
-                return abs(away) < abs(away - np.log(factor))
-        return True
 
     @cached_property
     def explicit_ground_pairs(self) -> list[int]:
@@ -339,38 +242,10 @@ class Robot:
             array = getattr(model, f"pair_{GEOM_FIELDS[name]}")
             array[self.explicit_ground_pairs] = value
 
-    def _compiled(self, changes: Settings) -> mujoco.MjModel | None:
-        """Return the compiled model where the compiler reads changes; None where it reads none of them."""
-        found = {
-            name: ELEMENT.fullmatch(name)
-            for name in changes
-            if name.startswith(("geom_con", GEOM_MASS, "jnt_limited"))
-        }
-        compiler = {
-            COMPILER[name]: changes[name] for name in changes if name in COMPILER
-        }
-        if self.spec is None and compiler:
-            raise TargetError("the change needs the model's file")
-        if self.spec is None or not (found or compiler):
-            return None
-        spec = self.spec.copy()
-        for attribute, value in compiler.items():
-            setattr(spec.compiler, attribute, value)
-        for name, match in found.items():
-            if match is None or match[1] == "geom_condim":
-                continue
-            kind, attribute = ("geom", match[1].removeprefix("geom_"))
-            if match[1] == "jnt_limited":
-                # The compiler reads the range of a joint with limits alone in the unit of its angles.
-                kind, attribute = "joint", "limited"
-            several = (getattr(one, f"{kind}s") for one in (spec, self.spec))
-            for element, original in zip(*several, strict=True):
-                if int(match[2]) == original.id:
-                    setattr(element, attribute, int(changes[name]))
-        try:
-            return spec.compile()
-        except ValueError as error:
-            raise TargetError(f"MuJoCo cannot compile the change: {error}") from None
+
+def of_one_geom(name: str, value: Any) -> Any:
+    """Return the value of a setting in each geom: the margins and gaps of two geoms add up."""
+    return value / 2 if name in ("contact_margin_m", "contact_gap_m") else value
 
 
 P = ParamSpec("P")
@@ -393,13 +268,6 @@ def once(
     return remembered
 
 
-GEOM_MASS = "geom_mass["
-"""Begin of the name of the mass of a geom, which the compiler adds to that of its body."""
-
-FEATURES = ("constraint", "contact", "frictionloss", "limit")
-"""Features that a model may switch off, and that no setting of the engine switches."""
-
-
 def disable_bit(feature: str) -> int:
     """Return MuJoCo's bit that switches a feature off, as `limit`."""
     return int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{feature.upper()}"))
@@ -408,12 +276,6 @@ def disable_bit(feature: str) -> int:
 def switched_off(model: mujoco.MjModel, *features: str) -> list[str]:
     """Return those of some features that a model switches off."""
     return [one for one in features if model.opt.disableflags & disable_bit(one)]
-
-
-def enabling(features: Iterable[str]) -> str:
-    """Return the element of a model that switches features on."""
-    flags = " ".join(f'{one}="enable"' for one in features)
-    return f"<flag {flags}/>"
 
 
 def set_option(option: Any, name: str, value: Any) -> None:
@@ -426,15 +288,13 @@ def set_option(option: Any, name: str, value: Any) -> None:
     """
     if name == "timestep_s":
         option.timestep = value
-    elif name in ("gravity", "wind"):
-        getattr(option, name)[:] = value
-    elif name in ("density", "viscosity"):
-        setattr(option, name, value)
+    elif name == "gravity":
+        option.gravity[:] = value
     elif name in OPTIONS:
         setattr(option, name, int(OPTIONS[name][value]))
     elif name in SAME_NAME_OPTIONS:
         setattr(option, name, value)
-    elif name in DISABLE_FLAGS or name in FEATURES:
+    elif name in DISABLE_FLAGS:
         bit = disable_bit(name)
         option.disableflags = (
             option.disableflags & ~bit if value else option.disableflags | bit
@@ -469,27 +329,6 @@ def coupled_pairs(model: mujoco.MjModel) -> NDArray[np.int_]:
     """Return the two joints of each equality that couples joints, the second one -1 without one, shape [count, 2]."""
     ends: NDArray[np.int_] = np.column_stack([model.eq_obj1id, model.eq_obj2id])
     return ends[couplings_of(model)]
-
-
-def tendon_joints(
-    model: mujoco.MjModel, tendon: int
-) -> tuple[NDArray[np.int32], FloatArray]:
-    """Return the joints and coefficients of a fixed tendon, shape [count]; none of a spatial one."""
-    first = int(model.tendon_adr[tendon])
-    places = np.arange(first, first + int(model.tendon_num[tendon]))
-    is_joint = model.wrap_type[places] == int(mujoco.mjtWrap.mjWRAP_JOINT)
-    places = places[is_joint]
-    return model.wrap_objid[places], model.wrap_prm[places]
-
-
-def ends_of(model: mujoco.MjModel, number: int) -> tuple[int, list[str]]:
-    """Return the kind of the parts that an equality joins, and their names."""
-    is_joint = couplings_of(model)[number]
-    kind = mujoco.mjtObj.mjOBJ_JOINT if is_joint else model.eq_objtype[number]
-    ends = (model.eq_obj1id[number], model.eq_obj2id[number])
-    return int(kind), [
-        mujoco.mj_id2name(model, kind, end) or "" for end in ends if end >= 0
-    ]
 
 
 def coupled_joints(model: mujoco.MjModel, joint: int) -> list[int]:

@@ -9,11 +9,9 @@ from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.robot.finding import (
     NOT_STANDING,
-    ROWS,
     Finding,
     NotApplicableError,
     NotMeasuredError,
-    body_name,
     by_joint,
     joint_name,
     limits_of,
@@ -23,7 +21,6 @@ from gauge_envs.tools.sanity.robot.finding import (
 from gauge_envs.tools.sanity.robot.ground_rows import overlaps
 from gauge_envs.tools.sanity.robot.joints import (
     dof_of,
-    drags_nm,
     driven_dofs,
     feet_above_ground_m,
     floor_m,
@@ -49,7 +46,6 @@ from gauge_envs.tools.sanity.robot.robot import (
     Robot,
     acts_on_joints,
     coupled_joints,
-    enabling,
     joints_of_motors,
     loop_joints,
     once,
@@ -106,7 +102,6 @@ def _finite(robot: Robot) -> Finding:
     return Finding(
         value=min(diverged_s / HOLD_S, 0.5),
         remark=f"diverges at {diverged_s:.3g} s while {motion}, with a step of {robot.model.opt.timestep:g} s",
-        advice="a shorter step",
     )
 
 
@@ -127,9 +122,6 @@ def _stands(robot: Robot) -> Finding:
             remark=f"its feet start {drop_mm:.3g} mm above the ground"
             if is_above
             else "",
-            advice="a place of the first body where the feet touch the ground"
-            if is_above
-            else "",
             advisory=_advisory(robot),
             is_usual=True,
         )
@@ -138,27 +130,6 @@ def _stands(robot: Robot) -> Finding:
     return Finding(
         value=ratio,
         remark="it rises: it starts in the ground, or in a spring" if rises else "",
-        advice="a place of the first body where the feet touch the ground",
-    )
-
-
-@row("robot-loads")
-def _loads(robot: Robot) -> Finding:
-    feet = set(standing_of(robot).feet)
-    shares = _finite_hold(robot).load_shares
-    idle = [body for body in feet if shares.get(body, 0.0) < 0.01]
-    others = [
-        body for body, share in shares.items() if body not in feet and share > 0.1
-    ]
-    text = ", ".join(
-        f"{body_name(robot, body)} {share:.0%}"
-        for body, share in sorted(shares.items())
-    )
-    return Finding(
-        value=float(len(idle) + len(others)),
-        parts={body_name(robot, body): 1.0 for body in (*idle, *others)},
-        remark=text,
-        advisory=_advisory(robot),
     )
 
 
@@ -239,60 +210,12 @@ SWING_RAD = 0.1
 """Swing of a joint for which dry friction counts as damping [rad]."""
 
 SOFT_MRAD = 1146.0
-"""Sag up to which soft gains may be meant; with kp per degree a servo that sags by 20 mrad sags by more [mrad].
-
-Makers' largest sags are 12 to 97 mrad, that of a soft G1 with its kp per degree 12.
-"""
+"""Sag up to which soft gains may be meant [mrad]."""
 
 NO_ROTOR = "no driven joint of the model states the inertia of its rotor"
 
 STEP_RAD, STEP_S = 0.3, 1.0
 """Step of a servo's command, and the time for which it is watched."""
-
-
-@row("robot-dry")
-def _dry(robot: Robot) -> Finding:
-    loads, limits_nm = largest_weights_nm(robot), loads_nm(robot)
-    shares, losses, rates = {}, {}, {}
-    for dof, (dry, viscous) in drags_nm(robot).items():
-        shares[dof] = dry / max(dry + viscous, 1e-12)
-        rates[dof] = viscous
-        # The least of measured joints: 5 % beside viscous friction, and 0.26 % of the weight of a bare bearing.
-        loss_nm = viscous / 19.0 + 0.0026 * max(loads[dof], 0.1 * loads.max(), 0.01)
-        # No gear loses more than a tenth of its motor's torque at rest.
-        losses[dof] = min(loss_nm, 0.1 * limits_nm.get(dof, 0.0))
-    if not shares:
-        return Finding(declined="no hinge of the robot is driven")
-    few = [dof for dof in shares if shares[dof] < 0.01]
-    model = robot.model
-    off = switched_off(model, "constraint", "frictionloss")
-    head = f"{enabling(off)} and " if off else ""
-    # Many makers state no dry friction at all, which is less than a wrong one.
-    stated = [dof for dof in few if off or model.dof_frictionloss[dof] > 0.0]
-    worst = min(stated or shares, key=shares.__getitem__)
-    name, loss_nm = joint_name(robot, worst), float(model.dof_frictionloss[worst])
-    advice = f'{head}frictionloss="{losses[worst]:.2g}" or more for {name} and joints like it'
-    advisory = "the joint states no dry friction" if few and not stated else ""
-    if not off and loss_nm > losses[worst]:
-        if not model.dof_armature[list(shares)].any():
-            advisory = NO_ROTOR
-        # The soft constraint of a light joint never reaches its friction: it is a drag.
-        advice = (
-            f"the armature of {name}: so light, its frictionloss of {loss_nm:.2g} Nm acts as a viscous drag, "
-            f"{rates[worst]:.2g} Nm at 1 rad/s and twice as much at 2"
-        )
-    return Finding(
-        value=shares[worst],
-        parts=by_joint(robot, shares),
-        remark=f"{name}, {len(few)} of {len(shares)} joints" if few else name,
-        advice=advice,
-        changes={
-            f"dof_frictionloss[{dof}]": losses[dof]
-            for dof in few
-            if losses[dof] > model.dof_frictionloss[dof]
-        },
-        advisory=advisory,
-    )
 
 
 @row("robot-lag")
@@ -320,29 +243,15 @@ def _lag(robot: Robot) -> Finding:
         if ratio <= worst:
             continue
         worst, name = ratio, joint_name(robot, dof)
-        advice = "less damping or armature, kv in Nm s/rad, or more kp"
-        if has_stiff_servos(robot):
-            advice = "kp in Nm/rad and kv in Nm s/rad, not per degree"
-        if half_ms < low_ms:
-            advice = (
-                "the armature of its rotor and gear, its forcerange, and kp in Nm/rad"
-            )
         text = response_text(*response)
         if half_ms < low_ms:
             text = f"{limits_nm[dof]:.3g} Nm turn {inertias[dof]:.2g} kg m^2"
         found = Finding(
             value=half_ms,
             remark=f"{name}: {text}",
-            advice=f"{advice}, for {name} and servos like it",
             advisory=NO_ROTOR if is_bare else "",
         )
     return replace(found, parts=by_joint(robot, halves_ms))
-
-
-def has_stiff_servos(robot: Robot) -> bool:
-    """Return whether weights deflect no servo as much as real ones, as with gains per degree."""
-    sag = ROWS["robot-sag"](robot)
-    return not sag.declined and sag.value < limits_of("robot-sag")[0]
 
 
 @once
@@ -385,7 +294,6 @@ def _ringing(robot: Robot) -> Finding:
         value=ratios[dof],
         parts=by_joint(robot, ratios),
         remark=f"{name}: {response_text(*responses[dof])}",
-        advice=f"kv in Nm s/rad, not a damping ratio, for {name} and servos like it",
     )
 
 
@@ -463,15 +371,6 @@ def deflecting_nm(robot: Robot) -> FloatArray:
     return loads
 
 
-def _sag_advice(name: str, sag_mrad: float) -> str:
-    """Return what may be wrong with a servo that sags too little or too much; a unit only where it explains it."""
-    if sag_mrad < limits_of("robot-sag")[0]:
-        return f"the masses that {name} carries in kg, or its kp in Nm/rad"
-    if sag_mrad < SOFT_MRAD:
-        return f"a larger kp of {name}, or a controller that carries the weight"
-    return f"kp of {name} in Nm/rad, not per degree, or the masses that it carries"
-
-
 @row("robot-sag")
 def _sag(robot: Robot) -> Finding:
     weights, gains = deflecting_nm(robot), servo_gains(robot.model, 1)
@@ -492,7 +391,6 @@ def _sag(robot: Robot) -> Finding:
             value=sags[dof],
             parts=by_joint(robot, sags),
             remark=f"{remark}, from a spring of {spring:.3g} Nm/rad",
-            advice=f'stiffness="0" for {joint_name(robot, dof)} and joints like it',
         )
     low_mrad, high_mrad = limits_of("robot-sag")
     advisory = ""
@@ -506,6 +404,5 @@ def _sag(robot: Robot) -> Finding:
         value=sags[dof],
         parts=by_joint(robot, sags),
         remark=remark,
-        advice=_sag_advice(joint_name(robot, dof), sags[dof]),
         advisory=advisory,
     )

@@ -59,7 +59,6 @@ class ModelData(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     implementation: Literal["c", "mjx", "mujoco_warp"]
-    stack: Literal["", "playground", "mjlab"] = ""
     options: dict[Text, float | Numbers | Text | Texts]
     known_flags: dict[Text, Texts]
     counts: dict[Text, int]
@@ -70,7 +69,6 @@ class ModelData(BaseModel):
     body_names: Texts
     hulls: dict[Text, Numbers]
     keyframes: dict[Literal["home", "stand", "standing"], Numbers]
-    limits: dict[Literal["njmax", "nconmax", "naconmax"], int]
     frame_skip: int | None
 
 

@@ -20,18 +20,7 @@ if TYPE_CHECKING:
 __all__ = ["Dialect", "accepted", "configuration", "dialect", "reader_of"]
 
 STACKS = (
-    *(
-        "mjcf",
-        "newton",
-        "maniskill",
-        "mujoco_env",
-        "genesis",
-        "probe",
-        "settings",
-        "isaac_gym",
-    ),
-    # It takes every YAML file.
-    "isaac_lab",
+    *("mjcf", "maniskill", "genesis", "probe", "settings", "isaac_lab"),
     # It takes every text.
     "gymnasium_env",
 )
@@ -50,12 +39,10 @@ def configuration(
             a model file that MuJoCo reads;
             a settings file: `backend`, optionally `preset`, and a table `settings`;
             a backend, with or without a preset (`mujoco:out_of_box`, `newton`);
-            the `params/env.yaml` of a training run with Isaac Lab, the folder of the run, or the same as a mapping;
-            a YAML file in the style of IsaacGym, or the same as a mapping or an object;
-            an environment of ManiSkill, or its SimConfig;
-            a `mujoco.MjModel`, a `mujoco.mjx.Model`, a `gymnasium.Env`, an env of MuJoCo Playground, or an env or a
-            task configuration of mjlab;
-            a file that the probe writes in the Python of any of these stacks (`NAME.gaugeprobe.json`);
+            the `params/env.yaml` of a training run with Isaac Lab, or the folder of the run;
+            the saved options of a Genesis scene;
+            a `mujoco.MjModel` or a `gymnasium.Env`;
+            a file that the probe writes in the Python of another stack (`NAME.gaugeprobe.json`);
             a configuration, which is returned unchanged.
         pair: Names of two geoms of a model whose contact constants the experiments get, instead of the most frequent
             ones of moving geoms on the ground.
@@ -108,7 +95,7 @@ def dialect(name: str) -> Dialect:
 
 def _readers(stacks: Sequence[str] = ()) -> Iterator[Reader]:
     for stack in stacks or STACKS:
-        yield from _stack(stack).READERS
+        yield from getattr(_stack(stack), "READERS", ())
 
 
 def _stack(name: str) -> Any:

@@ -1,4 +1,4 @@
-"""Read files of strangers: plain values only, within limits. Tags of YAML run nothing. A table reads typed values.
+"""Read files that a user names, and typed values of their tables.
 
 A training run dumps its configuration with tags of Python. Two of them are data: a tuple, and a slice, which Isaac Lab
 writes for every selection of joints. A slice is read as None. Every other tag of Python is refused.
@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
@@ -20,24 +19,7 @@ from gauge_envs.tools.sanity.model import Settings
 
 T = TypeVar("T")
 
-MOST_YAML_BYTES = MEGABYTE
-"""Largest size of a YAML file. Dumps of training runs have some 30 kB."""
-
-MOST_DEPTH = 64
-"""Largest depth of nested tables and lists."""
-
-MOST_NODES = 50_000
-"""Largest count of values, where each alias counts as all that it stands for."""
-
-MOST_DIGITS = 64
-"""Largest length of a number: Python takes a time that grows with the square of it, and more than 64 bits overflow."""
-
-NUMBER = re.compile(r"[-+]?[0-9][0-9a-fA-FxXoO._:]*")
-
-PLAIN = "tag:yaml.org,2002:"
-"""Start of the tags of YAML itself."""
-
-PYTHON = f"{PLAIN}python/"
+PYTHON = "tag:yaml.org,2002:python/"
 TUPLE, SLICE = f"{PYTHON}tuple", f"{PYTHON}object/apply:builtins.slice"
 
 
@@ -80,87 +62,25 @@ def file_value(
 
 def read_yaml(path: Path) -> Any:
     """Return the value of a YAML file; see `yaml_document`."""
-    return file_value(path, yaml_document, MOST_YAML_BYTES)
+    return file_value(path, yaml_document)
 
 
 def yaml_document(content: bytes | str) -> Any:
-    """Return the value of a YAML document; raise `ValueError` where it is too large, or has a tag that runs code."""
-    raw = (
-        content.encode("utf-8", errors="surrogatepass")
-        if isinstance(content, str)
-        else content
-    )
-    if len(raw) > MOST_YAML_BYTES:
-        raise ValueError(f"it has {len(raw)} bytes, the limit is {MOST_YAML_BYTES}")
-    text = raw.decode("utf-8")
+    """Return the value of a YAML document; raise `ValueError` where it is damaged, or has a tag that is no data."""
     yaml, loader = _yaml()
     try:
-        _check(yaml.parse(text, Loader=loader))
-        return yaml.load(text, Loader=loader)
-    except yaml.YAMLError as error:
+        return yaml.load(content, Loader=loader)
+    # Constructors of plain values assume well-formed dates and numbers.
+    except (
+        yaml.YAMLError,
+        ArithmeticError,
+        AttributeError,
+        LookupError,
+        TypeError,
+    ) as error:
         raise ValueError(
             f"it is no YAML: {printable(' '.join(str(error).split()))}"
         ) from None
-    except RecursionError:
-        raise ValueError("its tables and lists are nested too deeply") from None
-    except (ArithmeticError, AttributeError, LookupError, TypeError) as error:
-        # Constructors of plain values assume well-formed dates and numbers.
-        raise ValueError(f"a value cannot be read: {printable(str(error))}") from None
-
-
-def _check(events: Iterable[Any]) -> None:
-    """Check the size, the depth and the tags of a document before its values are built."""
-    yaml, _ = _yaml()
-    sizes: Counter[str] = Counter()
-    open_values: list[tuple[str | None, int]] = []
-    count = 0
-    for event in events:
-        if isinstance(event, yaml.CollectionEndEvent):
-            anchor, start = open_values.pop()
-            sizes[str(anchor)] = count - start
-        if not isinstance(event, yaml.NodeEvent):
-            continue
-        line, anchor = event.start_mark.line + 1, event.anchor
-        if isinstance(event, yaml.AliasEvent):
-            if any(anchor == one for one, _ in open_values):
-                raise ValueError(f"line {line}: a value contains itself")
-            count += sizes[str(anchor)]
-        else:
-            _check_tag(event.tag, line)
-            count += 1
-            sizes[str(anchor)] = 1
-        if (
-            isinstance(event, yaml.ScalarEvent)
-            and len(event.value) > MOST_DIGITS
-            and NUMBER.fullmatch(event.value)
-        ):
-            raise ValueError(
-                f"line {line}: a number of more than {MOST_DIGITS} characters"
-            )
-        if isinstance(event, yaml.CollectionStartEvent):
-            open_values.append((anchor, count - 1))
-        if len(open_values) > MOST_DEPTH:
-            raise ValueError(
-                f"line {line}: tables and lists are nested more than {MOST_DEPTH} deep"
-            )
-        if count > MOST_NODES:
-            raise ValueError(
-                f"line {line}: it has more than {MOST_NODES} values, where aliases count in full"
-            )
-
-
-def _check_tag(tag: str | None, line: int) -> None:
-    if (
-        tag is None
-        or tag in (TUPLE, SLICE)
-        or (tag.startswith(PLAIN) and not tag.startswith(PYTHON))
-    ):
-        return
-    shown = printable(tag.replace(PLAIN, "!!"))
-    reason = "would run code" if tag.startswith(PYTHON) else "is unknown"
-    raise ValueError(
-        f"line {line}: the tag {shown} {reason}; only !!python/tuple is data: remove the value or its tag"
-    )
 
 
 # --- tables ----------------------------------------------------------------------------------------------------------

@@ -5,7 +5,7 @@ more, which a reader of this file cannot see; notes say where that matters. Chan
 `__post_init__` of a configuration class: `self.sim.physx.bounce_threshold_velocity = 0.2`.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -142,14 +142,6 @@ PHYSX = {"isaac_lab": "sim.physx", "isaac_lab_3": "sim.physics"}
 
 DIALECTS = tuple(_dialect(name, place) for name, place in PHYSX.items())
 
-ACTUATOR_KEYS = {
-    "kp": ("stiffness",),
-    "kv": ("damping",),
-    "armature": ("armature",),
-    "motor-limit": ("effort_limit_sim", "effort_limit"),
-}
-"""Keys of an actuator by the id of the quantity, the one that counts first."""
-
 RUN_FILES = ("params/env.yaml", ".hydra/config.yaml")
 """Files in the folder of a training run."""
 
@@ -212,8 +204,7 @@ def isaac_lab_configuration(
     sim = table.table("sim")
     if sim is None or "dt" not in sim:
         raise TargetError(
-            f"{name}: there is no sim.dt: give the params/env.yaml of a training run with Isaac Lab, or a file with "
-            "sim.physx.num_position_iterations as IsaacGym has it"
+            f"{name}: there is no sim.dt: give the params/env.yaml of a training run with Isaac Lab"
         )
     physx = _physx(sim)
     dialect = DIALECTS[0 if physx.path.endswith("physx") else 1]
@@ -222,7 +213,7 @@ def isaac_lab_configuration(
     robot = _robot(table)
     _take_actor(physx, robot, dialect, values)
     ground, foot = _materials(table, sim, robot, values)
-    read = values.configuration(
+    return values.configuration(
         table,
         name=name,
         source=source,
@@ -231,47 +222,6 @@ def isaac_lab_configuration(
         foot_contact=combined(ground, foot),
         inapplicable=_inapplicable(table, physx, ground, foot),
     )
-    return replace(read, stated={} if robot is None else _stated(robot))
-
-
-# --- joints ----------------------------------------------------------------------------------------------------------
-
-
-def _stated(robot: Table) -> dict[str, dict[str, float]]:
-    """Return gains and limits of the actuators and the initial pose, by quantity and expression of joint names."""
-    found: dict[str, dict[str, float]] = {name: {} for name in ACTUATOR_KEYS}
-    actuators = robot.part("actuators")
-    for group in map(actuators.table, actuators.values):
-        if group is None:
-            continue
-        joints = group.value("joint_names_expr") or []
-        joints = [joints] if isinstance(joints, str) else joints
-        for name, keys in ACTUATOR_KEYS.items():
-            key = next((one for one in keys if one in group), None)
-            if key is not None:
-                found[name] |= _by_joint(group, key, joints)
-    if "init_state.joint_pos" in robot:
-        found["pose"] = _by_joint(robot, "init_state.joint_pos", [])
-    return found
-
-
-def _by_joint(table: Table, key: str, expressions: Sequence[str]) -> dict[str, float]:
-    """Return a number for each expression; a table has its own ones. Names may hold dots, which keys may not."""
-    value = table.value(key)
-    if not isinstance(value, Mapping):
-        number = table.number(key)
-        return {} if number is None else dict.fromkeys(map(str, expressions), number)
-    several = {
-        name: Table(
-            {"value": one}, source=table.source, path=f"{table.name(key)}.{name}"
-        )
-        for name, one in value.items()
-    }
-    return {
-        str(name): number
-        for name, one in several.items()
-        if (number := one.number("value")) is not None
-    }
 
 
 # --- solver ----------------------------------------------------------------------------------------------------------
@@ -426,12 +376,7 @@ def _inapplicable(
             return {
                 Need.CONTACT: f"{name} makes contacts springs, which SAPIEN does not expose"
             }
-    last = "solve_articulation_contact_last"
-    return (
-        {Need.SERVO: f"SAPIEN does not expose {physx.name(last)}"}
-        if physx.flag(last)
-        else {}
-    )
+    return {}
 
 
 # --- materials -------------------------------------------------------------------------------------------------------
@@ -532,20 +477,12 @@ def _file(target: Path) -> Path:
 
 
 def _matches(target: Any) -> bool:
-    if isinstance(target, Mapping):
-        return isinstance(target.get("sim"), Mapping) or isinstance(
-            target.get("env"), Mapping
-        )
     return isinstance(target, str | Path) and has_suffix(".yaml", ".yml")(
         _file(Path(target))
     )
 
 
 def _read(target: Any) -> TrainingConfiguration:
-    if isinstance(target, Mapping):
-        return isaac_lab_configuration(
-            target, name="Isaac Lab", source="configuration of Isaac Lab"
-        )
     path = _file(Path(target))
     # Every run calls its file the same; its folder tells runs apart.
     run = (
@@ -559,7 +496,6 @@ def _read(target: Any) -> TrainingConfiguration:
 
 
 READERS = (
-    # It takes every YAML file that another reader does not take.
     Reader(
         "the params/env.yaml of a training run with Isaac Lab",
         _matches,

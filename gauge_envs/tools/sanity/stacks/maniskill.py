@@ -1,14 +1,9 @@
-"""ManiSkill: an environment, or a SimConfig; the probe reads a task without starting it.
+"""ManiSkill: a SimConfig in a file of the probe, which reads a task without starting it.
 
 Changes are a SimConfig: `SimConfig(sim_freq=200, scene_config=SceneConfig(bounce_threshold=0.2))`.
 """
 
-from collections.abc import Mapping
-from dataclasses import is_dataclass
-from typing import Any
-
 from gauge_envs.errors import TargetError
-from gauge_envs.tools.sanity.gauge_probe import plain
 from gauge_envs.tools.sanity.model import Settings, TrainingConfiguration
 from gauge_envs.tools.sanity.stacks.dialect import (
     FLAG,
@@ -27,7 +22,6 @@ from gauge_envs.tools.sanity.stacks.physx import (
     combined,
     stated_material,
 )
-from gauge_envs.tools.sanity.stacks.reader import Reader
 
 LINK_DAMPING_PER_S = 0.05
 """Linear and angular damping of links that SAPIEN starts with; a SimConfig has no field for it."""
@@ -133,39 +127,4 @@ def maniskill_configuration(
     )
 
 
-# --- reader ----------------------------------------------------------------------------------------------------------
-
-
-def _is_sim_config(value: Any) -> bool:
-    if isinstance(value, Mapping):
-        return "sim_freq" in value and "scene_config" in value
-    return (
-        is_dataclass(value)
-        and not isinstance(value, type)
-        and hasattr(value, "sim_freq")
-    )
-
-
-def _matches(target: Any) -> bool:
-    return _is_sim_config(target) or _is_sim_config(
-        getattr(getattr(target, "unwrapped", None), "sim_config", None)
-    )
-
-
-def _read(target: Any) -> TrainingConfiguration:
-    if _is_sim_config(target):
-        return maniskill_configuration(
-            plain(target), name="SimConfig", source="ManiSkill's SimConfig"
-        )
-    spec = getattr(target, "spec", None)
-    name = type(target.unwrapped).__name__ if spec is None else spec.id
-    return maniskill_configuration(
-        plain(target.unwrapped.sim_config), name=name, source="environment of ManiSkill"
-    )
-
-
 DIALECTS = (MANISKILL,)
-
-READERS = (
-    Reader("an env of ManiSkill, or its SimConfig", _matches, _read, has_geoms=False),
-)

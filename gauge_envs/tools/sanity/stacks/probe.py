@@ -20,12 +20,8 @@ from gauge_envs.files import MEGABYTE, json_document, read_regular
 from gauge_envs.tools.sanity.gauge_probe import (
     SUFFIX,
     VERSION,
-    document,
-    is_mjx_model,
 )
 from gauge_envs.tools.sanity.model import (
-    CapacityLimits,
-    ContactCapacity,
     TrainingConfiguration,
 )
 from gauge_envs.tools.sanity.robot.mujoco_model import (
@@ -41,7 +37,6 @@ MUJOCO = "mujoco-model"
 
 STACKS = {
     "isaaclab-cfg": ("isaac_lab", "cfg"),
-    "isaacgym-cfg": ("isaac_gym", "cfg"),
     "maniskill-sim-config": ("maniskill", "sim_config"),
 }
 """Stack of each other kind of files, and the key of its configuration."""
@@ -57,11 +52,6 @@ MARGINS_TEXT = ".".join(map(str, MARGINS_SINCE))
 
 ENGINES = {"mjx": "MJX", "mujoco_warp": "MuJoCo Warp"}
 """Engines that run a model in training, by implementation."""
-
-NOT_COUNTED = (
-    "a probe file does not hold what moves the robot, so its contacts are not counted"
-)
-
 
 _Model = TypeVar("_Model", bound=BaseModel)
 
@@ -95,10 +85,10 @@ def _read(path: Path, pair: GeomPair | None) -> TrainingConfiguration:
     file = _validated(
         _ProbeFile, file_value(path, json_document, MOST_PROBE_BYTES), str(path)
     )
-    if not 1 <= file.version <= VERSION:
+    if file.version != VERSION:
         raise TargetError(
-            f"{path}: version {file.version} of the format, this gauge-envs reads up to version {VERSION}: run `gauge "
-            "sanity probe` again here, and its output where the policy is trained"
+            f"{path}: version {file.version} of the format, this gauge-envs reads version {VERSION}: run `gauge sanity "
+            "probe` again here, and its output where the policy is trained"
         )
     if file.kind != MUJOCO and file.kind not in STACKS:
         raise TargetError(
@@ -146,27 +136,12 @@ def _read_mujoco(
     read = mujoco_configuration(
         model, name=file.name, source=file.source, pair=pair, frame_skip=data.frame_skip
     )
-    limits = CapacityLimits(
-        njmax=data.limits.get("njmax"), naconmax=data.limits.get("naconmax")
-    )
-    capacity = (
-        ContactCapacity(limits=limits, reason=NOT_COUNTED) if data.limits else None
-    )
     return replace(
         read,
         notes=(*read.notes, *notes),
-        capacity=capacity,
         # Its actuators have no gains.
         robot=None,
-        language=data.stack or read.language,
-        trains_on="mujoco_warp" if data.implementation == "mujoco_warp" else "",
     )
-
-
-def _read_mjx(model: Any, pair: GeomPair | None) -> TrainingConfiguration:
-    """Return the configuration of a model for MJX, which is read as the probe reads it."""
-    file = _ProbeFile.model_validate(document(model, "mjx.Model"))
-    return _read_mujoco(file, Path(file.name), pair)
 
 
 def _release(version: str | None) -> tuple[int, ...]:
@@ -208,5 +183,4 @@ READERS = (
         _is_probe_file,
         lambda target, pair: _read(Path(target), pair),
     ),
-    Reader("a mujoco.mjx.Model", is_mjx_model, _read_mjx),
 )
