@@ -2,14 +2,16 @@
 
 - A cloth that moves alike across its width: the undamped sheet (`scripts/sheet.py`) with finer cells, and MuJoCo.
 - A cloth in a frame that a rod pushes: a membrane at rest by finite elements (`scripts/membrane.py`), and MuJoCo.
-- A foam that grips or a cube move: a block at rest by finite elements (`scripts/solid.py`), and MuJoCo.
+- A foam that grips move: a block at rest by finite elements (`scripts/solid.py`), and MuJoCo.
+- A foam that a cube presses: a quarter of a block, refined about the cube's edge (`scripts/pressed.py`), and MuJoCo.
 
 A load is the mean over a window of frames, since waves run through an undamped cloth. The windows were set before any
 power was known: seconds of a swing, a few parts of a short motion. u has two or more parts:
 
 - the change by refinement,
 - the part of the distance to MuJoCo that MuJoCo's own refinement does not explain,
-- of a pushed cloth, the friction and the edge of the tip.
+- of a pushed cloth, the friction and the edge of the tip,
+- of a pressed foam, the direction of the force at the edge of the cube.
 """
 
 from __future__ import annotations
@@ -21,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.interpolate import PchipInterpolator
 
 from gauge_envs.backends.registry import backend_for
 from gauge_envs.envs.episode import Episode
@@ -34,16 +37,22 @@ from gauge_envs.references.grips import COMPONENTS
 from gauge_envs.scene import SoftBody
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLES_PER_FRAME
+from scripts.extrapolation import extrapolate
 from scripts.generated import SCORING, Request
 from scripts.membrane import probe_forces_n
+from scripts.pressed import LEVELS, faces_of, pressed_block
 from scripts.sheet import sheet_of, solve_sheet
-from scripts.solid import held_wrenches
+from scripts.solid import held_wrenches, is_pressed_block
 
 LEAST_SHARE = 0.005
 """Least u of a load over its size: what a mean of samples at 180 Hz leaves open."""
 
 SAFETY = 1.25
 """Factor on the change by refinement (Roache)."""
+
+EDGE_SHARE = 0.005
+"""u by the edge of the cube over the push on a foam. An edge that presses straight down, and not along the normal of
+the surface that it bends, presses 0.9 % less; anything between has this standard deviation."""
 
 BLOCK_CELLS = (3, 2)
 """Cells across a block of the solution and of the coarser one."""
@@ -289,6 +298,61 @@ def solution(
     return fine, [fine - coarse], "a block at rest by finite elements"
 
 
+def pressed_wrenches(
+    experiment: Experiment, last_frame: int, settings: dict[str, Any], file: Path
+) -> FloatArray:
+    """Return the upward forces of the grips of a pressed foam, from a run of `build_models` where there is one."""
+    scene = experiment.scene
+    times_s = sample_times_s(last_frame)
+    faces_m = faces_of(scene, times_s)
+    (foam,) = scene.deformables
+    half_m = 0.5 * foam.shape.size_m[1]
+    if file.is_file():
+        with np.load(file) as run:
+            solved_m, pushes_n = run["faces_m"], run["pushes_n"]
+    else:
+        block = pressed_block(scene, float(times_s[-1]), **settings)
+        solved_m, pushes_n = block.faces_m, block.pushes_n
+    found_n = PchipInterpolator(-solved_m, pushes_n)(np.maximum(-faces_m, -half_m))
+    found_n += foam.mass_kg * scene.gravity_m_per_s2
+    wrenches = np.zeros((len(times_s), len(scene.holders), 6))
+    for one in scene.attachments:
+        wrenches[:, scene.holders.index(one.to), 2] = 0.5 * found_n
+    return frame_means(wrenches)
+
+
+def pressed_load(
+    load: Load, experiment: Experiment, last_frame: int, folder: Path
+) -> tuple[FloatArray, list[FloatArray]]:
+    """Return the extrapolated load of a pressed foam, shape [W, C], and what is open of it."""
+    holders = experiment.scene.holders
+    found = {
+        parameter: {
+            factor: load.of(
+                holders,
+                pressed_wrenches(
+                    experiment,
+                    last_frame,
+                    settings,
+                    folder / experiment.name / f"block-{parameter}-{factor:.4g}.npz",
+                ),
+            )
+            for factor, settings in runs
+        }
+        for parameter, runs in LEVELS.items()
+    }
+    base = found.pop("base")[1.0]
+    mean, parts = base.copy(), []
+    for values in found.values():
+        factors = sorted([1.0, *values], reverse=True)
+        result = extrapolate(
+            [base if one == 1.0 else values[one] for one in factors], factors
+        )
+        mean += result.correction
+        parts.append(result.uncertainty)
+    return mean, [*parts, EDGE_SHARE * mean]
+
+
 def _of_rim(forces_n: FloatArray) -> FloatArray:
     """Return the wrench of a frame in the mean over frames, with the force along the push and upward alone."""
     wrenches = np.full((len(forces_n), 1, 6), np.nan)
@@ -303,14 +367,21 @@ def rows_of(name: str, folder: Path) -> list[dict[str, Any]]:
     last_frame = max(last for load in loads for _, last in load.windows)
     settings = refined_settings(experiment)
     runs = [simulated(experiment, last_frame, one, folder) for one in settings]
-    solved, left_open, source = solution(experiment, last_frame)
+    is_pressed = is_pressed_block(experiment.scene)
+    if not is_pressed:
+        solved, left_open, source = solution(experiment, last_frame)
+    else:
+        source = "a block at rest by finite elements"
     rows = []
     for load in loads:
         base, step, cell = (load.of(holders, run) for run in runs)
         finest = base + (step - base) + (cell - base)
         changed = np.hypot(step - base, cell - base)
-        mean = load.of(holders, solved)
-        parts = [load.of(holders, part) for part in left_open]
+        if is_pressed:
+            mean, parts = pressed_load(load, experiment, last_frame, folder)
+        else:
+            mean = load.of(holders, solved)
+            parts = [load.of(holders, part) for part in left_open]
         # What MuJoCo's own refinement does not explain of the distance to it.
         parts.append(np.maximum(np.abs(mean - finest) - changed, 0.0))
         size = load_length(mean)

@@ -59,8 +59,9 @@ from scripts.extrapolation import (
     rms,
 )
 from scripts.generated import SCORING, Request
+from scripts.pressed import LEVELS, faces_of, pressed_block
 from scripts.sheet import marker_places_m, sheet_of, solve_sheet
-from scripts.solid import SOLVED_PLACES, block_points_m, is_pressed_block
+from scripts.solid import is_pressed_block
 
 LIMIT_S = 900.0
 """Processor time of an episode at most [s]."""
@@ -97,9 +98,6 @@ CLOTH_HORIZON_S = 5.0
 
 The scenes have no damping, and the implicit steps of engines damp all the same. The longer the motion, the more of the
 agreement of engines is that of their damping."""
-
-BLOCK_CELLS = 3
-"""Cells across a block by default."""
 
 BLOCK_HORIZON_S = 0.6
 """End of the solution of a block that is pressed [s]. Until then it is at rest in all but its slow motion."""
@@ -176,11 +174,10 @@ SHEET_LEVELS = (
 )
 """Runs of the undamped sheet."""
 
-BLOCK_LEVELS = (
-    Level(parameter="base", factor=1.0, settings={}),
-    Level(parameter="step", factor=0.5, settings={"places": 2 * SOLVED_PLACES}),
-    Level(parameter="cell", factor=1.5, settings={"cells": 2}),
-    Level(parameter="cell", factor=0.75, settings={"cells": 4}),
+BLOCK_LEVELS = tuple(
+    Level(parameter=parameter, factor=factor, settings=settings)
+    for parameter, runs in LEVELS.items()
+    for factor, settings in runs
 )
 """Runs of the block; its steps are those of the driven body."""
 
@@ -341,21 +338,16 @@ def solve_as_sheet(experiment: Experiment, level: Level) -> dict[str, Any]:
 
 
 def solve_as_block(experiment: Experiment, level: Level) -> dict[str, Any]:
-    """Return the same of a block at rest, with the cells and places of a level."""
+    """Return the same of a pressed block at rest, and the force of the cube at its places."""
     start = time.process_time()
-    markers = experiment.scene.markers
+    scene, markers = experiment.scene, experiment.scene.markers
     assert markers is not None
-    cells = level.settings.get("cells", BLOCK_CELLS)
-    points_m = block_points_m(
-        experiment.scene,
-        np.arange(solved_span(experiment)) / FRAME_RATE_HZ,
-        np.asarray(markers.positions_m),
-        cells=cells,
-        places=level.settings.get("places", SOLVED_PLACES),
-    )
-    assert points_m is not None
-    settings = {"preset": "at rest", "cells": cells}
-    return _of_points(experiment, points_m, settings, start)
+    block = pressed_block(scene, BLOCK_HORIZON_S, **level.settings)
+    times_s = np.arange(solved_span(experiment)) / FRAME_RATE_HZ
+    points_m = block.points_m(faces_of(scene, times_s), np.asarray(markers.positions_m))
+    settings = {"preset": "at rest", "cells": len(block.block.places_m)}
+    found = _of_points(experiment, points_m, settings, start)
+    return {**found, "faces_m": block.faces_m, "pushes_n": block.pushes_n}
 
 
 def _of_points(

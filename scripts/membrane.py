@@ -16,7 +16,7 @@ import itertools
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import CubicSpline, PchipInterpolator
 from scipy.sparse import coo_matrix, identity
 from scipy.sparse.linalg import spsolve
 
@@ -45,6 +45,9 @@ RINGS = (8, 14)
 
 PUSHES = 6
 """Number of pushes that are solved, between which forces are interpolated."""
+
+POINT_PUSHES = 6
+"""Number of pushes at which places of points are solved; between them, and from no push on, they are interpolated."""
 
 NORMAL = 1e-9
 """Largest component of a unit vector that counts as none."""
@@ -116,6 +119,65 @@ def _mesh(sheet: ProbedSheet, rings: int) -> _Mesh:
     )
 
 
+@dataclass(frozen=True, kw_only=True)
+class _AtRest:
+    """A cloth at rest at some pushes of the tip.
+
+    Attributes:
+        mesh: Its mesh.
+        places_m: Places of the nodes along warp, weft and push, shape [push_count, node_count, 3].
+        forces_n: Forces of the rim on the cloth, shape [push_count, 3].
+    """
+
+    mesh: _Mesh
+    places_m: FloatArray
+    forces_n: FloatArray
+
+
+def _at_rest(
+    sheet: ProbedSheet, pushes_m: FloatArray, *, rings: int, sticks: bool, folds: bool
+) -> _AtRest:
+    """Return a cloth at rest; the arguments are those of `held_forces_n`."""
+    mesh = _mesh(sheet, rings)
+    count = len(mesh.places_m)
+    elements = _Elements(sheet, mesh, folds=folds)
+    fixed = np.zeros((count, 3), dtype=bool)
+    fixed[mesh.on_rim] = True
+    fixed[mesh.on_tip, 2] = True
+    flat = np.column_stack([mesh.places_m, np.zeros(count)])
+    if sticks:
+        # The tip touches the cloth as its weight moved it in its plane.
+        flat = _hung(sheet, mesh, folds=False)
+        fixed[mesh.on_tip] = True
+    free = ~fixed.ravel()
+    distances_m = np.linalg.norm(mesh.places_m - np.asarray(sheet.tip_m), axis=1)
+    far_m = distances_m[mesh.on_rim].min()
+    # A membrane under even tension is a logarithm about the tip; a flat one has no stiffness across its plane.
+    cone = np.clip(
+        np.log(far_m / np.maximum(distances_m, sheet.tip_radius_m))
+        / np.log(far_m / sheet.tip_radius_m),
+        0.0,
+        1.0,
+    )
+    places_m = np.empty((len(pushes_m), count, 3))
+    forces_n = np.empty((len(pushes_m), 3))
+    for found, row, push_m in zip(places_m, forces_n, pushes_m, strict=True):
+        places = flat + push_m * cone[:, None] * [0.0, 0.0, 1.0]
+        found[:] = elements.at_rest(places, free)
+        # The rim carries the weight of its own nodes too.
+        row[:] = -elements.forces_n(found)[mesh.on_rim].sum(axis=0)
+    return _AtRest(mesh=mesh, places_m=places_m, forces_n=forces_n)
+
+
+def _hung(sheet: ProbedSheet, mesh: _Mesh, *, folds: bool) -> FloatArray:
+    """Return a cloth that its weight moves in its plane, before a tip touches it [m], shape [node_count, 3]."""
+    fixed = np.zeros((len(mesh.places_m), 3), dtype=bool)
+    fixed[mesh.on_rim] = True
+    fixed[:, 2] = True
+    flat = np.column_stack([mesh.places_m, np.zeros(len(mesh.places_m))])
+    return _Elements(sheet, mesh, folds=folds).at_rest(flat, ~fixed.ravel())
+
+
 def held_forces_n(
     sheet: ProbedSheet, pushes_m: FloatArray, *, rings: int, sticks: bool, folds: bool
 ) -> FloatArray:
@@ -128,37 +190,98 @@ def held_forces_n(
         sticks: Whether the material on the tip sticks to it, or slides without friction.
         folds: Whether the cloth folds where it is pressed, without bending stiffness, or stays smooth.
     """
-    mesh = _mesh(sheet, rings)
-    count = len(mesh.places_m)
-    elements = _Elements(sheet, mesh, folds=folds)
-    fixed = np.zeros((count, 3), dtype=bool)
-    fixed[mesh.on_rim] = True
-    fixed[mesh.on_tip, 2] = True
-    flat = np.column_stack([mesh.places_m, np.zeros(count)])
-    if sticks:
-        # The tip touches the cloth as its weight moved it in its plane.
-        hanging = fixed.copy()
-        hanging[:, 2] = True
-        smooth = _Elements(sheet, mesh, folds=False)
-        flat = smooth.at_rest(flat, ~hanging.ravel())
-        fixed[mesh.on_tip] = True
-    free = ~fixed.ravel()
-    distances_m = np.linalg.norm(mesh.places_m - np.asarray(sheet.tip_m), axis=1)
-    far_m = distances_m[mesh.on_rim].min()
-    # A membrane under even tension is a logarithm about the tip; a flat one has no stiffness across its plane.
-    cone = np.clip(
-        np.log(far_m / np.maximum(distances_m, sheet.tip_radius_m))
-        / np.log(far_m / sheet.tip_radius_m),
-        0.0,
-        1.0,
+    return _at_rest(sheet, pushes_m, rings=rings, sticks=sticks, folds=folds).forces_n
+
+
+def _located(mesh: _Mesh, points_m: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Return the nodes around material points of the plane and their weights, shape [point_count, 4]."""
+    nodes, weights = [], []
+    corners_m = mesh.places_m[mesh.cells]
+    for point_m in points_m:
+        far_m = np.linalg.norm(corners_m.mean(axis=1) - point_m, axis=1)
+        for cell in np.argsort(far_m):
+            at = np.zeros(2)
+            for _ in range(20):
+                factors = 1.0 + CORNERS * at
+                shape = 0.25 * factors.prod(axis=1)
+                slopes = corners_m[cell].T @ (0.25 * CORNERS * factors[:, ::-1])
+                at = np.clip(
+                    at - np.linalg.solve(slopes, shape @ corners_m[cell] - point_m),
+                    -3.0,
+                    3.0,
+                )
+            if np.abs(at).max() < 1.0 + 1e-6:
+                nodes.append(mesh.cells[cell])
+                weights.append(0.25 * (1.0 + CORNERS * at).prod(axis=1))
+                break
+    return np.array(nodes), np.array(weights)
+
+
+def probe_points_m(
+    scene: Scene, times_s: FloatArray, points_m: FloatArray
+) -> tuple[FloatArray, list[FloatArray], int]:
+    """Return where points of a probed sheet at rest are [m], what is open of them, and when the tip touches.
+
+    Args:
+        scene: A scene of `probed_sheet_of`.
+        times_s: Times, at which the cloth is taken to be at rest.
+        points_m: The points at the start, shape [point_count, 3].
+
+    Returns:
+        Places and what friction, edge of the tip and cells leave open of them, shape [time_count, point_count, 3]; and
+        the first time at which the tip touches the cloth.
+    """
+    found = probed_sheet_of(scene)
+    assert found is not None
+    sheet, gap_m, driver = found
+    (cloth,) = scene.deformables
+    assert isinstance(cloth, Cloth)
+    (motion,) = (one for one in driver.motions if one.profiles)
+    travels_m = np.array([motion.value(time_s) for time_s in times_s]) - gap_m
+    pushes_m = travels_m.max() * np.linspace(1.0 / POINT_PUSHES, 1.0, POINT_PUSHES)
+    axes = cloth.pose.to_world(np.eye(3)) - np.asarray(cloth.pose.position_m)
+    axes = np.vstack([axes[:2], motion.axis])
+    local_m = cloth.pose.to_body(points_m)[:, :2]
+
+    def solved(
+        radius_m: float, count: int = 1, *, sticks: bool = False, rings: int = RINGS[0]
+    ) -> tuple[FloatArray, float]:
+        """Return how far points move at the deepest pushes [m], and the force of the last of them [N]."""
+        narrow = replace(sheet, tip_radius_m=radius_m)
+        rest = _at_rest(
+            narrow, pushes_m[-count:], rings=rings, sticks=sticks, folds=True
+        )
+        mesh = rest.mesh
+        nodes, weights = _located(mesh, local_m)
+        flat = np.column_stack([mesh.places_m, np.zeros(len(mesh.places_m))])
+        places_m = rest.places_m
+        if count == len(pushes_m):
+            places_m = np.stack([_hung(narrow, mesh, folds=True), *places_m])
+        moved_m = np.einsum("pn,tpnx->tpx", weights, (places_m - flat)[:, nodes])
+        return moved_m @ axes, abs(float(rest.forces_n[-1, 2]))
+
+    sharp_m = sheet.tip_radius_m
+    fine, force_n = solved(sharp_m, POINT_PUSHES, rings=RINGS[1])
+    coarse, _ = solved(sharp_m)
+    bending = plate_bending_stiffness(
+        hinge_stiffness_n_m_per_rad=cloth.bend_stiffness_n_m_per_rad
     )
-    found = np.empty((len(pushes_m), 3))
-    for row, push_m in zip(found, pushes_m, strict=True):
-        places = flat + push_m * cone[:, None] * [0.0, 0.0, 1.0]
-        forces = elements.forces_n(elements.at_rest(places, free))
-        # The rim carries the weight of its own nodes too.
-        row[:] = -forces[mesh.on_rim].sum(axis=0)
-    return found
+    # As in `probe_forces_n`. What is open is that at the deepest push, and less in proportion to shallower ones.
+    layer_m = np.sqrt(2.0 * np.pi * sharp_m * bending / force_n)
+    wide_m = sharp_m + 0.5 * (layer_m + cloth.thickness_m)
+    shares = np.linspace(0.0, 1.0, POINT_PUSHES + 1)[:, None, None]
+    stick = 0.5 * shares * (solved(sharp_m, sticks=True)[0] - coarse)
+    wide = 0.5 * shares * (solved(wide_m)[0] - coarse)
+    rest = shares * (fine[-1:] - coarse) / ((RINGS[1] / RINGS[0]) ** 2 - 1.0)
+    mean = fine + rest + stick + wide
+    parts = [np.abs(stick) / np.sqrt(3.0), np.abs(wide) / np.sqrt(3.0), np.abs(rest)]
+    places_m = np.concatenate([[0.0], pushes_m])
+    at_m = np.maximum(travels_m, 0.0)
+    return (
+        points_m + PchipInterpolator(places_m, mean)(at_m),
+        [PchipInterpolator(places_m, part)(at_m) for part in parts],
+        int(np.argmax(travels_m > 0.0)),
+    )
 
 
 def probed_sheet_of(scene: Scene) -> tuple[ProbedSheet, float, Driver] | None:
