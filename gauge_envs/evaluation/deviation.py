@@ -43,14 +43,12 @@ class Deviation:
         errors: Its errors.
         baseline: Mean of the same distance over real trials, which normalizes it: published for a simulation as it is,
             of the trials at hand for an aligned one. None without one.
-        velocity: Velocity of a simulation that was aligned, shape [T, C]; None for one as it is.
     """
 
     values: FloatArray
     rmse: float
     errors: BandErrors
     baseline: float | None
-    velocity: FloatArray | None = None
 
     @property
     def normalized(self) -> float | None:
@@ -97,14 +95,11 @@ class Deviations:
     primary: str
 
     @property
-    def is_aligned(self) -> bool:
-        """Whether the primary score is that of the aligned simulation."""
-        return self.primary == "rmse_aligned" and self.aligned is not None
-
-    @property
     def first(self) -> Deviation:
         """The deviation of the primary score."""
-        return self.aligned if self.is_aligned and self.aligned else self.raw
+        if self.primary == "rmse_aligned" and self.aligned is not None:
+            return self.aligned
+        return self.raw
 
 
 def normalizing_baselines(experiment: Experiment, band: Band) -> Mapping[str, Baseline]:
@@ -172,7 +167,6 @@ def band_deviations(
             rmse=rmse,
             errors=errors,
             baseline=baseline,
-            velocity=velocity,
         ),
         release_offset_s=offset_s,
         primary="rmse" if experiment.scene.drivers else "rmse_aligned",

@@ -1,6 +1,6 @@
 """Estimators of physical quantities from sampled motion: one function for each, in SI units.
 
-Checks of engines, recipes, sanity rows, diagnoses of episodes and films read these, each with its own tolerance. Every
+Checks of engines, recipes, sanity rows, scores and films read these, each with its own tolerance. Every
 function takes positions at known times. None takes velocities: an engine's velocity lags its positions by up to a step,
 and a film has none.
 

@@ -13,8 +13,8 @@ from gauge_envs.evaluation.estimators import (
     acceleration_m_per_s2,
     slide_friction,
 )
+from gauge_envs.evaluation.impact import MAX_MISFIT, find_impact, simulated_impact
 from gauge_envs.evaluation.metrics.events import oscillation_period
-from gauge_envs.evaluation.motion_kinds import MotionKind, find_impact, recognized
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.bands import Band
@@ -38,6 +38,9 @@ LEAST_RINGING_SAMPLES = 12
 HIGHER_MODES_S = 0.15
 """Time after the release that is left out [s]: about the first swing of the recorded beam, which holds the most of
 higher bending modes."""
+
+STARTS_AT_ONCE = 100
+"""Number of starts of a motion that are fitted in one array."""
 
 PADDING = 8
 """Length of the spectrum that starts the fit, over that of the signal."""
@@ -138,26 +141,59 @@ def implied_parameters(
             / FRAME_RATE_HZ
         )
         seen = times_s <= last_s + 1e-6
-        motion = recognized(experiment, band, times_s[seen], band.project(values[seen]))
-        if motion.kind is MotionKind.UNIFORM_ACCELERATION:
-            found += _friction(experiment, band, times_s[seen], values[seen])
-        elif motion.impact is not None:
-            found.append(
-                ImpliedParameter.beside(
-                    _real_restitution(band),
-                    "restitution",
-                    "1",
-                    motion.impact.restitution,
-                    0.0,
-                    source="speeds at the contact of the parabolas before and after the first impact; "
-                    "real: of each trial, where its parabolas meet",
-                )
-            )
-        if release_offset_s is not None and not experiment.scene.joints:
-            found.append(_release_time(band, release_offset_s))
+        if not experiment.scene.joints:
+            found += _of_free_body(experiment, band, times_s[seen], values[seen])
+            if release_offset_s is not None:
+                found.append(_release_time(band, release_offset_s))
     if experiment.score.period_axis is not None or "pd" in experiment.score.metrics:
         found += _swing(experiment, times_s, values)
     return tuple(found)
+
+
+def _of_free_body(
+    experiment: Experiment, band: Band, times_s: FloatArray, values: FloatArray
+) -> list[ImpliedParameter]:
+    """Return the restitution of a rebound, or the friction of a slide."""
+    projected = band.project(values)
+    impact = simulated_impact(experiment, band, times_s, projected)
+    if impact is not None:
+        return [
+            ImpliedParameter.beside(
+                _real_restitution(band),
+                "restitution",
+                "1",
+                impact.restitution,
+                0.0,
+                source="speeds at the contact of the parabolas before and after the first impact; "
+                "real: of each trial, where its parabolas meet",
+            )
+        ]
+    if is_uniformly_accelerated(times_s, projected):
+        return _friction(experiment, band, times_s, values)
+    return []
+
+
+def is_uniformly_accelerated(times_s: FloatArray, values: FloatArray) -> bool:
+    """Return whether a motion is one of constant acceleration from rest.
+
+    In a recording the body may rest for a while before it moves. Of each start, the best acceleration leaves a sum of
+    squares that is smaller by the square of the projection on the motion of unit acceleration.
+
+    Args:
+        times_s: Times from 0 on [s], shape [S].
+        values: Coordinates at these times, shape [S, C].
+    """
+    moved = values - values[0]
+    total = float(np.square(moved).sum())
+    if total == 0.0:
+        return False
+    starts_s = times_s[times_s <= 0.5 * times_s[-1]]
+    largest = 0.0
+    for some_s in np.array_split(starts_s, math.ceil(len(starts_s) / STARTS_AT_ONCE)):
+        motions = 0.5 * np.square(np.maximum(times_s - some_s[:, None], 0.0))
+        gained = np.square(motions @ moved).sum(axis=1)
+        largest = max(largest, float((gained / np.square(motions).sum(axis=1)).max()))
+    return total - largest <= MAX_MISFIT**2 * total
 
 
 def _of_trials(found: list[float]) -> tuple[float, float, float] | None:

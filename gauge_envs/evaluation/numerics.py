@@ -110,24 +110,24 @@ def tall_product(tall: FloatArray, other: FloatArray) -> FloatArray:
 
 def bounded_minimum(
     function: Callable[[FloatArray], FloatArray],
-    low: float | FloatArray,
-    high: float | FloatArray,
+    low: float,
+    high: float,
     tolerance: float,
-) -> tuple[FloatArray, FloatArray]:
-    """Return the argument and the value of the minimum of a function with a single one between bounds, or of several.
+) -> tuple[float, float]:
+    """Return the argument and the value of the minimum of a function with a single one between bounds.
 
     Args:
-        function: Values at arguments, shape [..., count] each, of as many functions as there are bounds.
-        low: Least argument, shape [...].
-        high: Largest argument, shape [...].
+        function: Values at arguments, shape [count] each.
+        low: Least argument.
+        high: Largest argument.
         tolerance: Largest error of the argument.
     """
     while True:
-        arguments = np.linspace(low, high, GRID_POINTS, axis=-1)
+        arguments = np.linspace(low, high, GRID_POINTS)
         values = function(arguments)
-        best = values.argmin(axis=-1)
-        step = arguments[..., 1] - arguments[..., 0]
-        if (GRID_POINTS - 1) * step.max() <= tolerance:
-            return arguments[..., 0] + best * step, values.min(axis=-1)
-        low = arguments[..., 0] + np.maximum(best - 1, 0) * step
-        high = arguments[..., 0] + np.minimum(best + 1, GRID_POINTS - 1) * step
+        best = int(values.argmin())
+        step = float(arguments[1] - arguments[0])
+        if (GRID_POINTS - 1) * step <= tolerance:
+            return float(arguments[0] + best * step), float(values.min())
+        low = float(arguments[0] + max(best - 1, 0) * step)
+        high = float(arguments[0] + min(best + 1, GRID_POINTS - 1) * step)

@@ -19,10 +19,9 @@ from gauge_envs.envs.arguments import (
 from gauge_envs.envs.at_once import episodes_in_lockstep
 from gauge_envs.envs.episode import Episode
 from gauge_envs.errors import GaugeError, ParameterError, UnsupportedSceneError
-from gauge_envs.evaluation.score import Score, score_trajectory
+from gauge_envs.evaluation.score import Score
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.files import json_ready, processor, versions
-from gauge_envs.references.bands import Band
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.imported import dataset_record
 from gauge_envs.runs.request import RunRequest
@@ -94,33 +93,6 @@ def run_episodes(request: RunRequest) -> list[Result]:
         ]
     finally:
         lockstep.worlds.close()
-
-
-def rescored(
-    result: Result,
-    experiment: Experiment,
-    band: Band | None,
-) -> Result:
-    """Return a result with the score of its trajectory by this version of the package.
-
-    Args:
-        result: A result; one without a finished trajectory stays as it is.
-        experiment: Its experiment.
-        band: Its reference; None without one.
-    """
-    if result.outcome is not Outcome.FINISHED or result.trajectory is None:
-        return result
-    times_s, values = result.trajectory.arrays(later=True)
-    score = score_trajectory(
-        experiment,
-        band,
-        times_s=times_s,
-        values=values,
-        markers_m=result.trajectory.markers_m(),
-        wrenches=result.trajectory.recorded_wrenches(),
-        is_checked=True,
-    )
-    return replace(result, score=score)
 
 
 def planned_results(request: RunRequest) -> list[Result]:

@@ -161,12 +161,6 @@ class RecordedTrajectory:
             return None
         return 1e-3 * self.markers_mm.reshape(len(self.markers_mm), -1, 3)
 
-    def recorded_wrenches(self) -> FloatArray | None:
-        """Return the wrenches of the holders, shape [frame_count, holder_count, 6]; None if they are not recorded."""
-        if not self.wrenches.size:
-            return None
-        return self.wrenches.reshape(len(self.wrenches), -1, 6)
-
     def arrays(self, *, later: bool = False) -> tuple[FloatArray, FloatArray]:
         """Return times [s], shape [sample_count], and g(t), shape [sample_count, coordinate_count].
 

@@ -21,7 +21,7 @@ from gauge_envs.evaluation.estimators import (
     speed_at_contact_m_per_s,
     steady_speed_m_per_s,
 )
-from gauge_envs.evaluation.motion_kinds import find_impact
+from gauge_envs.evaluation.impact import find_impact
 
 G = 9.81
 

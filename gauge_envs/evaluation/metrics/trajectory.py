@@ -125,36 +125,9 @@ def release_offset(
         shift in the observable's unit. Of equally good shifts the smallest is chosen, so an object at rest has 0.
     """
     simulated = _trajectory("simulated", simulated)
-    offsets_s, least = release_offsets(
-        times_s,
-        simulated[None],
-        real_mean,
-        frame_rate_hz=frame_rate_hz,
-        max_offset_s=max_offset_s,
-    )
-    return float(offsets_s[0]), float(least[0])
-
-
-def release_offsets(
-    times_s: ArrayLike,
-    simulated: FloatArray,
-    real_mean: ArrayLike,
-    *,
-    frame_rate_hz: float = 30.0,
-    max_offset_s: float = MAX_RELEASE_OFFSET_S,
-) -> tuple[FloatArray, FloatArray]:
-    """Return `release_offset` of many simulations with the same sample times, shape [simulation_count] each.
-
-    Args:
-        times_s: As for `release_offset`.
-        simulated: Simulated trajectories, finite, shape [simulation_count, sample_count, coordinate_count].
-        real_mean: As for `release_offset`.
-        frame_rate_hz: As for `release_offset`.
-        max_offset_s: As for `release_offset`.
-    """
     real_mean = _trajectory("real_mean", real_mean, allow_missing=True)
     times_s = np.asarray(times_s, dtype=np.float64)
-    each, sample_count, width = simulated.shape
+    sample_count, width = simulated.shape
     if (
         times_s.shape != (sample_count,)
         or len(times_s) < 2
@@ -178,39 +151,34 @@ def release_offsets(
         raise ShapeError("simulated and real_mean share no measured entry")
 
     def shifted_rmse(offsets_s: FloatArray) -> FloatArray:
-        queries_s = frame_times_s - offsets_s[:, :, None]
-        found = []
-        for one, one_s in zip(simulated, queries_s, strict=True):
-            shifted = interpolated(one_s, times_s, one)
-            shifted -= wanted
-            shifted *= measured
-            found.append(np.einsum("ofc,ofc->o", shifted, shifted))
-        return np.sqrt(np.array(found) / frame_count)
+        shifted = interpolated(frame_times_s - offsets_s[:, None], times_s, simulated)
+        shifted -= wanted
+        shifted *= measured
+        squares = np.einsum("ofc,ofc->o", shifted, shifted)
+        return np.asarray(np.sqrt(squares / frame_count))
 
     steps = math.ceil(max_offset_s / _OFFSET_GRID_S)
     last_s = frame_times_s[np.flatnonzero(measured.any(axis=1))[-1]]
     least_s = -min(max(float(times_s[-1] - last_s), 0.0), max_offset_s)
     grid_s = np.linspace(-max_offset_s, max_offset_s, 2 * steps + 1)
     grid_s = np.sort(np.concatenate([[least_s, 0.0], grid_s[grid_s >= least_s]]))
-    grid_s = grid_s[
-        np.argsort(np.abs(grid_s), kind="stable")
-    ]  # argmin takes the first, hence smallest, of equals
+    # argmin takes the first, hence smallest, of equals.
+    grid_s = grid_s[np.argsort(np.abs(grid_s), kind="stable")]
     chunks = np.array_split(
-        np.tile(grid_s, (each, 1)),
-        math.ceil(real_mean.size * len(grid_s) / _OFFSET_CHUNK),
-        axis=1,
+        grid_s, math.ceil(real_mean.size * len(grid_s) / _OFFSET_CHUNK)
     )
-    grid_rmse = np.hstack([shifted_rmse(chunk) for chunk in chunks])
-    best = grid_rmse.argmin(axis=1)
-    coarse_s, coarse = grid_s[best], grid_rmse[np.arange(each), best]
+    grid_rmse = np.concatenate([shifted_rmse(chunk) for chunk in chunks])
+    best = int(grid_rmse.argmin())
+    coarse_s, coarse = float(grid_s[best]), float(grid_rmse[best])
     refined_s, least = bounded_minimum(
         shifted_rmse,
-        np.maximum(coarse_s - _OFFSET_GRID_S, least_s),
-        np.minimum(coarse_s + _OFFSET_GRID_S, max_offset_s),
+        max(coarse_s - _OFFSET_GRID_S, least_s),
+        min(coarse_s + _OFFSET_GRID_S, max_offset_s),
         1e-7,
     )
-    is_better = least < coarse
-    return np.where(is_better, refined_s, coarse_s), np.minimum(least, coarse)
+    if least < coarse:
+        return float(refined_s), float(least)
+    return coarse_s, coarse
 
 
 def z_scores(

@@ -16,16 +16,12 @@ if TYPE_CHECKING:
         GradeComparison as GradeComparison,
         GradeScore as GradeScore,
     )
-    from gauge_envs.tools.compare.lines import CompareLine as CompareLine
     from gauge_envs.tools.compare.rank_tables import (
         deciding_text as deciding_text,
         grades_of as grades_of,
         mean_rank_text as mean_rank_text,
     )
-    from gauge_envs.tools.compare.words import (
-        comparison_document as comparison_document,
-        short_tables as short_tables,
-    )
+    from gauge_envs.tools.compare.words import short_tables as short_tables
     from gauge_envs.tools.compare.yardstick import (
         choose_yardstick as choose_yardstick,
         coordinate_words as coordinate_words,

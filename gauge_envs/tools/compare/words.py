@@ -64,13 +64,8 @@ def comparison_document(
     )
 
 
-def short_tables(comparison: Comparison, *, with_ranks: bool = True) -> list[Table]:
-    """Return the ranks within each grade, and the score of each experiment that comes first.
-
-    Args:
-        comparison: The comparison.
-        with_ranks: Whether to show ranks.
-    """
+def short_tables(comparison: Comparison) -> list[Table]:
+    """Return the ranks within each grade, and the score of each experiment that comes first."""
     first: dict[str, dict[str, Any]] = {}
     for row in _validation_rows(comparison, comparison_rows(comparison)):
         first.setdefault(row["id"], row)
@@ -78,7 +73,6 @@ def short_tables(comparison: Comparison, *, with_ranks: bool = True) -> list[Tab
         table
         for question in QUESTIONS
         for table in rank_tables(comparison, question, with_experiments=False)
-        if with_ranks
     ]
     if first:
         tables.append(score_table(comparison, [*first.values()]))
