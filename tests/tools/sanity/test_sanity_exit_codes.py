@@ -1,9 +1,14 @@
 """Exit codes, formats and the action of a sanity check: green only where all was measured and passed."""
 
 import json
+import os
+import subprocess
+import sys
 from dataclasses import replace
 
 import pytest
+import yaml
+from places import ROOT
 from robot_faults import faulty_xml, good_xml
 from test_sanity_report import ADVICE, CREEP, NOTHING, PERIOD, SLIDE, WALL, report
 from typer.testing import CliRunner
@@ -11,6 +16,7 @@ from typer.testing import CliRunner
 from gauge_envs.cli.app import app
 from gauge_envs.pages.document import as_rows
 from gauge_envs.tools import sanity
+from gauge_envs.tools.sanity import check
 from gauge_envs.tools.sanity.model import Verdict
 from gauge_envs.tools.sanity.words import sanity_document
 
@@ -212,3 +218,51 @@ def test_a_baseline_without_parts_is_to_be_written_again(monkeypatch, tmp_path):
     before.write_text("\n".join(map(json.dumps, rows)))
     outcome = run(monkeypatch, report(CREEP), "--baseline", str(before))
     assert outcome.exit_code == 2 and "write it again" in outcome.stderr
+
+
+# --- action ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("target", "options", "more", "code"),
+    [
+        ("robot.xml", "--only robot-friction", {}, 0),
+        ("my robot.xml", "--only 'robot-friction, gravity'", {}, 1),
+        ("my robot.xml", "--only robot-friction", {"baseline": "rows.json"}, 0),
+        ("robot.xml", "--only foot-creep --timeout 0s", {}, 3),
+        ("robot.xml; touch pwned", "--only gravity ; touch pwned", {}, 2),
+        ("--fail-on=never", "--only `touch pwned`", {}, 2),
+    ],
+)
+def test_the_check_of_the_action_runs(tmp_path, target, options, more, code):
+    action = yaml.safe_load((ROOT / "action.yml").read_text())
+    values = {name: one.get("default", "") for name, one in action["inputs"].items()}
+    command = f'#!/bin/sh\nexec {sys.executable} -c "from gauge_command import main; main()" "$@"\n'
+    (tmp_path / "gauge").write_text(command)
+    (tmp_path / "gauge").chmod(0o755)
+    (tmp_path / "robot.xml").write_text(good_xml())
+    (tmp_path / "my robot.xml").write_text(faulty_xml("robot-friction"))
+    report = check(str(tmp_path / "my robot.xml"), only=["robot-friction"])
+    known = as_rows(sanity_document(report))
+    (tmp_path / "rows.json").write_text("\n".join(map(json.dumps, known)))
+    given = values | {"target": target, "options": options} | more
+    (step,) = [one for one in action["runs"]["steps"] if one["name"] == "Check"]
+    env = {
+        name: given[text.strip("${ }").removeprefix("inputs.")]
+        for name, text in step["env"].items()
+    }
+    path = os.pathsep.join([str(tmp_path), os.environ["PATH"]])
+    env |= {"PATH": path, "PYTHONPATH": str(ROOT), "GITHUB_STEP_SUMMARY": "summary.md"}
+    done = subprocess.run(
+        [sys.executable, "-c", step["run"]],
+        cwd=tmp_path,
+        env=os.environ | env,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == code, done.stdout + done.stderr
+    assert not (tmp_path / "pwned").exists()
+    assert (code == 2) != (tmp_path / "gauge-sanity.md").is_file()
+    assert (code == 2) != (tmp_path / "summary.md").is_file()
