@@ -102,13 +102,8 @@ GROUPS: dict[str, tuple[Entry, ...]] = {
     ),
     "Beyond the benchmark": (
         Entry("CubeToss-acrylic", camera={"distance_m": 1.3}),
-        Entry("ElbowToss-blocks", camera={"distance_m": 0.75}),
         Entry("SiliconeBeam-52g-silicone", 0.5),
         Entry("CubePush-light"),
-        Entry("JointPendulum-viscous", 1.7, camera={"distance_m": 0.6}),
-        Entry("DoublePendulum-bars", 2.0, camera={"distance_m": 0.75}),
-        Entry("TorquePendulum-ak80", camera={"distance_m": 1.3}),
-        Entry("ServoArm-so101", 20.0, camera={"azimuth_deg": 110.0, "distance_m": 0.6}),
     ),
 }
 

@@ -172,9 +172,6 @@ class DriftingWorlds(ArrayWorlds):
     def drive(self, body, motions, numbers):
         self._inner.drive(body, motions)
 
-    def command(self, values, numbers):
-        self._inner.command(values)
-
     def body_states(self, names):
         return self._inner.body_states(names)
 

@@ -44,8 +44,6 @@ def test_wheel_carries_the_data(wheel):
     )
     assert "gauge_envs/scoring/single_shot/CubeToss-acrylic.npz" in names
     assert "gauge_envs/scoring/single_shot/CubeToss-acrylic.LICENSE" in names
-    assert "gauge_envs/scoring/single_shot/ElbowToss-blocks.npz" in names
-    assert "gauge_envs/scoring/single_shot/ElbowToss-blocks.LICENSE" in names
     assert "gauge_envs/scoring/published/engine_results.csv" in names
     assert "gauge_envs/scoring/bands/SlopeSlider-2-wood.csv" in names
     assert "gauge_envs/py.typed" in names

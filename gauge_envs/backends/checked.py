@@ -24,7 +24,7 @@ UNIT_NORM = 1e-3
 MOVES = ("advance", "restore")
 """Methods after which the state is no longer that of the start."""
 
-ACTIONS = ("drive", "command", "apply_wrench")
+ACTIONS = ("drive", "apply_wrench")
 """Other methods that return nothing."""
 
 

@@ -54,14 +54,6 @@ class DeviceWorlds(ABC):
         """
         raise BackendError(f"{type(self).__name__} drives no body")
 
-    def command(self, values: Any) -> None:
-        """Set what the motors follow in all worlds, shape [world_count, motor_count]; see `World.command`.
-
-        Raises:
-            BackendError: The engine has no motors here.
-        """
-        raise BackendError(f"{type(self).__name__} has no motors")
-
     @abstractmethod
     def advance(self, seconds: float) -> None:
         """Simulate an interval in all worlds, a multiple of 1/180 s. It need not wait for the device."""

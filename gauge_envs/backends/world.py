@@ -70,22 +70,6 @@ class World(ABC):
             f"{type(self).__name__} applies no force or torque to {body!r}: it does not implement World.apply_wrench"
         )
 
-    def command(self, values: FloatArray) -> None:
-        """Set what the motors of the scene's joints follow from now on. Only scenes with motors need this method.
-
-        It is called before every `advance`, which holds the values.
-
-        Args:
-            values: Angle from the start [rad] of a servo, torque [N m] of a torque motor, shape [motor_count], in the
-                order of `Scene.motors`.
-
-        Raises:
-            BackendError: The engine has no motors.
-        """
-        raise BackendError(
-            f"{type(self).__name__} moves no joint: it does not implement World.command"
-        )
-
     def fault(self) -> str | None:
         """Return why the engine itself gave up the state since the last reset, or None.
 

@@ -96,16 +96,6 @@ class Worlds(ABC):
             pose = Pose(position_m=tuple(values[:3]), quaternion=tuple(values[3:7]))
             self.worlds[number].drive(body, pose, motion[7:13], motion[13:])
 
-    def command(self, values: FloatArray, numbers: IntArray) -> None:
-        """Set what the motors follow in some worlds; see `World.command`.
-
-        Args:
-            values: Shape [len(numbers), motor_count]; it may be a read-only view, as in `drive`.
-            numbers: Numbers of the worlds, ascending.
-        """
-        for number, row in zip(numbers.tolist(), values, strict=True):
-            self.worlds[number].command(row)
-
     def apply_wrench(self, body: str, wrenches: FloatArray, numbers: IntArray) -> None:
         """Apply forces and torques to a body in some worlds, shape [len(numbers), 6]; see `World.apply_wrench`."""
         for number, wrench in zip(numbers.tolist(), wrenches, strict=True):
@@ -167,8 +157,8 @@ class SeparateWorlds(Worlds):
 class ArrayWorlds(Worlds):
     """Worlds of an engine that holds them in arrays, whose first axis are the worlds.
 
-    It implements `reset`, `advance`, `body_states` and `close`; `drive` for scenes with drivers; `command` and
-    `apply_wrench` for scenes with motors; and `nodes` for scenes with deformable bodies, with `track` for ropes and
+    It implements `reset`, `advance`, `body_states` and `close`; `drive` for scenes with drivers; `apply_wrench`
+    for forces; and `nodes` for scenes with deformable bodies, with `track` for ropes and
     rods. `on_device` is for learners there.
 
     Args:
@@ -188,10 +178,6 @@ class ArrayWorlds(Worlds):
     def drive(self, body: str, motions: FloatArray, numbers: IntArray) -> None:
         """Prescribe the motion of a kinematic body in some worlds; see `Worlds.drive`."""
         raise self._lacks("drive")
-
-    def command(self, values: FloatArray, numbers: IntArray) -> None:
-        """Set what the motors follow in some worlds; see `Worlds.command`."""
-        raise self._lacks("command")
 
     def apply_wrench(self, body: str, wrenches: FloatArray, numbers: IntArray) -> None:
         """Apply forces and torques to a body in some worlds; see `Worlds.apply_wrench`."""
@@ -247,9 +233,6 @@ class _ArrayWorld(World):
             [pose.position_m, pose.quaternion, velocity, acceleration]
         )
         self._worlds.drive(body, motion[None], self._numbers)
-
-    def command(self, values: FloatArray) -> None:
-        self._worlds.command(values[None], self._numbers)
 
     def apply_wrench(self, body: str, wrench: FloatArray) -> None:
         self._worlds.apply_wrench(body, wrench[None], self._numbers)

@@ -24,7 +24,7 @@ from gauge_envs.envs.spaces import Observation
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.observer import MarkersOfWorlds, ObserverMarkers
 from gauge_envs.references.bands import Band
-from gauge_envs.scene.driver_path import DriverPathOfWorlds, motor_commands
+from gauge_envs.scene.driver_path import DriverPathOfWorlds
 from gauge_envs.scene.geometry import BoolArray, FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
 
@@ -60,7 +60,6 @@ class EpisodesAtOnce(EpisodesOneByOne):
             DriverPathOfWorlds(driver, scenes, driven_frames)
             for driver in scenes[0].drivers
         ]
-        self._commands = motor_commands(scenes[0], driven_frames * SAMPLES_PER_FRAME)
         self._driven = tuple(driver.body for driver in scenes[0].drivers)
         # Time comes first, so that a sample of all worlds is one block of memory.
         sample_count, width = first.sample_shape
@@ -194,10 +193,6 @@ class EpisodesAtOnce(EpisodesOneByOne):
                 )
                 self.worlds.drive(driver.body, motions, self._every)
                 first += driver.motion_count
-            if self._commands.size:
-                row = self._commands[sample]
-                values = np.broadcast_to(row, (len(self._every), len(row)))
-                self.worlds.command(values, self._every)
             self.worlds.advance(SAMPLE_INTERVAL_S)
             g = self._observed(
                 frame + 1

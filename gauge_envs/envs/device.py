@@ -22,7 +22,7 @@ from gauge_envs.evaluation.worlds import score_samples
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.bands import Band
-from gauge_envs.scene.driver_path import DriverPathInArrays, motor_commands
+from gauge_envs.scene.driver_path import DriverPathInArrays
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.scene import Scene
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
@@ -97,8 +97,6 @@ class EpisodesOnDevice:
             )
             for driver in scene.drivers
         ]
-        commands = motor_commands(scene, frame_count * SAMPLES_PER_FRAME)
-        self._commands = device.asarray(commands) if commands.size else None
         motion_count = sum(driver.motion_count for driver in self._drivers)
         self._no_rates = device.asarray(np.zeros((count, motion_count)))
         self._bounds = RigidBoundsOfWorlds(scenes, device)
@@ -150,10 +148,6 @@ class EpisodesOnDevice:
         for number in range(sample, sample + SAMPLES_PER_FRAME):
             for driver in self._drivers:
                 self.device.drive(driver.body, driver.interval(number))
-            if self._commands is not None:
-                row = self._commands[number : number + 1]
-                shape = (len(self._nothing), row.shape[1])
-                self.device.command(self.device.arrays.broadcast_to(row, shape))
             self.device.advance(SAMPLE_INTERVAL_S)
             self._samples.append(self._observed())
 

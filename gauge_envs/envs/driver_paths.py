@@ -1,4 +1,4 @@
-"""Drive the kinematic bodies and the motors of a scene interval by interval."""
+"""Drive the kinematic bodies of a scene interval by interval."""
 
 import math
 from collections.abc import Sequence
@@ -7,13 +7,13 @@ import numpy as np
 
 from gauge_envs.backends.world import Simulation, World
 from gauge_envs.scene import Scene
-from gauge_envs.scene.driver_path import DriverPath, Interval, motor_commands
+from gauge_envs.scene.driver_path import DriverPath, Interval
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S
 
 
 class DriverPaths:
-    """Recorded motions of a scene's kinematic bodies, and commands of its motors, cut into intervals.
+    """Recorded motions of a scene's kinematic bodies, cut into intervals.
 
     Args:
         scene: The scene.
@@ -21,7 +21,7 @@ class DriverPaths:
         interval_s: Length of an interval [s].
 
     Attributes:
-        is_passive: Whether nothing is driven or commanded.
+        is_passive: Whether nothing is driven.
         no_rates: Residual rates of zero, shape [motion_count].
     """
 
@@ -30,14 +30,11 @@ class DriverPaths:
     ) -> None:
         frame_count = 2 + math.ceil(seconds * FRAME_RATE_HZ)
         self._interval_s = interval_s
-        self._commands = motor_commands(
-            scene, math.ceil(seconds / interval_s) + 1, interval_s
-        )
         self._paths = [
             DriverPath(driver, scene, frame_count, interval_s=interval_s)
             for driver in scene.drivers
         ]
-        self.is_passive = not self._paths and not self._commands.size
+        self.is_passive = not self._paths
         self.no_rates = np.zeros(sum(path.motion_count for path in self._paths))
 
     def reset(self) -> None:
@@ -46,14 +43,14 @@ class DriverPaths:
             path.reset()
 
     def drive(self, world: World, index: int, rates: FloatArray) -> None:
-        """Prescribe the motion of all kinematic bodies, and command the motors, for an interval, counted from 0.
+        """Prescribe the motion of all kinematic bodies for an interval, counted from 0.
 
         Args:
             world: A world of the scene.
             index: Number of the interval.
             rates: Normalized residual rate of each motion, shape [motion_count].
         """
-        self.prescribe(world, index, self.motions(index, rates, 1)[0])
+        self.prescribe(world, self.motions(index, rates, 1)[0])
 
     def motions(
         self, index: int, rates: FloatArray, count: int
@@ -69,12 +66,10 @@ class DriverPaths:
             for number in range(count)
         ]
 
-    def prescribe(self, world: World, index: int, motions: Sequence[Interval]) -> None:
-        """Prescribe motions of `motions`, and command the motors, for an interval."""
+    def prescribe(self, world: World, motions: Sequence[Interval]) -> None:
+        """Prescribe motions of `motions` for an interval."""
         for path, motion in zip(self._paths, motions, strict=True):
             world.drive(path.body, *motion)
-        if self._commands.size:
-            world.command(self._commands[index])
 
     def advance(self, simulation: Simulation, index: int) -> None:
         """Drive a scene through an interval of its recorded motion, counted from 0, and simulate it."""

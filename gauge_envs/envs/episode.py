@@ -264,7 +264,7 @@ class Episode:
         wrenches = np.zeros(self._wrenches.shape[1:])
         motions = self._drivers.motions(first, rates, SAMPLES_PER_FRAME)
         for sample, row in enumerate(rows):
-            self._drivers.prescribe(world, first + sample, motions[sample])
+            self._drivers.prescribe(world, motions[sample])
             if simulation is not None:
                 row[:] = self.observer.sample(simulation, 1, SAMPLE_INTERVAL_S)[0]
             else:

@@ -12,7 +12,7 @@ import numpy as np
 
 from gauge_envs.envs.divergence import DeformableBounds
 from gauge_envs.observables.kinds import Observable
-from gauge_envs.scene import BodyHinge, Hinge, Motion, Scene
+from gauge_envs.scene import Hinge, Motion, Scene
 from gauge_envs.scene.bodies import Deformable
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.geometry import FloatArray, length_of
@@ -106,25 +106,7 @@ class Reach:
             known = balls.get(joint.body)
             if known is None or ball.radius_m < known.radius_m:
                 balls[joint.body] = ball
-        self._hold_hinged(balls)
         return balls
-
-    def _hold_hinged(self, balls: dict[str, Ball]) -> None:
-        """Add the bodies that hinges join to held ones."""
-        left: list[BodyHinge] = list(self._scene.body_hinges)
-        while ready := [
-            one for one in left if (one.first in balls) != (one.second in balls)
-        ]:
-            for hinge in ready:
-                left.remove(hinge)
-                placed, other = hinge.first, hinge.second
-                if placed not in balls:
-                    placed, other = other, placed
-                anchor_m = np.asarray(hinge.anchor_m)
-                arms_m = sum(
-                    self._distance_m(name, anchor_m) for name in (placed, other)
-                )
-                balls[other] = balls[placed].around(GIVE * arms_m)
 
     def _hold_deformables(self) -> None:
         """Add deformable bodies that are attached to held ones, and rigid bodies attached to those.

@@ -30,13 +30,10 @@ from gauge_envs.references.imported import load_imported, recorded_drivers
 from gauge_envs.references.single_shot import SingleShots, single_shots
 from gauge_envs.references.user_data import DataSource
 from gauge_envs.registry import scene_files
-from gauge_envs.scene import BodyHinge, Hinge, Pose, Scene, Tether
+from gauge_envs.scene import Pose, Scene
 from gauge_envs.scene.geometry import vector
-from gauge_envs.scene.hinged import carried
-from gauge_envs.scene.profiles import SampledProfile
 
 AnyExperiment = TypeVar("AnyExperiment", bound=Experiment)
-AnyJoint = TypeVar("AnyJoint", Hinge, Hinge | Tether, BodyHinge)
 
 
 def shots_of(experiment: Experiment) -> SingleShots | None:
@@ -63,41 +60,18 @@ def with_trial(experiment: AnyExperiment, trial: int) -> AnyExperiment:
 
 
 def _started(scene: Scene, shots: SingleShots, trial: int) -> Scene:
-    started = {body.name: body for body in scene.bodies}
-    for name in shots.sidecar.bodies:
-        shot = shots.shot(trial, name)
-        w, x, y, z = shot.quaternions[0].tolist()
-        started[name] = replace(
-            scene.body(name),
-            pose=Pose(position_m=vector(shot.positions_m[0]), quaternion=(w, x, y, z)),
-            linear_velocity_m_per_s=vector(shot.velocity_m_per_s),
-            angular_velocity_rad_per_s=vector(shot.angular_velocity_rad_per_s),
-        )
-    # A hinge goes with its first body.
-    hinges = tuple(
-        carried(hinge, scene.body(hinge.first).pose, started[hinge.first].pose)
-        for hinge in scene.body_hinges
+    shot = shots.shot(trial)
+    w, x, y, z = shot.quaternions[0].tolist()
+    started = replace(
+        scene.body(shot.body),
+        pose=Pose(position_m=vector(shot.positions_m[0]), quaternion=(w, x, y, z)),
+        linear_velocity_m_per_s=vector(shot.velocity_m_per_s),
+        angular_velocity_rad_per_s=vector(shot.angular_velocity_rad_per_s),
     )
-    commands = shots.commands(trial)
     return replace(
         scene,
-        bodies=tuple(started.values()),
-        joints=tuple(
-            _commanded(joint, commands[joint.body]) if joint.body in commands else joint
-            for joint in scene.joints
-        ),
-        body_hinges=tuple(
-            _commanded(one, commands[one.second]) if one.second in commands else one
-            for one in hinges
-        ),
+        bodies=tuple(started if one.name == shot.body else one for one in scene.bodies),
     )
-
-
-def _commanded(joint: AnyJoint, command: SampledProfile) -> AnyJoint:
-    """Return a joint whose motor, if any, has a recorded command."""
-    if isinstance(joint, Tether) or joint.motor is None:
-        return joint
-    return replace(joint, motor=replace(joint.motor, command=command))
 
 
 # --- single-shot trials -----------------------------------------------------------------------------------------------

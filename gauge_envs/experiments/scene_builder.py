@@ -10,7 +10,6 @@ import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
 from gauge_envs.errors import ParameterError, TaskFileError, first_fault, nearest
-from gauge_envs.experiments.tables import JointConstants, MotorSpec, hinge_terms
 from gauge_envs.experiments.task_format import (
     ContactSpec,
     JointSpec,
@@ -20,7 +19,6 @@ from gauge_envs.experiments.task_format import (
 from gauge_envs.experiments.variants import Variant
 from gauge_envs.scene import (
     Air,
-    BodyHinge,
     Box,
     Cloth,
     Contact,
@@ -224,11 +222,7 @@ class SceneBuilder:
 
     @property
     def constants_read(self) -> set[str]:
-        """Keys `body.constant` of the constants that a contact, a mass, a joint or a fabric of the scene reads."""
-        hinged = [joint.body for joint in self.spec.joints if joint.axis] + [
-            hinge.bodies[1] for hinge in self.spec.body_hinges
-        ]
-        joints = {self.spec_name(name) for name in hinged if self._is_present(name)}
+        """Keys `body.constant` of the constants that a contact, a mass or a fabric of the scene reads."""
         read = set()
         for name, constants in self.constants.items():
             if name not in self.spec.bodies:
@@ -237,8 +231,6 @@ class SceneBuilder:
                     unread.add("mass_kg")
             elif self._motion(name) is Motion.DYNAMIC:
                 unread = {*NOT_OF_DEFORMABLES}
-                if name not in joints:
-                    unread |= JointConstants.model_fields.keys()
             else:
                 unread = {*constants}
             read |= {f"{name}.{one}" for one in constants.keys() - unread}
@@ -339,23 +331,7 @@ class SceneBuilder:
                 raise ParameterError(f"{self.variant.name}: {error}") from None
             raise TaskFileError(self.path, None, str(error)) from None
 
-    def _check_hinges(self) -> None:
-        """Check that each body with constants of a joint has one hinge that they belong to."""
-        hinged = [joint.body for joint in self.spec.joints if joint.axis] + [
-            h.bodies[1] for h in self.spec.body_hinges
-        ]
-        owners = {self.spec_name(name) for name in hinged}
-        for name, constants in self.constants.items():
-            stated = constants.keys() & JointConstants.model_fields.keys()
-            if stated and (name not in owners or hinged.count(name) > 1):
-                reason = f"{min(stated)} is a constant of one hinge, and {name!r} has {hinged.count(name)}"
-                which = "a hinge to the world is of its body, one between bodies of its second body"
-                raise TaskFileError(
-                    self.path, f"constants.{name}", f"{reason}: {which}"
-                )
-
     def _scene(self) -> Scene:
-        self._check_hinges()
         bodies = tuple(
             body
             for name in self.present
@@ -394,18 +370,6 @@ class SceneBuilder:
                 if name not in self.spec.bodies
             ),
             joints=tuple(self._joint(joint) for joint in self.spec.joints),
-            body_hinges=tuple(
-                BodyHinge(
-                    first=first,
-                    second=second,
-                    anchor_m=one.anchor_m,
-                    axis=one.axis,
-                    **self._terms(second, one.motor),
-                )
-                for one in self.spec.body_hinges
-                for first, second in [one.bodies]
-                if self._is_present(first) and self._is_present(second)
-            ),
             attachments=tuple(
                 one
                 for one in self.spec.attachments
@@ -504,24 +468,15 @@ class SceneBuilder:
 
     def _joint(self, joint: JointSpec) -> Hinge | Tether:
         placement = self.placements[joint.body]
-        anchor_m = placement.hangs_from_m or joint.anchor_m
-        if anchor_m is None or (placement.hangs_from_m and joint.anchor_m):
-            needed = "hangs_from_m, or its hinge an anchor_m, and not both"
+        anchor_m = placement.hangs_from_m
+        if anchor_m is None:
             raise TaskFileError(
-                self.path, "joints", f"the start of {joint.body!r} needs {needed}"
+                self.path, "joints", f"the start of {joint.body!r} needs hangs_from_m"
             )
         if joint.axis is not None:
-            terms = self._terms(joint.body, joint.motor)
-            return Hinge(body=joint.body, anchor_m=anchor_m, axis=joint.axis, **terms)
+            return Hinge(body=joint.body, anchor_m=anchor_m, axis=joint.axis)
         assert placement.length_m is not None
         return Tether(body=joint.body, anchor_m=anchor_m, length_m=placement.length_m)
-
-    def _terms(self, body: str, motor: MotorSpec | None) -> dict[str, Any]:
-        """Return `dynamics` and `motor` of the hinge whose constants a body states."""
-        try:
-            return hinge_terms(self.constants.get(self.spec_name(body), {}), motor)
-        except ValueError as error:
-            raise TaskFileError(self.path, f"constants.{body}", str(error)) from None
 
     def _contacts(self, names: Sequence[str]) -> Iterator[Contact]:
         for contact in self.contacts:

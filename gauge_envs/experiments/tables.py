@@ -1,4 +1,4 @@
-"""Tables that task files and experiment files share: shapes, drivers and terms of joints.
+"""Tables that task files and experiment files share: shapes and drivers.
 
 A shape is read as the scene's own class. A profile of a driver has a class here, as files state angles in degrees.
 """
@@ -6,7 +6,6 @@ A shape is read as the scene's own class. A profile of a driver has a class here
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping
 from fnmatch import fnmatchcase
 from typing import Annotated, Any, ClassVar, Literal, Self, get_args
 
@@ -29,21 +28,18 @@ from gauge_envs.scene import (
     Box,
     ConvexUnion,
     Cylinder,
-    JointDynamics,
     Plane,
     Pose,
     Sphere,
 )
 from gauge_envs.scene.drivers import Driver, DriverMotion
 from gauge_envs.scene.geometry import NonNegative, Positive, Vector
-from gauge_envs.scene.motors import Servo, TorqueMotor
 from gauge_envs.scene.profiles import (
     CosineProfile,
     Profile,
     SampledProfile,
     TrapezoidProfile,
 )
-from gauge_envs.scene.servo_friction import SERVO_FRICTION, ServoFriction
 
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 
@@ -309,74 +305,3 @@ class DriverSpec(FileModel):
             motions=tuple(one.build(start) for one in self.motions),
             provenance=provenance,
         )
-
-
-JOINT_DYNAMICS = JointDynamics.__dataclass_fields__.keys()
-
-
-class JointConstants(FileModel):
-    """Constants of a hinge and its motor, as in `scene.JointDynamics` with its `ServoFriction` and `scene.motors`."""
-
-    dry_friction_n_m: NonNegative | None = None
-    viscous_friction_n_m_s_per_rad: NonNegative | None = None
-    armature_kg_m2: NonNegative | None = None
-    backlash_rad: NonNegative | None = None
-    quadratic_friction_n_m_s2_per_rad2: NonNegative | None = None
-    stribeck_friction_n_m: NonNegative | None = None
-    stribeck_rate_rad_per_s: NonNegative | None = None
-    stribeck_exponent: NonNegative | None = None
-    load_friction: NonNegative | None = None
-    load_stribeck_friction: NonNegative | None = None
-    motor_load_friction: NonNegative | None = None
-    external_load_friction: NonNegative | None = None
-    motor_load_stribeck_friction: NonNegative | None = None
-    external_load_stribeck_friction: NonNegative | None = None
-    motor_load_squared_per_n_m: NonNegative | None = None
-    external_load_squared_per_n_m: NonNegative | None = None
-    kp_n_m_per_rad: Positive | None = None
-    kv_n_m_s_per_rad: NonNegative | None = None
-    torque_limit_n_m: Positive | None = None
-    delay_s: NonNegative | None = None
-
-
-class MotorSpec(FileModel):
-    """Motor of a hinge, which states its gains, limit and delay beside it.
-
-    Attributes:
-        kind: Position servo or torque motor.
-        command: Angle from the start [rad] or torque [N m] over time; without it 0.
-    """
-
-    kind: Literal["servo", "torque"]
-    command: Profile = SampledProfile(times_s=(0.0, 1.0), values=(0.0, 0.0))
-
-
-def hinge_terms(
-    constants: Mapping[str, float | None], motor: MotorSpec | None
-) -> dict[str, Any]:
-    """Return the fields `dynamics` and `motor` of a hinge, from its constants and others, which do not count."""
-    stated: dict[str, Any] = {
-        name: value
-        for name in JointConstants.model_fields
-        if (value := constants.get(name)) is not None
-    }
-    given: dict[str, Any] = {
-        name: stated.pop(name) for name in JOINT_DYNAMICS & stated.keys()
-    }
-    if by_load := {name: stated.pop(name) for name in SERVO_FRICTION if name in stated}:
-        given["servo"] = ServoFriction(**by_load)
-    terms: dict[str, Any] = {"dynamics": JointDynamics(**given)}
-    if motor is not None:
-        kind = Servo if motor.kind == "servo" else TorqueMotor
-        if kind is Servo and "kp_n_m_per_rad" not in stated:
-            raise ValueError("a servo needs the constant kp_n_m_per_rad")
-        motor_constants = {
-            name: stated.pop(name)
-            for name in kind.__dataclass_fields__.keys() & stated.keys()
-        }
-        terms["motor"] = kind(command=motor.command, **motor_constants)
-    if stated:
-        raise ValueError(
-            f"{min(stated)}: the hinge has no motor with that constant; state its motor, or remove it"
-        )
-    return terms

@@ -167,8 +167,6 @@ def _names_of_parts(spec: TaskSpec) -> Iterator[UsedName]:
         )
     for i, joint in enumerate(spec.joints):
         yield f"joints.{i}.body", joint.body, names
-    for i, hinge in enumerate(spec.body_hinges):
-        yield from ((f"body_hinges.{i}.bodies", name, names) for name in hinge.bodies)
     for i, attachment in enumerate(spec.attachments):
         yield f"attachments.{i}.deformable", attachment.deformable, names
         yield f"attachments.{i}.to", attachment.to, names

@@ -13,8 +13,6 @@ from gauge_envs.errors import UnknownNameError
 from gauge_envs.experiments.tables import (
     DriverSpec,
     Fraction,
-    JointConstants,
-    MotorSpec,
     ShapeTable,
 )
 from gauge_envs.experiments.variants import Collection, Variant
@@ -86,10 +84,8 @@ class Substituted(FileModel):
     reason: str
 
 
-class RigidConstants(JointConstants):
+class RigidConstants(FileModel):
     """Calibrated constants of a rigid body; friction and restitution hold for its contact in this experiment.
-
-    Those of a joint are stated by the body of a hinge to the world, or by the second body of a hinge between bodies.
 
     Attributes:
         inertia_kg_m2: Moment of inertia about every axis through the centre; without it the density is uniform.
@@ -184,35 +180,17 @@ class Placement(FileModel):
 
 
 class JointSpec(FileModel):
-    """A hinge or a string to the world at the point that the body hangs from, or at a hinge's own anchor.
-
-    Attributes:
-        anchor_m: Anchor of the hinge of a body that is placed by its position.
-        motor: Motor of a hinge.
-    """
+    """A hinge or a string to the world at the point that the body hangs from."""
 
     kind: Literal["hinge", "tether"]
     body: str
     axis: UnitVector | None = None
-    anchor_m: Vector | None = None
-    motor: MotorSpec | None = None
 
     @model_validator(mode="after")
     def _axis(self) -> JointSpec:
         if (self.kind == "hinge") != (self.axis is not None):
             raise ValueError("a hinge needs an axis, a tether has none")
-        if self.kind == "tether" and (self.anchor_m or self.motor):
-            raise ValueError("a tether has no anchor_m and no motor")
         return self
-
-
-class BodyHingeSpec(FileModel):
-    """A hinge between two dynamic bodies, at their start. A motor turns the second one relative to the first."""
-
-    bodies: tuple[str, str]
-    anchor_m: Vector
-    axis: UnitVector
-    motor: MotorSpec | None = None
 
 
 class ContactSpec(FileModel):
@@ -319,7 +297,6 @@ class TaskSpec(FileModel):
     constants: dict[str, dict[str, dict[str, float | Substituted | dict[str, float]]]]
     initial: dict[str, dict[str, Placement]] = Field(default_factory=dict)
     joints: tuple[JointSpec, ...] = ()
-    body_hinges: tuple[BodyHingeSpec, ...] = ()
     attachments: tuple[Attachment, ...] = ()
     contacts: tuple[ContactSpec, ...] = ()
     score: ScoreSpec

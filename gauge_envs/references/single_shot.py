@@ -2,14 +2,13 @@
 
 A variant beyond the benchmark may have `scoring/single_shot/<variant>.npz` with the recordings and a sidecar
 `<variant>.toml` with their source and nuisances. `scoring/README.md` describes both files. The recordings are corrected
-by the nuisances when they are read. Bodies that hang on the recorded body, or on the world, by hinges are recorded by
-their angles, and their motors by their commands.
+by the nuisances when they are read.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from functools import cache, cached_property, lru_cache
+from dataclasses import dataclass
+from functools import cache, cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -23,14 +22,12 @@ from gauge_envs.references.bands import Band, SigmaSource
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.tables import (
     FileModel,
-    UnitVector,
     faults_of,
     read_content,
     read_toml,
     scoring_folder,
 )
-from gauge_envs.scene.geometry import FloatArray, NonNegative, Positive, Vector
-from gauge_envs.scene.profiles import SampledProfile
+from gauge_envs.scene.geometry import FloatArray, NonNegative, Positive
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 if TYPE_CHECKING:
@@ -38,14 +35,8 @@ if TYPE_CHECKING:
 
 Half = Literal["fit", "judge"]
 
-WORLD = "world"
-"""What a chain of hung bodies hangs on where no body is recorded by its pose."""
-
 QUATERNION_UNIT = 1.0 / 32767.0
 """Value of one count of a stored quaternion."""
-
-ANGLE_UNIT_RAD = np.pi / 32767.0
-"""Value of one count of a stored angle of a hinge [rad]."""
 
 MOST_BYTES = 16 * MEGABYTE
 """Largest size of a file of recordings, packed or not."""
@@ -65,8 +56,6 @@ class ShotNuisances(FileModel):
         rest_tilt_deg: Root mean square of the angle between the upper face and the horizontal at rest.
         start_velocity_std_m_per_s: Standard error of each start velocity.
         start_angular_velocity_std_rad_per_s: Standard error of each start angular velocity.
-        angle_noise_deg: Standard deviation of the angle of a hinge in free flight; None without hinges.
-        start_angle_rate_std_rad_per_s: Standard error of each start rate of a hinge; None without hinges.
     """
 
     length_scale: Positive
@@ -79,26 +68,6 @@ class ShotNuisances(FileModel):
     rest_tilt_deg: Positive
     start_velocity_std_m_per_s: Positive
     start_angular_velocity_std_rad_per_s: Positive
-    angle_noise_deg: Positive | None = None
-    start_angle_rate_std_rad_per_s: Positive | None = None
-
-
-class HungBody(FileModel):
-    """A body that is recorded by the angle of a hinge. At angle 0 its axes are those of the body that it hangs on.
-
-    Attributes:
-        body: Name of the body.
-        on: What it hangs on: the recorded body or the world, or a body that is listed before.
-        anchor_on_m: Point of the axis in the frame of the other body [m].
-        anchor_m: The same point in the frame of this body [m].
-        axis: Direction about which a positive angle turns this body, in both frames.
-    """
-
-    body: str
-    on: str
-    anchor_on_m: Vector
-    anchor_m: Vector
-    axis: UnitVector
 
 
 class CopiedTrial(FileModel):
@@ -117,73 +86,28 @@ class ShotSidecar(FileModel):
     """What is known about the recordings of a variant.
 
     Attributes:
-        body: Name of the body that is recorded by its pose; `world` if all bodies hang on the world.
+        body: Name of the recorded body.
         trial_count: Number of trials.
-        trials: Names of the trials in the source, if they have any.
-        rate_hz: Frames a second of the recordings; None on the world, where each trial has an interval.
-        position_unit_m: Value of one count of a stored position; None on the world.
-        angle_unit_rad: Value of one count of a stored angle [rad].
-        command: Whether a command is an angle or a torque; None without motors.
-        command_unit: Value of one count of a command of a motor [rad or N m]; None without motors.
-        position_noise_m: Standard deviation of a position that follows from the angles [m]; on the world only.
+        rate_hz: Frames a second of the recordings.
+        position_unit_m: Value of one count of a stored position.
         fit: Rule of the half that constants and nuisances may be fitted on; the other half judges.
         source: Where the recordings are from, one sentence.
         source_sha256: Hash of the file that the script has read.
         licence: File in the same folder with the licence of the recordings.
-        nuisances: Errors of the recordings; None on the world.
-        hung: Bodies that hang on the recorded body or the world, in the order of the recorded angles.
+        nuisances: Errors of the recordings.
         copies: Trials that repeat an earlier one.
     """
 
     body: str
     trial_count: PositiveInt
-    trials: tuple[str, ...] = ()
-    rate_hz: Positive | None = None
-    position_unit_m: Positive | None = None
-    angle_unit_rad: Positive = ANGLE_UNIT_RAD
-    command: Literal["angle", "torque"] | None = None
-    command_unit: Positive | None = None
-    position_noise_m: Positive | None = None
+    rate_hz: Positive
+    position_unit_m: Positive
     fit: Literal["even"]
     source: str
     source_sha256: str = Field(pattern="^[0-9a-f]{64}$")
     licence: str
-    nuisances: ShotNuisances | None = None
-    hung: tuple[HungBody, ...] = ()
+    nuisances: ShotNuisances
     copies: tuple[CopiedTrial, ...] = ()
-
-    @property
-    def bodies(self) -> tuple[str, ...]:
-        """Names of all recorded bodies."""
-        posed = () if self.body == WORLD else (self.body,)
-        return (*posed, *(one.body for one in self.hung))
-
-    @model_validator(mode="after")
-    def _order(self) -> ShotSidecar:
-        for place, one in enumerate(self.hung):
-            known = (self.body, *(earlier.body for earlier in self.hung[:place]))
-            if one.on not in known or one.body in known:
-                raise ValueError(
-                    f"hung.{place}: a new body on one of {', '.join(known)} is expected"
-                )
-        posed = (self.rate_hz, self.position_unit_m, self.nuisances)
-        if self.body == WORLD and (
-            any(posed) or not self.position_noise_m or not self.hung
-        ):
-            raise ValueError(
-                "on the world: state position_noise_m and hung bodies, and nothing of poses"
-            )
-        if self.nuisances is None:
-            return self
-        if not all(posed):
-            raise ValueError("rate_hz, position_unit_m and nuisances go together")
-        errors = (
-            self.nuisances.angle_noise_deg,
-            self.nuisances.start_angle_rate_std_rad_per_s,
-        )
-        if any((error is None) == bool(self.hung) for error in errors):
-            raise ValueError("nuisances: errors of angles go together with hung bodies")
-        return self
 
     @model_validator(mode="after")
     def _earlier(self) -> ShotSidecar:
@@ -209,21 +133,6 @@ ARRAYS: dict[str, tuple[int | str, ...]] = {
     "start_angular_velocity_body": ("N", 3),
 }
 """Arrays of a file of N recordings with T frames in all; `first` are the first rows of each, and T."""
-
-WORLD_ARRAYS: dict[str, tuple[int | str, ...]] = {
-    "first": ("N+1",),
-    "interval_s": ("N",),
-}
-"""Arrays instead, where all bodies hang on the world; the intervals are those between the frames of each trial [s]."""
-
-COMMAND_ARRAYS: dict[str, tuple[int | str, ...]] = {"command": ("T", "H")}
-"""Array in addition, where motors turn the hung bodies; a command is that of the interval after its frame."""
-
-ANGLE_ARRAYS: dict[str, tuple[int | str, ...]] = {
-    "angle": ("T", "H"),
-    "start_angle_rate": ("N", "H"),
-}
-"""Arrays in addition, where H bodies hang on the recorded one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -321,36 +230,8 @@ class SingleShots:
             if trial not in self.copies
         )
 
-    # `_read` keeps all instances.
-    @lru_cache(maxsize=16)  # noqa: B019
-    def shot(self, trial: int, body: str | None = None) -> SingleShot:
-        """Return one trial of one body.
-
-        Each body of a chain needs those before it, so that the last ones are kept; their arrays are read-only.
-
-        Args:
-            trial: Number of the trial.
-            body: Name of the body; None for the first one.
-        """
-        hung, body = self.sidecar.hung, body or self.sidecar.bodies[0]
-        if body not in (WORLD, *self.sidecar.bodies):
-            known = ", ".join(self.sidecar.bodies)
-            raise ParameterError(
-                f"GAUGE/{self.variant}: {body!r} is not recorded; recorded are: {known}"
-            )
-        place = next(
-            (place for place, one in enumerate(hung) if one.body == body), None
-        )
-        found = (
-            self._posed(trial)
-            if place is None
-            else self._hanging(self.shot(trial, hung[place].on), place)
-        )
-        for array in (found.times_s, found.positions_m, found.quaternions):
-            array.flags.writeable = False
-        return found
-
-    def _posed(self, trial: int) -> SingleShot:
+    def shot(self, trial: int) -> SingleShot:
+        """Return one trial, from 0."""
         from scipy.spatial.transform import Rotation
 
         if not 0 <= trial < len(self):
@@ -359,24 +240,6 @@ class SingleShots:
             )
         data, nuisances = self.arrays, self.sidecar.nuisances
         rows = slice(*(int(row) for row in data["first"][trial : trial + 2]))
-        if (
-            nuisances is None
-            or self.sidecar.position_unit_m is None
-            or self.sidecar.rate_hz is None
-        ):
-            times_s = data["interval_s"][trial] * np.arange(rows.stop - rows.start)
-            still = np.zeros(3)
-            upright = np.tile([1.0, 0.0, 0.0, 0.0], (len(times_s), 1))
-            return SingleShot(
-                WORLD,
-                trial,
-                trial,
-                times_s,
-                np.zeros((len(times_s), 3)),
-                upright,
-                still,
-                still,
-            )
         positions_m = (
             self.sidecar.position_unit_m
             * nuisances.length_scale
@@ -400,69 +263,19 @@ class SingleShots:
             ),
         )
 
-    def _hanging(self, on: SingleShot, place: int) -> SingleShot:
-        """Return the trial of a body that hangs on another one."""
-        from scipy.spatial.transform import Rotation
-
-        hung, trial = self.sidecar.hung[place], on.trial
-        rows = slice(*(int(row) for row in self.arrays["first"][trial : trial + 2]))
-        angles_rad = self.sidecar.angle_unit_rad * self.arrays["angle"][
-            rows, place
-        ].astype(np.float64)
-        carrier = on.rotations
-        rotations = carrier * Rotation.from_rotvec(np.outer(angles_rad, hung.axis))
-        arms_m, offsets_m = (
-            carrier.apply(hung.anchor_on_m),
-            rotations.apply(hung.anchor_m),
-        )
-        rate = float(self.arrays["start_angle_rate"][trial, place])
-        angular = on.angular_velocity_rad_per_s + rate * carrier[0].apply(hung.axis)
-        linear = on.velocity_m_per_s + np.cross(
-            on.angular_velocity_rad_per_s, arms_m[0]
-        )
-        return replace(
-            on,
-            body=hung.body,
-            positions_m=on.positions_m + arms_m - offsets_m,
-            quaternions=rotations.as_quat(scalar_first=True),
-            velocity_m_per_s=linear - np.cross(angular, offsets_m[0]),
-            angular_velocity_rad_per_s=angular,
-        )
-
-    def commands(self, trial: int) -> dict[str, SampledProfile]:
-        """Return what the motors of a trial follow, by the body that each turns: torques, or angles from the start."""
-        unit, shot = self.sidecar.command_unit, self.shot(trial)
-        if unit is None:
-            return {}
-        rows = slice(*(int(row) for row in self.arrays["first"][trial : trial + 2]))
-        values = unit * self.arrays["command"][rows].astype(np.float64)
-        if self.sidecar.command == "angle":
-            values -= self.sidecar.angle_unit_rad * self.arrays["angle"][rows.start]
-        middles_s = tuple((shot.times_s + 0.5 * shot.times_s[1]).tolist())
-        columns = zip(self.sidecar.hung, values.T, strict=True)
-        return {
-            one.body: SampledProfile(times_s=middles_s, values=tuple(column.tolist()))
-            for one, column in columns
-        }
-
     def band(self, trial: int, frame_count: int) -> Band:
-        """Return the band of one trial: positions of all bodies at the frames, and the uncertainty of measuring them.
+        """Return the band of one trial: positions at the frames, and the uncertainty of measuring them.
 
         Args:
             trial: Number of the trial.
             frame_count: Number of 30 Hz frames of an episode.
         """
-        bodies, nuisances = self.sidecar.bodies, self.sidecar.nuisances
-        shots = [self.shot(trial, body) for body in bodies]
+        shot, nuisances = self.shot(trial), self.sidecar.nuisances
         times_s = np.arange(frame_count) / FRAME_RATE_HZ
-        mean = 1e3 * np.concatenate(
-            [shot.poses_at(times_s)[0] for shot in shots], axis=1
+        mean = 1e3 * shot.poses_at(times_s)[0]
+        sigma = 1e3 * float(
+            np.hypot(nuisances.position_noise_m, nuisances.rest_height_std_m)
         )
-        sigma = 1e3 * (self.sidecar.position_noise_m or 0.0)
-        if nuisances is not None:
-            sigma = 1e3 * float(
-                np.hypot(nuisances.position_noise_m, nuisances.rest_height_std_m)
-            )
         repeats = (
             f" (the same recording as trial {self.copies[trial]})"
             if trial in self.copies
@@ -471,11 +284,11 @@ class SingleShots:
         return Band(
             grade=BandGrade.TRIALS,
             unit="mm",
-            coordinates=tuple(f"{body}.{axis}" for body in bodies for axis in "xyz"),
-            projection=np.eye(3 * len(bodies)),
+            coordinates=tuple(f"{shot.body}.{axis}" for axis in "xyz"),
+            projection=np.eye(3),
             mean=mean,
             sigma=np.full_like(mean, sigma),
-            measured=times_s <= shots[0].duration_s,
+            measured=times_s <= shot.duration_s,
             trial_count=1,
             source=f"trial {trial}{repeats} of {self.sidecar.source}",
             sigma_source=SigmaSource.MEASUREMENT,
@@ -494,26 +307,16 @@ def _read(file: Path, variant: str) -> SingleShots | None:
     if not file.is_file():
         return None
     sidecar = read_toml(file.with_suffix(".toml"), ShotSidecar)
-    expected_shapes = WORLD_ARRAYS if sidecar.body == WORLD else ARRAYS
-    expected_shapes = (
-        expected_shapes | ANGLE_ARRAYS if sidecar.hung else expected_shapes
-    )
-    expected_shapes = (
-        expected_shapes | COMMAND_ARRAYS if sidecar.command_unit else expected_shapes
-    )
     with faults_of(file):
-        arrays = npz_arrays(read_content(file, MOST_BYTES), expected_shapes, MOST_BYTES)
+        arrays = npz_arrays(read_content(file, MOST_BYTES), ARRAYS, MOST_BYTES)
     shapes = {name: array.shape for name, array in arrays.items()}
-    count, frames = (
-        sidecar.trial_count,
-        len(arrays.get("angle", arrays.get("position", ()))),
-    )
-    counts = {"N": count, "N+1": count + 1, "T": frames, "H": len(sidecar.hung)}
+    count = sidecar.trial_count
+    counts = {"N": count, "N+1": count + 1, "T": len(arrays["position"])}
     expected = {
         name: tuple(
             entry if isinstance(entry, int) else counts[entry] for entry in shape
         )
-        for name, shape in expected_shapes.items()
+        for name, shape in ARRAYS.items()
     }
     if shapes != expected:
         raise ReferenceFileError(

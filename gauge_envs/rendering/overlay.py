@@ -141,7 +141,7 @@ def _ghosts(
     for name, place in zip(reference.names, places_m, strict=True):
         if shots is not None and experiment.trial is not None:
             # A single trial is known between the frames, too.
-            position_m, turns = shots.shot(experiment.trial, name).poses_at(
+            position_m, turns = shots.shot(experiment.trial).poses_at(
                 np.array([time_s])
             )
             ghosts[name] = np.concatenate(

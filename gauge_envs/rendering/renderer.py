@@ -159,13 +159,7 @@ class SceneRenderer:
         }
         self._option = mujoco.MjvOption()
         segments = sum(len(rest_nodes_m[line.name]) for line in self._lines)
-        self._own_geoms = (
-            self._model.ngeom
-            + len(scene.joints)
-            + 2 * len(scene.body_hinges)
-            + segments
-            + 100
-        )
+        self._own_geoms = self._model.ngeom + len(scene.joints) + segments + 100
         self._drawing = self._drawing_of(self._own_geoms)
         self._device = mujoco.MjrContext(
             self._model, mujoco.mjtFontScale.mjFONTSCALE_100
@@ -312,20 +306,6 @@ class SceneRenderer:
                 radius_m=radius_m,
                 color=STRING.color,
             )
-        # The links of a chain on the world, whose bodies need not touch.
-        for hinge in self._scene.body_hinges if self._scene.hung else ():
-            first, second = (
-                self._mocap_ids[name] for name in (hinge.first, hinge.second)
-            )
-            anchor_m = self._scene.body(hinge.first).pose.to_body(
-                np.asarray(hinge.anchor_m)
-            )
-            turn = Rotation.from_quat(self._data.mocap_quat[first], scalar_first=True)
-            middle = self._data.mocap_pos[first] + turn.apply(anchor_m)
-            for end in (self._data.mocap_pos[first], self._data.mocap_pos[second]):
-                _add_tube(
-                    self._drawing, middle, end, radius_m=radius_m, color=STRING.color
-                )
         for line in self._lines:
             radius_m = max(line.radius_m, self._least_radius_m)
             for start, end in pairwise(nodes_m[line.name]):

@@ -7,10 +7,7 @@ from enum import StrEnum
 from functools import cached_property
 from typing import Literal
 
-from gauge_envs.errors import ParameterError
 from gauge_envs.scene.geometry import Box, NonNegative, Pose, Shape, Vector
-from gauge_envs.scene.motors import Motor
-from gauge_envs.scene.servo_friction import ServoFriction
 
 
 class Motion(StrEnum):
@@ -33,10 +30,6 @@ class ContactMode(StrEnum):
     """The bodies collide and rebound with the restitution of the pair."""
 
 
-InertiaTensor = tuple[float, float, float, float, float, float]
-"""Entries Ixx, Iyy, Izz, Ixy, Ixz, Iyz of a symmetric tensor."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class RigidBody:
     """Rigid body of uniform density, unless it states its moment of inertia.
@@ -50,8 +43,8 @@ class RigidBody:
         linear_velocity_m_per_s: Velocity of the body origin at the start [m/s], in the world frame. Only dynamic bodies
             have one.
         angular_velocity_rad_per_s: Angular velocity at the start [rad/s], in the world frame.
-        inertia_kg_m2: Inertia about the centre of mass [kg m^2]: one moment about every axis, as that of a hollow cube,
-            or the tensor in the axes of the body: Ixx, Iyy, Izz, Ixy, Ixz, Iyz. None is that of uniform density.
+        inertia_kg_m2: Moment of inertia about every axis through the centre of mass [kg m^2], as of a hollow cube. None
+            is that of uniform density.
     """
 
     name: str
@@ -61,7 +54,7 @@ class RigidBody:
     mass_kg: float
     linear_velocity_m_per_s: Vector = (0.0, 0.0, 0.0)
     angular_velocity_rad_per_s: Vector = (0.0, 0.0, 0.0)
-    inertia_kg_m2: float | InertiaTensor | None = None
+    inertia_kg_m2: float | None = None
 
     @property
     def starts_at_rest(self) -> bool:
@@ -142,77 +135,18 @@ class Rod:
 
 
 @dataclass(frozen=True, kw_only=True)
-class JointDynamics:
-    """Friction of a joint and inertia of its drive; a joint without any turns freely.
-
-    Attributes:
-        dry_friction_n_m: Coulomb torque [N m]: opposes the rotation, and holds the joint against less than it.
-        viscous_friction_n_m_s_per_rad: Torque per rate that opposes the rotation [N m s/rad].
-        armature_kg_m2: Inertia of a rotor, times its gear ratio squared, which turns with the joint [kg m^2].
-        backlash_rad: Play between the rotor, which needs an armature, and what it turns [rad]. It starts in its middle
-            and ends in two stops of any restitution. Friction and motor act on the rotor; a servo measures its angle.
-        quadratic_friction_n_m_s2_per_rad2: Torque per squared rate, as of air, that opposes it [N m s^2/rad^2].
-        servo: What the dry friction of a servo's joint gains with load and loses with its rate.
-    """
-
-    dry_friction_n_m: NonNegative = 0.0
-    viscous_friction_n_m_s_per_rad: NonNegative = 0.0
-    armature_kg_m2: NonNegative = 0.0
-    # Hashes and prints of joints without play stay.
-    backlash_rad: NonNegative = field(default=0.0, repr=False)
-    quadratic_friction_n_m_s2_per_rad2: NonNegative = field(default=0.0, repr=False)
-    servo: ServoFriction | None = field(default=None, repr=False)
-
-    def __post_init__(self) -> None:
-        if self.backlash_rad and not self.armature_kg_m2:
-            raise ParameterError(
-                "a joint with backlash_rad needs armature_kg_m2: state the inertia of its rotor"
-            )
-
-
-@dataclass(frozen=True, kw_only=True)
 class Hinge:
-    """Joint with which a body rotates about a world axis through a world point.
+    """Joint without friction with which a body rotates about a world axis through a world point.
 
     Attributes:
         body: Name of a dynamic body.
         anchor_m: World position of a point of the axis [m].
         axis: World direction of the axis, a unit vector. A positive angle rotates the body about it.
-        dynamics: Friction and inertia of the joint.
-        motor: Motor of the joint, if any.
-        limits_rad: Smallest and largest angle from the start, where the joint stops [rad]; None for none.
     """
 
     body: str
     anchor_m: Vector
     axis: Vector
-    # Hashes of scenes whose joints have none stay.
-    dynamics: JointDynamics = field(default=JointDynamics(), repr=False)
-    motor: Motor | None = field(default=None, repr=False)
-    limits_rad: tuple[float, float] | None = field(default=None, repr=False)
-
-
-@dataclass(frozen=True, kw_only=True)
-class BodyHinge:
-    """Joint with which two dynamic bodies rotate about a common axis, relative to each other.
-
-    The two bodies do not collide with each other. One body of those that hinges join may have a `Hinge` to the world.
-
-    Attributes:
-        first: Name of a dynamic body.
-        second: Name of the other one. A positive angle of the hinge rotates it about the axis, relative to the first.
-        anchor_m: World position of a point of the axis at the start [m]; it is fixed in both bodies.
-        axis: World direction of the axis at the start, a unit vector; it is fixed in both bodies.
-        dynamics: Friction and inertia of the joint.
-        motor: Motor of the joint, if any.
-    """
-
-    first: str
-    second: str
-    anchor_m: Vector
-    axis: Vector
-    dynamics: JointDynamics = field(default=JointDynamics(), repr=False)
-    motor: Motor | None = field(default=None, repr=False)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -222,34 +156,6 @@ class Tether:
     body: str
     anchor_m: Vector
     length_m: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class Slider:
-    """Joint with which a body moves along a world axis, without rotation and friction.
-
-    Attributes:
-        body: Name of a dynamic body.
-        axis: World direction of the axis, a unit vector.
-        limits_m: Smallest and largest displacement from the start, where the joint stops [m]; None for none.
-    """
-
-    body: str
-    axis: Vector
-    limits_m: tuple[float, float] | None = None
-
-
-@dataclass(frozen=True, kw_only=True)
-class BallJoint:
-    """Joint with which a body rotates freely about a world point, without friction.
-
-    Attributes:
-        body: Name of a dynamic body.
-        anchor_m: The point [m].
-    """
-
-    body: str
-    anchor_m: Vector
 
 
 @dataclass(frozen=True, kw_only=True)

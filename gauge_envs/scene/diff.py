@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from gauge_envs.scene.bodies import Attachment, BodyHinge, Contact
+from gauge_envs.scene.bodies import Attachment, Contact
 from gauge_envs.scene.scene import Scene
 
 MOST_NAMES = 4
@@ -63,8 +63,6 @@ def _title(entry: Any) -> str:
         return f"contact {_side(entry.first)}/{_side(entry.second)}"
     if isinstance(entry, Attachment):
         return f"attachment of {entry.deformable} to {entry.to}"
-    if isinstance(entry, BodyHinge):
-        return f"hinge of {entry.first} and {entry.second}"
     name = getattr(entry, "name", None)
     return (
         name if name is not None else f"{type(entry).__name__.lower()} of {entry.body}"

@@ -24,9 +24,6 @@ from gauge_envs.scene.geometry import (
 from gauge_envs.scene.scene import Scene
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
 
-PARTS = 8
-"""Number of values of a command from which the mean of an interval is."""
-
 Interval = tuple[Pose, FloatArray, FloatArray]
 
 
@@ -397,28 +394,3 @@ def _between(
     starts, ends = before[:, 7:], after[:, 7:]
     miss = np.concatenate([linear, angular], axis=1) - 0.5 * (starts + ends)
     return starts + miss, (ends - starts) / interval_s
-
-
-def motor_commands(
-    scene: Scene, count: int, interval_s: float = SAMPLE_INTERVAL_S
-) -> FloatArray:
-    """Return the commands of a scene's motors [rad or N m], the mean of each interval.
-
-    Args:
-        scene: The scene.
-        count: Number of intervals from the start.
-        interval_s: Length of an interval [s].
-
-    Returns:
-        Shape [count, motor_count], in the order of `Scene.motors`.
-    """
-    if not scene.motors:
-        return np.zeros((count, 0))
-    times_s = interval_s * (
-        np.arange(count)[:, None] + (np.arange(PARTS) + 0.5) / PARTS
-    )
-    columns = []
-    for _, motor in scene.motors:
-        values = motor.command.values_at(times_s - motor.delay_s)
-        columns.append(values.mean(axis=1))
-    return np.stack(columns, axis=1)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike
 
 from gauge_envs.errors import ParameterError
 from gauge_envs.scene.bodies import (
-    BodyHinge,
     Cloth,
     Hinge,
     Markers,
@@ -35,7 +34,6 @@ from gauge_envs.scene.geometry import (
     vector,
     vector_quaternion,
 )
-from gauge_envs.scene.hinged import carried, moved_along, other_end, parent_hinges
 from gauge_envs.scene.scene import Scene
 
 JITTER_FORMAT = 3
@@ -90,7 +88,6 @@ def jittered(scene: Scene, jitter: Jitter, *, seed: int) -> Scene:
     - Bodies that touch one another, as the bricks of a wall, move as one.
     - A ball translates in all three coordinates.
     - A hinged body rotates about its hinge. A tethered body swings with a tight string.
-    - Bodies that hinges join move as one body, as the root of their tree does.
     - A cloth without attachments translates and rotates in its plane, with markers if it alone has any.
 
     Random velocities are added to those of the scene, in the same directions: in the plane of the face and about its
@@ -104,10 +101,6 @@ def jittered(scene: Scene, jitter: Jitter, *, seed: int) -> Scene:
         jitter: Standard deviations of the start.
         seed: Seed of the random numbers, 0 or more.
     """
-    if scene.guides:
-        raise ParameterError(
-            "the scene has sliders or ball joints, along which no start is scattered: leave out the jitter"
-        )
     random = np.random.default_rng(seed)
     attached = {attachment.deformable for attachment in scene.attachments}
     is_pushed = jitter.velocity_m_per_s or jitter.angular_velocity_rad_per_s
@@ -130,10 +123,8 @@ def jittered(scene: Scene, jitter: Jitter, *, seed: int) -> Scene:
         raise ParameterError(
             "nothing to jitter: every body of this scene is fixed, driven, or attached to one that is"
         )
-    joined, body_hinges = _joined(bodies, scene)
     return scene.started(
-        bodies=joined,
-        body_hinges=body_hinges,
+        bodies=tuple(bodies),
         deformables=tuple(deformables),
         markers=markers,
     )
@@ -183,25 +174,6 @@ def misplaced(scene: Scene, jitter: Jitter, drawn: Mapping[str, FloatArray]) -> 
             replace(driver, shift_m=vector(shift_m), turn_rad=vector(turn_rad))
         )
     return replace(scene, drivers=tuple(drivers))
-
-
-def _joined(
-    bodies: Sequence[RigidBody], scene: Scene
-) -> tuple[tuple[RigidBody, ...], tuple[BodyHinge, ...]]:
-    """Return the bodies and the hinges between them after both have moved with the roots of their trees."""
-    now = {body.name: body for body in bodies}
-    roots: dict[str, str] = {}
-    for name, hinge in parent_hinges(scene.body_hinges, scene.hung).items():
-        parent = other_end(hinge, name)
-        roots[name] = roots.get(parent, parent)
-        now[name] = moved_along(
-            scene.body(name), scene.body(roots[name]), now[roots[name]]
-        )
-    hinges = []
-    for hinge in scene.body_hinges:
-        root = roots.get(hinge.first, hinge.first)
-        hinges.append(carried(hinge, scene.body(root).pose, now[root].pose))
-    return tuple(now.values()), tuple(hinges)
 
 
 @dataclass(frozen=True)
@@ -424,7 +396,6 @@ def tilted(scene: Scene, rotation_rad: ArrayLike, about_m: ArrayLike) -> Scene:
             for body in scene.deformables
         ),
         joints=tuple(map(turned, scene.joints)),
-        body_hinges=tuple(map(turned, scene.body_hinges)),
         drivers=tuple(
             replace(one, motions=tuple(map(turned, one.motions)))
             for one in scene.drivers

@@ -212,10 +212,7 @@ def body_mass_properties(body: RigidBody) -> tuple[FloatArray, FloatArray]:
     stated = body.inertia_kg_m2
     if stated is None:
         return centre, inertia
-    if not isinstance(stated, tuple):
-        return centre, stated * np.eye(3)
-    xx, yy, zz, xy, xz, yz = stated
-    return centre, np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    return centre, stated * np.eye(3)
 
 
 def _compound_properties(

@@ -20,8 +20,6 @@ from gauge_envs.errors import ParameterError
 from gauge_envs.scene.air import Air
 from gauge_envs.scene.bodies import (
     Attachment,
-    BallJoint,
-    BodyHinge,
     Cloth,
     Contact,
     ContactMode,
@@ -30,17 +28,14 @@ from gauge_envs.scene.bodies import (
     Markers,
     Motion,
     RigidBody,
-    Slider,
     Tether,
 )
 from gauge_envs.scene.contact_faces import ContactFaces, TouchingGroup
-from gauge_envs.scene.geometry import Plane, length_of
-from gauge_envs.scene.hinged import UNIT, hinge_fault, parent_hinges
+from gauge_envs.scene.geometry import Plane
 from gauge_envs.scene.meshes import body_mass_properties
 
 if TYPE_CHECKING:
     from gauge_envs.scene.drivers import Driver
-    from gauge_envs.scene.motors import Motor
 
 
 GRAVITY_M_PER_S2 = 9.80665
@@ -62,8 +57,6 @@ class Scene:
         duration_s: Duration of the experiment [s], from which bounds on speed and distance follow.
         deformables: Cloth, soft bodies, ropes and rods.
         joints: Hinges and tethers to the world.
-        guides: Sliders and ball joints to the world. Task files state none.
-        body_hinges: Hinges between two dynamic bodies, which join them to trees.
         attachments: Attachments of deformable bodies.
         contacts: Groups of bodies that collide, and their contact constants.
         drivers: Prescribed motions of kinematic bodies.
@@ -76,13 +69,6 @@ class Scene:
     Raises:
         ParameterError: A start velocity is not finite, belongs to a body that is not dynamic or is attached to a
             deformable body, or does not rotate a hinged body about its hinge.
-        ParameterError: A hinge joins bodies that are unknown or not dynamic, closes a loop, has no unit axis, or joins
-            a body that has a string or an attachment; its bodies start with velocities that tear it, or hang on the
-            world by two hinges.
-        ParameterError: A guide is of a body that is unknown, not dynamic, or on another joint, string or attachment;
-            its axis has no unit length, or its body starts with a velocity that the guide does not allow.
-        ParameterError: The limits of a joint do not enclose its start, or a stated inertia is none of any body.
-        ParameterError: A contact lists the two bodies of a hinge.
         ParameterError: Two contacts list the same pair, or one has torsional or rolling friction without friction.
         ParameterError: There is air and no cloth.
     """
@@ -91,8 +77,6 @@ class Scene:
     duration_s: float
     deformables: tuple[Deformable, ...] = ()
     joints: tuple[Hinge | Tether, ...] = ()
-    guides: tuple[Slider | BallJoint, ...] = ()
-    body_hinges: tuple[BodyHinge, ...] = ()
     attachments: tuple[Attachment, ...] = ()
     contacts: tuple[Contact, ...] = ()
     drivers: tuple[Driver, ...] = ()
@@ -109,36 +93,19 @@ class Scene:
                     f"scene: {contact.first[0]!r} and {contact.second[0]!r} touch with torsional or rolling friction "
                     "and without sliding friction, on which engines build both: give a friction above 0"
                 )
-        # Names alone, which have a hash: what users put into a contact or a motor may have none.
+        # Names alone, which have a hash: what users put into a contact may have none.
         touching = tuple((tuple(one.first), tuple(one.second)) for one in self.contacts)
-        joined = tuple((hinge.first, hinge.second) for hinge in self.body_hinges)
-        _check_pairs(touching, self._moving, joined)
+        _check_pairs(touching, self._moving)
         if self.air is not None and not self.has(Cloth):
             raise ParameterError(
                 "the scene has air and no cloth. Air acts on cloth alone: remove it"
             )
-        self._check_limits()
         self._check_starts()
 
-    @property
-    def hung(self) -> list[str]:
-        """Names of the bodies on hinges to the world, one for each hinge."""
-        return [joint.body for joint in self.joints if isinstance(joint, Hinge)]
-
-    @property
-    def hinges(self) -> list[Hinge | BodyHinge]:
-        """All hinges: those to the world first, in the order of the scene."""
-        return [
-            *(joint for joint in self.joints if isinstance(joint, Hinge)),
-            *self.body_hinges,
-        ]
-
     @cached_property
-    def motors(self) -> tuple[tuple[Hinge | BodyHinge, Motor], ...]:
-        """Hinges that have a motor, with it, in the order of `hinges`."""
-        return tuple(
-            (hinge, hinge.motor) for hinge in self.hinges if hinge.motor is not None
-        )
+    def hinges(self) -> dict[str, Hinge]:
+        """Hinges by the name of their body."""
+        return {one.body: one for one in self.joints if isinstance(one, Hinge)}
 
     def _check_starts(self) -> None:
         """Find bodies by their names, and raise an error for a velocity that a body cannot start with."""
@@ -146,16 +113,6 @@ class Scene:
         for body in self.bodies:
             if not body.starts_at_rest:
                 self._check_start_velocity(body)
-        for guide in self.guides:
-            self._check_guide(guide)
-        if self.body_hinges:
-            suspended = {
-                joint.body for joint in self.joints if isinstance(joint, Tether)
-            }
-            suspended |= {attachment.to for attachment in self.attachments}
-            fault = hinge_fault(self.body_hinges, self._by_name, suspended, self.hung)
-            if fault is not None:
-                raise ParameterError(fault)
 
     def _check_start_velocity(self, body: RigidBody) -> None:
         linear, angular = (
@@ -191,63 +148,6 @@ class Scene:
                         f"angular velocity along the axis {joint.axis}, and the linear velocity "
                         f"{tuple((expected + 0.0).tolist())} m/s."
                     )
-
-    def _check_limits(self) -> None:
-        """Raise an error for limits that exclude the start, and for tensors that no body can have."""
-        limits = [
-            (one.body, one.limits_rad) for one in self.joints if isinstance(one, Hinge)
-        ]
-        limits += [
-            (one.body, one.limits_m) for one in self.guides if isinstance(one, Slider)
-        ]
-        for name, pair in limits:
-            if pair is not None and not pair[0] <= 0.0 <= pair[1]:
-                raise ParameterError(
-                    f"the joint of {name!r} has the limits {pair}, which do not enclose its start: give a smallest "
-                    "value of at most 0 and a largest of at least 0"
-                )
-        for body in self.bodies:
-            if isinstance(body.inertia_kg_m2, tuple):
-                moments = np.linalg.eigvalsh(body_mass_properties(body)[1])
-                if not 0.0 < moments[2] <= (1.0 + 1e-9) * (moments[0] + moments[1]):
-                    raise ParameterError(
-                        f"{body.name!r} has the principal moments {moments.tolist()} kg m^2, which no body has: each "
-                        "is above 0 and at most the sum of the others"
-                    )
-
-    def _check_guide(self, guide: Slider | BallJoint) -> None:
-        """Raise an error for a guide that its body cannot have."""
-        name = guide.body
-        body = self._by_name.get(name)
-        if body is None or body.motion is not Motion.DYNAMIC:
-            raise ParameterError(
-                f"a slider or ball joint is of {name!r}, which is no dynamic body: name one"
-            )
-        joined = [one.body for one in (*self.joints, *self.guides)]
-        joined += [end for one in self.body_hinges for end in (one.first, one.second)]
-        joined += [one.to for one in self.attachments]
-        if joined.count(name) > 1:
-            raise ParameterError(
-                f"{name!r} has a slider or ball joint and another joint, string or attachment: remove one of them"
-            )
-        linear = np.array(body.linear_velocity_m_per_s)
-        angular = np.array(body.angular_velocity_rad_per_s)
-        if isinstance(guide, Slider):
-            length = length_of(guide.axis)
-            if abs(length - 1.0) > UNIT:
-                raise ParameterError(
-                    f"the slider of {name!r} has an axis of length {length:.6g}: normalize it"
-                )
-            allowed = (guide.axis @ linear * np.array(guide.axis), np.zeros(3))
-        else:
-            arm_m = np.subtract(body.pose.position_m, guide.anchor_m)
-            allowed = (np.cross(angular, arm_m), angular)
-        off = np.abs([linear - allowed[0], angular - allowed[1]]).max()
-        if off > SAME_VELOCITY * np.abs([linear, angular]).max():
-            raise ParameterError(
-                f"the start velocity of {name!r} is none that its slider or ball joint allows: give the linear "
-                f"velocity {tuple(allowed[0].tolist())} m/s and the angular velocity {tuple(allowed[1].tolist())} rad/s"
-            )
 
     def body(self, name: str) -> RigidBody:
         """Return the rigid body of a name; raise KeyError if the scene has none."""
@@ -301,10 +201,9 @@ class Scene:
 
     @cached_property
     def free(self) -> frozenset[str]:
-        """Names of the dynamic bodies that no deformable body is attached to, and that follow no other on a hinge."""
+        """Names of the dynamic bodies that no deformable body is attached to."""
         attached = {attachment.to for attachment in self.attachments}
-        kept = attached | {*parent_hinges(self.body_hinges, self.hung)}
-        return frozenset(one.name for one in self.dynamic_bodies) - kept
+        return frozenset(one.name for one in self.dynamic_bodies) - attached
 
     @cached_property
     def touching_groups(self) -> dict[str, TouchingGroup]:
@@ -443,14 +342,12 @@ def _colliding_pairs(
 def _check_pairs(
     touching: tuple[tuple[tuple[str, ...], tuple[str, ...]], ...],
     moving: frozenset[str],
-    joined: tuple[tuple[str, str], ...],
 ) -> None:
     """Raise an error if two contacts list the same pair; of scenes with other starts it is checked once.
 
     Args:
         touching: Names of both sides of each contact.
         moving: Names of the dynamic and the deformable bodies.
-        joined: Names of the bodies of each hinge.
     """
     seen: set[frozenset[str]] = set()
     for first_names, second_names in touching:
@@ -462,12 +359,6 @@ def _check_pairs(
                     "restitution and mode: remove it from one of the contacts"
                 )
             seen.add(pair)
-    for first, second in joined:
-        if {first, second} in seen:
-            raise ParameterError(
-                f"scene: a contact lists {first!r} and {second!r}, which a hinge joins. Engines let "
-                "joined bodies pass through each other: remove the pair from the contact"
-            )
 
 
 def _point_speed_m_per_s(body: RigidBody) -> float:

@@ -56,7 +56,7 @@ def course(simulation, scene, first, last):
 SCENES = [
     ("SlopeSlider-3-wood", "calibrated"),
     ("NewtonsCradle-metal", "calibrated"),
-    ("ElbowToss-blocks", "calibrated"),
+    ("CubeToss-acrylic", "calibrated"),
     ("TextileFlinging-satin", "air"),
     ("RotatingBall-satin", "calibrated"),
     ("FoamBending-soft", "calibrated"),

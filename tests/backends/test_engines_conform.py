@@ -29,14 +29,6 @@ PUBLISHED = {
 if mujoco.__version__ not in FAULTY_SPARSE:
     PUBLISHED["mujoco"]["solver-pile"]["status"] = "pass"
 
-GUIDES = (
-    "slider-fall",
-    "slider-line",
-    "slider-limit",
-    "hinge-limit",
-    "ball-joint-cone",
-)
-
 
 @dataclass(frozen=True, kw_only=True)
 class Engine:
@@ -114,7 +106,6 @@ LONG = (
         "reset-start",
         "finite",
         "grasp-*",
-        "joint-backlash-cycle",
     ),
 )
 """Checks that take a quarter of a second or more, each beside a shorter one of the same law or contract."""
@@ -137,24 +128,24 @@ ENGINES = (
     Engine(
         name="rapier",
         module="rapier3d",
-        quick=(*CORE, *GUIDES, "joint-*", "tether-*", "roll-cylinder"),
+        quick=(*CORE, "wrench-hinged", "tether-*", "roll-cylinder"),
         long=LONG,
     ),
     Engine(
         name="physx",
         module="sapien",
-        quick=(*CORE, *GUIDES, "joint-*"),
+        quick=(*CORE, "wrench-hinged"),
         long=LONG,
     ),
     Engine(
         name="pybullet",
         module="pybullet",
-        quick=(*CORE, *GUIDES, "force-*", "rope-period", "torsion", "rolling"),
+        quick=(*CORE, "force-*", "rope-period", "torsion", "rolling"),
     ),
     Engine(
         name="newton",
         module="newton",
-        quick=(*CORE, *GUIDES, "force-*", "cloth-slide", "foam-pinned-face"),
+        quick=(*CORE, "force-*", "cloth-slide", "foam-pinned-face"),
     ),
     Engine(
         name="drake",

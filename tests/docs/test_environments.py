@@ -80,7 +80,7 @@ def part(observation, name):
 
 @pytest.mark.parametrize(
     "name",
-    ["SlopeSlider-2-wood", "Turntable-1-wood", "StickStack-soft", "ElbowToss-blocks"],
+    ["SlopeSlider-2-wood", "Turntable-1-wood", "StickStack-soft", "CubeToss-acrylic"],
 )
 def test_rows_of_spaces_describe_observations(name):
     env = GaugeEnv(name)

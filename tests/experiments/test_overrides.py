@@ -41,7 +41,7 @@ def read_parts(scene: Scene) -> tuple:
         else one
         for one in scene.deformables
     ]
-    return bodies, contacts, fabrics, scene.joints, scene.body_hinges
+    return bodies, contacts, fabrics, scene.joints
 
 
 @pytest.mark.parametrize("variant", ALL, ids=lambda one: one.name)

@@ -54,12 +54,7 @@ def test_single_trials_are_beyond_the_75(shots):
     assert {
         NAME,
         "CubePush-light",
-        "ElbowToss-blocks",
         "SiliconeBeam-0g-silicone",
-        "JointPendulum-dry",
-        "DoublePendulum-bars",
-        "TorquePendulum-ak80",
-        "ServoArm-so101",
     } <= beyond
     assert not beyond & {variant.name for variant in variants()}
     assert len(variants()) == 75

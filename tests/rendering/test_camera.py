@@ -58,7 +58,6 @@ QUICK = (
     "NewtonsCradle-metal",
     "Pendulum-metal",
     "CubeToss-acrylic",
-    "ElbowToss-blocks",
 )
 LONG = (
     "WallBreaking-wood",

@@ -234,9 +234,7 @@ def test_a_recorded_toss_turns_its_ghost():
     for _ in range(12):
         env.step(0)
     ghost = episode_overlay(env.episode).ghosts["cube"]
-    _, turns = (
-        shots_of(env.episode.experiment).shot(0, "cube").poses_at(np.array([0.4]))
-    )
+    _, turns = shots_of(env.episode.experiment).shot(0).poses_at(np.array([0.4]))
     simulated = env.episode.poses()["cube"]
     env.close()
     assert abs(ghost[3:] @ turns[0].as_quat(scalar_first=True)) == pytest.approx(1.0)

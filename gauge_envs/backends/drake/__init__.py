@@ -7,14 +7,12 @@ from types import MappingProxyType
 from typing import Any
 
 from gauge_envs.backends.drake.settings import settings_for
-from gauge_envs.backends.features import RIGID_FEATURES, Feature
+from gauge_envs.backends.features import Feature
 from gauge_envs.backends.shared.bundled import (
     BundledBackend,
     declined_compounds,
     first_of,
 )
-from gauge_envs.backends.shared.joint_laws import with_joint_laws
-from gauge_envs.backends.shared.joints import with_rotors
 from gauge_envs.backends.world import Simulation
 from gauge_envs.scene import Scene
 
@@ -48,9 +46,8 @@ class BackendDrake(BundledBackend):
     corrections = (
         "the dissipation of a contact is derived from the restitution, of which Drake has no coefficient",
         "a string is a spring that this package computes",
-        "dry friction of a joint is an actuator that brakes with a largest torque",
     )
-    features = RIGID_FEATURES - {Feature.BALL_JOINTS}
+    features = frozenset({Feature.STATED_INERTIA})
 
     def unsupported(self, scene: Scene) -> Iterator[str]:
         """Yield one sentence for each kind of feature of a scene that this backend does not build."""
@@ -61,7 +58,6 @@ class BackendDrake(BundledBackend):
         for reason, names in subjects.items():
             yield f"{first_of(names)} is deformable: {reason}"
 
-    @with_joint_laws()
     def build(
         self, scene: Scene, settings: Mapping[str, Any] | None = None
     ) -> Simulation:
@@ -69,7 +65,7 @@ class BackendDrake(BundledBackend):
         from gauge_envs.backends.drake.simulation import SimulationDrake
 
         _start_quietly()
-        return SimulationDrake(with_rotors(scene), settings_for(scene, settings))
+        return SimulationDrake(scene, settings_for(scene, settings))
 
 
 @cache

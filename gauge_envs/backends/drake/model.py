@@ -1,7 +1,6 @@
 """Conversion of a scene to a Drake diagram: a multibody plant, its scene graph, and the collision geometry."""
 
 from collections import defaultdict
-from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.metadata import version
 from typing import Any
@@ -24,8 +23,6 @@ from pydrake.multibody.plant import (
 )
 from pydrake.multibody.tree import (
     FixedOffsetFrame,
-    PdControllerGains,
-    PrismaticJoint,
     RevoluteJoint,
     RotationalInertia,
     SpatialInertia,
@@ -37,16 +34,8 @@ from scipy.spatial import ConvexHull
 from gauge_envs.backends.drake.contacts import ContactConstants, contact_constants
 from gauge_envs.backends.drake.settings import SettingsDrake
 from gauge_envs.backends.settings import check_kept
-from gauge_envs.backends.shared.joints import (
-    BRAKE_RATE_RAD_PER_S,
-    joint_motors,
-    joint_rate_rad_per_s,
-    stops_rad,
-)
-from gauge_envs.backends.shared.rigid import guide_frame, hinges_by_body
-from gauge_envs.errors import ParameterError, UnsupportedSceneError
+from gauge_envs.errors import ParameterError
 from gauge_envs.scene import (
-    BodyHinge,
     Box,
     Contact,
     ConvexUnion,
@@ -58,13 +47,10 @@ from gauge_envs.scene import (
     RigidBody,
     Scene,
     Shape,
-    Slider,
     Sphere,
 )
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.scene.hinged import other_end
 from gauge_envs.scene.meshes import body_mass_properties
-from gauge_envs.scene.motors import Servo
 
 APPROXIMATIONS = {
     "tamsi": "kTamsi",
@@ -102,8 +88,6 @@ class Model:
         diagram: The diagram of plant and scene graph.
         plant: The multibody plant.
         bodies: Drake's body of each dynamic or driven body, by name.
-        free: Drake's instance of the bodies that move freely or on hinges.
-        motors: Drake's actuator of each motor of the scene, with the sign of its joint.
         start: Discrete state at the start: positions, then velocities.
         names: Name of the body of each geometry.
     """
@@ -111,8 +95,6 @@ class Model:
     diagram: Any
     plant: Any
     bodies: dict[str, Any]
-    free: Any
-    motors: list[tuple[Any, float]]
     start: FloatArray
     names: dict[GeometryId, str]
 
@@ -185,35 +167,17 @@ def build_model(scene: Scene, settings: SettingsDrake) -> Model:
                 driven_mass_kg or 1.0, float(np.sqrt(2.5) * reach_m)
             )
             bodies[body.name] = plant.AddRigidBody(body.name, driven, inertia)
-    hinges = hinges_by_body(scene)
-    actuators = {
-        name: _add_hinge(plant, scene, bodies, name, hinge)
-        for name, hinge in hinges.items()
-    }
-    for guide in scene.guides:
-        if isinstance(guide, Slider):
-            _add_slider(plant, scene, bodies[guide.body], guide)
-    if settings.approximation == "tamsi" and any(
-        plant.get_joint_actuator(index).has_controller()
-        for index in plant.GetJointActuatorIndices()
-    ):
-        raise UnsupportedSceneError(
-            "Drake's approximation 'tamsi' leaves out controllers of joints, which are servos and dry friction here: "
-            "choose another preset"
-        )
+    for hinge in scene.hinges.values():
+        _add_hinge(plant, scene.body(hinge.body), bodies[hinge.body], hinge)
     geometries = _add_geometries(plant, scene, bodies, settings)
     plant.Finalize()
     _filter(scene_graph, scene, geometries)
     diagram = builder.Build()
-    motors = [(actuators[one.body], one.sign) for one in joint_motors(scene)]
-    start = _start(plant, scene, bodies, hinges)
     return Model(
         diagram=diagram,
         plant=plant,
         bodies=bodies,
-        free=free,
-        motors=motors,
-        start=start,
+        start=_start(plant, scene, bodies),
         names={
             one: name
             for _, shapes in geometries
@@ -237,76 +201,30 @@ def _approximation(name: str) -> DiscreteContactApproximation:
     return getattr(DiscreteContactApproximation, known[name])
 
 
-def _add_hinge(
-    plant: Any,
-    scene: Scene,
-    bodies: dict[str, Any],
-    name: str,
-    hinge: Hinge | BodyHinge,
-) -> Any:
-    """Add the hinge of a body, about the z axes of two frames at its anchor, and return the actuator of its motor.
+def _add_hinge(plant: Any, body: RigidBody, added: Any, hinge: Hinge) -> None:
+    """Add the hinge of a body to the world, about the z axes of two frames at its anchor.
 
-    Dry friction is an actuator that brakes, and whose largest torque is the friction.
+    Args:
+        plant: Drake's plant.
+        body: The body.
+        added: Drake's body.
+        hinge: The hinge.
     """
     anchor = RigidTransform(
         RotationMatrix.MakeFromOneVector(np.asarray(hinge.axis), 2),
         np.asarray(hinge.anchor_m),
     )
-    parent = other_end(hinge, name) if isinstance(hinge, BodyHinge) else None
-    frames = []
-    for one in (parent, name):
-        place = (
-            anchor
-            if one is None
-            else rigid_transform(scene.body(one).pose).inverse() @ anchor
-        )
-        holder = plant.world_body() if one is None else bodies[one]
-        frames.append(
-            plant.AddFrame(
-                FixedOffsetFrame(f"{name}/{one or ''}", holder.body_frame(), place)
-            )
-        )
-    damping = hinge.dynamics.viscous_friction_n_m_s_per_rad
-    joint = plant.AddJoint(
-        RevoluteJoint(name, *frames, [0, 0, 1], *stops_rad(hinge), damping)
-    )
-    dry, armature, motor = (
-        hinge.dynamics.dry_friction_n_m,
-        hinge.dynamics.armature_kg_m2,
-        hinge.motor,
-    )
-    if dry:
-        brake = plant.AddJointActuator(f"{name}/brake", joint, dry)
-        brake.set_controller_gains(
-            PdControllerGains(p=0.0, d=dry / BRAKE_RATE_RAD_PER_S)
-        )
-    if not armature and motor is None:
-        return None
-    actuator = plant.AddJointActuator(name, joint)
-    actuator.set_default_rotor_inertia(armature)
-    if isinstance(motor, Servo):
-        actuator.set_controller_gains(
-            PdControllerGains(p=motor.kp_n_m_per_rad, d=motor.kv_n_m_s_per_rad)
-        )
-        actuator.set_effort_limit(motor.torque_limit_n_m or np.inf)
-    return actuator
-
-
-def _add_slider(plant: Any, scene: Scene, body: Any, slider: Slider) -> None:
-    """Add the slider of a body to the world, along the x axes of two frames."""
-    frame = guide_frame(scene, slider)
-    in_body = frame.relative_to(scene.body(slider.body).pose)
+    in_body = rigid_transform(body.pose).inverse() @ anchor
     frames = [
         plant.AddFrame(
-            FixedOffsetFrame(f"{slider.body}/{end}", at, rigid_transform(place))
+            FixedOffsetFrame(f"{body.name}/{end}", holder.body_frame(), place)
         )
-        for end, at, place in (
-            ("world", plant.world_frame(), frame),
-            ("body", body.body_frame(), in_body),
+        for end, holder, place in (
+            ("", plant.world_body(), anchor),
+            (body.name, added, in_body),
         )
     ]
-    limits = slider.limits_m or (-np.inf, np.inf)
-    plant.AddJoint(PrismaticJoint(slider.body, *frames, [1, 0, 0], *limits))
+    plant.AddJoint(RevoluteJoint(body.name, *frames, [0, 0, 1], -np.inf, np.inf, 0.0))
 
 
 def _add_geometries(
@@ -373,25 +291,16 @@ def _filter(scene_graph: Any, scene: Scene, groups: Groups) -> None:
             )
 
 
-def _start(
-    plant: Any,
-    scene: Scene,
-    bodies: dict[str, Any],
-    hinges: Mapping[str, Hinge | BodyHinge],
-) -> FloatArray:
+def _start(plant: Any, scene: Scene, bodies: dict[str, Any]) -> FloatArray:
     state = np.zeros(plant.num_multibody_states())
     offset = plant.num_positions()
-    axes = {one.body: one.axis for one in scene.guides if isinstance(one, Slider)}
     for body in scene.bodies:
         if body.motion is Motion.FIXED:
             continue
-        if body.name in hinges:
+        if body.name in scene.hinges:
             row = offset + plant.GetJointByName(body.name).velocity_start()
-            state[row] = joint_rate_rad_per_s(scene, body.name, hinges[body.name])
-            continue
-        if body.name in axes:
-            row = offset + plant.GetJointByName(body.name).velocity_start()
-            state[row] = np.dot(body.linear_velocity_m_per_s, axes[body.name])
+            axis = scene.hinges[body.name].axis
+            state[row] = np.dot(body.angular_velocity_rad_per_s, axis)
             continue
         added = bodies[body.name]
         first = added.floating_positions_start()

@@ -16,7 +16,6 @@ from gauge_envs.backends.shared.rigid import (
     PlacedWorld,
     TetherSpring,
     body_state,
-    joints_by_body,
     placed_states,
 )
 from gauge_envs.backends.world import Simulation
@@ -48,7 +47,7 @@ class SimulationDrake(PlacedWorld, Simulation):
                 plant.num_positions() + body.floating_velocities_start_in_v(),
             )
             for name, body in self._model.bodies.items()
-            if name not in joints_by_body(scene)
+            if name not in scene.hinges
         }
         self._centres = {
             body.name: body_mass_properties(body)[0] for body in scene.dynamic_bodies
@@ -60,7 +59,6 @@ class SimulationDrake(PlacedWorld, Simulation):
         self._state = self._model.start.copy()
         self._motions: dict[str, DrivenMotion] = {}
         self._wrenches: dict[str, FloatArray] = {}
-        self._command = np.zeros(len(self._model.motors))
         self.placed = placed_states(self._scene)
         for body in self._scene.bodies:
             if body.motion is Motion.KINEMATIC:
@@ -71,8 +69,6 @@ class SimulationDrake(PlacedWorld, Simulation):
     def _load(self) -> None:
         self._context.SetDiscreteState(self._state)
         self._apply_forces()
-        if self._model.plant.num_actuators():
-            self.command(self._command)
 
     def _place(self, name: str, pose: Pose, velocity: FloatArray) -> None:
         """Write the pose of a driven body to the state, and keep what `body_states` returns until the next step."""
@@ -97,23 +93,6 @@ class SimulationDrake(PlacedWorld, Simulation):
         """Apply a force through the centre of mass and a torque; see `World.apply_wrench`."""
         self._wrenches[body] = np.array(wrench, dtype=float)
         self._apply_forces()
-
-    def command(self, values: FloatArray) -> None:
-        """Set what the motors follow; see `World.command`."""
-        self._command = np.array(values, dtype=float)
-        plant = self._model.plant
-        torques, angles = (
-            np.zeros(plant.num_actuators()),
-            np.zeros(2 * plant.num_actuators()),
-        )
-        for (actuator, sign), value in zip(self._model.motors, values, strict=True):
-            (angles if actuator.has_controller() else torques)[
-                actuator.input_start()
-            ] = sign * value
-        plant.get_actuation_input_port().FixValue(self._plant_context, torques)
-        plant.get_desired_state_input_port(self._model.free).FixValue(
-            self._plant_context, angles
-        )
 
     def advance(self, seconds: float) -> None:
         """Step the plant; driven bodies start each step at their pose, with their mean velocity in the step."""
@@ -235,25 +214,23 @@ class SimulationDrake(PlacedWorld, Simulation):
             yield names[surface.id_M()], names[surface.id_N()], on_first_n
 
     def state(self) -> Any:
-        """Return the plant's state, driven motions, states of placed bodies, applied wrenches and the command."""
+        """Return the plant's state, driven motions, states of placed bodies and applied wrenches."""
         return (
             self._state.copy(),
             dict(self._motions),
             dict(self.placed),
             dict(self._wrenches),
-            self._command.copy(),
         )
 
     def restore(self, state: Any) -> None:
         """Restore a state."""
-        values, motions, placed, wrenches, command = state
+        values, motions, placed, wrenches = state
         self._state = values.copy()
         self._motions, self.placed, self._wrenches = (
             dict(motions),
             dict(placed),
             dict(wrenches),
         )
-        self._command = command.copy()
         self._load()
 
     def close(self) -> None:

@@ -7,13 +7,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
-from gauge_envs.backends.features import GUIDES, Feature
+from gauge_envs.backends.features import Feature
 from gauge_envs.backends.genesis.fabrics import pbd_constants
 from gauge_envs.backends.genesis.presets import settings_for, unsupported_features
 from gauge_envs.backends.genesis.settings import SettingsGenesis
 from gauge_envs.backends.shared.bundled import BundledBackend, check_settings
-from gauge_envs.backends.shared.joint_laws import with_joint_laws
-from gauge_envs.backends.shared.joints import with_rotors
 from gauge_envs.backends.world import Simulation
 from gauge_envs.backends.worlds import Worlds
 from gauge_envs.scene import Scene
@@ -40,7 +38,7 @@ class BackendGenesis(BundledBackend):
         "a string is a spring that this package computes",
         "its cache of geoms, whose key lacks torsional and rolling friction, is emptied",
     )
-    features = frozenset(Feature) - GUIDES - {Feature.AIR}
+    features = frozenset(Feature) - {Feature.AIR}
     own_defaults = frozenset({"out_of_box", "paper"})
     settings_for = staticmethod(settings_for)
     fabric_constants = staticmethod(pbd_constants)
@@ -53,7 +51,6 @@ class BackendGenesis(BundledBackend):
         """Yield one sentence for each feature of a scene that Genesis does not support."""
         return unsupported_features(scene, settings_for(scene))
 
-    @with_joint_laws()
     def build(
         self, scene: Scene, settings: Mapping[str, Any] | None = None
     ) -> Simulation:
@@ -61,9 +58,8 @@ class BackendGenesis(BundledBackend):
         chosen = _checked(scene, settings)
         from gauge_envs.backends.genesis.simulation import SimulationGenesis
 
-        return SimulationGenesis(with_rotors(scene), chosen)
+        return SimulationGenesis(scene, chosen)
 
-    @with_joint_laws()
     def build_worlds(
         self, scenes: Sequence[Scene], settings: Mapping[str, Any] | None = None
     ) -> Worlds:
@@ -72,7 +68,6 @@ class BackendGenesis(BundledBackend):
         Scenes with deformable bodies, and scenes that differ in more than start poses, advance one after another.
         """
         chosen = _checked(scenes[0], settings)
-        scenes = [*map(with_rotors, scenes)]
         from gauge_envs.backends.genesis.model import model_key
         from gauge_envs.backends.genesis.simulation import WorldsGenesis
 

@@ -16,11 +16,8 @@ from xml.etree import ElementTree
 import numpy as np
 
 from gauge_envs.backends.genesis.settings import SettingsGenesis
-from gauge_envs.backends.shared.joints import PlayHinge
-from gauge_envs.backends.shared.rigid import hinges_by_body
 from gauge_envs.backends.shared.spring_damper import SLOWEST_IMPACT_M_PER_S
 from gauge_envs.scene import (
-    BodyHinge,
     Box,
     Contact,
     ContactMode,
@@ -34,9 +31,7 @@ from gauge_envs.scene import (
     Shape,
     Sphere,
 )
-from gauge_envs.scene.hinged import other_end
 from gauge_envs.scene.meshes import body_mass_properties
-from gauge_envs.scene.motors import Servo
 
 CONTACT_LIMIT = 30
 """Largest number of contacts of a scene: each needs a bit of Genesis's collision masks."""
@@ -254,30 +249,11 @@ def document(
     _add(root, "compiler", angle="radian", autolimits="false")
     asset, world = _add(root, "asset"), _add(root, "worldbody")
     layers = layers_of_bodies(scene, settings)
-    hinges = hinges_by_body(scene)
-    elements: dict[str, ElementTree.Element] = {}
-    # Bodies that hang on others are inside them, so they come after them.
-    hanging = [name for name, hinge in hinges.items() if isinstance(hinge, BodyHinge)]
-    places = [body.name for body in scene.bodies]
-    for body in (
-        *(body for body in scene.bodies if body.name not in hanging),
-        *map(scene.body, hanging),
-    ):
-        parent, pose, index = world, body.pose, places.index(body.name)
+    for index, body in enumerate(scene.bodies):
+        parent, pose = world, body.pose
         if body.motion is not Motion.FIXED:
-            hinge = hinges.get(body.name)
-            on = (
-                scene.body(other_end(hinge, body.name))
-                if isinstance(hinge, BodyHinge)
-                else None
-            )
-            parent, pose = (
-                _add_body(
-                    elements[on.name] if on else world, index, body, hinge, on, settings
-                ),
-                ORIGIN,
-            )
-            elements[body.name] = parent
+            hinge = scene.hinges.get(body.name)
+            parent, pose = _add_body(world, index, body, hinge, settings), ORIGIN
         copies = list(layers.get(body.name, {}).items())
         friction = (coupled or {}).get(body.name)
         if friction is not None:
@@ -299,27 +275,6 @@ def document(
             else:
                 copies.insert(0, coupling)
         _add_geoms(parent, asset, index, body, pose, copies)
-    servos = [
-        (name, hinge.motor)
-        for name, hinge in hinges.items()
-        if isinstance(hinge.motor, Servo)
-    ]
-    actuators = _add(root, "actuator") if servos else root
-    for name, servo in servos:
-        limit = servo.torque_limit_n_m
-        limits = (
-            {}
-            if limit is None
-            else {"forcelimited": "true", "forcerange": (-limit, limit)}
-        )
-        gains = {"kp": servo.kp_n_m_per_rad, "kv": servo.kv_n_m_s_per_rad}
-        _add(
-            actuators,
-            "position",
-            joint=body_label(places.index(name)),
-            **gains,
-            **limits,
-        )
     return ElementTree.tostring(root, encoding="unicode")
 
 
@@ -359,18 +314,14 @@ def _add_body(
     world: ElementTree.Element,
     index: int,
     body: RigidBody,
-    hinge: Hinge | BodyHinge | None,
-    on: RigidBody | None,
+    hinge: Hinge | None,
     settings: SettingsGenesis,
 ) -> ElementTree.Element:
-    """Add a body to the world, or to the element of the body that it hangs on."""
+    """Add a body to the world."""
     pose, label = body.pose, body_label(index)
     if hinge is None:
         pose = Pose(position_m=(APART_M * index, 0.0, HEIGHT_M))
-    place = pose.relative_to(on.pose) if on else pose
-    element = _add(
-        world, "body", name=label, pos=place.position_m, quat=place.quaternion
-    )
+    element = _add(world, "body", name=label, pos=pose.position_m, quat=pose.quaternion)
     if hinge is None:
         _add(element, "freejoint", name=label)
     else:
@@ -378,25 +329,16 @@ def _add_body(
             pose.to_body(np.asarray(hinge.anchor_m)),
             pose.rotation.inv().apply(hinge.axis),
         )
-        terms: dict[str, Any] = {
-            "armature": settings.hinge_armature_kg_m2 + hinge.dynamics.armature_kg_m2
-        }
-        if hinge.dynamics.viscous_friction_n_m_s_per_rad:
-            terms["damping"] = hinge.dynamics.viscous_friction_n_m_s_per_rad
-        # Genesis solves dry friction with the impedance of the joint's limits.
-        stiff = {
-            "solreflimit": (2.0 * settings.timestep_s, 1.0),
-            "solimplimit": (0.9999, 0.9999, 0.001),
-        }
-        if hinge.dynamics.dry_friction_n_m:
-            terms |= {"frictionloss": hinge.dynamics.dry_friction_n_m, **stiff}
-        if isinstance(hinge, PlayHinge):
-            terms |= {
-                "limited": "true",
-                "range": (-hinge.stop_rad, hinge.stop_rad),
-                **stiff,
-            }
-        _add(element, "joint", name=label, type="hinge", pos=anchor, axis=axis, **terms)
+        armature = settings.hinge_armature_kg_m2
+        _add(
+            element,
+            "joint",
+            name=label,
+            type="hinge",
+            pos=anchor,
+            axis=axis,
+            armature=armature,
+        )
     if body.motion is Motion.KINEMATIC:
         mass_kg, centre_m = settings.kinematic_mass_kg, np.zeros(3)
         # A sphere's inertia is the same in every frame, so a torque needs no rotation.

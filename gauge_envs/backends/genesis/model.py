@@ -17,8 +17,6 @@ from gauge_envs.backends.genesis.settings import (
     SettingsPBD,
 )
 from gauge_envs.backends.settings import check_kept
-from gauge_envs.backends.shared.joints import PlayHinge, joint_rate_rad_per_s
-from gauge_envs.backends.shared.rigid import hinges_by_body
 from gauge_envs.scene import Motion, Scene
 from gauge_envs.scene.geometry import FloatArray
 
@@ -219,11 +217,7 @@ def _rigid_options(scene: Scene, settings: SettingsGenesis, turns: bool) -> Any:
     return gs.options.RigidOptions(
         # Scenes without contact then advance in fewer kernels.
         enable_collision=collides,
-        disable_constraint=not collides
-        and not any(
-            hinge.dynamics.dry_friction_n_m or isinstance(hinge, PlayHinge)
-            for hinge in scene.hinges
-        ),
+        disable_constraint=not collides,
         integrator=getattr(gs.integrator, settings.integrator),
         constraint_solver=getattr(gs.constraint_solver, settings.constraint_solver),
         iterations=settings.iterations,
@@ -249,12 +243,11 @@ def start_coordinates(scene: Scene, model: Model) -> tuple[FloatArray, FloatArra
     """Return coordinates and velocities of the rigid solver at a scene's start, shapes [q_count] and [dof_count]."""
     coordinates = np.zeros(model.solver.n_qs)
     velocities = np.zeros(model.solver.n_dofs)
-    hinges = hinges_by_body(scene)
     for name, link in model.links.items():
         body = scene.body(name)
         angular = np.asarray(body.angular_velocity_rad_per_s)
-        if name in hinges:
-            velocities[link.dof_start] = joint_rate_rad_per_s(scene, name, hinges[name])
+        if name in scene.hinges:
+            velocities[link.dof_start] = angular @ scene.hinges[name].axis
             continue
         coordinates[link.q_start : link.q_start + 7] = [
             *body.pose.position_m,

@@ -31,7 +31,6 @@ from gauge_envs.scene import (
     Scene,
     SoftBody,
 )
-from gauge_envs.scene.hinged import hinge_trees
 
 FRICTIONLESS_IMPRATIO = 1e-9
 """Ratio of frictional to normal impedance in scenes without friction. Signorini contacts keep their normal force."""
@@ -115,11 +114,6 @@ def unsupported_features(scene: Scene, settings: SettingsGenesis) -> Iterator[st
             motion = scene.body(joint.body).motion.value
             yield f"{joint.body!r} hangs on a {type(joint).__name__} and is {motion}: only dynamic bodies have joints"
             break
-    for tree in hinge_trees(scene.body_hinges):
-        if not {name for hinge in tree for name in (hinge.first, hinge.second)} & {
-            *scene.hung
-        }:
-            yield f"{tree[0].first!r} and {tree[0].second!r} are free, and this backend joins bodies on the world only"
     yield from unsupported_contacts(scene, settings)
     yield from unsupported_deformables(scene)
 

@@ -17,7 +17,6 @@ from gauge_envs.backends.genesis.model import (
 )
 from gauge_envs.backends.genesis.parts import DeformablePart
 from gauge_envs.backends.genesis.settings import SettingsGenesis
-from gauge_envs.backends.shared.joints import joint_motors
 from gauge_envs.backends.shared.rigid import (
     DrivenMotion,
     PlacedWorld,
@@ -31,7 +30,6 @@ from gauge_envs.backends.worlds import Worlds
 from gauge_envs.errors import BackendError
 from gauge_envs.scene import Motion, Pose, Scene
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.scene.motors import Servo
 
 
 class _Lent:
@@ -74,14 +72,6 @@ class _WorldGenesis(PlacedWorld):
         self._scene, self._lent, self._index = scene, lent, index
         self.start = start_coordinates(scene, lent.model)
         self._tethers = TetherSpring.of(scene)
-        self._motors = [
-            (
-                isinstance(one.motor, Servo),
-                lent.model.links[one.body].dof_start,
-                one.sign,
-            )
-            for one in joint_motors(scene)
-        ]
 
     def begin(self) -> None:
         """Put driven bodies to their starts, without wrenches."""
@@ -138,17 +128,6 @@ class _WorldGenesis(PlacedWorld):
             np.array([[*twist[:3], *to_body.apply(twist[3:])]]), freedoms, world
         )
         solver.control_dofs_force(np.array([[*force, *torque]]), freedoms, world)
-
-    def command(self, values: FloatArray) -> None:
-        """Set what the motors follow; see `World.command`."""
-        solver = self._lent.model.solver
-        for (is_servo, freedom, sign), value in zip(
-            self._motors, values.tolist(), strict=True
-        ):
-            control = (
-                solver.control_dofs_position if is_servo else solver.control_dofs_force
-            )
-            control(np.array([[sign * value]]), [freedom], [self._index])
 
     def apply_wrench(self, body: str, wrench: FloatArray) -> None:
         """Apply a force and a torque to a dynamic body; see `World.apply_wrench`."""

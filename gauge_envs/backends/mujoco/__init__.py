@@ -22,7 +22,6 @@ from gauge_envs.backends.mujoco.versions import (
 from gauge_envs.backends.mujoco.worlds import WorldsMuJoCo
 from gauge_envs.backends.settings import check_kept
 from gauge_envs.backends.shared.bundled import BundledBackend
-from gauge_envs.backends.shared.joint_laws import with_joint_laws
 from gauge_envs.backends.worlds import Worlds
 from gauge_envs.errors import ParameterError, UnsupportedSceneError
 from gauge_envs.registry import model_files
@@ -61,7 +60,6 @@ class BackendMuJoCo(BundledBackend):
         yield from without_deformables(scene)
         yield from unsupported_features(scene)
 
-    @with_joint_laws(quadratic=False)
     def build(
         self, scene: Scene, settings: Mapping[str, Any] | None = None
     ) -> SimulationMuJoCo:
@@ -87,7 +85,6 @@ class BackendMuJoCo(BundledBackend):
         check_kept("MuJoCo", in_force, option_settings(model))
         return SimulationMuJoCo(scene, in_force, spec, model, parts)
 
-    @with_joint_laws(quadratic=False)
     def build_worlds(
         self, scenes: Sequence[Scene], settings: Mapping[str, Any] | None = None
     ) -> Worlds:

@@ -1,6 +1,6 @@
 """Conversion of a scene to a MuJoCo model."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from itertools import product
 
 import mujoco
@@ -16,11 +16,8 @@ from gauge_envs.backends.mujoco.deformables import (
 from gauge_envs.backends.mujoco.flex import FlexPart
 from gauge_envs.backends.mujoco.settings import SettingsMuJoCo
 from gauge_envs.backends.mujoco.versions import constants_of
-from gauge_envs.backends.shared.rigid import hinges_by_body, joints_by_body
 from gauge_envs.errors import ParameterError
 from gauge_envs.scene import (
-    BallJoint,
-    BodyHinge,
     Box,
     Capsule,
     Compound,
@@ -33,18 +30,10 @@ from gauge_envs.scene import (
     RigidBody,
     Scene,
     Shape,
-    Slider,
     Sphere,
     Tether,
 )
-from gauge_envs.scene.hinged import (
-    joint_sign,
-    other_end,
-    parent_hinges,
-    start_rate_rad_per_s,
-)
 from gauge_envs.scene.meshes import body_mass_properties, prism
-from gauge_envs.scene.motors import Servo
 
 START_KEY = "start"
 """Name of the keyframe whose `qvel` holds the start velocities; a scene at rest has no keyframe."""
@@ -53,7 +42,7 @@ EXPLICIT_PAIR_LIMIT = 1000
 """Largest number of explicit geom pairs of a contact; contacts with more use MuJoCo's broad phase."""
 
 STIFF_IMPEDANCE = (0.9999, 0.9999, 0.001, 0.5, 2.0)
-"""MuJoCo's `solimp` of strings and of dry friction in joints."""
+"""MuJoCo's `solimp` of strings."""
 
 INTEGRATORS = constants_of(
     "mjtIntegrator",
@@ -174,8 +163,7 @@ def build_model(
 
     Bodies keep their names; a dynamic or driven body has a hinge or a free joint of the same name. A driven body is a
     free body of very large mass without weight, whose pose and velocity are written before each interval. Unlike a
-    mocap body it has a velocity, so it carries the bodies that rest on it. Bodies that hinges join form a tree: the
-    root has the free joint, and every other body is a child of the body that it hangs on, with a hinge of its name.
+    mocap body it has a velocity, so it carries the bodies that rest on it.
 
     Returns:
         The editable model, the compiled model, and the parts of the deformable bodies by name.
@@ -185,15 +173,12 @@ def build_model(
     _set_options(spec, settings)
     spec.option.gravity = [0.0, 0.0, -scene.gravity_m_per_s2]
 
-    hinges = hinges_by_body(scene)
-    joints = joints_by_body(scene)
     geoms: dict[str, list[mujoco.MjsGeom]] = {}
-    for body in parents_first(scene):
-        geoms[body.name] = _add_body(spec, scene, body, joints.get(body.name), settings)
+    for body in scene.bodies:
+        geoms[body.name] = _add_body(spec, body, scene.hinges.get(body.name), settings)
     for joint in scene.joints:
         if isinstance(joint, Tether):
             _add_tether(spec, joint, settings)
-    _add_motors(spec, hinges)
     parts = add_deformables(spec, scene, settings)
     for index, contact in enumerate(scene.contacts):
         if parts.keys() & {*contact.first, *contact.second}:
@@ -201,7 +186,7 @@ def build_model(
         else:
             _add_contact(spec, scene, contact, geoms, settings, bit=1 << index)
     moves = any(
-        start_rates(scene, body, joints.get(body.name)).any()
+        start_rates(body, scene.hinges.get(body.name)).any()
         for body in scene.dynamic_bodies
     )
     key = spec.add_key(name=START_KEY) if moves else None
@@ -226,46 +211,28 @@ def build_model(
 def start_velocities(scene: Scene, model: mujoco.MjModel) -> NDArray[np.float64]:
     """Return the velocities of a model's joints at the start of a scene, shape [nv]; see `start_rates`."""
     velocities = np.zeros(model.nv)
-    joints = joints_by_body(scene)
     for body in scene.dynamic_bodies:
-        if body.starts_at_rest and not scene.body_hinges:
+        if body.starts_at_rest:
             continue
-        rates = start_rates(scene, body, joints.get(body.name))
+        rates = start_rates(body, scene.hinges.get(body.name))
         if rates.any():
             first = int(model.joint(body.name).dofadr[0])
             velocities[first : first + len(rates)] = rates
     return velocities
 
 
-def parents_first(scene: Scene) -> list[RigidBody]:
-    """Return the bodies of a scene in its order, but those that hang on other bodies after them."""
-    hanging = parent_hinges(scene.body_hinges, scene.hung)
-    free = [body for body in scene.bodies if body.name not in hanging]
-    return [*free, *(scene.body(name) for name in hanging)]
-
-
-def start_rates(
-    scene: Scene, body: RigidBody, hinge: Hinge | BodyHinge | Slider | BallJoint | None
-) -> NDArray[np.float64]:
+def start_rates(body: RigidBody, hinge: Hinge | None) -> NDArray[np.float64]:
     """Return the velocity of a body's joint at the start.
 
     Returns:
-        The rate of a hinge [rad/s] or a slider [m/s], shape [1]; of a ball joint [rad/s], in the body frame,
-        shape [3]. For a free joint, the linear velocity of the body origin in the world frame [m/s] and the angular
-        velocity in the body frame [rad/s], shape [6].
+        The rate of a hinge [rad/s], shape [1]. For a free joint, the linear velocity of the body origin in the world
+        frame [m/s] and the angular velocity in the body frame [rad/s], shape [6].
     """
     angular = np.array(body.angular_velocity_rad_per_s)
-    if isinstance(hinge, BodyHinge):
-        return np.array(
-            [start_rate_rad_per_s(hinge, body, scene.body(other_end(hinge, body.name)))]
-        )
-    linear = np.array(body.linear_velocity_m_per_s)
-    if isinstance(hinge, Slider):
-        return np.array([linear @ hinge.axis])
-    if isinstance(hinge, Hinge):
+    if hinge is not None:
         return np.array([angular @ hinge.axis])
     turning = rotated_back(body.pose.quaternion, angular)
-    return turning if hinge is not None else np.concatenate([linear, turning])
+    return np.concatenate([body.linear_velocity_m_per_s, turning])
 
 
 def rotated_back(
@@ -305,28 +272,21 @@ def _collision_shape(body: RigidBody) -> Shape:
 
 def _add_body(
     spec: mujoco.MjSpec,
-    scene: Scene,
     body: RigidBody,
-    hinge: Hinge | BodyHinge | Slider | BallJoint | None,
+    hinge: Hinge | None,
     settings: SettingsMuJoCo,
 ) -> list[mujoco.MjsGeom]:
-    if isinstance(hinge, BodyHinge):
-        parent = other_end(hinge, body.name)
-        pose = body.pose.relative_to(scene.body(parent).pose)
-        frame = spec.body(parent).add_body(
-            name=body.name, pos=pose.position_m, quat=pose.quaternion
-        )
-    else:
-        frame = spec.worldbody.add_body(
-            name=body.name, pos=body.pose.position_m, quat=body.pose.quaternion
-        )
+    frame = spec.worldbody.add_body(
+        name=body.name, pos=body.pose.position_m, quat=body.pose.quaternion
+    )
     geoms = add_geoms(spec, frame, body.name, _collision_shape(body))
     if body.motion is Motion.FIXED:
         return geoms
-    if isinstance(hinge, Slider | BallJoint):
-        _add_guide(frame, body, hinge, settings)
-    elif hinge is not None:
-        _add_hinge(frame, body, hinge, settings)
+    if hinge is not None:
+        anchor_m, axis = hinge_in_body(body, hinge)
+        frame.add_joint(
+            type=mujoco.mjtJoint.mjJNT_HINGE, name=body.name, pos=anchor_m, axis=axis
+        )
     else:
         frame.add_freejoint(name=body.name)
     if body.motion is Motion.KINEMATIC:
@@ -346,81 +306,12 @@ def _add_body(
         frame.explicitinertial = True
         frame.mass = body.mass_kg
         frame.ipos = body_mass_properties(body)[0]
-        if isinstance(body.inertia_kg_m2, tuple):
-            frame.fullinertia = body.inertia_kg_m2
-        else:
-            frame.inertia = [body.inertia_kg_m2] * 3
+        frame.inertia = [body.inertia_kg_m2] * 3
     return geoms
 
 
-def _add_guide(
-    frame: mujoco.MjsBody,
-    body: RigidBody,
-    guide: Slider | BallJoint,
-    settings: SettingsMuJoCo,
-) -> None:
-    """Add a slider or a ball joint, which has the name of its body."""
-    if isinstance(guide, BallJoint):
-        anchor_m = body.pose.to_body(np.asarray(guide.anchor_m))
-        joint = frame.add_joint(name=body.name, pos=anchor_m)
-        joint.type = mujoco.mjtJoint.mjJNT_BALL
-        return
-    joint = frame.add_joint(name=body.name, axis=guide.axis @ body.pose.matrix)
-    joint.type = mujoco.mjtJoint.mjJNT_SLIDE
-    _limit(joint, guide.limits_m, settings)
-
-
-def _limit(
-    joint: mujoco.MjsJoint, limits: tuple[float, float] | None, settings: SettingsMuJoCo
-) -> None:
-    """Let a joint stop at its limits [rad or m] as stiffly as the step allows."""
-    if limits is not None:
-        joint.range, joint.limited = limits, mujoco.mjtLimited.mjLIMITED_TRUE
-        joint.solimp_limit = STIFF_IMPEDANCE
-        joint.solref_limit = [max(2.0 * settings.timestep_s, 1e-3), 1.0]
-
-
-def _add_hinge(
-    frame: mujoco.MjsBody,
-    body: RigidBody,
-    hinge: Hinge | BodyHinge,
-    settings: SettingsMuJoCo,
-) -> None:
-    """Add the joint of a hinged body, which has the name of the body."""
-    anchor_m, axis = hinge_in_body(body, hinge)
-    joint = frame.add_joint(
-        type=mujoco.mjtJoint.mjJNT_HINGE,
-        name=body.name,
-        pos=anchor_m,
-        axis=axis,
-        frictionloss=hinge.dynamics.dry_friction_n_m,
-        damping=[
-            hinge.dynamics.viscous_friction_n_m_s_per_rad,
-            hinge.dynamics.quadratic_friction_n_m_s2_per_rad2,
-            0.0,
-        ],
-        armature=hinge.dynamics.armature_kg_m2,
-    )
-    if isinstance(hinge, Hinge):
-        _limit(joint, hinge.limits_rad, settings)
-    if hinge.dynamics.dry_friction_n_m:
-        # With MuJoCo's own impedance of 0.9 a joint that dry friction holds creeps by a degree in a second, and
-        # with its own time constant of 20 ms one that stops is 0.2 degrees off after three swings.
-        joint.solimp_friction = STIFF_IMPEDANCE
-        joint.solref_friction = [max(2.0 * settings.timestep_s, 1e-3), 1.0]
-    if hinge.dynamics.backlash_rad:
-        stop = 0.5 * hinge.dynamics.backlash_rad
-        play = frame.add_joint(
-            name=f"{body.name}/play",
-            pos=joint.pos,
-            axis=joint.axis,
-        )
-        play.type = joint.type
-        _limit(play, (-stop, stop), settings)
-
-
 def hinge_in_body(
-    body: RigidBody, hinge: Hinge | BodyHinge
+    body: RigidBody, hinge: Hinge
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the anchor [m] and the axis of a hinge in the frame of its body, each of shape [3]."""
     return (
@@ -442,30 +333,6 @@ def _volumes_m3(shape: ConvexUnion | Compound) -> list[float]:
             else [part.shape.volume_m3]
         )
     ]
-
-
-def _add_motors(spec: mujoco.MjSpec, hinges: Mapping[str, Hinge | BodyHinge]) -> None:
-    """Add the motors of joints, whose control is their command: an angle from the start, or a torque.
-
-    Args:
-        spec: The editable model.
-        hinges: The hinges, by name of the joint.
-    """
-    for name, hinge in hinges.items():
-        motor = hinge.motor
-        if motor is None:
-            continue
-        actuator = spec.add_actuator(
-            name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT
-        )
-        actuator.gear[0] = joint_sign(hinge, name)
-        if isinstance(motor, Servo):
-            actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
-            actuator.gainprm[0] = motor.kp_n_m_per_rad
-            actuator.biasprm[1:3] = [-motor.kp_n_m_per_rad, -motor.kv_n_m_s_per_rad]
-            if motor.torque_limit_n_m is not None:
-                actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
-                actuator.forcerange = [-motor.torque_limit_n_m, motor.torque_limit_n_m]
 
 
 def _add_tether(spec: mujoco.MjSpec, tether: Tether, settings: SettingsMuJoCo) -> None:

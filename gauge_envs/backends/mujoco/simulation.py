@@ -26,13 +26,7 @@ from gauge_envs.backends.mujoco.model import (
     start_velocities,
 )
 from gauge_envs.backends.mujoco.soft import Grip, SoftPartMuJoCo
-from gauge_envs.backends.shared.rigid import (
-    MeanForces,
-    hinges_by_body,
-    joints_by_body,
-    starts_elsewhere,
-    world_hinges,
-)
+from gauge_envs.backends.shared.rigid import MeanForces, starts_elsewhere
 from gauge_envs.backends.shared.states import Snapshot, StateOrigin
 from gauge_envs.backends.world import Simulation
 from gauge_envs.scene import (
@@ -146,12 +140,6 @@ class SimulationMuJoCo(Simulation):
         self.contact_readers: list[MeanForces] = []
         self._driven: dict[str, DrivenBody] = {}
         self._built = self._scene = scene
-        actuators = {
-            id(hinge): model.actuator(name).id
-            for name, hinge in hinges_by_body(scene).items()
-            if hinge.motor
-        }
-        self._motors = [actuators[id(hinge)] for hinge, _ in scene.motors]
         self._origin = _origin(settings, scene)
         key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, START_KEY)
         self._start_velocities = model.key_qvel[key] if key >= 0 else np.zeros(model.nv)
@@ -166,9 +154,9 @@ class SimulationMuJoCo(Simulation):
     def start_at(self, scene: Scene) -> bool:
         """Place bodies elsewhere in the compiled model; see `Simulation.start_at`.
 
-        A scene is built anew if hinges join its bodies, or if more than the starts of rigid bodies and cloths and the
-        motion of driven bodies differs. Fixed and driven bodies and cloths start elsewhere only in a model that was
-        compiled at their stated start, of which a rigid motion keeps all but places.
+        A scene is built anew if more than the starts of rigid bodies and cloths and the motion of driven bodies
+        differs. Fixed and driven bodies and cloths start elsewhere only in a model that was compiled at their stated
+        start, of which a rigid motion keeps all but places.
         The editable model, and the centre and extent of MuJoCo's own pictures, stay those of the first start.
         """
         moved = starts_elsewhere(self._scene, scene)
@@ -180,10 +168,10 @@ class SimulationMuJoCo(Simulation):
         is_scaled = self.settings.get("inverse_weight_scale", 1.0) != 1.0
         # The compiler normalizes an axis of another length, with bits of its own.
         is_rounded = any(
-            abs(hypot(*hinge.axis) - 1.0) > UNIT_LENGTH for hinge in scene.hinges
+            abs(hypot(*hinge.axis) - 1.0) > UNIT_LENGTH
+            for hinge in scene.hinges.values()
         )
-        is_built_anew = scene.body_hinges or scene.guides or is_rounded
-        if moved is None or self._fixes_start or is_scaled or is_built_anew:
+        if moved is None or self._fixes_start or is_scaled or is_rounded:
             return False
         others = {one.name for one in moved} - {
             one.name for one in scene.dynamic_bodies
@@ -193,19 +181,18 @@ class SimulationMuJoCo(Simulation):
         velocities = start_velocities(scene, model)
         if velocities.any() != bool(model.nkey):
             return False
-        hinges = world_hinges(scene)
         for one in moved:
             if isinstance(one, Cloth):
                 self._cloths[one.name].place(model, one.pose)
             else:
-                self._place(one, hinges.get(one.name))
+                self._place(one, scene.hinges.get(one.name))
         if scene.dynamic_bodies:
             # What follows from the start, such as inverse weights.
             mujoco.mj_setConst(model, self.data)
         model.key_qpos[:] = model.qpos0
         self._start_velocities[:] = velocities
         self._scene = scene
-        if hinges:  # The reader of a hinged body keeps its start.
+        if scene.hinges:  # The reader of a hinged body keeps its start.
             self._readers.clear()
         self._origin = _origin(self.settings, scene)
         self.reset(0)
@@ -245,10 +232,7 @@ class SimulationMuJoCo(Simulation):
             start = np.concatenate([body.pose.position_m, quaternion])
             first.qpos0[:] = first.qpos_spring[:] = start
         else:
-            anchor_m, axis = hinge_in_body(body, hinge)
-            # A second joint is the play of the first.
-            joints = slice(first.id, first.id + int(model.body_jntnum[index]))
-            model.jnt_pos[joints], model.jnt_axis[joints] = anchor_m, axis
+            first.pos[:], first.axis[:] = hinge_in_body(body, hinge)
 
     def drive(
         self,
@@ -273,10 +257,6 @@ class SimulationMuJoCo(Simulation):
     def apply_wrench(self, body: str, wrench: FloatArray) -> None:
         """Apply a force and a torque to a dynamic body; see `World.apply_wrench`."""
         self.data.xfrc_applied[self.model.body(body).id] = wrench
-
-    def command(self, values: FloatArray) -> None:
-        """Set the commands of the motors; see `World.command`."""
-        self.data.ctrl[self._motors] = values
 
     def advance(self, seconds: float) -> None:
         """Step the model."""
@@ -475,9 +455,8 @@ class StateReader(Protocol):
 def _reader(
     scene: Scene, model: mujoco.MjModel, data: mujoco.MjData, names: tuple[str, ...]
 ) -> StateReader:
-    joints = joints_by_body(scene)
     if all(
-        scene.body(name).motion is not Motion.FIXED and name not in joints
+        scene.body(name).motion is not Motion.FIXED and name not in scene.hinges
         for name in names
     ):
         return (
@@ -485,8 +464,8 @@ def _reader(
             if len(names) == 1
             else _FreeBodies(model, data, names)
         )
-    hinge = joints.get(names[0]) if len(names) == 1 else None
-    if isinstance(hinge, Hinge) and not hinge.dynamics.backlash_rad:
+    hinge = scene.hinges.get(names[0]) if len(names) == 1 else None
+    if hinge is not None:
         return _OneHingedBody(scene, model, data, hinge)
     return _AnyBodies(model, data, names)
 

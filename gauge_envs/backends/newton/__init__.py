@@ -28,13 +28,11 @@ from gauge_envs.backends.shared.attachments import (
     rigid_attachments,
 )
 from gauge_envs.backends.shared.bundled import BundledBackend, check_settings
-from gauge_envs.backends.shared.joint_laws import with_joint_laws
-from gauge_envs.backends.shared.joints import with_rotors
 from gauge_envs.backends.shared.soft_rows import soft_row_problems
 from gauge_envs.backends.world import Simulation
 from gauge_envs.backends.worlds import Worlds
 from gauge_envs.errors import UnsupportedSceneError
-from gauge_envs.scene import Cloth, ContactMode, Hinge, Rod, Rope, Scene, Tether
+from gauge_envs.scene import Cloth, ContactMode, Rod, Rope, Scene, Tether
 
 __all__ = ["BackendNewton"]
 
@@ -75,7 +73,6 @@ class BackendNewton(BundledBackend):
             return Repeatability()
         return Repeatability(kind="statistical", start_error=1e-6)
 
-    @with_joint_laws()
     def build(
         self, scene: Scene, settings: Mapping[str, Any] | None = None
     ) -> Simulation:
@@ -83,9 +80,8 @@ class BackendNewton(BundledBackend):
         chosen = _checked(scene, settings)
         from gauge_envs.backends.newton.simulation import SimulationNewton
 
-        return SimulationNewton(with_rotors(scene), chosen)
+        return SimulationNewton(scene, chosen)
 
-    @with_joint_laws()
     def build_worlds(
         self, scenes: Sequence[Scene], settings: Mapping[str, Any] | None = None
     ) -> Worlds:
@@ -93,7 +89,7 @@ class BackendNewton(BundledBackend):
         chosen = _checked(scenes[0], settings)
         from gauge_envs.backends.newton.simulation import WorldsNewton
 
-        return WorldsNewton([*map(with_rotors, scenes)], chosen)
+        return WorldsNewton(scenes, chosen)
 
 
 def _checked(scene: Scene, changes: Mapping[str, Any] | None) -> SettingsNewton:
@@ -183,9 +179,7 @@ def _unsupported_lines(scene: Scene) -> Iterator[str]:
 def _unsupported_solids(scene: Scene) -> Iterator[str]:
     """Yield what VBD does not support of rigid bodies, attachments and soft rows in scenes with deformable bodies."""
     soft = {body.name for body in scene.deformables}
-    hinged = [joint.body for joint in scene.joints if isinstance(joint, Hinge)]
-    guided = [guide.body for guide in scene.guides]
-    for name in (*hinged, *guided, *(hinge.first for hinge in scene.body_hinges)):
+    for name in scene.hinges:
         yield f"{name!r} is on a joint beside deformable bodies, which this backend does not support"
     for contact in scene.contacts:
         for first, second in scene.colliding_pairs(contact):

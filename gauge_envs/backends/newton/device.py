@@ -44,7 +44,7 @@ class NewtonOnDevice(DeviceWorlds):
         self.arrays = self._torch = torch
         self._stepper = stepper
         self.name = str(stepper.model.device)
-        self._is_jointed = bool(scene.joints or scene.body_hinges)
+        self._is_jointed = bool(scene.joints)
         # PyTorch counts by its current stream, which Warp must use too.
         self._device = wp.device_to_torch(stepper.model.device)
         self._bodies = {name: self.asarray(index) for name, index in bodies.items()}
@@ -62,7 +62,6 @@ class NewtonOnDevice(DeviceWorlds):
         }
         self._marks = self.asarray(np.ones((len(layouts), 1)))
         self._has_drives = False
-        self._motors = self._motor_entries(layouts)
         joints = stepper.free_joints([*self._dynamic.reshape(-1).tolist()])
         self._joints = [
             wp.array(one, dtype=wp.int32, device=self.name) for one in joints
@@ -70,16 +69,6 @@ class NewtonOnDevice(DeviceWorlds):
 
     def _indices(self, names: Sequence[str]) -> Any:
         return self._torch.stack([self._bodies[name] for name in names], axis=1)
-
-    def _motor_entries(self, layouts: Sequence[WorldLayout]) -> list[Any]:
-        """Return the array that each motor follows, its places there in all worlds, and the sign of its values."""
-        entries = []
-        for column, (is_servo, _, sign) in enumerate(layouts[0].rigid.motors):
-            control = self._stepper.control
-            target = control.joint_target_q if is_servo else control.joint_f
-            places = [layout.rigid.motors[column][1] for layout in layouts]
-            entries.append((wp.to_torch(target), self.asarray(np.array(places)), sign))
-        return entries
 
     def asarray(self, values: Any) -> Any:
         """Return values as a tensor; those that are not whole numbers are single."""
@@ -143,11 +132,6 @@ class NewtonOnDevice(DeviceWorlds):
         sent = self._torch.concat([places, motions[:, 3:], self._marks], axis=1)
         self._sent[self._rows[body]] = sent
         self._has_drives = True
-
-    def command(self, values: Any) -> None:
-        """Set what the motors follow in all worlds."""
-        for column, (target, places, sign) in enumerate(self._motors):
-            target[places] = sign * values[:, column]
 
     def advance(self, seconds: float) -> None:
         """Step the model."""

@@ -32,15 +32,6 @@ def begin_drives(
     elapsed[i] = 0
 
 
-@wp.kernel(enable_backward=False)
-def write(
-    index: wp.array[wp.int32], value: wp.array[wp.float32], entries: wp.array[float]
-):
-    """Write values to some entries of an array."""
-    i = wp.tid()
-    entries[index[i]] = value[i]
-
-
 @wp.kernel
 def prescribe(
     body: wp.array[wp.int32],

@@ -284,10 +284,6 @@ def _moved(scene: Scene, displacement_m: Vector) -> Scene:
         joints=tuple(
             replace(joint, anchor_m=shifted(joint.anchor_m)) for joint in scene.joints
         ),
-        body_hinges=tuple(
-            replace(hinge, anchor_m=shifted(hinge.anchor_m))
-            for hinge in scene.body_hinges
-        ),
     )
 
 

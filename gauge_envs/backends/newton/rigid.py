@@ -33,19 +33,8 @@ from gauge_envs.backends.newton.settings import SettingsMuJoCoWarp
 from gauge_envs.backends.newton.stepper import (
     warp_transform,
 )
-from gauge_envs.backends.shared.joints import (
-    PlayHinge,
-    joint_motors,
-    joint_rate_rad_per_s,
-)
-from gauge_envs.backends.shared.rigid import (
-    centre_velocity,
-    guide_frame,
-    hinges_by_body,
-)
+from gauge_envs.backends.shared.rigid import centre_velocity
 from gauge_envs.scene import (
-    BallJoint,
-    BodyHinge,
     Box,
     Capsule,
     Compound,
@@ -57,13 +46,10 @@ from gauge_envs.scene import (
     Plane,
     RigidBody,
     Scene,
-    Slider,
     Sphere,
     Tether,
 )
-from gauge_envs.scene.hinged import hinge_trees, other_end, parent_hinges
 from gauge_envs.scene.meshes import body_mass_properties, prism
-from gauge_envs.scene.motors import Motor, Servo
 
 WORLD = -1
 """Newton's body index of the world."""
@@ -79,23 +65,8 @@ SPHERE_SUBDIVISIONS = 3
 SOLIMP_SHAPE = (0.5, 2.0)
 """Midpoint and power of the impedance curve, MuJoCo's defaults; they have no effect on a constant impedance."""
 
-STIFF_FRICTION = {
-    "mujoco:solimpfriction": wp.types.vector(5, wp.float32)(
-        0.9999, 0.9999, 0.001, *SOLIMP_SHAPE
-    ),
-    "mujoco:solreffriction": wp.vec2(1e-3, 1.0),
-}
-"""Impedance of dry friction in joints: with the default of 0.9, a joint that it holds creeps by a degree in a second.
-MuJoCo Warp raises the time constant to two time steps."""
-
 SOLREF_AS_GIVEN = 1
 """Newton's code for a `solref` that is given, and not computed from stiffness and damping."""
-
-STIFF_STOPS = {
-    "mujoco:solimplimit": STIFF_FRICTION["mujoco:solimpfriction"],
-    "mujoco:solreflimit": wp.vec2(1e-3, 1.0),
-    "mujoco:solreflimit_mode": SOLREF_AS_GIVEN,
-}
 
 NO_FRICTION = 2e-5
 """Friction of frictionless shapes and of those that carry no constants, just above MuJoCo Warp's smallest value."""
@@ -117,13 +88,10 @@ class RigidIndex:
 
     Attributes:
         bodies: Index of each body, by name; -1 for fixed bodies, whose shapes belong to the world.
-        motors: For each motor of the scene, whether it is a servo, the index of its joint's coordinate (of a servo) or
-            freedom (of a torque motor), and the sign of the joint.
         shapes: Indices of the shapes of each body, by name.
     """
 
     bodies: dict[str, int] = field(default_factory=dict)
-    motors: list[tuple[bool, int, float]] = field(default_factory=list)
     shapes: dict[str, list[int]] = field(default_factory=dict)
 
 
@@ -144,24 +112,13 @@ def add_bodies(
             edges takes speed, so a dynamic cylinder is never a prism. Particles collide with cylinders three times
             faster than with prisms.
     """
-    hinges = hinges_by_body(scene)
-    guides = {guide.body: guide for guide in scene.guides}
     index = RigidIndex()
-    joined: dict[str, int] = {}
-    for tree in hinge_trees(scene.body_hinges):
-        below = parent_hinges(tree, scene.hung)
-        root = next(other_end(hinge, name) for name, hinge in below.items())
-        joined |= _add_articulation(builder, scene, (root, *below), hinges)
     for body in scene.bodies:
         name = body.name
         if body.motion is Motion.FIXED:
             place = WORLD
-        elif name in joined:
-            place = joined[name]
-        elif name in hinges:
-            place = _add_articulation(builder, scene, (name,), hinges)[name]
-        elif name in guides:
-            place = _add_guided(builder, scene, body, guides[name])
+        elif name in scene.hinges:
+            place = _add_hinged(builder, body, scene.hinges[name])
         else:
             place = builder.add_body(
                 is_kinematic=body.motion is Motion.KINEMATIC, **_link_arguments(body)
@@ -173,13 +130,6 @@ def add_bodies(
         index.shapes[name] = _add_shapes(
             builder, body, {"body": place, "cfg": config}, solids
         )
-    for one in joint_motors(scene):
-        is_servo, joint = (
-            isinstance(one.motor, Servo),
-            builder.joint_child.index(index.bodies[one.body]),
-        )
-        starts = builder.joint_q_start if is_servo else builder.joint_qd_start
-        index.motors.append((is_servo, starts[joint], one.sign))
     return index
 
 
@@ -196,119 +146,22 @@ def _link_arguments(body: RigidBody) -> dict[str, Any]:
     }
 
 
-def _add_articulation(
-    builder: newton.ModelBuilder,
-    scene: Scene,
-    names: Sequence[str],
-    hinges: Mapping[str, Hinge | BodyHinge],
-) -> dict[str, int]:
-    """Add bodies on hinges as one articulation, in which a body without a hinge is free; return their indices by name.
-
-    Args:
-        builder: Model builder.
-        scene: The scene.
-        names: Names of the bodies, parents first.
-        hinges: Hinges of the scene, by name of the body that hangs on them.
-    """
-    places, joints = {}, []
-    for name in names:
-        body, hinge = scene.body(name), hinges.get(name)
-        places[name] = builder.add_link(**_link_arguments(body))
-        _set_velocity(builder, places[name], body)
-        if hinge is None:
-            joints.append(builder.add_joint_free(child=places[name], label=name))
-            builder.joint_qd[-6:] = list(builder.body_qd[places[name]])
-            continue
-        anchor = wp.transform(wp.vec3(*hinge.anchor_m), wp.quat_identity())
-        parent, in_parent = WORLD, anchor
-        if isinstance(hinge, BodyHinge):
-            other = scene.body(other_end(hinge, name))
-            parent, in_parent = (
-                places[other.name],
-                wp.transform_inverse(warp_transform(other.pose)) * anchor,
-            )
-        stops = hinge.limits_rad if isinstance(hinge, Hinge) else None
-        if isinstance(hinge, PlayHinge):
-            stops = -hinge.stop_rad, hinge.stop_rad
-        joint = builder.add_joint_revolute(
-            parent,
-            places[name],
-            parent_xform=in_parent,
-            child_xform=wp.transform_inverse(warp_transform(body.pose)) * anchor,
-            axis=wp.vec3(*hinge.axis),
-            armature=hinge.dynamics.armature_kg_m2,
-            friction=hinge.dynamics.dry_friction_n_m,
-            damping=hinge.dynamics.viscous_friction_n_m_s_per_rad,
-            label=name,
-            **_joint_arguments(
-                stops, has_friction=hinge.dynamics.dry_friction_n_m > 0.0
-            ),
-            **_servo_arguments(hinge.motor),
-        )
-        joints.append(joint)
-        builder.joint_qd[-1] = joint_rate_rad_per_s(scene, name, hinge)
-    builder.add_articulation(joints, label=names[0])
-    return places
-
-
-def _add_guided(
-    builder: newton.ModelBuilder,
-    scene: Scene,
-    body: RigidBody,
-    guide: Slider | BallJoint,
-) -> int:
-    """Add a body on a slider or a ball joint as an articulation, and return its index."""
+def _add_hinged(builder: newton.ModelBuilder, body: RigidBody, hinge: Hinge) -> int:
+    """Add a body on a hinge as an articulation, and return its index."""
     place = builder.add_link(**_link_arguments(body))
     _set_velocity(builder, place, body)
-    origin = wp.transform(
-        wp.vec3(*guide_frame(scene, guide).position_m), wp.quat_identity()
+    anchor = wp.transform(wp.vec3(*hinge.anchor_m), wp.quat_identity())
+    joint = builder.add_joint_revolute(
+        WORLD,
+        place,
+        parent_xform=anchor,
+        child_xform=wp.transform_inverse(warp_transform(body.pose)) * anchor,
+        axis=wp.vec3(*hinge.axis),
+        label=body.name,
     )
-    frames = {
-        "parent_xform": origin,
-        "child_xform": wp.transform_inverse(warp_transform(body.pose)) * origin,
-    }
-    if isinstance(guide, BallJoint):
-        joint = builder.add_joint_ball(WORLD, place, **frames)
-        builder.joint_qd[-3:] = list(body.angular_velocity_rad_per_s)
-    else:
-        joint = builder.add_joint_prismatic(
-            WORLD,
-            place,
-            axis=wp.vec3(*guide.axis),
-            **frames,
-            **_joint_arguments(guide.limits_m),
-        )
-        speed = np.dot(body.linear_velocity_m_per_s, guide.axis)
-        builder.joint_qd[-1] = float(speed)
+    builder.joint_qd[-1] = float(np.dot(body.angular_velocity_rad_per_s, hinge.axis))
     builder.add_articulation([joint], label=body.name)
     return place
-
-
-def _joint_arguments(
-    stops: tuple[float, float] | None, *, has_friction: bool = False
-) -> dict[str, Any]:
-    """Return the arguments of a joint with limits [rad or m], or with dry friction."""
-    if stops is not None:
-        lower, upper = stops
-        return {
-            "limit_lower": lower,
-            "limit_upper": upper,
-            "custom_attributes": STIFF_STOPS,
-        }
-    return {"custom_attributes": STIFF_FRICTION} if has_friction else {}
-
-
-def _servo_arguments(motor: Motor | None) -> dict[str, Any]:
-    """Return the arguments of a joint with a servo; those of others are Newton's."""
-    if not isinstance(motor, Servo):
-        return {}
-    limit = (
-        {}
-        if motor.torque_limit_n_m is None
-        else {"effort_limit": motor.torque_limit_n_m}
-    )
-    gains = {"target_ke": motor.kp_n_m_per_rad, "target_kd": motor.kv_n_m_s_per_rad}
-    return {"actuator_mode": newton.JointTargetMode.POSITION, **gains, **limit}
 
 
 def _set_velocity(builder: newton.ModelBuilder, index: int, body: RigidBody) -> None:

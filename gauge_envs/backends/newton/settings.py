@@ -23,7 +23,6 @@ from gauge_envs.backends.settings import (
 from gauge_envs.backends.shared.attachments import bonded_soft_bodies
 from gauge_envs.backends.shared.cells import CellSize, check_cells, common_cell_m
 from gauge_envs.backends.shared.cloth_grid import ClothGrid
-from gauge_envs.backends.shared.rigid import joints_by_body
 from gauge_envs.errors import ParameterError, UnsupportedSceneError
 from gauge_envs.scene import (
     Cloth,
@@ -302,7 +301,7 @@ def _preset_name(scene: Scene) -> str:
 
 def _stacked(scene: Scene) -> set[str]:
     """Return the free bodies that may rest on other free bodies."""
-    free = {body.name for body in scene.dynamic_bodies} - {*joints_by_body(scene)}
+    free = {body.name for body in scene.dynamic_bodies} - {*scene.hinges}
     found: set[str] = set()
     for contact in scene.contacts:
         first, second = free & {*contact.first}, free & {*contact.second}

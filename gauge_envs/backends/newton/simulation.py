@@ -53,10 +53,6 @@ class _WorldNewton(PlacedWorld):
         """Apply a force and a torque to a dynamic body if the solver supports it; see `World.apply_wrench`."""
         self._stepper.apply_wrench(self._layout.rigid.bodies[body], wrench)
 
-    def command(self, values: NDArray[np.float64]) -> None:
-        """Set what the motors follow; see `World.command`."""
-        self._stepper.command(self._layout.rigid.motors, values)
-
     def moving_states(self, names: Sequence[str]) -> NDArray[np.float64]:
         """Return poses and velocities in single precision, shape [len(names), 13]."""
         states = self._stepper.body_states(
@@ -169,15 +165,6 @@ class WorldsNewton(Worlds):
         near = motions.copy()
         near[:, :3] -= self._origins_m[numbers, 0]
         self._stepper.drive(self._bodies[body][numbers], near)
-
-    def command(self, values: NDArray[np.float64], numbers: NDArray[np.intp]) -> None:
-        """Set what the motors follow in some worlds, with one copy to the device; see `Worlds.command`."""
-        motors = [
-            motor
-            for number in numbers.tolist()
-            for motor in self._layouts[number].rigid.motors
-        ]
-        self._stepper.command(motors, values.ravel())
 
     def nodes(self, name: str) -> NDArray[np.float64]:
         """Return the nodes of a deformable body in all worlds, with one copy from the device."""

@@ -18,7 +18,7 @@ import warp as wp
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.backends.newton.kernels import begin_drives, prescribe, write
+from gauge_envs.backends.newton.kernels import begin_drives, prescribe
 from gauge_envs.backends.shared.bundled import replaced
 from gauge_envs.backends.shared.rigid import MeanForces
 from gauge_envs.errors import BackendError
@@ -66,7 +66,7 @@ class Stepper(ABC):
     Attributes:
         states: The two states between which steps alternate.
         current: Number of the state that the last step wrote.
-        control: What the motors follow.
+        control: Forces on joints, none here.
         force_readers: Readers of contact forces.
         sent: Drives on the device, shape [driven_count, 20]: rows of `Worlds.drive`, and 1 for those that are new.
     """
@@ -177,35 +177,6 @@ class Stepper(ABC):
             f"{type(self.solver).__name__} applies no force or torque here: choose a preset with SolverMuJoCo"
         )
 
-    def command(
-        self, motors: Sequence[tuple[bool, int, float]], values: NDArray[np.float64]
-    ) -> None:
-        """Set what motors follow from the next step on.
-
-        Args:
-            motors: As in `RigidIndex.motors`.
-            values: As in `World.command`.
-        """
-        for is_servo, array in (
-            (True, self.control.joint_target_q),
-            (False, self.control.joint_f),
-        ):
-            chosen = [
-                (index, sign * value)
-                for (kind, index, sign), value in zip(
-                    motors, values.tolist(), strict=True
-                )
-                if kind is is_servo
-            ]
-            if chosen:
-                indices, entries = zip(*chosen, strict=True)
-                with wp.ScopedDevice(self.model.device):
-                    given = [
-                        wp.array(indices, dtype=wp.int32),
-                        wp.array(entries, dtype=wp.float32),
-                    ]
-                    wp.launch(write, dim=len(chosen), inputs=given, outputs=[array])
-
     def advance(self, seconds: float) -> None:
         """Replay the recorded step."""
         self._send_drives()
@@ -276,14 +247,8 @@ class Stepper(ABC):
         found: dict[int, wp.array] = {}
         for root in (*self.states, self.solver):
             found |= {id(array): array for array in _arrays_in(root, depth=3)}
-        commands = (
-            []
-            if self.control.joint_f is None
-            else [self.control.joint_target_q, self.control.joint_f]
-        )
         return [
             *found.values(),
-            *commands,
             self._elapsed,
             self._start,
             self._velocity,

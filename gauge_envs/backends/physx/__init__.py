@@ -8,12 +8,10 @@ from typing import Any
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from gauge_envs.backends.features import RIGID_FEATURES
+from gauge_envs.backends.features import Feature
 from gauge_envs.backends.physx.contacts import unsupported_contacts
 from gauge_envs.backends.physx.settings import settings_for
 from gauge_envs.backends.shared.bundled import BundledBackend, declined_hinges, first_of
-from gauge_envs.backends.shared.joint_laws import with_joint_laws
-from gauge_envs.backends.shared.joints import with_rotors
 from gauge_envs.backends.shared.states import ReplayedSimulation
 from gauge_envs.backends.world import Simulation
 from gauge_envs.scene import Compound, ConvexUnion, Ellipsoid, Hinge, Motion, Scene
@@ -41,11 +39,8 @@ class BackendPhysX(BundledBackend):
         {"PGS": {"solver": "PGS"}}
         | {name: {"preset": name} for name in ("out_of_box", "isaac", "paper")}
     )
-    corrections = (
-        "a cylinder is a capsule or a ball in a prism",
-        "dry friction of a joint is its drive, a brake; beside it this package computes servos and viscous friction",
-    )
-    features = RIGID_FEATURES
+    corrections = ("a cylinder is a capsule or a ball in a prism",)
+    features = frozenset({Feature.STATED_INERTIA})
     own_defaults = frozenset({"out_of_box", "isaac", "paper"})
 
     def versions(self) -> dict[str, str]:
@@ -77,7 +72,6 @@ class BackendPhysX(BundledBackend):
         yield from _unsupported_hulls(scene)
         yield from unsupported_contacts(scene)
 
-    @with_joint_laws()
     def build(
         self, scene: Scene, settings: Mapping[str, Any] | None = None
     ) -> Simulation:
@@ -85,7 +79,7 @@ class BackendPhysX(BundledBackend):
         chosen = settings_for(scene, settings)
         from gauge_envs.backends.physx.simulation import SimulationPhysX
 
-        return ReplayedSimulation(SimulationPhysX(with_rotors(scene), chosen))
+        return ReplayedSimulation(SimulationPhysX(scene, chosen))
 
 
 def _unsupported_hulls(scene: Scene) -> Iterator[str]:

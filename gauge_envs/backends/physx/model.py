@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gc
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from weakref import WeakSet
 
@@ -16,23 +16,9 @@ from scipy.spatial.transform import Rotation
 from gauge_envs.backends.physx.contacts import Constants, Groups, groups_of_bodies
 from gauge_envs.backends.physx.settings import SettingsPhysX
 from gauge_envs.backends.settings import check_kept, put
-from gauge_envs.backends.shared.joints import (
-    drive_of,
-    has_terms,
-    joint_rate_rad_per_s,
-    linked_hinges,
-    stops_rad,
-)
-from gauge_envs.backends.shared.rigid import (
-    centre_velocity,
-    guide_frame,
-    hinge_frame,
-    world_hinges,
-)
+from gauge_envs.backends.shared.rigid import centre_velocity, hinge_frame
 from gauge_envs.errors import BackendError, UnsupportedSceneError
 from gauge_envs.scene import (
-    BallJoint,
-    BodyHinge,
     Box,
     Capsule,
     Compound,
@@ -46,21 +32,16 @@ from gauge_envs.scene import (
     RigidBody,
     Scene,
     Shape,
-    Slider,
     Sphere,
     Tether,
 )
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.scene.hinged import other_end
 from gauge_envs.scene.meshes import body_mass_properties, prism
 
 with warnings.catch_warnings():
     # SAPIEN warns that no Vulkan driver is installed. Only its renderer needs one, which this package never starts.
     warnings.simplefilter("ignore")
     from sapien import physx, pysapien
-
-LARGEST_TORQUE_N_M = 3.4e38
-"""Largest torque of drives without a limit, in single precision."""
 
 ROOT_MASS_KG = 1.0
 """Mass of the fixed base of a hinge, which has no effect."""
@@ -173,14 +154,12 @@ class Model:
         system: PhysX's scene.
         world: SAPIEN's scene, which keeps all bodies alive.
         parts: Bodies by name.
-        rows: Link and place in its articulation of each joint with friction or a motor, by name of its body.
     """
 
     lease: EngineLease
     system: physx.PhysxCpuSystem
     world: pysapien.Scene
     parts: dict[str, Part]
-    rows: dict[str, tuple[physx.PhysxArticulationLinkComponent, int]]
 
 
 def physx_pose(pose: Pose) -> pysapien.Pose:
@@ -201,21 +180,13 @@ def build_model(scene: Scene, settings: SettingsPhysX) -> Model:
         for each in groups.values()
         for c in each
     }
-    hinges = world_hinges(scene)
-    linked = linked_hinges(scene, settings.hinges == "articulation")
-    below = [name for name, joined in linked.items() if isinstance(joined, BodyHinge)]
-    sliders = {one.body: one for one in scene.guides if isinstance(one, Slider)}
-    joined = {**linked, **sliders}
     parts: dict[str, Part] = {}
-    for body in (
-        *(one for one in scene.bodies if one.name not in below),
-        *map(scene.body, below),
-    ):
-        hinge = hinges.get(body.name)
+    for body in scene.bodies:
+        hinge = scene.hinges.get(body.name)
         component = (
-            _link(world, scene, body, joined[body.name], parts)
-            if body.name in joined
-            else _component(body)
+            _component(body)
+            if hinge is None or settings.hinges == "joint"
+            else _link(world, body, hinge)
         )
         for shape in _shapes(body.shape, groups.get(body.name, {}), materials):
             put(
@@ -246,44 +217,11 @@ def build_model(scene: Scene, settings: SettingsPhysX) -> Model:
         elif hinge is not None:
             _add_hinge(component, body, hinge)
         if body.motion is Motion.DYNAMIC and not body.starts_at_rest:
-            _set_velocity(component, scene, body, centre_m, joined.get(body.name))
-    return Model(lease, system, world, parts, _add_joints(scene, parts, linked))
-
-
-def _add_joints(
-    scene: Scene,
-    parts: Mapping[str, Part],
-    linked: Mapping[str, Hinge | BodyHinge | None],
-) -> dict[str, tuple[physx.PhysxArticulationLinkComponent, int]]:
-    """Add strings, hinges that are constraints, and the drives of links; return `Model.rows`."""
+            _set_velocity(component, body, centre_m, hinge)
     for joint in scene.joints:
         if isinstance(joint, Tether):
             _add_tether(parts[joint.body].component, joint)
-    for guide in scene.guides:
-        if isinstance(guide, BallJoint):
-            body, component = scene.body(guide.body), parts[guide.body].component
-            frame = guide_frame(scene, guide)
-            joint = _point_joint(component, frame, frame.relative_to(body.pose))
-            component.entity.add_component(joint)
-    for joined in scene.body_hinges:
-        if joined not in linked.values():
-            _add_body_hinge(parts, scene, joined)
-    rows = {}
-    for name, hinge in linked.items():
-        if hinge is not None and has_terms(hinge):
-            link, terms = parts[name].component, hinge.dynamics
-            rows[name] = link, row_of(link)
-            link.joint.armature = np.array([terms.armature_kg_m2])
-            kp, kv, limit = drive_of(hinge)
-            if not kp and not kv:
-                kv = terms.viscous_friction_n_m_s_per_rad
-            link.joint.set_drive_properties(kp, kv, min(limit, LARGEST_TORQUE_N_M))
-    return rows
-
-
-def row_of(link: physx.PhysxArticulationLinkComponent) -> int:
-    """Return the place of a link's joint among those of its articulation."""
-    return [joint.child_link for joint in link.articulation.active_joints].index(link)
+    return Model(lease, system, world, parts)
 
 
 def _turned(pose: Pose) -> Pose:
@@ -309,40 +247,19 @@ def _component(body: RigidBody) -> physx.PhysxRigidBaseComponent:
 
 
 def _link(
-    world: pysapien.Scene,
-    scene: Scene,
-    body: RigidBody,
-    hinge: Hinge | BodyHinge | Slider | None,
-    parts: Mapping[str, Part],
+    world: pysapien.Scene, body: RigidBody, hinge: Hinge
 ) -> physx.PhysxArticulationLinkComponent:
-    """Return a link without shapes, which a joint connects to a fixed base or to its parent, unless it is a root."""
-    if hinge is None:
-        return physx.PhysxArticulationLinkComponent()
-    if isinstance(hinge, Slider):
-        frame = guide_frame(scene, hinge)
-        limits = hinge.limits_m or (-np.inf, np.inf)
-    else:
-        frame = hinge_frame(hinge)
-        limits = stops_rad(hinge)
-    in_parent = pysapien.Pose()
-    if isinstance(hinge, BodyHinge):
-        parent = other_end(hinge, body.name)
-        base, in_parent = (
-            parts[parent].component,
-            physx_pose(frame.relative_to(scene.body(parent).pose)),
-        )
-    else:
-        base = physx.PhysxArticulationLinkComponent()
-        base.mass, base.inertia = ROOT_MASS_KG, np.ones(3)
-        _add(world, base, frame)
+    """Return a link without shapes, which a joint connects to a fixed base."""
+    frame = hinge_frame(hinge)
+    base = physx.PhysxArticulationLinkComponent()
+    base.mass, base.inertia = ROOT_MASS_KG, np.ones(3)
+    _add(world, base, frame)
     link = physx.PhysxArticulationLinkComponent(base)
-    if not isinstance(hinge, BodyHinge):
-        base.joint.type = "fixed"
-    is_slider = isinstance(hinge, Slider)
-    link.joint.type = "prismatic" if is_slider else "revolute_unwrapped"
-    link.joint.pose_in_parent = in_parent
+    base.joint.type = "fixed"
+    link.joint.type = "revolute_unwrapped"
+    link.joint.pose_in_parent = pysapien.Pose()
     link.joint.pose_in_child = physx_pose(frame.relative_to(body.pose))
-    link.joint.limit = np.array([limits])
+    link.joint.limit = np.array([[-np.inf, np.inf]])
     link.joint.friction = 0.0
     link.joint.set_drive_properties(0.0, 0.0)
     return link
@@ -499,38 +416,14 @@ def _add_hinge(
 ) -> None:
     """Connect a body to the world with a constraint that leaves one rotation free."""
     frame = hinge_frame(hinge)
-    joint = _point_joint(component, frame, frame.relative_to(body.pose))
-    joint.set_limit_pyramid(0.0, 0.0, 0.0, 0.0)
-    component.entity.add_component(joint)
-
-
-def _add_body_hinge(parts: Mapping[str, Part], scene: Scene, hinge: BodyHinge) -> None:
-    """Connect two bodies at two points of the axis, since PhysX leaves the swing of such a joint free."""
-    first, second = scene.body(hinge.first), scene.body(hinge.second)
-    component = parts[second.name].component
-    reach_m = 0.5 * float(np.linalg.norm(second.shape.corners_m, axis=1).max())
-    for side in (-reach_m, reach_m):
-        frame = hinge_frame(hinge, side)
-        joint = _point_joint(
-            component, frame.relative_to(first.pose), frame.relative_to(second.pose)
-        )
-        joint.parent = parts[first.name].component
-        component.entity.add_component(joint)
-
-
-def _point_joint(
-    component: physx.PhysxRigidBodyComponent, in_parent: Pose, in_child: Pose
-) -> physx.PhysxDriveComponent:
-    """Return a joint of a body, to the world by default, that keeps the origins of two frames together."""
     joint = physx.PhysxDriveComponent(component)
-    joint.pose_in_parent, joint.pose_in_child = (
-        physx_pose(in_parent),
-        physx_pose(in_child),
-    )
+    joint.pose_in_parent = physx_pose(frame)
+    joint.pose_in_child = physx_pose(frame.relative_to(body.pose))
     joint.set_limit_x(0.0, 0.0)
     joint.set_limit_y(0.0, 0.0)
     joint.set_limit_z(0.0, 0.0)
-    return joint
+    joint.set_limit_pyramid(0.0, 0.0, 0.0, 0.0)
+    component.entity.add_component(joint)
 
 
 def _add_tether(component: physx.PhysxRigidBodyComponent, tether: Tether) -> None:
@@ -543,24 +436,15 @@ def _add_tether(component: physx.PhysxRigidBodyComponent, tether: Tether) -> Non
 
 def _set_velocity(
     component: physx.PhysxRigidBodyComponent,
-    scene: Scene,
     body: RigidBody,
     centre_m: ArrayLike,
-    hinge: Hinge | BodyHinge | Slider | None,
+    hinge: Hinge | None,
 ) -> None:
     """Write the start velocity; PhysX's linear velocity is that of the centre of mass."""
     angular = np.array(body.angular_velocity_rad_per_s)
-    if hinge is not None:
-        rates = component.articulation.qvel
-        rates[row_of(component)] = (
-            np.dot(body.linear_velocity_m_per_s, hinge.axis)
-            if isinstance(hinge, Slider)
-            else joint_rate_rad_per_s(scene, body.name, hinge)
-        )
-        component.articulation.set_qvel(rates)
-    elif isinstance(component, physx.PhysxArticulationLinkComponent):
-        component.articulation.root_angular_velocity = angular
-        component.articulation.root_linear_velocity = centre_velocity(body, centre_m)
+    if isinstance(component, physx.PhysxArticulationLinkComponent):
+        assert hinge is not None, "links are hinged bodies"
+        component.articulation.set_qvel(np.array([angular @ hinge.axis]))
     else:
         component.angular_velocity = angular
         component.linear_velocity = centre_velocity(body, centre_m)

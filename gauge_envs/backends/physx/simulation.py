@@ -7,12 +7,10 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.physx.model import Model, build_model, physx_pose
 from gauge_envs.backends.physx.settings import SettingsPhysX
-from gauge_envs.backends.shared.joints import drive_of, joint_motors
 from gauge_envs.backends.shared.rigid import (
     DrivenMotion,
     PlacedWorld,
     body_state,
-    hinges_by_body,
     placed_states,
 )
 from gauge_envs.backends.world import Simulation
@@ -30,13 +28,6 @@ class SimulationPhysX(PlacedWorld, Simulation):
     def __init__(self, scene: Scene, settings: SettingsPhysX) -> None:
         self.settings = settings.model_dump(mode="json")
         self._scene = scene
-        self._motors = joint_motors(scene)
-        # Viscous friction of joints whose drive is another term.
-        self._viscous = {
-            name: hinge.dynamics.viscous_friction_n_m_s_per_rad
-            for name, hinge in hinges_by_body(scene).items()
-            if any(drive_of(hinge)[:2])
-        }
         self._chosen = settings
         self._start()
 
@@ -46,7 +37,6 @@ class SimulationPhysX(PlacedWorld, Simulation):
         self._is_new = True
         self._wrenches: dict[str, FloatArray] = {}
         self._driven: dict[str, DrivenMotion] = {}
-        self._commands = np.zeros(len(self._scene.motors))
         self.placed = placed_states(self._scene)
 
     def _open(self) -> Model:
@@ -84,10 +74,6 @@ class SimulationPhysX(PlacedWorld, Simulation):
         self._is_new = False
         self._wrenches[body] = np.array(wrench)
 
-    def command(self, values: FloatArray) -> None:
-        """Set what the motors follow; see `World.command`."""
-        self._commands = np.array(values)
-
     def advance(self, seconds: float) -> None:
         """Step the scene."""
         model = self._open()
@@ -100,33 +86,9 @@ class SimulationPhysX(PlacedWorld, Simulation):
                 )
             for name, wrench in self._wrenches.items():
                 model.parts[name].component.add_force_torque(wrench[:3], wrench[3:])
-            if model.rows:
-                self._turn_joints(model)
             model.system.step()
         for name in self._driven:
             self.placed.pop(name, None)
-
-    def _turn_joints(self, model: Model) -> None:
-        """Set the targets of drives, and the torques of motors and friction that are no drives, for one step."""
-        trees = {
-            id(link.articulation): (link.articulation, np.zeros(link.articulation.dof))
-            for link, _ in model.rows.values()
-        }
-        motors = {
-            one.body: (one, value)
-            for one, value in zip(self._motors, self._commands, strict=True)
-        }
-        for name, (link, row) in model.rows.items():
-            tree, torques = trees[id(link.articulation)]
-            angle, rate = tree.qpos[row], tree.qvel[row]
-            one, value = motors.get(name, (None, 0.0))
-            if one and one.is_drive:
-                link.joint.set_drive_target(one.sign * value)
-            elif one:
-                torques[row] += one.torque_n_m(value, angle, rate)
-            torques[row] -= self._viscous.get(name, 0.0) * rate
-        for tree, torques in trees.values():
-            tree.set_qf(torques)
 
     def body_states(self, names: Sequence[str]) -> FloatArray:
         """Return poses and velocities, in single precision for moving bodies; see `World.body_states`."""

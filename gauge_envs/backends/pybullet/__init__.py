@@ -9,7 +9,7 @@ from types import MappingProxyType
 from typing import Any
 
 from gauge_envs.backends.features import Feature
-from gauge_envs.backends.pybullet.contacts import surfaces, turning_shares
+from gauge_envs.backends.pybullet.contacts import turning_shares
 from gauge_envs.backends.pybullet.settings import settings_for
 from gauge_envs.backends.shared.attachments import (
     attached_ends,
@@ -17,7 +17,6 @@ from gauge_envs.backends.shared.attachments import (
     rigid_attachments,
 )
 from gauge_envs.backends.shared.bundled import BundledBackend, declined_compounds
-from gauge_envs.backends.shared.joint_laws import with_joint_laws
 from gauge_envs.backends.shared.states import ReplayedSimulation
 from gauge_envs.backends.world import Simulation
 from gauge_envs.errors import UnsupportedSceneError
@@ -61,10 +60,8 @@ class BackendPyBullet(BundledBackend):
     corrections = (
         "a metre has 100 units, because margins and thresholds of Bullet are absolute",
         "a string is a chain of three joints",
-        "a servo is a torque that this package computes in each step, because Bullet's gains are not in SI units",
     )
-    # Bullet's joints have no inertia of their own.
-    features = frozenset(Feature) - {Feature.AIR, Feature.ARMATURE, Feature.BACKLASH}
+    features = frozenset(Feature) - {Feature.AIR}
 
     def failed_import(self, module: str) -> ImportError:
         """Return the failed import, with the way to PyBullet on this version of Python."""
@@ -88,11 +85,9 @@ class BackendPyBullet(BundledBackend):
                 yield from _unsupported_rope(scene, rope)
         try:
             turning_shares(scene)
-            yield from _unsupported_hinges(scene)
         except UnsupportedSceneError as error:
             yield str(error)
 
-    @with_joint_laws()
     def build(
         self, scene: Scene, settings: Mapping[str, Any] | None = None
     ) -> Simulation:
@@ -117,23 +112,6 @@ def _unsupported_joints(scene: Scene) -> Iterator[str]:
             yield f"{joint.body!r} starts at the anchor of its string, which then has no direction"
         if isinstance(joint, Tether) and not body.starts_at_rest:
             yield f"{joint.body!r} hangs on a string and has a start velocity: this backend starts strings at rest"
-
-
-def _unsupported_hinges(scene: Scene) -> Iterator[str]:
-    """Yield what this backend does not build of bodies that hinges join."""
-    joined = {
-        name for hinge in scene.body_hinges for name in (hinge.first, hinge.second)
-    }
-    if not joined:
-        return
-    for name, found in surfaces(scene).items():
-        if name in joined and len(found) > 1:
-            yield f"{name!r} is on a hinge and has {len(found)} kinds of contact, of which this backend builds one"
-    for contact in scene.contacts:
-        for pair in scene.colliding_pairs(contact):
-            if joined.issuperset(pair):
-                yield f"{pair[0]!r} and {pair[1]!r} are on hinges and collide, which this backend does not build"
-                return
 
 
 def _unsupported_rope(scene: Scene, rope: Rope) -> Iterator[str]:

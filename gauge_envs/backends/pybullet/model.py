@@ -1,7 +1,6 @@
 """A scene as bodies, joints and collision filters of one PyBullet world."""
 
 import tempfile
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -20,33 +19,23 @@ from gauge_envs.backends.pybullet.settings import SettingsPyBullet
 from gauge_envs.backends.pybullet.world import (
     DRIVEN_MASS_KG,
     BulletWorld,
-    Frame,
     Handle,
     Link,
     pybullet,
     silent,
 )
 from gauge_envs.backends.settings import check_kept
-from gauge_envs.backends.shared.joints import joint_rate_rad_per_s
-from gauge_envs.backends.shared.rigid import (
-    centre_velocity,
-    guide_frame,
-    world_hinges,
-)
+from gauge_envs.backends.shared.rigid import centre_velocity
 from gauge_envs.scene import (
-    BallJoint,
-    BodyHinge,
     Hinge,
     Motion,
     RigidBody,
     Rope,
     Scene,
-    Slider,
     SoftBody,
     Tether,
 )
-from gauge_envs.scene.geometry import FloatArray, length_of
-from gauge_envs.scene.hinged import hinge_trees, other_end, parent_hinges
+from gauge_envs.scene.geometry import length_of
 
 EARLY_CONTACTS = 1e18
 """Distance below which Bullet's solver takes contacts by default."""
@@ -87,27 +76,15 @@ class WorldPyBullet(BulletWorld):
             for rope in self.scene.deformables
             if isinstance(rope, Rope)
         }
-        hinges, joints = (
-            world_hinges(self.scene),
-            {joint.body: joint for joint in self.scene.joints},
-        )
-        guides = {guide.body: guide for guide in self.scene.guides}
-        for tree in hinge_trees(self.scene.body_hinges):
-            below = parent_hinges(tree, self.scene.hung)
-            name, hinge = next(iter(below.items()))
-            root = other_end(hinge, name)
-            hung = {root: hinges[root]} if root in hinges else {}
-            self._joined({**hung, **below})
+        joints = {joint.body: joint for joint in self.scene.joints}
         for body in self.scene.bodies:
             joint = joints.get(body.name)
             if body.name in self.handles:
                 continue
             if isinstance(joint, Hinge):
-                self._joined({body.name: joint})
+                self._hinged(body, joint)
             elif isinstance(joint, Tether):
                 self._tethered(body, joint)
-            elif body.name in guides:
-                self._guided(body, guides[body.name])
             else:
                 # Without a contact, a body still has a place.
                 for _ in self._surfaces.get(body.name, [None]):
@@ -184,110 +161,38 @@ class WorldPyBullet(BulletWorld):
             # The limit on the speed of joints holds for the base too.
             self.free_joints(handle.body)
         if body.motion is Motion.DYNAMIC:
-            self._start_base(handle.body, body, frame)
-
-    def _joined(self, hinges: Mapping[str, Hinge | BodyHinge]) -> None:
-        """Add bodies on hinges as one multibody, whose base is the root, or the anchor of a body on a hinge of its own.
-
-        The frame of the base is at its centre of mass, that of a link at its hinge, both along the principal axes.
-
-        Args:
-            hinges: The hinge through which each body hangs on the root or on another one, parents first.
-        """
-        name, hinge = next(iter(hinges.items()))
-        root = (
-            self.scene.body(other_end(hinge, name))
-            if isinstance(hinge, BodyHinge)
-            else None
-        )
-        # World position [m] and rotation of the frame of each member, and its number among the parents of links.
-        places: dict[str, tuple[FloatArray, Rotation, int]] = {}
-        base: dict[str, Any] = {
-            "baseMass": 0.0,
-            "basePosition": (self.scale * np.asarray(hinge.anchor_m)).tolist(),
-        }
-        base_moments: list[float] = []
-        if root is not None:
-            frame = self.frame(root)
-            base = self.base_arguments(root, frame)
-            base_moments = frame.moments
-            places[root.name] = (
-                root.pose.to_world(frame.centre_m),
-                root.pose.rotation * frame.axes,
-                0,
-            )
-        links: list[Link] = []
-        for name, hinge in hinges.items():
-            body = self.scene.body(name)
-            frame = self.frame(body)
-            origin_m = np.asarray(hinge.anchor_m)
-            turn = body.pose.rotation * frame.axes
-            back = turn.inv()
-            place = np.zeros(3), turn
-            parent = 0
-            if isinstance(hinge, BodyHinge):
-                parent_origin_m, parent_turn, parent = places[other_end(hinge, name)]
-                to_parent = parent_turn.inv()
-                place = (
-                    self.scale * to_parent.apply(origin_m - parent_origin_m),
-                    to_parent * turn,
-                )
-            centre_m = back.apply(body.pose.to_world(frame.centre_m) - origin_m)
-            body_origin_m = back.apply(np.subtract(body.pose.position_m, origin_m))
-            link = Link(
-                joint=pybullet.JOINT_REVOLUTE,
-                place=place,
-                parent=parent,
-                mass_kg=body.mass_kg,
-                moments=frame.moments,
-                centre=self.scale * centre_m,
-                shape=self.shape(body.shape, body_origin_m, frame),
-                axis=back.apply(hinge.axis).tolist(),
-            )
-            links.append(link)
-            places[name] = origin_m, turn, len(links)
-        number = self.add_multibody(base, base_moments, links)
-        if root is not None:
-            self.add_handle(root, number, -1)
-            self._start_base(number, root, self.frame(root))
-        for link_number, (name, hinge) in enumerate(hinges.items()):
-            self.add_handle(self.scene.body(name), number, link_number)
-            self._set_joint(number, link_number, name, hinge)
-
-    def _set_joint(
-        self, number: int, link: int, name: str, hinge: Hinge | BodyHinge
-    ) -> None:
-        """Write the start rate and the friction of the joint of a body on a hinge."""
-        rate = joint_rate_rad_per_s(self.scene, name, hinge)
-        self.call("resetJointState", number, link, targetValue=0.0, targetVelocity=rate)
-        if isinstance(hinge, Hinge) and hinge.limits_rad is not None:
-            self._limit(number, link, *hinge.limits_rad)
-        # Torques are in kg units^2 / s^2.
-        dry = self.scale**2 * hinge.dynamics.dry_friction_n_m
-        damping = self.scale**2 * hinge.dynamics.viscous_friction_n_m_s_per_rad
-        if dry:
-            # A motor that holds the rate at 0 with a largest torque.
-            velocity = pybullet.VELOCITY_CONTROL
+            speed = self.scale * centre_velocity(body, frame.centre_m)
             self.call(
-                "setJointMotorControl2",
-                number,
-                link,
-                velocity,
-                targetVelocity=0.0,
-                force=dry,
+                "resetBaseVelocity",
+                handle.body,
+                speed.tolist(),
+                list(body.angular_velocity_rad_per_s),
             )
-        if damping:
-            self.call("changeDynamics", number, link, jointDamping=damping)
 
-    def _start_base(self, number: int, body: RigidBody, frame: Frame) -> None:
-        """Write the start velocity of the base of a multibody."""
-        speed = self.scale * centre_velocity(body, frame.centre_m)
-        self.call(
-            "resetBaseVelocity",
-            number,
-            speed.tolist(),
-            list(body.angular_velocity_rad_per_s),
+    def _hinged(self, body: RigidBody, hinge: Hinge) -> None:
+        """Add a body on a hinge as the link of a fixed base at its anchor.
+
+        The frame of the link is at the hinge, along the principal axes of the body.
+        """
+        frame = self.frame(body)
+        origin_m = np.asarray(hinge.anchor_m)
+        turn = body.pose.rotation * frame.axes
+        back = turn.inv()
+        centre_m = back.apply(body.pose.to_world(frame.centre_m) - origin_m)
+        body_origin_m = back.apply(np.subtract(body.pose.position_m, origin_m))
+        link = Link(
+            joint=pybullet.JOINT_REVOLUTE,
+            place=(np.zeros(3), turn),
+            mass_kg=body.mass_kg,
+            moments=frame.moments,
+            centre=self.scale * centre_m,
+            shape=self.shape(body.shape, body_origin_m, frame),
+            axis=back.apply(hinge.axis).tolist(),
         )
+        base = {"baseMass": 0.0, "basePosition": (self.scale * origin_m).tolist()}
+        number = self.add_handle(body, self.add_multibody(base, [], [link]), 0).body
+        rate = float(np.dot(body.angular_velocity_rad_per_s, hinge.axis))
+        self.call("resetJointState", number, 0, targetValue=0.0, targetVelocity=rate)
 
     def _tethered(self, body: RigidBody, joint: Tether) -> None:
         """Add a body on a string: a spherical joint, a sliding joint with an upper limit, and a spherical joint."""
@@ -327,45 +232,9 @@ class WorldPyBullet(BulletWorld):
         base = {"baseMass": 0.0, "basePosition": (self.scale * anchor).tolist()}
         handle = self.add_handle(body, self.add_multibody(base, [], links), 2)
         upper = self.scale * (joint.length_m - apart_m)
-        self._limit(handle.body, 1, -1e6, upper)
-
-    def _limit(self, number: int, link: int, lower: float, upper: float) -> None:
-        """Stop a joint at limits [rad or units]."""
         # Bullet ignores limits of which the lower one is above the upper one, and needs both.
-        limits = {"jointLowerLimit": lower, "jointUpperLimit": upper}
-        self.call("changeDynamics", number, link, **limits)
-
-    def _guided(self, body: RigidBody, guide: Slider | BallJoint) -> None:
-        """Add a body on a slider or a ball joint, whose base is at the origin of `guide_frame`."""
-        frame = self.frame(body)
-        origin_m = np.asarray(guide_frame(self.scene, guide).position_m)
-        turn = body.pose.rotation * frame.axes
-        back = turn.inv()
-        centre_m = back.apply(body.pose.to_world(frame.centre_m) - origin_m)
-        body_origin_m = back.apply(np.subtract(body.pose.position_m, origin_m))
-        is_slider = isinstance(guide, Slider)
-        link = Link(
-            joint=pybullet.JOINT_PRISMATIC if is_slider else pybullet.JOINT_SPHERICAL,
-            place=(np.zeros(3), turn),
-            mass_kg=body.mass_kg,
-            moments=frame.moments,
-            centre=self.scale * centre_m,
-            shape=self.shape(body.shape, body_origin_m, frame),
-            axis=back.apply(
-                guide.axis if isinstance(guide, Slider) else (0.0, 0.0, 1.0)
-            ).tolist(),
-        )
-        base = {"baseMass": 0.0, "basePosition": (self.scale * origin_m).tolist()}
-        number = self.add_handle(body, self.add_multibody(base, [], [link]), 0).body
-        if isinstance(guide, BallJoint):
-            spin = back.apply(body.angular_velocity_rad_per_s).tolist()
-            self.call("resetJointStateMultiDof", number, 0, [0.0, 0.0, 0.0, 1.0], spin)
-            return
-        speed = self.scale * float(np.dot(body.linear_velocity_m_per_s, guide.axis))
-        self.call("resetJointState", number, 0, targetValue=0.0, targetVelocity=speed)
-        if guide.limits_m is not None:
-            lower_m, upper_m = guide.limits_m
-            self._limit(number, 0, self.scale * lower_m, self.scale * upper_m)
+        limits = {"jointLowerLimit": -1e6, "jointUpperLimit": upper}
+        self.call("changeDynamics", handle.body, 1, **limits)
 
     def _set_contacts(self) -> None:
         late = impact_bodies(self.scene) if self.settings.late_impacts else set()

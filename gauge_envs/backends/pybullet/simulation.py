@@ -8,7 +8,6 @@ import numpy as np
 from gauge_envs.backends.pybullet.model import WorldPyBullet
 from gauge_envs.backends.pybullet.settings import SettingsPyBullet
 from gauge_envs.backends.pybullet.world import PLANE_REACH_M, Handle, pybullet
-from gauge_envs.backends.shared.joints import joint_motors
 from gauge_envs.backends.shared.rigid import (
     CONJUGATE,
     DrivenMotion,
@@ -43,7 +42,6 @@ class SimulationPyBullet(PlacedWorld, Simulation):
         self.settings = settings.model_dump(mode="json")
         self.world = WorldPyBullet(scene, settings)
         self._scene = scene
-        self._motors = joint_motors(scene)
         self._scale = settings.units_per_m
         self._timestep_s = settings.timestep_s
         boxes = settings.planes == "box"
@@ -61,7 +59,6 @@ class SimulationPyBullet(PlacedWorld, Simulation):
     def _start(self) -> None:
         self._driven: dict[str, DrivenMotion] = {}
         self._wrenches: dict[str, FloatArray] = {}
-        self._commands: list[float] = []
         self._has_moved = False
         self.placed = placed_states(self._scene)
 
@@ -89,10 +86,6 @@ class SimulationPyBullet(PlacedWorld, Simulation):
         if np.any(wrench):
             self._wrenches[body] = np.array(wrench)
 
-    def command(self, values: FloatArray) -> None:
-        """Set what the motors follow; see `World.command`."""
-        self._commands = values.tolist()
-
     def advance(self, seconds: float) -> None:
         """Step the world. A driven body that was not driven since the last call stays where it is."""
         count = round(seconds / self._timestep_s)
@@ -106,7 +99,7 @@ class SimulationPyBullet(PlacedWorld, Simulation):
         client = self.world.client
         for reader in self._force_readers:
             reader.clear()
-        acts = bool(paths or self._wrenches or self._motors)
+        acts = bool(paths or self._wrenches)
         for step in range(count):
             if acts:
                 self._act(paths, step)
@@ -118,7 +111,7 @@ class SimulationPyBullet(PlacedWorld, Simulation):
         self._driven.clear()
 
     def _act(self, paths: Sequence[Path], step: int) -> None:
-        """Move driven bodies to the end of a step, and apply wrenches and torques of motors for it."""
+        """Move driven bodies to the end of a step, and apply wrenches for it."""
         client = self.world.client
         for body, positions, quaternions, speeds, spins in paths:
             pybullet.resetBasePositionAndOrientation(
@@ -129,8 +122,6 @@ class SimulationPyBullet(PlacedWorld, Simulation):
             )
         for name, wrench in self._wrenches.items():
             self._push(name, wrench)
-        if self._motors:
-            self._turn_joints()
 
     def fault(self) -> str | None:
         """Return which body is beyond the box of a plane, where nothing would carry it."""
@@ -193,21 +184,6 @@ class SimulationPyBullet(PlacedWorld, Simulation):
         self.world.call(
             "applyExternalTorque", handle.body, handle.link, torque.tolist(), frame
         )
-
-    def _turn_joints(self) -> None:
-        """Apply the torques of motors for one step, computed from the state before it."""
-        commands = self._commands or [0.0] * len(self._motors)
-        for one, value in zip(self._motors, commands, strict=True):
-            handle = self.world.handles[one.body]
-            angle, rate = self.world.call("getJointState", handle.body, handle.link)[:2]
-            torque = self._scale**2 * one.torque_n_m(value, angle, rate)
-            self.world.call(
-                "setJointMotorControl2",
-                handle.body,
-                handle.link,
-                pybullet.TORQUE_CONTROL,
-                force=torque,
-            )
 
     def _read(self, body: int, link: int) -> tuple[Any, ...]:
         """Return position, quaternion x y z w, velocity and angular velocity of a centre of mass, in units."""

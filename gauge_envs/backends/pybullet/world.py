@@ -118,12 +118,11 @@ class Handle:
 
 @dataclass(frozen=True, kw_only=True)
 class Link:
-    """A link of a multibody, whose lengths are in units.
+    """A link of a chain on a base, whose lengths are in units.
 
     Attributes:
-        joint: PyBullet's type of the joint to the parent.
-        place: Position and rotation in the frame of the parent.
-        parent: Number of the parent, of which the base is 0; None for the link before.
+        joint: PyBullet's type of the joint to the link before.
+        place: Position and rotation in the frame of the link before.
         mass_kg: Mass [kg].
         moments: Moments of inertia [kg units^2].
         centre: Centre of mass in the frame of the link, whose axes are the principal axes.
@@ -133,7 +132,6 @@ class Link:
 
     joint: int
     place: tuple[FloatArray, Rotation]
-    parent: int | None = None
     mass_kg: float
     moments: list[float]
     centre: FloatArray
@@ -297,10 +295,7 @@ class BulletWorld:
                 linkOrientations=[link.place[1].as_quat().tolist() for link in links],
                 linkInertialFramePositions=[link.centre.tolist() for link in links],
                 linkInertialFrameOrientations=[[0.0, 0.0, 0.0, 1.0]] * len(links),
-                linkParentIndices=[
-                    row if link.parent is None else link.parent
-                    for row, link in enumerate(links)
-                ],
+                linkParentIndices=list(range(len(links))),
                 linkJointTypes=[link.joint for link in links],
                 linkJointAxis=[list(link.axis) for link in links],
             )

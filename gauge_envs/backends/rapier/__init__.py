@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
-from gauge_envs.backends.features import RIGID_FEATURES
+from gauge_envs.backends.features import Feature
 from gauge_envs.backends.rapier.contacts import (
     LARGEST_CONTACT_COUNT,
     colliding_contacts,
@@ -16,8 +16,6 @@ from gauge_envs.backends.shared.bundled import (
     declined_compounds,
     first_of,
 )
-from gauge_envs.backends.shared.joint_laws import with_joint_laws
-from gauge_envs.backends.shared.joints import linked_hinges, with_rotors
 from gauge_envs.backends.world import Simulation
 from gauge_envs.backends.worlds import Worlds
 from gauge_envs.scene import Cloth, Hinge, Rod, Rope, Scene
@@ -44,7 +42,7 @@ class BackendRapier(BundledBackend):
             "out_of_box": {"preset": "out_of_box"},
         }
     )
-    features = RIGID_FEATURES
+    features = frozenset({Feature.STATED_INERTIA})
     worlds_mix_constants = True
 
     def unsupported(self, scene: Scene) -> Iterator[str]:
@@ -71,13 +69,6 @@ class BackendRapier(BundledBackend):
         if hinged:
             count = counts[hinged[0]]
             yield f"{hinged[0]!r} hangs on {count} joints, and this backend builds a hinge as the only joint"
-        free = [
-            name
-            for name, hinge in linked_hinges(scene, single=False).items()
-            if hinge is None
-        ]
-        if free:
-            yield f"{free[0]!r} is free, and this backend builds friction and motors of joints in chains on the world"
         count = len(colliding_contacts(scene))
         if count > LARGEST_CONTACT_COUNT:
             yield (
@@ -85,22 +76,18 @@ class BackendRapier(BundledBackend):
                 f"{LARGEST_CONTACT_COUNT}"
             )
 
-    @with_joint_laws()
     def build(
         self, scene: Scene, settings: Mapping[str, Any] | None = None
     ) -> Simulation:
         """Build a scene; settings are the fields of `SettingsRapier`."""
         from gauge_envs.backends.rapier.simulation import SimulationRapier
 
-        return SimulationRapier(with_rotors(scene), settings_for(scene, settings))
+        return SimulationRapier(scene, settings_for(scene, settings))
 
-    @with_joint_laws()
     def build_worlds(
         self, scenes: Sequence[Scene], settings: Mapping[str, Any] | None = None
     ) -> Worlds:
         """Build scenes in shared Rapier worlds, as far as the bits stay those of single simulations."""
         from gauge_envs.backends.rapier.simulation import WorldsRapier
 
-        return WorldsRapier(
-            [*map(with_rotors, scenes)], settings_for(scenes[0], settings)
-        )
+        return WorldsRapier(scenes, settings_for(scenes[0], settings))

@@ -14,18 +14,9 @@ from gauge_envs.backends.rapier.contacts import (
 )
 from gauge_envs.backends.rapier.settings import SettingsRapier
 from gauge_envs.backends.settings import put
-from gauge_envs.backends.shared.joints import (
-    PlayHinge,
-    drive_of,
-    has_terms,
-    joint_rate_rad_per_s,
-    linked_hinges,
-)
-from gauge_envs.backends.shared.rigid import centre_velocity, guide_frame, hinge_frame
+from gauge_envs.backends.shared.rigid import centre_velocity, hinge_frame
 from gauge_envs.errors import BackendError
 from gauge_envs.scene import (
-    BallJoint,
-    BodyHinge,
     Box,
     ConvexUnion,
     Cylinder,
@@ -36,19 +27,14 @@ from gauge_envs.scene import (
     RigidBody,
     Scene,
     Shape,
-    Slider,
     Sphere,
 )
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.scene.hinged import other_end
 from gauge_envs.scene.meshes import body_mass_properties
 
 MASS_UNIT_KG = 1e-3
 """Mass of a mass unit in Rapier [kg]. Rapier adds the inertias of a body and its colliders. The principal axes of the
 sum are wrong for moments near 1e-5, as light bodies have in kg m^2, so masses are in grams."""
-
-TURN = rapier.JointAxis.ANG_X
-"""Axis of every hinge in its own frame."""
 
 UP_TO_Y = Rotation.from_euler("x", 90, degrees=True)
 """Rotation that takes the axis y of Rapier's cylinders to the axis z of a scene's."""
@@ -94,28 +80,10 @@ def _add_scene(
         handle = world.add_body(builder, colliders)
         if body.motion is not Motion.FIXED:
             layout[body.name] = handle, centre_m
-    _add_joints(world, scene, layout, settings)
-    for guide in scene.guides:
-        _add_guide(world, scene, guide, layout[guide.body][0])
-    return layout
-
-
-def _add_joints(
-    world: rapier.PhysicsWorld, scene: Scene, layout: Layout, settings: SettingsRapier
-) -> None:
-    """Add the joints of a scene, multibodies from their roots on."""
-    linked = linked_hinges(scene, settings.hinge_joint == "multibody")
     for joint in scene.joints:
-        body = scene.body(joint.body)
+        body, (handle, _) = scene.body(joint.body), layout[joint.body]
         if isinstance(joint, Hinge):
-            _add_hinge(
-                world,
-                joint,
-                body,
-                layout[body.name][0],
-                settings,
-                is_link=body.name in linked,
-            )
+            _add_hinge(world, joint, body, handle, settings)
         else:
             anchor = world.add_body(
                 rapier.RigidBody.fixed().translation(joint.anchor_m)
@@ -125,25 +93,8 @@ def _add_joints(
                 .local_anchor1((0, 0, 0))
                 .local_anchor2((0, 0, 0))
             )
-            world.impulse_joints.insert(anchor, layout[body.name][0], string.build())
-    for hinge in scene.body_hinges:
-        if hinge not in linked.values():
-            # As a constraint: a free multibody changes its momentum by 0.1 % in 0.5 s.
-            revolute = _between(scene, hinge, hinge.first, hinge.second)
-            world.impulse_joints.insert(
-                layout[hinge.first][0], layout[hinge.second][0], revolute
-            )
-    for name, hanging in linked.items():
-        if isinstance(hanging, BodyHinge):
-            parent = other_end(hanging, name)
-            revolute = _between(scene, hanging, parent, name)
-            if isinstance(hanging, PlayHinge):
-                revolute.set_limits(TURN, -hanging.stop_rad, hanging.stop_rad)
-            world.multibody_joints.insert(layout[parent][0], layout[name][0], revolute)
-    # Links that are added later need their damping and their start rate anew.
-    for name, hanging in linked.items():
-        if hanging is not None and (has_terms(hanging) or scene.body_hinges):
-            _set_link(world, scene, name, hanging, layout, settings)
+            world.impulse_joints.insert(anchor, handle, string.build())
+    return layout
 
 
 def _set_parameters(parameters: Any, settings: SettingsRapier) -> None:
@@ -252,68 +203,24 @@ def _shapes(shape: Shape) -> Iterator[rapier.ColliderBuilder]:
             yield rapier.Collider.convex_hull(np.asarray(piece, dtype=np.float32))
 
 
-def link_of(
-    world: rapier.PhysicsWorld, handle: rapier.RigidBodyHandle
-) -> tuple[rapier.Multibody, int, int]:
-    """Return the multibody of a body on a hinge, the number of its link, and the place of its freedom."""
-    found = world.multibody_joints.rigid_body_link(handle)
-    chain = world.multibody_joints.get_multibody(found.multibody)
-    return chain, found.id, chain.get_link(found.id).assembly_id
-
-
-def _set_link(
-    world: rapier.PhysicsWorld,
-    scene: Scene,
-    name: str,
-    hinge: Hinge | BodyHinge,
-    layout: Layout,
-    settings: SettingsRapier,
-) -> None:
-    """Write the start rate of a link, its friction and its armature, and its drive."""
-    chain, link, row = link_of(world, layout[name][0])
-    terms = hinge.dynamics
-    damping = settings.hinge_damping_n_m_s + terms.viscous_friction_n_m_s_per_rad
-    for values, write, value in (
-        (
-            chain.generalized_velocity(),
-            chain.set_generalized_velocity,
-            joint_rate_rad_per_s(scene, name, hinge),
-        ),
-        (chain.damping(), chain.set_damping, damping / MASS_UNIT_KG),
-        (chain.armature(), chain.set_armature, terms.armature_kg_m2 / MASS_UNIT_KG),
-    ):
-        changed = list(values)
-        changed[row] = value
-        write(changed)
-    kp, kv, limit = (value / MASS_UNIT_KG for value in drive_of(hinge))
-    if kp or kv:
-        chain.set_link_motor_model(link, TURN, rapier.MotorModel.FORCE_BASED)
-        chain.set_link_motor(link, TURN, 0.0, 0.0, kp, kv)
-        if np.isfinite(limit):
-            chain.set_link_motor_max_force(link, TURN, limit)
-
-
 def _add_hinge(
     world: rapier.PhysicsWorld,
     hinge: Hinge,
     body: RigidBody,
     handle: rapier.RigidBodyHandle,
     settings: SettingsRapier,
-    *,
-    is_link: bool,
 ) -> None:
     """Add a hinge with a fixed body of its own, whose axis x is that of the hinge."""
     frame = hinge_frame(hinge)
     anchor = world.add_body(rapier.RigidBody.fixed().position(isometry(frame)))
     back = body.pose.rotation.inv()
     arm = back.apply(np.subtract(hinge.anchor_m, body.pose.position_m))
-    joint = _revolute(
-        rapier.Isometry3.identity(),
-        rapier.Isometry3(tuple(arm), tuple((back * frame.rotation).as_quat())),
+    in_body = rapier.Isometry3(tuple(arm), tuple((back * frame.rotation).as_quat()))
+    revolute = rapier.GenericJointBuilder(rapier.JointAxesMask.LOCKED_REVOLUTE_AXES)
+    joint = (
+        revolute.local_frame1(rapier.Isometry3.identity()).local_frame2(in_body).build()
     )
-    if hinge.limits_rad is not None:
-        joint.set_limits(TURN, *hinge.limits_rad)
-    if not is_link:
+    if settings.hinge_joint == "impulse":
         world.impulse_joints.insert(anchor, handle, joint)
         return
     link = world.multibody_joints.insert(anchor, handle, joint)
@@ -327,43 +234,3 @@ def _add_hinge(
         speeds = np.zeros(chain.ndofs)
         speeds[-1] = np.dot(body.angular_velocity_rad_per_s, hinge.axis)
         chain.set_generalized_velocity(speeds.tolist())
-
-
-def _add_guide(
-    world: rapier.PhysicsWorld,
-    scene: Scene,
-    guide: Slider | BallJoint,
-    handle: rapier.RigidBodyHandle,
-) -> None:
-    """Add a slider or a ball joint with a fixed body of its own."""
-    frame = guide_frame(scene, guide)
-    in_body = isometry(frame.relative_to(scene.body(guide.body).pose))
-    anchor = world.add_body(rapier.RigidBody.fixed().position(isometry(frame)))
-    axes = rapier.JointAxesMask
-    is_slider = isinstance(guide, Slider)
-    locked = axes.LOCKED_PRISMATIC_AXES if is_slider else axes.LOCKED_SPHERICAL_AXES
-    joint = _kept_together(locked, rapier.Isometry3.identity(), in_body)
-    if isinstance(guide, Slider) and guide.limits_m is not None:
-        joint.set_limits(rapier.JointAxis.LIN_X, *guide.limits_m)
-    world.impulse_joints.insert(anchor, handle, joint)
-
-
-def _between(scene: Scene, hinge: BodyHinge, first: str, second: str) -> Any:
-    """Return the joint of a hinge between two bodies."""
-    frame = hinge_frame(hinge)
-    in_first = frame.relative_to(scene.body(first).pose)
-    in_second = frame.relative_to(scene.body(second).pose)
-    return _revolute(isometry(in_first), isometry(in_second))
-
-
-def _revolute(first: rapier.Isometry3, second: rapier.Isometry3) -> Any:
-    """Return a joint of two bodies that keeps two frames together, but for a rotation about x."""
-    return _kept_together(rapier.JointAxesMask.LOCKED_REVOLUTE_AXES, first, second)
-
-
-def _kept_together(
-    locked: rapier.JointAxesMask, first: rapier.Isometry3, second: rapier.Isometry3
-) -> Any:
-    """Return a joint of two bodies that keeps two frames together along and about the locked axes."""
-    joint = rapier.GenericJointBuilder(locked)
-    return joint.local_frame1(first).local_frame2(second).build()

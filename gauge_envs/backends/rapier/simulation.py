@@ -14,21 +14,17 @@ from gauge_envs.backends.rapier.contacts import (
 )
 from gauge_envs.backends.rapier.model import (
     MASS_UNIT_KG,
-    TURN,
     Layout,
     build_world,
     isometry,
-    link_of,
 )
 from gauge_envs.backends.rapier.settings import SettingsRapier
-from gauge_envs.backends.shared.joints import drive_of, joint_motors
 from gauge_envs.backends.shared.rigid import DrivenMotion, PlacedWorld, placed_states
 from gauge_envs.backends.shared.states import Snapshot, StateOrigin
 from gauge_envs.backends.world import Simulation
 from gauge_envs.backends.worlds import Worlds
-from gauge_envs.scene import BodyHinge, ConvexUnion, Pose, Scene
+from gauge_envs.scene import ConvexUnion, Pose, Scene
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.scene.hinged import other_end
 
 LARGEST_SHARE = 64
 """Number of scenes without contacts in one Rapier world."""
@@ -51,28 +47,18 @@ class _SceneWorld(PlacedWorld):
         self.settings = settings.model_dump(mode="json")
         self.layout = layout
         self.placed = placed_states(scene)
-        self._motors = joint_motors(scene)
-        self._axes = [
-            scene.body(one.body).pose.rotation.apply(one.hinge.axis, inverse=True)
-            for one in self._motors
-        ]
-        self.commands: list[float] = []
         self._bodies: dict[str, rapier.RigidBody] = {}
         self.motions: dict[str, DrivenMotion] = {}
 
     def hold(
-        self,
-        world: rapier.PhysicsWorld,
-        motions: dict[str, DrivenMotion],
-        commands: Sequence[float] = (),
+        self, world: rapier.PhysicsWorld, motions: dict[str, DrivenMotion]
     ) -> None:
-        """Read, drive and command the bodies of a Rapier world from now on."""
-        self._holder, bodies = world, world.rigid_bodies
+        """Read and drive the bodies of a Rapier world from now on."""
+        bodies = world.rigid_bodies
         self._bodies = {
             name: bodies[handle] for name, (handle, _) in self.layout.items()
         }
         self.motions = dict(motions)
-        self.commands = list(commands)
 
     def release(self) -> None:
         """Hold no body any more."""
@@ -102,36 +88,6 @@ class _SceneWorld(PlacedWorld):
         rigid_body.reset_torques()
         rigid_body.add_force(tuple(wrench[:3] / MASS_UNIT_KG))
         rigid_body.add_torque(tuple(wrench[3:] / MASS_UNIT_KG))
-
-    def command(self, values: FloatArray) -> None:
-        """Set what the motors follow; see `World.command`."""
-        self.commands = values.tolist()
-        for one, value in zip(self._motors, self.commands, strict=False):
-            if one.is_drive:
-                chain, link, _ = link_of(self._holder, self.layout[one.body][0])
-                kp, kv, _ = (number / MASS_UNIT_KG for number in drive_of(one.hinge))
-                chain.set_link_motor(link, TURN, one.sign * value, 0.0, kp, kv)
-
-    def torques(self) -> list[tuple[rapier.RigidBody, FloatArray]]:
-        """Return the torques on bodies in the next step of the motors that are none of Rapier's."""
-        found = []
-        commands = self.commands or [0.0] * len(self._motors)
-        for one, axis, value in zip(self._motors, self._axes, commands, strict=True):
-            if one.is_drive:
-                continue
-            chain, _, row = link_of(self._holder, self.layout[one.body][0])
-            angle = chain.generalized_position()[row]
-            torque = one.torque_n_m(value, angle, chain.generalized_velocity()[row])
-            body = self._bodies[one.body]
-            along = (
-                np.array(body.rotation.transform_vector(tuple(axis)).to_tuple())
-                * torque
-                / MASS_UNIT_KG
-            )
-            found.append((body, along))
-            if isinstance(one.hinge, BodyHinge):
-                found.append((self._bodies[other_end(one.hinge, one.body)], -along))
-        return found
 
     def fault(self) -> str | None:
         """Return why Rapier disabled a body since the last reset, or None; see `World.fault`."""
@@ -208,13 +164,7 @@ def _advance(
     for index in range(count):
         for part, name, _, velocities in driven:
             part.set_velocity(name, velocities[index])
-        torques = [torque for part in parts for torque in part.torques()]
-        for body, torque in torques:
-            body.add_torque(tuple(torque))
         world.step()
-        # Rapier keeps torques until they are removed.
-        for body, torque in torques:
-            body.add_torque(tuple(-torque))
     for part, name, motion, _ in driven:
         part.set_velocity(name, motion.velocity_at(seconds))
         part.motions = {}
@@ -243,23 +193,16 @@ class SimulationRapier(_SceneWorld, Simulation):
         _advance(self._world, (self,), seconds, self._timestep_s)
 
     def state(self) -> Snapshot:
-        """Return a snapshot of the world, the motions of driven bodies and the commands, with their origin."""
-        return self._origin.state(
-            (self._world.snapshot(), dict(self.motions), list(self.commands))
-        )
+        """Return a snapshot of the world and the motions of driven bodies, with their origin."""
+        return self._origin.state((self._world.snapshot(), dict(self.motions)))
 
     def restore(self, state: Snapshot) -> None:
         """Restore a state."""
         self._continue_from(*self._origin.values(state))
 
-    def _continue_from(
-        self,
-        world: bytes,
-        motions: dict[str, DrivenMotion],
-        commands: Sequence[float] = (),
-    ) -> None:
+    def _continue_from(self, world: bytes, motions: dict[str, DrivenMotion]) -> None:
         self._world = _restored(world, self._threads, (self,))
-        self.hold(self._world, motions, commands)
+        self.hold(self._world, motions)
 
     def close(self) -> None:
         """Free the world."""
@@ -282,11 +225,7 @@ def _share_count(scene: Scene) -> int:
     in_pieces = any(
         isinstance(shape, ConvexUnion) and len(shape.pieces_m) > 1 for shape in shapes
     )
-    return (
-        1
-        if scene.joints or scene.guides or scene.body_hinges or in_pieces
-        else LARGEST_CONTACT_COUNT // len(contacts)
-    )
+    return 1 if scene.joints or in_pieces else LARGEST_CONTACT_COUNT // len(contacts)
 
 
 class WorldsRapier(Worlds):

@@ -13,20 +13,16 @@ from numpy.typing import ArrayLike
 
 from gauge_envs.backends.world import World
 from gauge_envs.scene import (
-    BallJoint,
-    BodyHinge,
     Cloth,
     Hinge,
     Motion,
     Pose,
     RigidBody,
     Scene,
-    Slider,
     Tether,
 )
 from gauge_envs.scene.geometry import (
     FloatArray,
-    Vector,
     length_of,
     quaternion_products,
     quaternion_vectors,
@@ -34,7 +30,6 @@ from gauge_envs.scene.geometry import (
     vector,
     vector_quaternions,
 )
-from gauge_envs.scene.hinged import parent_hinges
 from gauge_envs.scene.meshes import body_mass_properties
 
 if TYPE_CHECKING:
@@ -176,48 +171,12 @@ def centre_velocity(body: RigidBody, centre_m: ArrayLike) -> FloatArray:
     )
 
 
-def world_hinges(scene: Scene) -> dict[str, Hinge]:
-    """Return the hinge between each hinged body and the world, by name of the body."""
-    return {joint.body: joint for joint in scene.joints if isinstance(joint, Hinge)}
-
-
-def hinges_by_body(scene: Scene) -> dict[str, Hinge | BodyHinge]:
-    """Return the hinge of each body that hangs on the world or on another body, by its name."""
-    return world_hinges(scene) | parent_hinges(scene.body_hinges, scene.hung)
-
-
-def joints_by_body(scene: Scene) -> dict[str, Hinge | BodyHinge | Slider | BallJoint]:
-    """Return the hinge, slider or ball joint of each body that has one, by its name."""
-    return {**hinges_by_body(scene), **{one.body: one for one in scene.guides}}
-
-
-def hinge_frame(hinge: Hinge | BodyHinge, along_m: float = 0.0) -> Pose:
-    """Return a frame in the world on a hinge's axis, along which its x axis points.
-
-    Args:
-        hinge: The hinge.
-        along_m: Distance of the frame from the anchor [m].
-    """
-    point_m = (
-        vector(np.asarray(hinge.anchor_m) + along_m * np.asarray(hinge.axis))
-        if along_m
-        else hinge.anchor_m
-    )
-    return _axis_frame(point_m, hinge.axis)
-
-
-def guide_frame(scene: Scene, guide: Slider | BallJoint) -> Pose:
-    """Return the frame in the world of a guide at the start: a slider's x axis is its axis, from the body's origin."""
-    if isinstance(guide, BallJoint):
-        return Pose(position_m=guide.anchor_m)
-    return _axis_frame(scene.body(guide.body).pose.position_m, guide.axis)
-
-
-def _axis_frame(point_m: Vector, axis: Vector) -> Pose:
+def hinge_frame(hinge: Hinge) -> Pose:
+    """Return the frame in the world at a hinge's anchor, whose x axis is that of the hinge."""
     from scipy.spatial.transform import Rotation
 
-    turn = Rotation.align_vectors([axis], [[1.0, 0.0, 0.0]])[0]
-    return Pose.from_rotation(point_m, turn)
+    turn = Rotation.align_vectors([hinge.axis], [[1.0, 0.0, 0.0]])[0]
+    return Pose.from_rotation(hinge.anchor_m, turn)
 
 
 @dataclass(frozen=True)

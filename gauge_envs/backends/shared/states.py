@@ -17,7 +17,7 @@ from gauge_envs.scene import Pose, Scene
 from gauge_envs.scene.geometry import FloatArray
 
 HASHED = (
-    *("bodies", "deformables", "joints", "body_hinges", "guides", "attachments"),
+    *("bodies", "deformables", "joints", "attachments"),
     *("contacts", "gravity_m_per_s2", "air"),
 )
 """Parts of a scene in which those of two states must agree."""
@@ -69,10 +69,6 @@ class ReplayedSimulation(WrappedSimulation):
     def apply_wrench(self, body: str, wrench: FloatArray) -> None:
         """Apply a force and a torque; see `World.apply_wrench`."""
         self._call("apply_wrench", body, np.array(wrench))
-
-    def command(self, values: FloatArray) -> None:
-        """Set what the motors follow; see `World.command`."""
-        self._call("command", np.array(values))
 
     def advance(self, seconds: float) -> None:
         """Simulate an interval [s]."""

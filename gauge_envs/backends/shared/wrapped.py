@@ -37,10 +37,6 @@ class WrappedSimulation(Simulation):
         """Pass on."""
         self.inner.apply_wrench(body, wrench)
 
-    def command(self, values: FloatArray) -> None:
-        """Pass on."""
-        self.inner.command(values)
-
     def advance(self, seconds: float) -> None:
         """Pass on."""
         self.inner.advance(seconds)

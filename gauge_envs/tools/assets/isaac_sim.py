@@ -22,7 +22,6 @@ from gauge_envs.observables.observer import material_points
 from gauge_envs.scene import (
     Cloth,
     Deformable,
-    JointDynamics,
     Rod,
     Rope,
     Scene,
@@ -61,8 +60,6 @@ def unsupported_reason(scene: Scene) -> str | None:
     for body in scene.deformables:
         if (kind := UNSUPPORTED.get(type(body))) is not None:
             return f"body {body.name!r} is a {kind}, and PhysX does not simulate deformable curves"
-    if any(hinge.motor or hinge.dynamics != JointDynamics() for hinge in scene.hinges):
-        return "its joints have friction, armature or motors, which PhysX does not take from a layer"
     return None
 
 

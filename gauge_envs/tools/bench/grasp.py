@@ -1,4 +1,4 @@
-"""Grasps: an object between two pads on hinged jaws, whose motors press with a known force.
+"""Grasps: an object between two pads on hinged jaws, on which torques act that press with a known force.
 
 A jaw turns about a vertical axis in the plane of its face, so that neither weight nor friction has a moment about it.
 Its pad presses with N = torque / length to 0.5 %, wherever on its face: rigid bodies leave the pressure open. Friction
@@ -7,6 +7,7 @@ holds 2 mu N, and pads with a face hold a torque about their axis too, as a soft
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -24,15 +25,7 @@ from gauge_envs.scene import (
     Sphere,
 )
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.scene.motors import Servo, TorqueMotor
-from gauge_envs.tools.bench.parts import (
-    body,
-    box,
-    box_inertia_kg_m2,
-    contact,
-    fixed_box,
-    ramp,
-)
+from gauge_envs.tools.bench.parts import body, box, box_inertia_kg_m2, contact
 
 MASS_KG, FRICTION, JAW_M, PAD_M, SIZE_M = 0.2, 0.5, 2.0, 0.02, (0.04, 0.06, 0.16)
 WEIGHT_N, MIDDLE_M = MASS_KG * G, np.array([0.0, 0.0, 1.0])
@@ -41,23 +34,23 @@ PAD, TIP = Box(size_m=(THICK_M, PAD_M, PAD_M)), Sphere(radius_m=0.5 * THICK_M)
 OBJECT = box("object", (0.0, 0.0, 1.0), SIZE_M, mass_kg=MASS_KG)
 
 
+def grasp_wrenches(force_n: float) -> Mapping[str, FloatArray]:
+    """Return the torques on the jaws with which each pad presses with a force [N], as wrenches by body, shape [6]."""
+    torque = np.array([0.0, 0.0, 0.0, 0.0, 0.0, force_n * JAW_M])
+    return {"left": -torque, "right": torque}
+
+
 def grasp_scene(
-    force_n: float,
     seconds: float,
     *,
     pad: Shape = PAD,
     grasped: RigidBody = OBJECT,
     gravity: float = G,
 ) -> Scene:
-    """Return an object between two pads that press with a force [N] each."""
+    """Return an object between two pads, which the torques of `grasp_wrenches` press."""
     pads, hinges = [], []
     for name, side in (("left", -1.0), ("right", 1.0)):
         face_m = 0.5 * side * SIZE_M[0]
-        motor = TorqueMotor(
-            command=ramp(
-                side * force_n * JAW_M, start_s=0.0, duration_s=1e-6, ramp_s=0.0
-            )
-        )
         pads.append(
             body(name, pad, Pose(position_m=(face_m + 0.5 * side * THICK_M, 0.0, 1.0)))
         )
@@ -66,7 +59,6 @@ def grasp_scene(
                 body=name,
                 anchor_m=(face_m, -JAW_M, 1.0),
                 axis=(0.0, 0.0, 1.0),
-                motor=motor,
             )
         )
     return Scene(
@@ -79,36 +71,10 @@ def grasp_scene(
 
 
 _spun = replace(OBJECT, angular_velocity_rad_per_s=(20.0, 0.0, 0.0))
-HELD, TURNED = (
-    grasp_scene(2.0 * WEIGHT_N, 1.5),
-    grasp_scene(2.0 * WEIGHT_N, 0.15, grasped=_spun, gravity=0.0),
-)
+HELD = grasp_scene(1.5)
+TURNED = grasp_scene(0.15, grasped=_spun, gravity=0.0)
+PRESSED = grasp_wrenches(2.0 * WEIGHT_N)
 """The box at rest, and with a spin about the axis of its pads, which Coulomb's law stops after 0.18 s or later."""
-
-_asked, _at = ramp(0.3, start_s=0.0, duration_s=1e-6, ramp_s=0.0), 0.017 + 0.5 * THICK_M
-_servo = Servo(
-    command=_asked, kp_n_m_per_rad=17.8, kv_n_m_s_per_rad=0.6, torque_limit_n_m=1.0
-)
-_cube, _palm = (
-    box("object", (0.0, 0.0, 1.0), (0.034,) * 3, mass_kg=0.025),
-    fixed_box("palm", (-_at, 0.0, 1.0), PAD.size_m),
-)
-SQUEEZED = Scene(
-    bodies=(
-        _cube,
-        _palm,
-        body("jaw", PAD, Pose(position_m=(_at, 0.0, 1.0)), mass_kg=0.012),
-    ),
-    joints=(
-        Hinge(
-            body="jaw", anchor_m=(0.017, -0.1, 1.0), axis=(0.0, 0.0, 1.0), motor=_servo
-        ),
-    ),
-    contacts=(contact("object", ("palm", "jaw"), friction=FRICTION),),
-    duration_s=1.0,
-)
-"""A wooden cube in a gripper of about the SO-101's size, whose servo asks its light jaw to go on by 30 mm."""
-
 
 STILL_S, SHAKEN_S = 0.5, 1.5
 """Time in which a held box has settled and is not yet shaken [s]."""

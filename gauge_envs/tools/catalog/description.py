@@ -29,7 +29,6 @@ from gauge_envs.references.published import law_for
 from gauge_envs.references.tables import FileModel, read_toml
 from gauge_envs.references.user_data import DataSource, has_import
 from gauge_envs.scene import Deformable, Hinge, RigidBody
-from gauge_envs.scene.hinged import joint_fields
 from gauge_envs.scene.profiles import Profile, SampledProfile
 from gauge_envs.tools.catalog.listing import engine_rows
 from gauge_envs.tools.catalog.spaces import action_rows, observation_rows
@@ -93,12 +92,8 @@ def description(experiment: Experiment) -> dict[str, Any]:
             "contacts": [dataclasses.asdict(contact) for contact in scene.contacts],
             "joints": [
                 {"kind": "hinge" if isinstance(joint, Hinge) else "tether"}
-                | joint_fields(joint)
+                | dataclasses.asdict(joint)
                 for joint in scene.joints
-            ]
-            + [
-                {"kind": "hinge of two bodies"} | joint_fields(hinge)
-                for hinge in scene.body_hinges
             ],
             "attachments": [
                 dataclasses.asdict(attachment) for attachment in scene.attachments

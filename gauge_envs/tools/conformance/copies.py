@@ -1,7 +1,7 @@
 """Copies of a small scene that all move alike: turned, mirrored and listed in reverse, and twice as large.
 
 Laws of mechanics prefer no direction, no handedness, no name and no order. Without gravity they have no scale either:
-with all lengths times l, masses times m and torques times m l^2, a scene moves l times as far in the same time. So each
+with all lengths times l and masses times m, a scene moves l times as far in the same time. So each
 copy moves as the others, whatever the engine's model of contact is.
 
 A copy is placed by x' = l M x + c, M a rotation or a reflection. A reflection turns the orientation R of a body into
@@ -21,7 +21,6 @@ from gauge_envs.scene import (
     Contact,
     ConvexUnion,
     Hinge,
-    JointDynamics,
     Pose,
     RigidBody,
     Scene,
@@ -31,7 +30,6 @@ from gauge_envs.scene import (
 )
 from gauge_envs.scene.drivers import Driver, DriverMotion
 from gauge_envs.scene.geometry import FloatArray, vector
-from gauge_envs.scene.motors import Servo
 from gauge_envs.tools.bench.parts import (
     ball,
     body,
@@ -68,11 +66,6 @@ class _Copy:
     is_reversed: bool = False
     length_factor: float = 1.0
     mass_factor: float = 1.0
-
-    @property
-    def torque_factor(self) -> float:
-        """Factor of all torques."""
-        return self.mass_factor * self.length_factor**2
 
     @property
     def handedness(self) -> float:
@@ -119,7 +112,7 @@ CAUSES = {
 PARTS = {
     "brick": "contact with a fixed body",
     "ball": "contact with a driven body",
-    "bar": "hinge and servo",
+    "bar": "hinge",
     "bob": "string",
 }
 """What acts on each dynamic body."""
@@ -151,6 +144,8 @@ def _bodies() -> list[RigidBody]:
         euler_deg=(20.0, 0.0, 30.0),
         mass_kg=0.1,
     )
+    arm_m = np.array(bar.pose.position_m) - ANCHOR_M
+    bar = thrown(bar, np.cross(3.0 * AXIS, arm_m), 3.0 * AXIS)
     # Its centre of mass is 40 mm from its origin, at which the string ends.
     beam = ConvexUnion(pieces_m=(corners((0.0, -0.02, -0.015), (0.08, 0.02, 0.015)),))
     along = np.array([0.6, 0.0, -0.8])
@@ -191,21 +186,12 @@ def _copied(one: RigidBody, name: str, copy: _Copy) -> RigidBody:
 
 
 def _hinge(name: str, copy: _Copy) -> Hinge:
-    """Return the hinge of the bar, whose servo reaches its limit."""
+    """Return the hinge of the bar."""
     sign = -1.0 if copy.is_reversed else 1.0
-    servo = Servo(
-        command=ramp(sign * 0.9, start_s=0.0, duration_s=0.3, ramp_s=0.1),
-        kp_n_m_per_rad=copy.torque_factor * 0.4,
-        kv_n_m_s_per_rad=copy.torque_factor * 0.01,
-        torque_limit_n_m=copy.torque_factor * 0.04,
-    )
-    viscous = copy.torque_factor * 0.002
     return Hinge(
         body=f"{name} bar",
         anchor_m=vector(copy.place(ANCHOR_M)),
         axis=vector(sign * copy.axis(AXIS)),
-        dynamics=JointDynamics(viscous_friction_n_m_s_per_rad=viscous),
-        motor=servo,
     )
 
 
@@ -276,7 +262,7 @@ def _moved(
 
 @recorded(
     "four copies of one scene: upright, turned, mirrored and listed in reverse, twice as large and eight times as "
-    "heavy: a brick that hits a slab, a ball that a driven paddle hits, a bar on a leaning hinge with a servo, a beam "
+    "heavy: a brick that hits a slab, a ball that a driven paddle hits, a bar that turns on a leaning hinge, a beam "
     "that whirls on a string; no gravity"
 )
 def _copies(lab: Lab) -> Rollout:

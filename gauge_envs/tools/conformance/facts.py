@@ -1,4 +1,4 @@
-"""Say what the record of a failed check shows for certain: starts, driven motion, hinges, sliders and gravity.
+"""Say what the record of a failed check shows for certain: starts, driven motion, hinges and gravity.
 
 Each is compared with the scene where no contact or force has a part, so that it needs no hypothesis.
 """
@@ -13,7 +13,6 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.evaluation.estimators import acceleration_m_per_s2
 from gauge_envs.runs.rollout import Rollout
-from gauge_envs.scene import BodyHinge, Hinge, Scene, Slider
 from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.tools.conformance.torques import wrong_torques
 
@@ -23,24 +22,11 @@ LEAST_DRIVE = 5e-5
 """Distance [m] or angle [rad] from where it is driven from which on the motion of a driven body shows its cause."""
 LEAST_TURN_RAD = 0.05
 """Rotation from which on a hinge shows its anchor."""
-LEAST_SLIDE_M = 0.005
-"""Displacement from which on a slider shows its axis."""
-
-
-def jointed(scene: Scene) -> set[str]:
-    """Return the names of bodies on joints, guides, and hinges between bodies."""
-    names = {one.body for one in (*scene.joints, *scene.guides)}
-    for hinge in scene.body_hinges:
-        names |= {hinge.first, hinge.second}
-    return names
 
 
 def facts(rollout: Rollout) -> str:
     """Return what is otherwise than the scene states, the first of a kind; empty where nothing is."""
-    found = [
-        next(kind(rollout), "")
-        for kind in (_starts, _driven, _hinges, _sliders, _gravity)
-    ]
+    found = [next(kind(rollout), "") for kind in (_starts, _driven, _hinges, _gravity)]
     # Where the parts are otherwise, torques are.
     told = list(filter(None, found)) or list(islice(wrong_torques(rollout), 1))
     return "; ".join(told)
@@ -57,7 +43,7 @@ def _starts(rollout: Rollout) -> Iterator[str]:
             yield f"the orientation of the {body.name} at the start is off by {turned_deg:.3g} degrees"
     scene = rollout.scene
     # What hangs on a hinge that is off starts as the hinge lets it.
-    joined = jointed(scene)
+    joined = {one.body for one in scene.joints}
     for body in scene.dynamic_bodies:
         if body.name in joined:
             continue
@@ -140,23 +126,10 @@ def _wrong_drive(found: FloatArray, law: FloatArray, interval_s: float) -> str:
 
 def _hinges(rollout: Rollout) -> Iterator[str]:
     scene = rollout.scene
-    for hinge in (*scene.joints, *scene.body_hinges):
-        if not isinstance(hinge, Hinge | BodyHinge):
-            continue
+    for name, hinge in scene.hinges.items():
         axis = np.array(hinge.axis)
         anchor_m = np.array(hinge.anchor_m)
-        if isinstance(hinge, Hinge):
-            name, places_m, turns = hinge.body, *_motion(rollout, hinge.body)
-            joint = "hinge"
-        else:
-            # Motion of the second body in the frame of the first one.
-            name, first = hinge.second, scene.body(hinge.first)
-            joint = f"hinge to the {first.name}"
-            origins_m, frames = _motion(rollout, first.name)
-            places_m, turns = _motion(rollout, name)
-            places_m = frames.apply(places_m - origins_m, inverse=True)
-            turns = frames.inv() * turns
-            axis, anchor_m = axis @ first.pose.matrix, first.pose.to_body(anchor_m)
+        places_m, turns = rollout.position(name), rollout.rotation(name)
         angles = (turns * turns[0].inv()).as_rotvec()
         largest = int(np.linalg.norm(angles, axis=1).argmax())
         angle = length_of(angles[largest])
@@ -164,14 +137,14 @@ def _hinges(rollout: Rollout) -> Iterator[str]:
             continue
         off_deg = _between_deg(angles[largest], axis)
         if off_deg > FAR_DEG:
-            yield f"the {name} turns about an axis {off_deg:.3g} degrees from the axis of its {joint}"
+            yield f"the {name} turns about an axis {off_deg:.3g} degrees from the axis of its hinge"
         local_m = scene.body(name).pose.to_body(np.array(hinge.anchor_m))
         off_m, left_m = _pivot(places_m, turns, local_m, anchor_m)
         across_mm = 1e3 * (off_m - (off_m @ axis) * axis)
         size_mm = length_of(across_mm)
         if size_mm > FAR_MM and 1e3 * left_m < 0.1 * size_mm:
             yield (
-                f"the {name} turns about a point {size_mm:.3g} mm from the anchor of its {joint}, off by "
+                f"the {name} turns about a point {size_mm:.3g} mm from the anchor of its hinge, off by "
                 f"{_vector(across_mm)} mm"
             )
             continue
@@ -183,31 +156,7 @@ def _hinges(rollout: Rollout) -> Iterator[str]:
             how = (
                 "at once: the anchor moves" if at_once else "slowly: the joint is soft"
             )
-            yield f"the {name} leaves the anchor of its {joint} by {away_mm.max():.3g} mm, {how}"
-
-
-def _sliders(rollout: Rollout) -> Iterator[str]:
-    for slider in rollout.scene.guides:
-        if not isinstance(slider, Slider):
-            continue
-        places_m = rollout.position(slider.body)
-        moved_m = places_m - places_m[0]
-        lengths_m = np.linalg.norm(moved_m, axis=1)
-        furthest_m = moved_m[lengths_m.argmax()]
-        if lengths_m.max() < LEAST_SLIDE_M:
-            continue
-        # What bends is no other axis.
-        along = furthest_m / lengths_m.max()
-        bent_m = np.linalg.norm(moved_m - np.outer(moved_m @ along, along), axis=1)
-        off_deg = _between_deg(along, np.array(slider.axis))
-        if off_deg > FAR_DEG and bent_m.max() < 0.1 * lengths_m.max() * np.radians(
-            off_deg
-        ):
-            yield f"the {slider.body} moves along a line {off_deg:.3g} degrees from the axis of its slider"
-
-
-def _motion(rollout: Rollout, name: str) -> tuple[FloatArray, Rotation]:
-    return rollout.position(name), rollout.rotation(name)
+            yield f"the {name} leaves the anchor of its hinge by {away_mm.max():.3g} mm, {how}"
 
 
 def _between_deg(first: FloatArray, second: FloatArray) -> float:
@@ -238,8 +187,8 @@ def _pivot(
 
 def _gravity(rollout: Rollout) -> Iterator[str]:
     scene = rollout.scene
-    bound = (scene.contacts, scene.joints, scene.guides, scene.body_hinges)
-    if any(bound) or scene.attachments or not scene.gravity_m_per_s2:
+    bound = scene.contacts or scene.joints or scene.attachments
+    if bound or not scene.gravity_m_per_s2:
         return
     shares = [
         -acceleration_m_per_s2(rollout.times_s, rollout.position(one.name)[:, 2])

@@ -1,4 +1,4 @@
-"""Applied wrenches, absolute inertia, and the centre and inertia of a solid of several pieces."""
+"""Applied wrenches, contact forces, absolute inertia, and the centre and inertia of a solid of several pieces."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.evaluation.estimators import mean_period_s
 from gauge_envs.evaluation.pendulum_laws import pendulum_period_s
-from gauge_envs.runs.rollout import states_now
+from gauge_envs.runs.rollout import DeclinedError, states_now
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2 as G,
     Box,
@@ -19,17 +19,32 @@ from gauge_envs.scene import (
     Hinge,
     Part,
     Pose,
+    RigidBody,
     Scene,
     Shape,
     Sphere,
 )
 from gauge_envs.scene.geometry import FloatArray, length_of, vector
 from gauge_envs.scene.meshes import mass_properties
-from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
-from gauge_envs.tools.bench.parts import body, corners
+from gauge_envs.scene.timing import DRIVE_INTERVAL_S, SAMPLE_INTERVAL_S
+from gauge_envs.tools.bench.parts import (
+    body,
+    box,
+    box_inertia_kg_m2,
+    contact,
+    corners,
+    fixed_box,
+)
 from gauge_envs.tools.conformance.lab import Lab, push
 from gauge_envs.tools.conformance.laws import worst_ratio
-from gauge_envs.tools.conformance.model import Check, Measurement, Recorded, Tolerance
+from gauge_envs.tools.conformance.model import (
+    Check,
+    Measurement,
+    Recorded,
+    Tolerance,
+    recorded,
+)
+from gauge_envs.tools.conformance.rich import thrown
 
 LOPSIDED = ConvexUnion(
     pieces_m=(
@@ -416,3 +431,104 @@ def _stated_inertia(lab: Lab) -> Measurement:
         gravity_m_per_s2=G,
     )
     return Measurement(measured=measured, expected=expected)
+
+
+# --- hinged bodies ---------------------------------------------------------------------------------------------------
+
+PIVOT_M, AXIS = np.array([0.1, 0.2, 1.0]), np.array([0.6, 0.8, 0.0])
+CENTRE_M, TORQUE_N_M = 0.15, 0.03
+
+
+def _bar(name: str) -> RigidBody:
+    """Return a bar that hangs by its end."""
+    pose = Pose(position_m=vector(PIVOT_M - [0.0, 0.0, CENTRE_M]))
+    return body(name, Box(size_m=(0.03, 0.03, 0.3)), pose, mass_kg=MASS_KG)
+
+
+@Check("wrench-hinged")
+def _wrench_hinged(lab: Lab) -> Measurement:
+    bars = _bar("pushed"), _bar("turned")
+    side = np.cross(AXIS, [0.0, 0.0, -1.0])
+    wrenches = {
+        "pushed": [*(TORQUE_N_M / CENTRE_M * side), 0.0, 0.0, 0.0],
+        "turned": [0.0, 0.0, 0.0, *(-TORQUE_N_M * AXIS)],
+    }
+    seconds = 18 * DRIVE_INTERVAL_S
+    hinges = (
+        Hinge(body=bar.name, anchor_m=vector(PIVOT_M), axis=vector(AXIS))
+        for bar in bars
+    )
+    scene = Scene(
+        bodies=bars, joints=tuple(hinges), duration_s=seconds, gravity_m_per_s2=0.0
+    )
+    rollout = lab.rollout(scene, wrenches=wrenches)
+    about_centre = float(box_inertia_kg_m2(bars[0]) @ AXIS**2)
+    scale = (about_centre + MASS_KG * CENTRE_M**2) / (TORQUE_N_M * seconds)
+    pushed, turned = (
+        scale * float(rollout.angular_velocity(name)[-1] @ AXIS) for name in wrenches
+    )
+    ratios = {"a force": pushed, "a torque": -turned}
+    return worst_ratio(ratios, "the angular acceleration is")
+
+
+# --- contact forces --------------------------------------------------------------------------------------------------
+
+SLIDE_FRICTION = 0.3
+BRICK_KG = 0.2
+WEIGHT_N = BRICK_KG * G
+
+
+@recorded(
+    "a brick that rests on two fixed slabs at once, and one that slides on the first with friction 0.3"
+)
+def _forces(lab: Lab) -> FloatArray:
+    """Return the forces on both bricks, and what moves the second one, in 80 intervals, [80, 4, 3]."""
+    slab = fixed_box("slab", (0.0, -0.5, -0.05), (4.0, 2.0, 0.1))
+    shelf = fixed_box("shelf", (0.0, 1.0, -0.05), (4.0, 1.0, 0.1))
+    resting = box("resting", (0.0, 0.5, 0.015), (0.1, 0.08, 0.03))
+    sliding = box("sliding", (-1.0, -0.5, 0.015), (0.1, 0.08, 0.03))
+    scene = Scene(
+        bodies=(slab, shelf, resting, thrown(sliding, (2.4, 0.7, 0.0))),
+        contacts=(
+            contact(("resting", "sliding"), "slab", friction=SLIDE_FRICTION),
+            contact("resting", "shelf", friction=SLIDE_FRICTION),
+        ),
+        duration_s=0.5,
+    )
+    pairs = [("resting", "slab"), ("sliding", "slab"), ("resting", "shelf")]
+    found = []
+    with lab.running(scene) as simulation:
+        forces = simulation.contact_forces(pairs)
+        if forces is None:
+            raise DeclinedError(("contact forces are not read",))
+        before = simulation.body_states(["sliding"])[0, 7:10]
+        for _ in range(80):
+            simulation.advance(SAMPLE_INTERVAL_S)
+            after = simulation.body_states(["sliding"])[0, 7:10]
+            gained = BRICK_KG * ((after - before) / SAMPLE_INTERVAL_S + [0.0, 0.0, G])
+            found.append([*forces(), gained])
+            before = after
+    return np.array(found)
+
+
+@_forces.check("force-rest")
+def _force_rest(found: FloatArray) -> Measurement:
+    slab, shelf = found[20:, [0, 2]].mean(axis=0) / WEIGHT_N
+    both = slab + shelf
+    hint = (
+        f"the slab has {slab[2]:.3g} and the other slab {shelf[2]:.3g} of the weight; across it is "
+        f"{np.linalg.norm(both[:2]):.3g}"
+    )
+    return Measurement(measured=float(both[2]), expected=1.0, hint=hint)
+
+
+@_forces.check("force-slide")
+def _force_slide(found: FloatArray) -> Measurement:
+    _, force, _, gained = found.mean(axis=0)
+    normal, sideways = (
+        force[2] / gained[2],
+        np.hypot(*force[:2]) / np.hypot(*gained[:2]),
+    )
+    hint = f"the normal force is {normal:.4g} and the friction {sideways:.4g} of what moves the brick"
+    off = np.linalg.norm(found[:, 1] - found[:, 3], axis=1)
+    return Measurement(measured=float(off.max()) / WEIGHT_N, hint=hint)

@@ -1,4 +1,4 @@
-"""Checks of grasps: a box between two pads whose motors press with a known force."""
+"""Checks of grasps: a box between two pads that press with a known force."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -27,13 +27,14 @@ from gauge_envs.tools.bench.grasp import (
     WEIGHT_N,
     from_pads_m,
     grasp_scene,
+    grasp_wrenches,
     pad_creep_um_per_s,
     pad_depth_um,
     torque_share,
 )
 from gauge_envs.tools.bench.parts import box_inertia_kg_m2
 from gauge_envs.tools.conformance.lab import Lab, push
-from gauge_envs.tools.conformance.model import Measurement, recorded, rollout_of
+from gauge_envs.tools.conformance.model import Measurement, recorded
 
 SHAKES_HZ, SHAKE = 4.0, 0.5
 TURNING_N_M = 0.07
@@ -41,12 +42,14 @@ TURNING_N_M = 0.07
 
 
 def _pushed(lab: Lab, scene: Scene, wrench: Callable[[float], Any]) -> Rollout:
-    """Return the rollout of a scene in which a wrench over time [N, N m] acts on the object."""
+    """Return the rollout of a box between pads with twice its weight, with a wrench over time on it [N, N m]."""
     count, names = (
         round(scene.duration_s / SAMPLE_INTERVAL_S),
         [one.name for one in scene.bodies],
     )
     with lab.running(scene) as simulation:
+        for name, pressing in grasp_wrenches(2.0 * WEIGHT_N).items():
+            push(simulation, name, pressing)
         paths, rows = (
             DriverPaths(scene, scene.duration_s),
             [states_now(simulation, names)],
@@ -76,7 +79,7 @@ def _grasped(lab: Lab) -> Rollout:
         )
         return 0.0, 0.0, force, 0.0, 0.0, 0.0
 
-    return _pushed(lab, grasp_scene(2.0 * WEIGHT_N, 2.5), shake)
+    return _pushed(lab, grasp_scene(2.5), shake)
 
 
 @_grasped.check("grasp-sink")
@@ -95,10 +98,14 @@ def _grasp_holds(rollout: Rollout) -> Measurement:
     return Measurement(measured=1e3 * float(np.abs(places[:, 2] - places[0, 2]).max()))
 
 
-@rollout_of(
-    "the same box between pads that press with half its weight each, so that friction carries half of it",
-    grasp_scene(0.5 * WEIGHT_N, 0.15),
-).check("grasp-slips")
+@recorded(
+    "the same box between pads that press with half its weight each, so that friction carries half of it"
+)
+def _slipping(lab: Lab) -> Rollout:
+    return lab.rollout(grasp_scene(0.15), wrenches=grasp_wrenches(0.5 * WEIGHT_N))
+
+
+@_slipping.check("grasp-slips")
 def _grasp_slips(rollout: Rollout) -> Measurement:
     falls = acceleration_m_per_s2(rollout.times_s, rollout.position("object")[:, 2])
     return Measurement(measured=1.0 + falls / G, expected=FRICTION)
@@ -110,7 +117,7 @@ def _grasp_slips(rollout: Rollout) -> Measurement:
 def _turned(lab: Lab) -> Rollout:
     return _pushed(
         lab,
-        grasp_scene(2.0 * WEIGHT_N, 0.1, gravity=0.0),
+        grasp_scene(0.1, gravity=0.0),
         lambda _: (0.0, 0.0, 0.0, TURNING_N_M, 0.0, 0.0),
     )
 
@@ -130,11 +137,16 @@ _off_centre = replace(
 )
 
 
-@rollout_of(
+@recorded(
     "the same box between balls of 5 mm radius that press with five times its weight 50 mm above its centre, released "
-    "at 0.7 rad",
-    grasp_scene(5.0 * WEIGHT_N, 2.0, pad=TIP, grasped=_off_centre),
-).check("grasp-swing")
+    "at 0.7 rad"
+)
+def _swinging(lab: Lab) -> Rollout:
+    scene = grasp_scene(2.0, pad=TIP, grasped=_off_centre)
+    return lab.rollout(scene, wrenches=grasp_wrenches(5.0 * WEIGHT_N))
+
+
+@_swinging.check("grasp-swing")
 def _grasp_swing(rollout: Rollout) -> Measurement:
     angles = rollout.rotation("object").as_rotvec()[:, 0]
     gyration = float(np.sqrt(box_inertia_kg_m2(OBJECT)[0] / MASS_KG))

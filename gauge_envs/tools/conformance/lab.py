@@ -37,7 +37,6 @@ from gauge_envs.scene.fabrics import Fabric
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 from gauge_envs.tools.bench.parts import driven_box, fixed_box, ramp
-from gauge_envs.tools.conformance.facts import jointed
 
 T = TypeVar("T")
 
@@ -197,7 +196,7 @@ class DisturbedLab(Lab):
 
     def started(self, scene: Scene) -> Scene:
         """Return a scene with other starts of its free bodies and another gravity."""
-        joined = jointed(scene)
+        joined = {one.body for one in scene.joints}
         bodies = []
         for body in scene.bodies:
             if body.motion is Motion.DYNAMIC and body.name not in joined:

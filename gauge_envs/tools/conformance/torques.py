@@ -2,7 +2,7 @@
 
 A body with the inertia I about its hinge, whose weight has the torque W, turns by
 
-    (I + armature) rate' = motor + W - dry sign(rate) - viscous rate
+    (I + armature) rate' = W - dry sign(rate) - viscous rate
 """
 
 from __future__ import annotations
@@ -16,14 +16,8 @@ from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import Hinge
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.meshes import mass_properties
-from gauge_envs.scene.motors import Servo, TorqueMotor
 
 UNITS = {
-    "kp of its servo": "N m/rad",
-    "kv of its servo": "N m s/rad",
-    "torque limit of its servo": "N m",
-    "delay of its motor": "s",
-    "share of its motor's torque": "",
     "dry friction of its hinge": "N m",
     "viscous friction of its hinge": "N m s/rad",
     "armature of its hinge": "kg m^2",
@@ -31,7 +25,7 @@ UNITS = {
     "mass": "kg",
     "gravity": "m/s^2",
 }
-KP, KV, LIMIT, DELAY, SHARE, DRY, VISCOUS, ARMATURE, INERTIA, MASS, GRAVITY = UNITS
+DRY, VISCOUS, ARMATURE, INERTIA, MASS, GRAVITY = UNITS
 """Constants that a fault may change, with their units."""
 
 SHARES = np.geomspace(0.02, 12.0, 281)
@@ -56,7 +50,7 @@ class _Turning:
         self.accelerations = np.diff(steps) / interval_s**2
         self.times_s = rollout.times_s[1:-1]
         centre_m, tensor = mass_properties(body.shape, body.mass_kg)
-        if isinstance(body.inertia_kg_m2, float):
+        if body.inertia_kg_m2 is not None:
             tensor = body.inertia_kg_m2 * np.eye(3)
         arms_m = (rollout.position(body.name) + turns.apply(centre_m) - hinge.anchor_m)[
             1:-1
@@ -67,24 +61,14 @@ class _Turning:
         self.about_hinge_m2 = float(np.square(np.cross(arms_m[0], axis)).sum())
         self.follows_mass = body.inertia_kg_m2 is None
         self.mass_kg = body.mass_kg
-        self.motor = motor = hinge.motor
-        terms = hinge.dynamics
         self.values = {
-            DRY: terms.dry_friction_n_m,
-            VISCOUS: terms.viscous_friction_n_m_s_per_rad,
-            ARMATURE: terms.armature_kg_m2,
+            DRY: 0.0,
+            VISCOUS: 0.0,
+            ARMATURE: 0.0,
             INERTIA: float(inner @ tensor @ inner),
             MASS: body.mass_kg,
             GRAVITY: scene.gravity_m_per_s2,
         }
-        if motor is not None:
-            self.values[DELAY] = motor.delay_s
-        if isinstance(motor, Servo):
-            self.values[KP] = motor.kp_n_m_per_rad
-            self.values[KV] = motor.kv_n_m_s_per_rad
-            self.values[LIMIT] = motor.torque_limit_n_m or np.inf
-        elif motor is not None:
-            self.values[SHARE] = 1.0
 
     def torques_n_m(self, **changed: float) -> dict[str, FloatArray]:
         """Return all torques on the body, with that of its inertia, for the constants of the scene but for changes."""
@@ -94,22 +78,11 @@ class _Turning:
         if self.follows_mass:
             inertia += values[INERTIA] * (values[MASS] / self.mass_kg - 1.0)
         return {
-            "motor": self._motor_n_m(values),
             "weight": values[MASS] * values[GRAVITY] * self.levers_m,
             "dry": -values[DRY] * np.sign(self.rates),
             "viscous": -values[VISCOUS] * self.rates,
             "inertia": -inertia * self.accelerations,
         }
-
-    def _motor_n_m(self, values: dict[str, float]) -> FloatArray:
-        motor = self.motor
-        if motor is None:
-            return np.zeros_like(self.rates)
-        asked = motor.command.values_at(np.maximum(self.times_s - values[DELAY], 0.0))
-        if isinstance(motor, TorqueMotor):
-            return np.asarray(values[SHARE] * asked)
-        torque = values[KP] * (asked - self.angles) - values[KV] * self.rates
-        return np.clip(torque, -values[LIMIT], values[LIMIT])
 
     def left_n_m(self, **changed: float) -> FloatArray:
         """Return the torque that no term explains [N m], shape [T]; nothing where dry friction may hold the body."""
@@ -133,8 +106,6 @@ class _Turning:
         if name in BODY:
             # Without inertia nothing is left to explain.
             tried = stated * SHARES[SHARES > 2.0 * LEFT]
-        elif 0.0 < stated < np.inf:
-            tried = stated * np.array([-1.0, 0.0, *SHARES, np.inf])
         else:
             effect = np.abs(self.left_n_m(**{name: 1.0}) - self.left_n_m())
             tried = SHARES * size / max(float(np.quantile(effect, MANY)), 1e-12)
@@ -151,12 +122,8 @@ def wrong_torques(rollout: Rollout) -> Iterator[str]:
     """Yield for each hinge on which a body turns otherwise the constants that explain it alone."""
     scene = rollout.scene
     bound = {name for one in scene.contacts for name in one.first + one.second}
-    bound |= {name for one in scene.body_hinges for name in (one.first, one.second)}
-    bound |= {one.body for one in scene.guides}
-    for hinge in scene.joints:
-        if not isinstance(hinge, Hinge) or hinge.body in bound or hinge.limits_rad:
-            continue
-        if hinge.dynamics.backlash_rad:
+    for name, hinge in scene.hinges.items():
+        if name in bound:
             continue
         least = 10.0 * LEAST if scene.contacts else LEAST
         if cause := _cause(_Turning(rollout, hinge), least):
@@ -184,11 +151,9 @@ def _cause(turning: _Turning, least: float) -> str:
         found = {name: turning.best(name, size, floor) for name in turning.values}
         limit = min(2.0 * min(found.values())[0] + 0.01 * size, LEFT * size)
         alike = {name: value for name, (left, value) in found.items() if left < limit}
-        # Checks of free bodies come first, so that what a hinge has is more likely; but they are short.
-        of_hinge = [name for name in alike if turning.values[name] and name not in BODY]
         texts = [
             f"{name} were {alike[name]:.3g} {UNITS[name]} instead of {turning.values[name]:.3g}"
-            for name in (not when and of_hinge) or alike
+            for name in alike
         ]
         if texts:
             return f"{', or the '.join(texts)}{when}"

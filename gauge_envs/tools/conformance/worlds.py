@@ -1,6 +1,6 @@
 """Many worlds at once: each world of a batch is the single simulation of its scene, also after it restarts alone.
 
-The worlds differ in starts, masses, friction, restitution, driven motion, wrenches and commands. What an engine does
+The worlds differ in starts, masses, friction, restitution, driven motion and wrenches. What an engine does
 not build together is built one by one (`worlds_of`), as for training. Few worlds are compared with single simulations;
 all are compared with a batch of the same scenes that are each one place further, which must have the same courses.
 """
@@ -32,7 +32,6 @@ from gauge_envs.tools.bench.parts import (
     fixed_box,
     ramp,
 )
-from gauge_envs.tools.conformance import joints
 from gauge_envs.tools.conformance.contract import one_sign, parts_apart
 from gauge_envs.tools.conformance.differences import LEAST, cause_of, cause_of_told
 from gauge_envs.tools.conformance.lab import Lab
@@ -284,7 +283,7 @@ def _told(
     Args:
         lab: The lab.
         scenes: Scenes of one dynamic body.
-        tell: Function that commands or pushes the worlds of some numbers.
+        tell: Function that pushes the worlds of some numbers.
     """
     with closing(_built(lab, scenes)) as worlds:
         worlds.reset(0)
@@ -349,20 +348,6 @@ def _worlds_wrench(lab: Lab) -> Measurement:
     told = {"force": forces_n, "mass": 1.0 / masses_kg}
     gains = forces_n / masses_kg * SAMPLE_INTERVAL_S
     return _worst(told, states[..., 8], gains)
-
-
-@Check("worlds-command", scene="worlds of a bar on a hinge, each with another torque")
-def _worlds_command(lab: Lab) -> Measurement:
-    numbers = _numbers(lab)
-    torques_n_m = joints.TORQUE_N_M * np.array(1 + numbers % 5, dtype=float)
-    states = _told(
-        lab,
-        [joints.motor_scene()] * len(numbers),
-        lambda worlds, some: worlds.command(torques_n_m[some, None], some),
-    )
-    gains = torques_n_m / joints.INERTIA * SAMPLE_INTERVAL_S
-    rates = states[..., 10:] @ joints.AXIS
-    return _worst({"command": torques_n_m}, rates, gains)
 
 
 @Check("worlds-device", scene=f"{WHAT}, in arrays of the device")

@@ -19,7 +19,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
@@ -29,35 +29,26 @@ from gauge_envs.backends.mujoco.flex import FlexPart, flex_table
 from gauge_envs.backends.mujoco.model import (
     START_KEY,
     build_model,
-    parents_first,
     start_rates,
 )
 from gauge_envs.backends.mujoco.model_settings import option_settings
 from gauge_envs.backends.mujoco.settings import settings_for
-from gauge_envs.backends.shared.rigid import hinges_by_body
 from gauge_envs.errors import AssetError, first_names
 from gauge_envs.files import MEGABYTE, child_refusal, read_regular
 from gauge_envs.scene import (
-    BodyHinge,
     Hinge,
-    JointDynamics,
     Motion,
     Pose,
     RigidBody,
     Scene,
 )
 from gauge_envs.scene.geometry import FloatArray, length_of, vector
-from gauge_envs.scene.hinged import other_end, parent_hinges
-from gauge_envs.scene.motors import Servo
 from gauge_envs.scene.timing import DRIVE_INTERVAL_S
 from gauge_envs.tools.mjcf.diff import format_value, is_same, model_changes, same_or
 from gauge_envs.tools.mjcf.drivers import numerics, pose_of, read_driver
 
 if TYPE_CHECKING:
     from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
-
-AnyHinge = TypeVar("AnyHinge", Hinge, BodyHinge)
-
 
 STATED_SETTINGS = (
     "timestep_s",
@@ -229,21 +220,12 @@ def read_model(path: Path, scene: Scene, simulation: SimulationMuJoCo) -> ModelF
         replace(body, mass_kg=_mass_kg(model, built, body))
         for body in _started(path, model, scene)
     )
-    hanging = {
-        hinge: name
-        for name, hinge in parent_hinges(scene.body_hinges, scene.hung).items()
-    }
     placed = replace(
         scene,
         bodies=bodies,
         joints=tuple(
-            _hinge(model, built, joint, joint.body)
-            if isinstance(joint, Hinge)
-            else joint
+            _hinge(model, built, joint) if isinstance(joint, Hinge) else joint
             for joint in scene.joints
-        ),
-        body_hinges=tuple(
-            _hinge(model, built, hinge, hanging[hinge]) for hinge in scene.body_hinges
         ),
         gravity_m_per_s2=same_or(length_of(model.opt.gravity), scene.gravity_m_per_s2),
     )
@@ -263,7 +245,6 @@ def read_model(path: Path, scene: Scene, simulation: SimulationMuJoCo) -> ModelF
 
 def _check_bodies(path: Path, model: mujoco.MjModel, scene: Scene) -> None:
     known = [model.body(index).name for index in range(1, model.nbody)]
-    hinged = hinges_by_body(scene)
     for body in scene.bodies:
         if body.name not in known:
             raise AssetError(
@@ -275,7 +256,7 @@ def _check_bodies(path: Path, model: mujoco.MjModel, scene: Scene) -> None:
             continue
         kind = (
             mujoco.mjtJoint.mjJNT_HINGE
-            if body.name in hinged
+            if body.name in scene.hinges
             else mujoco.mjtJoint.mjJNT_FREE
         )
         joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, body.name)
@@ -284,46 +265,37 @@ def _check_bodies(path: Path, model: mujoco.MjModel, scene: Scene) -> None:
             or model.jnt_type[joint] != kind
             or model.jnt_bodyid[joint] != model.body(body.name).id
         ):
-            wanted = "hinge" if body.name in hinged else "free"
+            wanted = "hinge" if body.name in scene.hinges else "free"
             raise AssetError(
                 path,
                 body.name,
                 f"it is {body.motion.value} and needs a {wanted} joint with its name",
             )
-        hinge = hinged.get(body.name)
-        play = hinge and hinge.dynamics.backlash_rad
-        if (
-            play
-            and mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, f"{body.name}/play")
-            < 0
-        ):
+        if term := _joint_term(model, joint):
             raise AssetError(
                 path,
                 body.name,
-                f"its joint has backlash and needs a second hinge '{body.name}/play'",
+                f"unsupported joint: it has {term}, and joints of a scene move freely to the world",
             )
-        if (
-            hinge
-            and hinge.motor
-            and mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, body.name) < 0
-        ):
-            raise AssetError(
-                path,
-                body.name,
-                "its joint has a motor and needs an actuator with its name",
-            )
-        if isinstance(hinge, BodyHinge):
-            parent = other_end(hinge, body.name)
-            if model.body(model.body(body.name).parentid[0]).name != parent:
-                raise AssetError(
-                    path,
-                    body.name,
-                    f"it hangs on {parent!r}: make it a child of that body",
-                )
         found = model.body(body.name)
         if body.motion is Motion.KINEMATIC and not np.all(found.inertia == found.mass):
             reason = "its mass and its moments of inertia must be the same number: it is driven"
             raise AssetError(path, body.name, reason)
+
+
+def _joint_term(model: mujoco.MjModel, joint: int) -> str | None:
+    """Return what the joint of a body has that joints of a scene do not have, or None."""
+    body, freedom = model.jnt_bodyid[joint], model.jnt_dofadr[joint]
+    terms = {
+        "a moving parent": model.body_parentid[body] > 0,
+        "a second joint": model.body_jntnum[body] > 1,
+        "friction": model.dof_frictionloss[freedom] or model.dof_damping[freedom],
+        "armature": model.dof_armature[freedom],
+        "stiffness": model.jnt_stiffness[joint],
+        "limits": model.jnt_limited[joint],
+        "a motor": joint in model.actuator_trnid[:, 0],
+    }
+    return next((name for name, value in terms.items() if value), None)
 
 
 def _check_nodes(
@@ -372,32 +344,18 @@ def _poses(model: mujoco.MjModel, scene: Scene) -> Iterator[Pose]:
 def _started(path: Path, model: mujoco.MjModel, scene: Scene) -> Iterator[RigidBody]:
     """Yield each rigid body with its start in a file; poses and velocities that equal the scene's are the scene's."""
     rates = _start_qvel(path, model)
-    hinges = hinges_by_body(scene)
-    poses = dict(
-        zip((body.name for body in scene.bodies), _poses(model, scene), strict=True)
-    )
-    found: dict[str, RigidBody] = {}
-    # The velocity of a body that hangs on another one contains that of the other one.
-    for body in parents_first(scene):
-        started, hinge = replace(body, pose=poses[body.name]), hinges.get(body.name)
+    for body, pose in zip(scene.bodies, _poses(model, scene), strict=True):
+        started = replace(body, pose=pose)
         if body.motion is Motion.DYNAMIC:
-            parent = (
-                found[other_end(hinge, body.name)]
-                if isinstance(hinge, BodyHinge)
-                else None
-            )
-            expected, first = (
-                start_rates(scene, started, hinge),
-                int(model.joint(body.name).dofadr[0]),
-            )
+            expected = start_rates(started, scene.hinges.get(body.name))
+            first = int(model.joint(body.name).dofadr[0])
             body_rates = rates[first : first + len(expected)]
-            moving = _with_rates(model, started, body_rates, parent)
-            is_still = parent is None and is_same(body_rates, expected)
+            moving = _with_rates(model, started, body_rates)
+            is_still = is_same(body_rates, expected)
             if not is_still and not is_same(_velocities(moving), _velocities(started)):
                 started = moving
             body_rates[:] = 0.0
-        found[body.name] = started
-    yield from (found[body.name] for body in scene.bodies)
+        yield started
     if rates.any():
         joint = model.joint(int(model.dof_jntid[np.flatnonzero(rates)[0]])).name
         raise AssetError(
@@ -425,26 +383,14 @@ def _velocities(body: RigidBody) -> list[tuple[float, float, float]]:
     return [body.linear_velocity_m_per_s, body.angular_velocity_rad_per_s]
 
 
-def _with_rates(
-    model: mujoco.MjModel,
-    body: RigidBody,
-    rates: FloatArray,
-    parent: RigidBody | None,
-) -> RigidBody:
-    """Return a body whose joint to its parent, or to the world, starts with a velocity; see `start_rates`."""
+def _with_rates(model: mujoco.MjModel, body: RigidBody, rates: FloatArray) -> RigidBody:
+    """Return a body whose joint starts with a velocity; see `start_rates`."""
     if len(rates) == 1:
         data = mujoco.MjData(model)
         mujoco.mj_kinematics(model, data)
         angular = rates * data.joint(body.name).xaxis
         anchor = data.joint(body.name).xanchor
-        linear = np.zeros(3)
-        if parent is not None:
-            carried = np.asarray(parent.angular_velocity_rad_per_s)
-            linear = parent.linear_velocity_m_per_s + np.cross(
-                carried, anchor - parent.pose.position_m
-            )
-            angular = angular + carried
-        linear = linear + np.cross(angular, body.pose.position_m - anchor)
+        linear = np.cross(angular, body.pose.position_m - anchor)
     else:
         linear, angular = rates[:3], body.pose.rotation.apply(rates[3:])
     return replace(
@@ -472,44 +418,14 @@ def _mass_kg(model: mujoco.MjModel, built: mujoco.MjModel, body: RigidBody) -> f
     )
 
 
-def _hinge(
-    model: mujoco.MjModel, built: mujoco.MjModel, hinge: AnyHinge, body: str
-) -> AnyHinge:
+def _hinge(model: mujoco.MjModel, built: mujoco.MjModel, hinge: Hinge) -> Hinge:
     """Return the hinge that is the joint of a body of a file."""
     found = []
     for one in (model, built):
         data = mujoco.MjData(one)
         mujoco.mj_kinematics(one, data)
-        found.append((data.joint(body).xanchor, data.joint(body).xaxis))
+        found.append((data.joint(hinge.body).xanchor, data.joint(hinge.body).xaxis))
     (anchor, axis), expected = found
-    joint, stated, motor = model.joint(body), hinge.dynamics, hinge.motor
-    dynamics = JointDynamics(
-        dry_friction_n_m=same_or(float(joint.frictionloss[0]), stated.dry_friction_n_m),
-        viscous_friction_n_m_s_per_rad=same_or(
-            float(joint.damping[0]), stated.viscous_friction_n_m_s_per_rad
-        ),
-        armature_kg_m2=same_or(float(joint.armature[0]), stated.armature_kg_m2),
-        backlash_rad=stated.backlash_rad
-        and same_or(
-            float(np.ptp(model.joint(f"{body}/play").range)), stated.backlash_rad
-        ),
-        quadratic_friction_n_m_s2_per_rad2=same_or(
-            float(model.dof_dampingpoly[joint.dofadr[0], 0]),
-            stated.quadratic_friction_n_m_s2_per_rad2,
-        ),
-    )
-    if isinstance(motor, Servo):
-        actuator = model.actuator(body)
-        limit = float(actuator.forcerange[1]) if actuator.forcelimited[0] else None
-        motor = replace(
-            motor,
-            kp_n_m_per_rad=same_or(float(actuator.gainprm[0]), motor.kp_n_m_per_rad),
-            kv_n_m_s_per_rad=same_or(
-                -float(actuator.biasprm[2]), motor.kv_n_m_s_per_rad
-            ),
-            torque_limit_n_m=limit and same_or(limit, motor.torque_limit_n_m or limit),
-        )
-    hinge = replace(hinge, dynamics=dynamics, motor=motor)
     if is_same(anchor, expected[0]) and is_same(axis, expected[1]):
         return hinge
     return replace(hinge, anchor_m=vector(anchor), axis=vector(axis))

@@ -56,10 +56,6 @@ def scene_mjcf_text(
         raise UnsupportedSceneError(
             f"{name}: MJCF cannot express the air around the cloth: write a USD layer, or export without air"
         )
-    if any(hinge.dynamics.servo for hinge in scene.hinges):
-        raise UnsupportedSceneError(
-            f"{name}: MJCF has no friction by rate and load: set frictionloss before each step"
-        )
     simulation = BackendMuJoCo().build(scene)
     lines = [*notes, *start_notes(simulation)]
     if scene.deformables:
@@ -85,19 +81,10 @@ def scene_mjcf_text(
 
 
 def start_notes(simulation: SimulationMuJoCo) -> list[str]:
-    """Return instructions for a start with velocities and for motors; empty for a start at rest without motors."""
-    motors = [
-        f"{simulation.model.actuator(index).name!r}"
-        for index in range(simulation.model.nu)
-    ]
-    notes = [
-        f"Motors {', '.join(motors)}: this file holds no commands and delays; write them to ctrl."
-        for _ in motors[:1]
-    ]
+    """Return instructions for a start with velocities; empty for a start at rest."""
     if not simulation.model.nkey:
-        return notes
+        return []
     return [
-        *notes,
         f"Start velocities: keyframe {START_KEY!r}. Call mj_resetDataKeyframe(model, data, key) with its id before the "
         "first step.",
     ]
@@ -330,12 +317,9 @@ def _sources(
             yield from zip(element.findall(tag), parts, strict=True)
 
 
-LIMIT = {"solreflimit": "solref_limit", "solimplimit": "solimp_limit"}
 ALIASES = {
     "mesh": {"vertex": "uservert"},
-    "spatial": LIMIT,
-    "joint": {"solreffriction": "solref_friction", "solimpfriction": "solimp_friction"}
-    | LIMIT,
+    "spatial": {"solreflimit": "solref_limit", "solimplimit": "solimp_limit"},
     "inertial": {"pos": "ipos", "diaginertia": "inertia"},
     "flex": {"vertex": "vert", "nodecoord": "node", "node": "nodebody"},
 }

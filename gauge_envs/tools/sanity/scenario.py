@@ -17,7 +17,7 @@ from gauge_envs.experiments.variants import find_variant
 from gauge_envs.runs.isolation import Worker
 from gauge_envs.runs.rollout import DeclinedError, Rollout, record
 from gauge_envs.scene import Scene
-from gauge_envs.scene.geometry import vector
+from gauge_envs.scene.geometry import FloatArray, vector
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 from gauge_envs.tools.sanity.model import Settings
 
@@ -48,6 +48,7 @@ class Scenario:
         change: Function that changes the scene, for example removes a body.
         nodes_of: Deformable bodies whose nodes are recorded.
         engine_settings: Settings that belong to the scene, by name of the backend; those of a configuration come first.
+        wrenches: Force and torque on each body that is pushed all the time [N, N m], shape [6].
         released: Body that rests on a fixed one at the start. It starts apart by the margin of a configuration, at
             which it settles; from a touching pose it would be thrown up.
         ends_beyond_m: Displacement of a body with which the scene is lost and its simulation ends [m].
@@ -62,6 +63,7 @@ class Scenario:
     change: Callable[[Scene], Scene] = field(default=_unchanged)
     nodes_of: tuple[str, ...] = ()
     engine_settings: Mapping[str, Settings] = field(default_factory=dict)
+    wrenches: Mapping[str, FloatArray] = field(default_factory=dict)
     released: str = ""
     ends_beyond_m: float = math.inf
     rest_m_per_s: float = 0.0
@@ -114,6 +116,8 @@ def run_scenario(backend: Backend, scenario: Scenario, settings: Settings) -> Ro
                 )
             )
         simulation.reset(0)
+        for name, wrench in scenario.wrenches.items():
+            simulation.apply_wrench(name, wrench)
         return record(
             simulation,
             scenario.scene_with(settings),

@@ -28,9 +28,6 @@ from gauge_envs.experiments.tables import (
     Camera,
     DriverSpec,
     Fraction,
-    JointConstants,
-    MotorSpec,
-    hinge_terms,
 )
 from gauge_envs.experiments.task_files import task_file_error
 from gauge_envs.experiments.task_format import MarkersSpec, ScoreSpec
@@ -40,7 +37,7 @@ from gauge_envs.references.bands import Band, BandSidecar, BandSpec, read_band
 from gauge_envs.references.metrics import METRICS, BaselineMetric
 from gauge_envs.references.published import PUBLISHED_ENGINES, Baseline, Reference
 from gauge_envs.references.tables import FileModel
-from gauge_envs.scene import Contact, ContactMode, Hinge, Markers, Motion, Scene
+from gauge_envs.scene import Contact, ContactMode, Markers, Motion, Scene
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.geometry import NonNegative, Positive, Vector
 from gauge_envs.scene.timing import FRAME_RATE_HZ, MOST_FRAMES
@@ -54,13 +51,6 @@ class PairSpec(FileModel):
     friction: NonNegative | None = None
     restitution: Fraction | None = None
     mode: ContactMode | None = None
-
-
-class FileHingeSpec(JointConstants):
-    """Terms of the hinge to the world of a body, or of one between bodies whose second body it is."""
-
-    body: str
-    motor: MotorSpec | None = None
 
 
 class FileMarkersSpec(MarkersSpec):
@@ -113,7 +103,6 @@ class ExperimentFile(FileModel):
         recorded: Bodies whose positions are observed, by prim path or name; empty if markers are observed.
         markers: Markers on deformable bodies that replace those of the layer.
         contacts: Constants of single pairs.
-        joints: Friction, armature and motors of hinges, which replace those of the layer.
         drivers: Motion of kinematic bodies that the layer does not animate.
         band: Mean and scatter to score against; without a band there is no distance to reality.
         baseline: Scores of real trials, by metric.
@@ -132,7 +121,6 @@ class ExperimentFile(FileModel):
     recorded: tuple[str, ...] = ()
     markers: FileMarkersSpec | None = None
     contacts: tuple[PairSpec, ...] = ()
-    joints: tuple[FileHingeSpec, ...] = ()
     drivers: tuple[DriverSpec, ...] = ()
     band: FileBandSpec | None = None
     baseline: dict[BaselineMetric, BaselineSpec] = Field(default_factory=dict)
@@ -285,14 +273,6 @@ def _scene(
     names = _names(path, layer, found.paths)
     for index, pair in enumerate(definition.contacts):
         scene = _with_pair(path, f"contacts.{index}", scene, names, pair)
-    for index, spec in enumerate(definition.joints):
-        scene = _with_terms(
-            path,
-            f"joints.{index}",
-            scene,
-            names(f"joints.{index}.body", spec.body),
-            spec,
-        )
     scene = replace(
         scene,
         drivers=(*scene.drivers, *_drivers(path, names, scene, definition.drivers)),
@@ -382,39 +362,6 @@ def _with_pair(
             f"{' and '.join(sorted(wanted))} do not collide in the USD layer",
         )
     return replace(scene, contacts=tuple(contacts))
-
-
-def _with_terms(
-    path: Path, key: str, scene: Scene, body: str, spec: FileHingeSpec
-) -> Scene:
-    """Return the scene with the terms of the hinge that turns a body."""
-    turned = [
-        hinge
-        for hinge in scene.hinges
-        if body == (hinge.body if isinstance(hinge, Hinge) else hinge.second)
-    ]
-    if len(turned) != 1:
-        raise AssetError(
-            path,
-            f"{key}.body",
-            f"{body} is the body, or the second one, of {len(turned)} hinges, not one",
-        )
-    try:
-        terms: dict[str, Any] = {"motor": None} | hinge_terms(
-            spec.model_dump(exclude={"body", "motor"}), spec.motor
-        )
-    except ValueError as error:
-        raise TaskFileError(path, key, str(error)) from None
-    return replace(
-        scene,
-        joints=tuple(
-            replace(one, **terms) if one is turned[0] else one for one in scene.joints
-        ),
-        body_hinges=tuple(
-            replace(one, **terms) if one is turned[0] else one
-            for one in scene.body_hinges
-        ),
-    )
 
 
 def _drivers(

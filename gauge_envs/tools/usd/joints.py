@@ -1,32 +1,15 @@
-"""Reader of hinges with their motors, and of tethers of a USD stage."""
+"""Reader of hinges and tethers to the world of a USD stage."""
 
 from __future__ import annotations
 
-import json
-import math
 from collections.abc import Mapping
-from functools import partial
-from typing import Annotated, Any
 
 import numpy as np
 from pxr import Sdf, Usd, UsdPhysics
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from gauge_envs.errors import first_fault
-from gauge_envs.scene.bodies import (
-    BodyHinge,
-    Hinge,
-    JointDynamics,
-    Motion,
-    RigidBody,
-    Tether,
-)
+from gauge_envs.scene.bodies import Hinge, Motion, RigidBody, Tether
 from gauge_envs.scene.geometry import FloatArray, length_of, vector
-from gauge_envs.scene.motors import Motor
 from gauge_envs.tools.usd.layer import (
-    DRIVE,
-    DYNAMICS,
-    PHYSX_ARMATURE,
     WRITTEN,
     hinge_axis,
     hinge_frame,
@@ -41,20 +24,18 @@ UNIT = 1e-6
 """Largest deviation of an axis from unit length."""
 
 
-UNREAD = (
-    "physxJoint:jointFriction",
+UNSUPPORTED = (
+    "gauge:backlash_rad",
+    "gauge:motor",
+    "gauge:quadratic_friction",
+    "mjc:armature",
+    "mjc:damping",
+    "mjc:frictionloss",
     "mjc:stiffness",
+    "physxJoint:armature",
+    "physxJoint:jointFriction",
 )
 """Attributes with physics that joints of a scene do not have, unless they are 0."""
-
-
-class _Terms(BaseModel):
-    """Terms of a hinge."""
-
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
-
-    dynamics: JointDynamics
-    motor: Annotated[Motor, Field(discriminator="kind")] | None
 
 
 class _End:
@@ -145,13 +126,6 @@ def is_welded(source: Source, joint: Usd.Prim, body: Usd.Prim) -> bool:
     )
 
 
-def joins_bodies(
-    source: Source, joint: Usd.Prim, bodies: Mapping[Sdf.Path, RigidBody]
-) -> bool:
-    """Return whether a joint connects two bodies, none of which is fixed."""
-    return all(_is_loose(end, bodies) for end in _ends(source, joint))
-
-
 def _is_loose(end: _End, bodies: Mapping[Sdf.Path, RigidBody]) -> bool:
     """Return whether an end of a joint is in a body that is not fixed; bodies that are not given are not."""
     if end.body is None:
@@ -160,67 +134,10 @@ def _is_loose(end: _End, bodies: Mapping[Sdf.Path, RigidBody]) -> bool:
     return body is None or body.motion is not Motion.FIXED
 
 
-def read_body_hinge(
-    source: Source,
-    prim: Usd.Prim,
-    bodies: Mapping[Sdf.Path, RigidBody],
-    *,
-    has_limits: bool = False,
-) -> BodyHinge:
-    """Return the hinge of a revolute joint between two bodies.
-
-    Its frames in both bodies must coincide at the start. They count if one of them was edited; otherwise the exact
-    anchor and axis of a layer of this package count, which must agree with them.
-
-    Args:
-        source: The stage.
-        prim: The joint.
-        bodies: Rigid bodies, by path of the prim.
-        has_limits: Whether it may have limits, which do not count.
-    """
-    kind = str(prim.GetTypeName())
-    if kind != "PhysicsRevoluteJoint" and not (has_limits and _slides(prim)):
-        raise source.fault(
-            prim,
-            f"unsupported joint: a {kind} of two bodies; revolute joints of two bodies are read",
-        )
-    _check_plain(source, prim, has_limits=has_limits)
-    ends, letter = _ends(source, prim), _letter(source, prim)
-    places, axes = [end.place() for end in ends], [end.axis(letter) for end in ends]
-    edited = any(
-        _is_edited(one) for end in ends for one in (end.position, end.rotation)
-    )
-    exact = [
-        source.numbers(prim.GetAttribute(f"gauge:{name}"), (3,))
-        for name in ("anchor_m", "axis")
-    ]
-    anchor = places[0] if edited or exact[0] is None else exact[0]
-    axis = axes[0] if edited or exact[1] is None else exact[1]
-    gap = max(length_of(place - anchor) for place in places)
-    askew = max(length_of(one - axis) for one in axes)
-    if not max(gap, askew) <= GAP_M:
-        raise source.fault(
-            prim,
-            f"its frames in the two bodies lie up to {1e3 * gap:.3g} mm and {askew:.3g} rad off its anchor and axis at "
-            "the start: they must meet",
-        )
-    first, second = (bodies[end.body.GetPath()].name for end in ends if end.body)
-    place, terms = vector(anchor), _terms(source, prim)
-    return BodyHinge(
-        first=first,
-        second=second,
-        anchor_m=place,
-        axis=vector(_normalized(axis)),
-        **terms,
-    )
-
-
 def read_joint(
     source: Source,
     prim: Usd.Prim,
     bodies: Mapping[Sdf.Path, RigidBody],
-    *,
-    has_limits: bool = False,
 ) -> Hinge | Tether | None:
     """Return a hinge for a revolute joint, a tether for a distance joint, and None for a fixed joint.
 
@@ -231,15 +148,13 @@ def read_joint(
         source: The stage.
         prim: The joint.
         bodies: Rigid bodies, by path of the prim.
-        has_limits: Whether it may have limits, which do not count.
     """
     kind = str(prim.GetTypeName())
     if kind == "PhysicsFixedJoint":
         _world_joint(source, prim, {})
         return None
     world, moving = _world_joint(source, prim, bodies)
-    is_read = kind in ("PhysicsRevoluteJoint", "PhysicsDistanceJoint")
-    if not is_read and not (has_limits and _slides(prim)):
+    if kind not in ("PhysicsRevoluteJoint", "PhysicsDistanceJoint"):
         raise source.fault(
             prim,
             f"unsupported joint: {kind}; revolute, distance and fixed joints to the world are read",
@@ -248,7 +163,7 @@ def read_joint(
     body = bodies[moving.body.GetPath()]
     if body.motion is not Motion.DYNAMIC:
         raise source.fault(prim, f"unsupported joint: a {kind} of a {body.motion} body")
-    _check_plain(source, prim, has_limits=has_limits)
+    _check_plain(source, prim)
     double = prim.GetAttribute("gauge:anchor_m")
     anchor = source.counted(double, [world.reading()], (3,))
     if anchor is None:
@@ -277,10 +192,6 @@ def _world_joint(
     return ends[0], ends[1]
 
 
-def _slides(prim: Usd.Prim) -> bool:
-    return bool(prim.IsA(UsdPhysics.PrismaticJoint))
-
-
 def _letter(source: Source, prim: Usd.Prim) -> str:
     return (
         source.text(UsdPhysics.RevoluteJoint(prim).GetAxisAttr(), ("X", "Y", "Z"))
@@ -299,23 +210,26 @@ def _is_edited(attribute: Usd.Attribute) -> bool:
     return bool(attribute) and attribute.Get() != attribute.GetCustomDataByKey(WRITTEN)
 
 
-def _check_plain(source: Source, prim: Usd.Prim, *, has_limits: bool) -> None:
-    """Check that a joint has no limit, no drive but that of a revolute joint, and no breaking strength."""
+def _check_plain(source: Source, prim: Usd.Prim) -> None:
+    """Check that a joint has no drive, friction, armature, limit and breaking strength."""
     applied = [
         name
         for name in prim.GetAppliedSchemas()
         if name.startswith(("PhysicsDriveAPI", "PhysicsLimitAPI"))
     ]
-    if prim.IsA(UsdPhysics.RevoluteJoint) or _slides(prim):
-        applied = [one for one in applied if one != f"PhysicsDriveAPI:{_drive(prim)}"]
     if applied:
         raise source.fault(
             prim,
             f"unsupported joint: it has {applied[0]}, and joints of a scene move freely",
         )
+    for attribute in map(prim.GetAttribute, UNSUPPORTED):
+        if attribute and attribute.Get():
+            raise source.fault(
+                attribute,
+                f"unsupported joint: it is {attribute.Get()}, and joints of a scene move freely",
+            )
     limits = ("physics:lowerLimit", "physics:upperLimit")
-    strengths = ("physics:breakForce", "physics:breakTorque")
-    for name in strengths if has_limits else (*limits, *strengths):
+    for name in (*limits, "physics:breakForce", "physics:breakTorque"):
         attribute = prim.GetAttribute(name)
         value = attribute.Get() if attribute else None
         if value is not None and np.isfinite(value):
@@ -393,83 +307,4 @@ def _hinge(
                 prim,
                 f"its two frames lie {1e3 * gap:.3g} mm apart and {askew:.3g} rad askew at the start: they must meet",
             )
-    second = _ends(source, prim)[1].body
-    terms = _terms(source, prim, 1.0 if second == moving.body else -1.0)
-    return Hinge(body=body.name, anchor_m=vector(anchor), axis=vector(axis), **terms)
-
-
-def _drive(prim: Usd.Prim) -> str:
-    """Return the kind of the drive that moves a joint."""
-    return "linear" if _slides(prim) else "angular"
-
-
-def _terms(source: Source, prim: Usd.Prim, sign: float = 1.0) -> dict[str, Any]:
-    """Return the fields `dynamics` and `motor` of the hinge of a joint, which turns as the joint times a sign.
-
-    Those of a slider have m for rad and N for N m.
-    """
-    velocity = f"drive:{_drive(prim)}:physics:targetVelocity"
-    for attribute in map(prim.GetAttribute, (*UNREAD, velocity)):
-        if attribute and source.number(attribute):
-            raise source.fault(
-                attribute,
-                f"unsupported joint: it is {attribute.Get()}, and a scene has no such term",
-            )
-    unit = source.kilograms * (1.0 if _slides(prim) else source.metres**2)
-    dynamics = {}
-    for field, name in DYNAMICS.items():
-        other = (
-            [source.reading(prim.GetAttribute(PHYSX_ARMATURE))]
-            if name == "mjc:armature"
-            else []
-        )
-        if (value := source.counted(prim.GetAttribute(name), other)) is not None:
-            dynamics[field] = float(value) * (1.0 if field == "backlash_rad" else unit)
-    drive = UsdPhysics.DriveAPI(prim, _drive(prim))
-    kind = source.text(prim.GetAttribute("gauge:motor")) or ("servo" if drive else None)
-    motor = (
-        None
-        if kind is None
-        else {"kind": kind} | _motor(source, prim, drive, unit, sign)
-    )
-    try:
-        return dict(_Terms.model_validate({"dynamics": dynamics, "motor": motor}))
-    except ValidationError as error:
-        raise source.fault(prim, ": ".join(first_fault(error))) from None
-
-
-def _motor(
-    source: Source, prim: Usd.Prim, drive: UsdPhysics.DriveAPI, unit: float, sign: float
-) -> dict[str, Any]:
-    """Return the fields of a motor; a drive of another tool holds its target."""
-    source.text(drive.GetTypeAttr(), ("force",))
-    motor: dict[str, Any] = {
-        "delay_s": source.number(prim.GetAttribute("gauge:delay_s")) or 0.0
-    }
-    for field, (name, factor) in DRIVE.items():
-        standard = prim.GetAttribute(name.replace("angular", _drive(prim)))
-        if _slides(prim):
-            factor = source.metres if field == "torque_limit_n_m" else 1.0
-        is_given = standard and standard.Get() != math.inf
-        reading = (
-            source.reading(standard, (), partial(np.multiply, factor * unit))
-            if is_given
-            else None
-        )
-        if (
-            value := source.counted(prim.GetAttribute(f"gauge:{field}"), [reading])
-        ) is not None:
-            motor[field] = float(value)
-    command = prim.GetAttribute("gauge:command")
-    stated_target = source.number(drive.GetTargetPositionAttr()) or 0.0
-    target = sign * (
-        source.metres * stated_target if _slides(prim) else math.radians(stated_target)
-    )
-    try:
-        stated = json.loads(source.text(command) or "null")
-    except ValueError as error:
-        raise source.fault(command, f"is not JSON: {error}") from None
-    return motor | {
-        "command": stated
-        or {"kind": "sampled", "times_s": (0.0, 1.0), "values": (target, target)}
-    }
+    return Hinge(body=body.name, anchor_m=vector(anchor), axis=vector(axis))

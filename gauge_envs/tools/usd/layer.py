@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-import math
 from typing import Any
 
 import numpy as np
@@ -40,26 +39,8 @@ OMNI_MATERIAL = {
 }
 """Attributes of Omniverse's deformable material, by the constants of a body that they hold in single precision."""
 
-DYNAMICS = {
-    "dry_friction_n_m": "mjc:frictionloss",
-    "viscous_friction_n_m_s_per_rad": "mjc:damping",
-    "armature_kg_m2": "mjc:armature",
-    "backlash_rad": "gauge:backlash_rad",
-    "quadratic_friction_n_m_s2_per_rad2": "gauge:quadratic_friction",
-}
-"""Attributes of MuJoCo's schema, doubles per radian, or of this package, by field of `JointDynamics`."""
-
 ARMS = ("torsion_m", "rolling_m")
 """Fields of a contact beyond UsdPhysics, written where they are not zero."""
-
-PHYSX_ARMATURE = "physxJoint:armature"
-
-DRIVE = {
-    "kp_n_m_per_rad": ("drive:angular:physics:stiffness", math.degrees(1.0)),
-    "kv_n_m_s_per_rad": ("drive:angular:physics:damping", math.degrees(1.0)),
-    "torque_limit_n_m": ("drive:angular:physics:maxForce", 1.0),
-}
-"""Single-precision attribute of a drive, and factor from its unit to SI, by field of `Servo`."""
 
 AIR_KINDS = {"wind_m_per_s": "double3"}
 """Type in USD of the fields of the air that are no double."""

@@ -59,12 +59,12 @@ class PairOptions:
     Attributes:
         friction: The coefficient that counts if static and dynamic friction of a material differ; None raises an error.
         mode: Mode of contacts without `gauge:mode`: one for all, or one per pair of names and sustained for others.
-        contacts: Contacts that replace those of the file for their pairs; None leaves all contacts out.
+        contacts: Contacts that replace those of the file for their pairs.
     """
 
     friction: Literal["dynamic", "static"] | None = None
     mode: ContactMode | Mapping[tuple[str, str], ContactMode] = ContactMode.SUSTAINED
-    contacts: Sequence[Contact] | None = ()
+    contacts: Sequence[Contact] = ()
 
     def mode_of(self, pair: Pair) -> ContactMode:
         """Return the contact mode of a pair of bodies."""
@@ -84,8 +84,6 @@ def contacts_of(
     `gauge:first` and `gauge:second` define the pairs. If the pairs of UsdPhysics were edited, the edits add or remove
     pairs. A file without `gauge:first` has the pairs of UsdPhysics: all enabled colliders except filtered pairs.
     """
-    if options.contacts is None:
-        return ()
     prims = [prim for prim in source.prims() if prim.HasRelationship("gauge:first")]
     kept = [_gauge_contact(source, prim, parties) for prim in prims]
     _check_bindings(source, prims, kept, parties)

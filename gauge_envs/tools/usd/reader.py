@@ -17,7 +17,7 @@ import numpy as np
 from pxr import Sdf, Tf, Usd, UsdPhysics
 
 from gauge_envs.errors import AssetError, ParameterError
-from gauge_envs.scene.bodies import Contact, ContactMode, Hinge, Motion, RigidBody
+from gauge_envs.scene.bodies import Contact, ContactMode, Motion, RigidBody
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.geometry import FloatArray, Pose, vector
 from gauge_envs.scene.scene import GRAVITY_M_PER_S2, Scene
@@ -30,13 +30,7 @@ from gauge_envs.tools.usd.deformables import (
     world_points,
 )
 from gauge_envs.tools.usd.driven import driven_body
-from gauge_envs.tools.usd.joints import (
-    is_welded,
-    joins_bodies,
-    joint_prims,
-    read_body_hinge,
-    read_joint,
-)
+from gauge_envs.tools.usd.joints import is_welded, joint_prims, read_joint
 from gauge_envs.tools.usd.layer import WRITTEN
 from gauge_envs.tools.usd.pairs import PairOptions, Party, contacts_of
 from gauge_envs.tools.usd.solids import inertia_kg_m2, mass_kg, solid_of
@@ -59,15 +53,12 @@ class UsdScene:
         paths: Prim path of each rigid and deformable body, by its name in the scene.
         metadata: Notes of the writer on the variant and its source; empty in files of other tools.
         used_files: Other files of the stage, sorted by their path relative to the main file.
-        sliders: Places in `Scene.hinges` of joints that slide along the axis; their numbers have m for rad and N for
-            N m. Only of joints alone, see `read_usd`.
     """
 
     scene: Scene
     paths: Mapping[str, str]
     metadata: Mapping[str, str]
     used_files: tuple[Path, ...]
-    sliders: tuple[int, ...] = ()
 
 
 def read_usd(
@@ -76,14 +67,14 @@ def read_usd(
     duration_s: float | None = None,
     friction: Literal["dynamic", "static"] | None = None,
     mode: ContactMode | Mapping[tuple[str, str], ContactMode] = ContactMode.SUSTAINED,
-    contacts: Sequence[Contact] | None = (),
+    contacts: Sequence[Contact] = (),
     has_markers: bool = True,
     unstated_duration_s: float | None = None,
 ) -> UsdScene:
     """Read the whole content of a USD file; arguments and errors as in `from_usd`.
 
-    If `has_markers` is false, the markers of the file are ignored, and if `contacts` is None, its contacts
-    and the limits of its joints, which may slide. `unstated_duration_s` is the duration of a file that states none [s].
+    If `has_markers` is false, the markers of the file are ignored. `unstated_duration_s` is the duration of a file that
+    states none [s].
     """
     options = PairOptions(friction=friction, mode=mode, contacts=contacts)
     with _opened(Path(path)) as source:
@@ -211,20 +202,7 @@ class _Reader:
             self._party(prim, (prim,) if prim.HasAPI(UsdPhysics.CollisionAPI) else ())
             for prim in deformable
         ]
-        # Joints alone are read where contacts do not count.
-        has_limits = self.options.contacts is None
-        between = [prim for prim in self.joints if joins_bodies(source, prim, bodies)]
-        joints = [
-            read_joint(source, prim, bodies, has_limits=has_limits)
-            for prim in self.joints
-            if prim not in between
-        ]
-        turning = [prim for prim in self.joints if prim not in between]
-        hinged = [
-            prim
-            for prim, joint in zip(turning, joints, strict=True)
-            if isinstance(joint, Hinge)
-        ]
+        joints = [read_joint(source, prim, bodies) for prim in self.joints]
         scene = Scene(
             bodies=tuple(bodies.values()),
             deformables=tuple(
@@ -232,10 +210,6 @@ class _Reader:
                 for prim in deformable
             ),
             joints=tuple(joint for joint in joints if joint is not None),
-            body_hinges=tuple(
-                read_body_hinge(source, prim, bodies, has_limits=has_limits)
-                for prim in between
-            ),
             attachments=tuple(read_attachments(source, self.names)),
             contacts=contacts_of(source, self.physics.GetPrim(), parties, self.options),
             drivers=tuple(
@@ -254,11 +228,6 @@ class _Reader:
             if isinstance(noted, dict)
             else {},
             used_files=source.used_files(),
-            sliders=tuple(
-                place
-                for place, prim in enumerate([*hinged, *between])
-                if prim.IsA(UsdPhysics.PrismaticJoint)
-            ),
         )
 
     # --- stage ---

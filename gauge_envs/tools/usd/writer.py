@@ -10,8 +10,6 @@ the standard attribute, from which the reader detects the edited one. A derived 
 as the mesh of a cloth, contains its written value and the names of the attributes to edit instead.
 """
 
-import json
-import math
 from dataclasses import asdict
 from itertools import combinations
 from pathlib import Path
@@ -19,9 +17,8 @@ from pathlib import Path
 import numpy as np
 from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdPhysics, UsdShade, Vt
 
-from gauge_envs.errors import ParameterError, ResultFileError, UnsupportedSceneError
+from gauge_envs.errors import ParameterError, ResultFileError
 from gauge_envs.scene.bodies import (
-    BodyHinge,
     Contact,
     Hinge,
     Markers,
@@ -43,17 +40,13 @@ from gauge_envs.scene.geometry import (
     vector,
 )
 from gauge_envs.scene.meshes import hull_faces
-from gauge_envs.scene.motors import Servo
 from gauge_envs.scene.scene import Scene
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.usd.deformable_writer import DeformableWriter, material_path
 from gauge_envs.tools.usd.layer import (
     AIR_KINDS,
     ARMS,
-    DRIVE,
-    DYNAMICS,
     MARKER_INDICES,
-    PHYSX_ARMATURE,
     TEXT,
     digest,
     hinge_axis,
@@ -61,7 +54,6 @@ from gauge_envs.tools.usd.layer import (
     motions_digest,
     motions_to_json,
     names_digest,
-    record_follower,
     record_written,
     samples_digest,
     wxyz,
@@ -70,7 +62,6 @@ from gauge_envs.tools.usd.target import (
     Target,
     quatd,
     single_points,
-    write_attribute,
     write_extent,
     write_friction,
     write_gauge,
@@ -153,8 +144,6 @@ class _Writer:
         write_gauge(physics, "colliding_pairs", self._filtered_pairs(), "string")
         for index, joint in enumerate(scene.joints):
             self._joint(f"{self.target.group('Joints')}/joint_{index}", joint)
-        for index, hinge in enumerate(scene.body_hinges):
-            self._body_hinge(f"{self.target.group('Joints')}/body_hinge_{index}", hinge)
         for index, attachment in enumerate(scene.attachments):
             self.soft.attach(index, attachment)
         if scene.markers is not None:
@@ -394,7 +383,6 @@ class _Writer:
                 "double3",
                 written=digest(hinge_axis(wxyz(world.Get()))),
             )
-            _joint_terms(joint.GetPrim(), stated)
         else:
             joint = UsdPhysics.DistanceJoint.Define(self.stage, path)
             longest = joint.CreateMaxDistanceAttr(stated.length_m)
@@ -404,36 +392,6 @@ class _Writer:
         local = joint.CreateLocalPos1Attr(Gf.Vec3f(*local_m))
         record_written(local, local.Get())
         write_gauge(joint, "anchor_m", anchor_m, "double3", written=world.Get())
-
-    def _body_hinge(self, path: str, hinge: BodyHinge) -> None:
-        """Write a joint of two bodies, with its frame in each, and the exact anchor and axis in the world."""
-        joint = UsdPhysics.RevoluteJoint.Define(self.stage, path)
-        joint.CreateAxisAttr(UsdPhysics.Tokens.x)
-        rotation = Gf.Quatd(hinge_frame(hinge.axis))
-        sides = (
-            (
-                hinge.first,
-                joint.CreateBody0Rel,
-                joint.CreateLocalPos0Attr,
-                joint.CreateLocalRot0Attr,
-            ),
-            (
-                hinge.second,
-                joint.CreateBody1Rel,
-                joint.CreateLocalPos1Attr,
-                joint.CreateLocalRot1Attr,
-            ),
-        )
-        for name, relate, place, turn in sides:
-            pose = self.scene.body(name).pose
-            relate().SetTargets([self.paths[name]])
-            at = place(Gf.Vec3f(*pose.to_body(np.asarray(hinge.anchor_m)).tolist()))
-            along = turn(Gf.Quatf(quatd(pose.quaternion).GetInverse() * rotation))
-            for one in (at, along):
-                record_written(one, one.Get())
-        write_gauge(joint, "anchor_m", hinge.anchor_m, "double3")
-        write_gauge(joint, "axis", hinge.axis, "double3")
-        _joint_terms(joint.GetPrim(), hinge)
 
     # --- attachments and markers ---
 
@@ -458,42 +416,3 @@ class _Writer:
         )
         for name, kind in MARKER_INDICES.items():
             write_gauge(prim, name, list(getattr(markers, name)), kind)
-
-
-# --- attributes ------------------------------------------------------------------------------------------------------
-
-
-def _joint_terms(prim: Usd.Prim, hinge: Hinge | BodyHinge) -> None:
-    """Write friction, armature and motor of a hinge."""
-    if hinge.dynamics.servo:
-        raise UnsupportedSceneError(
-            f"{prim.GetName()}: a USD layer has no friction by rate and load: leave it out, or state it in a task file"
-        )
-    for field, name in DYNAMICS.items():
-        if value := getattr(hinge.dynamics, field):
-            prim.AddAppliedSchema("MjcJointAPI")
-            double = write_attribute(prim, name, "double", value)
-            if name == "mjc:armature":
-                prim.AddAppliedSchema("PhysxJointAPI")
-                record_written(
-                    double, write_attribute(prim, PHYSX_ARMATURE, "float", value).Get()
-                )
-    if (motor := hinge.motor) is None:
-        return
-    write_gauge(prim, "motor", motor.kind, "token")
-    write_gauge(
-        prim, "command", json.dumps(asdict(motor.command), allow_nan=False), "string"
-    )
-    if isinstance(motor, Servo):
-        target = UsdPhysics.DriveAPI.Apply(prim, "angular").CreateTargetPositionAttr()
-        target.Set(math.degrees(motor.command.value(0.0)))
-        record_follower(target, "gauge:command")
-    for field, value in asdict(motor).items():
-        if isinstance(value, float):
-            drive = DRIVE.get(field)
-            single = (
-                drive
-                and write_attribute(prim, drive[0], "float", value / drive[1]).Get()
-                * drive[1]
-            )
-            write_gauge(prim, field, value, written=single)

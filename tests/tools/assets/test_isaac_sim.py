@@ -6,7 +6,6 @@ Isaac Sim itself runs in no test. `isaac_stub` stands in for it with prescribed 
 import importlib.util
 import sys
 import tomllib
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -27,7 +26,7 @@ from gauge_envs.observables.observer import MARKER_REACH_M, observe_markers
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.score_file import score_file
-from gauge_envs.scene import Cloth, JointDynamics, SoftBody
+from gauge_envs.scene import Cloth, SoftBody
 from gauge_envs.scene.driver_path import DriverPath
 from gauge_envs.scene.fabrics import Fabric
 from gauge_envs.tools.assets.build import assets_folder
@@ -391,15 +390,6 @@ def test_foam_has_its_measured_constants_and_a_collider_that_meets_nothing():
         path.name for path in prim.GetRelationship("physics:filteredPairs").GetTargets()
     }
     assert filtered == {"base_1", "base_2", "ground"}
-
-
-def test_hinges_with_friction_are_refused():
-    scene = load_experiment("Pendulum-metal").scene
-    rubbing = replace(scene.joints[0], dynamics=JointDynamics(dry_friction_n_m=0.01))
-    assert unsupported_reason(scene) is None
-    assert "joints have friction" in unsupported_reason(
-        replace(scene, joints=(rubbing,))
-    )
 
 
 @pytest.mark.parametrize("name", ["RopeWinding-rubber", "StickStack-soft"])

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from pxr import Gf, Sdf, UsdGeom, UsdPhysics, UsdShade
+from pxr import Gf, UsdGeom, UsdPhysics, UsdShade
 from scipy.spatial.transform import Rotation
 from usd_scenes import changed, edited, pairs
 
@@ -17,7 +17,6 @@ from gauge_envs.scene import (
     Contact,
     ConvexUnion,
     Hinge,
-    JointDynamics,
     Motion,
     Pose,
     RigidBody,
@@ -27,8 +26,7 @@ from gauge_envs.scene import (
 )
 from gauge_envs.scene.geometry import pose_distance
 from gauge_envs.scene.meshes import mass_properties
-from gauge_envs.scene.motors import Servo
-from gauge_envs.scene.profiles import CosineProfile, SampledProfile
+from gauge_envs.scene.profiles import SampledProfile
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.assets.build import assets_folder
 from gauge_envs.tools.usd.reader import read_usd
@@ -51,33 +49,6 @@ FLING = "TextileFlinging-rayon"
 
 def original(name):
     return load_experiment(name).scene
-
-
-def chain():
-    """Two blocks on a hinge to the world with friction and play, and a servo between them."""
-    scene = load_experiment(
-        "ElbowToss-blocks", {"first.position_m": (0.0, 0.0, 0.15)}
-    ).scene
-    dynamics = JointDynamics(
-        dry_friction_n_m=0.0103,
-        viscous_friction_n_m_s_per_rad=0.021,
-        armature_kg_m2=0.0017,
-        backlash_rad=0.01,
-    )
-    motor = Servo(
-        command=CosineProfile(start_s=0.1, duration_s=0.3, amount=0.7),
-        kp_n_m_per_rad=8.1,
-        kv_n_m_s_per_rad=0.13,
-        torque_limit_n_m=1.7,
-        delay_s=0.02,
-    )
-    shoulder = Hinge(
-        body="first", anchor_m=(0.0, 0.0, 0.2), axis=(0.0, 1.0, 0.0), dynamics=dynamics
-    )
-    (elbow,) = scene.body_hinges
-    return replace(
-        scene, joints=(shoulder,), body_hinges=(replace(elbow, motor=motor),)
-    )
 
 
 # A body whose centre of mass is not its origin, and a string of a length without few digits.
@@ -103,7 +74,6 @@ STRING = Scene(
     joints=(Tether(body="thrown", anchor_m=(0.0, 0.1, 1.7), length_m=1 / 3),),
     duration_s=1.0,
 )
-CHAIN = chain()
 
 # --- one value -------------------------------------------------------------------------------------------------------
 
@@ -113,12 +83,7 @@ MATERIAL, SHEET, JOINT = (
     "/World/textile",
     "/World/Joints/joint_0",
 )
-ELBOW, PLATE, FABRIC = (
-    "/World/Joints/body_hinge_0",
-    "/World/plate",
-    "/World/Materials/body_textile",
-)
-PER_DEGREE = 180.0 / math.pi
+PLATE, FABRIC = "/World/plate", "/World/Materials/body_textile"
 
 # Edits of a layer: attribute, new value, place in the scene, and what stands there if it is another value. Numbers in
 # single precision count as the decimal that was typed.
@@ -168,17 +133,8 @@ COUNTED = {
     "throw": """
         /World/thrown.gauge:linear_velocity_m_per_s       (3.0,0.0,0.1)     bodies.thrown.linear_velocity_m_per_s
     """,
-    "chain": """
-        /World/Joints/joint_0.mjc:frictionloss            0.5   joints.0.dynamics.dry_friction_n_m
-        /World/Joints/joint_0.mjc:damping                 0.25  joints.0.dynamics.viscous_friction_n_m_s_per_rad
-        /World/Joints/joint_0.mjc:armature                0.75  joints.0.dynamics.armature_kg_m2
-        /World/Joints/joint_0.physxJoint:armature         0.75  joints.0.dynamics.armature_kg_m2
-        /World/Joints/body_hinge_0.gauge:kp_n_m_per_rad   9.0   body_hinges.0.motor.kp_n_m_per_rad
-        /World/Joints/body_hinge_0.drive:angular:physics:maxForce  2.5  body_hinges.0.motor.torque_limit_n_m
-        /World/Joints/body_hinge_0.gauge:delay_s          0.5   body_hinges.0.motor.delay_s
-    """,
 }
-SCENES = {"string": STRING, "throw": THROW, "chain": CHAIN}
+SCENES = {"string": STRING, "throw": THROW}
 
 
 @pytest.mark.parametrize(
@@ -196,16 +152,6 @@ def test_the_edited_value_counts_and_no_other_changes(source, row, tmp_path):
     expected = changed(before, place, literal_eval((to or [value])[0]))
     assert expected != before
     assert edited(source, tmp_path, {path: literal_eval(value)}) == expected
-
-
-@pytest.mark.parametrize(
-    ("name", "gain"), [("stiffness", "kp_n_m_per_rad"), ("damping", "kv_n_m_s_per_rad")]
-)
-def test_an_edited_gain_is_per_degree(name, gain, tmp_path):
-    edit = {f"{ELBOW}.drive:angular:physics:{name}": 0.5}
-    expected = pytest.approx(0.5 * PER_DEGREE, rel=1e-15)
-    place = f"body_hinges.0.motor.{gain}"
-    assert edited(CHAIN, tmp_path, edit) == changed(CHAIN, place, expected)
 
 
 def test_two_edits_that_agree_keep_every_digit(tmp_path):
@@ -284,29 +230,9 @@ def test_a_world_that_is_moved_moves_its_bodies(tmp_path):
 # --- joints of two bodies, axes and units ----------------------------------------------------------------------------
 
 
-def test_a_joint_of_two_bodies_is_read_from_its_frames(tmp_path):
-    (before,) = CHAIN.body_hinges
-
-    def found(edit):
-        return edited(CHAIN, tmp_path, edit).body_hinges[0]
-
-    exact = without(f"{ELBOW}.gauge:anchor_m", f"{ELBOW}.gauge:axis")
-    np.testing.assert_allclose(found(exact).anchor_m, before.anchor_m, atol=1e-7)
-    np.testing.assert_allclose(found(exact).axis, before.axis, atol=1e-6)
-
-    def along(stage):
-        for name in ("localPos0", "localPos1"):
-            place = stage.GetAttributeAtPath(f"{ELBOW}.physics:{name}")
-            # Along the axis, which is the same in both blocks.
-            place.Set(place.Get() + Gf.Vec3f(0.0, 0.01, 0.0))
-
-    shift = np.subtract(found(along).anchor_m, before.anchor_m) @ before.axis
-    assert shift == pytest.approx(0.01, abs=1e-6)
-
-
 def test_axes_of_many_digits_and_swings_return_exactly(tmp_path):
     axis = (0.0, 1.0 - 5e-10, 0.0)
-    scene = changed(changed(CHAIN, "joints.0.axis", axis), "body_hinges.0.axis", axis)
+    scene = changed(original(PENDULUM), "joints.0.axis", axis)
     assert edited(scene, tmp_path, {}) == scene
     velocities = {
         "linear_velocity_m_per_s": (-0.6, 0.0, 0.0),
@@ -315,22 +241,6 @@ def test_axes_of_many_digits_and_swings_return_exactly(tmp_path):
     hinge = Hinge(body="thrown", anchor_m=(0.2, 0.1, 1.3), axis=(0.0, 1.0, 0.0))
     swing = Scene(bodies=(replace(BOB, **velocities),), joints=(hinge,), duration_s=0.5)
     assert edited(swing, tmp_path, {}) == swing
-
-
-def test_standard_attributes_are_in_their_units():
-    stage = scene_stage(CHAIN)
-    dynamics, motor = CHAIN.joints[0].dynamics, CHAIN.body_hinges[0].motor
-    for path, value in {
-        f"{JOINT}.mjc:frictionloss": dynamics.dry_friction_n_m,
-        f"{JOINT}.mjc:damping": dynamics.viscous_friction_n_m_s_per_rad,
-        f"{JOINT}.physxJoint:armature": dynamics.armature_kg_m2,
-        f"{ELBOW}.drive:angular:physics:stiffness": motor.kp_n_m_per_rad / PER_DEGREE,
-        f"{ELBOW}.drive:angular:physics:damping": motor.kv_n_m_s_per_rad / PER_DEGREE,
-        f"{ELBOW}.drive:angular:physics:maxForce": motor.torque_limit_n_m,
-    }.items():
-        assert stage.GetAttributeAtPath(path).Get() == pytest.approx(value), path
-    schemas = stage.GetPrimAtPath(JOINT).GetMetadata("apiSchemas").GetAppliedItems()
-    assert schemas == ["MjcJointAPI", "PhysxJointAPI"]
 
 
 # --- velocities ------------------------------------------------------------------------------------------------------
@@ -571,30 +481,6 @@ def accelerated(stage):
     attribute.Set(attribute.Get().replace('"accelerate_s": 0.5', '"accelerate_s": 0.4'))
 
 
-def torn(stage):
-    place = stage.GetAttributeAtPath(f"{ELBOW}.physics:localPos1")
-    place.Set(place.Get() + Gf.Vec3f(0.0, 0.0, 0.002))
-
-
-def ball_joint(stage):
-    stage.GetPrimAtPath(ELBOW).SetTypeName("PhysicsSphericalJoint")
-
-
-def limited(stage):
-    UsdPhysics.RevoluteJoint(stage.GetPrimAtPath(ELBOW)).CreateLowerLimitAttr(-30.0)
-
-
-def elbow_with(name, value):
-    kind = (
-        Sdf.ValueTypeNames.Token if isinstance(value, str) else Sdf.ValueTypeNames.Float
-    )
-    return lambda stage: (
-        stage.GetPrimAtPath(ELBOW).CreateAttribute(name, kind).Set(value)
-    )
-
-
-NAN = '{"kind": "sampled", "times_s": [0, 1], "values": [0, NaN]}'
-
 # The layer, its edits, and the place and the fault in the words of the error.
 DECLINED = [
     (
@@ -673,25 +559,6 @@ DECLINED = [
             VELOCITY: (0.0, 0.0, 2.0),
         },
         r"/thrown: its gauge: velocities give physics:velocity",
-    ),
-    (CHAIN, torn, "up to 2 mm"),
-    (CHAIN, ball_joint, "revolute joints of two bodies are read"),
-    (CHAIN, limited, "have no limits"),
-    (CHAIN, {f"{JOINT}.mjc:frictionloss": -0.5}, "dynamics.dry_friction_n_m: "),
-    (CHAIN, {f"{ELBOW}.gauge:kp_n_m_per_rad": -1.0}, "motor.servo.kp_n_m_per_rad: "),
-    (CHAIN, {f"{ELBOW}.gauge:motor": "stepper"}, "motor: "),
-    (CHAIN, {f"{ELBOW}.gauge:motor": "torque"}, "kp_n_m_per_rad"),
-    (CHAIN, {f"{ELBOW}.gauge:command": "{"}, "gauge:command: is not JSON"),
-    (CHAIN, {f"{ELBOW}.gauge:command": NAN}, "values.1: .*given: nan"),
-    (
-        CHAIN,
-        elbow_with("drive:angular:physics:targetPosition", 20.0),
-        "it follows from gauge:command",
-    ),
-    (
-        CHAIN,
-        elbow_with("drive:angular:physics:type", "acceleration"),
-        "force is expected",
     ),
 ]
 

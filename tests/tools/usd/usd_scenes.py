@@ -9,7 +9,6 @@ from pxr import Sdf, Usd
 
 from gauge_envs.scene import (
     Attachment,
-    BodyHinge,
     Box,
     Cloth,
     Contact,
@@ -17,7 +16,6 @@ from gauge_envs.scene import (
     ConvexUnion,
     Cylinder,
     Hinge,
-    JointDynamics,
     Markers,
     Motion,
     Plane,
@@ -32,7 +30,6 @@ from gauge_envs.scene import (
     Tether,
 )
 from gauge_envs.scene.drivers import Driver, DriverMotion
-from gauge_envs.scene.motors import Servo, TorqueMotor
 from gauge_envs.scene.profiles import CosineProfile, SampledProfile, TrapezoidProfile
 from gauge_envs.tools.assets.build import assets_folder
 from gauge_envs.tools.usd.reader import from_usd
@@ -100,26 +97,7 @@ movements = st.builds(
     residual_rate=st.floats(0.0, 1.0),
     profiles=st.lists(profiles, max_size=2).map(tuple),
 )
-motors = st.one_of(
-    st.none(),
-    st.builds(TorqueMotor, command=profiles, delay_s=maybe),
-    st.builds(
-        Servo,
-        command=profiles,
-        kp_n_m_per_rad=positive,
-        kv_n_m_s_per_rad=maybe,
-        torque_limit_n_m=st.none() | positive,
-        delay_s=maybe,
-    ),
-)
-friction = {"dry_friction_n_m": maybe, "viscous_friction_n_m_s_per_rad": maybe}
-hinge_terms = {
-    "anchor_m": points,
-    "axis": directions,
-    "motor": motors,
-    "dynamics": st.builds(JointDynamics, **friction, armature_kg_m2=maybe)
-    | st.builds(JointDynamics, **friction, armature_kg_m2=positive, backlash_rad=maybe),
-}
+hinge_terms = {"anchor_m": points, "axis": directions}
 
 
 def deformables(name):
@@ -143,9 +121,9 @@ def deformables(name):
     )
 
 
-def of_different_pairs(contacts, joined):
-    """Return the contacts that list no pair of an earlier one, and none that a hinge joins."""
-    kept = []
+def of_different_pairs(contacts):
+    """Return the contacts that list no pair of an earlier one."""
+    kept, joined = [], set()
     for contact in contacts:
         pairs = {frozenset((a, b)) for a in contact.first for b in contact.second}
         if not pairs & joined:
@@ -158,7 +136,7 @@ def of_different_pairs(contacts, joined):
 def scenes(draw):
     names = draw(st.permutations(NAMES))
     count = draw(st.integers(1, 5))
-    bodies, drivers, joints, loose = [], [], [], []
+    bodies, drivers, joints = [], [], []
     for name in names[:count]:
         motion = draw(st.sampled_from(Motion))
         is_plane = motion is Motion.FIXED and draw(st.booleans())
@@ -183,18 +161,12 @@ def scenes(draw):
             case Motion.DYNAMIC, 2:
                 tether = {"anchor_m": draw(points), "length_m": draw(lengths)}
                 joints.append(Tether(body=name, **tether))
-            case Motion.DYNAMIC, 3:
-                loose.append(name)
             case Motion.KINEMATIC, 0 | 1:
                 motions = draw(st.lists(movements, min_size=1, max_size=2))
                 source = draw(st.sampled_from(["video", "nominal"]))
                 driver = Driver(body=name, motions=tuple(motions), provenance=source)
                 drivers.append(driver)
         bodies.append(body)
-    elbows = []
-    if len(loose) > 1:
-        terms = draw(st.fixed_dictionaries(hinge_terms))
-        elbows.append(BodyHinge(first=loose[0], second=loose[1], **terms))
     soft = [
         draw(deformables(name))
         for name in names[count : count + draw(st.integers(0, 2))]
@@ -214,9 +186,7 @@ def scenes(draw):
         rolling_m=maybe,
     )
     # A deformable body starts at rest, and so does what it is attached to.
-    still = [
-        body.name for body in bodies if body.starts_at_rest and body.name not in loose
-    ]
+    still = [body.name for body in bodies if body.starts_at_rest]
     regions = st.builds(
         Region,
         axis=st.sampled_from("xyz"),
@@ -243,11 +213,8 @@ def scenes(draw):
         bodies=tuple(bodies),
         deformables=tuple(soft),
         joints=tuple(draw(st.permutations(joints))),
-        body_hinges=tuple(elbows),
         attachments=tuple(attachments),
-        contacts=of_different_pairs(
-            draw(st.lists(contacts, max_size=4)), {frozenset(loose[:2])}
-        ),
+        contacts=of_different_pairs(draw(st.lists(contacts, max_size=4))),
         drivers=tuple(draw(st.permutations(drivers))),
         markers=markers,
         duration_s=draw(st.floats(0.1, 3.0)),

@@ -11,8 +11,10 @@ from typing import Any
 
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Scene
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.bench.grasp import (
     HELD,
+    PRESSED,
     TURNED,
     pad_creep_um_per_s,
     pad_depth_um,
@@ -39,11 +41,20 @@ def _replaced(_: Scene, *, scene: Scene) -> Scene:
 
 
 def _row(
-    name: str, scene: Scene, value: Callable[[Rollout], float], **texts: Any
+    name: str,
+    scene: Scene,
+    value: Callable[[Rollout], float],
+    *,
+    wrenches: Mapping[str, FloatArray] = {},
+    **texts: Any,
 ) -> Phenomenon:
     change = partial(_replaced, scene=scene)
     scenario = Scenario(
-        name=name, variant="SlopeSlider-1-wood", seconds=scene.duration_s, change=change
+        name=name,
+        variant="SlopeSlider-1-wood",
+        seconds=scene.duration_s,
+        change=change,
+        wrenches=wrenches,
     )
     return Phenomenon(scenario=scenario, value=value, needs_friction=True, **texts)
 
@@ -75,7 +86,7 @@ def grasped(id: str) -> Phenomenon:
         "unit": known.unit,
         "reality": real,
     }
-    return _row(name, scene, measure, **texts)
+    return _row(name, scene, measure, wrenches=PRESSED, **texts)
 
 
 def rolling() -> Phenomenon:

@@ -220,7 +220,7 @@ def isaac_lab_configuration(
         gravity_m_per_s2=sim.numbers("gravity", 3),
         frame_skip=table.whole("decimation"),
         foot_contact=combined(ground, foot),
-        inapplicable=_inapplicable(table, physx, ground, foot),
+        inapplicable=_inapplicable(table, ground, foot),
     )
 
 
@@ -356,9 +356,7 @@ def _iterations(
     return used, origin if used == count else f"{origin}, clamped to {physx.path}"
 
 
-def _inapplicable(
-    table: Table, physx: Table, ground: Material, foot: Material
-) -> dict[Need, str]:
+def _inapplicable(table: Table, ground: Material, foot: Material) -> dict[Need, str]:
     """Return what the engine cannot represent and what then cannot be judged."""
     for key in (
         "scene.terrain.physics_material",
