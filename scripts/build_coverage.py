@@ -18,7 +18,6 @@ from gauge_envs.experiments.variants import Variant, variants
 from gauge_envs.references.bands import Band, bundled_band
 from gauge_envs.references.deformation import bundled_deformation
 from gauge_envs.references.grades import BandGrade
-from gauge_envs.references.models import unsolved_scenes
 from gauge_envs.references.published import published_baselines
 from scripts.generated import ROOT, markdown_table, page_part
 
@@ -49,7 +48,7 @@ class Row:
 
     variant: str
     used: BandGrade
-    withheld: str | None
+    is_withheld: bool
     has_events: bool
     has_statistics: bool
     unit: str
@@ -59,7 +58,7 @@ class Row:
     def cells(self) -> list[str]:
         """Cells of the table."""
         kinds = [] if self.used is BandGrade.NONE else [self.used.value]
-        kinds += ["recording, *withheld*"] if self.withheld else []
+        kinds += ["recording, *withheld*"] if self.is_withheld else []
         kinds += ["events"] if self.has_events else []
         kinds += ["statistics"] if self.has_statistics else []
         return [
@@ -85,7 +84,7 @@ def coverage(variant: Variant) -> Row:
     return Row(
         variant=variant.name,
         used=BandGrade.NONE if used is None else used.grade,
-        withheld=None if measured is None else measured.withheld,
+        is_withheld=measured is not None and measured.withheld is not None,
         has_events=any(
             metric in baselines and baselines[metric].mean for metric in EVENTS
         ),
@@ -107,24 +106,14 @@ def uncertainty_text(band: Band) -> str:
 
 def coverage_markdown(rows: Sequence[Row]) -> str:
     """Return the text of the block."""
+    head = ("id", "reference", "unit", "known", "u")
     lines = [
         *sum_table(rows),
         "",
         HEAD.strip(),
         "",
-        *markdown_table(
-            ("id", "reference", "unit", "known", "u"), [row.cells() for row in rows]
-        ),
-        "",
-        "Why bands are withheld:",
-        "",
+        *markdown_table(head, [row.cells() for row in rows]),
     ]
-    reasons: dict[str, list[str]] = {}
-    for row in rows:
-        if row.withheld:
-            reasons.setdefault(row.withheld, []).append(row.variant)
-    lines += [f"- {', '.join(names)}: {reason}." for reason, names in reasons.items()]
-    lines += unsolved_lines()
     return "\n".join(lines)
 
 
@@ -135,7 +124,7 @@ def sum_table(rows: Sequence[Row]) -> Iterator[str]:
     kinds = (
         (real, "trials", count[BandGrade.TRIALS]),
         (real, "recording", count[BandGrade.RECORDING]),
-        (real, "recording, withheld", sum(row.withheld is not None for row in rows)),
+        (real, "recording, withheld", sum(row.is_withheld for row in rows)),
         (real, "events", sum(row.has_events for row in rows)),
         (real, "statistics", sum(row.has_statistics for row in rows)),
         (solved, "law", count[BandGrade.LAW]),
@@ -159,13 +148,6 @@ def short_table(rows: Sequence[Row]) -> Iterator[str]:
     yield from markdown_table(
         ("ids", "scored against"), [(str(count[grade]), what) for grade, what in kinds]
     )
-
-
-def unsolved_lines() -> Iterator[str]:
-    """Yield why scenes have no solution."""
-    if unsolved_scenes():
-        yield from ("", "Why ids have no solution:", "")
-    yield from (f"- {name}: {one.reason}." for name, one in unsolved_scenes().items())
 
 
 def contents() -> dict[Path, str]:
