@@ -21,7 +21,7 @@ from gauge_envs.experiments.task_files import task_spec
 from gauge_envs.experiments.variants import beyond_variants, matching_variants, variants
 from gauge_envs.pages.document import as_markdown
 from gauge_envs.tools.catalog import listing
-from gauge_envs.tools.catalog.description import all_limits, episode_costs, known_limits
+from gauge_envs.tools.catalog.description import all_limits, known_limits
 from gauge_envs.tools.catalog.spaces import action_rows, observation_rows
 from gauge_envs.tools.control.tasks import control_tasks
 from scripts.environment_page import family_document, note_of
@@ -175,7 +175,7 @@ def test_an_engine_that_is_not_installed_answers_as_an_installed_one(name):
         assert uninstalled_backend(engine).supports(scene) == answer
 
 
-# --- limits and costs ------------------------------------------------------------------------------------------------
+# --- limits ----------------------------------------------------------------------------------------------------------
 
 
 def test_limits_are_of_known_variants_and_studies():
@@ -208,22 +208,3 @@ def test_limits_without_a_study_quote_the_task_files():
 
 def texts(variant):
     return " ".join(limit.text for limit in known_limits(variant))
-
-
-def test_costs_are_of_engines_that_run_the_family():
-    measured = 0
-    for family in {variant.family for variant in VARIANTS}:
-        for engine, cost in episode_costs(family).items():
-            members = [variant for variant in VARIANTS if variant.family == family]
-            running = [
-                one
-                for one in members
-                if not uninstalled_backend(engine)
-                .supports(load_experiment(one).scene)
-                .missing
-            ]
-            assert cost.least <= cost.most and cost.ids <= len(members)
-            assert running, f"{engine} does not run {family}"
-            measured += 1
-        assert "mujoco" in episode_costs(family)
-    assert measured > 40
