@@ -318,6 +318,34 @@ def test_creep_of_half_cheetah_is_mujocos():
     assert 50.0 < plain < 65.0
 
 
+OUT_OF_BOX = {
+    "creep-wood": 0.699,
+    "creep-plastic": 0.696,
+    "creep-metal": 0.725,
+    "rest-height": -0.00308,
+    "slide-wood": 2.72,
+    "slide-plastic": 2.9,
+    "slide-metal": 2.6,
+    "slide-turned": 3.35,
+    "rebound": 0.0,
+    "rebound-slow": 0.0,
+    "momentum": 0.237,
+    "carry-wood": 1.87,
+    "carry-plastic": 1.83,
+    "carry-metal": 1.84,
+    "slip": 10.5,
+    "seam": 5.79,
+    "point": 5.6,
+}
+"""Numbers of MuJoCo's documented defaults, in the unit of each row."""
+
+
+@pytest.mark.parametrize("name", OUT_OF_BOX)
+def test_numbers_of_mujoco_out_of_the_box(name):
+    found = value(name, {"preset": "out_of_box"})
+    assert found == pytest.approx(OUT_OF_BOX[name], rel=0.01, abs=1e-4)
+
+
 def test_three_per_cent_of_a_slide_are_visible():
     slide = one("slide-wood")
     assert 0.9 < 0.03 * slide.reality.value / slide.reality.tolerance < 2.5

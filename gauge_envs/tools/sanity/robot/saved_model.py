@@ -8,27 +8,16 @@ bodies. Nothing of the file is executed: arrays have declared shapes and ranges,
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict
 
 from gauge_envs.errors import TargetError
-from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.gauge_probe import ARRAYS, FLAGS, MESHES, NAMED_OPTIONS
 
-MOST_OBJECTS = 2000
-"""Most geoms, bodies or joints; pairs of geoms are counted by their square."""
-
-MOST_VERTICES = 100_000
-"""Most vertices of all hulls."""
-
-LONGEST_NAME = 200
-
-Text = Annotated[str, Field(max_length=LONGEST_NAME)]
-Texts = Annotated[list[Text], Field(max_length=MOST_OBJECTS)]
 Numbers = list[float]
 Arrays = Mapping[str, NDArray[Any]]
 """Arrays by MuJoCo's names, shape [object_count, width]."""
@@ -59,15 +48,15 @@ class ModelData(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     implementation: Literal["c", "mjx", "mujoco_warp"]
-    options: dict[Text, float | Numbers | Text | Texts]
-    known_flags: dict[Text, Texts]
-    counts: dict[Text, int]
-    arrays: dict[Text, Numbers]
-    geom_types: Texts
-    geom_hulls: Annotated[list[int], Field(max_length=MOST_OBJECTS)]
-    geom_names: Texts
-    body_names: Texts
-    hulls: dict[Text, Numbers]
+    options: dict[str, float | Numbers | str | list[str]]
+    known_flags: dict[str, list[str]]
+    counts: dict[str, int]
+    arrays: dict[str, Numbers]
+    geom_types: list[str]
+    geom_hulls: list[int]
+    geom_names: list[str]
+    body_names: list[str]
+    hulls: dict[str, Numbers]
     keyframes: dict[Literal["home", "stand", "standing"], Numbers]
     frame_skip: int | None
 
@@ -113,60 +102,16 @@ def build_saved_model(data: ModelData, name: str) -> tuple[mujoco.MjModel, list[
 
 
 def _arrays(data: ModelData) -> dict[str, NDArray[Any]]:
-    """Return all arrays with their columns, after a check of sizes and ranges."""
-    counts = {"body": len(data.body_names), "geom": len(data.geom_types)}
+    """Return all arrays with their columns."""
     arrays: dict[str, NDArray[Any]] = {}
     for name, width in WIDTHS.items():
         if name not in data.arrays:
             raise ValueError(
                 f"arrays.{name} is missing: write the file again with the same version of gauge-envs"
             )
-        values: NDArray[Any] = np.array(data.arrays[name], dtype=np.float64)
-        count = counts.setdefault(name.partition("_")[0], len(values) // width)
-        if values.size != count * width or count > MOST_OBJECTS:
-            raise ValueError(
-                f"arrays.{name} has {values.size} numbers: expected {width} for each of {count} objects, and at most "
-                f"{MOST_OBJECTS} objects"
-            )
-        arrays[name] = (
-            _integers(name, values) if name in INTEGERS else values
-        ).reshape(count, width)
-    if (
-        len(data.geom_names) != counts["geom"]
-        or len(data.geom_hulls) != counts["geom"]
-        or not counts["body"]
-    ):
-        raise ValueError(
-            "geom_names, geom_hulls and geom_types must be of the same length, and body_names not empty"
-        )
-    owners = {
-        name: arrays[name]
-        for name in ("jnt_bodyid", "geom_bodyid", "pair_geom1", "pair_geom2")
-    }
-    owners["exclude_signature"] = np.array(
-        np.divmod(arrays["exclude_signature"], 1 << 16)
-    )
-    for name, ids in owners.items():
-        count = counts["geom" if name.startswith("pair") else "body"]
-        if ids.size and (ids.min() < 0 or ids.max() >= count):
-            raise ValueError(f"arrays.{name} must hold numbers from 0 to {count - 1}")
-    parents = arrays["body_parentid"][:, 0]
-    if (
-        parents[0] != 0
-        or (parents[1:] < 0).any()
-        or (parents[1:] >= np.arange(1, len(parents))).any()
-    ):
-        raise ValueError("arrays.body_parentid: a body must follow its parent")
+        kind = np.int64 if name in INTEGERS else np.float64
+        arrays[name] = np.array(data.arrays[name]).astype(kind).reshape(-1, width)
     return arrays
-
-
-def _integers(name: str, values: FloatArray) -> NDArray[np.int64]:
-    whole = values.astype(np.int64) if (np.abs(values) < 2.0**40).all() else None
-    if whole is None or (whole != values).any():
-        raise ValueError(f"arrays.{name} must hold whole numbers")
-    if name != "exclude_signature" and (np.abs(whole) >= 2**31).any():
-        raise ValueError(f"arrays.{name} must hold numbers of 32 bits")
-    return whole
 
 
 # --- options ---------------------------------------------------------------------------------------------------------
@@ -291,13 +236,7 @@ def _add_geoms(
     spec: mujoco.MjSpec, bodies: list[Any], data: ModelData, arrays: Arrays
 ) -> None:
     """Add geoms and explicit pairs of them."""
-    if sum(map(len, data.hulls.values())) > 3 * MOST_VERTICES:
-        raise ValueError(f"hulls: more than {MOST_VERTICES} vertices")
     for number, vertices in data.hulls.items():
-        if len(vertices) % 3:
-            raise ValueError(
-                f"hulls.{number}: expected three coordinates for each vertex"
-            )
         spec.add_mesh(name=number, uservert=vertices)
     # An explicit pair refers to geoms by name.
     paired = data.arrays["pair_geom1"] + data.arrays["pair_geom2"]
