@@ -26,7 +26,7 @@ from json_lines import check_invocation
 from places import ROOT
 from typer.testing import CliRunner
 
-from gauge_envs import files, registry
+from gauge_envs import registry
 from gauge_envs.backends import Support, backend, backend_names
 from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.cli.app import app
@@ -82,8 +82,7 @@ def forked_children():
     """Children of the package fork from a process that has its imports behind it, where the system has forks."""
     with pytest.MonkeyPatch.context() as patch:
         if sys.platform == "linux":
-            for module in (isolation, files):
-                patch.setattr(module, "subprocess", fork_server.STAND_IN)
+            patch.setattr(isolation, "subprocess", fork_server.STAND_IN)
         yield
     fork_server.stop()
 
@@ -99,8 +98,7 @@ def json_lines():
 @pytest.fixture
 def real_children(monkeypatch):
     """Children of the package start from nothing, as they do for a user."""
-    for module in (isolation, files):
-        monkeypatch.setattr(module, "subprocess", subprocess)
+    monkeypatch.setattr(isolation, "subprocess", subprocess)
 
 
 @pytest.fixture(scope="session")

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import csv
+import io
 import os
+import stat
 from typing import Literal
 
+import numpy as np
 import pytest
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from gauge_envs.errors import first_fault
-from gauge_envs.files import csv_text, write_whole
+from gauge_envs.files import csv_text, npz_arrays, write_whole
 
 
 def test_a_failed_write_leaves_the_old_content(tmp_path, monkeypatch):
@@ -28,6 +31,32 @@ def test_a_failed_write_leaves_the_old_content(tmp_path, monkeypatch):
     monkeypatch.undo()
     write_whole(file, b"new")
     assert file.read_bytes() == b"new"
+
+
+@pytest.mark.parametrize("mask", [0o002, 0o022, 0o077])
+def test_modes_follow_the_umask(mask, tmp_path):
+    before = os.umask(mask)
+    try:
+        write_whole(tmp_path / "a.json", b"{}")
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE((tmp_path / "a.json").stat().st_mode) == 0o666 & ~mask
+
+
+@pytest.mark.parametrize("dtype", ["f8", ">f4", "i2", "u1", "?"])
+def test_named_arrays_are_read_and_texts_are_refused(dtype):
+    values = np.asarray(np.arange(12).reshape(3, 4) % 2, dtype=dtype)
+    stream = io.BytesIO()
+    np.savez(stream, a=values, b=values, text="words")
+    content = stream.getvalue()
+    (array,) = npz_arrays(content, ["a", "gone"]).values()
+    np.testing.assert_array_equal(array, values)
+    assert array.dtype == values.dtype
+    with pytest.raises(ValueError, match="text: holds <U5 values, expected numbers"):
+        npz_arrays(content)
+    for damaged in (b"", b"words", b"PK", content[:-30]):
+        with pytest.raises(ValueError, match="(?i)zip"):
+            npz_arrays(damaged)
 
 
 def test_a_file_takes_the_place_of_no_device_and_no_folder(tmp_path):

@@ -15,6 +15,7 @@ frame is not shifted to earlier times. Later ones are not used; without times th
 """
 
 import csv
+import io
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -31,13 +32,10 @@ from gauge_envs.evaluation.metrics.trajectory import MAX_RELEASE_OFFSET_S
 from gauge_envs.evaluation.numerics import interpolated
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.files import (
-    MEGABYTE,
     csv_text,
     json_document,
     npz_arrays,
-    npz_names,
     os_errors,
-    read_regular,
 )
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.scene.geometry import FloatArray
@@ -46,8 +44,6 @@ from gauge_envs.scene.timing import FRAME_RATE_HZ
 FRAME_TOLERANCE_S = 5e-4
 """Samples this close to a frame count as the frame [s]; it is the error of times printed with three digits."""
 
-MOST_FILE_BYTES = 32 * MEGABYTE
-MOST_ARRAY_BYTES = 256 * MEGABYTE
 
 TIME_NAME = re.compile(
     r"(?i)(t|time|timestamp|sim_?time|seconds?|(t|time)[ _-]*\(?(s|sec|ms|seconds?)\)?)"
@@ -249,7 +245,7 @@ def _bytes(file: Path) -> bytes:
     with os_errors(
         lambda cause: TrajectoryFileError(f"{file}: cannot be read: {cause}")
     ):
-        content = read_regular(file, MOST_FILE_BYTES)
+        content = file.read_bytes()
     if not content.strip():
         raise TrajectoryFileError(f"{file}: the file is empty")
     return content
@@ -378,15 +374,13 @@ def _csv_columns(
 def _read_npz(layout: _FileLayout) -> Columns:
     content = _bytes(layout.file)
     try:
-        arrays = npz_arrays(content, ("g", "time_s", "markers_m"), MOST_ARRAY_BYTES)
-        names = npz_names(content)
+        arrays = npz_arrays(content, ("g", "time_s", "markers_m"))
     except ValueError as error:
         raise layout.error("", f"not an NPZ file: {error}") from error
     if "g" not in arrays:
-        raise layout.error(
-            "",
-            f"no array 'g', it has: {', '.join(names[:8]) or 'none'}; {layout.expected}",
-        )
+        with np.load(io.BytesIO(content)) as archive:
+            names = ", ".join(archive.files[:8]) or "none"
+        raise layout.error("", f"no array 'g', it has: {names}; {layout.expected}")
     for name, array in arrays.items():
         if name in ("g", "time_s") and array.dtype.kind not in "fiu":
             raise layout.error(name, f"holds {array.dtype} values, expected numbers")

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from gauge_envs.errors import AssetError, first_names
 from gauge_envs.experiments.experiment import Asset, AssetKind
-from gauge_envs.files import MEGABYTE, os_errors, read_regular
+from gauge_envs.files import os_errors
 from gauge_envs.references.metrics import EVENT_METRICS
 from gauge_envs.registry import scene_files, scene_suffixes
 from gauge_envs.scene import Hinge, Motion
@@ -27,14 +27,11 @@ if TYPE_CHECKING:
 RECORDED_SUFFIX = ".usda"
 """Suffix of the scene file in a result; its instrument also reads experiment files, which name a scene file."""
 
-MOST_ASSET_BYTES = 256 * MEGABYTE
-"""Largest size of an asset or of a file that it refers to."""
-
 
 def read_bytes(path: Path) -> bytes:
     """Return the content of an asset."""
     with os_errors(lambda cause: AssetError(path, "", f"cannot be read: {cause}")):
-        return read_regular(path, MOST_ASSET_BYTES)
+        return path.read_bytes()
 
 
 def contents_sha256(contents: Sequence[bytes]) -> str:

@@ -23,7 +23,7 @@ from gauge_envs.experiments.variants import (
     unreadable_task_files,
     variants,
 )
-from gauge_envs.files import MEGABYTE, MOST_TOML_BYTES, read_regular, toml_document
+from gauge_envs.files import toml_document
 from gauge_envs.scene import Plane
 from gauge_envs.scene.fabrics import Fabric
 
@@ -36,7 +36,7 @@ def load_task(path: Path) -> TaskSpec:
             without provenance, or a scene that cannot be built.
     """
     try:
-        raw = toml_document(read_regular(path, MEGABYTE))
+        raw = toml_document(path.read_bytes())
     except OSError as error:
         raise TaskFileError(
             path, None, f"cannot be read: {error.strerror or error}"
@@ -258,7 +258,7 @@ def _check_provenance(path: Path, spec: TaskSpec, raw: dict[str, Any]) -> None:
 @cache
 def task_sha256(family: str) -> str:
     """Return the hash of the task file of a family."""
-    return hashlib.sha256(read_regular(task_path(family), MOST_TOML_BYTES)).hexdigest()
+    return hashlib.sha256(task_path(family).read_bytes()).hexdigest()
 
 
 @cache

@@ -15,7 +15,7 @@ from functools import cache
 from pathlib import Path
 
 from gauge_envs.errors import ParameterError, TaskFileError, UnknownNameError
-from gauge_envs.files import MEGABYTE, data_folder, read_regular, toml_document
+from gauge_envs.files import data_folder, toml_document
 
 
 class Collection(StrEnum):
@@ -95,7 +95,7 @@ def user_task_files() -> tuple[Path, ...]:
 def is_task_file(path: Path) -> bool:
     """Return whether a TOML file states a family of experiments; an experiment file states a name and a USD layer."""
     with suppress(OSError, ValueError):
-        return "family" in toml_document(read_regular(path, MEGABYTE))
+        return "family" in toml_document(path.read_bytes())
     return False
 
 
@@ -145,7 +145,7 @@ def find_subject(name: str) -> Variant | str:
 def _check_experiment_file(path: Path) -> None:
     """Raise an error for a TOML file that is no experiment file either; what is wrong inside is said on loading it."""
     try:
-        stated = toml_document(read_regular(path, MEGABYTE))
+        stated = toml_document(path.read_bytes())
     except FileNotFoundError as error:
         # Loading needs packages of another extra.
         raise TaskFileError(path, None, f"cannot be read: {error.strerror}") from None
@@ -219,7 +219,7 @@ def variants_of_file(path: Path, collection: Collection) -> list[ListedVariant]:
         OSError: The file cannot be read.
         ValueError: It is no TOML file, or it lacks the names of its variants.
     """
-    raw = toml_document(read_regular(path, MEGABYTE))
+    raw = toml_document(path.read_bytes())
     family, materials = raw.get("family"), raw.get("materials")
     subtasks = raw.get("subtasks", {})
     if not isinstance(family, str):

@@ -25,12 +25,10 @@ from pydantic import Field, ValidationError
 
 from gauge_envs.errors import DatasetError, ReferenceFileError, first_fault
 from gauge_envs.files import (
-    MEGABYTE,
     json_document,
     locked,
     npz_arrays,
     os_errors,
-    read_regular,
     write_whole,
 )
 from gauge_envs.references.bands import Band
@@ -42,9 +40,6 @@ from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.profiles import SampledProfile
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-
-MOST_RECORD_BYTES = 8 * MEGABYTE
-MOST_ARRAYS_BYTES = 256 * MEGABYTE
 
 START_FRAMES = 3
 """Number of first frames whose positions and orientations give the start velocities of a trial."""
@@ -260,7 +255,7 @@ def remove_leftovers() -> None:
 def _arrays_name(file: Path) -> str | None:
     """Return the name of the NPZ file of a variant; None for a damaged file, which has no use for its arrays."""
     try:
-        return str(json_document(read_regular(file, MOST_RECORD_BYTES))["arrays"])
+        return str(json_document(file.read_bytes())["arrays"])
     except (OSError, ValueError, TypeError, KeyError):
         return None
 
@@ -305,7 +300,7 @@ def _load(file: Path, mtime_ns: int, inode: int) -> ImportedVariant:
     record = _record(file)
     arrays_file = file.with_name(record.arrays)
     try:
-        content = read_regular(arrays_file, MOST_ARRAYS_BYTES)
+        content = arrays_file.read_bytes()
         if hashlib.sha256(content).hexdigest() != record.arrays_sha256:
             raise ValueError("its content differs from what was imported")
         return _imported(record, content)
@@ -321,7 +316,7 @@ def _load(file: Path, mtime_ns: int, inode: int) -> ImportedVariant:
 
 
 def _record(file: Path) -> VariantRecord:
-    content = read_content(file, MOST_RECORD_BYTES)
+    content = read_content(file)
     try:
         record = VariantRecord.model_validate_json(content)
     except ValidationError as error:
@@ -352,9 +347,7 @@ def _imported(record: VariantRecord, content: bytes) -> ImportedVariant:
         "statistics.sigma",
         "start_quaternions",
     ]
-    arrays = npz_arrays(
-        content, [*wanted, *(f"driver.{body}" for body in bodies)], MOST_ARRAYS_BYTES
-    )
+    arrays = npz_arrays(content, [*wanted, *(f"driver.{body}" for body in bodies)])
     coordinate_count = len(record.coordinates)
     if arrays["mean"].shape != (record.frame_count, coordinate_count):
         raise ValueError(f"its mean has shape {arrays['mean'].shape}")

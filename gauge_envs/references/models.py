@@ -22,7 +22,7 @@ from pydantic import (
 )
 
 from gauge_envs.errors import ReferenceFileError
-from gauge_envs.files import MEGABYTE, npz_arrays
+from gauge_envs.files import npz_arrays
 from gauge_envs.references.bands import Band, SigmaSource
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.published import published_baselines
@@ -43,8 +43,6 @@ BLOCK = "block"
 STRIDE = 5
 """Frames between stored values of an uncertainty, which varies slowly."""
 
-MOST_BYTES = 64 * MEGABYTE
-"""Largest size of a file, packed or not."""
 
 POINT_SIGMA_MM = 1.0
 """Distance of a marker that a reward counts as 1 where the solution is surer than that [mm]. It is a choice: no scatter
@@ -188,7 +186,7 @@ def _read(file: Path, variant: str) -> SolvedModel | None:
             read_content(file.with_suffix(".json"))
         )
     with faults_of(file):
-        arrays = npz_arrays(read_content(file, MOST_BYTES), ARRAYS, MOST_BYTES)
+        arrays = npz_arrays(read_content(file), ARRAYS)
     count, width = sidecar.solved_frames, len(sidecar.coordinates)
     expected = {"mean": (count, width), "offsets": (len(sidecar.engines), count, width)}
     shapes = {name: array.shape for name, array in arrays.items() if name in expected}

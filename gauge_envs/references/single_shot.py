@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pydantic import Field, NonNegativeInt, PositiveInt, model_validator
 
 from gauge_envs.errors import ParameterError, ReferenceFileError
-from gauge_envs.files import MEGABYTE, npz_arrays
+from gauge_envs.files import npz_arrays
 from gauge_envs.references.bands import Band, SigmaSource
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.tables import (
@@ -37,9 +37,6 @@ Half = Literal["fit", "judge"]
 
 QUATERNION_UNIT = 1.0 / 32767.0
 """Value of one count of a stored quaternion."""
-
-MOST_BYTES = 16 * MEGABYTE
-"""Largest size of a file of recordings, packed or not."""
 
 
 class ShotNuisances(FileModel):
@@ -308,7 +305,7 @@ def _read(file: Path, variant: str) -> SingleShots | None:
         return None
     sidecar = read_toml(file.with_suffix(".toml"), ShotSidecar)
     with faults_of(file):
-        arrays = npz_arrays(read_content(file, MOST_BYTES), ARRAYS, MOST_BYTES)
+        arrays = npz_arrays(read_content(file), ARRAYS)
     shapes = {name: array.shape for name, array in arrays.items()}
     count = sidecar.trial_count
     counts = {"N": count, "N+1": count + 1, "T": len(arrays["position"])}

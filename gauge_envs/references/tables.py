@@ -18,16 +18,11 @@ from pydantic import (
 
 from gauge_envs.errors import ReferenceFileError, first_fault
 from gauge_envs.files import (
-    MEGABYTE,
     csv_text,
     data_folder,
-    read_regular,
     toml_document,
 )
 from gauge_envs.scene.geometry import FloatArray, Vector, length_of
-
-MOST_TABLE_BYTES = 16 * MEGABYTE
-"""Largest size of a table."""
 
 
 def _unit(axis: Vector) -> Vector:
@@ -63,10 +58,10 @@ def scoring_folder(name: str) -> Path:
     return data_folder("scoring") / name
 
 
-def read_content(file: Path, most_bytes: int = MOST_TABLE_BYTES) -> bytes:
+def read_content(file: Path) -> bytes:
     """Return the content of a file of reference data."""
     try:
-        return read_regular(file, most_bytes)
+        return file.read_bytes()
     except FileNotFoundError:
         raise ReferenceFileError(file, None, "the file is missing") from None
     except OSError as error:

@@ -23,7 +23,7 @@ from gauge_envs.envs.arguments import TrialStart, check_support, jittered_experi
 from gauge_envs.envs.episode import Episode
 from gauge_envs.errors import GaugeError, chosen
 from gauge_envs.experiments.experiment import AssetKind, Experiment
-from gauge_envs.files import MEGABYTE, npz_arrays, os_errors, read_regular, write_whole
+from gauge_envs.files import npz_arrays, os_errors, write_whole
 from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.runs.isolation import Worker
 from gauge_envs.runs.result import Result
@@ -36,8 +36,6 @@ PoseArray = NDArray[np.float32]
 
 RIGID_VIEWS_PER_FRAME = 2
 """Recorded views in each frame of a scene of rigid bodies, so 60 a second; deformable bodies are recorded 30 times."""
-
-MAX_REPLAY_BYTES = 512 * MEGABYTE
 
 
 class ReplayError(GaugeError, RuntimeError):
@@ -234,9 +232,7 @@ def _stored(result: Result, path: Path, key: NDArray[np.uint8]) -> Replay | None
             f"nodes_{index}": body.name for index, body in enumerate(scene.deformables)
         }
         wanted = ("key", "rate_hz", "poses", "markers_m", *names)
-        arrays = npz_arrays(
-            read_regular(path, MAX_REPLAY_BYTES), wanted, MAX_REPLAY_BYTES
-        )
+        arrays = npz_arrays(path.read_bytes(), wanted)
     except (OSError, ValueError, GaugeError):
         return None
     if len(arrays) < len(wanted) or not np.array_equal(arrays["key"], key):

@@ -30,10 +30,8 @@ from gauge_envs.experiments.scene_source import RECORDED_SUFFIX
 from gauge_envs.experiments.task_files import task_spec
 from gauge_envs.experiments.variants import OWN_TASKS, find_variant
 from gauge_envs.files import (
-    MEGABYTE,
     json_document,
     os_errors,
-    read_regular,
     write_whole,
 )
 from gauge_envs.observables.observer import MarkerProxy
@@ -41,9 +39,6 @@ from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.user_data import BUNDLED_DATA, DataSource
 from gauge_envs.registry import scene_files
 from gauge_envs.runs.result import Outcome, Result
-
-MAX_RESULT_BYTES = 32 * MEGABYTE
-MAX_DEPTH = 64
 
 
 def result_file_name(result: Result) -> str:
@@ -93,7 +88,7 @@ def write_result(result: Result, file: Path) -> None:
 def load_result(file: Path) -> Result:
     """Read a result file."""
     with os_errors(lambda cause: ResultFileError(f"{file}: cannot be read: {cause}")):
-        text = read_regular(file, MAX_RESULT_BYTES)
+        text = file.read_bytes()
     return parse_result(text, str(file))
 
 
@@ -155,9 +150,6 @@ class _AssetRecord(BaseModel):
 
 def _check(result: Result) -> None:
     """Check what types alone do not state."""
-    _check_depth(
-        [result.parameters, result.settings, result.settings_given, result.asset]
-    )
     if result.asset:
         _AssetRecord.model_validate(result.asset)
     if result.has_experiment_file:
@@ -199,19 +191,6 @@ def _check_trajectory(result: Result) -> None:
         raise ValueError(
             f"trajectory.samples: amounts of at most {LARGEST:g} are expected"
         )
-
-
-def _check_depth(value: Any, left: int = MAX_DEPTH) -> None:
-    if left == 0:
-        raise ValueError(f"its tables and lists are nested more than {MAX_DEPTH} deep")
-    for inner in (
-        value.values()
-        if isinstance(value, dict)
-        else value
-        if isinstance(value, list)
-        else ()
-    ):
-        _check_depth(inner, left - 1)
 
 
 # --- the scene of a result ---

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from gauge_envs.errors import ParameterError, UnknownNameError
-from gauge_envs.files import MEGABYTE, read_regular, toml_document, versions
+from gauge_envs.files import toml_document, versions
 from gauge_envs.tools.conformance.model import CheckResult, Status, checks
 
 
@@ -16,7 +16,7 @@ def read_expected(file: Path) -> dict[str, str]:
         UnknownNameError: It names a check that does not exist.
     """
     try:
-        found = toml_document(read_regular(file, MEGABYTE))
+        found = toml_document(file.read_bytes())
     except (OSError, ValueError) as error:
         raise ParameterError(f"{file}: cannot be read as TOML: {error}") from None
     known = [one.id for one in checks()]

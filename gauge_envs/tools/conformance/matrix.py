@@ -21,11 +21,9 @@ from gauge_envs.errors import (
     UnknownNameError,
 )
 from gauge_envs.files import (
-    MEGABYTE,
     json_document,
     json_ready,
     os_errors,
-    read_regular,
     versions,
     write_whole,
 )
@@ -244,9 +242,6 @@ def run_column(
 
 KIND = "gauge-envs conformance matrix"
 
-MOST_BYTES = 32 * MEGABYTE
-"""Largest size of a file."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class _Finding(Outcome):
@@ -321,7 +316,7 @@ def read_columns(path: Path) -> list[MatrixColumn]:
     A result whose check has another definition now, or is not known, is kept; `MatrixColumn.outdated` names it.
     """
     try:
-        found = _Document.model_validate(json_document(read_regular(path, MOST_BYTES)))
+        found = _Document.model_validate(json_document(path.read_bytes()))
     except OSError as error:
         raise ResultFileError(
             f"{path}: cannot be read: {error.strerror or error}"

@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from gauge_envs.files import check_json_size, npz_arrays, npz_names
+from gauge_envs.files import npz_arrays
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.dataset.findings import TrialError
@@ -79,8 +79,6 @@ MARKER = re.compile(r"(.+)[./:](\d+)")
 SECONDS = re.compile(r"[\[(]s[\])]|_s$")
 COMMENT = re.compile(r"#\s*([\w ]+?)\s*[:=]\s*(\S+)")
 NUMBER = re.compile(r"\s*[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?\s*", re.IGNORECASE)
-
-MOST_ARRAY_BYTES = 64 * 1024**2
 
 TIME_TOLERANCE_S = 1e-3
 """Largest distance of a time from an even spacing; files print three digits or more."""
@@ -326,7 +324,6 @@ def _json_entries(content: bytes) -> Iterator[Entry]:
     if not content.strip():
         raise TrialError("(file)", "it is empty", "a JSON object is expected")
     try:
-        check_json_size(content)
         values = json.loads(content, object_pairs_hook=_unique)
     except RecursionError:
         raise TrialError(
@@ -419,11 +416,8 @@ def _value(text: str) -> float | str:
 
 
 def _npz_entries(content: bytes) -> Iterator[Entry]:
-    left = MOST_ARRAY_BYTES
     try:
-        for name in npz_names(content):
-            array = npz_arrays(content, [name], left)[name]
-            left -= array.nbytes
+        for name, array in npz_arrays(content).items():
             yield (), name, array
     except ValueError as error:
         raise TrialError(

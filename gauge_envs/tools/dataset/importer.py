@@ -12,7 +12,7 @@ import numpy as np
 from gauge_envs.evaluation.score import score_trajectory
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import Variant
-from gauge_envs.files import json_ready, os_errors, read_regular
+from gauge_envs.files import json_ready, os_errors
 from gauge_envs.observables.deformation import (
     STATISTICS,
     marked_solid,
@@ -48,7 +48,7 @@ from gauge_envs.tools.dataset.observation import (
     trial_markers_m,
     trial_trajectory,
 )
-from gauge_envs.tools.dataset.trial import MOST_TRIAL_BYTES, Trial, parse_trial
+from gauge_envs.tools.dataset.trial import Trial, parse_trial
 
 FLAGGED_DIFFERENCE = 0.05
 """Relative difference between own and published baselines above which they are flagged."""
@@ -230,7 +230,7 @@ class _VariantImporter:
                     "(file)", f"it cannot be read: {cause}", "a file is expected"
                 )
             ):
-                content = read_regular(path, MOST_TRIAL_BYTES)
+                content = path.read_bytes()
             digest = hashlib.sha256(content).hexdigest()
             if digest in self._seen:
                 raise TrialError(

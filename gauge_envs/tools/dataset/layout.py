@@ -31,7 +31,7 @@ from gauge_envs.errors import DatasetError, UnknownNameError
 from gauge_envs.experiments.task_files import task_file_faults, task_spec
 from gauge_envs.experiments.task_format import Group, TaskSpec
 from gauge_envs.experiments.variants import Variant, variants
-from gauge_envs.files import MEGABYTE, json_document, printable, read_regular
+from gauge_envs.files import json_document, printable
 from gauge_envs.tools.dataset.findings import ImportFinding
 from gauge_envs.tools.dataset.forms import FORMS
 
@@ -147,9 +147,7 @@ def _revision(root: Path) -> str | None:
     """Return the stated revision, or None; nothing is computed from it, so a damaged file is no error."""
     for folder in (root, root.parent):
         try:
-            revision = json_document(read_regular(folder / REVISION_FILE, MEGABYTE))[
-                "revision"
-            ]
+            revision = json_document((folder / REVISION_FILE).read_bytes())["revision"]
         except (OSError, ValueError, TypeError, KeyError):
             continue
         if isinstance(revision, str) and revision:

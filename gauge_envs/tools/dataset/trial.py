@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from gauge_envs.files import MEGABYTE
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.dataset.findings import TrialError
@@ -37,8 +36,6 @@ MILLIMETRES = {
 NORM_TOLERANCE = 0.01
 """Largest error of the norm of a unit quaternion; files round to three digits or more."""
 
-MOST_TRIAL_BYTES = 64 * MEGABYTE
-"""Largest size of a trial file: 500 markers of 2,000 frames."""
 
 LARGEST_MM = 1e5
 """Largest coordinate; the capture volume is a few metres wide, and squares of larger values may overflow."""

@@ -9,7 +9,6 @@ if TYPE_CHECKING:
         DRIVER_COLUMNS as DRIVER_COLUMNS,
         DRIVER_PREFIX as DRIVER_PREFIX,
     )
-    from gauge_envs.tools.mjcf.reader import PROBE as PROBE
     from gauge_envs.tools.mjcf.writer import (
         NUMBER as NUMBER,
         expanded as expanded,

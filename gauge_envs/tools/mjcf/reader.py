@@ -17,7 +17,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -34,7 +33,6 @@ from gauge_envs.backends.mujoco.model import (
 from gauge_envs.backends.mujoco.model_settings import option_settings
 from gauge_envs.backends.mujoco.settings import settings_for
 from gauge_envs.errors import AssetError, first_names
-from gauge_envs.files import MEGABYTE, child_refusal, read_regular
 from gauge_envs.scene import (
     Hinge,
     Motion,
@@ -63,11 +61,6 @@ STATED_SETTINGS = (
 
 SHORTEST_STEP_S = 1e-7
 
-PROBE = Path(__file__).with_name("probe.py")
-"""Script that loads an MJCF file in a child process."""
-
-MOST_FILE_BYTES = 16 * MEGABYTE
-
 
 # --- loading ---------------------------------------------------------------------------------------------------------
 
@@ -95,14 +88,11 @@ def load_model(
 
 def _compiled(path: Path) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
     try:
-        content = read_regular(path, MOST_FILE_BYTES)
+        content = path.read_bytes()
         text = content.decode("utf-8")
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else None
         raise AssetError(path, "", f"cannot be read: {reason or error}") from error
-    refusal = _refusal(content)
-    if refusal is not None:
-        raise AssetError(path, "", f"{refusal}: simplify the model")
     try:
         spec = mujoco.MjSpec.from_string(text)
         model = spec.compile()
@@ -112,12 +102,6 @@ def _compiled(path: Path) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
         ) from None
     _complete(path, model)
     return spec, model
-
-
-@lru_cache(maxsize=64)
-def _refusal(content: bytes) -> str | None:
-    """Return why a model must not be compiled in this process, or None."""
-    return child_refusal(PROBE, content=content)
 
 
 def _settings(path: Path, model: mujoco.MjModel) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from gauge_envs.errors import ParameterError, TargetError
-from gauge_envs.files import MEGABYTE, json_document, os_errors, read_regular, versions
+from gauge_envs.files import json_document, os_errors, versions
 from gauge_envs.tools.sanity.cure import find_cure
 from gauge_envs.tools.sanity.measure import (
     Measured,
@@ -224,9 +224,6 @@ class _Run:
 
 # --- comparison with an earlier run ----------------------------------------------------------------------------------
 
-MOST_BASELINE_BYTES = 16 * MEGABYTE
-"""Largest size of a file with an earlier run."""
-
 GROWTH = 1.0
 """Growth of a deviation, in half-widths of the interval of reality, from which on a flagged row is a regression."""
 
@@ -242,7 +239,7 @@ def read_baseline(path: Path) -> dict[str, dict[str, float]]:
         path: File with the output of `gauge sanity TARGET --json`.
     """
     with os_errors(lambda cause: TargetError(f"{path}: cannot be read: {cause}")):
-        content = read_regular(path, MOST_BASELINE_BYTES)
+        content = path.read_bytes()
     try:
         lines = [json_document(line) for line in content.splitlines() if line.strip()]
         found = {

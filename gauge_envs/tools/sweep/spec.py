@@ -40,7 +40,7 @@ from gauge_envs.experiments.variants import (
     is_experiment_file,
     matching_subjects,
 )
-from gauge_envs.files import MEGABYTE, os_errors, read_regular, toml_document
+from gauge_envs.files import os_errors, toml_document
 from gauge_envs.scene.jitter import Jitter
 
 MAX_EPISODES = 1_000_000
@@ -182,7 +182,7 @@ def load_sweep_file(path: str | PathLike[str]) -> dict[str, Any]:
     with os_errors(
         lambda cause: SweepFileError(path, None, f"cannot be read: {cause}")
     ):
-        content = read_regular(path, MEGABYTE)
+        content = path.read_bytes()
     try:
         values = toml_document(content)
         spec = SweepSpec.model_validate(values)

@@ -18,11 +18,8 @@ import numpy as np
 from gauge_envs.errors import ParameterError, needs_extra
 from gauge_envs.experiments.variants import find_variant, variants
 from gauge_envs.files import (
-    MEGABYTE,
     npz_arrays,
-    npz_names,
     os_errors,
-    read_regular,
 )
 
 if TYPE_CHECKING:
@@ -31,8 +28,6 @@ if TYPE_CHECKING:
 MODEL_FILES = (".xml", ".mjcf", ".urdf")
 USD_FILES = (".usd", ".usda", ".usdc", ".usdz")
 
-MOST_STATE_BYTES = 256 * MEGABYTE
-"""Largest size of a file of states, and of its arrays in memory."""
 
 MODEL_PLACES = ("", "model", "sim.model._model", "physics.model._model", "mj_model")
 """Attributes of a model or an environment that hold its compiled model."""
@@ -233,9 +228,9 @@ def check_states(path: Path) -> None:
         ParameterError: There are no states, or too many.
     """
     with os_errors(lambda cause: ParameterError(f"{path}: cannot be read: {cause}")):
-        content = read_regular(path, MOST_STATE_BYTES)
+        content = path.read_bytes()
     try:
-        rows = npz_arrays(content, npz_names(content), MOST_STATE_BYTES)
+        rows = npz_arrays(content)
     except ValueError as error:
         raise ParameterError(f"{path}: not an NPZ of states: {error}") from None
     _check_rows(path, rows)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.errors import VideoError, needs_extra
-from gauge_envs.files import MEGABYTE, os_errors
+from gauge_envs.files import os_errors
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX
 
@@ -115,7 +115,7 @@ def _resized(picture: NDArray[np.uint8], size_px: tuple[int, int]) -> Picture:
 # --- reading ----------------------------------------------------------------------------------------------------------
 
 
-MOST_BYTES = 2000 * MEGABYTE
+MOST_BYTES = 2_000_000_000
 """Largest size of a video file."""
 
 MOST_SIDE_PX = 8192
@@ -185,7 +185,7 @@ def _check_container(path: Path) -> None:
         raise VideoError(f"{path}: {fault}")
     if path.stat().st_size > MOST_BYTES:
         raise VideoError(
-            f"{path}: it is larger than {MOST_BYTES // MEGABYTE} MB; cut the clip to the event"
+            f"{path}: it is larger than {MOST_BYTES // 10**6} MB; cut the clip to the event"
         )
     with (
         os_errors(lambda cause: VideoError(f"{path}: cannot be read: {cause}")),

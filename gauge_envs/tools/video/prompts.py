@@ -17,7 +17,7 @@ from urllib.parse import quote
 from urllib.request import Request, urlopen
 
 from gauge_envs.errors import DatasetError, ParameterError
-from gauge_envs.files import MEGABYTE, os_errors, read_regular, write_whole
+from gauge_envs.files import os_errors, write_whole
 from gauge_envs.references.tables import FileModel, read_rows, scoring_folder
 
 REPOSITORY = "https://github.com/InternRobotics/GAUGE"
@@ -119,7 +119,7 @@ def fetch_inputs(
     with os_errors(lambda cause: DatasetError(f"{folder}: cannot be written: {cause}")):
         for name, content in contents.items():
             path = folder / name
-            if path.exists() and read_regular(path, MEGABYTE) != content:
+            if path.exists() and path.read_bytes() != content:
                 raise DatasetError(f"{path} is another file: move it away")
         folder.mkdir(parents=True, exist_ok=True)
         for name, content in contents.items():

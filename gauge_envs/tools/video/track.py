@@ -12,13 +12,10 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, BeforeValidator, Field, ValidationError
 
 from gauge_envs.errors import VideoError, first_fault
-from gauge_envs.files import MEGABYTE, csv_text, os_errors, read_regular, write_whole
+from gauge_envs.files import csv_text, os_errors, write_whole
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.video.frames import Registration, stretched
 from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX
-
-MOST_TRACK_BYTES = 16 * MEGABYTE
-"""Largest size of a track file."""
 
 MOST_NUMBER = 1e12
 """Largest magnitude of a number; a clock may count seconds since 1970."""
@@ -288,7 +285,7 @@ def save_track(track: Track, path: Path) -> Path:
 def _rows(path: Path) -> list[_Row]:
     """Return the rows of a CSV file."""
     with os_errors(lambda cause: VideoError(f"{path}: cannot be read: {cause}")):
-        content = read_regular(path, MOST_TRACK_BYTES)
+        content = path.read_bytes()
     rows: list[_Row] = []
     try:
         for cells in csv.DictReader(csv_text(content)):

@@ -6,7 +6,7 @@ from functools import cache
 from typing import Any
 
 from gauge_envs.evaluation.estimators import acceleration_m_per_s2
-from gauge_envs.files import MOST_TOML_BYTES, data_folder, read_regular, toml_document
+from gauge_envs.files import data_folder, toml_document
 from gauge_envs.references.published import published_baselines
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene.geometry import FloatArray
@@ -80,9 +80,8 @@ PUBLISHED_TRIALS = 20
 @cache
 def facts(name: str) -> dict[str, Any]:
     """Return the table of `scoring/facts/<name>.toml`."""
-    return toml_document(
-        read_regular(data_folder("scoring") / "facts" / f"{name}.toml", MOST_TOML_BYTES)
-    )
+    file = data_folder("scoring") / "facts" / f"{name}.toml"
+    return toml_document(file.read_bytes())
 
 
 def recorded(recording: str, fact: str) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from gauge_envs.errors import TargetError, needs_extra
-from gauge_envs.files import MEGABYTE, printable, read_regular
+from gauge_envs.files import printable
 from gauge_envs.tools.sanity.model import Settings
 
 T = TypeVar("T")
@@ -37,10 +37,10 @@ def _yaml() -> tuple[Any, Any]:
     return yaml, loader
 
 
-def file_content(path: Path, most_bytes: int) -> bytes:
+def file_content(path: Path) -> bytes:
     """Return the content of a file that a user names."""
     try:
-        return read_regular(path, most_bytes)
+        return path.read_bytes()
     except FileNotFoundError:
         raise TargetError(f"{path}: there is no such file") from None
     except OSError as error:
@@ -49,11 +49,9 @@ def file_content(path: Path, most_bytes: int) -> bytes:
         ) from None
 
 
-def file_value(
-    path: Path, parse: Callable[[bytes], Any], most_bytes: int = MEGABYTE
-) -> Any:
+def file_value(path: Path, parse: Callable[[bytes], Any]) -> Any:
     """Return the value of a file that a user names, by a function that raises `ValueError` for what it cannot parse."""
-    content = file_content(path, most_bytes)
+    content = file_content(path)
     try:
         return parse(content)
     except ValueError as error:

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from gauge_envs.files import MEGABYTE, json_document
+from gauge_envs.files import json_document
 from gauge_envs.tools.sanity.model import (
     Need,
     Settings,
@@ -115,7 +115,7 @@ def options_settings(options: Settings) -> dict[str, Any]:
 
 def _is_options_file(target: Any) -> bool:
     try:
-        values = json_document(named_content(target, (".json",), MEGABYTE))
+        values = json_document(named_content(target, (".json",)))
     except ValueError:
         return False
     return isinstance(values, dict) and all(

@@ -16,7 +16,6 @@ from gauge_envs.backends.mujoco.model import (
     SAME_NAME_OPTIONS,
 )
 from gauge_envs.errors import TargetError
-from gauge_envs.files import MEGABYTE
 from gauge_envs.tools.sanity.model import Settings, TrainingConfiguration
 from gauge_envs.tools.sanity.robot.mended_model import drop_pictures
 from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
@@ -31,9 +30,6 @@ from gauge_envs.tools.sanity.stacks.dialect import (
 )
 from gauge_envs.tools.sanity.stacks.documents import file_content
 from gauge_envs.tools.sanity.stacks.reader import GeomPair, Reader, has_suffix
-
-MOST_MODEL_BYTES = 16 * MEGABYTE
-"""Largest size of a model file, without the meshes that it names."""
 
 OVERRIDE = Setting("o_friction", "flag", "override", pattern='{key}="disable"')
 """Setting that MJCF leaves out by switching the flag off."""
@@ -118,7 +114,7 @@ def _spec_of(path: Path, content: bytes) -> mujoco.MjSpec:
 
 def read_model_file(path: Path, pair: GeomPair | None = None) -> TrainingConfiguration:
     """Return the configuration of a model file that MuJoCo reads."""
-    content = file_content(path, MOST_MODEL_BYTES)
+    content = file_content(path)
     try:
         spec = _spec_of(path, content)
         drop_pictures(spec)

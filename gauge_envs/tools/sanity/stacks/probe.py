@@ -16,7 +16,7 @@ import mujoco
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from gauge_envs.errors import ParameterError, TargetError, first_fault
-from gauge_envs.files import MEGABYTE, json_document, read_regular
+from gauge_envs.files import json_document
 from gauge_envs.tools.sanity.gauge_probe import (
     SUFFIX,
     VERSION,
@@ -40,8 +40,6 @@ STACKS = {
     "maniskill-sim-config": ("maniskill", "sim_config"),
 }
 """Stack of each other kind of files, and the key of its configuration."""
-
-MOST_PROBE_BYTES = 16 * MEGABYTE
 
 START = re.compile(rb'\s*\{\s*"format"\s*:\s*"gauge-probe"')
 """Start of a probe file whatever its name."""
@@ -82,9 +80,7 @@ def _validated(
 
 
 def _read(path: Path, pair: GeomPair | None) -> TrainingConfiguration:
-    file = _validated(
-        _ProbeFile, file_value(path, json_document, MOST_PROBE_BYTES), str(path)
-    )
+    file = _validated(_ProbeFile, file_value(path, json_document), str(path))
     if file.version != VERSION:
         raise TargetError(
             f"{path}: version {file.version} of the format, this gauge-envs reads version {VERSION}: run `gauge sanity "
@@ -171,7 +167,7 @@ def _is_probe_file(target: Any) -> bool:
     if not has_suffix(".json")(target):
         return False
     try:
-        content = read_regular(Path(target), MOST_PROBE_BYTES)
+        content = Path(target).read_bytes()
     except OSError:
         content = b""
     return str(target).endswith(SUFFIX) or START.match(content[:200]) is not None

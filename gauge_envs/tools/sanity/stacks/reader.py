@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from gauge_envs.errors import TargetError
-from gauge_envs.files import read_regular
 from gauge_envs.tools.sanity.model import TrainingConfiguration
 
 GeomPair: TypeAlias = tuple[str, str]
@@ -37,11 +36,11 @@ class Reader:
     has_geoms: bool = True
 
 
-def named_content(target: Any, suffixes: tuple[str, ...], most_bytes: int) -> bytes:
+def named_content(target: Any, suffixes: tuple[str, ...]) -> bytes:
     """Return the content of the file that a target names; empty where it names no readable file with such a suffix."""
     with suppress(OSError):
         if has_suffix(*suffixes)(target):
-            return read_regular(Path(target), most_bytes)
+            return Path(target).read_bytes()
     return b""
 
 
