@@ -56,7 +56,7 @@ class World(ABC):
         """
 
     def apply_wrench(self, body: str, wrench: FloatArray) -> None:
-        """Apply a force and a torque to a dynamic body from now on. Only control tasks with a motor need this method.
+        """Apply a force and a torque to a dynamic body from now on. Only checks and a control task need it.
 
         Args:
             body: Name of a dynamic body.

@@ -17,8 +17,13 @@ from gauge_envs.scene import Pose, Scene
 from gauge_envs.scene.geometry import FloatArray
 
 HASHED = (
-    *("bodies", "deformables", "joints", "attachments"),
-    *("contacts", "gravity_m_per_s2", "air"),
+    "bodies",
+    "deformables",
+    "joints",
+    "attachments",
+    "contacts",
+    "gravity_m_per_s2",
+    "air",
 )
 """Parts of a scene in which those of two states must agree."""
 
