@@ -69,7 +69,11 @@ def main() -> None:
         content = io.BytesIO()
         np.savez_compressed(content, **arrays)
         changed = sidecar.model_copy(
-            update={"point_frames": max(point_count, 1), "point_gap": point_gap}
+            update={
+                "point_frames": max(point_count, 1),
+                "point_gap": point_gap,
+                "point_solver": "a membrane at rest by finite elements",
+            }
         )
         write_whole(file, content.getvalue())
         write_whole(

@@ -374,7 +374,7 @@ LEVELS: Mapping[str, tuple[tuple[float, dict[str, Any]], ...]] = {
     "base": ((1.0, {}),),
     "cell": ((2.0, {"cells": 2.0}), (0.75, {"cells": 0.75})),
     "edge": ((2.0, {"edge": 2.0}), (0.5, {"edge": 0.5})),
-    "layer": ((2.0, {"layer": 2.0}), (0.5, {"layer": 0.5})),
+    "layer": ((4.0, {"layer": 4.0}), (2.0, {"layer": 2.0})),
     "step": ((0.5, {"places": 2 * PLACES}),),
 }
 """Factors of each parameter beside that of the default settings, and the arguments of `pressed_block` for it."""

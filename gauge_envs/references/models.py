@@ -99,6 +99,8 @@ class ModelSidecar(FileModel):
         point_frames: The same of the points; None where g(t) is of positions.
         gap: First frame before the last one at which g(t) is not known, and the frame after them; None without any.
         point_gap: The same of the points.
+        point_solver: What solves the points independently of the engines, so that they are the mean of both; empty for
+            nothing.
         ends: Why g(t) is not known at some frames; empty if it covers the episode.
         quantum: Value of one count of `mean` and `offsets`, in the unit of g(t).
         point_quantum_mm: Value of one count of `points` [mm].
@@ -114,6 +116,7 @@ class ModelSidecar(FileModel):
     point_frames: PositiveInt | None = None
     gap: tuple[NonNegativeInt, PositiveInt] | None = None
     point_gap: tuple[NonNegativeInt, PositiveInt] | None = None
+    point_solver: str = ""
     ends: str = ""
     quantum: PositiveFloat
     point_quantum_mm: PositiveFloat | None = None
@@ -133,7 +136,10 @@ class ModelSidecar(FileModel):
             how = f"{', '.join(first)} and {last} solve it"
         else:
             how = f"{last} solves it"
-        return f"the calibrated scene as {how}, refined one parameter at a time"
+        found = f"the calibrated scene as {how}, refined one parameter at a time"
+        if self.point_solver:
+            found += f"; markers are the mean of that and {self.point_solver}"
+        return found
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
