@@ -55,7 +55,7 @@ def test_named_arrays_are_read_and_texts_are_refused(dtype):
     with pytest.raises(ValueError, match="text: holds <U5 values, expected numbers"):
         npz_arrays(content)
     for damaged in (b"", b"words", b"PK", content[:-30]):
-        with pytest.raises(ValueError, match="(?i)zip"):
+        with pytest.raises(ValueError, match=r"(?i)zip"):
             npz_arrays(damaged)
 
 
