@@ -129,7 +129,6 @@ def test_exit_code_1_states_a_bad_outcome(gauge, monkeypatch):
 REFUSED = """
 sweep
 sweep --repeats=2
-sweep variant=SlopeSlider-2-wood
 sweep sweep.toml --jitter=1cm
 sweep sweep.toml SlopeSlider-2-wood
 sweep sweep.toml --set iterations
