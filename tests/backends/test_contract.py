@@ -16,7 +16,6 @@ from gauge_envs.backends.base import worlds_of
 from gauge_envs.backends.registry import backend_class
 from gauge_envs.backends.shared import bundled
 from gauge_envs.envs.driver_paths import DriverPaths
-from gauge_envs.envs.env import GaugeEnv
 from gauge_envs.errors import BackendError, MissingExtraError
 from gauge_envs.registry import is_installed
 from gauge_envs.scene import Box, Pose, Scene
@@ -157,26 +156,6 @@ def test_a_state_of_another_origin_is_refused_with_both_origins(engine):
         assert "restore got a ndarray" in refusal(here, np.zeros(10))
         older = replace(here.state(), engine=f"{engine.name} 0.1")
         assert f"with {engine.name} 0.1, this one has" in refusal(here, older)
-
-
-def test_a_pickle_under_other_settings_in_force_is_refused(monkeypatch):
-    """A new version of gauge-envs may have other defaults."""
-    env = GaugeEnv(SLIDE)
-    env.reset(seed=0)
-    packed = pickle.dumps(env)
-    pickle.loads(packed).close()
-    engine = type(backend("mujoco"))
-    build = engine.build
-    monkeypatch.setattr(
-        engine,
-        "build",
-        lambda self, one, settings=None: build(self, one, {"impratio": 5.0}),
-    )
-    with pytest.raises(
-        BackendError, match=r"impratio = 10\.0, this one has impratio = 5\.0"
-    ) as caught:
-        pickle.loads(packed)
-    assert SLIDE in str(caught.value)
 
 
 # --- worlds ----------------------------------------------------------------------------------------------------------
