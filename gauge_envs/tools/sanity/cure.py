@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from gauge_envs.errors import GaugeError
 from gauge_envs.tools.sanity.candidates import candidates_of
-from gauge_envs.tools.sanity.measure import Measurements, subject_of
+from gauge_envs.tools.sanity.measure import Measurements, subject_of, worst_of
 from gauge_envs.tools.sanity.model import (
     Cure,
     PhenomenonResult,
@@ -75,7 +75,7 @@ def find_cure(
         subject = subject_of(measurements, changed, phenomenon(name))
         if not subject.sets:
             return Verdict.DECLINED, None
-        worst = subject.worst()
+        _, worst = worst_of(subject.measured())
         return worst.verdict, worst.value
 
     def refused(changes: Settings, error: GaugeError) -> None:

@@ -325,27 +325,12 @@ class Subject:
     inapplicable: str = ""
     advisory: str = ""
 
-    def measured(self, changes: Settings | None = None) -> dict[str, Measured]:
-        """Return the outcome with each set, with some settings changed."""
+    def measured(self) -> dict[str, Measured]:
+        """Return the outcome with each set."""
         return {
-            geoms: self.measurements.measure(
-                self.phenomenon, {**settings, **(changes or {})}
-            )
+            geoms: self.measurements.measure(self.phenomenon, settings)
             for geoms, settings in self.sets.items()
         }
-
-    def is_off(self, changes: Settings) -> bool:
-        """Return whether the outcome with a set is visible or wrong; others are not measured then."""
-        return any(
-            self.measurements.measure(
-                self.phenomenon, {**settings, **changes}
-            ).verdict.is_off
-            for settings in self.sets.values()
-        )
-
-    def worst(self, changes: Settings | None = None) -> Measured:
-        """Return the worst outcome of all sets, with some settings changed."""
-        return worst_of(self.measured(changes))[1]
 
 
 def subject_of(

@@ -55,7 +55,7 @@ REALITY = Column(
 
 LEGEND = (
     "Reality: mean of real trials and the interval of 95 % of further trials, or a law and its tolerance (gauge list "
-    "phenomena, --format wide and pages name the source). Preset: this package's preset for the scene. This: the "
+    "phenomena --format wide names the source). Preset: this package's preset for the scene. This: the "
     "checked configuration; after the verdict, its difference from reality."
 )
 
@@ -180,8 +180,8 @@ def phenomena_table(
     )
 
 
-def source_facts(checked: TrainingConfiguration) -> dict[str, str]:
-    """Return what was read, without the settings."""
+def _facts(checked: TrainingConfiguration) -> dict[str, str]:
+    """Return what was read, and the settings by origin, in the order in which they were read."""
     facts = {"read from": checked.source, "backend": checked.backend}
     if checked.frame_skip is not None:
         facts["one action"] = f"{checked.frame_skip} steps"
@@ -189,26 +189,16 @@ def source_facts(checked: TrainingConfiguration) -> dict[str, str]:
         facts["foot on ground"] = checked.foot_contact.text
     if (foot := checked.foot_geometry) is not None:
         facts["foot"] = f"{foot.description}, in the {foot.pose}; {foot.assumption}"
-    return facts
-
-
-def _facts(checked: TrainingConfiguration) -> dict[str, str]:
-    facts = source_facts(checked)
-    for origin, settings in settings_by_origin(checked).items():
+    grouped: dict[str, dict[str, Any]] = {}
+    for name, value in checked.settings.items():
+        grouped.setdefault(checked.origins.get(name, "settings"), {})[name] = value
+    for origin, settings in grouped.items():
         facts[origin] = ", ".join(
             f"{name} = {setting_text(value)}" for name, value in settings.items()
         )
     if not checked.settings:
         facts["settings"] = "this package's presets"
     return facts
-
-
-def settings_by_origin(checked: TrainingConfiguration) -> dict[str, dict[str, Any]]:
-    """Return the settings by origin, in the order in which they were read."""
-    grouped: dict[str, dict[str, Any]] = {}
-    for name, value in checked.settings.items():
-        grouped.setdefault(checked.origins.get(name, "settings"), {})[name] = value
-    return grouped
 
 
 def setting_text(value: Any) -> str:
@@ -284,19 +274,12 @@ def applicable(report: Report) -> tuple[PhenomenonResult, ...]:
 
 def inapplicable(report: Report) -> list[Part]:
     """Return a line for each reason why rows do not apply, with these rows."""
-    return by_reason(
-        "not applicable",
-        [(row.remark, row.phenomenon) for row in report.rows if not row.applies],
-    )
-
-
-def by_reason(word: str, found: Sequence[tuple[str, str]]) -> list[Part]:
-    """Return a line for each reason, with the ids of its rows."""
     several: dict[str, list[str]] = {}
-    for reason, name in found:
-        several.setdefault(reason, []).append(name)
+    for row in report.rows:
+        if not row.applies:
+            several.setdefault(row.remark, []).append(row.phenomenon)
     return [
-        Paragraph(f"{word}, {reason}: {', '.join(names)}", Tone.NOTE)
+        Paragraph(f"not applicable, {reason}: {', '.join(names)}", Tone.NOTE)
         for reason, names in several.items()
     ]
 

@@ -226,7 +226,6 @@ def test_requests_that_cannot_be_met(gauge, approved):
         "sanity mujoco --baseline nowhere.json",
         "sanity mujoco --against mujoco --baseline nowhere.json",
         "sanity mujoco --against mujoco --out page.html",
-        "sanity mujoco --limits 60s",
         "sanity mujoco:nope",
         "sanity absent/env.yaml",
         "sanity nowhere.xml",

@@ -15,11 +15,6 @@ def number_text(value: Any) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-def rounded(value: Any) -> Any:
-    """Return a number without the digits that single precision adds."""
-    return float(number_text(value)) if isinstance(value, float) else value
-
-
 def python_text(value: Any) -> str:
     """Return a value as Python writes it, numbers with six digits."""
     if isinstance(value, list | tuple):
@@ -82,13 +77,11 @@ class Place:
     Attributes:
         form: Text with `{}` for the assignments.
         within: Place that holds this one; empty for none.
-        joint: Text between assignments.
         is_alone: Whether every assignment stands alone, behind those of other places.
     """
 
     form: str
     within: str = ""
-    joint: str = ", "
     is_alone: bool = False
 
 
@@ -108,9 +101,8 @@ class Dialect:
         gravity: Form of gravity with `{}` for its components.
         gravity_joint: Text between them.
         absent: Form of an assignment for a setting that is to be left out; that of None if empty.
-        default: Text of the value of a setting that is left out.
         comes_last: Whether places come behind the assignments that stand alone.
-        is_closed: Whether only the settings of the table can be stated; others are not changed in searches.
+        is_closed: Whether only the settings of the table can be stated; others are not changed.
     """
 
     name: str
@@ -124,7 +116,6 @@ class Dialect:
     gravity: str
     gravity_joint: str = ", "
     absent: str = ""
-    default: str = "the default of the engine"
     comes_last: bool = False
     is_closed: bool = False
 
@@ -144,20 +135,8 @@ class Dialect:
         )
 
     def writes(self, name: str) -> bool:
-        """Return whether a target can state a setting; others are not changed in the search for causes and cures."""
+        """Return whether a target can state a setting; others are not changed."""
         return not self.is_closed or name in self._by_name
-
-    def assignment(self, name: str, value: Any) -> str:
-        """Return one setting of a backend with its value as the target writes it; None is to be left out."""
-        return self._entry(self.setting(name, value), value)
-
-    def value_text(self, name: str, value: Any) -> str:
-        """Return the value of a setting alone, as the target writes it."""
-        return (
-            self.default
-            if value is None
-            else self._text(self.setting(name, value), value).strip('"')
-        )
 
     def paste_text(self, changes: Settings) -> str:
         """Return changes of settings, new values by name, as text that can be pasted into the target."""
@@ -165,7 +144,7 @@ class Dialect:
         parts = []
         for name, place in self.places.items():
             if grouped.get(name):
-                text = place.form.format(place.joint.join(grouped[name]))
+                text = place.form.format(", ".join(grouped[name]))
                 if place.within:
                     grouped.setdefault(place.within, []).append(text)
                 else:

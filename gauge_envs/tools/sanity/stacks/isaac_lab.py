@@ -58,10 +58,6 @@ SAME_LENGTH = 1e-6
 class IsaacLab(Dialect):
     """Lines of Python, of which the length scale takes two."""
 
-    def assignment(self, name: str, value: Any) -> str:
-        """Return the line; properties of colliders stand in one that writes all of them."""
-        return self.paste_text({name: value})
-
     def _entry(self, one: Setting, value: Any) -> str:
         if one.name != "tolerance_length_m":
             return super()._entry(one, value)
@@ -131,7 +127,6 @@ def _dialect(name: str, physx: str) -> IsaacLab:
         joint="; ",
         text=number_text,
         other_text=number_text,
-        default="None",
         gravity="self.sim.gravity = ({})",
         is_closed=True,
     )
