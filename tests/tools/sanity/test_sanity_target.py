@@ -413,27 +413,9 @@ GENESIS = '{"sim": {"dt": %s, "gravity": [0, 0, 9.81]}, "rigid": {"integrator": 
             'backend = "mujoco"\n[settings]\ncone = "round"',
             "'cone'.*given: 'round'",
         ),
-        (
-            "a.toml",
-            'backend = "mujoco"\n[settings]\nsteps = 3',
-            "'steps' .*unknown setting",
-        ),
         ("a.toml", "backend = ", r"a\.toml: ."),
-        ("a.json", "{", r"a\.json: ."),
         ("a.json", "[1]", "the file: "),
-        ("a.toml", "\udcff", "a.toml"),
-        (
-            "a.toml",
-            'backend = "mujoco"\n[settings]\ntimestep_s = 0',
-            "'timestep_s'.*given: 0",
-        ),
-        ("a.toml", 'backend = "mujoco"\n[settings]\ntimestep_s = [1]', "'timestep_s'"),
         ("a.json", GENESIS % ("[]", "0"), "sim.dt is a list, and a number is expected"),
-        (
-            "a.json",
-            GENESIS % ("1" * 400, "0"),
-            "sim.dt is 'a number of many digits', and a number is expected",
-        ),
         (
             "a.json",
             GENESIS % ("0.01", "[3]"),
