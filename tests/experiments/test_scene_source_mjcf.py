@@ -219,6 +219,28 @@ def moved_node():
             ('<joint name="cube" type="free" />', ""),
             "cube: it is dynamic and needs a free joint with its name",
         ),
+        *(
+            (
+                "Pendulum-metal",
+                ('<joint name="ball"', f'<joint {term} name="ball"'),
+                f"ball: unsupported joint: it has {what}",
+            )
+            for term, what in (
+                ('frictionloss="0.01"', "friction"),
+                ('damping="0.01"', "friction"),
+                ('armature="0.01"', "armature"),
+                ('stiffness="0.01"', "stiffness"),
+                ('limited="true" range="-1 1"', "limits"),
+            )
+        ),
+        (
+            "Pendulum-metal",
+            (
+                "</mujoco>",
+                '<actuator><motor joint="ball" /></actuator></mujoco>',
+            ),
+            "ball: unsupported joint: it has a motor",
+        ),
         (
             TILTED,
             ('<joint name="board" type="free" />', ""),
