@@ -48,6 +48,9 @@ STEEPEST = 0.2
 
 MOST_STEPS = 30
 
+ROUND_OFF = 1e-12
+"""Share of the energy by which a step of Newton's method may raise it."""
+
 RAMPS = 8
 """Smaller steps of the cube where Newton's method fails."""
 
@@ -194,7 +197,7 @@ class QuarterBlock(Block):
             moved, share = step.reshape(-1, 3), 1.0
             while True:
                 new, pulls = self.energy_and_forces(found + share * moved, punch_m)
-                if new <= energy or share < 1e-4:
+                if new <= energy + ROUND_OFF * abs(energy) or share < 1e-4:
                     break
                 share *= 0.5
             found, energy, forces = found + share * moved, new, pulls
