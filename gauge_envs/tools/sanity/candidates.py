@@ -49,6 +49,7 @@ CANDIDATES: Mapping[str, Sequence[Settings]] = {
         {"o_friction": None},
         {"refsafe": True},
         {"contact_margin_m": 0.0},
+        {"condim": 3},
         {"cone": "elliptic"},
         {"contact_solref": DEFAULT_SOLREF},
         {"contact_solref": STIFF_SOLREF},
@@ -74,7 +75,10 @@ CANDIDATES: Mapping[str, Sequence[Settings]] = {
 AT_LEAST = ("iterations", "ls_iterations", "position_iterations", "velocity_iterations")
 """Settings of which the target keeps larger values."""
 
-ABSENT = {"contact_margin_m": 0.0, "refsafe": True}
+AT_MOST = ("timestep_s", "condim")
+"""Settings of which the target keeps smaller values."""
+
+ABSENT = {"contact_margin_m": 0.0, "refsafe": True, "condim": 3}
 """Values in effect where a target states none."""
 
 
@@ -104,6 +108,6 @@ def _is_new(name: str, value: Any, settings: Settings) -> bool:
     was = settings.get(name, ABSENT.get(name))
     if name in AT_LEAST:
         return bool(value > (math.inf if was is None else was))
-    if name == "timestep_s":
+    if name in AT_MOST:
         return was is None or bool(value < was)
     return (tuple(was) if isinstance(was, list) else was) != value

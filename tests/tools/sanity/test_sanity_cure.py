@@ -59,7 +59,7 @@ def test_a_right_model_has_no_cure():
 def test_candidates_change_known_settings_alone():
     known = configuration("HalfCheetah-v5").settings
     names = {name for one in CANDIDATES["mujoco"] for name in one}
-    assert names - {*known} == {"contact_margin_m", "o_friction"}
+    assert names - {*known} == {"condim", "contact_margin_m", "o_friction"}
 
 
 PAIRS = "".join(
