@@ -4,9 +4,9 @@
     python -m tests.golden.golden --only fabrics            # one part
     python -m tests.golden.golden --only episodes SlopeSlider-1-wood
 
-Each part has a function that makes an entry of plain numbers and texts from its name. The file has the names, also
-those of the conformance checks. Only these functions use the package: when its code changes, change one of them, and
-the file stays as it is.
+Each part has a function that makes an entry of plain numbers and texts from its name. The names are those of the
+file, also of the conformance checks. Only these functions use the package: when its code changes, change one of them,
+and the file stays as it is.
 """
 
 import argparse
@@ -28,18 +28,10 @@ from gauge_envs.tools.sanity import check
 FILE = Path(__file__).with_name("golden.json")
 ASSETS = Path(__file__).parents[2] / "assets"
 
-CHAOTIC_MM = {
-    "Funnel": (0.2, 3.0),
-    "RopeWinding": (1e-3, 1.0),
-    "RotatingBall": (1e-3, 3.0),
-    "WallBreaking": (0.2, 1.5),
-}
-"""Families whose motions part by chaos: the largest difference of the first frame and its growth a frame.
+CHAOTIC = ("Funnel", "RopeWinding", "RotatingBall", "WallBreaking")
+"""Families whose motions part by chaos: ten frames of them count, and no score."""
 
-Ten frames of them count, and no score.
-"""
-
-LAST_FRAME = dict.fromkeys(CHAOTIC_MM, 10) | {
+LAST_FRAME = dict.fromkeys(CHAOTIC, 10) | {
     "NewtonsCradle": 170,
     "TableclothPulling": 60,
     "TextileFlinging": 150,
@@ -58,7 +50,7 @@ def episode(name, *, engine="mujoco", seed=0, options=None, last_frame=None):
         observation, info = env.reset(seed=seed, options=options)
     length = env.spec.max_episode_steps
     frames = chosen_frames(name, length)
-    is_chaotic = family_of(name) in CHAOTIC_MM
+    is_chaotic = family_of(name) in CHAOTIC
     last = last_frame or (frames[-1] if is_chaotic else length)
     start = observation["bodies" if "bodies" in observation else "markers"]
     entry = {"start": start, "g": {}, "markers": {}}
@@ -79,6 +71,7 @@ def episode(name, *, engine="mujoco", seed=0, options=None, last_frame=None):
 
 
 def family_of(name):
+    """Return the family of an experiment, as `SlopeSlider`."""
     return name.partition("-")[0]
 
 
@@ -236,80 +229,6 @@ def write(parts):
         ]
         texts.append(json.dumps(part) + ": {\n" + ",\n".join(lines) + "\n}")
     FILE.write_text("{\n" + ",\n".join(texts) + "\n}\n", encoding="utf-8")
-
-
-# --- comparison ------------------------------------------------------------------------------------------------------
-
-
-NEAR_MM = 1e-6
-"""Largest difference of rigid motions. Rounding noise in each step moves them by less than 4e-7 mm."""
-
-NEAR_SOFT = {"mm": 1e-3, "mm^2": 2e-2, "rad": 1e-5}
-"""The same of cloth, foam and rods by the unit of g(t): a face has edges of 20 mm, a cell of cloth of 30 mm."""
-
-NEAR_SENSITIVE = {
-    "SlopeSlider-3": (1e-3, 1e-5),
-    "StickStack": (5e-2, 1e-4),
-    "TableclothPulling": (1e-3, 3e-2),
-    "TextileStretching": (2e-4, 1e-2),
-}
-"""The same where rounding noise moves more, and the relative one of the score: settling contacts and taut cloth."""
-
-NEAR_MARKERS_M = {"TextileStretching": 5e-5}
-"""Largest difference of markers where it is more than 1e-3 mm."""
-
-NEAR_ENGINES_MM = 1e-2
-"""The same on other engines: single precision, and kernels that are compiled for the processor."""
-
-
-def limits(name, engine="mujoco"):
-    """Return the largest absolute and relative difference of an episode, by key.
-
-    A score has that of g(t), as it is a distance from a mean, and a relative one: it may be divided by a small scale.
-    """
-    experiment = load_experiment(name)
-    if experiment.scene.deformables:
-        near, relative = NEAR_SOFT[experiment.score.observable.unit], 1e-4
-    else:
-        near, relative = NEAR_MM, 1e-6
-    for beginning, wider in NEAR_SENSITIVE.items():
-        if name.startswith(beginning):
-            near, relative = wider
-    if engine != "mujoco":
-        near, relative = max(near, NEAR_ENGINES_MM), 1e-3
-    of_frames = (near, 0.0)
-    if family_of(name) in CHAOTIC_MM:
-        first, growth = CHAOTIC_MM[family_of(name)]
-        of_frames = {
-            str(frame): (first * growth ** (frame - 1), 0.0) for frame in range(1, 11)
-        }
-    return {
-        "start": (1e-9, 0.0),
-        "g": of_frames,
-        "markers": (NEAR_MARKERS_M.get(family_of(name), 1e-6), 0.0),
-        "reward": (near, relative),
-        "score": (near, relative),
-    }
-
-
-def differences(found, stored, limit=(1e-9, 1e-9), path=""):
-    """Yield what differs by more than a limit, absolute and relative, with its place.
-
-    Values are numbers, texts, and lists and dictionaries of them. A limit may be one by key.
-    """
-    if isinstance(stored, dict | list) and isinstance(found, type(stored)):
-        if isinstance(stored, list):
-            found, stored = dict(enumerate(found)), dict(enumerate(stored))
-        for key in sorted({*found} | {*stored}, key=str):
-            one, other = found.get(key, "missing"), stored.get(key, "missing")
-            inner = limit[key] if isinstance(limit, dict) else limit
-            yield from differences(one, other, inner, f"{path}/{key}")
-    elif isinstance(stored, float) and isinstance(found, float | int):
-        absolute, relative = limit
-        if not abs(found - stored) <= absolute + relative * abs(stored):
-            yield f"{path}: {found!r} instead of {stored!r}"
-    elif found != stored:
-        yield f"{path}: {found!r} instead of {stored!r}"
 
 
 def main():
