@@ -115,11 +115,10 @@ def _drag(robot: Robot, name: str, share: Callable[[int, float], float]) -> Find
     feeding = np.flatnonzero(is_own & (values < 0.0)).tolist()
     if feeding:
         least = min(feeding, key=lambda dof: float(values[dof]))
-        several = f"{joint_name(robot, least)} and {len(feeding) - 1} more"
         return Finding(
             value=float(values[least]),
             parts=by_joint(robot, {dof: values[dof] for dof in feeding}),
-            remark=f"negative {name} {values[least]:.3g} of {several}: it feeds the motion that it should brake",
+            remark=f"negative {name} {values[least]:.3g} of {joint_name(robot, least)} feeds the motion",
         )
     limits = loads_nm(robot)
     if not limits:
@@ -176,12 +175,6 @@ def _armature(robot: Robot) -> Finding:
     ratios: dict[int, float] = {}
     inertias = joint_inertias(robot)
     loads = loads_nm(robot)
-    rates = [
-        load / model.dof_armature[dof]
-        for dof, load in loads.items()
-        if model.dof_armature[dof] > 0.0
-    ]
-    middle_rad_per_s2 = float(np.median(rates)) if rates else 0.0
     for dof in driven_dofs(robot):
         armature, limit_nm = float(model.dof_armature[dof]), loads.get(dof, 0.0)
         limb = max(float(inertias[dof]) - armature, 1e-9)
@@ -191,10 +184,6 @@ def _armature(robot: Robot) -> Finding:
         ratio = armature / limb
         if limit_nm:
             turned = f"{limit_nm:.3g} Nm turn it by {limit_nm / armature:.2g} rad/s^2"
-            # Beside a heavy limb, a rotor is too large that turns far slower than those of the other joints.
-            slower = middle_rad_per_s2 * armature / limit_nm
-            if slower > ratio:
-                ratio = slower
         else:
             turned = "no torque is stated"
         ratios[dof] = ratio
@@ -270,11 +259,10 @@ def _coupling(robot: Robot) -> Finding:
         span = float(np.ptp(model.jnt_range[joint])) or 1.0
         gives[name] = give(model, data, apart, dofs[0], load) / span
         off = _off(model, number, float(begin[place]), float(begin[lead]))
-        part = f"{name} from its coupled place"
         if abs(off) / span > largest:
-            zeros[part] = abs(off) / span
-    part = max(zeros, key=zeros.__getitem__, default="")
-    if part and zeros[part] > largest:
+            zeros[f"{name} from its coupled place"] = abs(off) / span
+    if zeros:
+        part = max(zeros, key=zeros.__getitem__)
         return Finding(
             value=zeros[part],
             parts=gives | zeros,
