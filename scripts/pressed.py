@@ -9,6 +9,7 @@ edges and the softness of the contact are refined to zero, like cells and places
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -52,7 +53,7 @@ ROUND_OFF = 1e-12
 """Share of the energy by which a step of Newton's method may raise it."""
 
 RAMPS = 8
-"""Smaller steps of the cube where Newton's method fails."""
+"""Smaller steps of the cube to its first place, and where Newton's method fails."""
 
 
 class QuarterBlock(Block):
@@ -352,9 +353,12 @@ def pressed_block(
     for number, face_m in enumerate(faces_m):
         before = found[-1] if found else block.places_m
         guess = 2.0 * found[-1] - found[-2] if number > 1 else before
-        try:
-            places_m = block.at_rest(guess, face_m)
-        except ArithmeticError:
+        places_m = None
+        if number != 1:
+            with suppress(ArithmeticError):
+                places_m = block.at_rest(guess, face_m)
+        if places_m is None:
+            # A first push of more than the radius would leave the surface beside the cube.
             places_m = before
             for ramp_m in np.linspace(faces_m[number - 1], face_m, RAMPS + 1)[1:]:
                 places_m = block.at_rest(places_m, ramp_m)
@@ -375,7 +379,7 @@ def pressed_block(
 
 LEVELS: Mapping[str, tuple[tuple[float, dict[str, Any]], ...]] = {
     "base": ((1.0, {}),),
-    "cell": ((2.0, {"cells": 2.0}), (0.75, {"cells": 0.75})),
+    "cell": ((2.0, {"cells": 2.0}),),
     "edge": ((2.0, {"edge": 2.0}), (0.5, {"edge": 0.5})),
     "layer": ((4.0, {"layer": 4.0}), (2.0, {"layer": 2.0})),
     "step": ((0.5, {"places": 2 * PLACES}),),
