@@ -350,7 +350,9 @@ def pressed_load(
         )
         mean += result.correction
         parts.append(result.uncertainty)
-    return mean, [*parts, EDGE_SHARE * mean]
+    (foam,) = experiment.scene.deformables
+    weight_n = foam.mass_kg * experiment.scene.gravity_m_per_s2
+    return mean, [*parts, EDGE_SHARE * (mean - weight_n)]
 
 
 def _of_rim(forces_n: FloatArray) -> FloatArray:
