@@ -102,6 +102,9 @@ agreement of engines is that of their damping."""
 BLOCK_HORIZON_S = 0.6
 """End of the solution of a block that is pressed [s]. Until then it is at rest in all but its slow motion."""
 
+BLOCK_POINTS_S = 0.5
+"""The same of its markers, with which the limits of engines in tests agree [s]."""
+
 TAUT_HORIZON_S = 1.5
 """The same of a sheet between two held ends [s]. It falls flat and is caught; from then on waves run to and fro in it,
 and each refinement moves the markers by a tenth of their motion."""
@@ -533,6 +536,8 @@ def write_model(experiment: Experiment, runs: Sequence[Run], folder: Path) -> st
             (SHEET_SHARE if SHEET in each else MOTION_SHARE) * rms(places - places[0]),
         )
         point_count = max(point_count, 1)
+        if BLOCK in each:
+            point_count = min(point_count, round(BLOCK_POINTS_S * FRAME_RATE_HZ) + 1)
         point_arrays = {
             "points": packed(places[:point_count], POINT_QUANTUM_MM),
             "points_uncertainty": spread[:point_count:STRIDE].astype(np.float16),
