@@ -33,7 +33,7 @@ test: $(VENV)/.installed
 
 # Slow checks train policies, simulate for long, or need packages that the other tests do without, as Drake.
 slow: $(VENV)/.installed
-	$(BIN)/pip install --quiet -e ".[drake,onnx,ray,rl,slurm]"
+	$(BIN)/pip install --quiet -e ".[drake,ray,rl]"
 	$(PYTEST) tests/backends -k drake
 	$(PYTEST) -m slow
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -18,21 +17,6 @@ LARGEST_UNIT = 1e-3
 
 ROUND_OFF = 1e-9
 """Relative difference between processors of numbers that are printed with all their digits."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Request:
-    """What a builder measures.
-
-    Attributes:
-        results: Folder that keeps results, so that a builder goes on where it stopped.
-        engines: Engines; empty for all.
-        ids: Patterns of variants.
-    """
-
-    results: Path
-    engines: tuple[str, ...] = ()
-    ids: tuple[str, ...] = ("*",)
 
 
 def with_part(page: str, name: str, script: str, part: str) -> str:

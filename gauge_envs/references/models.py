@@ -277,14 +277,8 @@ def _frames_of(gap: tuple[int, int] | None) -> slice:
     return slice(0, 0) if gap is None else slice(*gap)
 
 
-def packed(values: FloatArray, quantum: float) -> np.ndarray:
-    """Return values as differences of whole counts along the first axis, which pack well."""
-    counts = np.round(values / quantum).astype(np.int64)
-    return np.diff(counts, axis=0, prepend=np.zeros_like(counts[:1])).astype(np.int32)
-
-
 def unpacked(differences: np.ndarray, quantum: float) -> FloatArray:
-    """Return what `packed` was given, to half a quantum."""
+    """Return values from differences of whole counts along the first axis."""
     return quantum * np.cumsum(differences, axis=0, dtype=np.int64).astype(np.float64)
 
 

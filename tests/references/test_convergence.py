@@ -2,7 +2,6 @@
 
 import json
 
-import numpy as np
 import pytest
 from texts import changed_text
 
@@ -11,11 +10,12 @@ from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import variants
 from gauge_envs.files import data_folder
 from gauge_envs.pages.results import convergence_text
-from gauge_envs.references.convergence import Convergence, convergence_of
+from gauge_envs.references.convergence import (
+    Convergence,
+    convergence_of,
+    read_convergence,
+)
 from gauge_envs.references.published import published_baselines
-from scripts import build_convergence
-from scripts.build_convergence import ConvergenceTable
-from scripts.generated import Request
 
 ROW = Convergence(
     variant="SlopeSlider-2-wood",
@@ -32,25 +32,19 @@ ROW = Convergence(
 DIVERGED = Convergence(
     variant="Funnel-satin", setting="cell_m", default=0.02, refined=0.01, unit="mm"
 )
-NOTES = {"engine": "mujoco 4.0.0", "date": "2026-01-31"}
-TEXT = ConvergenceTable(NOTES, {}).with_rows([ROW]).text()
-LINE = TEXT.splitlines()[3]
+FOLDER = data_folder("scoring") / "convergence"
 
 
 def bundled(engine):
-    return ConvergenceTable.read(
-        data_folder("scoring") / "convergence" / f"{engine}.csv"
-    )
+    return read_convergence(FOLDER / f"{engine}.csv")
 
 
 @pytest.mark.parametrize("engine", ["mujoco", "newton"])
 def test_bundled_rows_are_of_known_variants_and_agree_with_themselves(engine):
-    table = bundled(engine)
-    assert {"engine", "date"} <= table.notes.keys()
-    assert table.notes["engine"].startswith(engine)
+    rows = bundled(engine)
     known = {variant.name for variant in variants()}
-    assert table.rows
-    for (name, setting), row in table.rows.items():
+    assert rows
+    for (name, setting), row in rows.items():
         assert name in known
         assert setting == "training" or row.refined == pytest.approx(
             0.5 * row.default, rel=1e-3
@@ -68,9 +62,7 @@ def test_bundled_rows_are_of_known_variants_and_agree_with_themselves(engine):
 
 
 def test_mujoco_has_half_the_step_of_every_scored_experiment():
-    names = {
-        name for name, setting in bundled("mujoco").rows if setting == "timestep_s"
-    }
+    names = {name for name, setting in bundled("mujoco") if setting == "timestep_s"}
     assert {"BouncingBall-rubber", "SlopeSlider-3-metal", "Turntable-3-metal"} <= names
     assert {
         f"{family}-{m}"
@@ -79,32 +71,24 @@ def test_mujoco_has_half_the_step_of_every_scored_experiment():
     } <= names
 
 
-def test_a_table_is_read_as_it_was_written(tmp_path):
-    table = ConvergenceTable(NOTES, {}).with_rows([ROW, DIVERGED])
-    file = tmp_path / "mujoco.csv"
-    file.write_text(table.text())
-    found = ConvergenceTable.read(file)
-    assert found == table
-    assert found.of("SlopeSlider-2-wood") == {"timestep_s": ROW}
-    assert found.of("Funnel-satin")["cell_m"].rms is None
-    assert found.of("SlopeSlider-2-metal") == {}
+LINE = "BouncingBall-rubber,timestep_s,"
 
 
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("variant,setting", "id,setting", "line 3: columns are .*expected variant,"),
-        ("timestep_s", "iterations", "line 4: setting"),
-        (",0.062,", ",-0.062,", "line 4: rms"),
-        (",0.062,0.18\n", ",0.062\n", "line 4: 9 fields, expected 10"),
-        (f"{LINE}\n", f"{LINE}\n{LINE}\n", "line 5: .* has a row above"),
+        ("variant,setting", "id,setting", "columns are .*expected variant,"),
+        (LINE, "BouncingBall-rubber,iterations,", "setting"),
+        (LINE, f"{LINE}-", "default"),
+        (LINE, f"{LINE}1,", "11 fields, expected 10"),
+        (LINE, f"{LINE}1,1,mm,,,,,\n{LINE}", "has a row above"),
     ],
 )
 def test_damage_is_named(old, new, message, tmp_path):
     file = tmp_path / "mujoco.csv"
-    file.write_text(TEXT)
-    with pytest.raises(ReferenceFileError, match=f"mujoco.csv: {message}"):
-        ConvergenceTable.read(changed_text(file, (old, new)))
+    file.write_text((FOLDER / "mujoco.csv").read_text())
+    with pytest.raises(ReferenceFileError, match=f"mujoco.csv: line .*{message}"):
+        read_convergence(changed_text(file, (old, new)))
 
 
 def test_an_engine_without_a_table_was_not_measured():
@@ -123,7 +107,7 @@ def test_an_engine_without_a_table_was_not_measured():
 
 
 def test_commands_show_what_was_measured(gauge):
-    share = bundled("mujoco").of("SlopeSlider-2-wood")["timestep_s"].share
+    share = convergence_of("mujoco", "SlopeSlider-2-wood")["timestep_s"].share
     expected = (
         f"half step moves the trajectory by {100 * share:.2g} % of the real scatter"
     )
@@ -137,47 +121,3 @@ def test_commands_show_what_was_measured(gauge):
     assert row["convergence"]["timestep_s"]["share"] == share
     other = gauge("run", "SlopeSlider-2-wood", "--set", "impratio=1.0")
     assert "half step" not in other.output
-
-
-# --- the script ------------------------------------------------------------------------------------------------------
-
-
-def test_a_row_is_measured_as_stored_and_not_again(tmp_path, capsys):
-    request = Request(results=tmp_path, engines=("mujoco",), ids=("BouncingBall-*",))
-    build_convergence.measure(request, tmp_path)
-    file = tmp_path / "convergence" / "mujoco.csv"
-    row, training = ConvergenceTable.read(file).rows.values()
-    assert (row.variant, row.setting, training.setting) == (
-        "BouncingBall-rubber",
-        "timestep_s",
-        "training",
-    )
-    # Eight times the step; the ball falls 0.5 m.
-    assert training.points_max_mm is not None and 0.0 < training.points_max_mm < 5.0
-    assert training.refined > 2.0 * training.default
-    kept = bundled("mujoco").of("BouncingBall-rubber")["timestep_s"]
-    assert row.rms == pytest.approx(kept.rms, rel=0.05)
-    capsys.readouterr()
-    build_convergence.measure(request, tmp_path)
-    assert capsys.readouterr().out == ""
-
-
-def test_rms_is_the_distance_of_the_paper():
-    frames = np.zeros((4, 3))
-    moved = frames.copy()
-    moved[3] = (3.0, 0.0, 4.0)
-    runs = [
-        build_convergence.Run(
-            frames=one,
-            points_m=1e-3 * one[:, None],
-            settings={},
-            nodes_m={},
-            steps_per_s=1.0,
-        )
-        for one in (frames, moved)
-    ]
-    row = build_convergence.compare(
-        "SlopeSlider-2-wood", "timestep_s", *runs, (1e-4, 5e-5)
-    )
-    assert (row.rms, row.max, row.points_max_mm) == pytest.approx((2.5, 5.0, 5.0))
-    assert row.share == pytest.approx(2.5 / 18.0)
