@@ -4,7 +4,6 @@ import contextlib
 import copy
 import json
 import math
-import os
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -161,15 +160,6 @@ def test_damaged_files_are_named_and_the_others_are_used(name, tmp_path):
     np.testing.assert_array_equal(band_of(name).sigma, undamaged.sigma)
 
 
-def fifo(file):
-    os.mkfifo(file)
-
-
-def sparse(file):
-    with file.open("wb") as stream:
-        stream.truncate(10**12)
-
-
 def copied(file):
     file.write_bytes(file.with_name("trial-2.json").read_bytes())
 
@@ -183,8 +173,6 @@ def linked(file):
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (fifo, "it cannot be read: it "),
-        (sparse, "it cannot be read: it "),
         (Path.mkdir, "it cannot be read"),
         (copied, "is a copy of"),
         (linked, "it links to a file outside of the dataset"),
