@@ -64,7 +64,12 @@ def json_document(content: bytes) -> Any:
     Raises:
         ValueError: The content is no JSON.
     """
-    return _json_reader()(content.removeprefix(codecs.BOM_UTF8))
+    from pydantic import ValidationError
+
+    try:
+        return _json_reader()(content.removeprefix(codecs.BOM_UTF8))
+    except ValidationError as error:
+        raise ValueError(error.errors()[0]["msg"]) from None
 
 
 @cache

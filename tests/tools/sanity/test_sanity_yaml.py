@@ -77,7 +77,7 @@ def test_what_is_damaged_is_an_error(text, reason, tmp_path):
 def test_files_that_cannot_be_read_are_named(tmp_path):
     for name, reason in {
         "absent.yaml": "no such file",
-        ".": "not a regular file",
+        ".": "cannot be read",
     }.items():
         with pytest.raises(TargetError, match=reason):
             read_yaml(tmp_path / name)
