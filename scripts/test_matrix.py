@@ -19,7 +19,7 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from gauge_envs.backends.mujoco.versions import FAULTY_SPARSE, UNSTEADY_BOXES
+from gauge_envs.backends.mujoco.versions import UNSTEADY_BOXES
 from scripts.lowest_versions import PYPROJECT, constraints
 
 ROOT = PYPROJECT.parent
@@ -135,7 +135,6 @@ def _check(commands: Path, folder: Path) -> None:
     release = _run(commands / "python", "-I", "-c", program)
     print(f"MuJoCo {release}", flush=True)
     fails = [*FAILS]
-    fails += ["solver-pile"] if release in FAULTY_SPARSE else []
     fails += ["tower-stands"] if release in UNSTEADY_BOXES else []
     expected = folder / "expected.toml"
     expected.write_text("".join(f'{name} = "known"\n' for name in fails))

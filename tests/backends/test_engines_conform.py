@@ -11,11 +11,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 
-import mujoco
 import pytest
 from places import ROOT
 
-from gauge_envs.backends.mujoco.versions import FAULTY_SPARSE
 from gauge_envs.tools.conformance import checks, run_checks
 
 PUBLISHED = {
@@ -26,8 +24,6 @@ PUBLISHED = {
     if column["name"] == "default"
 }
 """Published results of all checks with the default configuration of each engine, by its name and their ids."""
-if mujoco.__version__ not in FAULTY_SPARSE:
-    PUBLISHED["mujoco"]["solver-pile"]["status"] = "pass"
 
 
 @dataclass(frozen=True, kw_only=True)
