@@ -17,7 +17,7 @@ from collections.abc import Callable
 import numpy as np
 
 from gauge_envs.errors import MissingExtraError
-from gauge_envs.evaluation.metrics.trajectory import dtw_path
+from gauge_envs.scoring.metrics.trajectory import dtw_path
 
 FRAME_COUNT, MARKER_COUNT = 562, 63
 

@@ -37,11 +37,6 @@ if TYPE_CHECKING:
         LogScore as LogScore,
         ScoreEpisode as ScoreEpisode,
     )
-    from gauge_envs.evaluation.reference import reference_band as reference_band
-    from gauge_envs.evaluation.score import (
-        Score as Score,
-        score_trajectory as score_trajectory,
-    )
     from gauge_envs.experiments.experiment import Experiment as Experiment
     from gauge_envs.experiments.resolve import (
         load_experiment as load_experiment,
@@ -49,6 +44,11 @@ if TYPE_CHECKING:
     )
     from gauge_envs.experiments.task_files import load_task as load_task
     from gauge_envs.scene.jitter import Jitter as Jitter
+    from gauge_envs.scoring.reference import reference_band as reference_band
+    from gauge_envs.scoring.score import (
+        Score as Score,
+        score_trajectory as score_trajectory,
+    )
     from gauge_envs.tools.usd.experiment_file import (
         load_experiment_file as load_experiment_file,
     )

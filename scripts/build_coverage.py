@@ -13,12 +13,12 @@ from pathlib import Path
 import numpy as np
 
 from gauge_envs import load_experiment, reference_band
-from gauge_envs.evaluation.verification import solution_uncertainty, verification_band
 from gauge_envs.experiments.variants import Variant, variants
 from gauge_envs.references.bands import Band, bundled_band
 from gauge_envs.references.deformation import bundled_deformation
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.published import published_baselines
+from gauge_envs.scoring.verification import solution_uncertainty, verification_band
 from scripts.generated import ROOT, markdown_table, page_part
 
 SCRIPT = f"scripts/{Path(__file__).name}"

@@ -19,14 +19,14 @@ from PIL import Image, ImageSequence
 
 from gauge_envs import find_variant
 from gauge_envs.envs.env import GaugeEnv
-from gauge_envs.evaluation.reference import band_grade
-from gauge_envs.evaluation.reference_path import reference_path, reference_text
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.variants import Variant, beyond_variants, variants
 from gauge_envs.pages.document import as_markdown
 from gauge_envs.references.bands import Band
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.scoring.reference import band_grade
+from gauge_envs.scoring.reference_path import reference_path, reference_text
 from gauge_envs.tools.video import film_writer
 from scripts.environment_page import family_document
 from scripts.generated import ROOT, markdown_table

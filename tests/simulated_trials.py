@@ -11,16 +11,16 @@ from functools import cached_property, partial
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.evaluation.deviation import (
+from gauge_envs.references.bands import Band
+from gauge_envs.references.grades import BandGrade
+from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.scoring.deviation import (
     LEAST_OVERLAP,
     SHIFT_STEP_S,
     percentile_interval,
 )
-from gauge_envs.evaluation.metrics.trajectory import MAX_RELEASE_OFFSET_S
-from gauge_envs.evaluation.uncertainty import BandErrors, band_errors
-from gauge_envs.references.bands import Band
-from gauge_envs.references.grades import BandGrade
-from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.scoring.metrics.trajectory import MAX_RELEASE_OFFSET_S
+from gauge_envs.scoring.uncertainty import BandErrors, band_errors
 
 FloatArray = NDArray[np.float64]
 Scatter = Callable[[np.random.Generator, int, int], FloatArray]

@@ -12,12 +12,12 @@ from places import ROOT
 
 from gauge_envs import load_experiment
 from gauge_envs.errors import AssetError, GaugeError
-from gauge_envs.evaluation.trajectory_file import read_trajectory
 from gauge_envs.experiments.resolve import load_experiment_from_asset
 from gauge_envs.experiments.task_files import load_task
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result_file import load_result
+from gauge_envs.scoring.trajectory_file import read_trajectory
 from gauge_envs.tools.assets.build import assets_folder
 from gauge_envs.tools.conformance.expected import read_expected
 from gauge_envs.tools.conformance.matrix import read_columns

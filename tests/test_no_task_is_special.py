@@ -22,7 +22,7 @@ CORE_ROOMS = (
     "references",
     "observables",
     "experiments",
-    "evaluation",
+    "scoring",
     "envs",
     "runs",
     "pages",

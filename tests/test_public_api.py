@@ -65,7 +65,7 @@ for name in ("Turntable-1-wood", "Turntable-Limit-wood"):
 env = gymnasium.make("GAUGE/SlopeSlider-2-wood")
 env.reset(seed=0)
 env.step(0)
-print(loaded("scipy", "pandas", "matplotlib", "rich", "trimesh", "typer", "gauge_envs.evaluation.score"))
+print(loaded("scipy", "pandas", "matplotlib", "rich", "trimesh", "typer", "gauge_envs.scoring.score"))
 while not env.step(0)[3]:
     pass
 print(loaded("pandas", "matplotlib", "rich", "scipy.optimize", "scipy.spatial", "scipy.stats", "trimesh", "typer"))

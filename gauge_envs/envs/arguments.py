@@ -21,7 +21,6 @@ from gauge_envs.errors import (
     chosen,
     nearest,
 )
-from gauge_envs.evaluation.reference import load_band, reference_band
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import resolve_experiment, shots_of, with_trial
 from gauge_envs.experiments.scene_builder import Parameters
@@ -34,6 +33,7 @@ from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.jitter import Jitter, scattered
 from gauge_envs.scene.scene import Scene
 from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.scoring.reference import load_band, reference_band
 
 
 @dataclass(frozen=True)

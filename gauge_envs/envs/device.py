@@ -18,7 +18,6 @@ from gauge_envs.envs.at_once import BatchReward
 from gauge_envs.envs.divergence import RigidBoundsOfWorlds
 from gauge_envs.envs.episode import Episode
 from gauge_envs.errors import ParameterError, UnsupportedSceneError
-from gauge_envs.evaluation.worlds import score_samples
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.bands import Band
@@ -26,6 +25,7 @@ from gauge_envs.scene.driver_path import DriverPathInArrays
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.scene import Scene
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
+from gauge_envs.scoring.worlds import score_samples
 
 
 def dynamic_states(scene: Scene) -> FloatArray:

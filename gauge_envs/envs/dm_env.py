@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from gauge_envs.envs.env import GaugeEnv
 from gauge_envs.errors import UnknownNameError, needs_extra
-from gauge_envs.evaluation.score import Score
+from gauge_envs.scoring.score import Score
 
 with needs_extra("gauge_envs.envs.dm_env", "dm"):
     import dm_env

@@ -24,8 +24,8 @@ from gauge_envs.experiments.variants import Variant
 from gauge_envs.scene.jitter import Jitter
 
 if TYPE_CHECKING:
-    from gauge_envs.evaluation.deformation import DeformationScore
-    from gauge_envs.evaluation.score import Score
+    from gauge_envs.scoring.deformation import DeformationScore
+    from gauge_envs.scoring.score import Score
 
 
 class GaugeEnv(SimulationEnvironment[Observation, Any]):

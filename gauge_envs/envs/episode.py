@@ -26,8 +26,6 @@ from gauge_envs.envs.spaces import (
     observation_space_of,
 )
 from gauge_envs.errors import EpisodeError
-from gauge_envs.evaluation.metrics.trajectory import MAX_RELEASE_OFFSET_S
-from gauge_envs.evaluation.reference import reference_loads
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.observables.observer import (
@@ -40,11 +38,13 @@ from gauge_envs.references.bands import Band
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
+from gauge_envs.scoring.metrics.trajectory import MAX_RELEASE_OFFSET_S
+from gauge_envs.scoring.reference import reference_loads
 
 if TYPE_CHECKING:
     # Scores import much of SciPy, and come with the end of an episode.
-    from gauge_envs.evaluation.deformation import DeformationScore
-    from gauge_envs.evaluation.score import Score
+    from gauge_envs.scoring.deformation import DeformationScore
+    from gauge_envs.scoring.score import Score
 
 LATER_FRAMES = round(MAX_RELEASE_OFFSET_S * FRAME_RATE_HZ)
 """Frames that an aligned episode is simulated on after its last one."""
@@ -410,7 +410,7 @@ class Episode:
 
     def score(self) -> Score:
         """Return the score of the episode; if it diverged, the score has a grade and no metric."""
-        from gauge_envs.evaluation.score import Score, score_trajectory
+        from gauge_envs.scoring.score import Score, score_trajectory
 
         if not self.is_over:
             raise EpisodeError(
@@ -435,7 +435,7 @@ class Episode:
 
     def deformation(self) -> DeformationScore | None:
         """Return the statistics of deformation beside real ones; None without them, or if the episode diverged."""
-        from gauge_envs.evaluation.deformation import score_deformation
+        from gauge_envs.scoring.deformation import score_deformation
 
         if not self.is_over:
             raise EpisodeError(

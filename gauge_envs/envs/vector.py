@@ -47,14 +47,14 @@ from gauge_envs.envs.pictures import (
 )
 from gauge_envs.envs.spaces import Observation
 from gauge_envs.errors import EpisodeError, ParameterError
-from gauge_envs.evaluation.deformation import DeformationScore
-from gauge_envs.evaluation.score import Score
-from gauge_envs.evaluation.worlds import score_worlds
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.variants import Variant
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.scene.geometry import BoolArray, FloatArray
 from gauge_envs.scene.jitter import Jitter, jittered
+from gauge_envs.scoring.deformation import DeformationScore
+from gauge_envs.scoring.score import Score
+from gauge_envs.scoring.worlds import score_worlds
 
 Step = tuple[
     Observation,

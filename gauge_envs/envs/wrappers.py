@@ -10,7 +10,7 @@ from gauge_envs.envs.arguments import warn_without_reward
 from gauge_envs.envs.env import GaugeEnv
 
 if TYPE_CHECKING:
-    from gauge_envs.evaluation.score import Score
+    from gauge_envs.scoring.score import Score
 
 
 class EndWrapper(gymnasium.Wrapper, gymnasium.utils.RecordConstructorArgs):
@@ -39,7 +39,7 @@ class ScoreEpisode(EndWrapper):
     and no metric, and `info["diverged"]` gives the reason. An episode that another wrapper cuts short has no score.
     Other wrappers may come before or after this one.
 
-    Adds also `deformation`, a `gauge_envs.evaluation.deformation.DeformationScore`, for a foam with real statistics of
+    Adds also `deformation`, a `gauge_envs.scoring.deformation.DeformationScore`, for a foam with real statistics of
     deformation alone.
 
     Example:

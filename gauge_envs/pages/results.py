@@ -3,8 +3,6 @@
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from gauge_envs.evaluation.score import VERIFICATION, Score
-from gauge_envs.evaluation.verification import Verification
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.pages.text import (
@@ -18,6 +16,8 @@ from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.metrics import METRICS, Metric
 from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.result import Result
+from gauge_envs.scoring.score import VERIFICATION, Score
+from gauge_envs.scoring.verification import Verification
 
 # --- labels ---
 
@@ -138,7 +138,7 @@ VERIFIED = Metric(
     ideal=0.0,
     score_field=VERIFICATION,
 )
-"""The distance from a law or a solved model, in its unit and over u; see `evaluation.verification`."""
+"""The distance from a law or a solved model, in its unit and over u; see `scoring.verification`."""
 
 SCORE_METRICS: Mapping[str, Metric] = {
     metric.key: metric
@@ -198,7 +198,7 @@ def percentile_text(score: Score, metric: str) -> str | None:
     """Return the percentage of real trials that are closer to their mean, with its 95 % interval; None without trials.
 
     Example:
-        >>> from gauge_envs.evaluation.score import Validation
+        >>> from gauge_envs.scoring.score import Validation
         >>> found = Validation(percentile=40.0, percentile_95=(12.0, 71.5))
         >>> percentile_text(Score(grade="trials", unit="mm", validation=found), "rmse")
         '40 % [12, 72]'

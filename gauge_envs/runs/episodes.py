@@ -19,7 +19,6 @@ from gauge_envs.envs.arguments import (
 from gauge_envs.envs.at_once import episodes_in_lockstep
 from gauge_envs.envs.episode import Episode
 from gauge_envs.errors import GaugeError, ParameterError, UnsupportedSceneError
-from gauge_envs.evaluation.score import Score
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.files import json_ready, processor, versions
 from gauge_envs.references.grades import BandGrade
@@ -28,6 +27,7 @@ from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result
 from gauge_envs.runs.result_file import asset_record
 from gauge_envs.scene.jitter import Jitter, scattered
+from gauge_envs.scoring.score import Score
 
 _log = logging.getLogger(__name__)
 

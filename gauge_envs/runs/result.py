@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gauge_envs.evaluation.deformation import DeformationScore
-from gauge_envs.evaluation.score import Score
 from gauge_envs.experiments.experiment import AssetKind, Experiment
 from gauge_envs.files import json_ready, versions
 from gauge_envs.references.user_data import BUNDLED_DATA
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.scoring.deformation import DeformationScore
+from gauge_envs.scoring.score import Score
 
 BULKY = ("scene", "experiment")
 """Keys of `Result.asset` with long values, which are only needed to build the scene again."""

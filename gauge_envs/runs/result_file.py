@@ -16,7 +16,6 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from gauge_envs.errors import GaugeError, ResultFileError, UnknownNameError, first_fault
-from gauge_envs.evaluation.trajectory_file import LARGEST
 from gauge_envs.experiments.experiment import (
     ASSET_NAME,
     EXPERIMENT_NAME,
@@ -39,6 +38,7 @@ from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.user_data import BUNDLED_DATA, DataSource
 from gauge_envs.registry import scene_files
 from gauge_envs.runs.result import Outcome, Result
+from gauge_envs.scoring.trajectory_file import LARGEST
 
 
 def result_file_name(result: Result) -> str:

@@ -3,21 +3,6 @@
 from pathlib import Path
 
 from gauge_envs.errors import ParameterError, TrajectoryFileError
-from gauge_envs.evaluation.deformation import score_deformation
-from gauge_envs.evaluation.deviation import sampled_frames
-from gauge_envs.evaluation.likely_mistakes import (
-    START_TOLERANCE_MM,
-    marker_mistake,
-    start_values,
-    value_mistake,
-)
-from gauge_envs.evaluation.reference import reference_band
-from gauge_envs.evaluation.score import score_trajectory
-from gauge_envs.evaluation.trajectory_file import (
-    StatedOrigin,
-    read_trajectory,
-    stated_origin,
-)
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import resolve_experiment, shots_of, with_trial
 from gauge_envs.experiments.scene_builder import Parameters
@@ -29,6 +14,21 @@ from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result
 from gauge_envs.runs.result_file import asset_record, load_result, recorded_experiment
 from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.scoring.deformation import score_deformation
+from gauge_envs.scoring.deviation import sampled_frames
+from gauge_envs.scoring.likely_mistakes import (
+    START_TOLERANCE_MM,
+    marker_mistake,
+    start_values,
+    value_mistake,
+)
+from gauge_envs.scoring.reference import reference_band
+from gauge_envs.scoring.score import score_trajectory
+from gauge_envs.scoring.trajectory_file import (
+    StatedOrigin,
+    read_trajectory,
+    stated_origin,
+)
 
 MOST_SIGMAS = 6.0
 """Standard deviations of a start that a trajectory may have."""
@@ -45,7 +45,7 @@ def score_file(
     reference: DataSource | str = DataSource.BUNDLED,
     use_withheld: bool = False,
 ) -> tuple[Result, int]:
-    """Score a trajectory file of a user's own simulator; see `evaluation.trajectory_file` for the formats.
+    """Score a trajectory file of a user's own simulator; see `scoring.trajectory_file` for the formats.
 
     Args:
         file: CSV, NPZ or JSON file.

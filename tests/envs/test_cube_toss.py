@@ -6,13 +6,13 @@ import pytest
 
 from gauge_envs import load_experiment, reference_band
 from gauge_envs.errors import ParameterError
-from gauge_envs.evaluation.reference import band_grade
 from gauge_envs.experiments.resolve import with_trial
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.single_shot import single_shots
 from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.episodes import run_episodes
 from gauge_envs.runs.request import RunRequest
+from gauge_envs.scoring.reference import band_grade
 
 ID = "GAUGE/CubeToss-acrylic"
 NAME = "CubeToss-acrylic"

@@ -11,7 +11,6 @@ from pxr import Gf, Sdf, Usd, UsdUtils, Vt
 
 from gauge_envs import load_experiment, load_experiment_from_asset
 from gauge_envs.errors import AssetError, ParameterError, UnsupportedSceneError
-from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.experiments.resolve import resolve_experiment
 from gauge_envs.experiments.variants import variants
 from gauge_envs.runs.batch import run_many
@@ -26,6 +25,7 @@ from gauge_envs.runs.result_file import (
 from gauge_envs.runs.score_file import score_file
 from gauge_envs.scene import Motion
 from gauge_envs.scene.diff import scene_changes
+from gauge_envs.scoring.reference import reference_band
 from gauge_envs.tools.assets.build import assets_folder
 from gauge_envs.tools.compare.comparison import compare
 from gauge_envs.tools.compare.words import comparison_rows

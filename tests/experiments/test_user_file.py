@@ -26,7 +26,6 @@ from gauge_envs.errors import (
     ShapeError,
     TaskFileError,
 )
-from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.experiments.resolve import resolve_experiment
 from gauge_envs.references.bands import Band
 from gauge_envs.rendering.camera import experiment_view
@@ -41,6 +40,7 @@ from gauge_envs.runs.result_file import (
 )
 from gauge_envs.runs.score_file import score_file
 from gauge_envs.scene import ContactMode
+from gauge_envs.scoring.reference import reference_band
 from gauge_envs.tools.assets.build import assets_folder
 from gauge_envs.tools.compare.comparison import compare
 from gauge_envs.tools.compare.experiment_figure import save_figures

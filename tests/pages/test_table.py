@@ -12,8 +12,6 @@ import pytest
 from hypothesis import example, given, settings, strategies as st
 from rich.console import Console
 
-from gauge_envs.evaluation.score import Score, Validation
-from gauge_envs.evaluation.verification import Verification
 from gauge_envs.pages.document import Terminal, as_markdown, as_rows
 from gauge_envs.pages.results import (
     convergence_text,
@@ -32,6 +30,8 @@ from gauge_envs.pages.text import (
     shortened,
     value_text,
 )
+from gauge_envs.scoring.score import Score, Validation
+from gauge_envs.scoring.verification import Verification
 
 ROWS = (
     {

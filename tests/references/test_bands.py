@@ -6,9 +6,9 @@ import tomllib
 import numpy as np
 import pytest
 
-from gauge_envs.evaluation.reference import load_band
 from gauge_envs.files import data_folder
 from gauge_envs.references.published import published_baselines
+from gauge_envs.scoring.reference import load_band
 
 MATERIALS = ("wood", "plastic", "metal")
 VARIANTS = (

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from gauge_envs.errors import ParameterError
-from gauge_envs.evaluation.reference import load_band
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
+from gauge_envs.scoring.reference import load_band
 
 NAME = "CubePush-light"
 FRAMES = 33

@@ -13,14 +13,14 @@ from places import ROOT
 from scipy.integrate import solve_bvp, solve_ivp
 from scipy.optimize import brentq
 
-from gauge_envs.evaluation.verification import (
+from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.references.models import solved_model
+from gauge_envs.scene import Box, Rod
+from gauge_envs.scoring.verification import (
     point_lengths,
     root_mean_square,
     solution_uncertainty,
 )
-from gauge_envs.experiments.resolve import load_experiment
-from gauge_envs.references.models import solved_model
-from gauge_envs.scene import Box, Rod
 
 STANDARD_LOAD = 8.0
 """Weight over bending stiffness, times the overhang cubed, at the angle of ASTM D1388 (Peirce 1930)."""

@@ -5,13 +5,13 @@ from dataclasses import fields
 import pytest
 from pydantic import TypeAdapter, ValidationError
 
-from gauge_envs.evaluation.score import Score, Validation
 from gauge_envs.references.metrics import (
     METRICS,
     BaselineMetric,
     MetricKey,
 )
 from gauge_envs.references.published import published_baselines, published_variants
+from gauge_envs.scoring.score import Score, Validation
 
 
 def test_every_metric_names_fields_of_the_score():

@@ -12,9 +12,6 @@ from episodes import run_to_end
 from gauge_envs import load_experiment, reference_band, variants
 from gauge_envs.envs.reward import reward_terms
 from gauge_envs.errors import ReferenceFileError
-from gauge_envs.evaluation.deviation import sampled_frames
-from gauge_envs.evaluation.score import score_trajectory
-from gauge_envs.evaluation.verification import verify
 from gauge_envs.files import data_folder
 from gauge_envs.pages.results import reality_lines
 from gauge_envs.references import models
@@ -27,6 +24,9 @@ from gauge_envs.references.models import (
 )
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
+from gauge_envs.scoring.deviation import sampled_frames
+from gauge_envs.scoring.score import score_trajectory
+from gauge_envs.scoring.verification import verify
 from gauge_envs.tools.catalog.description import description
 
 FOLDER = data_folder("scoring") / "models"

@@ -8,7 +8,6 @@ import pytest
 from texts import changed_text
 
 from gauge_envs.errors import ShapeError, UnknownNameError
-from gauge_envs.evaluation.reference import band_grade
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.files import data_folder
 from gauge_envs.observables.kinds import Observable, largest_distance
@@ -24,6 +23,7 @@ from gauge_envs.references.published import (
     uncontacted_band,
 )
 from gauge_envs.scene import Markers, Scene
+from gauge_envs.scoring.reference import band_grade
 
 TRIAL_VARIANTS = (
     "SlopeSlider-2-wood",

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from gauge_envs import load_experiment, reference_band, score_trajectory
-from gauge_envs.evaluation.reference import band_grade
 from gauge_envs.files import data_folder
 from gauge_envs.references.bands import SigmaSource, bundled_band
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.published import law_for, published_baselines
+from gauge_envs.scoring.reference import band_grade
 
 GRAVITY = 9.80665
 SCORED = ("SlopeSlider-3-metal", "Turntable-3-metal")

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from gauge_envs import load_experiment
-from gauge_envs.evaluation.implied import fit_ringing, implied_parameters
-from gauge_envs.evaluation.reference import load_band
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.scoring.implied import fit_ringing, implied_parameters
+from gauge_envs.scoring.reference import load_band
 
 LOADS_KG = {"0g": 0.0, "52g": 0.052, "101g": 0.101}
 LENGTH_M, WIDTH_M, DENSITY, MODULUS_PA, GRAVITY = 0.1, 0.03, 1070.0, 263824.0, 9.80665

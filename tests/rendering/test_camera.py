@@ -11,8 +11,6 @@ from opengl import needs_opengl
 from scipy.spatial.transform import Rotation
 
 from gauge_envs import GaugeEnv, load_experiment
-from gauge_envs.evaluation.reference import reference_band
-from gauge_envs.evaluation.reference_path import reference_path
 from gauge_envs.experiments.tables import CameraFile
 from gauge_envs.experiments.variants import beyond_variants, variants
 from gauge_envs.references.tables import read_toml, scoring_folder
@@ -38,6 +36,8 @@ from gauge_envs.scene import (
     Scene,
     Tether,
 )
+from gauge_envs.scoring.reference import reference_band
+from gauge_envs.scoring.reference_path import reference_path
 from gauge_envs.tools.bench.parts import driver as driver_of, ground, ramp
 from gauge_envs.tools.control.env import ControlEnv
 

@@ -10,8 +10,6 @@ from opengl import needs_opengl
 from gauge_envs import GaugeEnv, load_experiment
 from gauge_envs.envs.pictures import episode_overlay
 from gauge_envs.errors import ParameterError, UnknownNameError
-from gauge_envs.evaluation.reference import reference_band
-from gauge_envs.evaluation.reference_path import reference_path
 from gauge_envs.experiments.resolve import shots_of
 from gauge_envs.rendering.camera import experiment_view
 from gauge_envs.rendering.overlay import (
@@ -21,6 +19,8 @@ from gauge_envs.rendering.overlay import (
     tracked_overlay,
 )
 from gauge_envs.rendering.renderer import SceneRenderer
+from gauge_envs.scoring.reference import reference_band
+from gauge_envs.scoring.reference_path import reference_path
 
 SIZE = {"width": 240, "height": 180}
 

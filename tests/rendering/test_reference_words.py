@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from gauge_envs.evaluation.reference import reference_band
-from gauge_envs.evaluation.reference_path import (
+from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.references.grades import BandGrade
+from gauge_envs.scoring.reference import reference_band
+from gauge_envs.scoring.reference_path import (
     reference_path,
     reference_text,
     reference_words,
 )
-from gauge_envs.experiments.resolve import load_experiment
-from gauge_envs.references.grades import BandGrade
 
 
 def test_a_mean_is_named_by_the_number_of_its_trials():

@@ -11,7 +11,6 @@ from gauge_envs.backends import backend
 from gauge_envs.backends.mujoco.model import build_model
 from gauge_envs.backends.mujoco.settings import settings_for
 from gauge_envs.errors import ParameterError
-from gauge_envs.evaluation.estimators import acceleration_m_per_s2
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2,
     Box,
@@ -25,6 +24,7 @@ from gauge_envs.scene import (
     Sphere,
     mass_properties,
 )
+from gauge_envs.scoring.estimators import acceleration_m_per_s2
 from gauge_envs.tools.assets.build import shape_to_obj
 from gauge_envs.tools.sanity.phenomena.foot import foot_scene
 from gauge_envs.tools.sanity.robot.foot import FootGeometry

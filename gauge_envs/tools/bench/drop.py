@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from gauge_envs.evaluation.estimators import Bounce, first_bounce
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import Contact, RigidBody, Scene
+from gauge_envs.scoring.estimators import Bounce, first_bounce
 from gauge_envs.tools.bench.parts import ball, ground
 
 RADIUS_M = 0.03

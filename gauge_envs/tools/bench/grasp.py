@@ -12,7 +12,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from gauge_envs.evaluation.estimators import steady_speed_m_per_s
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2 as G,
@@ -25,6 +24,7 @@ from gauge_envs.scene import (
     Sphere,
 )
 from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scoring.estimators import steady_speed_m_per_s
 from gauge_envs.tools.bench.parts import body, box, box_inertia_kg_m2, contact
 
 MASS_KG, FRICTION, JAW_M, PAD_M, SIZE_M = 0.2, 0.5, 2.0, 0.02, (0.04, 0.06, 0.16)

@@ -10,14 +10,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gauge_envs.evaluation.estimators import (
+from gauge_envs.runs.rollout import Rollout
+from gauge_envs.scene import Pose
+from gauge_envs.scene.geometry import FloatArray, length_of
+from gauge_envs.scoring.estimators import (
     acceleration_m_per_s2,
     slide_friction,
     steady_speed_m_per_s,
 )
-from gauge_envs.runs.rollout import Rollout
-from gauge_envs.scene import Pose
-from gauge_envs.scene.geometry import FloatArray, length_of
 
 LEVEL = 1e-9
 """Sine of the slope below which a support is level; x of its frame is then the first axis."""

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from gauge_envs.evaluation.estimators import steady_speed_m_per_s
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import Scene
 from gauge_envs.scene.geometry import vector
+from gauge_envs.scoring.estimators import steady_speed_m_per_s
 from gauge_envs.tools.bench.drop import RADIUS_M
 from gauge_envs.tools.bench.parts import ball, contact, ground
 

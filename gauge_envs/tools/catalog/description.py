@@ -12,12 +12,6 @@ import numpy as np
 from pydantic import Field
 
 from gauge_envs.envs.reward import is_reward_bounded, reward_text
-from gauge_envs.evaluation.deformation import deformation_reference, real_statistics
-from gauge_envs.evaluation.reference import (
-    grade_of,
-    load_band,
-    reference_band,
-)
 from gauge_envs.experiments.experiment import Experiment, TaskExperiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.task_format import Substituted
@@ -30,6 +24,12 @@ from gauge_envs.references.tables import FileModel, read_toml
 from gauge_envs.references.user_data import DataSource, has_import
 from gauge_envs.scene import Deformable, Hinge, RigidBody
 from gauge_envs.scene.profiles import Profile, SampledProfile
+from gauge_envs.scoring.deformation import deformation_reference, real_statistics
+from gauge_envs.scoring.reference import (
+    grade_of,
+    load_band,
+    reference_band,
+)
 from gauge_envs.tools.catalog.listing import engine_rows
 from gauge_envs.tools.catalog.spaces import action_rows, observation_rows
 

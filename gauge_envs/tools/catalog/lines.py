@@ -3,12 +3,12 @@
 from collections.abc import Mapping, Sequence
 from typing import Any, TypedDict
 
-from gauge_envs.evaluation.deformation import RealStatistic
 from gauge_envs.references.convergence import Convergence
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.models import UnsolvedScene
 from gauge_envs.references.published import Baseline
 from gauge_envs.scene import Attachment, Contact
+from gauge_envs.scoring.deformation import RealStatistic
 
 
 class ExperimentFacts(TypedDict):

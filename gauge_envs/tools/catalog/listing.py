@@ -7,12 +7,12 @@ from gauge_envs.backends import backend, backend_names, is_bundled, support_of
 from gauge_envs.backends.base import with_declared
 from gauge_envs.backends.registry import uninstalled_backend
 from gauge_envs.errors import GaugeError, MissingExtraError
-from gauge_envs.evaluation.reference import grade_of
 from gauge_envs.experiments.experiment import Experiment, TaskExperiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import Variant
 from gauge_envs.references.user_data import has_import
 from gauge_envs.runs.isolation import Worker
+from gauge_envs.scoring.reference import grade_of
 
 QUERY_LIMIT_S = 60.0
 """Time for which an engine outside this package may answer [s]."""

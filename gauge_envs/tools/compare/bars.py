@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
-from gauge_envs.evaluation.verification import COVERAGE_FACTOR
 from gauge_envs.pages.figures import ENGINES, REAL, tidy_axis
 from gauge_envs.pages.results import ALIGNED, SCORE_METRICS, VERIFIED
 from gauge_envs.pages.text import (
@@ -19,6 +18,7 @@ from gauge_envs.pages.text import (
 )
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.published import PUBLISHED_ENGINES, published_baselines
+from gauge_envs.scoring.verification import COVERAGE_FACTOR
 from gauge_envs.tools.compare.comparison import Cell
 from gauge_envs.tools.compare.panels import Series
 

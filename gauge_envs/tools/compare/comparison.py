@@ -8,7 +8,6 @@ from itertools import combinations
 import numpy as np
 
 from gauge_envs.errors import GaugeError
-from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.experiments.task_files import task_sha256
 from gauge_envs.experiments.variants import find_variant, variants
 from gauge_envs.pages.results import (
@@ -27,6 +26,7 @@ from gauge_envs.references.published import Baseline, published_baselines
 from gauge_envs.runs.configuration import RunConfiguration, group_by_configuration
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.runs.result_file import recorded_experiment
+from gauge_envs.scoring.reference import reference_band
 from gauge_envs.tools.compare.distance import Distance, trajectory_distance
 from gauge_envs.tools.compare.draws import (
     ScoreDraws,

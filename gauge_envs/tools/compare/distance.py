@@ -7,12 +7,12 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.evaluation.metrics.trajectory import trajectory_rmse
 from gauge_envs.pages.text import quantity_text
 from gauge_envs.references.published import Baseline
 from gauge_envs.runs.result import Result
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.scoring.metrics.trajectory import trajectory_rmse
 from gauge_envs.tools.compare.draws import ScoreSpread
 
 MOTION_SHARE = 0.05

@@ -18,21 +18,21 @@ from functools import cache
 
 import numpy as np
 
-from gauge_envs.evaluation.dependence import LEVEL, widening
-from gauge_envs.evaluation.deviation import band_deviations
-from gauge_envs.evaluation.error_sources import DRAW_COUNT, SEED
-from gauge_envs.evaluation.numerics import student_quantile
-from gauge_envs.evaluation.verification import (
-    compared_points,
-    frame_deviation,
-    solution_uncertainty,
-    verification_band,
-)
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.bands import Band
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.scene.timing import SAMPLES_PER_FRAME
+from gauge_envs.scoring.dependence import LEVEL, widening
+from gauge_envs.scoring.deviation import band_deviations
+from gauge_envs.scoring.error_sources import DRAW_COUNT, SEED
+from gauge_envs.scoring.numerics import student_quantile
+from gauge_envs.scoring.verification import (
+    compared_points,
+    frame_deviation,
+    solution_uncertainty,
+    verification_band,
+)
 
 DRAWN_REPEATS = 20
 """Largest number of repeats whose scores are drawn. The errors of a reference move each repeat nearly alike."""

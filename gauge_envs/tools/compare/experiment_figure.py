@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gauge_envs.errors import ShapeError
-from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.pages.figures import OURS, new_figure, save_png
 from gauge_envs.pages.results import configuration_labels
@@ -25,6 +24,7 @@ from gauge_envs.runs.configuration import group_by_configuration
 from gauge_envs.runs.result import Result
 from gauge_envs.runs.result_file import recorded_experiment
 from gauge_envs.scene import Cloth, SoftBody
+from gauge_envs.scoring.reference import reference_band
 from gauge_envs.tools.compare.bars import (
     LEAST_REACH,
     VALIDATION,

@@ -20,9 +20,9 @@ from itertools import combinations
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from gauge_envs.evaluation.dependence import LEVEL
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scoring.dependence import LEVEL
 from gauge_envs.tools.compare.draws import ScoreDraws, paired_scores
 
 Interval = tuple[float, float]

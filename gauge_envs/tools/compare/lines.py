@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal, TypedDict
 
 from gauge_envs.cli.schemas import Form
-from gauge_envs.evaluation.verification import Verification
 from gauge_envs.runs.configuration import RunConfiguration
+from gauge_envs.scoring.verification import Verification
 from gauge_envs.tools.compare.distance import Distance
 from gauge_envs.tools.compare.draws import ScoreSpread
 from gauge_envs.tools.compare.grades import Interval, Mean

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gauge_envs.evaluation.verification import COVERAGE_FACTOR
 from gauge_envs.pages.figures import OURS, REAL, new_figure, save_png, tidy_axis
 from gauge_envs.pages.results import SCORE_METRICS, VERIFIED
 from gauge_envs.references.published import PUBLISHED_ENGINES
 from gauge_envs.runs.result import Outcome, Result
+from gauge_envs.scoring.verification import COVERAGE_FACTOR
 from gauge_envs.tools.compare.comparison import (
     Comparison,
     ExperimentComparison,

@@ -4,7 +4,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any
 
-from gauge_envs.evaluation.verification import Verification
 from gauge_envs.pages.results import (
     ALIGNED,
     PLAIN,
@@ -27,6 +26,7 @@ from gauge_envs.pages.text import (
 from gauge_envs.references.published import PUBLISHED_ENGINES
 from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.result import Outcome
+from gauge_envs.scoring.verification import Verification
 from gauge_envs.tools.compare.comparison import Cell, Comparison
 from gauge_envs.tools.compare.grades import (
     grade_name,

@@ -8,20 +8,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from gauge_envs.errors import ShapeError
-from gauge_envs.evaluation.deviation import trial_distances
-from gauge_envs.evaluation.numerics import interpolated
-from gauge_envs.evaluation.verification import (
-    COVERAGE_FACTOR,
-    MARKER_AXES,
-    drawn_spread,
-    point_lengths,
-)
 from gauge_envs.pages.results import ALIGNED
 from gauge_envs.references.bands import Band, SigmaSource
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.runs.result import RecordedTrajectory, Result, recorded_frames
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.scoring.deviation import trial_distances
+from gauge_envs.scoring.numerics import interpolated
+from gauge_envs.scoring.verification import (
+    COVERAGE_FACTOR,
+    MARKER_AXES,
+    drawn_spread,
+    point_lengths,
+)
 
 SPREADS = {
     SigmaSource.TRIALS: "scatter of the real trials (1 standard deviation)",

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.evaluation.estimators import acceleration_m_per_s2
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2 as G,
@@ -18,6 +17,7 @@ from gauge_envs.scene import (
     Scene,
 )
 from gauge_envs.scene.geometry import vector
+from gauge_envs.scoring.estimators import acceleration_m_per_s2
 from gauge_envs.tools.bench.parts import (
     ball,
     body,

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from gauge_envs.evaluation.estimators import slide_friction
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Box, Contact, Pose, Scene, Vector
 from gauge_envs.scene.geometry import vector
+from gauge_envs.scoring.estimators import slide_friction
 from gauge_envs.tools.bench.drop import (
     RADIUS_M,
     balls_above_ground,

@@ -7,8 +7,6 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.evaluation.estimators import mean_period_s
-from gauge_envs.evaluation.pendulum_laws import pendulum_period_s
 from gauge_envs.runs.rollout import DeclinedError, states_now
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2 as G,
@@ -27,6 +25,8 @@ from gauge_envs.scene import (
 from gauge_envs.scene.geometry import FloatArray, length_of, vector
 from gauge_envs.scene.meshes import mass_properties
 from gauge_envs.scene.timing import DRIVE_INTERVAL_S, SAMPLE_INTERVAL_S
+from gauge_envs.scoring.estimators import mean_period_s
+from gauge_envs.scoring.pendulum_laws import pendulum_period_s
 from gauge_envs.tools.bench.parts import (
     body,
     box,

@@ -4,8 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from gauge_envs.evaluation.estimators import acceleration_m_per_s2, mean_period_s
-from gauge_envs.evaluation.pendulum_laws import pendulum_period_s
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2 as G,
@@ -21,6 +19,8 @@ from gauge_envs.scene import (
 )
 from gauge_envs.scene.geometry import length_of, vector
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
+from gauge_envs.scoring.estimators import acceleration_m_per_s2, mean_period_s
+from gauge_envs.scoring.pendulum_laws import pendulum_period_s
 from gauge_envs.tools.bench.parts import ball, body, box, contact, ground
 from gauge_envs.tools.conformance.lab import Lab
 from gauge_envs.tools.conformance.laws import furthest, largest_mm, worst_ratio

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.evaluation.estimators import slide_friction
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2 as G,
     Box,
@@ -23,6 +22,7 @@ from gauge_envs.scene import (
     Vector,
 )
 from gauge_envs.scene.geometry import vector
+from gauge_envs.scoring.estimators import slide_friction
 from gauge_envs.tools.bench.parts import body, contact, corners, driver, ground, ramp
 from gauge_envs.tools.bench.slope import Slope, acceleration_downhill_m_per_s2
 from gauge_envs.tools.conformance.lab import Lab

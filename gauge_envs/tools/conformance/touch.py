@@ -10,7 +10,6 @@ from typing import Any, Literal
 
 import numpy as np
 
-from gauge_envs.evaluation.estimators import acceleration_m_per_s2
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2 as G,
@@ -26,6 +25,7 @@ from gauge_envs.scene import (
     SoftBody,
 )
 from gauge_envs.scene.geometry import FloatArray, vector
+from gauge_envs.scoring.estimators import acceleration_m_per_s2
 from gauge_envs.tools.bench.parts import (
     box,
     contact,

@@ -28,7 +28,6 @@ from gauge_envs.envs.divergence import DeformableBounds, speed_fault
 from gauge_envs.envs.pictures import Pictures, Rendered
 from gauge_envs.envs.stepper import run_frame
 from gauge_envs.errors import EpisodeError, ParameterError
-from gauge_envs.evaluation.reference_path import ReferencePath
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.scene_builder import Parameters
@@ -38,6 +37,7 @@ from gauge_envs.scene import Scene
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.jitter import Jitter, jittered
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLES_PER_FRAME
+from gauge_envs.scoring.reference_path import ReferencePath
 from gauge_envs.tools.control.limit import Ending, Limit, LimitReport, pair_friction
 
 Step = tuple[FloatArray, float, bool, bool, dict[str, Any]]

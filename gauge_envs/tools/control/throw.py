@@ -7,11 +7,11 @@ from typing import ClassVar
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from gauge_envs.evaluation.reference_path import ReferencePath
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.references.uncertainties import RESTITUTION_SHARE, START_M
 from gauge_envs.scene import Scene, Sphere
 from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scoring.reference_path import ReferencePath
 from gauge_envs.tools.control.env import ControlEnv
 from gauge_envs.tools.control.limit import Ending, Limit
 from gauge_envs.tools.control.stage import (

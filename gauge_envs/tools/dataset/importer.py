@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from gauge_envs.evaluation.score import score_trajectory
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import Variant
 from gauge_envs.files import json_ready, os_errors
@@ -35,6 +34,7 @@ from gauge_envs.references.published import Baseline, published_baselines
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.scoring.score import score_trajectory
 from gauge_envs.tools.dataset.findings import ImportFinding, TrialError
 from gauge_envs.tools.dataset.forms import Stated
 from gauge_envs.tools.dataset.layout import Layout

@@ -12,7 +12,6 @@ from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.errors import ShapeError
-from gauge_envs.evaluation.metrics.trajectory import trajectory_dtw, trajectory_rmse
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.observables.observer import observe_markers
@@ -22,6 +21,7 @@ from gauge_envs.scene import Pose
 from gauge_envs.scene.driver_fit import motion_coordinates
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.geometry import BoolArray, FloatArray, length_of
+from gauge_envs.scoring.metrics.trajectory import trajectory_dtw, trajectory_rmse
 from gauge_envs.tools.dataset.findings import TrialError
 from gauge_envs.tools.dataset.trial import PoseTrack, Trial
 

@@ -3,7 +3,6 @@
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from gauge_envs.evaluation.reference import band_grade, load_band
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.task_files import task_sha256
 from gauge_envs.experiments.variants import Variant
@@ -15,6 +14,7 @@ from gauge_envs.references.bands import bundled_sidecar
 from gauge_envs.references.imported import load_imported
 from gauge_envs.references.published import published_baselines
 from gauge_envs.references.user_data import DataSource
+from gauge_envs.scoring.reference import band_grade, load_band
 from gauge_envs.tools.dataset.importer import (
     FLAGGED_DIFFERENCE,
     BaselineRow,

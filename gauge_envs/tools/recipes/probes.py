@@ -16,7 +16,6 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.base import Backend, scene_support
 from gauge_envs.errors import UnsupportedSceneError
-from gauge_envs.evaluation.estimators import rest_depth
 from gauge_envs.runs.rollout import Rollout, record
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2 as G,
@@ -30,6 +29,7 @@ from gauge_envs.scene import (
     Scene,
 )
 from gauge_envs.scene.geometry import FloatArray, vector
+from gauge_envs.scoring.estimators import rest_depth
 from gauge_envs.tools.bench.drop import RADIUS_M, balls_above_ground, bounce_of, fall_s
 from gauge_envs.tools.bench.slope import creep_m_per_s, friction_of_slide, moved_m
 from gauge_envs.tools.bench.turning import INERTIA_SHARES, ROLL, SPIN, turning_arm_m

@@ -4,7 +4,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from typing import Any
 
-from gauge_envs.evaluation.score import Score
 from gauge_envs.pages.document import Document, Paragraph, Tone
 from gauge_envs.pages.results import (
     ALIGNED,
@@ -36,6 +35,7 @@ from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.metrics import METRICS
 from gauge_envs.references.published import PUBLISHED_ENGINES, published_baselines
 from gauge_envs.runs.result import Outcome, Result
+from gauge_envs.scoring.score import Score
 
 DEFORMATION_NOTE = (
     "Strain, volume or area ratio, and non-affine residual [mm] of the markers, at the last frame whose real value is "

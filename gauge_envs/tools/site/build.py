@@ -12,7 +12,6 @@ from string import Template
 from typing import Any
 
 from gauge_envs.errors import GaugeError, ResultFileError
-from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.files import os_errors
 from gauge_envs.pages.document import Heading, Part, save_file
 from gauge_envs.pages.html import (
@@ -35,6 +34,7 @@ from gauge_envs.runs.replay import (
     replayed_experiment,
 )
 from gauge_envs.runs.result import Result
+from gauge_envs.scoring.reference import reference_band
 from gauge_envs.tools.compare import ExperimentComparison, compare, mean_rank_text
 from gauge_envs.tools.site.experiment_page import experiment_page
 from gauge_envs.tools.site.model import (

@@ -3,7 +3,6 @@
 from collections.abc import Iterator, Sequence
 
 from gauge_envs.errors import GaugeError
-from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.experiments.experiment import Experiment, TaskExperiment
 from gauge_envs.pages.document import Heading, Paragraph, Part, Tone
 from gauge_envs.pages.html import Html, element, join, listed
@@ -26,6 +25,7 @@ from gauge_envs.references.convergence import convergence_rows
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.published import PUBLISHED_ENGINES
 from gauge_envs.runs.result_file import recorded_experiment
+from gauge_envs.scoring.reference import reference_band
 from gauge_envs.tools.compare import ExperimentComparison
 from gauge_envs.tools.site.curves import curves
 from gauge_envs.tools.site.model import (

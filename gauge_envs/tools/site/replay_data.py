@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.evaluation.reference_path import reference_path, reference_words
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.bands import Band
@@ -40,6 +39,7 @@ from gauge_envs.scene import (
 from gauge_envs.scene.geometry import Pose, Shape
 from gauge_envs.scene.meshes import hull_triangles
 from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.scoring.reference_path import reference_path, reference_words
 
 MAX_COUNT = 32767
 """Largest stored number."""

@@ -13,10 +13,10 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from gauge_envs.errors import ParameterError
-from gauge_envs.evaluation.dependence import LEVEL
-from gauge_envs.evaluation.numerics import share_interval, student_quantile
 from gauge_envs.experiments.variants import find_variant, variants
 from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scoring.dependence import LEVEL
+from gauge_envs.scoring.numerics import share_interval, student_quantile
 from gauge_envs.tools.versions.environments import (
     NUMPY_2_SINCE,
     made_environment,

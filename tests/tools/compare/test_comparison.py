@@ -10,8 +10,6 @@ from matplotlib.colors import to_hex
 from rich.console import Console
 
 from gauge_envs.errors import ResultFileError, UnknownNameError
-from gauge_envs.evaluation.reference import reference_band
-from gauge_envs.evaluation.score import Score, Validation, score_trajectory
 from gauge_envs.experiments.task_files import task_sha256, task_spec
 from gauge_envs.files import versions
 from gauge_envs.pages.document import Terminal, as_markdown, as_rows
@@ -26,6 +24,8 @@ from gauge_envs.runs.result_file import (
     result_file_name,
     write_result,
 )
+from gauge_envs.scoring.reference import reference_band
+from gauge_envs.scoring.score import Score, Validation, score_trajectory
 from gauge_envs.tools.compare.comparison import compare
 from gauge_envs.tools.compare.distance import MOTION_SHARE
 from gauge_envs.tools.compare.draws import ScoreSpread

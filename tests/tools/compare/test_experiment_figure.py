@@ -11,14 +11,14 @@ import pytest
 from places import one_of_a_kind
 
 from gauge_envs import load_experiment, reference_band
-from gauge_envs.evaluation.deviation import trial_distances
-from gauge_envs.evaluation.score import Score, score_trajectory
 from gauge_envs.experiments.task_files import task_sha256
 from gauge_envs.experiments.variants import find_variant, variants
 from gauge_envs.pages.figures import new_figure, save_png
 from gauge_envs.pages.text import QUESTIONS
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result
+from gauge_envs.scoring.deviation import trial_distances
+from gauge_envs.scoring.score import Score, score_trajectory
 from gauge_envs.tools.compare.experiment_figure import draw_experiment, save_figures
 
 MOST_PIXELS = 1600

@@ -33,8 +33,6 @@ from gauge_envs.errors import (
     ReferenceFileError,
     UnknownNameError,
 )
-from gauge_envs.evaluation.deformation import deformation_reference
-from gauge_envs.evaluation.reference import band_grade, load_band
 from gauge_envs.files import data_folder
 from gauge_envs.references.bands import bundled_band
 from gauge_envs.references.grades import BandGrade
@@ -51,6 +49,8 @@ from gauge_envs.runs.result_file import (
 )
 from gauge_envs.scene.drivers import DriverMotion
 from gauge_envs.scene.profiles import SampledProfile
+from gauge_envs.scoring.deformation import deformation_reference
+from gauge_envs.scoring.reference import band_grade, load_band
 from gauge_envs.tools.compare.comparison import compare
 from gauge_envs.tools.dataset.layout import find_trials, write_revision
 from gauge_envs.tools.dataset.observation import driver_tracks

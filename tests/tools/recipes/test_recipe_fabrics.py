@@ -6,9 +6,9 @@ import pytest
 from gauge_envs.backends.mujoco import cloth as mujoco_cloth
 from gauge_envs.backends.mujoco.fabrics import flex_constants
 from gauge_envs.errors import ParameterError
-from gauge_envs.evaluation.estimators import hann_mean
 from gauge_envs.experiments.task_files import fabrics
 from gauge_envs.scene.fabrics import plate_bending_stiffness
+from gauge_envs.scoring.estimators import hann_mean
 from gauge_envs.tools.recipes.fabrics import NOTHING_LOST, fabric_recipe, fabric_snippet
 
 SATIN = fabrics("TextileFlinging")["satin"]

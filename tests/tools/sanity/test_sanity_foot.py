@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends import backend
 from gauge_envs.errors import TargetError
-from gauge_envs.evaluation.estimators import acceleration_m_per_s2
 from gauge_envs.scene import GRAVITY_M_PER_S2, Box, Capsule, ConvexUnion, Sphere
+from gauge_envs.scoring.estimators import acceleration_m_per_s2
 from gauge_envs.tools.sanity import Need, Verdict, check, configuration
 from gauge_envs.tools.sanity.measure import Measurements, judged
 from gauge_envs.tools.sanity.phenomena import phenomenon

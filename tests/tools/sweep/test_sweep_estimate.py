@@ -2,8 +2,8 @@
 
 import pytest
 
-from gauge_envs.evaluation.score import Score
 from gauge_envs.runs.result import Outcome, Result
+from gauge_envs.scoring.score import Score
 from gauge_envs.tools.sweep.folder import (
     EarlierCosts,
     create_folder,
