@@ -14,9 +14,9 @@ import numpy as np
 
 from gauge_envs import load_experiment, reference_band
 from gauge_envs.experiments.variants import Variant, variants
-from gauge_envs.references.bands import Band, bundled_band
+from gauge_envs.references.band import Band, bundled_band
 from gauge_envs.references.deformation import bundled_deformation
-from gauge_envs.references.grades import BandGrade
+from gauge_envs.references.kind import Kind
 from gauge_envs.references.published import published_baselines
 from gauge_envs.scoring.verification import solution_uncertainty, verification_band
 from scripts.generated import ROOT, markdown_table, page_part
@@ -47,7 +47,7 @@ class Row:
     """The reference of one variant; each field is what its column says."""
 
     variant: str
-    used: BandGrade
+    used: Kind
     is_withheld: bool
     has_events: bool
     has_statistics: bool
@@ -57,7 +57,7 @@ class Row:
 
     def cells(self) -> list[str]:
         """Cells of the table."""
-        kinds = [] if self.used is BandGrade.NONE else [self.used.value]
+        kinds = [] if self.used is Kind.NONE else [self.used.value]
         kinds += ["recording, *withheld*"] if self.is_withheld else []
         kinds += ["events"] if self.has_events else []
         kinds += ["statistics"] if self.has_statistics else []
@@ -83,7 +83,7 @@ def coverage(variant: Variant) -> Row:
         uncertainty = uncertainty_text(used)
     return Row(
         variant=variant.name,
-        used=BandGrade.NONE if used is None else used.grade,
+        used=Kind.NONE if used is None else used.grade,
         is_withheld=measured is not None and measured.withheld is not None,
         has_events=any(
             metric in baselines and baselines[metric].mean for metric in EVENTS
@@ -122,14 +122,14 @@ def sum_table(rows: Sequence[Row]) -> Iterator[str]:
     count = Counter(row.used for row in rows)
     real, solved = "is it like reality?", "does the engine solve the scene?"
     kinds = (
-        (real, "trials", count[BandGrade.TRIALS]),
-        (real, "recording", count[BandGrade.RECORDING]),
+        (real, "trials", count[Kind.TRIALS]),
+        (real, "recording", count[Kind.RECORDING]),
         (real, "recording, withheld", sum(row.is_withheld for row in rows)),
         (real, "events", sum(row.has_events for row in rows)),
         (real, "statistics", sum(row.has_statistics for row in rows)),
-        (solved, "law", count[BandGrade.LAW]),
-        (solved, "model", count[BandGrade.MODEL]),
-        ("neither", "none", count[BandGrade.NONE]),
+        (solved, "law", count[Kind.ANALYTIC]),
+        (solved, "model", count[Kind.NUMERICAL]),
+        ("neither", "none", count[Kind.NONE]),
     )
     cells = [(one, kind, str(number)) for one, kind, number in kinds if number]
     return markdown_table(("question", "reference", "ids"), cells)
@@ -139,11 +139,11 @@ def short_table(rows: Sequence[Row]) -> Iterator[str]:
     """Return how many ids are scored against what."""
     count = Counter(row.used for row in rows)
     kinds = (
-        (BandGrade.TRIALS, "real trials: slides, drops"),
-        (BandGrade.RECORDING, "a recording of one real trial"),
-        (BandGrade.LAW, "an analytical solution: turntables, cradle, pendulum, ramps"),
-        (BandGrade.MODEL, "a numerical solution: most cloth, foam"),
-        (BandGrade.NONE, "nothing: rope, funnel, wall"),
+        (Kind.TRIALS, "real trials: slides, drops"),
+        (Kind.RECORDING, "a recording of one real trial"),
+        (Kind.ANALYTIC, "an analytical solution: turntables, cradle, pendulum, ramps"),
+        (Kind.NUMERICAL, "a numerical solution: most cloth, foam"),
+        (Kind.NONE, "nothing: rope, funnel, wall"),
     )
     yield from markdown_table(
         ("ids", "scored against"), [(str(count[grade]), what) for grade, what in kinds]

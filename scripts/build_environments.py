@@ -22,8 +22,8 @@ from gauge_envs.envs.env import GaugeEnv
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.variants import Variant, beyond_variants, variants
 from gauge_envs.pages.document import as_markdown
-from gauge_envs.references.bands import Band
-from gauge_envs.references.grades import BandGrade
+from gauge_envs.references.band import Band
+from gauge_envs.references.kind import Kind
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.scoring.reference import band_grade
 from gauge_envs.scoring.reference_path import reference_path, reference_text
@@ -263,6 +263,6 @@ def index_cell(family: str, families: Mapping[str, Sequence[Variant]]) -> str:
     """Return picture, name and numbers of a family, with a link to its page."""
     grades = Counter(band_grade(variant.name) for variant in families[family])
     count = ", ".join(
-        f"{grades[grade]} x {grade.value}" for grade in BandGrade if grades[grade]
+        f"{grades[grade]} x {grade.value}" for grade in Kind if grades[grade]
     )
     return f"[![{family}](../images/environments/{family}.webp)]({family}.md) [{family}]({family}.md): {count}"

@@ -13,8 +13,8 @@ from gauge_envs.experiments.variants import beyond_variants, variants
 from gauge_envs.pages.document import Bullets, Document, Heading, Paragraph, Part
 from gauge_envs.pages.table import Column, Table, grid
 from gauge_envs.pages.text import GRADE_NOTES, Markdown, short_id, value_text
-from gauge_envs.references.bands import SigmaSource
-from gauge_envs.references.grades import BandGrade
+from gauge_envs.references.band import SigmaSource
+from gauge_envs.references.kind import Kind
 from gauge_envs.tools.catalog.description import description
 from gauge_envs.tools.catalog.spaces import range_text, shape_text
 from gauge_envs.tools.catalog.words import (
@@ -138,7 +138,7 @@ def _ids(members: Sequence[Values]) -> Table:
         count = values["reference"]["known_frames"]
         return (
             "-"
-            if count is None or values["reference"]["grade"] == BandGrade.NONE
+            if count is None or values["reference"]["grade"] == Kind.NONE
             else str(count)
         )
 
@@ -215,7 +215,7 @@ def _reference(names: _Names, members: Sequence[Values]) -> Iterator[Part]:
     )
     yield Heading("Reference")
     used = [
-        values for values in members if values["reference"]["grade"] != BandGrade.NONE
+        values for values in members if values["reference"]["grade"] != Kind.NONE
     ]
     lines = _listed(
         names,
@@ -227,7 +227,7 @@ def _reference(names: _Names, members: Sequence[Values]) -> Iterator[Part]:
     lines += _listed(names, used, _sigma)
     lines += _listed(names, members, _withheld)
     if bare := [short_id(values["id"]) for values in members if values not in used]:
-        lines.append(_of(names.short(bare), f"{GRADE_NOTES[BandGrade.NONE]}."))
+        lines.append(_of(names.short(bare), f"{GRADE_NOTES[Kind.NONE]}."))
     lines += _listed(
         names,
         members,
@@ -274,7 +274,7 @@ def _statistics(names: _Names, members: Sequence[Values]) -> Iterator[dict[str, 
 
 def _sigma(values: Values) -> str:
     reference = values["reference"]
-    if BandGrade(reference["grade"]).is_solution:
+    if Kind(reference["grade"]).is_solution:
         return (
             "Verification: distances are over u of the solution, those from an exact one in its unit, and none is over "
             "the scatter of real trials."

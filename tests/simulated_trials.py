@@ -11,15 +11,15 @@ from functools import cached_property, partial
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.references.bands import Band
-from gauge_envs.references.grades import BandGrade
+from gauge_envs.references.band import Band
+from gauge_envs.references.kind import Kind
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.scoring.deviation import (
     LEAST_OVERLAP,
     SHIFT_STEP_S,
     percentile_interval,
 )
-from gauge_envs.scoring.metrics.trajectory import MAX_RELEASE_OFFSET_S
+from gauge_envs.scoring.metrics import MAX_TIME_OFFSET_S
 from gauge_envs.scoring.uncertainty import BandErrors, band_errors
 
 FloatArray = NDArray[np.float64]
@@ -222,7 +222,7 @@ def align(
         Two of the shape of `means`, and one of shape [reality_count].
     """
     grid_s = np.arange(
-        -MAX_RELEASE_OFFSET_S, MAX_RELEASE_OFFSET_S + 1e-9, OFFSET_STEP_S
+        -MAX_TIME_OFFSET_S, MAX_TIME_OFFSET_S + 1e-9, OFFSET_STEP_S
     )
     moved = world.engine(engine, grid_s)
     squares = np.square(moved).sum(axis=1) - 2.0 * means @ moved.T
@@ -245,7 +245,7 @@ def aligned_distances(trials: FloatArray, means: FloatArray) -> FloatArray:
         trials: Trials, shape [count, frame_count].
         means: Mean that each is compared with, shape [count or 1, frame_count].
     """
-    coarse = round(MAX_RELEASE_OFFSET_S / SHIFT_STEP_S)
+    coarse = round(MAX_TIME_OFFSET_S / SHIFT_STEP_S)
     best, found = np.zeros(len(trials)), np.full(len(trials), np.inf)
     for step in range(-coarse, coarse + 1):
         distance = _shifted_distance(
@@ -292,7 +292,7 @@ def band_of(trials: FloatArray) -> Band:
     """Return the band of trials of shape [count, frame_count]."""
     values = trials[:, :, None]
     return Band(
-        grade=BandGrade.TRIALS,
+        grade=Kind.TRIALS,
         unit="mm",
         coordinates=("x",),
         projection=np.eye(1),

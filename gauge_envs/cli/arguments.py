@@ -163,8 +163,7 @@ Use = Annotated[
     list[str] | None,
     option(
         SCENE,
-        "Data beyond the bundled: imported-drivers, imported-reference, imported for both, or withheld for the "
-        "bands that are kept back.",
+        "Data beyond the bundled: imported-drivers, imported-reference, or imported for both.",
         "--use",
         metavar="DATA",
         show_default="bundled",
@@ -344,7 +343,6 @@ USES = {
     "imported": ("drivers", "reference"),
     "imported-drivers": ("drivers",),
     "imported-reference": ("reference",),
-    "withheld": ("use_withheld",),
 }
 """Keyword arguments that the words of `--use` change."""
 
@@ -439,10 +437,10 @@ def parsed_settings(changes: Sequence[str] | None) -> dict[str, Any] | None:
 
 
 def parsed_use(words: Sequence[str] | None, *names: str) -> dict[str, Any]:
-    """Return those of the keyword arguments `drivers`, `reference` and `use_withheld` that a command has.
+    """Return those of the keyword arguments `drivers` and `reference` that a command has.
 
     Args:
-        words: Words of `--use`, as `imported` and `withheld`.
+        words: Words of `--use`, as `imported`.
         names: The keyword arguments.
     """
     from gauge_envs.references.user_data import DataSource
@@ -453,13 +451,10 @@ def parsed_use(words: Sequence[str] | None, *names: str) -> dict[str, Any]:
         if word not in known:
             raise UnknownNameError("word of --use", word, known)
         used.update(USES[word])
-    sources = {
+    return {
         name: DataSource.IMPORTED if name in used else DataSource.BUNDLED
         for name in names
     }
-    return sources | (
-        {"use_withheld": "use_withheld" in used} if "use_withheld" in names else {}
-    )
 
 
 def parsed_jitter(texts: Sequence[str] | None) -> Jitter | None:

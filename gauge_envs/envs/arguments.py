@@ -27,13 +27,13 @@ from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.experiments.variants import Variant
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.observables.observer import MarkerProxy
-from gauge_envs.references.bands import Band
+from gauge_envs.references.band import Band
 from gauge_envs.references.user_data import DataSource, has_import
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.jitter import Jitter, scattered
 from gauge_envs.scene.scene import Scene
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-from gauge_envs.scoring.reference import load_band, reference_band
+from gauge_envs.scoring.reference import reference_band
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,6 @@ class EnvArguments:
         drivers: `bundled` moves driven bodies as the task file states, `imported` as the imported trials show. With
             `action` they rest until actions move them, see `gauge_envs.experiments.resolve.moved_by_actions`.
         reference: `bundled` scores against the package's references, `imported` against the imported trials.
-        use_withheld: Score also against a band that is withheld by default; `gauge show` gives the reason.
         asset: File that states the scene in place of the task file: a USD layer for any engine, an MJCF file for
             `mujoco`. It states constants and driven motion; observation and score stay the variant's. With the id
             `GAUGE/Asset` it is an experiment file.
@@ -66,7 +65,6 @@ class EnvArguments:
     marker_proxy: MarkerProxy | str = MarkerProxy.MATERIAL
     drivers: DataSource | str = DataSource.BUNDLED
     reference: DataSource | str = DataSource.BUNDLED
-    use_withheld: bool = False
     asset: str | PathLike[str] | None = None
 
     def __post_init__(self) -> None:
@@ -87,7 +85,6 @@ class EnvArguments:
                 (Mapping, type(None)),
                 "a mapping, as {'timestep_s': 1 / 1800}",
             ),
-            ("use_withheld", bool, "True or False"),
             ("asset", (str, PathLike, type(None)), "the path of a file"),
         )
         for name, types, text in expected:
@@ -118,7 +115,7 @@ class EnvArguments:
 
     def band(self, experiment: Experiment) -> Band | None:
         """Return the band that an experiment is scored against, or None if it has no reference."""
-        return reference_band(experiment, use_withheld=self.use_withheld)
+        return reference_band(experiment)
 
     def unread(self, experiment: Experiment) -> dict[str, str]:
         """Return why arguments would change nothing, by their names; runs of many ids may have such.
@@ -136,10 +133,6 @@ class EnvArguments:
                 if self.drivers == DataSource.ACTION
                 else "its imported trials show no driven body"
             )
-        if self.use_withheld:
-            band = self.band(experiment)
-            if band is None or band.withheld is None:
-                reasons["use_withheld"] = "no band in use is withheld"
         return reasons
 
     def check_read(self, experiment: Experiment) -> None:
@@ -163,7 +156,6 @@ class EnvKeywords(TypedDict, total=False):
     marker_proxy: MarkerProxy | str
     drivers: DataSource | str
     reference: DataSource | str
-    use_withheld: bool
     asset: str | PathLike[str] | None
 
 
@@ -519,10 +511,10 @@ def warn_without_reward(experiment: Experiment, band: Band | None) -> None:
     if band is None:
         message = _no_reward_message(experiment)
     else:
-        known = np.flatnonzero(np.isfinite((band.points or band).mean).any(axis=1))
+        known = np.flatnonzero(band.compared.known)
         last = int(known.max(initial=0))
         message = (
-            f"{experiment.id}: its reference of grade {band.grade} ends at {last / FRAME_RATE_HZ:.2f} of "
+            f"{experiment.id}: its {band.kind} reference ends at {last / FRAME_RATE_HZ:.2f} of "
             f"{(experiment.frame_count - 1) / FRAME_RATE_HZ:.2f} s. Later rewards are 0."
         )
         if last >= experiment.frame_count - 1:
@@ -541,11 +533,5 @@ def _no_reward_message(experiment: Experiment) -> str:
     ]
     if has_import(experiment.name):
         remedies = ["pass reference='imported', as its real trials are imported"]
-    stored = load_band(experiment.name, experiment.reference_source)
-    if stored is not None and stored.withheld is not None:
-        name = experiment.name
-        remedies.append(
-            f"pass use_withheld=True to use a withheld band; 'gauge show {name}' says why it is withheld"
-        )
     remedies.append("choose an id that 'gauge list --scored' shows")
     return f"{missing} To get one, {'; or '.join(remedies)}."

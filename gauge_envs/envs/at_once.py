@@ -23,7 +23,7 @@ from gauge_envs.envs.reward import bounded_reward, reward_terms
 from gauge_envs.envs.spaces import Observation
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.observer import MarkersOfWorlds, ObserverMarkers
-from gauge_envs.references.bands import Band
+from gauge_envs.references.band import Band
 from gauge_envs.scene.driver_path import DriverPathOfWorlds
 from gauge_envs.scene.geometry import BoolArray, FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
@@ -68,15 +68,12 @@ class EpisodesAtOnce(EpisodesOneByOne):
         self._markers_m = np.full(
             (frame_count, count, *first.observer.markers_m.shape), np.nan
         )
-        self._holders = first.holders
-        self._wrenches = np.full((frame_count, count, len(self._holders), 6), np.nan)
         self._driver_states = np.full((count, len(self._driven), 13), np.nan)
         for number, episode in enumerate(episodes):
             episode.record_in(
                 self._samples[:, number],
                 self._bodies[:, number],
                 self._markers_m[:, number],
-                self._wrenches[:, number],
             )
         self._every = np.arange(count)
         self._no_rates = np.zeros(
@@ -178,13 +175,12 @@ class EpisodesAtOnce(EpisodesOneByOne):
     def _simulated(
         self, running: Numbers, frame: int, rates: FloatArray
     ) -> tuple[FloatArray, dict[int, str]]:
-        """Drive and advance all worlds from a frame to the next, and record g(t) and wrenches of some.
+        """Drive and advance all worlds from a frame to the next, and record g(t) of some.
 
         Returns:
             States of the dynamic bodies then, shape [world_count, body_count, 13], and the reason for each of those
             worlds that has diverged.
         """
-        wrenches = np.zeros(self._wrenches.shape[1:])
         for sample in range(frame * SAMPLES_PER_FRAME, (frame + 1) * SAMPLES_PER_FRAME):
             first = 0
             for driver in self._drivers:
@@ -205,11 +201,6 @@ class EpisodesAtOnce(EpisodesOneByOne):
                 self._samples[sample + 1] = g
             else:
                 self._samples[sample + 1, running] = g[running]
-            for number in running.tolist() if self._holders else ():
-                now = self.worlds.worlds[number].grip_wrenches(self._holders)
-                wrenches[number] += np.nan if now is None else now / SAMPLES_PER_FRAME
-        if frame + 1 < len(self._wrenches):
-            self._wrenches[frame + 1, running] = wrenches[running]
         states = self.worlds.body_states(self._dynamic)
         suspects = self._bounds.suspects(states)
         for bounds in self._deformable_bounds:

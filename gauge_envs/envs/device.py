@@ -20,7 +20,7 @@ from gauge_envs.envs.episode import Episode
 from gauge_envs.errors import ParameterError, UnsupportedSceneError
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.kinds import Observable
-from gauge_envs.references.bands import Band
+from gauge_envs.references.band import Band
 from gauge_envs.scene.driver_path import DriverPathInArrays
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.scene import Scene

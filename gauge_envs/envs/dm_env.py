@@ -51,7 +51,7 @@ def load(
         >>> step = env.reset()
         >>> while not step.last():
         ...     step = env.step(env.action_spec().generate_value())
-        >>> step.discount, round(env.score.validation.rmse_normalized, 2)
+        >>> step.discount, round(env.score.rmse_normalized, 2)
         (1.0, 0.41)
     """
     scored = [

@@ -24,7 +24,6 @@ from gauge_envs.experiments.variants import Variant
 from gauge_envs.scene.jitter import Jitter
 
 if TYPE_CHECKING:
-    from gauge_envs.scoring.deformation import DeformationScore
     from gauge_envs.scoring.score import Score
 
 
@@ -52,10 +51,10 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
     band has `points`; 0 without a reference. With deformable bodies it is -z / (1 + z), with the size of the motion in
     place of a smaller sigma.
 
-    `info`: `frame`, `time_s`, `reference` (grade of the band), `reference_source` and `drivers` (`bundled`,
+    `info`: `frame`, `time_s`, `reference` (kind of the reference), `reference_source` and `drivers` (`bundled`,
     `imported` or `action`), `edited` if an edited asset states the scene, and `diverged` (the reason) if the
     simulation diverged.
-    `gymnasium.make` adds `score` and `deformation` at the end; see `ScoreEpisode`.
+    `gymnasium.make` adds `score` at the end; see `ScoreEpisode`.
 
     Args:
         variant: Name of the variant, as `SlopeSlider-2-wood`.
@@ -72,7 +71,7 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
             the trials have a start each, elsewhere by the default `Jitter`. Or a `Jitter`, or its fields as a mapping.
         **arguments: Keywords of `gauge_envs.envs.arguments.EnvArguments`, with their defaults: `backend="mujoco"`,
             `parameters="calibrated"`, `settings=None`, `marker_proxy="material"`, `drivers="bundled"`,
-            `reference="bundled"`, `use_withheld=False`, `asset=None`.
+            `reference="bundled"`, `asset=None`.
 
     Attributes:
         arguments: Variant and keywords.
@@ -94,7 +93,7 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
         >>> terminated = truncated = False
         >>> while not (terminated or truncated):
         ...     observation, reward, terminated, truncated, info = env.step(0)
-        >>> info["frame"], info["score"].grade
+        >>> info["frame"], info["score"].kind
         (18, 'trials')
     """
 
@@ -222,19 +221,12 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
         """Return the score of the episode, or None before it is over.
 
         An experiment that starts with a release is simulated on by 10 frames first, for the release alignment. The
-        score of an episode that diverged has a grade and no metric.
+        score of an episode that diverged has a kind and no number.
         """
         if not self.episode.is_over:
             return None
         self.episode.run_on()
         return self.episode.score()
-
-    def deformation(self) -> DeformationScore | None:
-        """Return the statistics of deformation of the episode beside real ones.
-
-        None before the episode is over, if it diverged, and for experiments without such statistics.
-        """
-        return self.episode.deformation() if self.episode.is_over else None
 
     def render(self) -> Rendered | None:
         """Return a picture of the scene in the form of the render mode; None without one, and with a window.

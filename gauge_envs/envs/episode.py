@@ -34,19 +34,17 @@ from gauge_envs.observables.observer import (
     ObserverMarkers,
     ObserverPositions,
 )
-from gauge_envs.references.bands import Band
-from gauge_envs.references.grades import BandGrade
+from gauge_envs.references.band import Band
+from gauge_envs.references.kind import Kind
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
-from gauge_envs.scoring.metrics.trajectory import MAX_RELEASE_OFFSET_S
-from gauge_envs.scoring.reference import reference_loads
+from gauge_envs.scoring.metrics import MAX_TIME_OFFSET_S
 
 if TYPE_CHECKING:
     # Scores import much of SciPy, and come with the end of an episode.
-    from gauge_envs.scoring.deformation import DeformationScore
     from gauge_envs.scoring.score import Score
 
-LATER_FRAMES = round(MAX_RELEASE_OFFSET_S * FRAME_RATE_HZ)
+LATER_FRAMES = round(MAX_TIME_OFFSET_S * FRAME_RATE_HZ)
 """Frames that an aligned episode is simulated on after its last one."""
 
 View = tuple[dict[str, FloatArray], dict[str, FloatArray]]
@@ -65,8 +63,6 @@ class Trajectory:
             markers are recorded.
         markers_m: Marker positions at the frames [m], shape [frame_count, marker_count, 3]; `marker_count` is 0 if
             bodies are recorded.
-        wrenches: Wrenches of the scene's `holders` in the mean over the six samples of each frame, NaN at frame 0,
-            shape [frame_count, holder_count, 6]; `holder_count` is 0 where no reference compares them.
         later_times_s: Times of samples after the last frame [s], for the release alignment; shape [later_count], empty
             before the score is read and where nothing is aligned.
         later_samples: g(t) at those times, shape [later_count, coordinate_count].
@@ -77,7 +73,6 @@ class Trajectory:
     frames: FloatArray
     bodies: FloatArray
     markers_m: FloatArray
-    wrenches: FloatArray
     later_times_s: FloatArray
     later_samples: FloatArray
 
@@ -109,7 +104,6 @@ class Episode:
         rest_nodes_m: Nodes of each deformable body at the start [m], each of shape [node_count, 3].
         deformable_bounds: Bounds of each deformable body.
         observer: Observer of g(t).
-        holders: Bodies whose wrenches on cloth and foam are recorded; none without solved loads.
     """
 
     def __init__(
@@ -128,9 +122,7 @@ class Episode:
         self.frame: int | None = None
         self.fault: str | None = None
         self._world = world
-        is_aligned = (
-            band is not None and band.grade.is_real and experiment.trial is None
-        )
+        is_aligned = band is not None and band.kind.is_real and experiment.trial is None
         self._later_frames = LATER_FRAMES if is_aligned else 0
         self._later = 0
         self._later_limit = self._later_frames
@@ -160,10 +152,10 @@ class Episode:
             self.observer = ObserverPositions(experiment.recorded)
         else:
             self.observer = ObserverMarkers(scene, observable, world, marker_proxy)
-        self._grade = BandGrade.NONE.value if band is None else band.grade.value
+        self._kind = Kind.NONE.value if band is None else band.kind.value
         # What `info` states of every frame.
         self._origin: dict[str, Any] = {
-            "reference": self._grade,
+            "reference": self._kind,
             "reference_source": experiment.reference_source.value,
             "drivers": experiment.drivers.value,
         }
@@ -176,8 +168,6 @@ class Episode:
         self._samples = np.full((sample_count, self.observer.width), np.nan)
         self._bodies = np.full((frame_count, len(experiment.recorded), 13), np.nan)
         self._markers_m = np.full((frame_count, *self.observer.markers_m.shape), np.nan)
-        self.holders = scene.holders if reference_loads(experiment, band) else ()
-        self._wrenches = np.full((frame_count, len(self.holders), 6), np.nan)
         self.action_space = action_space_of(experiment)
 
     @cached_property
@@ -255,13 +245,12 @@ class Episode:
         first = self._simulated_frame * SAMPLES_PER_FRAME
         rows = self._samples[first + 1 : first + 1 + SAMPLES_PER_FRAME]
         simulation = world if isinstance(world, Simulation) else None
-        is_watched = after_sample is not None or bool(self.holders)
+        is_watched = after_sample is not None
         if simulation is not None and self._drivers.is_passive and not is_watched:
             rows[:] = self.observer.sample(
                 simulation, SAMPLES_PER_FRAME, SAMPLE_INTERVAL_S
             )
             return
-        wrenches = np.zeros(self._wrenches.shape[1:])
         motions = self._drivers.motions(first, rates, SAMPLES_PER_FRAME)
         for sample, row in enumerate(rows):
             self._drivers.prescribe(world, motions[sample])
@@ -270,13 +259,8 @@ class Episode:
             else:
                 yield
                 row[:] = self.observer.now(world)
-            if self.holders:
-                now = world.grip_wrenches(self.holders)
-                wrenches += np.nan if now is None else now / SAMPLES_PER_FRAME
             if after_sample is not None:
                 after_sample(sample)
-        if self._simulated_frame + 1 < len(self._wrenches):
-            self._wrenches[self._simulated_frame + 1] = wrenches
 
     def advance(
         self, rates: FloatArray, *, after_sample: Callable[[int], None] | None = None
@@ -362,7 +346,6 @@ class Episode:
         samples: FloatArray,
         bodies: FloatArray,
         markers_m: FloatArray,
-        wrenches: FloatArray,
     ) -> None:
         """Record in arrays of the caller from now on, which may be parts of those of many worlds.
 
@@ -370,12 +353,11 @@ class Episode:
             samples: Place of g(t) at the samples, of the shape of `sample_shape`.
             bodies: Place of the states of the recorded bodies at the frames, shape [frame_count, body_count, 13].
             markers_m: Place of the markers at the frames [m], shape [frame_count, marker_count, 3].
-            wrenches: Place of the wrenches of `holders`, shape [frame_count, holder_count, 6].
         """
-        places = (samples, bodies, markers_m, wrenches)
+        places = (samples, bodies, markers_m)
         for place, record in zip(places, self._records(), strict=True):
             place[:] = record
-        self._samples, self._bodies, self._markers_m, self._wrenches = places
+        self._samples, self._bodies, self._markers_m = places
 
     @property
     def sample_shape(self) -> tuple[int, int]:
@@ -384,7 +366,7 @@ class Episode:
         return count, width
 
     def _records(self) -> tuple[FloatArray, ...]:
-        return self._samples, self._bodies, self._markers_m, self._wrenches
+        return self._samples, self._bodies, self._markers_m
 
     @property
     def sample_count(self) -> int:
@@ -402,14 +384,13 @@ class Episode:
             frames=self._samples[:last:SAMPLES_PER_FRAME].copy(),
             bodies=self._bodies[: self.frame + 1].copy(),
             markers_m=self._markers_m[: self.frame + 1].copy(),
-            wrenches=self._wrenches[: self.frame + 1].copy(),
             later_times_s=(last + np.arange(len(self._later_rows()), dtype=np.float64))
             * SAMPLE_INTERVAL_S,
             later_samples=self._later_rows().copy(),
         )
 
     def score(self) -> Score:
-        """Return the score of the episode; if it diverged, the score has a grade and no metric."""
+        """Return the score of the episode; if it diverged, the score has a kind and no number."""
         from gauge_envs.scoring.score import Score, score_trajectory
 
         if not self.is_over:
@@ -417,11 +398,7 @@ class Episode:
                 f"{self.experiment.id}: no score before the episode is over"
             )
         if self.fault is not None:
-            return Score(
-                grade=self._grade,
-                unit=self.experiment.score.observable.unit,
-                edited=self.experiment.edited,
-            )
+            return Score(kind=self._kind, unit=self.experiment.score.observable.unit)
         times_s, values = self.trajectory().dense
         return score_trajectory(
             self.experiment,
@@ -429,21 +406,8 @@ class Episode:
             times_s=times_s,
             values=values,
             markers_m=self._markers_m,
-            wrenches=self._wrenches if self.holders else None,
             is_checked=True,
         )
-
-    def deformation(self) -> DeformationScore | None:
-        """Return the statistics of deformation beside real ones; None without them, or if the episode diverged."""
-        from gauge_envs.scoring.deformation import score_deformation
-
-        if not self.is_over:
-            raise EpisodeError(
-                f"{self.experiment.id}: no statistics of deformation before the episode is over"
-            )
-        if self.fault is not None or not self._markers_m.size:
-            return None
-        return score_deformation(self.experiment, self._markers_m)
 
     # --- reading ---
 
@@ -492,7 +456,7 @@ class Episode:
         return observation
 
     def info(self) -> dict[str, Any]:
-        """Return frame, time, grade of the reference, sources of reference and driven motion, and any divergence."""
+        """Return frame, time, kind of the reference, sources of reference and driven motion, and any divergence."""
         frame = self.frame or 0
         info = {"frame": frame, "time_s": frame / FRAME_RATE_HZ, **self._origin}
         if self.fault is not None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.tables import Camera
-from gauge_envs.references.bands import Band
+from gauge_envs.references.band import Band
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 

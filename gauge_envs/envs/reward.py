@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.references.bands import Band
-from gauge_envs.references.models import POINT_SIGMA_MM
+from gauge_envs.references.band import MARKER_SIGMA_MM, Band
 from gauge_envs.scene.geometry import FloatArray
 
 
@@ -35,11 +34,11 @@ def reward_terms(
     the size of the motion where that is larger still: actions move a cloth by its whole motion, and with a smaller
     scale a policy that is far off would not see which way is better.
 
-    They are those of the band's `points` if it has any. None without a band.
+    They are those of `Band.compared`. None without a band.
     """
     if band is None:
         return None
-    band = band.points or band
+    band = band.compared
     scale = (
         band.sigma
         if band.uncertainty is None
@@ -81,7 +80,7 @@ def reward_text(band: Band | None, *, is_bounded: bool = False) -> str:
     if known[-1] - known[0] + 1 != len(known):
         span = f"{len(known)} of the {span}"
     elsewhere = "" if len(known) == len(band.mean) else "; else 0"
-    compared = band.points or band
+    compared = band.compared
     names = (
         compared.coordinates
         if len(compared.coordinates) < 4
@@ -91,7 +90,7 @@ def reward_text(band: Band | None, *, is_bounded: bool = False) -> str:
     sign = "-z / (1 + z) with z =" if is_bounded else "minus"
     if band.points is not None:
         names = (f"x, y, z of {len(compared.coordinates) // 3} markers",)
-        scale = f"{POINT_SIGMA_MM:g} mm, or over the uncertainty of the mean where it is larger"
+        scale = f"{MARKER_SIGMA_MM:g} mm, or over the uncertainty of the mean where it is larger"
     if is_bounded and motion_size(compared) > 0.0:
         scale = f"{motion_size(compared):.3g} {compared.unit}, the size of the motion"
     return (

@@ -49,10 +49,9 @@ from gauge_envs.envs.spaces import Observation
 from gauge_envs.errors import EpisodeError, ParameterError
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.variants import Variant
-from gauge_envs.references.grades import BandGrade
+from gauge_envs.references.kind import Kind
 from gauge_envs.scene.geometry import BoolArray, FloatArray
 from gauge_envs.scene.jitter import Jitter, jittered
-from gauge_envs.scoring.deformation import DeformationScore
 from gauge_envs.scoring.score import Score
 from gauge_envs.scoring.worlds import score_worlds
 
@@ -113,7 +112,7 @@ class GaugeVectorEnv(WorldsEnvironment[Observation]):
         >>> while not over:
         ...     *_, terminations, truncations, infos = envs.step([0, 0, 0])
         ...     over = (terminations | truncations).all()
-        >>> [score.grade for score in infos["score"]]
+        >>> [score.kind for score in infos["score"]]
         ['trials', 'trials', 'trials']
     """
 
@@ -154,7 +153,7 @@ class GaugeVectorEnv(WorldsEnvironment[Observation]):
         # A model is the solution of the calibrated scene, and not of worlds with other constants.
         is_another = (
             band is not None
-            and band.grade is BandGrade.MODEL
+            and band.kind is Kind.NUMERICAL
             and any(world_parameters or ())
         )
         self.band = None if is_another else band
@@ -293,13 +292,6 @@ class GaugeVectorEnv(WorldsEnvironment[Observation]):
                 scores.setdefault(key, np.full(self.num_envs, np.nan))[rows] = values
         return scores
 
-    def deformations(self) -> tuple[DeformationScore | None, ...]:
-        """Return the statistics of deformation of each world's episode; see `GaugeEnv.deformation`."""
-        return tuple(
-            episode.deformation() if episode.is_over else None
-            for episode in self.episodes
-        )
-
     def _picture(self, number: int) -> Rendered | None:
         return episode_picture(
             self._pictures, self.episodes[number], drawn_as=self.episodes[0]
@@ -420,7 +412,7 @@ class DeviceVectorEnv(GaugeVectorEnv):
             f"{self.experiment.id}: the record stays on the device; infos has scores at the end"
         )
 
-    score_arrays = deformations = scores
+    score_arrays = scores
 
 
 class ScoreEpisodes(VectorWrapper):
@@ -428,11 +420,11 @@ class ScoreEpisodes(VectorWrapper):
 
     Adds to `infos` at the step that ends an episode, in every autoreset mode: `score`, an array of `gauge_envs.Score`
     of shape [num_envs], None for a world whose episode did not end; and its mask `_score`. Scores that sub-environments
-    of `gymnasium.make` have already added are kept. `deformation` and its mask `_deformation` have the same form.
+    of `gymnasium.make` have already added are kept.
 
     Args:
         env: A `GaugeVectorEnv`, or Gymnasium's `SyncVectorEnv` or `AsyncVectorEnv` of environments of this suite.
-        arrays: Whether to add, in place of `score` and `deformation`, the arrays of `GaugeVectorEnv.score_arrays` with
+        arrays: Whether to add, in place of `score`, the arrays of `GaugeVectorEnv.score_arrays` with
             their masks, at the step that ends the last episode. Thousands of worlds are then scored in one pass.
 
     Example:
@@ -444,7 +436,7 @@ class ScoreEpisodes(VectorWrapper):
         >>> _ = envs.reset(seed=0)
         >>> for _ in range(18):
         ...     *_, infos = envs.step([0, 0])
-        >>> [round(score.validation.rmse_normalized, 2) for score in infos["score"]]
+        >>> [round(score.rmse_normalized, 2) for score in infos["score"]]
         [0.41, 0.41]
     """
 
@@ -485,28 +477,20 @@ class ScoreEpisodes(VectorWrapper):
                     f"_{key}": np.isfinite(values) for key, values in scores.items()
                 }
         elif ended and "score" not in infos:
-            found, deformations = (
-                self._ended(infos, "score"),
-                self._ended(infos, "deformation"),
-            )
+            found = self._ended(infos)
             for number in ended:
                 if found[number] is not None:
-                    added = {"score": found[number]}
-                    if deformations[number] is not None:
-                        added["deformation"] = deformations[number]
-                    infos = self._add_info(infos, added, number)
+                    infos = self._add_info(infos, {"score": found[number]}, number)
         return observations, rewards, terminations, truncations, infos
 
-    def _ended(
-        self, infos: Mapping[str, Any], name: Literal["score", "deformation"]
-    ) -> Sequence[Any]:
-        """Return what `GaugeEnv.score` or `GaugeEnv.deformation` returns, for each world."""
+    def _ended(self, infos: Mapping[str, Any]) -> Sequence[Any]:
+        """Return what `GaugeEnv.score` returns, for each world."""
         env = self.env.unwrapped
         if isinstance(env, GaugeVectorEnv):
-            return env.scores() if name == "score" else env.deformations()
+            return env.scores()
         env = cast("SyncVectorEnv | AsyncVectorEnv", env)
         if env.metadata["autoreset_mode"] is not AutoresetMode.SAME_STEP:
-            return env.call(name)
+            return env.call("score")
         final = infos["final_info"]
         last = env.get_attr("experiment")[0].frame_count - 1
         if "score" not in final and ("diverged" in final or last in final["frame"]):

@@ -35,12 +35,9 @@ class EndWrapper(gymnasium.Wrapper, gymnasium.utils.RecordConstructorArgs):
 class ScoreEpisode(EndWrapper):
     """Score each episode when it ends.
 
-    Adds to `info` at the last step: `score`, a `gauge_envs.Score`. If the simulation diverged, the score has a grade
-    and no metric, and `info["diverged"]` gives the reason. An episode that another wrapper cuts short has no score.
+    Adds to `info` at the last step: `score`, a `gauge_envs.Score`. If the simulation diverged, the score has a kind
+    and no number, and `info["diverged"]` gives the reason. An episode that another wrapper cuts short has no score.
     Other wrappers may come before or after this one.
-
-    Adds also `deformation`, a `gauge_envs.scoring.deformation.DeformationScore`, for a foam with real statistics of
-    deformation alone.
 
     Example:
         >>> import gymnasium as gym, gauge_envs
@@ -50,7 +47,7 @@ class ScoreEpisode(EndWrapper):
         ...     *_, truncated, info = env.step(0)
         ...     if truncated:
         ...         break
-        >>> round(info["score"].validation.rmse_normalized, 1)
+        >>> round(info["score"].rmse_normalized, 1)
         14.1
     """
 
@@ -60,19 +57,16 @@ class ScoreEpisode(EndWrapper):
         score = env.score()
         if score is not None:
             info["score"] = score
-            deformation = env.deformation()
-            if deformation is not None:
-                info["deformation"] = deformation
 
 
 LOGGED = (
     "rmse",
+    "rmse_normalized",
     "rmse_aligned",
-    "validation/rmse_normalized",
-    "validation/rmse_aligned_normalized",
-    "validation/percentile_aligned",
-    "verification/distance",
-    "verification/scaled",
+    "rmse_aligned_normalized",
+    "percentile",
+    "over_uncertainty",
+    "marker_rmse_mm",
 )
 """Fields of a score that `LogScore` sends."""
 
@@ -123,14 +117,10 @@ class LogScore(gymnasium.Wrapper):
 
 def _logged(score: Score) -> dict[str, float]:
     """Return what is known of the fields in `LOGGED`, by name."""
-    found = {}
-    for name in LOGGED:
-        value: Any = score
-        for part in name.split("/"):
-            value = None if value is None else getattr(value, part)
-        if value is not None:
-            found[f"score/{name}"] = value
-    return found
+    values = {name: getattr(score, name) for name in LOGGED}
+    return {
+        f"score/{name}": value for name, value in values.items() if value is not None
+    }
 
 
 def scored_env(*, score: bool = True, **arguments: Any) -> ScoreEpisode | GaugeEnv:

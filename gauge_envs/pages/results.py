@@ -1,6 +1,6 @@
 """Results in words: labels of configurations, the metrics of their scores, and convergence."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from gauge_envs.experiments.resolve import load_experiment
@@ -12,12 +12,11 @@ from gauge_envs.pages.text import (
     value_text,
     with_unit,
 )
-from gauge_envs.references.grades import BandGrade
+from gauge_envs.references.kind import Kind
 from gauge_envs.references.metrics import METRICS, Metric
 from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.result import Result
-from gauge_envs.scoring.score import VERIFICATION, Score
-from gauge_envs.scoring.verification import Verification
+from gauge_envs.scoring.score import OVER_U, Score
 
 # --- labels ---
 
@@ -122,23 +121,11 @@ def result_label(result: Result) -> str:
 
 # --- scores ---
 
-ALIGNED = Metric(
-    key="rmse_aligned",
-    title="RMSE aligned",
-    unit=None,
-    ideal=0.0,
-    score_field="rmse_aligned",
-)
+ALIGNED = Metric(key="rmse_aligned", title="RMSE aligned", unit=None, ideal=0.0)
 """The RMSE after the best constant shift in time, which was not published."""
 
-VERIFIED = Metric(
-    key=VERIFICATION,
-    title="distance from the solution",
-    unit=None,
-    ideal=0.0,
-    score_field=VERIFICATION,
-)
-"""The distance from a law or a solved model, in its unit and over u; see `scoring.verification`."""
+VERIFIED = Metric(key=OVER_U, title="distance from the solution", unit=None, ideal=0.0)
+"""The distance from a solution of the scene, in its unit and over u."""
 
 SCORE_METRICS: Mapping[str, Metric] = {
     metric.key: metric
@@ -146,149 +133,44 @@ SCORE_METRICS: Mapping[str, Metric] = {
     for metric in (*METRICS.values(), ALIGNED, VERIFIED)
     if metric.is_event is is_event
 }
-"""Metrics of a score by key, in the order of tables: those that need a band come before events."""
-
-PERCENTILES = {"rmse": "percentile", "rmse_aligned": "percentile_aligned"}
-"""Field of `Validation` with the percentage of real trials that are closer to their mean, by metric."""
+"""Metrics of a score by key, in the order of tables: those that need a reference motion come before events."""
 
 
 def raw_score(score: Score, metric: str) -> float | None:
-    """Return a metric in its unit."""
-    if metric == VERIFICATION:
-        return None if score.verification is None else score.verification.distance
-    value: float | None = getattr(score, SCORE_METRICS[metric].score_field)
+    """Return a metric in its unit; None if the score does not have it."""
+    if SCORE_METRICS[metric].is_event:
+        event = score.events.get(metric)
+        return None if event is None else event.value
+    if metric == OVER_U:
+        return score.distance if score.primary == OVER_U else None
+    value: float | None = getattr(score, metric)
     return value
 
 
 def normalized_score(score: Score, metric: str) -> float | None:
-    """Return a metric over its scale: the mean of real trials, or of `verification` u; None without a scale.
-
-    The distance from an exact solution stays in its unit.
-    """
-    if metric == VERIFICATION:
-        return None if score.verification is None else score.verification.scaled
-    return _normalized_field(score, metric, "")
+    """Return a metric over that of real trials, or over u of a solution; None without a scale."""
+    if SCORE_METRICS[metric].is_event:
+        event = score.events.get(metric)
+        return None if event is None else event.over_real
+    if metric == OVER_U:
+        return score.over_uncertainty
+    value: float | None = getattr(score, f"{metric}_normalized")
+    return value
 
 
 def score_interval(score: Score, metric: str) -> tuple[float, float] | None:
-    """Return the 95 % interval of the normalized metric."""
-    if metric == VERIFICATION:
-        return None if score.verification is None else score.verification.scaled_95
-    return _normalized_field(score, metric, "_95")
+    """Return the 95 % interval of the normalized metric; None if it is not the primary one."""
+    return score.primary_interval if metric == score.primary else None
 
 
-def _normalized_field(score: Score, metric: str, suffix: str) -> Any:
-    """Return the field with the normalized score of a metric, or the one whose name ends with a suffix."""
-    found = SCORE_METRICS[metric]
-    holder = score if found.is_event else score.validation
-    if found.normalized_field is None or holder is None:
-        return None
-    return getattr(holder, f"{found.normalized_field}{suffix}")
-
-
-def score_percentile(score: Score, metric: str) -> float | None:
-    """Return the percentage of real trials that are closer to their mean; None without trials."""
-    if score.validation is None or metric not in PERCENTILES:
-        return None
-    percentile: float | None = getattr(score.validation, PERCENTILES[metric])
-    return percentile
-
-
-def percentile_text(score: Score, metric: str) -> str | None:
-    """Return the percentage of real trials that are closer to their mean, with its 95 % interval; None without trials.
-
-    Example:
-        >>> from gauge_envs.scoring.score import Validation
-        >>> found = Validation(percentile=40.0, percentile_95=(12.0, 71.5))
-        >>> percentile_text(Score(grade="trials", unit="mm", validation=found), "rmse")
-        '40 % [12, 72]'
-    """
-    percentile = score_percentile(score, metric)
-    if percentile is None:
-        return None
-    ends = getattr(score.validation, f"{PERCENTILES[metric]}_95")
-    return f"{percentile:.0f} %" + (
-        "" if ends is None else f" [{ends[0]:.0f}, {ends[1]:.0f}]"
-    )
-
-
-VERIFICATION_NOTE = (
-    "u: standard uncertainty of the solution. In brackets: 95 % interval of the true distance. Frozen: distance of a "
-    "scene in which nothing moves; of a force, that of none. "
-    "Nothing here is of reality."
-)
-"""What a table of verification needs to be read."""
-
-
-def verification_text(one: Verification) -> str:
-    """Return how far an engine is from the solution of its scene, and how far a scene is in which nothing moves."""
-
-    def amount(distance: float) -> str:
-        text = with_unit(score_text(distance), one.unit)
-        if one.uncertainty is None:
-            return text
-        return f"{text}, {score_text(distance / one.uncertainty)} u"
-
-    text = f"solves its scene to {amount(one.distance)}"
-    if one.distance_95 is not None and one.uncertainty is not None:
-        low, high = (score_text(end / one.uncertainty) for end in one.distance_95)
-        text += f" [{low}, {high}]"
-    text += f", in {one.quantity}"
-    if one.frozen:
-        text += f"; a scene in which nothing moves is {amount(one.frozen)} away"
-    return f"{text}; {one.verdict}"
-
-
-NO_MARKERS = (
-    "no verification: the solution is compared by markers, whose positions are not known, or the score is of an "
-    "earlier version; run it again, or use `gauge score`"
-)
-"""Why a result that is compared with a solution has no distance to it."""
-
-ANOTHER_SCENE = (
-    "not judged: the solution is of the calibrated scene, and this is another one"
-)
-"""Verdict on a result whose distance from a solution also holds what its constants or its start change."""
-
-
-def reality_lines(
-    name: str, score: Score, *, is_another_scene: bool = False
-) -> Iterator[str]:
-    """Yield whether a result could be a real trial by its distance.
-
-    Of a law or a solved model the line says how well the engine solves the scene.
-
-    Args:
-        name: Name of the result.
-        score: Its score.
-        is_another_scene: Whether the scene is not the one of which its solution is.
-    """
-    if score.primary is None:
-        return
-    if BandGrade(score.grade).is_solution:
-        if is_another_scene:
-            yield f"{name}: {ANOTHER_SCENE}."
-            return
-        yield (
-            f"{name}: {NO_MARKERS}."
-            if score.verification is None
-            else f"{name}: {verification_text(score.verification)}."
-        )
-        yield from (
-            f"{name}, {one.quantity}: {verification_text(one)}."
-            for one in score.also_verified
-        )
-        return
-    percentile = score_percentile(score, score.primary)
-    count = None if score.validation is None else score.validation.trial_count
-    if percentile is not None and count is not None:
-        farther = count - round(0.01 * percentile * count)
-        answer = (
-            f"{farther} of {count} are as far from the mean of the others, or farther"
-        )
-        if not farther:
-            answer = f"none of the {count} is as far from the mean of the others"
-        yield f"{name}: could it have been a real trial? By its distance {'yes' if farther else 'no'}: {answer}."
+def score_text_of(score: Score, metric: str) -> str:
+    """Return a metric with its unit, and over its scale in brackets, as `3.33 mm (4.95)`; a dash without it."""
+    raw, normalized = raw_score(score, metric), normalized_score(score, metric)
+    if raw is None:
+        return "-"
+    unit = SCORE_METRICS[metric].unit_of(score.unit)
+    text = with_unit(score_text(raw), score.distance_unit if metric == OVER_U else unit)
+    return text if normalized is None else f"{text} ({score_text(normalized)})"
 
 
 # --- convergence ---
@@ -394,5 +276,5 @@ def discretization_text(
     ):
         return None
     has_cells = bool(load_experiment(short_id(result.id)).scene.deformables)
-    is_verified = BandGrade(result.score.grade).is_solution
+    is_verified = Kind(result.score.kind).is_solution
     return convergence_text(rows, has_cells=has_cells, over_trials=not is_verified)

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from gauge_envs.files import printable
-from gauge_envs.references.grades import BandGrade
+from gauge_envs.references.kind import Kind
 from gauge_envs.references.metrics import METRICS
 
 METRIC_TITLES = {key: metric.title for key, metric in METRICS.items()}
@@ -22,27 +22,23 @@ QUESTIONS = {
 }
 """What references answer. No table, axis or rank mixes the two."""
 
-GRADE_NOTES = {
-    BandGrade.TRIALS: "mean and scatter per frame over real trials",
-    BandGrade.RECORDING: "one recorded trial, scatter from the published baseline where there is one",
-    BandGrade.LAW: "a closed form with calibrated parameters: how well an engine solves the scene, and not reality",
-    BandGrade.MODEL: "how well an engine solves the calibrated scene",
-    BandGrade.NONE: "no reference: RMSE and DTW are not scored",
+KIND_NOTES = {
+    Kind.TRIALS: "mean and scatter per frame over real trials",
+    Kind.RECORDING: "one recorded real trial, with the published scatter",
+    Kind.ANALYTIC: "closed form of the calibrated scene; it says nothing of reality",
+    Kind.NUMERICAL: "refined solution of the calibrated scene; it says nothing of reality",
+    Kind.NONE: "no reference motion; events may have real values",
 }
 
 
-def reality_of(grade: str) -> str:
-    """Return what of reality stands beside results of a grade: `events` alone where its band is a solution."""
-    return "events" if BandGrade(grade).is_solution else grade
+def reality_of(kind: str) -> str:
+    """Return what of reality results are compared with: `events` alone where the reference is a solution."""
+    return "events" if Kind(kind).is_solution else kind
 
 
-def reality_notes(grades: Iterable[str]) -> list[str]:
-    """Return what the grades mean that compare with real trials, or have no band."""
-    return [
-        f"Grade {grade}: {GRADE_NOTES[BandGrade(grade)]}."
-        for grade in sorted(set(grades))
-        if not BandGrade(grade).is_solution
-    ]
+def kind_notes(kinds: Iterable[str]) -> list[str]:
+    """Return what kinds of references are, a line each."""
+    return [f"{kind}: {KIND_NOTES[Kind(kind)]}." for kind in sorted(set(kinds))]
 
 
 def pairs_text(values: Mapping[str, Any], *, skip: Sequence[str] = ()) -> str:

@@ -16,7 +16,6 @@ class Metric:
         title: Name in reports.
         unit: Unit of the raw score; None is the unit of the observable.
         ideal: Best value: of the normalized score, or of the raw score of a metric without one.
-        score_field: Field of `Score` that holds the raw score.
         is_event: Whether it is measured from the swing of a hinged body, and so needs no band.
         is_normalized: Whether it is divided by the published mean; the mean energy loss of real trials is 0.
     """
@@ -25,17 +24,8 @@ class Metric:
     title: str
     unit: str | None
     ideal: float
-    score_field: str
     is_event: bool = False
     is_normalized: bool = True
-
-    @property
-    def normalized_field(self) -> str | None:
-        """Field with the score over the published mean; None without normalization.
-
-        It is one of `Score` for an event, which has a real value under any grade, and else of its `validation`.
-        """
-        return f"{self.key}_normalized" if self.is_normalized else None
 
     def unit_of(self, observable_unit: str) -> str:
         """Return the unit of the raw score of an observable with a given unit."""
@@ -45,14 +35,13 @@ class Metric:
 METRICS: Mapping[str, Metric] = {
     metric.key: metric
     for metric in (
-        Metric(key="rmse", title="RMSE", unit=None, ideal=0.0, score_field="rmse"),
-        Metric(key="dtw", title="DTW", unit=None, ideal=0.0, score_field="dtw"),
+        Metric(key="rmse", title="RMSE", unit=None, ideal=0.0),
+        Metric(key="dtw", title="DTW", unit=None, ideal=0.0),
         Metric(
             key="lsd",
             title="LSD",
             unit="s",
             ideal=1.0,
-            score_field="lsd_s",
             is_event=True,
         ),
         Metric(
@@ -60,18 +49,14 @@ METRICS: Mapping[str, Metric] = {
             title="MTE",
             unit="1",
             ideal=1.0,
-            score_field="mte",
             is_event=True,
         ),
-        Metric(
-            key="pd", title="PD", unit="s", ideal=1.0, score_field="pd_s", is_event=True
-        ),
+        Metric(key="pd", title="PD", unit="s", ideal=1.0, is_event=True),
         Metric(
             key="el",
             title="EL",
             unit="1",
             ideal=0.0,
-            score_field="el",
             is_event=True,
             is_normalized=False,
         ),

@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, NonNegativeInt, PositiveInt, model_validator
+from pydantic import Field, NonNegativeInt, PositiveInt
 
-from gauge_envs.errors import ParameterError, ReferenceFileError
+from gauge_envs.errors import ParameterError
 from gauge_envs.files import npz_arrays
-from gauge_envs.references.bands import Band, SigmaSource
-from gauge_envs.references.grades import BandGrade
+from gauge_envs.references.band import Band
+from gauge_envs.references.kind import Kind
 from gauge_envs.references.tables import (
     FileModel,
     faults_of,
@@ -106,30 +106,16 @@ class ShotSidecar(FileModel):
     nuisances: ShotNuisances
     copies: tuple[CopiedTrial, ...] = ()
 
-    @model_validator(mode="after")
-    def _earlier(self) -> ShotSidecar:
-        repeats = {copy.trial for copy in self.copies}
-        for copy in self.copies:
-            if (
-                not copy.of < copy.trial < self.trial_count
-                or copy.of in repeats
-                or len(repeats) < len(self.copies)
-            ):
-                raise ValueError(
-                    f"copies: each trial once, of an earlier one that is no copy, but {copy} is listed"
-                )
-        return self
 
-
-ARRAYS: dict[str, tuple[int | str, ...]] = {
-    "source_number": ("N",),
-    "first": ("N+1",),
-    "position": ("T", 3),
-    "quaternion": ("T", 4),
-    "start_velocity": ("N", 3),
-    "start_angular_velocity_body": ("N", 3),
-}
-"""Arrays of a file of N recordings with T frames in all; `first` are the first rows of each, and T."""
+ARRAYS = (
+    "source_number",
+    "first",
+    "position",
+    "quaternion",
+    "start_velocity",
+    "start_angular_velocity_body",
+)
+"""Arrays of a file of recordings; `scoring/README.md` gives their shapes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -279,7 +265,7 @@ class SingleShots:
             else ""
         )
         return Band(
-            grade=BandGrade.TRIALS,
+            kind=Kind.TRIALS,
             unit="mm",
             coordinates=tuple(f"{shot.body}.{axis}" for axis in "xyz"),
             projection=np.eye(3),
@@ -288,9 +274,8 @@ class SingleShots:
             measured=times_s <= shot.duration_s,
             trial_count=1,
             source=f"trial {trial}{repeats} of {self.sidecar.source}",
-            sigma_source=SigmaSource.MEASUREMENT,
             uncertainty=np.full_like(mean, sigma),
-            normalized_by_baseline=False,
+            normalized=False,
         )
 
 
@@ -306,17 +291,4 @@ def _read(file: Path, variant: str) -> SingleShots | None:
     sidecar = read_toml(file.with_suffix(".toml"), ShotSidecar)
     with faults_of(file):
         arrays = npz_arrays(read_content(file), ARRAYS)
-    shapes = {name: array.shape for name, array in arrays.items()}
-    count = sidecar.trial_count
-    counts = {"N": count, "N+1": count + 1, "T": len(arrays["position"])}
-    expected = {
-        name: tuple(
-            entry if isinstance(entry, int) else counts[entry] for entry in shape
-        )
-        for name, shape in ARRAYS.items()
-    }
-    if shapes != expected:
-        raise ReferenceFileError(
-            file, None, f"has arrays {shapes}, expected {expected}"
-        )
     return SingleShots(variant, sidecar, arrays)

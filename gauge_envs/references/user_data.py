@@ -47,4 +47,4 @@ def trials_folder() -> Path:
 
 def has_import(variant: str) -> bool:
     """Return whether trials of a variant were imported, without reading them."""
-    return (trials_folder() / f"{variant}.json").is_file()
+    return (trials_folder() / f"{variant}.toml").is_file()

@@ -21,8 +21,8 @@ from gauge_envs.envs.episode import Episode
 from gauge_envs.errors import GaugeError, ParameterError, UnsupportedSceneError
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.files import json_ready, processor, versions
-from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.imported import dataset_record
+from gauge_envs.references.kind import Kind
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result
 from gauge_envs.runs.result_file import asset_record
@@ -80,7 +80,6 @@ def run_episodes(request: RunRequest) -> list[Result]:
         )
         return [
             _finished(
-                # The grade is that of the calibrated start: a law may not hold for another one.
                 planned_result(request, experiment, seed=seed, jitter=start),
                 episode,
                 episode.score(),
@@ -197,7 +196,7 @@ def planned_result(
         jitter: Standard deviations or trial of its start, or None.
     """
     band = arguments.band(experiment)
-    grade = BandGrade.NONE if band is None else band.grade
+    kind = Kind.NONE if band is None else band.kind
     parameters = arguments.parameters
     return Result(
         id=experiment.id,
@@ -206,11 +205,7 @@ def planned_result(
             parameters if isinstance(parameters, str) else json_ready(parameters)
         )
         or "calibrated",
-        score=Score(
-            grade=grade.value,
-            unit=experiment.score.observable.unit,
-            edited=experiment.edited,
-        ),
+        score=Score(kind=kind.value, unit=experiment.score.observable.unit),
         task_sha256=experiment.file_sha256,
         revision=experiment.revision,
         backend=arguments.backend,
@@ -243,7 +238,6 @@ def _finished(
         planned,
         outcome=Outcome.DIVERGED if episode.fault else Outcome.FINISHED,
         score=score,
-        deformation=episode.deformation() if episode.is_over else None,
         frames=len(recorded.frames),
         diverged=bool(episode.fault),
         diverged_reason=episode.fault,
@@ -258,6 +252,5 @@ def _finished(
             episode.experiment,
             *recorded.dense,
             markers_m=recorded.markers_m,
-            wrenches=recorded.wrenches,
         ),
     )

@@ -25,7 +25,7 @@ class RunRequest(EnvArguments):
         >>> from gauge_envs.runs.episodes import run_episode
         >>> from gauge_envs.runs.request import RunRequest
         >>> result = run_episode(RunRequest("SlopeSlider-2-wood", settings={"timestep_s": 1 / 1800}))
-        >>> round(result.score.validation.rmse_normalized, 2)
+        >>> round(result.score.rmse_normalized, 2)
         0.41
     """
 

@@ -16,7 +16,6 @@ from gauge_envs.files import json_ready, versions
 from gauge_envs.references.user_data import BUNDLED_DATA
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-from gauge_envs.scoring.deformation import DeformationScore
 from gauge_envs.scoring.score import Score
 
 BULKY = ("scene", "experiment")
@@ -68,8 +67,6 @@ class RecordedTrajectory:
         later_samples: g(t) at those times, shape [later_count, coordinate_count].
         markers_mm: x, y, z of each marker at the 30 Hz frames [mm], shape [frame_count, 3 marker_count]; empty without
             markers.
-        wrenches: Force [N] and torque [N m] of each holder of the scene in the mean over each frame, shape
-            [frame_count, 6 holder_count]; empty where no reference compares them, or in a file of an earlier version.
     """
 
     unit: str
@@ -79,7 +76,6 @@ class RecordedTrajectory:
     later_times_s: Times = field(default_factory=lambda: np.empty(0))
     later_samples: Rows = field(default_factory=lambda: _NO_ROWS)
     markers_mm: Rows = field(default_factory=lambda: _NO_ROWS)
-    wrenches: Rows = field(default_factory=lambda: _NO_ROWS)
 
     def __post_init__(self) -> None:
         width = len(self.coordinates)
@@ -93,8 +89,7 @@ class RecordedTrajectory:
                 raise ValueError(f"{len(times_s)} times but {len(rows)} samples")
             object.__setattr__(self, times, times_s)
             object.__setattr__(self, samples, rows)
-        for name in ("markers_mm", "wrenches"):
-            object.__setattr__(self, name, _rows(getattr(self, name)))
+        object.__setattr__(self, "markers_mm", _rows(self.markers_mm))
 
     def __eq__(self, other: object) -> bool:
         """Return whether all values are the same, also those that are not known."""
@@ -108,7 +103,6 @@ class RecordedTrajectory:
             "later_times_s",
             "later_samples",
             "markers_mm",
-            "wrenches",
         ):
             values, others = getattr(self, name), getattr(other, name)
             if not np.array_equal(values, others, equal_nan=True):
@@ -122,7 +116,6 @@ class RecordedTrajectory:
         times_s: FloatArray,
         samples: FloatArray,
         markers_m: FloatArray | None = None,
-        wrenches: FloatArray | None = None,
     ) -> RecordedTrajectory:
         """Return the record of a generalized trajectory, split at the last frame.
 
@@ -131,7 +124,6 @@ class RecordedTrajectory:
             times_s: Times [s], shape [sample_count].
             samples: g(t) at those times in the unit of the observable, shape [sample_count, coordinate_count].
             markers_m: Markers at the frames [m], shape [frame_count, marker_count, 3]; None or empty without markers.
-            wrenches: Wrenches of the holders, shape [frame_count, holder_count, 6]; None or empty without them.
         """
         has_markers = markers_m is not None and markers_m.size > 0
         count = int(
@@ -147,7 +139,6 @@ class RecordedTrajectory:
             later_times_s=times_s[count:],
             later_samples=samples[count:],
             markers_mm=_rounded_mm(markers_m) if has_markers else _NO_ROWS,
-            wrenches=_rounded_n(wrenches),
         )
 
     @cached_property
@@ -228,7 +219,6 @@ class Result:
         backend: Name of the physics engine.
         parameters: Name of the parameter set, or the overrides.
         score: Distance to reality; a metric that does not apply is None.
-        deformation: Statistics of deformation beside real ones, grade `statistics`; None without them.
         task_sha256: Hash of the task file; for an experiment file, hash of it and of all files that it names.
         revision: Revision of the experiment; results of different ones are not compared.
         frames: Number of recorded frames, the first included.
@@ -264,7 +254,6 @@ class Result:
     score: Score
     task_sha256: str
     revision: int = 1
-    deformation: DeformationScore | None = None
     backend: str | None = None
     frames: int = 0
     diverged: bool = False
@@ -320,13 +309,3 @@ class Result:
                 key: value for key, value in values["asset"].items() if key not in BULKY
             }
         return values
-
-
-WRENCH_DECIMALS = 7
-"""Digits of a wrench [N, N m] in a file: a millionth of the weight of a cloth."""
-
-
-def _rounded_n(wrenches: FloatArray | None) -> FloatArray:
-    if wrenches is None or not np.isfinite(wrenches).any():
-        return np.empty(0)
-    return np.round(wrenches.reshape(len(wrenches), -1), WRENCH_DECIMALS)

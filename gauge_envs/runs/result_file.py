@@ -34,10 +34,11 @@ from gauge_envs.files import (
     write_whole,
 )
 from gauge_envs.observables.observer import MarkerProxy
-from gauge_envs.references.grades import BandGrade
+from gauge_envs.references.kind import Kind
 from gauge_envs.references.user_data import BUNDLED_DATA, DataSource
 from gauge_envs.registry import scene_files
 from gauge_envs.runs.result import Outcome, Result
+from gauge_envs.scoring.score import OLD_SCORE
 from gauge_envs.scoring.trajectory_file import LARGEST
 
 
@@ -112,7 +113,8 @@ def parse_result(text: bytes, name: str) -> Result:
             BUNDLED_DATA | dataset if isinstance(dataset, dict) else dataset
         )
         content.setdefault("asset", {})
-        content.setdefault("deformation", None)
+        if isinstance(content.get("score"), dict) and "kind" not in content["score"]:
+            raise ValueError(OLD_SCORE)
         content.setdefault("cpu_s", None)
         content.setdefault("processor", "")
         missing = [key.name for key in fields(Result) if key.name not in content]
@@ -165,7 +167,7 @@ def _check(result: Result) -> None:
                 f"{error}. If a task file of yours states it, set {OWN_TASKS} to that file or its folder"
             ) from None
     choices = {
-        "score.grade": (result.score.grade, BandGrade),
+        "score.kind": (result.score.kind, Kind),
         "marker_proxy": (result.marker_proxy, MarkerProxy),
     }
     choices |= {

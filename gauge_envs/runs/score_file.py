@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from gauge_envs.errors import ParameterError, TrajectoryFileError
+from gauge_envs.errors import TrajectoryFileError
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import resolve_experiment, shots_of, with_trial
 from gauge_envs.experiments.scene_builder import Parameters
@@ -14,14 +14,13 @@ from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result
 from gauge_envs.runs.result_file import asset_record, load_result, recorded_experiment
 from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-from gauge_envs.scoring.deformation import score_deformation
-from gauge_envs.scoring.deviation import sampled_frames
 from gauge_envs.scoring.likely_mistakes import (
     START_TOLERANCE_MM,
     marker_mistake,
     start_values,
     value_mistake,
 )
+from gauge_envs.scoring.metrics import frame_index
 from gauge_envs.scoring.reference import reference_band
 from gauge_envs.scoring.score import score_trajectory
 from gauge_envs.scoring.trajectory_file import (
@@ -43,7 +42,6 @@ def score_file(
     variant: str | None = None,
     parameters: Parameters | None = None,
     reference: DataSource | str = DataSource.BUNDLED,
-    use_withheld: bool = False,
 ) -> tuple[Result, int]:
     """Score a trajectory file of a user's own simulator; see `scoring.trajectory_file` for the formats.
 
@@ -53,7 +51,6 @@ def score_file(
         parameters: Parameters of the scene, for bands that follow from it; None takes those of the file, or
             `calibrated`.
         reference: `bundled` scores against the package's references, `imported` against the imported trials.
-        use_withheld: Score also against a band that is withheld by default.
 
     Returns:
         The result, and the number of interpolated frames.
@@ -62,14 +59,13 @@ def score_file(
     experiment = _experiment_of_file(file, origin, variant, parameters, reference)
     trajectory = read_trajectory(file, experiment)
     experiment = _with_its_trial(experiment, origin, trajectory.values[0])
-    band = reference_band(experiment, use_withheld=use_withheld)
-    if use_withheld and (band is None or band.withheld is None):
-        raise ParameterError(
-            f"{experiment.id}: withheld data would change nothing: no band in use is withheld"
-        )
+    band = reference_band(experiment)
+    index = frame_index(
+        trajectory.times_s, experiment.frame_count, name=experiment.name
+    )
     fault = value_mistake(
         experiment,
-        sampled_frames(experiment, trajectory.times_s, trajectory.values),
+        trajectory.values[index],
         band=band,
         tolerance_mm=START_TOLERANCE_MM + _jitter_mm(origin),
     )
@@ -84,6 +80,7 @@ def score_file(
         times_s=trajectory.times_s,
         values=trajectory.values,
         markers_m=trajectory.markers_m,
+        is_moved=bool(origin.jitter) and experiment.trial is None,
         is_checked=True,
     )
     result = Result(
@@ -93,9 +90,6 @@ def score_file(
         if experiment.parameters == "custom"
         else experiment.parameters,
         score=score,
-        deformation=None
-        if trajectory.markers_m is None
-        else score_deformation(experiment, trajectory.markers_m),
         task_sha256=experiment.file_sha256,
         revision=experiment.revision,
         frames=experiment.frame_count,

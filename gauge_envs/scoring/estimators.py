@@ -146,6 +146,23 @@ def rest_depth(
 # --- oscillations ----------------------------------------------------------------------------------------------------
 
 
+def pendulum_period_s(
+    *, length_m: float, gyration_m: float, amplitude_rad: float, gravity_m_per_s2: float
+) -> float:
+    """Return the exact period [s] of a physical pendulum at a finite amplitude, by the complete elliptic integral.
+
+    Args:
+        length_m: Distance of the centre of mass from the axis [m].
+        gyration_m: Radius of gyration about the centre of mass [m].
+        amplitude_rad: Largest angle from the vertical [rad].
+        gravity_m_per_s2: Gravity [m/s^2].
+    """
+    from scipy.special import ellipk
+
+    small = math.sqrt((length_m**2 + gyration_m**2) / (gravity_m_per_s2 * length_m))
+    return float(4.0 * small * ellipk(math.sin(0.5 * amplitude_rad) ** 2))
+
+
 def mean_period_s(times_s: FloatArray, values: FloatArray) -> float:
     """Return the mean period of an oscillation about 0: the mean time between passes through 0 upward.
 

@@ -13,7 +13,7 @@ import numpy as np
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.observables.observer import observe_markers
-from gauge_envs.references.bands import Band
+from gauge_envs.references.band import Band
 from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 

@@ -1,43 +1,28 @@
-"""Choose the band that an experiment is scored against."""
+"""The reference of an experiment, and what it cannot judge."""
 
-import numpy as np
+import re
+from functools import lru_cache
 
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.experiments.resolve import load_experiment, shots_of
-from gauge_envs.references.bands import Band, bundled_band
-from gauge_envs.references.grades import BandGrade
-from gauge_envs.references.grips import GripLoad, solved_loads
-from gauge_envs.references.imported import load_imported
-from gauge_envs.references.models import solved_model
-from gauge_envs.references.published import (
-    CarriedLaw,
-    UniaxialLaw,
-    carried_band,
-    law_for,
-    uncontacted_band,
-)
+from gauge_envs.experiments.resolve import START_KEYS, load_experiment, shots_of
+from gauge_envs.references.band import Band, load_band
+from gauge_envs.references.kind import Kind
 from gauge_envs.references.single_shot import single_shots
 from gauge_envs.references.user_data import DataSource
 from gauge_envs.scene import Scene
-from gauge_envs.scene.geometry import FloatArray, rotation_matrices
-from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.scene.diff import scene_changes
+
+GEOMETRY = re.compile(
+    r": (added|removed|(pose|shape|size_m|length_m|radius_m|anchor_m|axis|gravity_m_per_s2)\b)"
+)
+"""Changes of a scene, as `scene_changes` states them, that real trials cannot judge: gravity, shapes and places."""
 
 
-def reference_band(
-    experiment: Experiment, *, use_withheld: bool = False
-) -> Band | None:
-    """Return the band that an experiment is scored against: its trial or measured band, that of a law, or a model's.
+def reference_band(experiment: Experiment) -> Band | None:
+    """Return the reference motion of an experiment; None if it has none.
 
-    A model is the solution of the calibrated scene alone: other parameters, imported drivers or an asset have none.
-    Actions that move the driven bodies are judged by the recorded motion.
-    `reference_source` of the experiment selects the bundled band or that of the imported trials.
-
-    Args:
-        experiment: The experiment.
-        use_withheld: Use a band that is withheld by default; `Band.withheld` gives the reason.
-
-    Returns:
-        The band; None if the experiment has neither.
+    `reference_source` of the experiment selects the bundled reference or that of the imported trials. Rewards follow
+    the same motion, also where `refusal` says that it cannot score the scene.
     """
     if experiment.reference is not None:
         return experiment.reference.band
@@ -45,107 +30,59 @@ def reference_band(
     if shots is not None and experiment.trial is not None:
         return shots.band(experiment.trial, experiment.frame_count)
     band = load_band(experiment.name, experiment.reference_source)
-    if band is not None and (use_withheld or band.withheld is None):
-        return band if experiment.trial is None else band.of_trial(experiment.trial)
-    law = law_for(experiment.name)
-    if law is None:
-        solved = solved_model(experiment.name) if _is_calibrated(experiment) else None
-        return None if solved is None else solved.band
-    # An asset or actions change the simulated scene. The law holds for the calibrated one.
-    is_changed = experiment.asset is not None or experiment.drivers is DataSource.ACTION
-    calibrated = (
-        load_experiment(experiment.name).scene if is_changed else experiment.scene
-    )
-    if isinstance(law, CarriedLaw):
-        positions_mm = _carried_positions_mm(
-            calibrated, law.body, law.carrier, experiment.frame_count
-        )
-        return carried_band(variant=experiment.name, positions_mm=positions_mm)
-    if isinstance(law, UniaxialLaw):
-        from gauge_envs.scoring.laws import bar_band
-
-        return bar_band(
-            law, calibrated, variant=experiment.name, frame_count=experiment.frame_count
-        )
-    from gauge_envs.scoring.laws import law_motion
-
-    # Parameters change friction, restitution and start, on which these laws depend.
-    scene = (
-        calibrated
-        if not experiment.overrides
-        else load_experiment(experiment.name).scene
-    )
-    positions_mm, uncertainty_mm = law_motion(
-        law, scene, variant=experiment.name, frame_count=experiment.frame_count
-    )
-    return uncontacted_band(
-        law, positions_mm=positions_mm, uncertainty_mm=uncertainty_mm
-    )
+    if band is None or experiment.trial is None:
+        return band
+    return band.of_trial(experiment.trial)
 
 
-def reference_loads(experiment: Experiment, band: Band | None) -> tuple[GripLoad, ...]:
-    """Return the loads of rods and grips that an experiment is verified by, beside its band.
+def refusal(
+    experiment: Experiment, band: Band | None, *, is_moved: bool = False
+) -> str | None:
+    """Return why a reference does not score a scene, one sentence; None if it does.
+
+    Real trials judge a scene with their gravity and geometry, and any constants. A solution judges the calibrated scene
+    and start alone, as a distance from it would hold the effect of what differs.
 
     Args:
         experiment: The experiment.
-        band: Band that its scores are relative to.
+        band: Its reference.
+        is_moved: Whether the episode started elsewhere than the scene states.
     """
-    is_solved = band is not None and band.grade.is_solution
-    if not is_solved or experiment.reference is not None:
-        return ()
-    return solved_loads(experiment.name) if _is_calibrated(experiment) else ()
+    if band is None or experiment.reference is not None:
+        return None
+    if band.kind.is_solution and is_moved:
+        return f"no score: the {band.kind} reference is of the calibrated start, and this start was scattered"
+    scene = experiment.scene
+    calibrated = _calibrated_scene(experiment.name, experiment.file_sha256)
+    if scene == calibrated:
+        return None
+    changes = list(scene_changes(calibrated, scene))
+    if experiment.drivers is DataSource.ACTION:
+        changes = [one for one in changes if not one.startswith("driver of")]
+    if band.kind.is_real:
+        stated = {key.rpartition(".")[2] for key in experiment.overrides}
+        is_start_stated = experiment.edited or bool(stated & START_KEYS)
+        changes = [
+            one
+            for one in changes
+            if GEOMETRY.search(one) and (is_start_stated or ": pose" not in one)
+        ]
+    if not changes:
+        return None
+    judged = "real scene" if band.kind.is_real else "calibrated scene"
+    more = f", and {len(changes) - 1} more" if len(changes) > 1 else ""
+    return f"no score: the {band.kind} reference is of the {judged}, and this one differs: {changes[0]}{more}"
 
 
-def _is_calibrated(experiment: Experiment) -> bool:
-    """Return whether the scene is the one that models were solved for."""
-    return not (
-        experiment.edited
-        or experiment.overrides
-        or experiment.drivers is DataSource.IMPORTED
-    )
+@lru_cache(maxsize=128)
+def _calibrated_scene(variant: str, file_sha256: str) -> Scene:
+    """Return the scene of a variant as its task file states it; the hash of the file tells versions apart."""
+    return load_experiment(variant).scene
 
 
-def _carried_positions_mm(
-    scene: Scene, body: str, carrier: str, frame_count: int
-) -> FloatArray:
-    """Return the positions [mm] of a body that keeps its place on a carrier, shape [frame_count, 3]."""
-    start = scene.body(carrier).pose
-    place = start.to_body(np.asarray(scene.body(body).pose.position_m))
-    poses = np.tile([*start.position_m, *start.quaternion], (frame_count, 1))
-    times_s = np.arange(frame_count) / FRAME_RATE_HZ
-    for driver in scene.drivers:
-        if driver.body == carrier:
-            poses = driver.path(start, times_s)
-    turned_m = rotation_matrices(poses[:, 3:7]) @ place
-    return 1e3 * (poses[:, :3] + turned_m)
-
-
-def load_band(variant: str, source: DataSource = DataSource.BUNDLED) -> Band | None:
-    """Return the band of a variant, or None.
-
-    Args:
-        variant: Name of the variant.
-        source: `bundled`, or `imported` for the band of the imported trials.
-    """
-    if source is DataSource.BUNDLED:
-        return bundled_band(variant)
-    imported = load_imported(variant)
-    return None if imported is None else imported.band
-
-
-def grade_of(experiment: Experiment) -> BandGrade:
-    """Return the grade of what an experiment is scored against, as `info` of its environment."""
-    band = reference_band(experiment)
-    return BandGrade.NONE if band is None else band.grade
-
-
-def band_grade(variant: str, source: DataSource = DataSource.BUNDLED) -> BandGrade:
-    """Return the grade of the band that a variant is scored against; a withheld band does not count."""
+def reference_kind(variant: str, source: DataSource = DataSource.BUNDLED) -> Kind:
+    """Return the kind of the reference of a variant."""
     if single_shots(variant) is not None:
-        return BandGrade.TRIALS
+        return Kind.TRIALS
     band = load_band(variant, source)
-    if band is not None and band.withheld is None:
-        return band.grade
-    if law_for(variant) is not None:
-        return BandGrade.LAW
-    return BandGrade.NONE if solved_model(variant) is None else BandGrade.MODEL
+    return Kind.NONE if band is None else band.kind

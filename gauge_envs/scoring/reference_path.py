@@ -6,8 +6,8 @@ import numpy as np
 
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.kinds import Observable
-from gauge_envs.references.bands import Band
-from gauge_envs.references.grades import BandGrade
+from gauge_envs.references.band import Band
+from gauge_envs.references.kind import Kind
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
@@ -72,14 +72,14 @@ def reference_path(experiment: Experiment, band: Band | None) -> ReferencePath |
     )
 
 
-def reference_words(grade: BandGrade, trial_count: int | None) -> str:
+def reference_words(grade: Kind, trial_count: int | None) -> str:
     """Return what the mean of a band is, in words.
 
     Args:
         grade: Grade of the band.
         trial_count: Number of its trials; None is unknown.
     """
-    if grade is BandGrade.TRIALS:
+    if grade is Kind.TRIALS:
         if trial_count == 1:
             return "one real trial"
         return (
@@ -88,8 +88,8 @@ def reference_words(grade: BandGrade, trial_count: int | None) -> str:
             else "the mean of the real trials"
         )
     names = {
-        BandGrade.RECORDING: "one recorded real trial",
-        BandGrade.MODEL: "the solution of the scene by several engines, not a real trial",
+        Kind.RECORDING: "one recorded real trial",
+        Kind.NUMERICAL: "the solution of the scene by several engines, not a real trial",
     }
     return names.get(grade, "the law that the score compares with")
 
@@ -112,7 +112,7 @@ def reference_text(
     if band is None or path is None:
         return ""
     text = (
-        reference_words(band.grade, band.trial_count)
+        reference_words(band.kind, band.trial_count)
         if trial is None
         else f"real trial {trial}"
     )

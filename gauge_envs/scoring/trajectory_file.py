@@ -10,7 +10,7 @@ face areas. Columns are the coordinates of g(t) in the order of `coordinate_name
 A CSV header that names coordinates (`cube.x` or `cube.x [mm]`) may list them in any order. Any other header is skipped.
 Without times, rows are the 30 Hz frames. With times, the first is 0. A sample counts as a frame if it is within 0.5 ms
 and within a tenth of the sample spacing. Other frames are interpolated linearly; `interpolated_frames` counts them.
-Samples of up to 10 frames after the last published one serve the release alignment: a file that ends with the last
+Samples of up to 10 frames after the last published one serve the time alignment: a file that ends with the last
 frame is not shifted to earlier times. Later ones are not used; without times they are an error, as another rate.
 """
 
@@ -38,8 +38,7 @@ from gauge_envs.observables.kinds import Observable
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.scoring.likely_mistakes import count_mistake, time_mistake
-from gauge_envs.scoring.metrics.trajectory import MAX_RELEASE_OFFSET_S
-from gauge_envs.scoring.numerics import interpolated
+from gauge_envs.scoring.metrics import MAX_TIME_OFFSET_S, interpolated
 
 FRAME_TOLERANCE_S = 5e-4
 """Samples this close to a frame count as the frame [s]; it is the error of times printed with three digits."""
@@ -442,9 +441,11 @@ def _json_object(file: Path) -> dict[str, Any]:
 def _read_json(layout: _FileLayout) -> Columns:
     content = _json_object(layout.file)
     key, times = "g", content.get("time_s")
+    markers_mm = None
     if "g" not in content and isinstance(content.get("trajectory"), dict):
         content = content["trajectory"]
         key, times = "samples", content.get("times_s")
+        markers_mm = content.get("markers_mm")
         later_s, later = content.get("later_times_s"), content.get("later_samples")
         if all(
             isinstance(entry, list)
@@ -464,12 +465,19 @@ def _read_json(layout: _FileLayout) -> Columns:
             "time_s",
             f"{count}, expected a list of {len(rows)} times as {key} has {len(rows)} rows",
         )
+    times_s = np.array(
+        [layout.number(f"row {i}", "time_s", time) for i, time in enumerate(times)]
+    )
+    if not markers_mm:
+        return times_s, values, None
+    # A result has markers at the frames alone; those between are not compared.
+    rows_mm = np.asarray(markers_mm, dtype=np.float64)
+    frames_s = np.arange(len(rows_mm)) / FRAME_RATE_HZ
+    markers_m = 1e-3 * interpolated(times_s, frames_s, rows_mm)
     return (
-        np.array(
-            [layout.number(f"row {i}", "time_s", time) for i, time in enumerate(times)]
-        ),
+        times_s,
         values,
-        None,
+        _markers(layout, markers_m.reshape(len(values), -1, 3), len(values)),
     )
 
 
@@ -528,7 +536,7 @@ def _on_frames(
         np.concatenate([times, between])[order],
         np.concatenate([values, added])[order],
     )
-    used = times <= frames[-1] + MAX_RELEASE_OFFSET_S + FRAME_TOLERANCE_S
+    used = times <= frames[-1] + MAX_TIME_OFFSET_S + FRAME_TOLERANCE_S
     return UserTrajectory(
         times_s=times[used], values=values[used], interpolated_frames=len(between)
     )

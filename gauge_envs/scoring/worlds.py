@@ -13,13 +13,13 @@ import numpy as np
 from gauge_envs.backends.device import HOST, DeviceWorlds, HostArrays
 from gauge_envs.errors import ShapeError
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.references.bands import Band
+from gauge_envs.references.band import Band
 from gauge_envs.scene.geometry import FloatArray, IntArray
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
-from gauge_envs.scoring.deviation import aligned_baseline, band_baseline
-from gauge_envs.scoring.metrics.trajectory import MAX_RELEASE_OFFSET_S
+from gauge_envs.scoring.metrics import MAX_TIME_OFFSET_S
+from gauge_envs.scoring.score import is_aligned, normalizing_baselines
 
-MOST_STEPS = round(MAX_RELEASE_OFFSET_S / SAMPLE_INTERVAL_S)
+MOST_STEPS = round(MAX_TIME_OFFSET_S / SAMPLE_INTERVAL_S)
 """Largest time shift [samples]."""
 
 
@@ -34,11 +34,11 @@ def score_worlds(
         times_s: Times of the samples [s], 180 a second from 0, shape [sample_count].
         values: g(t) of each world in the band's unit, shape [world_count, sample_count, coordinate_count]. A world with
             a frame that is NaN has no score. NaN after the last frame shortens the range of time shifts, as in
-            `release_offset`.
+            `time_offset`.
 
     Returns:
         Arrays of shape [world_count] by field of `Score`, NaN for a world without a score: `rmse`; `rmse_normalized` if
-        there is a published baseline; and for bands that are aligned `release_offset_s` and `rmse_aligned`, with
+        there is a published baseline; and for bands that are aligned `time_offset_s` and `rmse_aligned`, with
         `rmse_aligned_normalized` if the band has single trials.
     """
     needed = (experiment.frame_count - 1) * SAMPLES_PER_FRAME + 1
@@ -95,7 +95,7 @@ def _scores(
     apart = arrays.where(weight > 0.0, frames - target, 0.0 * target)
     rmse = arrays.sqrt(arrays.einsum("tnc,tnc->n", apart, apart) / count)
     scores = {"rmse": rmse}
-    if _is_aligned(experiment, band):
+    if is_aligned(experiment, band):
         last_known = SAMPLES_PER_FRAME * int(np.flatnonzero(known.any(axis=1))[-1])
         samples = projected
         earliest: Any = last_known + 1 - len(projected)
@@ -104,7 +104,7 @@ def _scores(
         shifts, squares = _best_shift(arrays, samples, target, weight, earliest)
         is_missing = ~arrays.isfinite(rmse)
         missing = np.nan + rmse
-        scores["release_offset_s"] = arrays.where(
+        scores["time_offset_s"] = arrays.where(
             is_missing, missing, SAMPLE_INTERVAL_S * shifts
         )
         scores["rmse_aligned"] = arrays.where(
@@ -113,19 +113,15 @@ def _scores(
     return _normalized(experiment, band, scores)
 
 
-def _is_aligned(experiment: Experiment, band: Band) -> bool:
-    """Return whether worlds are also scored after the time shift that fits best; see `band_deviations`."""
-    return band.grade.is_real and experiment.trial is None
-
-
 def _normalized(
     experiment: Experiment, band: Band, scores: dict[str, Any]
 ) -> dict[str, Any]:
-    """Return scores with those over their baselines added, where there is one; see `Deviation.baseline`."""
-    published = band_baseline(experiment, band)
+    """Return scores with those over the distances of real trials added, where these are known."""
+    published = normalizing_baselines(experiment, band).get("rmse")
+    aligned = band.trial_rmse_aligned
     baselines = {
         "rmse": None if published is None else published.mean,
-        "rmse_aligned": aligned_baseline(band),
+        "rmse_aligned": None if aligned is None else float(aligned.mean()),
     }
     return scores | {
         f"{key}_normalized": scores[key] / mean

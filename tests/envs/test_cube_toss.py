@@ -7,7 +7,7 @@ import pytest
 from gauge_envs import load_experiment, reference_band
 from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.resolve import with_trial
-from gauge_envs.references.grades import BandGrade
+from gauge_envs.references.kind import Kind
 from gauge_envs.references.single_shot import single_shots
 from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.episodes import run_episodes
@@ -60,7 +60,7 @@ def test_the_score_is_against_the_own_trial():
     errors = np.linalg.norm(inner.trajectory().frames - recorded, axis=1)
     assert score.rmse == pytest.approx(np.sqrt(np.mean(errors**2)))
     assert 2.0 < score.rmse < 20.0
-    assert band_grade(NAME) is BandGrade.TRIALS
+    assert band_grade(NAME) is Kind.TRIALS
     env.close()
 
 

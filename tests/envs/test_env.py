@@ -182,7 +182,7 @@ def test_episode_starts_from_the_published_pose(name):
     assert observation["bodies"][:, 7:] == pytest.approx(0.0, abs=1e-12)
     assert observation["time"] == pytest.approx([0.0])
     band = env.unwrapped.band
-    assert info["reference"] == (band.grade if band else "none")
+    assert info["reference"] == (band.kind if band else "none")
 
 
 def test_reward_is_minus_the_mean_abs_z(rollout):
@@ -325,7 +325,7 @@ def test_law_bands_carry_the_body():
     plate = env.experiment.scene.body("plate").pose.position_m
     arm = np.hypot(*(1e-3 * env.band.mean[:, :2] - plate[:2]).T)
     assert arm == pytest.approx(arm[0])
-    assert env.band.grade == "law"
+    assert env.band.kind == "law"
     holds = gymnasium.make("GAUGE/SlopeSlider-1-metal").unwrapped.band.mean
     assert np.ptp(holds, axis=0) == pytest.approx(0.0, abs=1e-9)
 

@@ -27,7 +27,7 @@ from gauge_envs.errors import (
     TaskFileError,
 )
 from gauge_envs.experiments.resolve import resolve_experiment
-from gauge_envs.references.bands import Band
+from gauge_envs.references.band import Band
 from gauge_envs.rendering.camera import experiment_view
 from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.episodes import run_episode
@@ -581,7 +581,7 @@ def test_the_hash_of_an_experiment_covers_what_its_layer_refers_to(changed):
         (
             ('grade = "law"', 'grade = "guess"'),
             TaskFileError,
-            "band.grade: ",
+            "band.kind: ",
         ),
         (
             ("0.0, -0.422618261740699]", "-0.422618261740699]"),

@@ -84,37 +84,34 @@ def chosen_frames(name, last):
 
 def score_values(score):
     """Return the numbers of a score that any later form of it has too."""
-    reality, solution = score.validation, score.verification
-    values = {
-        "rmse": score.rmse,
-        "dtw": score.dtw,
-        "time_offset_s": score.release_offset_s,
-        "rmse_aligned": score.rmse_aligned,
-        "compared_frames": score.compared_frames,
-        "signed_error": score.signed_error,
-        "lsd": [score.lsd_s, score.lsd_normalized],
-        "mte": [score.mte, score.mte_normalized],
-        "pd": [score.pd_s, score.pd_normalized],
-        "el": score.el,
-        "estimates": {
-            one.parameter: [one.value, one.uncertainty, one.real, one.real_uncertainty]
-            for one in score.implied
-        },
+    names = (
+        "rmse",
+        "dtw",
+        "time_offset_s",
+        "rmse_aligned",
+        "compared_frames",
+        "signed_error",
+        "rmse_normalized",
+        "dtw_normalized",
+        "rmse_aligned_normalized",
+        "mean_abs_z",
+        "inside_1sigma",
+        "inside_2sigma",
+        "percentile",
+    )
+    values = {name: getattr(score, name) for name in names}
+    events = {
+        name: one for name, one in score.events.items() if name in ("lsd", "mte", "pd")
     }
-    if reality is not None:
-        for key in (
-            "rmse_normalized",
-            "dtw_normalized",
-            "rmse_aligned_normalized",
-            "mean_abs_z",
-            "inside_1sigma",
-            "inside_2sigma",
-            "percentile",
-        ):
-            values[key] = getattr(reality, key)
-    if solution is not None:
-        values["distance"] = solution.distance
-        values["uncertainty"] = solution.uncertainty
+    values |= {name: [one.value, one.over_real] for name, one in events.items()}
+    values["el"] = score.events["el"].value if "el" in score.events else None
+    values["estimates"] = {
+        name: [one.value, one.uncertainty, one.real, one.real_uncertainty]
+        for name, one in score.estimates.items()
+    }
+    if score.over_uncertainty is not None:
+        values["distance"] = score.distance
+        values["uncertainty"] = score.distance / score.over_uncertainty
     return {
         key: value
         for key, value in values.items()

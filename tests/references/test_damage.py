@@ -4,7 +4,7 @@ import pytest
 from texts import changed_text
 
 from gauge_envs.errors import ReferenceFileError
-from gauge_envs.references.bands import bundled_band
+from gauge_envs.references.band import bundled_band
 from gauge_envs.references.deformation import bundled_deformation
 from gauge_envs.references.published import law_for, published_variants
 from gauge_envs.scoring.reference import load_band

@@ -15,7 +15,7 @@ from gauge_envs.errors import ReferenceFileError
 from gauge_envs.files import data_folder
 from gauge_envs.pages.results import reality_lines
 from gauge_envs.references import models
-from gauge_envs.references.grades import BandGrade
+from gauge_envs.references.kind import Kind
 from gauge_envs.references.models import (
     POINT_SIGMA_MM,
     interpolated,
@@ -66,7 +66,7 @@ def test_every_id_without_a_real_reference_or_law_has_a_model_or_a_reason():
 def test_a_model_states_what_it_rests_on(name):
     experiment, model = load_experiment(name), solved_model(name)
     sidecar, band = model.sidecar, model.band
-    assert band.grade is BandGrade.MODEL
+    assert band.kind is Kind.NUMERICAL
     assert sidecar.frames == experiment.frame_count
     engines = [one.engine for one in sidecar.engines]
     known = np.isfinite(band.mean).all(axis=1)
@@ -208,7 +208,7 @@ def test_a_reward_divides_by_the_larger_of_sigma_and_uncertainty():
 
 
 def test_another_scene_has_no_model():
-    assert reference_band(load_experiment(FOAM)).grade is BandGrade.MODEL
+    assert reference_band(load_experiment(FOAM)).grade is Kind.NUMERICAL
     assert reference_band(load_experiment(FOAM, {"foam.young_modulus_pa": 1e5})) is None
 
 

@@ -11,8 +11,8 @@ from gauge_envs.errors import ShapeError, UnknownNameError
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.files import data_folder
 from gauge_envs.observables.kinds import Observable, largest_distance
-from gauge_envs.references.bands import Band, SigmaSource
-from gauge_envs.references.grades import BandGrade
+from gauge_envs.references.band import Band, SigmaSource
+from gauge_envs.references.kind import Kind
 from gauge_envs.references.published import (
     FlightLaw,
     Reference,
@@ -50,7 +50,7 @@ THROWN_VARIANTS = tuple(
 
 def make_band(**changes):
     values = {
-        "grade": BandGrade.TRIALS,
+        "grade": Kind.TRIALS,
         "unit": "mm",
         "coordinates": ("a",),
         "projection": np.array([[0.0, 2.0, 0.0]]),
@@ -250,7 +250,7 @@ def test_the_band_of_a_motion_until_contact_is_that_of_its_measurement():
     positions = np.arange(12.0).reshape(4, 3)
     positions[2:] = np.nan
     band = uncontacted_band(law, positions_mm=positions)
-    assert (band.grade, band.sigma_source) == (BandGrade.LAW, SigmaSource.MEASUREMENT)
+    assert (band.kind, band.sigma_source) == (Kind.ANALYTIC, SigmaSource.MEASUREMENT)
     assert band.measured.tolist() == [True, True, False, False]
     assert (band.sigma == law.sigma_mm).all()
     assert band.uncertainty is not None and np.isnan(band.uncertainty[2:]).all()
@@ -260,19 +260,19 @@ def test_the_band_of_a_motion_until_contact_is_that_of_its_measurement():
 
 def test_a_material_without_published_scores_has_no_law():
     assert law_for("SlopeSlider-1-glass") is None
-    assert band_grade("SlopeSlider-1-glass") is BandGrade.NONE
+    assert band_grade("SlopeSlider-1-glass") is Kind.NONE
 
 
 def test_a_law_without_published_scores_names_its_materials():
     assert not published_baselines("TableclothPulling-wood")
-    assert band_grade("TableclothPulling-wood") is BandGrade.LAW
+    assert band_grade("TableclothPulling-wood") is Kind.ANALYTIC
     assert law_for("TableclothPulling-glass") is None
 
 
 def test_grades_of_all_published_variants():
     grades = {variant: band_grade(variant) for variant in published_variants()}
     assert {
-        variant for variant, grade in grades.items() if grade is BandGrade.TRIALS
+        variant for variant, grade in grades.items() if grade is Kind.TRIALS
     } == set(TRIAL_VARIANTS)
     laws = {
         *CARRIED_VARIANTS,
@@ -283,9 +283,9 @@ def test_grades_of_all_published_variants():
     }
     laws |= {"FoamStretching-soft", "FoamStretching-hard"}
     assert {
-        variant for variant, grade in grades.items() if grade is BandGrade.LAW
+        variant for variant, grade in grades.items() if grade is Kind.ANALYTIC
     } == laws
-    assert band_grade("WallBreaking-wood") is BandGrade.NONE
+    assert band_grade("WallBreaking-wood") is Kind.NONE
 
 
 # Damage

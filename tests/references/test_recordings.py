@@ -9,8 +9,8 @@ import pytest
 
 from gauge_envs import load_experiment, reference_band, score_trajectory
 from gauge_envs.files import data_folder
-from gauge_envs.references.bands import SigmaSource, bundled_band
-from gauge_envs.references.grades import BandGrade
+from gauge_envs.references.band import SigmaSource, bundled_band
+from gauge_envs.references.kind import Kind
 from gauge_envs.references.published import law_for, published_baselines
 from gauge_envs.scoring.reference import band_grade
 
@@ -153,20 +153,20 @@ def test_a_withheld_band_is_used_only_when_asked_for(variant):
     assert not band_grade(variant).is_real
     assert used is None or not used.grade.is_real
     band = reference_band(experiment, use_withheld=True)
-    assert band is not None and band.withheld and band.grade.is_real
+    assert band is not None and band.withheld and band.kind.is_real
 
 
 @pytest.mark.parametrize("variant", BESIDE_A_LAW)
 def test_a_law_is_used_while_the_recording_is_withheld(variant):
     experiment = load_experiment(variant)
-    assert band_grade(variant) is BandGrade.LAW
+    assert band_grade(variant) is Kind.ANALYTIC
     used, asked = (
         reference_band(experiment),
         reference_band(experiment, use_withheld=True),
     )
     assert used is not None and asked is not None
-    assert (used.grade, used.withheld) == (BandGrade.LAW, None)
-    assert (asked.grade, bool(asked.withheld)) == (BandGrade.RECORDING, True)
+    assert (used.grade, used.withheld) == (Kind.ANALYTIC, None)
+    assert (asked.grade, bool(asked.withheld)) == (Kind.RECORDING, True)
 
 
 def test_the_pendulums_recording_is_withheld_as_circular():
@@ -187,7 +187,7 @@ def test_the_pendulums_recording_is_withheld_as_circular():
 
 @pytest.mark.parametrize("variant", SCORED)
 def test_a_certain_band_is_used(variant):
-    assert band_grade(variant) is BandGrade.RECORDING
+    assert band_grade(variant) is Kind.RECORDING
     band = reference_band(load_experiment(variant))
     assert band is not None and band.withheld is None
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gauge_envs import load_experiment, reference_band
-from gauge_envs.references.grades import BandGrade
+from gauge_envs.references.kind import Kind
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
 
@@ -16,7 +16,7 @@ MATERIALS = ("wood", "plastic", "metal")
 
 def band_of(material):
     band = reference_band(load_experiment(f"Turntable-2-{material}"))
-    assert band is not None and band.grade is BandGrade.LAW
+    assert band is not None and band.kind is Kind.ANALYTIC
     return band
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gauge_envs.experiments.resolve import load_experiment
-from gauge_envs.references.grades import BandGrade
+from gauge_envs.references.kind import Kind
 from gauge_envs.scoring.reference import reference_band
 from gauge_envs.scoring.reference_path import (
     reference_path,
@@ -14,7 +14,7 @@ from gauge_envs.scoring.reference_path import (
 
 
 def test_a_mean_is_named_by_the_number_of_its_trials():
-    one, many, some = (reference_words(BandGrade.TRIALS, n) for n in (1, 20, None))
+    one, many, some = (reference_words(Kind.TRIALS, n) for n in (1, 20, None))
     assert "one" in one and "20 " in many
     assert some == many.replace("20 ", "the ") != one
 

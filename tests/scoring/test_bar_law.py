@@ -11,8 +11,8 @@ from scipy.optimize import fsolve
 
 from gauge_envs import GaugeEnv, load_experiment, reference_band
 from gauge_envs.errors import ShapeError
-from gauge_envs.references.bands import Band, SigmaSource
-from gauge_envs.references.grades import BandGrade
+from gauge_envs.references.band import Band, SigmaSource
+from gauge_envs.references.kind import Kind
 from gauge_envs.references.published import UniaxialLaw, law_for
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
@@ -26,7 +26,7 @@ def band_of(name: str) -> Band:
     band = reference_band(load_experiment(name))
     assert (
         band is not None
-        and band.grade is BandGrade.LAW
+        and band.kind is Kind.ANALYTIC
         and band.uncertainty is not None
     )
     return band

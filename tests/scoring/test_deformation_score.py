@@ -36,7 +36,7 @@ from gauge_envs.scoring.deformation import (
     real_statistics,
     score_deformation,
 )
-from gauge_envs.scoring.metrics.trajectory import trajectory_rmse
+from gauge_envs.scoring.metrics import trajectory_rmse
 from gauge_envs.tools.run.words import summary_document
 
 NAME = "FoamStretching-soft"

@@ -11,8 +11,8 @@ import pytest
 from gauge_envs import load_experiment, reference_band
 from gauge_envs.backends import backend
 from gauge_envs.errors import ShapeError
-from gauge_envs.references.bands import Band
-from gauge_envs.references.grades import BandGrade
+from gauge_envs.references.band import Band
+from gauge_envs.references.kind import Kind
 from gauge_envs.scene import Box, ConvexUnion, Motion, Plane, Pose, RigidBody, Scene
 from gauge_envs.scene.scene import GRAVITY_M_PER_S2
 from gauge_envs.scoring.laws import distance_to_contact_m, free_flight, slide
@@ -249,7 +249,7 @@ def test_scores_against_such_a_law_are_not_normalized(variant: str) -> None:
         values=values,
         is_checked=True,
     )
-    assert (score.grade, score.rmse) == (BandGrade.LAW, pytest.approx(5.0))
+    assert (score.grade, score.rmse) == (Kind.ANALYTIC, pytest.approx(5.0))
     assert (score.validation, score.rmse_aligned) == (None, None)
     # The solution is exact: the distance stays in mm.
     solved = score.verification

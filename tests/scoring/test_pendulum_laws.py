@@ -16,8 +16,8 @@ from gauge_envs import load_experiment, reference_band, score_trajectory
 from gauge_envs.backends import backend
 from gauge_envs.errors import ShapeError
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.references.bands import Band
-from gauge_envs.references.grades import BandGrade
+from gauge_envs.references.band import Band
+from gauge_envs.references.kind import Kind
 from gauge_envs.references.published import (
     ChainLaw,
     SwingLaw,
@@ -52,7 +52,7 @@ def chain_law() -> ChainLaw:
 
 def band_of(experiment: Experiment) -> Band:
     band = reference_band(experiment)
-    assert band is not None and band.grade is BandGrade.LAW
+    assert band is not None and band.kind is Kind.ANALYTIC
     return band
 
 
@@ -294,7 +294,7 @@ def test_scores_end_with_the_law() -> None:
         experiment, band, times_s=np.arange(len(values)) / 30, values=values
     )
     assert (score.grade, score.compared_frames, score.rmse) == (
-        BandGrade.LAW,
+        Kind.ANALYTIC,
         20,
         pytest.approx(5.0),
     )

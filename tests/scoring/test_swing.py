@@ -22,7 +22,7 @@ from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 from gauge_envs.scoring.implied import implied_parameters
-from gauge_envs.scoring.metrics.events import momentum_transfer_efficiency
+from gauge_envs.scoring.events import momentum_transfer_efficiency
 from gauge_envs.scoring.score import score_trajectory
 from gauge_envs.scoring.swing import EventTime, event_intervals, swing_notes
 from gauge_envs.tools.run.words import estimator_lines

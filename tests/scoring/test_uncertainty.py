@@ -15,7 +15,7 @@ from scipy.stats import binomtest, chi2, sem, t as student
 
 from gauge_envs import load_experiment, reference_band
 from gauge_envs.backends.registry import backend_for
-from gauge_envs.references.bands import bundled_band
+from gauge_envs.references.band import bundled_band
 from gauge_envs.references.published import published_baselines
 from gauge_envs.runs.episodes import run_episode, run_episodes
 from gauge_envs.runs.request import RunRequest

@@ -10,8 +10,8 @@ from scipy.special import erf
 
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import variants
-from gauge_envs.references.bands import Band
-from gauge_envs.references.grades import BandGrade
+from gauge_envs.references.band import Band
+from gauge_envs.references.kind import Kind
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scoring.reference import reference_band
 from gauge_envs.scoring.score import VERIFICATION, Score, Validation
@@ -34,7 +34,7 @@ def solution(uncertainty_mm: FloatArray | None, *, markers: int = 0) -> Band:
     mean = np.zeros((FRAMES, 3 * max(markers, 1)))
     mean[:, ::3] = np.linspace(0.0, 100.0, FRAMES)[:, None]
     band = Band(
-        grade=BandGrade.MODEL,
+        grade=Kind.NUMERICAL,
         unit="mm",
         coordinates=tuple(
             f"marker-{n // 3}.{'xyz'[n % 3]}" for n in range(mean.shape[1])
@@ -108,7 +108,7 @@ def test_an_exact_solution_has_no_interval() -> None:
 def test_markers_are_needed_where_they_are_compared_and_trials_verify_nothing() -> None:
     band = solution(np.ones((FRAMES, 15)), markers=5)
     assert verify(band, frames=np.array(band.mean), markers_m=None) is None
-    real = replace(solution(None), grade=BandGrade.TRIALS)
+    real = replace(solution(None), grade=Kind.TRIALS)
     assert verify(real, frames=np.array(real.mean), markers_m=None) is None
     assert verify(None, frames=np.array(real.mean), markers_m=None) is None
 

@@ -56,7 +56,7 @@ def test_each_world_has_the_score_of_its_trajectory(name: str) -> None:
             ), key
     assert ("rmse_aligned" in together) == (single.rmse_aligned is not None)
     # The distance from a law is not divided by the scatter of real trials.
-    assert ("rmse_normalized" in together) == band.grade.is_real
+    assert ("rmse_normalized" in together) == band.kind.is_real
 
 
 def test_a_world_that_ends_early_is_shifted_less() -> None:

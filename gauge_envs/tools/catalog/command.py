@@ -70,7 +70,7 @@ def _list_experiments(patterns: Sequence[str], scored: bool, form: Format) -> bo
     )
     from gauge_envs.pages.document import Document, Paragraph
     from gauge_envs.pages.text import counted
-    from gauge_envs.references.grades import BandGrade
+    from gauge_envs.references.kind import Kind
     from gauge_envs.tools.catalog.overview import list_table, stored_rows
 
     variants = dict.fromkeys(
@@ -90,7 +90,7 @@ def _list_experiments(patterns: Sequence[str], scored: bool, form: Format) -> bo
         found = list_rows(
             [one for one in variants if one.family not in faults], notify=note
         )
-    rows = [row for row in found if not scored or row["grade"] != BandGrade.NONE]
+    rows = [row for row in found if not scored or row["grade"] != Kind.NONE]
     families = len({row["family"] for row in rows})
     lines = [
         f"{counted(len(rows), 'id')} in {families} {'family' if families == 1 else 'families'}"

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, TypedDict
 
 from gauge_envs.references.convergence import Convergence
-from gauge_envs.references.grades import BandGrade
+from gauge_envs.references.kind import Kind
 from gauge_envs.references.models import UnsolvedScene
 from gauge_envs.references.published import Baseline
 from gauge_envs.scene import Attachment, Contact
@@ -28,7 +28,7 @@ class ExperimentFacts(TypedDict):
     group: str
     observable: str
     frames: int
-    grade: BandGrade
+    grade: Kind
 
 
 class ListLine(ExperimentFacts):
@@ -159,7 +159,7 @@ class ReferenceFacts(TypedDict):
         deformation: Real statistics of deformation, with which every run is compared beside its score.
     """
 
-    grade: BandGrade
+    grade: Kind
     trial_count: int | None
     single_shot: bool
     source: str | None

@@ -18,8 +18,8 @@ from gauge_envs.pages.text import (
     shortened,
     vector_text,
 )
-from gauge_envs.references.bands import SigmaSource
-from gauge_envs.references.grades import BandGrade
+from gauge_envs.references.band import SigmaSource
+from gauge_envs.references.kind import Kind
 from gauge_envs.references.published import PUBLISHED_ENGINES
 from gauge_envs.tools.catalog.spaces import range_text, shape_text
 
@@ -107,7 +107,7 @@ def _published(values: Mapping[str, Any]) -> Part:
     """Return the published scores, which are of reality whatever the grade of the reference."""
     if not values["baselines"]:
         return Paragraph("Published: none")
-    grade = BandGrade(values["reference"]["grade"])
+    grade = Kind(values["reference"]["grade"])
     if grade.is_solution:
         title, note = OTHER_QUESTION.format(grade=grade.value), ""
     else:
@@ -140,7 +140,7 @@ def grade_note(reference: Mapping[str, Any]) -> str:
     """Return what the grade of a reference means."""
     if reference["single_shot"]:
         return "one real trial with the same start; each trial has its own"
-    return GRADE_NOTES[BandGrade(reference["grade"])]
+    return GRADE_NOTES[Kind(reference["grade"])]
 
 
 def limit_text(limit: Mapping[str, Any]) -> str:
@@ -231,7 +231,7 @@ def _engines(values: Mapping[str, Any]) -> Iterator[Part]:
 def convergence_facts(values: Mapping[str, Any]) -> dict[str, str]:
     """Return what half the step and half the cell change, by engine, of those that were measured."""
     has_cells = any(body["kind"] != "rigid" for body in values["bodies"])
-    is_verified = BandGrade(values["reference"]["grade"]).is_solution
+    is_verified = Kind(values["reference"]["grade"]).is_solution
     return {
         row["engine"]: convergence_text(
             row["convergence"],
@@ -303,7 +303,7 @@ def _scale_facts(values: Mapping[str, Any]) -> dict[str, str]:
     """Return where sigma is from, which frames are known, and why scores are not normalized."""
     reference = values["reference"]
     facts = {}
-    is_solution = BandGrade(reference["grade"]).is_solution
+    is_solution = Kind(reference["grade"]).is_solution
     if reference["sigma_source"] is not None and not is_solution:
         facts["sigma"] = SIGMA_NOTES[SigmaSource(reference["sigma_source"])]
     if (reference["known_frames"] or values["frames"]) < values["frames"]:

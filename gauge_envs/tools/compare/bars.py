@@ -16,7 +16,7 @@ from gauge_envs.pages.text import (
     short_id,
     with_unit,
 )
-from gauge_envs.references.grades import BandGrade
+from gauge_envs.references.kind import Kind
 from gauge_envs.references.published import PUBLISHED_ENGINES, published_baselines
 from gauge_envs.scoring.verification import COVERAGE_FACTOR
 from gauge_envs.tools.compare.comparison import Cell
@@ -70,9 +70,7 @@ def bar_groups(name: str, series: Sequence[Series]) -> dict[str, dict[str, list[
         if result.score.verification is not None
     ]
     is_solved = any(
-        BandGrade(result.score.grade).is_solution
-        for one in series
-        for result in one.results
+        Kind(result.score.grade).is_solution for one in series for result in one.results
     )
     if any(
         result.score.primary == ALIGNED.key for one in series for result in one.results

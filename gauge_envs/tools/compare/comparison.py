@@ -21,7 +21,7 @@ from gauge_envs.pages.results import (
     score_percentile,
 )
 from gauge_envs.pages.text import counted, short_id
-from gauge_envs.references.grades import BandGrade
+from gauge_envs.references.kind import Kind
 from gauge_envs.references.published import Baseline, published_baselines
 from gauge_envs.runs.configuration import RunConfiguration, group_by_configuration
 from gauge_envs.runs.result import Outcome, Result
@@ -139,7 +139,7 @@ class ExperimentComparison:
     @property
     def is_verified(self) -> bool:
         """Whether results are compared with the solution of their scene, and not with reality."""
-        return BandGrade(self.grade).is_solution
+        return Kind(self.grade).is_solution
 
     @property
     def scale_unit(self) -> str:
@@ -185,7 +185,7 @@ class ExperimentComparison:
         Event metrics do not depend on the reference.
         """
         line = self.baselines.get(metric)
-        is_comparable = self.grade == BandGrade.TRIALS.value and not self.withheld
+        is_comparable = self.grade == Kind.TRIALS.value and not self.withheld
         return (
             line.engines
             if line is not None and (is_comparable or SCORE_METRICS[metric].is_event)
@@ -248,10 +248,10 @@ class Comparison:
     @cached_property
     def grades(self) -> tuple[GradeComparison, ...]:
         """What the scores of each grade say, best grade first; an experiment of several references is left out."""
-        groups: dict[tuple[BandGrade, bool], list[ExperimentComparison]] = {}
+        groups: dict[tuple[Kind, bool], list[ExperimentComparison]] = {}
         for one in filter(_has_one_reference, self.experiments):
-            groups.setdefault((BandGrade(one.grade), one.withheld), []).append(one)
-        order = list(BandGrade)
+            groups.setdefault((Kind(one.grade), one.withheld), []).append(one)
+        order = list(Kind)
         return tuple(
             found
             for group in sorted(
@@ -431,7 +431,7 @@ def _cell_draws(results: Sequence[Result], notes: list[str]) -> ScoreDraws | Non
 
 def _scale_metric(results: Sequence[Result]) -> str:
     """Return the metric whose scale the scores of repeats have: `rmse`, or the distance from the solution."""
-    is_verified = any(BandGrade(one.score.grade).is_solution for one in results)
+    is_verified = any(Kind(one.score.grade).is_solution for one in results)
     return VERIFIED.key if is_verified else "rmse"
 
 

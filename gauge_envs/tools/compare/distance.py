@@ -12,7 +12,7 @@ from gauge_envs.references.published import Baseline
 from gauge_envs.runs.result import Result
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-from gauge_envs.scoring.metrics.trajectory import trajectory_rmse
+from gauge_envs.scoring.metrics import trajectory_rmse
 from gauge_envs.tools.compare.draws import ScoreSpread
 
 MOTION_SHARE = 0.05

@@ -19,7 +19,7 @@ from functools import cache
 import numpy as np
 
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.references.bands import Band
+from gauge_envs.references.band import Band
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.scene.timing import SAMPLES_PER_FRAME
@@ -131,7 +131,7 @@ def score_draws(
     """
     if any(result.outcome is not Outcome.FINISHED for result in results):
         return None
-    if band.grade.is_solution:
+    if band.kind.is_solution:
         return _solution_draws(results, experiment, band)
     raw, primary = np.empty(len(results)), np.empty(len(results))
     draws = np.empty((min(len(results), DRAWN_REPEATS), DRAW_COUNT))

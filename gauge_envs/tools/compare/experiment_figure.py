@@ -18,8 +18,8 @@ from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.pages.figures import OURS, new_figure, save_png
 from gauge_envs.pages.results import configuration_labels
 from gauge_envs.pages.text import GRADE_NOTES, QUESTIONS, quantity_text, short_id
-from gauge_envs.references.bands import Band
-from gauge_envs.references.grades import BandGrade
+from gauge_envs.references.band import Band
+from gauge_envs.references.kind import Kind
 from gauge_envs.runs.configuration import group_by_configuration
 from gauge_envs.runs.result import Result
 from gauge_envs.runs.result_file import recorded_experiment
@@ -148,7 +148,7 @@ def _question(band: Band | None) -> str:
     """Return what the page answers. No page mixes the two questions but for events, whose bars are apart."""
     if band is None:
         return "No reference: it is not known which motion is right"
-    return QUESTIONS["verification" if band.grade.is_solution else "validation"]
+    return QUESTIONS["verification" if band.kind.is_solution else "validation"]
 
 
 def _first_row(
@@ -273,7 +273,7 @@ def _moment_rows(
 def _notes(
     experiment: Experiment, band: Band | None, *, has_published: bool
 ) -> list[str]:
-    grade = BandGrade.NONE if band is None else band.grade
+    grade = Kind.NONE if band is None else band.kind
     parts = [f"Grade {grade.value}: {GRADE_NOTES[grade]}."]
     parts += (
         [f"{band.source[:1].upper()}{band.source[1:]}."] if band is not None else []

@@ -20,7 +20,7 @@ from itertools import combinations
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from gauge_envs.references.grades import BandGrade
+from gauge_envs.references.kind import Kind
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scoring.dependence import LEVEL
 from gauge_envs.tools.compare.draws import ScoreDraws, paired_scores
@@ -104,7 +104,7 @@ class GradeComparison:
     @property
     def is_verified(self) -> bool:
         """Whether its references are solutions of the scenes, and not reality."""
-        return BandGrade(self.grade).is_solution
+        return Kind(self.grade).is_solution
 
     @property
     def name(self) -> str:

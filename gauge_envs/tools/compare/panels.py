@@ -143,7 +143,7 @@ def _draw_spread(axis: Axes, against: Yardstick, *, aligned: bool) -> None:
                 label=name,
                 zorder=order,
             )
-    if not band.grade.is_solution:
+    if not band.kind.is_solution:
         return
     start = band.mean[int(np.isfinite(band.mean).any(axis=1).argmax())]
     axis.plot(
@@ -215,7 +215,7 @@ def _scale_distances(axis: Axes, against: Yardstick) -> None:
         if against.has_spread
         else 0.0
     )
-    is_solution = against.band.grade.is_solution
+    is_solution = against.band.kind.is_solution
     if top <= 0.0 or not (is_solution or (spread and top > LINEAR_RATIO * spread)):
         axis.set_ylim(bottom=0.0)
         return
@@ -279,7 +279,7 @@ def draw_coordinates(
             axis.set_xlabel("time [s]", fontsize=size)
         tidy_axis(axis)
     # The band of real trials fills a panel; that of a solution may be narrower than rounding errors.
-    if not against.band.grade.is_real:
+    if not against.band.kind.is_real:
         _widen(axes)
 
 
@@ -328,7 +328,7 @@ def _draw_mean(
         mean = mean - mean
     # What lies outside would set the limits of the axis.
     is_shown = _shown(times, window)
-    is_real = band.grade.is_real
+    is_real = band.kind.is_real
     # Simulations lie on the line of a solution: wide and below them. A measured mean is dots, and above them.
     width = 1.1 if is_real else 3.0
     # A segment belongs to what is measured when both of its ends are; drawn piece by piece, they do not overlap.

@@ -4,7 +4,7 @@ from typing import Any
 
 from gauge_envs.pages.table import Column, Table
 from gauge_envs.pages.text import quantity_text
-from gauge_envs.references.grades import BandGrade
+from gauge_envs.references.kind import Kind
 from gauge_envs.tools.compare.comparison import Comparison
 from gauge_envs.tools.compare.distance import MOTION_SHARE, Distance
 from gauge_envs.tools.compare.score_tables import EXPERIMENT
@@ -19,7 +19,7 @@ def distance_table(comparison: Comparison) -> Table:
             "far": far,
         }
         for one in comparison.experiments
-        if one.grade == BandGrade.NONE.value
+        if one.grade == Kind.NONE.value
         for far in one.distances
     ]
 

@@ -10,7 +10,7 @@ from gauge_envs.pages.document import Document, Paragraph
 from gauge_envs.pages.results import SCORE_METRICS
 from gauge_envs.pages.table import Table
 from gauge_envs.pages.text import QUESTIONS
-from gauge_envs.references.grades import BandGrade
+from gauge_envs.references.kind import Kind
 from gauge_envs.tools.compare.comparison import Cell, Comparison
 from gauge_envs.tools.compare.grades import GradeComparison, GradeScore
 from gauge_envs.tools.compare.rank_tables import rank_tables
@@ -49,8 +49,7 @@ def comparison_document(
     for question in QUESTIONS:
         tables += rank_tables(comparison, question)
     if any(
-        one.grade == BandGrade.NONE.value and one.distances
-        for one in comparison.experiments
+        one.grade == Kind.NONE.value and one.distances for one in comparison.experiments
     ):
         tables.append(distance_table(comparison))
     if rows:

@@ -9,8 +9,8 @@ import numpy as np
 
 from gauge_envs.errors import ShapeError
 from gauge_envs.pages.results import ALIGNED
-from gauge_envs.references.bands import Band, SigmaSource
-from gauge_envs.references.grades import BandGrade
+from gauge_envs.references.band import Band, SigmaSource
+from gauge_envs.references.kind import Kind
 from gauge_envs.runs.result import RecordedTrajectory, Result, recorded_frames
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
@@ -74,7 +74,7 @@ class Yardstick:
     @property
     def reach(self) -> float:
         """What a shaded area ends at, in units of `spread`: two standard deviations, or the end of 95 % of u."""
-        return COVERAGE_FACTOR if self.band.grade.is_solution else 2.0
+        return COVERAGE_FACTOR if self.band.kind.is_solution else 2.0
 
     def trial_lengths(self, *, aligned: bool) -> FloatArray:
         """Return the distance of each real trial from the mean of the others, shape [trial_count, frame_count].
@@ -93,7 +93,7 @@ class Yardstick:
     @property
     def spread_words(self) -> tuple[str, str]:
         """Names of the spread, and of what the wider shaded area ends at."""
-        if self.band.grade.is_solution:
+        if self.band.kind.is_solution:
             return (
                 "u: uncertainty of the solution",
                 f"up to {self.reach} u no difference is seen",
@@ -243,7 +243,7 @@ def choose_yardstick(
     )
     mean[numbers] = rows
     plain = Band(
-        grade=BandGrade.NONE,
+        grade=Kind.NONE,
         unit=first.unit,
         coordinates=tuple(first.coordinates),
         projection=np.eye(mean.shape[1]),
@@ -299,11 +299,11 @@ def coordinate_words(name: str) -> str:
 
 
 def _band_words(band: Band) -> str:
-    if band.grade is BandGrade.LAW:
+    if band.kind is Kind.ANALYTIC:
         return "the law"
-    if band.grade is BandGrade.MODEL:
+    if band.kind is Kind.NUMERICAL:
         return "the solved scene"
-    if band.grade is BandGrade.RECORDING:
+    if band.kind is Kind.RECORDING:
         return "the one recorded real trial"
     if band.trial_count is None:
         return "the mean of real trials"

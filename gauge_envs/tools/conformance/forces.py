@@ -25,8 +25,7 @@ from gauge_envs.scene import (
 from gauge_envs.scene.geometry import FloatArray, length_of, vector
 from gauge_envs.scene.meshes import mass_properties
 from gauge_envs.scene.timing import DRIVE_INTERVAL_S, SAMPLE_INTERVAL_S
-from gauge_envs.scoring.estimators import mean_period_s
-from gauge_envs.scoring.pendulum_laws import pendulum_period_s
+from gauge_envs.scoring.estimators import mean_period_s, pendulum_period_s
 from gauge_envs.tools.bench.parts import (
     body,
     box,

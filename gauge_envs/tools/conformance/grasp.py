@@ -12,8 +12,11 @@ from gauge_envs.runs.rollout import Rollout, states_now
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Pose, Scene
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
-from gauge_envs.scoring.estimators import acceleration_m_per_s2, mean_period_s
-from gauge_envs.scoring.pendulum_laws import pendulum_period_s
+from gauge_envs.scoring.estimators import (
+    acceleration_m_per_s2,
+    mean_period_s,
+    pendulum_period_s,
+)
 from gauge_envs.tools.bench.grasp import (
     FRICTION,
     MASS_KG,

@@ -19,8 +19,11 @@ from gauge_envs.scene import (
 )
 from gauge_envs.scene.geometry import length_of, vector
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
-from gauge_envs.scoring.estimators import acceleration_m_per_s2, mean_period_s
-from gauge_envs.scoring.pendulum_laws import pendulum_period_s
+from gauge_envs.scoring.estimators import (
+    acceleration_m_per_s2,
+    mean_period_s,
+    pendulum_period_s,
+)
 from gauge_envs.tools.bench.parts import ball, body, box, contact, ground
 from gauge_envs.tools.conformance.lab import Lab
 from gauge_envs.tools.conformance.laws import furthest, largest_mm, worst_ratio

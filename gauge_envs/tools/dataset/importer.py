@@ -18,9 +18,8 @@ from gauge_envs.observables.deformation import (
     trial_statistics,
 )
 from gauge_envs.observables.kinds import Observable
-from gauge_envs.references.bands import Band
+from gauge_envs.references.band import Band
 from gauge_envs.references.deformation import DeformationReference
-from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.imported import (
     DriverRecord,
     ImportFacts,
@@ -29,6 +28,7 @@ from gauge_envs.references.imported import (
     remove_leftovers,
     write_imported,
 )
+from gauge_envs.references.kind import Kind
 from gauge_envs.references.metrics import EVENT_METRICS, METRICS
 from gauge_envs.references.published import Baseline, published_baselines
 from gauge_envs.scene.drivers import Driver
@@ -383,7 +383,7 @@ class _VariantImporter:
             <= MOST_TRIAL_NUMBERS
         )
         band = Band(
-            grade=BandGrade.TRIALS,
+            grade=Kind.TRIALS,
             unit=experiment.score.observable.unit,
             coordinates=self._coordinates,
             projection=np.eye(len(self._coordinates)),

@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 from typing import TypedDict
 
-from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.imported import DriverRecord
+from gauge_envs.references.kind import Kind
 from gauge_envs.tools.dataset.findings import ImportFinding
 
 
@@ -103,7 +103,7 @@ class StatusLine(TypedDict):
     """
 
     id: str
-    grade: BandGrade
+    grade: Kind
     imported: bool
     trials: int | None
     revision: str | None

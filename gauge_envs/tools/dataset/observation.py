@@ -21,7 +21,7 @@ from gauge_envs.scene import Pose
 from gauge_envs.scene.driver_fit import motion_coordinates
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.geometry import BoolArray, FloatArray, length_of
-from gauge_envs.scoring.metrics.trajectory import trajectory_dtw, trajectory_rmse
+from gauge_envs.scoring.metrics import trajectory_dtw, trajectory_rmse
 from gauge_envs.tools.dataset.findings import TrialError
 from gauge_envs.tools.dataset.trial import PoseTrack, Trial
 

@@ -10,7 +10,7 @@ from gauge_envs.files import json_ready
 from gauge_envs.pages.document import Document, Paragraph, Tone
 from gauge_envs.pages.table import Column, Place, Table
 from gauge_envs.pages.text import METRIC_TITLES, short_id, with_unit
-from gauge_envs.references.bands import bundled_sidecar
+from gauge_envs.references.band import bundled_sidecar
 from gauge_envs.references.imported import load_imported
 from gauge_envs.references.published import published_baselines
 from gauge_envs.references.user_data import DataSource

@@ -31,7 +31,7 @@ from gauge_envs.pages.text import (
     with_unit,
 )
 from gauge_envs.references.convergence import convergence_rows
-from gauge_envs.references.grades import BandGrade
+from gauge_envs.references.kind import Kind
 from gauge_envs.references.metrics import METRICS
 from gauge_envs.references.published import PUBLISHED_ENGINES, published_baselines
 from gauge_envs.runs.result import Outcome, Result
@@ -138,7 +138,7 @@ def _score_rows(result: Result) -> list[dict[str, Any]]:
         return [common | {"score": Outcome.DIVERGED.value}]
     score, baselines = result.score, published_baselines(short_id(result.id))
     # A distance to a law or a solved model says nothing of reality. Events are compared with real ones at any grade.
-    is_real = not BandGrade(score.grade).is_solution
+    is_real = not Kind(score.grade).is_solution
     rows: list[dict[str, Any]] = []
     # The aligned score comes first where the experiment starts with a release, else after the raw one.
     order = ("rmse", ALIGNED.key) if score.primary == "rmse" else (ALIGNED.key, "rmse")

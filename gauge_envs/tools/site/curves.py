@@ -7,8 +7,8 @@ import numpy as np
 from gauge_envs.pages.document import Heading, Paragraph, Tone
 from gauge_envs.pages.html import Html, element, join, listed
 from gauge_envs.pages.svg import CurvePanel, curve_panel
-from gauge_envs.references.bands import Band
-from gauge_envs.references.grades import BandGrade
+from gauge_envs.references.band import Band
+from gauge_envs.references.kind import Kind
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.compare import (
     choose_yardstick,
@@ -66,11 +66,11 @@ def _legend(site: Site, indices: Sequence[int], band: Band | None) -> Html:
     entries = [site.links[index] for index in indices]
     if band is not None:
         means = {
-            BandGrade.RECORDING: "real: one recorded trial",
-            BandGrade.LAW: "law, not measured",
-            BandGrade.MODEL: "solved model, not measured",
+            Kind.RECORDING: "real: one recorded trial",
+            Kind.ANALYTIC: "law, not measured",
+            Kind.NUMERICAL: "solved model, not measured",
         }
-        unit = "u of the solution" if band.grade.is_solution else "sigma"
+        unit = "u of the solution" if band.kind.is_solution else "sigma"
         areas = (
             ("--band1", "swatch area", f"1 {unit}"),
             ("--band2", "swatch area", f"2 {unit}"),
@@ -81,7 +81,7 @@ def _legend(site: Site, indices: Sequence[int], band: Band | None) -> Html:
             else f"real mean of {band.trial_count} trials"
         )
         for color, kind, text in (
-            ("--real", "swatch", means.get(band.grade, mean)),
+            ("--real", "swatch", means.get(band.kind, mean)),
             *(() if band.is_exact else areas),
         ):
             entries.append(

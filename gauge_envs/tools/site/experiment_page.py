@@ -20,9 +20,9 @@ from gauge_envs.pages.text import (
     score_text,
     with_unit,
 )
-from gauge_envs.references.bands import Band
+from gauge_envs.references.band import Band
 from gauge_envs.references.convergence import convergence_rows
-from gauge_envs.references.grades import BandGrade
+from gauge_envs.references.kind import Kind
 from gauge_envs.references.published import PUBLISHED_ENGINES
 from gauge_envs.runs.result_file import recorded_experiment
 from gauge_envs.scoring.reference import reference_band
@@ -112,7 +112,7 @@ def _head(
         yield element(
             "p", element("b", "Tests: "), ", ".join(experiment.spec.evaluates), "."
         )
-    text = f"{GRADE_NOTES[BandGrade(one.grade)]}."
+    text = f"{GRADE_NOTES[Kind(one.grade)]}."
     source = "" if band is None else f" {band.source.rstrip('.')}."
     yield element("p", element("b", f"Reference, grade {one.grade}: "), text, source)
     if band is not None and band.withheld is not None:
@@ -230,7 +230,7 @@ def _causes(site: Site, results: Results) -> Parts:
 
 
 def _distances(site: Site, one: ExperimentComparison) -> Parts:
-    if one.grade != BandGrade.NONE.value:
+    if one.grade != Kind.NONE.value:
         return []
     rows = [
         (

@@ -9,7 +9,7 @@ from gauge_envs.pages.html import Html, below, element, join, listed
 from gauge_envs.pages.results import SCORE_METRICS, versions_text
 from gauge_envs.pages.table import Column, Table, grid
 from gauge_envs.pages.text import GRADE_NOTES, QUESTIONS, counted
-from gauge_envs.references.grades import BandGrade
+from gauge_envs.references.kind import Kind
 from gauge_envs.tools.compare import (
     PUBLISHED,
     ExperimentComparison,
@@ -179,7 +179,7 @@ def _ranking(site: Site, grade: GradeComparison) -> list[Part]:
     return section(
         f"Against {_grade_title(grade)}",
         table,
-        f"{GRADE_NOTES[BandGrade(grade.grade)].capitalize()}.",
+        f"{GRADE_NOTES[Kind(grade.grade)].capitalize()}.",
     )
 
 
@@ -373,7 +373,7 @@ def _unscored_table(site: Site) -> Table:
     """Return the largest distance between two configurations in each experiment without a reference."""
     rows: list[list[str]] = []
     for one in site.comparison.experiments:
-        if one.grade != BandGrade.NONE.value:
+        if one.grade != Kind.NONE.value:
             continue
         cells = ["one configuration: nothing to compare", "", ""]
         if one.distances:

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.kinds import Observable
-from gauge_envs.references.bands import Band
-from gauge_envs.references.grades import BandGrade
+from gauge_envs.references.band import Band
+from gauge_envs.references.kind import Kind
 from gauge_envs.rendering.camera import FIELD_OF_VIEW_DEG, experiment_view
 from gauge_envs.rendering.materials import STRING_RADIUS_M, USUAL
 from gauge_envs.rendering.skin import Skin
@@ -216,7 +216,7 @@ def _ghost(experiment: Experiment, band: Band) -> dict[str, Any] | None:
         experiment.scene.body(name).shape if is_body else None for name in path.names
     ]
     return {
-        "grade": band.grade.value,
+        "grade": band.kind.value,
         "trials": band.trial_count,
         "full": path.is_full,
         "names": list(path.names),
@@ -236,7 +236,7 @@ def ghost_text(ghosts: Sequence[Mapping[str, Any]]) -> str:
     if not ghosts:
         return ""
     ghost = ghosts[0]
-    grade = BandGrade(ghost["grade"])
+    grade = Kind(ghost["grade"])
     what = reference_words(grade, ghost["trials"])
     what += ", no recorded motion" if not grade.is_real else ""
     kept = (

@@ -33,7 +33,7 @@ from gauge_envs.experiments.task_files import task_file_error
 from gauge_envs.experiments.task_format import MarkersSpec, ScoreSpec
 from gauge_envs.files import toml_document
 from gauge_envs.observables.kinds import Observable
-from gauge_envs.references.bands import Band, BandSidecar, BandSpec, read_band
+from gauge_envs.references.band import Band, BandSidecar, BandSpec, read_band
 from gauge_envs.references.metrics import METRICS, BaselineMetric
 from gauge_envs.references.published import PUBLISHED_ENGINES, Baseline, Reference
 from gauge_envs.references.tables import FileModel

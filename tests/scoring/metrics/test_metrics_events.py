@@ -7,7 +7,7 @@ import pytest
 from swings import swung_rad
 
 from gauge_envs.errors import ShapeError
-from gauge_envs.scoring.metrics.events import (
+from gauge_envs.scoring.events import (
     dropped_rests,
     energy_loss,
     longest_stationary_duration,

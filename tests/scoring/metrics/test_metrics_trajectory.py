@@ -8,7 +8,7 @@ from hypothesis import given, strategies as st
 from hypothesis.extra.numpy import arrays
 
 from gauge_envs.errors import ShapeError
-from gauge_envs.scoring.metrics.trajectory import (
+from gauge_envs.scoring.metrics import (
     band_coverage,
     dtw_path,
     mean_abs_z,

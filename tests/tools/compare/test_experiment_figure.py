@@ -15,7 +15,7 @@ from gauge_envs.experiments.task_files import task_sha256
 from gauge_envs.experiments.variants import find_variant, variants
 from gauge_envs.pages.figures import new_figure, save_png
 from gauge_envs.pages.text import QUESTIONS
-from gauge_envs.references.grades import BandGrade
+from gauge_envs.references.kind import Kind
 from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result
 from gauge_envs.scoring.deviation import trial_distances
 from gauge_envs.scoring.score import Score, score_trajectory
@@ -98,7 +98,7 @@ def quick(name, *backends):
     band = reference_band(experiment)
     times_s, values = motion_of(experiment, band)
     values = values + times_s[:, None] * np.linspace(0.1, 1.0, values.shape[1])
-    grade = (BandGrade.NONE if band is None else band.grade).value
+    grade = (Kind.NONE if band is None else band.kind).value
     score = Score(grade=grade, unit=experiment.score.observable.unit)
     markers = markers_of(experiment, band)
     one = result_of(experiment, score, times_s, values, markers, backend=backends[0])
@@ -129,7 +129,7 @@ def kind_of(name):
     """What a page depends on: what is observed, how many coordinates it has, and its reference."""
     experiment = load_experiment(name)
     band = reference_band(experiment)
-    grade = None if band is None else band.grade
+    grade = None if band is None else band.kind
     return experiment.score.observable, len(experiment.coordinates), grade
 
 
@@ -138,11 +138,11 @@ def test_a_page_fits_on_a_screen_and_answers_one_question(name):
     results = quick(name, "mujoco", "newton")
     figure = draw_experiment(results)
     assert round(figure.get_figheight() * 120) <= MOST_PIXELS
-    grade = BandGrade(results[0].score.grade)
+    grade = Kind(results[0].score.grade)
     texts = texts_of(figure)
     asked = [text for text in texts for one in QUESTIONS.values() if one in text]
     assert any("Distance from" in text for text in texts)
-    if grade is BandGrade.NONE:
+    if grade is Kind.NONE:
         assert asked == []
         return
     question = "verification" if grade.is_solution else "validation"

@@ -34,8 +34,8 @@ from gauge_envs.errors import (
     UnknownNameError,
 )
 from gauge_envs.files import data_folder
-from gauge_envs.references.bands import bundled_band
-from gauge_envs.references.grades import BandGrade
+from gauge_envs.references.band import bundled_band
+from gauge_envs.references.kind import Kind
 from gauge_envs.references.imported import load_imported, recorded_drivers
 from gauge_envs.references.published import published_baselines
 from gauge_envs.references.user_data import DataSource, user_data_folder
@@ -214,7 +214,7 @@ def test_all_75_experiments_are_found_in_their_folders(tmp_path):
     assert list(found) == names
     assert all((one.used, one.left_out) == (2, 0) for one in found.values())
     grades = {band_grade(name, DataSource.IMPORTED) for name in found}
-    assert grades == {BandGrade.TRIALS}
+    assert grades == {Kind.TRIALS}
 
 
 def test_published_baselines_come_out_of_the_importer(tmp_path):
@@ -267,7 +267,7 @@ def test_an_import_is_used_when_asked_for_and_shown(tmp_path, gauge):
     write_revision(tmp_path, "9e0acb7" + 33 * "0")
     assert gauge("data", "import", tmp_path).exit_code == 0
     grades = band_grade(name), band_grade(name, DataSource.IMPORTED)
-    assert grades == (BandGrade.MODEL, BandGrade.TRIALS)
+    assert grades == (Kind.NUMERICAL, Kind.TRIALS)
 
     def shown(*words):
         return json.loads(gauge(*words, "--json").stdout)
@@ -618,7 +618,7 @@ def test_a_damaged_store_is_named(suffix, content, store, tmp_path, gauge):
     assert gauge("show", SLIDER, "--use", "imported-reference").exit_code == 2
     assert gauge("show", SLIDER).exit_code == 0
     imported(tmp_path)
-    assert band_grade(SLIDER, DataSource.IMPORTED) is BandGrade.TRIALS
+    assert band_grade(SLIDER, DataSource.IMPORTED) is Kind.TRIALS
 
 
 @pytest.mark.parametrize("arrays", ["", "..", "../a.npz", "a\0.npz"])

@@ -13,7 +13,7 @@ from gauge_envs.backends import backend
 from gauge_envs.runs.rollout import DeclinedError, DivergedError
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G
 from gauge_envs.scene.driver_path import DriverPath
-from gauge_envs.scoring.metrics.trajectory import trajectory_dtw, trajectory_rmse
+from gauge_envs.scoring.metrics import trajectory_dtw, trajectory_rmse
 from gauge_envs.tools.sanity.measure import Measurements, judged
 from gauge_envs.tools.sanity.model import Reality, Verdict
 from gauge_envs.tools.sanity.phenomena import phenomena

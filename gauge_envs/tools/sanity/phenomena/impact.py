@@ -12,7 +12,7 @@ from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import Hinge, Scene, Sphere, Vector
 from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.scoring.estimators import first_bounce
-from gauge_envs.scoring.metrics.events import momentum_transfer_efficiency
+from gauge_envs.scoring.events import momentum_transfer_efficiency
 from gauge_envs.tools.sanity.model import Reality
 from gauge_envs.tools.sanity.phenomena.base import (
     PUBLISHED_TRIALS,

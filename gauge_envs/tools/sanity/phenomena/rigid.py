@@ -15,9 +15,8 @@ from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import ConvexUnion, Hinge, RigidBody, Scene, Sphere
 from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-from gauge_envs.scoring.estimators import mean_period_s
-from gauge_envs.scoring.metrics.events import energy_loss
-from gauge_envs.scoring.pendulum_laws import pendulum_period_s
+from gauge_envs.scoring.estimators import mean_period_s, pendulum_period_s
+from gauge_envs.scoring.events import energy_loss
 from gauge_envs.tools.sanity.model import Reality
 from gauge_envs.tools.sanity.phenomena.base import (
     RECORDINGS,

@@ -1,0 +1,392 @@
+"""Bands: the reference motion of each experiment, with its scatter and its uncertainty.
+
+`scoring/bands/<id>.toml` states what a reference is, and `<id>.npz` has its arrays; `scoring/README.md` describes both.
+Real trials that `gauge data import` reads become the same pair in the folder of the user.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
+
+from gauge_envs.errors import ShapeError
+from gauge_envs.files import npz_arrays, toml_document
+from gauge_envs.references.kind import Kind
+from gauge_envs.references.tables import (
+    FileModel,
+    faults_of,
+    read_content,
+    scoring_folder,
+)
+from gauge_envs.references.user_data import DataSource, trials_folder
+from gauge_envs.scene.geometry import BoolArray, FloatArray
+
+MARKER_SIGMA_MM = 1.0
+"""Least distance of a marker that a reward counts as 1 [mm]; a choice, as no scatter of markers is published."""
+
+ARRAYS = (
+    "projection",
+    "mean",
+    "sigma",
+    "uncertainty",
+    "measured",
+    "trials",
+    "trial_rmse",
+    "trial_rmse_aligned",
+)
+"""Arrays of a band; `projection`, `uncertainty` and those of trials may be absent."""
+
+MARKER_ARRAYS = ("markers_mm", "markers_uncertainty_mm")
+"""Arrays of a numerical solution of cloth or foam: positions of its markers, shape [T, 3 M]."""
+
+
+class RecordedEvent(FileModel):
+    """Real value of one event, measured in a recording.
+
+    Attributes:
+        name: Name of the event, as `swing_frequency_hz`.
+        unit: Unit of the value.
+        value: Real value.
+        standard_uncertainty: Its standard uncertainty.
+        source: Recording and method, one sentence.
+    """
+
+    name: str
+    unit: str
+    value: float
+    standard_uncertainty: float = Field(ge=0.0)
+    source: str
+
+
+class BandFile(FileModel):
+    """The file `<id>.toml` of a reference.
+
+    Attributes:
+        kind: What the reference motion is; `none` for events alone.
+        unit: Unit of g(t).
+        coordinates: Names of the C coordinates of the band.
+        source: Where the numbers are from, one sentence.
+        licence: Licence of the data.
+        trial_count: Number of real trials; None is unknown.
+        normalized: Whether distances are divided by the published distance of real trials.
+        standard_uncertainty: As `Band.standard_uncertainty`; for readers of the file.
+        zero_motion_distance: As `Band.zero_motion_distance`; for readers of the file.
+        exact: Normalized distance of an exact solution of the scene, by parameter set.
+        exact_source: How the exact solution was computed.
+        events: Real values of events.
+        imported: What `gauge data import` states about the trials; empty for bundled references.
+    """
+
+    kind: Literal["trials", "recording", "analytic", "numerical", "none"]
+    unit: str
+    coordinates: tuple[str, ...] = ()
+    source: str
+    licence: str = ""
+    trial_count: int | None = None
+    normalized: bool = True
+    standard_uncertainty: float | None = None
+    zero_motion_distance: float | None = None
+    exact: dict[str, float] = Field(default_factory=dict)
+    exact_source: str = ""
+    events: tuple[RecordedEvent, ...] = ()
+    imported: dict[str, Any] = Field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Band:
+    """Mean and scatter of a reference per frame, in coordinates that are a linear map of g(t).
+
+    All arrays are read-only. T is the number of frames, C that of the band's coordinates, D the width of g(t).
+
+    Attributes:
+        kind: What the mean is.
+        unit: Unit of all distances.
+        coordinates: Names of the C coordinates.
+        projection: Map from g(t) to the band's coordinates, shape [C, D]; it picks the measured directions.
+        mean: Mean at frames 0, 1, ..., shape [T, C]; NaN is unknown.
+        sigma: Standard deviation between real trials, shape [T, C]; for a solution that of the reward.
+        measured: Whether a frame was measured, shape [T]. RMSE and DTW also use extrapolated frames, z does not.
+        source: Where the numbers are from, one sentence.
+        licence: Licence of the data.
+        trial_count: Number of real trials; None is unknown.
+        uncertainty: Standard uncertainty of the mean, or of one measured trial, shape [T, C]; None if not stated.
+        trials: Each real trial, shape [N, T, C]; NaN is unknown. None if only mean and scatter are known.
+        trial_rmse: RMSE of each real trial to the mean of the others, shape [N]; None without single trials.
+        trial_rmse_aligned: The same after the time shift with the least RMSE, shape [N].
+        normalized: Whether distances are divided by the published distance of real trials.
+        points: Positions of the markers as a band in mm; scores and rewards of cloth and foam use them.
+        exact: Normalized distance of an exact solution with the same constants, by parameter set.
+        stated_uncertainty: `standard_uncertainty` as a file states it; None computes it from the arrays.
+
+    Raises:
+        ShapeError: Arrays do not fit each other, or sigma is negative.
+    """
+
+    kind: Kind
+    unit: str
+    coordinates: tuple[str, ...]
+    projection: FloatArray
+    mean: FloatArray
+    sigma: FloatArray
+    measured: BoolArray
+    source: str
+    licence: str = ""
+    trial_count: int | None = None
+    uncertainty: FloatArray | None = None
+    trials: FloatArray | None = None
+    trial_rmse: FloatArray | None = None
+    trial_rmse_aligned: FloatArray | None = None
+    normalized: bool = True
+    points: Band | None = None
+    exact: Mapping[str, float] = field(default_factory=dict)
+    stated_uncertainty: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in ARRAYS:
+            given = getattr(self, name)
+            if given is not None:
+                values = np.array(given, dtype=bool if name == "measured" else float)
+                values.setflags(write=False)
+                object.__setattr__(self, name, values)
+        width = len(self.coordinates)
+        frame_count = len(self.mean)
+        shape = (frame_count, width)
+        trial_count = 0 if self.trials is None else len(self.trials)
+        expected = {
+            "projection": (width, self.projection.shape[-1]),
+            "mean": shape,
+            "sigma": shape,
+            "uncertainty": shape,
+            "measured": (frame_count,),
+            "trials": (trial_count, *shape),
+            "trial_rmse": (trial_count,),
+            "trial_rmse_aligned": (trial_count,),
+        }
+        for name in ARRAYS:
+            values = getattr(self, name)
+            if values is not None and values.shape != expected[name]:
+                raise ShapeError(
+                    f"{name} has shape {values.shape}, expected {expected[name]}"
+                )
+        if (self.sigma < 0).any():
+            raise ShapeError("sigma: a standard deviation is never negative")
+
+    @cached_property
+    def known(self) -> BoolArray:
+        """Whether a frame has a mean, shape [T]."""
+        return np.asarray(np.isfinite(self.mean).any(axis=1))
+
+    @property
+    def compared(self) -> Band:
+        """The band of the markers where there is one, else this band: what verdicts and rewards are of."""
+        return self.points or self
+
+    @property
+    def marker_count(self) -> int:
+        """Number of markers whose positions are the coordinates; 1 for other coordinates."""
+        is_of_markers = self.coordinates[0].startswith("marker-")
+        return len(self.coordinates) // 3 if is_of_markers and self.unit == "mm" else 1
+
+    def length(self, deviation: FloatArray) -> float:
+        """Return the root mean square over known frames of a deviation, shape [T, C]; over markers too, if any."""
+        squares = np.where(np.isfinite(self.mean), np.square(deviation), 0.0)
+        of_frames = squares.sum(axis=1)[self.known] / self.marker_count
+        return math.sqrt(float(of_frames.mean()))
+
+    @cached_property
+    def standard_uncertainty(self) -> float:
+        """Standard uncertainty u of the mean in the norm of the distance.
+
+        It is the scatter over the root of the number of trials for `trials`, scatter and measurement for `recording`,
+        the discretization for `numerical`. For `analytic` it is what the form leaves open; an exact form has the
+        resolution of motion capture, 1 mm in each coordinate.
+        """
+        if self.stated_uncertainty is not None:
+            return self.stated_uncertainty
+        compared = self.compared
+        sigma = compared.sigma
+        if self.kind is Kind.TRIALS:
+            return compared.length(sigma / math.sqrt(self.trial_count or 1))
+        stated = compared.uncertainty
+        if self.kind is Kind.RECORDING:
+            return compared.length(np.hypot(sigma, 0.0 if stated is None else stated))
+        return compared.length(sigma if stated is None else stated)
+
+    @cached_property
+    def zero_motion_distance(self) -> float:
+        """Distance of a scene in which nothing moves."""
+        compared = self.compared
+        first = int(compared.known.argmax())
+        return compared.length(compared.mean - compared.mean[first])
+
+    def of_trial(self, trial: int) -> Band:
+        """Return the band of one of its trials, with the uncertainty of measuring it."""
+        assert self.trials is not None and self.uncertainty is not None, (
+            "a band of trials, each of them measured"
+        )
+        return replace(
+            self,
+            mean=self.trials[trial],
+            sigma=np.nan_to_num(self.uncertainty),
+            trial_count=1,
+            source=f"trial {trial} of {self.source}",
+            trials=None,
+            trial_rmse=None,
+            trial_rmse_aligned=None,
+            normalized=False,
+            stated_uncertainty=None,
+        )
+
+    def project(self, g: ArrayLike) -> FloatArray:
+        """Return g(t), shape [frame_count, D], in the coordinates of the band, shape [frame_count, C]."""
+        trajectory = np.asarray(g, dtype=np.float64)
+        if trajectory.ndim != 2 or trajectory.shape[1] != self.projection.shape[1]:
+            raise ShapeError(
+                f"trajectory has shape {trajectory.shape}; [frame_count, {self.projection.shape[1]}] is needed"
+            )
+        return trajectory @ self.projection.T
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready dictionary; an unknown number is None."""
+        values: dict[str, Any] = {
+            one.name: getattr(self, one.name)
+            for one in fields(self)
+            if one.name != "points"
+        }
+        for name in ARRAYS:
+            if values[name] is not None:
+                values[name] = _with_none(values[name])
+        return values | {"coordinates": list(self.coordinates)}
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> Band:
+        """Build a band from `to_dict`.
+
+        Raises:
+            ValueError: The values are not those of a band.
+        """
+        try:
+            kind = Kind(values["kind"])
+            coordinates = tuple(values["coordinates"])
+            return cls(**{**values, "kind": kind, "coordinates": coordinates})
+        except (KeyError, TypeError) as error:
+            raise ValueError(f"not a band: {error}") from error
+
+
+def _with_none(values: NDArray[Any]) -> list[Any]:
+    """Return nested lists with None for NaN, which JSON lacks; NumPy reads None as NaN."""
+    if values.dtype.kind != "f":
+        return values.tolist()
+    entries = values.astype(object)
+    entries[np.isnan(values)] = None
+    return entries.tolist()
+
+
+# --- files -----------------------------------------------------------------------------------------------------------
+
+
+def band_file(variant: str, source: DataSource = DataSource.BUNDLED) -> Path | None:
+    """Return the TOML file of the reference of a variant; None without one.
+
+    Imported trials come first if `source` asks for them, and last if not.
+    """
+    folders = [scoring_folder("bands"), trials_folder()]
+    if source is DataSource.IMPORTED:
+        folders.reverse()
+    files = [folder / f"{variant}.toml" for folder in folders]
+    return next((file for file in files if file.is_file()), None)
+
+
+def load_band(variant: str, source: DataSource = DataSource.BUNDLED) -> Band | None:
+    """Return the reference motion of a variant, or None.
+
+    Args:
+        variant: Name of the variant, as `SlopeSlider-2-wood`.
+        source: `bundled`, or `imported` for that of the imported trials.
+
+    Raises:
+        ReferenceFileError: A file is damaged.
+    """
+    file = band_file(variant, source)
+    return None if file is None else _read_band(file, file.stat().st_mtime_ns)
+
+
+def stated_of(file: Path) -> BandFile:
+    """Return what the TOML file of a reference states."""
+    return _stated_of(file, file.stat().st_mtime_ns)
+
+
+@lru_cache(maxsize=256)
+def _stated_of(file: Path, modified_ns: int) -> BandFile:
+    """Return the content of a file; its time distinguishes imports in the cache."""
+    with faults_of(file):
+        return BandFile.model_validate(toml_document(read_content(file)))
+
+
+@lru_cache(maxsize=128)
+def _read_band(file: Path, modified_ns: int) -> Band | None:
+    """Return the band of a TOML file and the NPZ file beside it."""
+    stated = stated_of(file)
+    if stated.kind == Kind.NONE:
+        return None
+    arrays_file = file.with_suffix(".npz")
+    with faults_of(arrays_file):
+        arrays = npz_arrays(read_content(arrays_file), (*ARRAYS, *MARKER_ARRAYS))
+        band = Band(
+            kind=Kind(stated.kind),
+            unit=stated.unit,
+            coordinates=stated.coordinates,
+            projection=arrays.get("projection", np.eye(len(stated.coordinates))),
+            mean=arrays["mean"],
+            sigma=arrays["sigma"],
+            measured=arrays["measured"],
+            source=stated.source,
+            licence=stated.licence,
+            trial_count=stated.trial_count,
+            uncertainty=arrays.get("uncertainty"),
+            trials=arrays.get("trials"),
+            trial_rmse=arrays.get("trial_rmse"),
+            trial_rmse_aligned=arrays.get("trial_rmse_aligned"),
+            normalized=stated.normalized,
+            exact=stated.exact,
+            stated_uncertainty=stated.standard_uncertainty,
+        )
+        if "markers_mm" not in arrays:
+            return band
+        return replace(band, points=_marker_band(band, arrays))
+
+
+def _marker_band(band: Band, arrays: Mapping[str, NDArray[Any]]) -> Band:
+    """Return the band of the markers of a numerical solution."""
+    mean_mm, uncertainty_mm = (arrays[name] for name in MARKER_ARRAYS)
+    count = mean_mm.shape[1] // 3
+    names = tuple(f"marker-{index}.{axis}" for index in range(count) for axis in "xyz")
+    return Band(
+        kind=band.kind,
+        unit="mm",
+        coordinates=names,
+        projection=np.eye(3 * count),
+        mean=mean_mm,
+        sigma=np.fmax(uncertainty_mm, MARKER_SIGMA_MM),
+        measured=np.isfinite(mean_mm).all(axis=1),
+        source=band.source,
+        licence=band.licence,
+        uncertainty=uncertainty_mm,
+        normalized=False,
+    )
+
+
+def recorded_events(
+    variant: str, source: DataSource = DataSource.BUNDLED
+) -> tuple[RecordedEvent, ...]:
+    """Return the events of a variant that have a real value in a recording."""
+    file = band_file(variant, source)
+    return () if file is None else stated_of(file).events

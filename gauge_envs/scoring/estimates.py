@@ -1,0 +1,483 @@
+"""Estimates of friction, restitution, period and ringing: of a simulated motion, and of real trials by the same method."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from gauge_envs.experiments.experiment import Experiment
+from gauge_envs.observables.kinds import Observable
+from gauge_envs.references.band import Band
+from gauge_envs.scene import ContactMode
+from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.scene import GRAVITY_M_PER_S2
+from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.scoring.estimators import (
+    acceleration_error_m_per_s2,
+    acceleration_m_per_s2,
+    first_bounce,
+    slide_friction,
+)
+from gauge_envs.scoring.events import PUBLISHED_TRIALS, oscillation_period
+
+LEAST_SAMPLES = 4
+"""Smallest number of frames that determine an acceleration with its uncertainty."""
+
+LEAST_INCLINE, STEEPEST_INCLINE = 0.05, 0.999
+"""Sine of the slope of a slide: a flatter path is not driven by the weight, and a steeper one is a fall."""
+
+TILT_DEG = 0.3
+"""Standard uncertainty of the tilt of the board in real slides [deg], from the recording of SlopeSlider-3."""
+
+MAX_MISFIT = 0.04
+"""Largest root-mean-square misfit of a law of motion, over the root mean square of the displacement.
+
+The mean of real slides, which start at different times, has a misfit of up to 0.032 to uniform acceleration.
+"""
+
+IMPACT_WINDOW_S = 1.0 / 60.0
+"""Longest duration of an impact [s]; that of the ball takes 5 ms."""
+
+IMPACT_SHARE = 0.1
+"""Smallest change of velocity in an impact, over the largest; a second impact has e times the change of the first."""
+
+LARGEST_DAMPING_RATIO = 0.5
+"""Damping ratio above which a body creeps: each half swing is less than a sixth of the one before."""
+
+LEAST_RINGING_SAMPLES = 12
+"""Smallest number of samples that determine the five constants of the law with their uncertainty."""
+
+HIGHER_MODES_S = 0.15
+"""Time after the release that is left out [s]: the first swing of the beam has most of the higher bending modes."""
+
+STARTS_AT_ONCE = 100
+"""Number of starts of a motion that are fitted in one array."""
+
+PADDING = 8
+"""Length of the spectrum that starts the fit, over that of the signal."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measured:
+    """One quantity of a simulated motion, beside that of real trials.
+
+    Attributes:
+        value: Value of the simulation; None if the event does not happen.
+        unit: Unit of all numbers; `1` for a ratio.
+        uncertainty: Standard uncertainty of `value` from the fit; 0 for an event.
+        real: Value of the real trials or the recording; None if it is not known.
+        real_uncertainty: Standard uncertainty of `real`, with that of the set-up; None if it is not known.
+    """
+
+    value: float | None
+    unit: str
+    uncertainty: float = 0.0
+    real: float | None = None
+    real_uncertainty: float | None = None
+
+    @property
+    def over_real(self) -> float | None:
+        """Value over the real value; None without one, or if that is 0."""
+        return self.value / self.real if self.value is not None and self.real else None
+
+    @property
+    def is_inside(self) -> bool | None:
+        """Whether the value is within 1.96 standard uncertainties of the real one; None if that is not known."""
+        if self.real is None or self.real_uncertainty is None:
+            return None
+        if self.value is None:
+            return False
+        return abs(self.value - self.real) <= 1.96 * self.real_uncertainty
+
+
+RealValue = tuple[float | None, float | None]
+"""Value of real trials and its standard uncertainty."""
+
+
+def _beside(
+    real: RealValue | None, value: float, uncertainty: float, unit: str
+) -> Measured:
+    """Return a quantity with nine digits: the last bits of a fit depend on the memory that holds its samples."""
+    mean, error = real or (None, None)
+    return Measured(
+        value=float(f"{value:.9g}"),
+        unit=unit,
+        uncertainty=float(f"{uncertainty:.9g}"),
+        real=mean,
+        real_uncertainty=error,
+    )
+
+
+def estimates(
+    experiment: Experiment,
+    band: Band | None,
+    *,
+    times_s: FloatArray,
+    values: FloatArray,
+) -> dict[str, Measured]:
+    """Return what the motion of a single undriven body, or a ringing of markers, implies.
+
+    Args:
+        experiment: The experiment.
+        band: Its reference; slides, rebounds and ringing need one.
+        times_s: Times from frame 0 on [s], shape [S].
+        values: g(t) at those times [mm], shape [S, D].
+
+    Returns:
+        `friction`, `restitution`, `period`, or `frequency`, `decay_rate` and `droop`, by name; empty for other motions.
+    """
+    observable, score = experiment.score.observable, experiment.score
+    if experiment.scene.drivers:
+        return {}
+    if observable is Observable.MARKER_POSITION and score.period_axis is not None:
+        return {} if band is None else _ringing(band, times_s, values)
+    if observable is not Observable.POSITION or len(experiment.recorded) != 1:
+        return {}
+    if score.period_axis is not None or "pd" in score.metrics:
+        return _period(experiment, times_s, values)
+    if band is None or experiment.scene.joints:
+        return {}
+    last_s = float(np.flatnonzero(band.known)[-1]) / FRAME_RATE_HZ
+    seen = times_s <= last_s + 1e-6
+    return _of_free_body(experiment, band, times_s[seen], values[seen])
+
+
+def _of_free_body(
+    experiment: Experiment, band: Band, times_s: FloatArray, values: FloatArray
+) -> dict[str, Measured]:
+    """Return the restitution of a rebound, or the friction of a slide."""
+    projected = band.project(values)
+    contacts = [
+        one
+        for one in experiment.scene.contacts
+        if experiment.recorded[0] in (*one.first, *one.second)
+    ]
+    if contacts and all(one.mode is ContactMode.IMPACT for one in contacts):
+        gravity = experiment.scene.gravity_m_per_s2
+        along = band.projection @ [0.0, 0.0, -gravity]
+        restitution = rebound(times_s, projected, gravity_m_per_s2=along)
+        if restitution is not None:
+            return {
+                "restitution": _beside(_real_restitution(band), restitution, 0.0, "1")
+            }
+    if contacts and is_uniformly_accelerated(times_s, projected):
+        return _friction(experiment, band, times_s, values)
+    return {}
+
+
+def is_uniformly_accelerated(times_s: FloatArray, values: FloatArray) -> bool:
+    """Return whether a motion is one of constant acceleration from rest.
+
+    In a recording the body may rest for a while before it moves. Of each start, the best acceleration leaves a sum of
+    squares that is smaller by the square of the projection on the motion of unit acceleration.
+
+    Args:
+        times_s: Times from 0 on [s], shape [S].
+        values: Coordinates at these times, shape [S, C].
+    """
+    moved = values - values[0]
+    total = float(np.square(moved).sum())
+    if total == 0.0:
+        return False
+    starts_s = times_s[times_s <= 0.5 * times_s[-1]]
+    largest = 0.0
+    for some_s in np.array_split(starts_s, math.ceil(len(starts_s) / STARTS_AT_ONCE)):
+        motions = 0.5 * np.square(np.maximum(times_s - some_s[:, None], 0.0))
+        gained = np.square(motions @ moved).sum(axis=1)
+        largest = max(largest, float((gained / np.square(motions).sum(axis=1)).max()))
+    return total - largest <= MAX_MISFIT**2 * total
+
+
+def _of_trials(found: list[float]) -> RealValue | None:
+    """Return mean and standard uncertainty of the values of several trials; None of fewer than two."""
+    if len(found) < 2:
+        return None
+    scatter = float(np.std(found, ddof=1))
+    return float(np.mean(found)), scatter / math.sqrt(len(found))
+
+
+# --- slide -----------------------------------------------------------------------------------------------------------
+
+
+def _friction(
+    experiment: Experiment, band: Band, times_s: FloatArray, values: FloatArray
+) -> dict[str, Measured]:
+    """Return the friction of a slide: mu = (g sin - a) / (g cos), with the slope of the path."""
+    path = values[-1] - values[0]
+    direction = path / np.linalg.norm(path)
+    if not LEAST_INCLINE <= -direction[2] <= STEEPEST_INCLINE:
+        return {}
+    gravity = experiment.scene.gravity_m_per_s2
+    path_m = 1e-3 * (values - values[0]) @ direction
+    acceleration, error = _acceleration(times_s, path_m)
+    slope_rad = math.asin(-float(direction[2]))
+    friction = slide_friction(acceleration, slope_rad, gravity_m_per_s2=gravity)
+    uncertainty = error / (gravity * math.cos(slope_rad))
+    return {"friction": _beside(_real_friction(band), friction, uncertainty, "1")}
+
+
+def _acceleration(times_s: FloatArray, path_m: FloatArray) -> tuple[float, float]:
+    """Return the acceleration of the moving part of a path that starts at 0, and its standard error [m/s^2].
+
+    Only the part after 2 mm of travel is fitted: a body that is held is not in the law.
+    """
+    moving = path_m > 2e-3
+    if moving.sum() < LEAST_SAMPLES:
+        moving = np.ones(len(path_m), dtype=bool)
+    moving_s, moving_m = times_s[moving], path_m[moving]
+    return acceleration_m_per_s2(moving_s, moving_m), acceleration_error_m_per_s2(
+        moving_s, moving_m
+    )
+
+
+@lru_cache(maxsize=64)
+def _real_friction(band: Band) -> RealValue | None:
+    """Return mean and standard uncertainty of the friction of real trials, tilt included; None without trials."""
+    if band.trials is None or len(band.trials) < 2:
+        return None
+    path = band.mean[band.measured][-1] - band.mean[band.measured][0]
+    along = path / np.linalg.norm(path)
+    direction = np.linalg.pinv(band.projection) @ along
+    sine = -float(direction[2] / np.linalg.norm(direction))
+    if not LEAST_INCLINE < sine < 1.0:
+        return None
+    slope_rad = math.asin(sine)
+    times_s = np.arange(len(band.mean)) / FRAME_RATE_HZ
+    found = []
+    for trial in band.trials:
+        seen = band.measured & np.isfinite(trial).all(axis=1)
+        if seen.sum() < LEAST_SAMPLES:
+            continue
+        path_m = 1e-3 * (trial[seen] - trial[seen][0]) @ along
+        acceleration, _ = _acceleration(times_s[seen], path_m)
+        found.append(
+            slide_friction(acceleration, slope_rad, gravity_m_per_s2=GRAVITY_M_PER_S2)
+        )
+    real = _of_trials(found)
+    if real is None or real[0] is None or real[1] is None:
+        return None
+    mean, error = real
+    # mu = tan - a / (g cos), so d mu / d slope = 1 + mu tan.
+    of_tilt = math.radians(TILT_DEG) * (1.0 + mean * math.tan(slope_rad))
+    return mean, math.hypot(error, of_tilt)
+
+
+# --- rebound ---------------------------------------------------------------------------------------------------------
+
+
+def rebound(
+    times_s: FloatArray, values: FloatArray, *, gravity_m_per_s2: FloatArray
+) -> float | None:
+    """Return the restitution of the first impact of a body between two free flights; None without one.
+
+    The sharpest change of velocity gives the normal; `estimators.first_bounce` along it gives the speeds, where the
+    parabolas before and after the impact meet.
+
+    Args:
+        times_s: Times [s], strictly increasing, shape [S].
+        values: Coordinates at these times [mm], shape [S, C].
+        gravity_m_per_s2: Acceleration of a free body in the same coordinates, shape [C].
+    """
+    steps = np.diff(times_s)
+    window = max(2, round(IMPACT_WINDOW_S / float(np.median(steps))))
+    velocity = np.diff(values, axis=0) / steps[:, None]
+    if len(velocity) <= 2 * window:
+        return None
+    jumps = velocity[window:] - velocity[:-window]
+    # The change of velocity in free flight is not part of an impact. A second impact may change it much less.
+    sizes = np.linalg.norm(jumps - np.median(jumps, axis=0), axis=1)
+    hits = np.flatnonzero(sizes >= IMPACT_SHARE * sizes.max())
+    first = hits[0] + int(np.argmax(sizes[hits[0] : hits[0] + window]))
+    if sizes[first] == 0.0:
+        return None
+    normal = jumps[first] / np.linalg.norm(jumps[first])
+    if velocity[first] @ normal >= 0.0 or velocity[first + window] @ normal <= 0.0:
+        return None
+    gravity = -float(gravity_m_per_s2 @ normal)
+    if gravity <= 0.0:
+        return None
+    bounce = first_bounce(
+        times_s,
+        1e-3 * values @ normal,
+        gravity_m_per_s2=gravity,
+        contact_m=None,
+        released_m=None,
+    )
+    if bounce is None or bounce.speed_out_m_per_s == 0.0 or bounce.misfit > MAX_MISFIT:
+        return None
+    return bounce.speed_out_m_per_s / bounce.speed_in_m_per_s
+
+
+@lru_cache(maxsize=64)
+def _real_restitution(band: Band) -> RealValue | None:
+    """Return mean and standard uncertainty of the restitution of real trials; None without trials."""
+    times_s = np.arange(len(band.mean)) / FRAME_RATE_HZ
+    gravity = band.projection @ [0.0, 0.0, -GRAVITY_M_PER_S2]
+    found = []
+    for trial in () if band.trials is None else band.trials:
+        seen = np.isfinite(trial).all(axis=1)
+        if seen.sum() <= 2 * LEAST_SAMPLES:
+            continue
+        value = rebound(times_s[seen], trial[seen], gravity_m_per_s2=gravity)
+        if value is not None:
+            found.append(value)
+    return _of_trials(found)
+
+
+# --- swing -----------------------------------------------------------------------------------------------------------
+
+
+def _period(
+    experiment: Experiment, times_s: FloatArray, values: FloatArray
+) -> dict[str, Measured]:
+    """Return the period of a swing about a hinge, beside the published mean of real trials."""
+    if not experiment.scene.joints:
+        return {}
+    axis = "xyz".index(experiment.score.period_axis or "x")
+    swing = values[:, axis] - 1e3 * experiment.scene.joints[0].anchor_m[axis]
+    if np.ptp(swing) == 0.0:
+        return {}
+    baseline = experiment.baselines.get("pd")
+    frames = experiment.frame_count if baseline is None else baseline.frames
+    seen = times_s <= (frames - 1) / FRAME_RATE_HZ + 1e-6
+    step_s = float(np.median(np.diff(times_s)))
+    period_s = oscillation_period(swing[seen], frame_rate_hz=1.0 / step_s)
+    real = None
+    if baseline is not None and baseline.std is not None:
+        real = baseline.mean, baseline.std / math.sqrt(PUBLISHED_TRIALS)
+    return {"period": _beside(real, period_s, 0.0, "s")}
+
+
+# --- ringing ---------------------------------------------------------------------------------------------------------
+
+
+def _ringing(
+    band: Band, times_s: FloatArray, values: FloatArray
+) -> dict[str, Measured]:
+    """Return frequency, decay rate and droop of the first coordinate of the band."""
+    seen = times_s <= (len(band.mean) - 1) / FRAME_RATE_HZ + 1e-6
+    heights_mm = band.project(values[seen])[:, 0]
+    # The simulated body starts level. A recorded one is held by hand, and may be pushed as it is let go.
+    level_mm = float(heights_mm[0])
+    simulated = fit_ringing(times_s[seen], heights_mm, level_mm=level_mm)
+    if simulated is None:
+        return {}
+    trials = _real_ringing(band, level_mm)
+    found = {}
+    # What creeps to its place has no frequency: the fit then describes the creep by any one.
+    creeps = simulated.damping_ratio > LARGEST_DAMPING_RATIO
+    for name, unit in (("frequency", "Hz"), ("decay_rate", "1/s"), ("droop", "mm")):
+        if creeps and name != "droop":
+            continue
+        real_values = [one.constants[name][0] for one in trials]
+        single = (real_values[0], None) if real_values else None
+        real = _of_trials(real_values) or single
+        found[name] = _beside(real, *simulated.constants[name], unit)
+    return found
+
+
+@lru_cache(maxsize=64)
+def _real_ringing(band: Band, level_mm: float) -> tuple[Ringing, ...]:
+    """Return the ringing of each real trial."""
+    trials = band.mean[None] if band.trials is None else band.trials
+    times_s = np.arange(len(band.mean)) / FRAME_RATE_HZ
+    fits = [fit_ringing(times_s, trial[:, 0], level_mm=level_mm) for trial in trials]
+    return tuple(fit for fit in fits if fit is not None)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ringing:
+    """Constants of z(t) = level - droop + A exp(-decay t) cos(2 pi f t + phase), each with its standard uncertainty.
+
+    Attributes:
+        frequency_hz: Frequency of the damped swing, and its uncertainty [Hz].
+        decay_rate_per_s: Decay rate of the amplitude, and its uncertainty [1/s].
+        droop_mm: How far the end hangs below its height in the level body, and its uncertainty [mm].
+        residual_mm: Root mean square of what the law leaves [mm].
+    """
+
+    frequency_hz: tuple[float, float]
+    decay_rate_per_s: tuple[float, float]
+    droop_mm: tuple[float, float]
+    residual_mm: float
+
+    @property
+    def constants(self) -> dict[str, tuple[float, float]]:
+        """The constants with their uncertainties, by the name of the estimate."""
+        return {
+            "frequency": self.frequency_hz,
+            "decay_rate": self.decay_rate_per_s,
+            "droop": self.droop_mm,
+        }
+
+    @property
+    def damping_ratio(self) -> float:
+        """Decay rate over the angular frequency of the same swing without damping."""
+        angular = 2.0 * math.pi * self.frequency_hz[0]
+        return self.decay_rate_per_s[0] / math.hypot(angular, self.decay_rate_per_s[0])
+
+
+def fit_ringing(
+    times_s: FloatArray, heights_mm: FloatArray, *, level_mm: float
+) -> Ringing | None:
+    """Fit one damped swing to heights after a release.
+
+    The first 0.15 s are left out: one sinusoid does not describe higher bending modes.
+
+    Args:
+        times_s: Times after the release, evenly spaced [s], shape [sample_count].
+        heights_mm: Heights at those times [mm], shape [sample_count].
+        level_mm: Height from which the droop counts, that of the level body [mm].
+
+    Returns:
+        The constants; None for heights that are not finite, do not swing, or have too few samples.
+    """
+    later = times_s >= HIGHER_MODES_S
+    times, signal = times_s[later], heights_mm[later]
+    if (
+        len(times) < LEAST_RINGING_SAMPLES
+        or not np.isfinite(signal).all()
+        or np.ptp(signal) == 0.0
+    ):
+        return None
+    step_s, mean = float(times[1] - times[0]), float(signal.mean())
+    spectrum = np.fft.rfft(
+        (signal - mean) * np.exp(-(times - times[0])), PADDING * len(signal)
+    )
+    strongest = 1 + int(np.abs(spectrum[1:]).argmax())
+    start_hz = strongest / (PADDING * len(signal) * step_s)
+
+    from scipy.optimize import least_squares
+
+    def misfit(constants: FloatArray) -> FloatArray:
+        hang, cosine, sine, decay, frequency = constants
+        angle = 2.0 * math.pi * frequency * (times - times[0])
+        swing = np.exp(-decay * (times - times[0])) * (
+            cosine * np.cos(angle) + sine * np.sin(angle)
+        )
+        return np.asarray(hang + swing - signal)
+
+    # The spectrum leaves the phase open. Two starts a quarter of a swing apart reach the same least sum.
+    half = 0.5 * float(np.ptp(signal))
+    starts = ((half, 0.0), (0.0, half))
+    fits = [
+        least_squares(
+            misfit, [mean, *size, 1.0, start_hz], x_scale=[1.0, 1.0, 1.0, 1.0, 0.1]
+        )
+        for size in starts
+    ]
+    best = min(fits, key=lambda fit: fit.cost)
+    count = len(times) - 5
+    # A law that fits exactly, as in a test, has a covariance of 0.
+    covariance = np.linalg.pinv(best.jac.T @ best.jac) * (2.0 * best.cost / count)
+    errors = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    hang, _, _, decay, frequency = (float(value) for value in best.x)
+    return Ringing(
+        frequency_hz=(abs(frequency), float(errors[4])),
+        decay_rate_per_s=(decay, float(errors[3])),
+        droop_mm=(level_mm - hang, float(errors[0])),
+        residual_mm=math.sqrt(2.0 * best.cost / len(times)),
+    )

@@ -1,0 +1,295 @@
+"""Events of a swing (paper, LSD, MTE, PD, EL): longest rest, momentum transfer, period, energy loss.
+
+Each function takes evenly sampled coordinates and no reference. It returns NaN for an event that does not happen, and
+raises ShapeError for wrong input. The paper leaves two estimators open; `scoring/README.md` says which ones count.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.polynomial import Polynomial
+from numpy.typing import ArrayLike
+
+from gauge_envs.errors import ShapeError
+from gauge_envs.experiments.experiment import Experiment
+from gauge_envs.references.metrics import EVENT_METRICS
+from gauge_envs.scene import Hinge
+from gauge_envs.scene.geometry import FloatArray, IntArray, length_of
+from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.scoring.metrics import bounded_minimum
+
+PUBLISHED_TRIALS = 20
+"""Number of real trials of each task whose mean and standard deviation are published (paper, "Data Acquisition")."""
+
+# Frames on each side of a turning point that locate it; the polynomial through them has twice that degree. At 30 Hz
+# and a period of 1.2 s, a reach of 2 has an error of 3e-6 in energy, and a reach of 4 includes the impact of a cradle.
+_APEX_REACH = 3
+
+
+def event_values(experiment: Experiment, frames: FloatArray) -> dict[str, float]:
+    """Return the events of the first recorded body that an experiment asks for: `lsd`, `mte`, `pd`, `el`.
+
+    Args:
+        experiment: The experiment.
+        frames: Positions of the recorded bodies at the frames [mm], shape [frame_count, D].
+
+    Returns:
+        Values by metric; NaN for an event that does not happen, empty for experiments without events.
+    """
+    wanted = [one for one in experiment.score.metrics if one in EVENT_METRICS]
+    if not wanted:
+        return {}
+    scene, body = experiment.scene, experiment.recorded[0]
+    hinge = next(j for j in scene.joints if isinstance(j, Hinge) and j.body == body)
+    arm_m = length_of(np.subtract(scene.body(body).pose.position_m, hinge.anchor_m))
+    rest_mm = 1e3 * (hinge.anchor_m[2] - arm_m)
+    highest_m = max(scene.body(joint.body).pose.position_m[2] for joint in scene.joints)
+    drop_mm = 1e3 * highest_m - rest_mm
+    heights_mm = frames[:, 2]
+    # The published period is over the first frames alone.
+    baseline = experiment.baselines.get("pd")
+    count = len(frames) if baseline is None else baseline.frames
+    signal_mm = frames[:count, "xyz".index(experiment.score.period_axis or "x")]
+    functions = {
+        "lsd": lambda: longest_stationary_duration(heights_mm),
+        "mte": lambda: momentum_transfer_efficiency(
+            heights_mm, drop_height_mm=drop_mm, rest_height_mm=rest_mm
+        ),
+        "pd": lambda: oscillation_period(signal_mm, frame_rate_hz=FRAME_RATE_HZ),
+        "el": lambda: energy_loss(heights_mm, rest_height_mm=rest_mm),
+    }
+    return {metric: functions[metric]() for metric in wanted}
+
+
+def longest_stationary_duration(
+    height_mm: ArrayLike,
+    *,
+    frame_rate_hz: float = 30.0,
+    height_range_mm: float = 0.5,
+    speed_limit_mm_s: float = 5.0,
+) -> float:
+    """Return the longest rest of a cradle's ball between two impulses (paper, equation and thresholds of LSD).
+
+    A rest is a run of frames between which the height changes at most at the speed limit. Its duration counts the frames
+    of its longest part within the height range. A rest that includes the first frame is the hold before the first
+    impact, and one that includes the last frame is cut; neither counts.
+
+    The paper's condition names a speed and does not define it: here it is that of the height, from frame to frame.
+
+    Args:
+        height_mm: Height of the ball at every frame, shape [frame_count], mm.
+        frame_rate_hz: Frame rate, Hz.
+        height_range_mm: Largest height minus smallest height of one rest, mm.
+        speed_limit_mm_s: Largest speed of one rest, mm/s.
+
+    Returns:
+        Number of frames of the longest rest over the frame rate, s; 0 if the ball never rests between impulses.
+    """
+    heights = _samples("height_mm", height_mm, least=2)
+    is_slow = np.abs(np.diff(heights)) * frame_rate_hz <= speed_limit_mm_s
+    edges = np.diff(np.concatenate(([False], is_slow, [False])).astype(int))
+    # Step k joins frames k and k + 1.
+    longest = 0
+    for first, last in np.flatnonzero(edges).reshape(-1, 2):
+        if first > 0 and last < len(heights) - 1:
+            rest = heights[first : last + 1]
+            longest = max(longest, _longest_window(rest, height_range_mm))
+    return longest / frame_rate_hz if longest >= 2 else 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class SwingTimes:
+    """Times of the swings of a cradle's last ball.
+
+    Attributes:
+        leaves_s: Time at which each swing begins, s.
+        returns_s: Time at which each swing ends, s; one less than `leaves_s` if the trajectory ends during a swing.
+        rests_s: Time between the end of a swing and the start of the next, s.
+    """
+
+    leaves_s: tuple[float, ...]
+    returns_s: tuple[float, ...]
+    rests_s: tuple[float, ...]
+
+
+def swing_times(
+    times_s: ArrayLike,
+    height_mm: ArrayLike,
+    *,
+    rest_height_mm: float,
+    leave_height_mm: float = 1.0,
+) -> SwingTimes:
+    """Return when a cradle's last ball leaves the row and returns to it.
+
+    Args:
+        times_s: Time of every sample, ascending, shape [sample_count], s.
+        height_mm: Height of the last ball, shape [sample_count], mm. The first sample is at rest.
+        rest_height_mm: Height of the last ball at rest, mm.
+        leave_height_mm: Rise above rest that separates a swing from a rest, mm.
+    """
+    heights = _samples("height_mm", height_mm, least=2) - (
+        rest_height_mm + leave_height_mm
+    )
+    times = _samples("times_s", times_s, least=2)
+    if len(times) != len(heights):
+        raise ShapeError(
+            f"times_s has {len(times)} entries, height_mm has {len(heights)}"
+        )
+    before = np.flatnonzero((heights[:-1] > 0) != (heights[1:] > 0))
+    share = heights[before] / (heights[before] - heights[before + 1])
+    crossings = times[before] + share * (times[before + 1] - times[before])
+    rising = heights[before + 1] > 0
+    leaves, returns = crossings[rising], crossings[~rising]
+    # A trajectory that starts above rest ends a swing that it does not begin.
+    returns = returns[returns > leaves[0]] if leaves.size else returns[:0]
+    rests = leaves[1:] - returns[: len(leaves) - 1]
+    return SwingTimes(
+        leaves_s=tuple(leaves.tolist()),
+        returns_s=tuple(returns.tolist()),
+        rests_s=tuple(rests.tolist()),
+    )
+
+
+def momentum_transfer_efficiency(
+    height_mm_out: ArrayLike,
+    *,
+    drop_height_mm: float,
+    rest_height_mm: float,
+    leave_height_mm: float = 1.0,
+) -> float:
+    """Return the momentum of the outgoing ball over that of the incoming ball at the first impact (paper, MTE).
+
+    Args:
+        height_mm_out: Height of the last ball at every frame, shape [frame_count], mm.
+        drop_height_mm: Height of the first ball at its release above its height at rest, mm.
+        rest_height_mm: Height of the last ball at rest, mm.
+        leave_height_mm: Rise above rest that begins the outgoing swing, larger than the noise of a recording, mm.
+
+    Returns:
+        sqrt(rise / drop) as a ratio; the paper's Table 5 prints percent. The rise is that of the first maximum after
+        the ball leaves rest, located between frames. NaN if the ball never leaves rest, or never turns.
+    """
+    height_mm_out = _samples("height_mm_out", height_mm_out, least=2)
+    if not drop_height_mm > 0:
+        raise ShapeError(
+            f"drop_height_mm is {drop_height_mm}; the first ball starts above its rest"
+        )
+    left = np.flatnonzero(height_mm_out > rest_height_mm + leave_height_mm)
+    apexes = _turning_points(height_mm_out)
+    apexes = apexes[apexes >= left[0]] if left.size else left
+    if not apexes.size:
+        return math.nan
+    return math.sqrt(
+        (_apex_height(height_mm_out, apexes[0]) - rest_height_mm) / drop_height_mm
+    )
+
+
+def oscillation_period(signal: ArrayLike, *, frame_rate_hz: float = 30.0) -> float:
+    """Return the period of the dominant Fourier component (paper, PD).
+
+    The maximum of the Hann-windowed spectrum is located between the bins. A bin of 300 frames is 0.1 Hz wide, which is
+    coarser than the scatter of real trials.
+
+    Args:
+        signal: One coordinate that swings once per period, shape [frame_count], any unit. For a pendulum it is the
+            horizontal coordinate, as the height swings twice per period.
+        frame_rate_hz: Frame rate, Hz.
+
+    Returns:
+        Period, s; NaN for a constant signal.
+    """
+    signal = _samples("signal", signal, least=4)
+    if np.ptp(signal) <= 1e-12 * np.abs(signal).max():
+        return math.nan
+    window = np.hanning(len(signal) + 2)[1:-1]
+    windowed = window * (signal - np.average(signal, weights=window))
+    padded_count = 8 * len(signal)
+    peak = int(np.argmax(np.abs(np.fft.rfft(windowed, padded_count))))
+    phase = -2j * np.pi * np.arange(len(signal))
+
+    def negative_power(cycles_per_frame: FloatArray) -> FloatArray:
+        waves = np.exp(phase * cycles_per_frame[:, None])
+        return np.asarray(-np.abs(waves @ windowed))
+
+    low, high = (peak - 1) / padded_count, min((peak + 1) / padded_count, 0.5)
+    found, _ = bounded_minimum(negative_power, low, high, 1e-10)
+    return 1 / (float(found) * frame_rate_hz)
+
+
+def energy_loss(height_mm: ArrayLike, *, rest_height_mm: float) -> float:
+    """Return the share of energy that a pendulum loses between its first and last turning point (paper, EL).
+
+    At a turning point all energy is potential, so heights are enough. A trajectory that starts from rest has its first
+    turning point at frame 0. Other turning points are located between frames, which needs three frames on both sides.
+    The ideal value is 0, and a gain of energy is negative. The paper's remark that 1 is best contradicts its formula.
+
+    Args:
+        height_mm: Height of the pendulum's ball at every frame, shape [frame_count], mm.
+        rest_height_mm: Height of the ball at its lowest point, mm.
+
+    Returns:
+        (E_start - E_end) / E_start; NaN for fewer than two turning points.
+    """
+    height_mm = _samples("height_mm", height_mm, least=3)
+    turning_points = _turning_points(height_mm)
+    # From rest the drop grows as t^2, fourfold after twice the time. It grows less if the ball falls already.
+    first_drop, second_drop = height_mm[0] - height_mm[1:3]
+    if first_drop >= 0 and 3.0 * first_drop <= second_drop <= 4.5 * first_drop:
+        start_mm, remaining = float(height_mm[0]), turning_points
+    elif turning_points.size:
+        start_mm, remaining = (
+            _apex_height(height_mm, turning_points[0]),
+            turning_points[1:],
+        )
+    else:
+        return math.nan
+    if not remaining.size:
+        return math.nan
+    if start_mm <= rest_height_mm:
+        raise ShapeError(
+            f"height_mm turns at {start_mm:.3f} mm, not above rest_height_mm {rest_height_mm:.3f}"
+        )
+    return (start_mm - _apex_height(height_mm, remaining[-1])) / (
+        start_mm - rest_height_mm
+    )
+
+
+def _samples(name: str, values: ArrayLike, *, least: int) -> FloatArray:
+    samples = np.asarray(values, dtype=np.float64)
+    if samples.ndim != 1 or len(samples) < least:
+        raise ShapeError(
+            f"{name} has shape {samples.shape}; one coordinate of at least {least} frames is needed"
+        )
+    if not np.isfinite(samples).all():
+        frame = np.flatnonzero(~np.isfinite(samples))[0]
+        raise ShapeError(
+            f"{name} is {samples[frame]} at frame {frame}; a finite number is needed"
+        )
+    return samples
+
+
+def _longest_window(heights: FloatArray, height_range: float) -> int:
+    """Return the largest number of consecutive samples within the range."""
+    longest = start = 0
+    for stop in range(1, len(heights) + 1):
+        while np.ptp(heights[start:stop]) > height_range:
+            start += 1
+        longest = max(longest, stop - start)
+    return longest
+
+
+def _turning_points(heights: FloatArray) -> IntArray:
+    """Return the frames of the local maxima that have enough neighbours to be located between frames."""
+    inner = heights[1:-1]
+    maxima = np.flatnonzero((inner > heights[:-2]) & (inner >= heights[2:])) + 1
+    return maxima[(maxima >= _APEX_REACH) & (maxima < len(heights) - _APEX_REACH)]
+
+
+def _apex_height(heights: FloatArray, frame: int) -> float:
+    """Return the height of the turning point next to a frame, from the polynomial through its neighbours."""
+    offsets = np.arange(-_APEX_REACH, _APEX_REACH + 1)
+    around = heights[frame + offsets]
+    polynomial = Polynomial.fit(offsets, around - heights[frame], 2 * _APEX_REACH)
+    _, least = bounded_minimum(lambda offset: -polynomial(offset), -1.0, 1.0, 1e-9)
+    return float(heights[frame] - least)

@@ -1,0 +1,298 @@
+"""Distances of a simulated trajectory from the mean real one: RMSE, DTW, time offset, z (paper, section on metrics).
+
+A trajectory is a float array of shape [frame_count, coordinate_count] in its observable's unit (mm, rad or mm^2).
+NaN is a value that was not measured. Only the real mean may hold it; elsewhere all values must be finite.
+"""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gauge_envs.errors import ShapeError
+from gauge_envs.scene.geometry import FloatArray, IntArray
+from gauge_envs.scene.timing import FRAME_RATE_HZ
+
+MAX_TIME_OFFSET_S = 10 / 30
+"""Largest time shift of an alignment in either direction [s]; recorded bodies are released within 9 frames."""
+
+OFFSET_STEP_S = 1 / 360
+"""Step of the grid of time shifts [s]; the best one is refined."""
+
+OFFSET_CHUNK = 1_000_000
+"""Numbers in one batch of time shifts, 8 MB per array."""
+
+TIE = 1e-12
+"""Relative difference of two path costs that count as equal: the order of a sum changes a total by less."""
+
+GRID_POINTS = 9
+"""Points of each grid of `bounded_minimum`; the next grid covers the two intervals about its least value."""
+
+
+def trajectory_rmse(simulated: ArrayLike, real_mean: ArrayLike) -> float:
+    """Return the root-mean-square distance of a simulated from the mean real trajectory (paper, E_RMSE).
+
+    E_RMSE = sqrt((1/T) sum_t |g(t) - r(t)|^2), with the Euclidean norm over measured coordinates.
+
+    Args:
+        simulated: g(t), shape [frame_count, coordinate_count].
+        real_mean: Mean over real trials at the same frames, same shape and unit; NaN where nothing was measured.
+
+    Raises:
+        ShapeError: The shapes differ, a simulated value is not finite, or nothing was measured.
+    """
+    difference = _difference(simulated, real_mean)
+    frame_count = np.count_nonzero(~np.isnan(difference).all(axis=1))
+    if frame_count == 0:
+        raise ShapeError("simulated and real_mean share no measured entry")
+    return math.sqrt(np.nansum(np.square(difference)) / frame_count)
+
+
+def trajectory_dtw(simulated: ArrayLike, real_mean: ArrayLike) -> float:
+    """Return the mean distance along the optimal dynamic time warping path (paper, E_DTW).
+
+    The path has steps (1, 0), (0, 1) and (1, 1) and the least sum of distances. Ties prefer the diagonal.
+
+    Args:
+        simulated: g(t), shape [frame_count, coordinate_count].
+        real_mean: Mean over real trials, shape [real_frame_count, coordinate_count]; NaN where nothing was measured.
+            Frames without a measured value are left out.
+
+    Raises:
+        ShapeError: A simulated value is not finite, or nothing was measured.
+    """
+    first = _trajectory("simulated", simulated)
+    second = _trajectory("real_mean", real_mean, allow_missing=True)
+    second = second[np.isfinite(second).any(axis=1)]
+    if not len(second):
+        raise ShapeError("simulated and real_mean share no measured entry")
+    local = _frame_distances(first, second)
+    path = _optimal_path(local)
+    return float(local[path[:, 0], path[:, 1]].mean())
+
+
+def _frame_distances(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Return the Euclidean distances of all pairs of frames over measured coordinates, shape [T1, T2]."""
+    from scipy.spatial.distance import cdist
+
+    measured = np.isfinite(second)
+    if measured.all():
+        return np.asarray(cdist(first, second))
+    squares = np.zeros((len(first), len(second)))
+    for column in range(first.shape[1]):
+        apart = first[:, column, None] - second[:, column]
+        squares += np.square(np.nan_to_num(apart))
+    return np.sqrt(squares)
+
+
+def _optimal_path(local: FloatArray) -> IntArray:
+    """Return the cells of the path with the least summed cost, from first to last, shape [cell_count, 2].
+
+    All cells of one anti-diagonal depend on the two before it alone, so each is one vector operation.
+    """
+    row_count, column_count = local.shape
+    total = np.full((row_count + 1, column_count + 1), np.inf)
+    total[0, 0] = 0.0
+    for diagonal in range(row_count + column_count - 1):
+        rows = np.arange(
+            max(0, diagonal - column_count + 1), min(diagonal + 1, row_count)
+        )
+        columns = diagonal - rows
+        straight = np.minimum(total[rows, columns + 1], total[rows + 1, columns])
+        least = np.minimum(straight, total[rows, columns])
+        total[rows + 1, columns + 1] = local[rows, columns] + least
+    row, column = row_count - 1, column_count - 1
+    cells = [(row, column)]
+    while row or column:
+        up, left = total[row, column + 1], total[row + 1, column]
+        if total[row, column] <= min(up, left) * (1.0 + TIE):
+            row, column = row - 1, column - 1
+        elif up <= left:
+            row -= 1
+        else:
+            column -= 1
+        cells.append((row, column))
+    return np.array(cells[::-1])
+
+
+def time_offset(
+    times_s: ArrayLike, simulated: ArrayLike, real_mean: ArrayLike
+) -> tuple[float, float]:
+    """Return the constant time shift of the simulation that minimises its RMSE, and the RMSE after the shift.
+
+    A real object is released some frames after the recording starts, a simulated one at time 0. Shifted by s, frame k
+    shows the simulated state at time k / 30 Hz - s. The state is linear between samples and constant before the first
+    one. A simulation that ends at the last frame is not shifted to earlier times.
+
+    Args:
+        times_s: Sample times of the simulation, strictly ascending, time 0 is frame 0, shape [sample_count], s.
+        simulated: g(t) at these times, shape [sample_count, coordinate_count].
+        real_mean: Mean over real trials at the 30 Hz frames, shape [frame_count, coordinate_count].
+
+    Returns:
+        The offset in s, positive if the real object is released later than the simulated one, and the RMSE after the
+        shift. Of equally good shifts the smallest is chosen, so an object at rest has 0.
+
+    Raises:
+        ShapeError: The times are not strictly ascending, shapes differ, or nothing was measured.
+    """
+    values = _trajectory("simulated", simulated)
+    real = _trajectory("real_mean", real_mean, allow_missing=True)
+    times = np.asarray(times_s, dtype=np.float64)
+    if times.shape != (len(values),) or not (np.diff(times) > 0).all():
+        raise ShapeError(
+            f"times_s has shape {times.shape} for {len(values)} simulated samples: "
+            "one strictly ascending time for each sample is needed"
+        )
+    if values.shape[1] != real.shape[1]:
+        raise ShapeError(
+            f"simulated has {values.shape[1]} coordinates, real_mean {real.shape[1]}"
+        )
+    measured = ~np.isnan(real)
+    is_known = measured.any(axis=1)
+    if not is_known.any():
+        raise ShapeError("simulated and real_mean share no measured entry")
+    wanted = np.where(measured, real, 0.0)
+    frames_s = np.arange(len(real)) / FRAME_RATE_HZ
+
+    def shifted_rmse(offsets_s: FloatArray) -> FloatArray:
+        shifted = interpolated(frames_s - offsets_s[:, None], times, values)
+        apart = (shifted - wanted) * measured
+        squares = np.einsum("ofc,ofc->o", apart, apart)
+        return np.asarray(np.sqrt(squares / np.count_nonzero(is_known)))
+
+    step_count = math.ceil(MAX_TIME_OFFSET_S / OFFSET_STEP_S)
+    last_s = frames_s[np.flatnonzero(is_known)[-1]]
+    least_s = -min(max(float(times[-1] - last_s), 0.0), MAX_TIME_OFFSET_S)
+    grid_s = np.linspace(-MAX_TIME_OFFSET_S, MAX_TIME_OFFSET_S, 2 * step_count + 1)
+    grid_s = np.concatenate([[least_s, 0.0], grid_s[grid_s >= least_s]])
+    # Sorted by size: argmin takes the first, hence smallest, of equals.
+    grid_s = grid_s[np.lexsort((grid_s, np.abs(grid_s)))]
+    chunks = np.array_split(grid_s, math.ceil(real.size * len(grid_s) / OFFSET_CHUNK))
+    grid_rmse = np.concatenate([shifted_rmse(chunk) for chunk in chunks])
+    best = int(grid_rmse.argmin())
+    coarse_s, coarse = float(grid_s[best]), float(grid_rmse[best])
+    refined_s, least = bounded_minimum(
+        shifted_rmse,
+        max(coarse_s - OFFSET_STEP_S, least_s),
+        min(coarse_s + OFFSET_STEP_S, MAX_TIME_OFFSET_S),
+        1e-7,
+    )
+    return (refined_s, least) if least < coarse else (coarse_s, coarse)
+
+
+def z_scores(
+    simulated: ArrayLike, real_mean: ArrayLike, sigma: ArrayLike
+) -> FloatArray:
+    """Return (simulated - real_mean) / sigma, shape [frame_count, coordinate_count].
+
+    Args:
+        simulated: g(t), shape [frame_count, coordinate_count].
+        real_mean: Mean over real trials, same shape and unit; NaN where nothing was measured.
+        sigma: Standard deviation over real trials, a shape that broadcasts to the same.
+
+    Returns:
+        Deviations in units of sigma; NaN where nothing was measured, or where sigma is 0 or NaN.
+
+    Raises:
+        ShapeError: Shapes differ, or sigma is negative.
+    """
+    difference = _difference(simulated, real_mean)
+    spread = np.broadcast_to(np.asarray(sigma, dtype=np.float64), difference.shape)
+    if (spread < 0).any():
+        raise ShapeError("sigma: a standard deviation is never negative")
+    return difference / np.where(spread > 0, spread, np.nan)
+
+
+def signed_error(simulated: ArrayLike, real_mean: ArrayLike) -> FloatArray:
+    """Return the mean over frames of simulated minus real, shape [coordinate_count]; NaN if never measured."""
+    difference = _difference(simulated, real_mean)
+    frame_count = np.isfinite(difference).sum(axis=0)
+    counts = np.where(frame_count > 0, frame_count, np.nan)
+    return np.asarray(np.nansum(difference, axis=0) / counts)
+
+
+def frame_index(
+    times_s: FloatArray, frame_count: int, *, name: str = "trajectory"
+) -> IntArray:
+    """Return the samples at the 30 Hz frames, shape [frame_count].
+
+    Raises:
+        ShapeError: A frame has no sample within 0.1 ms.
+    """
+    wanted_s = np.arange(frame_count) / FRAME_RATE_HZ
+    index = np.clip(np.searchsorted(times_s, wanted_s - 1e-6), 0, len(times_s) - 1)
+    missing = np.abs(times_s[index] - wanted_s) > 1e-4
+    if missing.any():
+        frame = int(missing.argmax())
+        raise ShapeError(
+            f"{name} needs {frame_count} frames at 30 Hz: no sample at frame {frame} (t = {wanted_s[frame]:.4f} s)"
+        )
+    return np.asarray(index)
+
+
+def interpolated(
+    queries_s: FloatArray, times_s: FloatArray, values: FloatArray
+) -> FloatArray:
+    """Return values that are linear between samples and constant before and after them, shape [..., C].
+
+    Args:
+        queries_s: Times [s], any shape.
+        times_s: Times of the samples [s], strictly ascending, shape [sample_count].
+        values: Samples, shape [sample_count, C].
+    """
+    columns = [np.interp(queries_s, times_s, one) for one in values.T]
+    return np.stack(columns, axis=-1)
+
+
+def bounded_minimum(
+    function: Callable[[FloatArray], FloatArray],
+    low: float,
+    high: float,
+    tolerance: float,
+) -> tuple[float, float]:
+    """Return the argument and the value of the minimum of a function with a single one between bounds.
+
+    Args:
+        function: Values at arguments, shape [count] each.
+        low: Least argument.
+        high: Largest argument.
+        tolerance: Largest error of the argument.
+    """
+    while True:
+        arguments = np.linspace(low, high, GRID_POINTS)
+        values = function(arguments)
+        best = int(values.argmin())
+        step = float(arguments[1] - arguments[0])
+        if (GRID_POINTS - 1) * step <= tolerance:
+            return float(arguments[0] + best * step), float(values.min())
+        low = float(arguments[0] + max(best - 1, 0) * step)
+        high = float(arguments[0] + min(best + 1, GRID_POINTS - 1) * step)
+
+
+def _trajectory(
+    name: str, values: ArrayLike, *, allow_missing: bool = False
+) -> FloatArray:
+    """Return the values as a checked float array of shape [frame_count, coordinate_count], both above 0."""
+    trajectory = np.asarray(values, dtype=np.float64)
+    if trajectory.ndim != 2 or trajectory.size == 0:
+        raise ShapeError(
+            f"{name} has shape {trajectory.shape}; [frame_count, coordinate_count] is needed, none 0"
+        )
+    wrong = np.isinf(trajectory) if allow_missing else ~np.isfinite(trajectory)
+    if wrong.any():
+        frame, coordinate = np.argwhere(wrong)[0]
+        raise ShapeError(
+            f"{name} is {trajectory[frame, coordinate]} at frame {frame}, coordinate {coordinate}; "
+            "a finite number is needed"
+        )
+    return trajectory
+
+
+def _difference(simulated: ArrayLike, real_mean: ArrayLike) -> FloatArray:
+    first = _trajectory("simulated", simulated)
+    second = _trajectory("real_mean", real_mean, allow_missing=True)
+    if first.shape != second.shape:
+        raise ShapeError(f"simulated has shape {first.shape}, real_mean {second.shape}")
+    return first - second
