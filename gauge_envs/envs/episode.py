@@ -122,7 +122,7 @@ class Episode:
         self.frame: int | None = None
         self.fault: str | None = None
         self._world = world
-        is_aligned = band is not None and band.kind.is_real and experiment.trial is None
+        is_aligned = band is not None and band.has_release and experiment.trial is None
         self._later_frames = LATER_FRAMES if is_aligned else 0
         self._later = 0
         self._later_limit = self._later_frames

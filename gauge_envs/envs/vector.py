@@ -499,7 +499,7 @@ class ScoreEpisodes(VectorWrapper):
                 "gymnasium.make, which scores each, or choose another autoreset mode."
             )
         none: list[None] = [None] * self.num_envs
-        return cast("Sequence[Any]", final.get(name, none))
+        return cast("Sequence[Any]", final.get("score", none))
 
 
 def scored_vector_env(

@@ -227,6 +227,11 @@ class Band:
         first = int(compared.known.argmax())
         return compared.length(compared.mean - compared.mean[first])
 
+    @property
+    def has_release(self) -> bool:
+        """Whether the motion starts with a release at an unknown time, as that of real trials does."""
+        return self.kind.is_real and self.zero_motion_distance > 0.0
+
     def of_trial(self, trial: int) -> Band:
         """Return the band of one of its trials, with the uncertainty of measuring it."""
         assert self.trials is not None and self.uncertainty is not None, (
@@ -335,7 +340,7 @@ def _stated_of(file: Path, modified_ns: int) -> BandFile:
 def _read_band(file: Path, modified_ns: int) -> Band | None:
     """Return the band of a TOML file and the NPZ file beside it."""
     stated = stated_of(file)
-    if stated.kind == Kind.NONE:
+    if Kind(stated.kind) is Kind.NONE:
         return None
     arrays_file = file.with_suffix(".npz")
     with faults_of(arrays_file):

@@ -1,4 +1,4 @@
-"""Estimates of friction, restitution, period and ringing: of a simulated motion, and of real trials by the same method."""
+"""Estimates of friction, restitution, period and ringing, of a simulation and of real trials by the same method."""
 
 from __future__ import annotations
 
@@ -191,7 +191,7 @@ def is_uniformly_accelerated(times_s: FloatArray, values: FloatArray) -> bool:
     return total - largest <= MAX_MISFIT**2 * total
 
 
-def _of_trials(found: list[float]) -> RealValue | None:
+def _of_trials(found: list[float]) -> tuple[float, float] | None:
     """Return mean and standard uncertainty of the values of several trials; None of fewer than two."""
     if len(found) < 2:
         return None
@@ -257,7 +257,7 @@ def _real_friction(band: Band) -> RealValue | None:
             slide_friction(acceleration, slope_rad, gravity_m_per_s2=GRAVITY_M_PER_S2)
         )
     real = _of_trials(found)
-    if real is None or real[0] is None or real[1] is None:
+    if real is None:
         return None
     mean, error = real
     # mu = tan - a / (g cos), so d mu / d slope = 1 + mu tan.

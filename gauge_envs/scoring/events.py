@@ -71,9 +71,9 @@ def longest_stationary_duration(
 ) -> float:
     """Return the longest rest of a cradle's ball between two impulses (paper, equation and thresholds of LSD).
 
-    A rest is a run of frames between which the height changes at most at the speed limit. Its duration counts the frames
-    of its longest part within the height range. A rest that includes the first frame is the hold before the first
-    impact, and one that includes the last frame is cut; neither counts.
+    A rest is a run of frames between which the height changes at most at the speed limit. Its duration counts the
+    frames of its longest part within the height range. A rest that includes the first frame is the hold before the
+    first impact, and one that includes the last frame is cut; neither counts.
 
     The paper's condition names a speed and does not define it: here it is that of the height, from frame to frame.
 

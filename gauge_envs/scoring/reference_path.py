@@ -72,14 +72,14 @@ def reference_path(experiment: Experiment, band: Band | None) -> ReferencePath |
     )
 
 
-def reference_words(grade: Kind, trial_count: int | None) -> str:
+def reference_words(kind: Kind, trial_count: int | None) -> str:
     """Return what the mean of a band is, in words.
 
     Args:
-        grade: Grade of the band.
+        kind: Kind of the reference.
         trial_count: Number of its trials; None is unknown.
     """
-    if grade is Kind.TRIALS:
+    if kind is Kind.TRIALS:
         if trial_count == 1:
             return "one real trial"
         return (
@@ -89,9 +89,9 @@ def reference_words(grade: Kind, trial_count: int | None) -> str:
         )
     names = {
         Kind.RECORDING: "one recorded real trial",
-        Kind.NUMERICAL: "the solution of the scene by several engines, not a real trial",
+        Kind.NUMERICAL: "the refined solution of the scene, not a real trial",
     }
-    return names.get(grade, "the law that the score compares with")
+    return names.get(kind, "the closed form of the scene")
 
 
 def reference_text(
@@ -116,8 +116,6 @@ def reference_text(
         if trial is None
         else f"real trial {trial}"
     )
-    if band.withheld is not None:
-        text += ", withheld from scores"
     if not path.is_full:
         text += ", in the measured directions"
     return (

@@ -320,11 +320,6 @@ def normalizing_baselines(experiment: Experiment, band: Band) -> Mapping[str, Ba
     return {metric: row for metric, row in experiment.baselines.items() if row.mean}
 
 
-def is_aligned(experiment: Experiment, band: Band) -> bool:
-    """Return whether a motion is also compared after a time shift: real releases start at an unknown time."""
-    return band.kind.is_real and experiment.trial is None
-
-
 def _distances(
     experiment: Experiment,
     band: Band,
@@ -336,53 +331,76 @@ def _distances(
     """Return the distances of g(t) and of markers from a reference, by field of `Score`."""
     simulated = band.project(frames)
     known = band.known
-    rmse = trajectory_rmse(simulated, band.mean)
-    # A recording may end before the episode. Frames without a mean would be warped onto its last frame.
-    dtw = trajectory_dtw(simulated[known], band.mean[known])
     found: dict[str, Any] = {
-        "primary": "rmse",
-        "rmse": rmse,
-        "dtw": dtw,
+        "rmse": trajectory_rmse(simulated, band.mean),
+        # A recording may end before the episode. Frames without a mean would be warped onto its last frame.
+        "dtw": trajectory_dtw(simulated[known], band.mean[known]),
         "compared_frames": int(known.sum()),
         "signed_error": tuple(signed_error(simulated, band.mean).tolist()),
     }
-    deviation = simulated - band.mean
     if band.kind.is_solution:
-        found["primary"] = OVER_U
-        compared = _marker_deviation(band, deviation, markers_m)
-        if compared is not None:
-            distance = band.compared.length(compared)
-            found["over_uncertainty"] = distance / band.standard_uncertainty
-        if band.points is not None and compared is not None:
+        return found | _over_uncertainty(
+            band, simulated - band.mean, found["rmse"], markers_m
+        )
+    found |= _over_real_trials(experiment, band, found, times_s, band.project(values))
+    return found | _in_scatter(band, simulated)
+
+
+def _over_uncertainty(
+    band: Band, deviation: FloatArray, rmse: float, markers_m: FloatArray | None
+) -> dict[str, Any]:
+    """Return the distance from a solution over its standard uncertainty, by field of `Score`."""
+    found: dict[str, Any] = {"primary": OVER_U}
+    compared = _marker_deviation(band, deviation, markers_m)
+    if compared is not None:
+        distance = band.compared.length(compared)
+        found["over_uncertainty"] = distance / band.standard_uncertainty
+        if band.compared.marker_count > 1:
             found["marker_rmse_mm"] = distance
-        else:
-            found["rmse_95"] = distance_interval(rmse, band.standard_uncertainty)
-        return found
-    baselines = normalizing_baselines(experiment, band)
-    found["rmse_95"] = distance_interval(rmse, mean_uncertainty(band))
-    for metric, value in (("rmse", rmse), ("dtw", dtw)):
-        if metric in baselines:
-            found[f"{metric}_normalized"] = value / baselines[metric].mean
-    if is_aligned(experiment, band):
-        found |= _aligned(band, times_s, band.project(values))
+    if band.points is None:
+        found["rmse_95"] = distance_interval(rmse, band.standard_uncertainty)
+    return found
+
+
+def _over_real_trials(
+    experiment: Experiment,
+    band: Band,
+    distances: Mapping[str, Any],
+    times_s: FloatArray,
+    projected: FloatArray,
+) -> dict[str, Any]:
+    """Return distances over those of real trials, raw and after a time shift, by field of `Score`."""
+    found: dict[str, Any] = {"primary": "rmse"}
+    found["rmse_95"] = distance_interval(distances["rmse"], mean_uncertainty(band))
+    for metric, row in normalizing_baselines(experiment, band).items():
+        if metric in distances:
+            found[f"{metric}_normalized"] = distances[metric] / row.mean
+    of_trials, distance = band.trial_rmse, distances["rmse"]
+    if band.has_release and experiment.trial is None:
+        found |= _aligned(band, times_s, projected)
         if not experiment.scene.drivers:
             found["primary"] = "rmse_aligned"
-    is_release = found["primary"] == "rmse_aligned"
-    of_trials = band.trial_rmse_aligned if is_release else band.trial_rmse
+            of_trials, distance = band.trial_rmse_aligned, found["rmse_aligned"]
     if of_trials is not None:
-        distance = found[found["primary"]]
         found["percentile"] = 100.0 * float(np.mean(of_trials < distance))
+    if not experiment.edited:
+        found["exact"] = band.exact.get(experiment.parameters)
+    return found
+
+
+def _in_scatter(band: Band, simulated: FloatArray) -> dict[str, float]:
+    """Return how far a motion is in the scatter of real trials, over measured frames, by field of `Score`."""
     # Frames that were not measured are extrapolated: their mean is usable, their scatter is no data.
     sigma = np.where(band.measured[:, None], band.sigma, np.nan)
     z = np.abs(z_scores(simulated, band.mean, sigma))
     z = z[np.isfinite(z)]
-    if z.size:
-        found["mean_abs_z"] = float(z.mean())
-        found["inside_1sigma"] = float(np.mean(z <= 1.0))
-        found["inside_2sigma"] = float(np.mean(z <= 2.0))
-    if experiment.parameters in band.exact and not experiment.edited:
-        found["exact"] = band.exact[experiment.parameters]
-    return found
+    if not z.size:
+        return {}
+    return {
+        "mean_abs_z": float(z.mean()),
+        "inside_1sigma": float(np.mean(z <= 1.0)),
+        "inside_2sigma": float(np.mean(z <= 2.0)),
+    }
 
 
 def _marker_deviation(

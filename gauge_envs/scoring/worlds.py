@@ -17,7 +17,7 @@ from gauge_envs.references.band import Band
 from gauge_envs.scene.geometry import FloatArray, IntArray
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
 from gauge_envs.scoring.metrics import MAX_TIME_OFFSET_S
-from gauge_envs.scoring.score import is_aligned, normalizing_baselines
+from gauge_envs.scoring.score import normalizing_baselines
 
 MOST_STEPS = round(MAX_TIME_OFFSET_S / SAMPLE_INTERVAL_S)
 """Largest time shift [samples]."""
@@ -95,7 +95,7 @@ def _scores(
     apart = arrays.where(weight > 0.0, frames - target, 0.0 * target)
     rmse = arrays.sqrt(arrays.einsum("tnc,tnc->n", apart, apart) / count)
     scores = {"rmse": rmse}
-    if is_aligned(experiment, band):
+    if band.has_release and experiment.trial is None:
         last_known = SAMPLES_PER_FRAME * int(np.flatnonzero(known.any(axis=1))[-1])
         samples = projected
         earliest: Any = last_known + 1 - len(projected)
