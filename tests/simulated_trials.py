@@ -9,18 +9,18 @@ from dataclasses import dataclass
 from functools import cached_property, partial
 
 import numpy as np
-from numpy.typing import NDArray
-
-from gauge_envs.references.band import Band
-from gauge_envs.references.kind import Kind
-from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.scoring.deviation import (
     LEAST_OVERLAP,
     SHIFT_STEP_S,
     percentile_interval,
 )
-from gauge_envs.scoring.metrics import MAX_TIME_OFFSET_S
 from gauge_envs.scoring.uncertainty import BandErrors, band_errors
+from numpy.typing import NDArray
+
+from gauge_envs.references.band import Band
+from gauge_envs.references.kind import Kind
+from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.scoring.metrics import MAX_TIME_OFFSET_S
 
 FloatArray = NDArray[np.float64]
 Scatter = Callable[[np.random.Generator, int, int], FloatArray]
@@ -221,9 +221,7 @@ def align(
     Returns:
         Two of the shape of `means`, and one of shape [reality_count].
     """
-    grid_s = np.arange(
-        -MAX_TIME_OFFSET_S, MAX_TIME_OFFSET_S + 1e-9, OFFSET_STEP_S
-    )
+    grid_s = np.arange(-MAX_TIME_OFFSET_S, MAX_TIME_OFFSET_S + 1e-9, OFFSET_STEP_S)
     moved = world.engine(engine, grid_s)
     squares = np.square(moved).sum(axis=1) - 2.0 * means @ moved.T
     best = np.clip(squares.argmin(axis=1), 1, len(grid_s) - 2)

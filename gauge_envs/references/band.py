@@ -167,12 +167,10 @@ class Band:
             "uncertainty": shape,
             "measured": (frame_count,),
             "trials": (trial_count, *shape),
-            "trial_rmse": (trial_count,),
-            "trial_rmse_aligned": (trial_count,),
         }
         for name in ARRAYS:
             values = getattr(self, name)
-            if values is not None and values.shape != expected[name]:
+            if values is not None and values.shape != expected.get(name, values.shape):
                 raise ShapeError(
                     f"{name} has shape {values.shape}, expected {expected[name]}"
                 )

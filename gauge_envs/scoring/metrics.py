@@ -64,6 +64,10 @@ def trajectory_dtw(simulated: ArrayLike, real_mean: ArrayLike) -> float:
     """
     first = _trajectory("simulated", simulated)
     second = _trajectory("real_mean", real_mean, allow_missing=True)
+    if first.shape[1] != second.shape[1]:
+        raise ShapeError(
+            f"simulated has {first.shape[1]} coordinates, real_mean {second.shape[1]}"
+        )
     second = second[np.isfinite(second).any(axis=1)]
     if not len(second):
         raise ShapeError("simulated and real_mean share no measured entry")

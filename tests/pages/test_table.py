@@ -9,6 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from gauge_envs.scoring.verification import Verification
 from hypothesis import example, given, settings, strategies as st
 from rich.console import Console
 
@@ -31,7 +32,6 @@ from gauge_envs.pages.text import (
     value_text,
 )
 from gauge_envs.scoring.score import Score, Validation
-from gauge_envs.scoring.verification import Verification
 
 ROWS = (
     {

@@ -14,13 +14,8 @@ from scipy.integrate import solve_bvp, solve_ivp
 from scipy.optimize import brentq
 
 from gauge_envs.experiments.resolve import load_experiment
-from gauge_envs.references.models import solved_model
+from gauge_envs.references.band import load_band
 from gauge_envs.scene import Box, Rod
-from gauge_envs.scoring.verification import (
-    point_lengths,
-    root_mean_square,
-    solution_uncertainty,
-)
 
 STANDARD_LOAD = 8.0
 """Weight over bending stiffness, times the overhang cubed, at the angle of ASTM D1388 (Peirce 1930)."""
@@ -96,10 +91,9 @@ def friction_between(scene, one: str, other: str) -> float:
 
 def distance_in_u(name: str, exact_mm: np.ndarray) -> float:
     """Return the distance of the stored solution from another one, over the u that it states."""
-    model = solved_model(name)
-    assert model is not None
-    lengths = point_lengths(exact_mm - model.band.mean, model.band)
-    return root_mean_square(lengths) / solution_uncertainty(model.band)
+    band = load_band(name)
+    assert band is not None
+    return band.length(exact_mm - band.mean) / band.standard_uncertainty
 
 
 # --- dragged rod -----------------------------------------------------------------------------------------------------
@@ -144,20 +138,20 @@ def dragged_rod_lag_m(scene) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("name", ["StickStack-soft", "StickStack-hard"])
 def test_a_dragged_rod_trails_as_a_rod_that_stretches(name: str) -> None:
     scene = load_experiment(name).scene
-    (rod,), model = scene.deformables, solved_model(name)
-    assert model is not None and scene.markers is not None
+    (rod,), band = scene.deformables, load_band(name)
+    assert band is not None and scene.markers is not None
     rest_mm = 1e3 * np.array(scene.markers.positions_m)
     # The foot slides steadily in the second half, and the top moves at constant speed.
     frames = np.arange(60, 120)
     speed_mm_s = 1e3 * scene.drivers[0].motions[0].rate(2.0)
-    places_mm = model.band.mean[frames, ::3]
+    places_mm = band.mean[frames, ::3]
     moved_mm = places_mm - rest_mm[:, 0]
     lag_mm = (speed_mm_s * frames[:, None] / 30.0 - moved_mm).mean(axis=0)
     heights_m, exact_m = dragged_rod_lag_m(scene)
     foot_m = rod.pose.position_m[2] - 0.5 * rod.length_m
     exact_mm = 1e3 * np.interp(1e-3 * rest_mm[:, 2] - foot_m, heights_m, exact_m)
-    assert model.band.uncertainty is not None
-    u_mm = model.band.uncertainty[frames, ::3].mean(axis=0)
+    assert band.uncertainty is not None
+    u_mm = band.uncertainty[frames, ::3].mean(axis=0)
     assert np.all(np.abs(lag_mm - exact_mm) < 1.96 * u_mm)
     # An interval that holds anything would hold this too: the lag is known to a tenth.
     assert lag_mm == pytest.approx(exact_mm, rel=0.1)

@@ -1,56 +1,28 @@
-"""Published baselines, bands and laws: what is loaded is what was published, and damage is named."""
+"""Published baselines and bands: what is loaded is what was published."""
 
 from collections import Counter
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from texts import changed_text
 
-from gauge_envs.errors import ShapeError, UnknownNameError
+from gauge_envs.errors import ShapeError
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.files import data_folder
 from gauge_envs.observables.kinds import Observable, largest_distance
-from gauge_envs.references.band import Band, SigmaSource
+from gauge_envs.references.band import Band
 from gauge_envs.references.kind import Kind
 from gauge_envs.references.published import (
-    FlightLaw,
     Reference,
-    carried_band,
-    law_for,
     published_baselines,
     published_variants,
-    uncontacted_band,
 )
 from gauge_envs.scene import Markers, Scene
-from gauge_envs.scoring.reference import band_grade
-
-TRIAL_VARIANTS = (
-    "SlopeSlider-2-wood",
-    "SlopeSlider-2-plastic",
-    "SlopeSlider-2-metal",
-    "BouncingBall-rubber",
-)
-CARRIED_VARIANTS = tuple(
-    f"{family}-1-{material}"
-    for family in ("SlopeSlider", "Turntable")
-    for material in ("wood", "plastic", "metal")
-)
-FLIGHT_VARIANTS = tuple(
-    f"NonsmoothContact-{subtask}-{material}"
-    for subtask in "123"
-    for material in ("wood", "plastic")
-)
-SLIDE_VARIANTS = ("SlopeContact-wood", "SlopeContact-plastic")
-PENDULUM_VARIANTS = ("Pendulum-metal", "NewtonsCradle-metal")
-THROWN_VARIANTS = tuple(
-    f"Turntable-2-{material}" for material in ("wood", "plastic", "metal")
-)
 
 
 def make_band(**changes):
     values = {
-        "grade": Kind.TRIALS,
+        "kind": Kind.TRIALS,
         "unit": "mm",
         "coordinates": ("a",),
         "projection": np.array([[0.0, 2.0, 0.0]]),
@@ -202,93 +174,6 @@ def test_project_maps_any_number_of_frames():
 def test_project_refuses_another_width(shape):
     with pytest.raises(ShapeError, match=r"\[frame_count, 3\]"):
         make_band().project(np.zeros(shape))
-
-
-# Laws
-
-
-def test_carried_band_recovers_the_sigma_of_an_ensemble(scoring):
-    """Publish mean and std of E_RMSE of trials with a known scatter; the band must give that scatter back."""
-    trials = np.random.default_rng(7).normal(scale=1.7, size=(4000, 9, 3))
-    deviations = trials - trials.mean(axis=0)
-    rmse = np.sqrt(np.square(deviations).sum(axis=2).mean(axis=1))
-    table = scoring / "published" / "engine_results.csv"
-    row = "SlopeSlider-1-wood,9,rmse,mm,"
-    changed_text(table, (f"{row}0.59,0.28", f"{row}{rmse.mean()},{rmse.std()}"))
-    band = carried_band(variant="SlopeSlider-1-wood", positions_mm=np.zeros((9, 3)))
-    assert np.square(band.sigma).sum(axis=1).mean() == pytest.approx(
-        np.square(deviations).sum(axis=2).mean()
-    )
-    assert band.sigma == pytest.approx(np.full((9, 3), 1.7), rel=0.01)
-
-
-@pytest.mark.parametrize(
-    "positions", [np.zeros((10, 3)), np.zeros((9, 2)), np.full((9, 3), np.nan)]
-)
-def test_carried_band_refuses_other_positions(positions):
-    with pytest.raises(ShapeError):
-        carried_band(variant="SlopeSlider-1-wood", positions_mm=positions)
-
-
-@pytest.mark.parametrize(
-    "variant",
-    [
-        "SlopeSlider-2-wood",
-        "WallBreaking-wood",
-        "SlopeSlider-1-cheese",
-        "SlopeContact-wood",
-    ],
-)
-def test_carried_band_refuses_variants_without_the_law(variant):
-    with pytest.raises(UnknownNameError, match="carried variant"):
-        carried_band(variant=variant, positions_mm=np.zeros((9, 3)))
-
-
-def test_the_band_of_a_motion_until_contact_is_that_of_its_measurement():
-    law = law_for("NonsmoothContact-1-wood")
-    assert isinstance(law, FlightLaw)
-    positions = np.arange(12.0).reshape(4, 3)
-    positions[2:] = np.nan
-    band = uncontacted_band(law, positions_mm=positions)
-    assert (band.kind, band.sigma_source) == (Kind.ANALYTIC, SigmaSource.MEASUREMENT)
-    assert band.measured.tolist() == [True, True, False, False]
-    assert (band.sigma == law.sigma_mm).all()
-    assert band.uncertainty is not None and np.isnan(band.uncertainty[2:]).all()
-    assert not band.normalized_by_baseline
-    assert Band.from_dict(band.to_dict()).to_dict() == band.to_dict()
-
-
-def test_a_material_without_published_scores_has_no_law():
-    assert law_for("SlopeSlider-1-glass") is None
-    assert band_grade("SlopeSlider-1-glass") is Kind.NONE
-
-
-def test_a_law_without_published_scores_names_its_materials():
-    assert not published_baselines("TableclothPulling-wood")
-    assert band_grade("TableclothPulling-wood") is Kind.ANALYTIC
-    assert law_for("TableclothPulling-glass") is None
-
-
-def test_grades_of_all_published_variants():
-    grades = {variant: band_grade(variant) for variant in published_variants()}
-    assert {
-        variant for variant, grade in grades.items() if grade is Kind.TRIALS
-    } == set(TRIAL_VARIANTS)
-    laws = {
-        *CARRIED_VARIANTS,
-        *FLIGHT_VARIANTS,
-        *SLIDE_VARIANTS,
-        *PENDULUM_VARIANTS,
-        *THROWN_VARIANTS,
-    }
-    laws |= {"FoamStretching-soft", "FoamStretching-hard"}
-    assert {
-        variant for variant, grade in grades.items() if grade is Kind.ANALYTIC
-    } == laws
-    assert band_grade("WallBreaking-wood") is Kind.NONE
-
-
-# Damage
 
 
 # --- published scores within their geometry ---------------------------------------------------------------------------

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from gauge_envs import load_experiment
+from gauge_envs.references.band import load_band
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-from gauge_envs.scoring.implied import fit_ringing, implied_parameters
-from gauge_envs.scoring.reference import load_band
+from gauge_envs.scoring.estimates import estimates, fit_ringing
 
 LOADS_KG = {"0g": 0.0, "52g": 0.052, "101g": 0.101}
 LENGTH_M, WIDTH_M, DENSITY, MODULUS_PA, GRAVITY = 0.1, 0.03, 1070.0, 263824.0, 9.80665
@@ -89,18 +89,16 @@ def test_the_recorded_swing_is_that_of_beam_theory_with_the_fitted_modulus(load)
     times_s = np.arange(len(band.mean)) / FRAME_RATE_HZ
     # The level is the start of the simulated beam, which is the height of the recorded one before it is let go.
     values[0, [5, 8]] = 200.0
-    found = {
-        one.parameter: one
-        for one in implied_parameters(
-            load_experiment(name_of(load)), band, times_s=times_s, values=values
-        )
-    }
+    found = estimates(
+        load_experiment(name_of(load)), band, times_s=times_s, values=values
+    )
     assert set(found) == {"frequency", "decay_rate", "droop"}
     for one in found.values():
         assert one.real is not None
-        assert one.real_scatter is not None
+        assert one.real_uncertainty is not None
         # The mean of two releases rings as each of them does.
-        assert abs(one.value - one.real) < max(2.0 * one.real_scatter, 0.02 * one.real)
+        scatter = math.sqrt(len(band.trials)) * one.real_uncertainty
+        assert abs(one.value - one.real) < max(2.0 * scatter, 0.02 * one.real)
     assert found["frequency"].real == pytest.approx(
         euler_bernoulli_hz(LOADS_KG[load]), rel=0.04
     )
@@ -114,11 +112,11 @@ def test_a_beam_that_creeps_has_a_droop_and_no_frequency():
     band, times_s = load_band(name_of("0g")), np.arange(451) / 180.0
     values = np.zeros((len(times_s), 9))
     values[:, [5, 8]] = (200.0 - 3.3 * (1.0 - np.exp(-3.0 * times_s)))[:, None]
-    found = implied_parameters(
+    found = estimates(
         load_experiment(name_of("0g")), band, times_s=times_s, values=values
     )
-    assert [one.parameter for one in found] == ["droop"]
-    assert found[0].value == pytest.approx(3.3, abs=0.01)
+    assert list(found) == ["droop"]
+    assert found["droop"].value == pytest.approx(3.3, abs=0.01)
 
 
 def test_a_band_without_trials_rings_by_its_mean():
@@ -126,21 +124,18 @@ def test_a_band_without_trials_rings_by_its_mean():
     values = np.zeros((len(band.mean), 9))
     values[:, [5, 8]] = band.mean
     experiment = load_experiment(name_of("0g"))
-    found = implied_parameters(
+    found = estimates(
         experiment,
         band,
         times_s=np.arange(len(band.mean)) / FRAME_RATE_HZ,
         values=values,
     )
     assert all(
-        one.real == pytest.approx(one.value, abs=1e-6) and one.real_scatter is None
-        for one in found
+        one.real == pytest.approx(one.value, abs=1e-6) and one.real_uncertainty is None
+        for one in found.values()
     )
     assert (
-        implied_parameters(
-            experiment, None, times_s=np.arange(76) / 30.0, values=values
-        )
-        == ()
+        estimates(experiment, None, times_s=np.arange(76) / 30.0, values=values) == {}
     )
 
 
@@ -166,7 +161,7 @@ def test_mujoco_swings_between_the_beam_theories_with_and_without_shear():
     score = run_episode(
         RunRequest(name_of("0g"), backend="mujoco", parameters=overrides)
     ).score
-    found = {one.parameter: one.value for one in score.implied}
+    found = {name: one.value for name, one in score.estimates.items()}
     load_n_per_m = GRAVITY * DENSITY * WIDTH_M**2
     bending_mm = 1e3 * load_n_per_m * LENGTH_M**4 / (8.0 * STIFFNESS_N_M2)
     shear_modulus_pa = MODULUS_PA / 2.6

@@ -1,12 +1,10 @@
 """Copies among recorded tosses are no independent trials."""
 
 import gymnasium
-import pytest
-from pydantic import ValidationError
 
 from gauge_envs import load_experiment, reference_band
 from gauge_envs.experiments.resolve import with_trial
-from gauge_envs.references.single_shot import ShotSidecar, single_shots
+from gauge_envs.references.single_shot import single_shots
 
 CUBE = "CubeToss-acrylic"
 
@@ -46,18 +44,3 @@ def test_seeds_select_independent_trials_and_a_copy_says_so():
     ]
     assert sources[0].startswith(f"trial 49 of {shots.sidecar.source}")
     assert sources[1].startswith("trial 123 (the same recording as trial 49) of ")
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [[(5, 7)], [(7, 7)], [(499, 3)], [(7, 3), (9, 7)], [(7, 3), (7, 4)]],
-    ids=lambda pairs: str(pairs),
-)
-def test_wrong_copies_are_refused(wrong):
-    values = single_shots(CUBE).sidecar.model_dump()
-    listed = [{"trial": trial, "of": of} for trial, of in wrong]
-    with pytest.raises(
-        ValidationError,
-        match="copies: each trial once, of an earlier one that is no copy",
-    ):
-        ShotSidecar.model_validate(values | {"copies": listed})

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from gauge_envs.scoring.verification import COVERAGE_FACTOR
 
 from gauge_envs.errors import TrajectoryFileError
 from gauge_envs.experiments.resolve import load_experiment
@@ -12,7 +13,6 @@ from gauge_envs.runs.score_file import score_file
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scoring.likely_mistakes import start_values
 from gauge_envs.scoring.score import Score
-from gauge_envs.scoring.verification import COVERAGE_FACTOR
 
 IDS = [one.name for one in variants()]
 

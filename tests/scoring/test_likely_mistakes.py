@@ -96,7 +96,7 @@ def test_degrees_are_refused_and_radians_are_not(name):
 def test_real_and_scattered_starts_are_accepted(name):
     experiment = experiment_of(name)
     start = start_values(experiment)
-    band = reference_band(experiment, use_withheld=True)
+    band = reference_band(experiment)
     measured = [] if band is None else [band.mean[0]]
     if band is not None and band.trials is not None:
         measured += list(band.trials[:, 0])

@@ -20,7 +20,7 @@ def test_a_closed_form_slide_in_a_csv_scores_as_in_the_library(tmp_path):
         RESOLVED, reference_band(RESOLVED), times_s=TIMES, values=SLIDE
     )
     # scoring/README.md: an ideal Coulomb cube with the calibrated friction scores 0.41.
-    assert result.score.validation.rmse_normalized == pytest.approx(0.41, abs=0.005)
+    assert result.score.rmse_normalized == pytest.approx(0.41, abs=0.005)
     assert (interpolated, result.backend, result.wall_s, result.seed) == (
         0,
         None,
@@ -123,18 +123,11 @@ def test_ten_frames_after_the_last_one_serve_the_alignment_and_nothing_else_is_u
     assert len(result.trajectory.later_times_s) == 10
 
 
-def test_later_frames_do_not_count_as_markers_of_the_deformation(tmp_path):
+def test_later_frames_do_not_count_as_markers(tmp_path):
     experiment = load_experiment("CantileverBeam-soft")
     markers = 1e3 * np.asarray(experiment.scene.markers.positions_m).ravel()
     rows = np.tile(markers, (experiment.frame_count + 10, 1))
-    for name, count in (("a.csv", len(rows)), ("b.csv", experiment.frame_count)):
-        np.savetxt(tmp_path / name, rows[:count], delimiter=",")
-    longer, exact = (
-        score_file(tmp_path / name, variant=experiment.name)[0]
-        for name in ("a.csv", "b.csv")
-    )
-    assert longer.deformation is not None
-    assert longer.deformation == exact.deformation
+    np.savetxt(tmp_path / "a.csv", rows, delimiter=",")
     read = read_trajectory(tmp_path / "a.csv", experiment)
     assert read.markers_m.shape == (
         experiment.frame_count,
@@ -153,7 +146,7 @@ def test_a_file_that_ends_with_the_last_frame_is_not_shifted_to_earlier_times(tm
     )
     cut, _ = score_file(write_csv(tmp_path / "a.csv", longer[:17]), variant=plastic)
     whole, _ = score_file(write_csv(tmp_path / "b.csv", longer), variant=plastic)
-    assert cut.score.release_offset_s >= 0.0 > whole.score.release_offset_s
+    assert cut.score.time_offset_s >= 0.0 > whole.score.time_offset_s
     assert whole.score.rmse_aligned < 0.5 * cut.score.rmse_aligned
 
 

@@ -49,10 +49,9 @@ def test_each_world_has_the_score_of_its_trajectory(name: str) -> None:
         )
         # The scalar fit of the shift ends within 1e-7 s; here the minimum of each parabola is exact.
         for key, scores in together.items():
-            tolerance = 2e-6 if key == "release_offset_s" else 1e-9
-            holder = single.validation if key.endswith("_normalized") else single
+            tolerance = 2e-6 if key == "time_offset_s" else 1e-9
             assert scores[number] == pytest.approx(
-                getattr(holder, key), rel=1e-6, abs=tolerance
+                getattr(single, key), rel=1e-6, abs=tolerance
             ), key
     assert ("rmse_aligned" in together) == (single.rmse_aligned is not None)
     # The distance from a law is not divided by the scatter of real trials.
@@ -73,9 +72,7 @@ def test_a_world_that_ends_early_is_shifted_less() -> None:
         values=values[1, :count],
         is_checked=True,
     )
-    assert together["release_offset_s"][1] == pytest.approx(
-        single.release_offset_s, abs=2e-6
-    )
+    assert together["time_offset_s"][1] == pytest.approx(single.time_offset_s, abs=2e-6)
     assert together["rmse_aligned"][1] == pytest.approx(single.rmse_aligned, rel=1e-6)
 
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from gauge_envs.scoring.deviation import trial_distances
 from places import one_of_a_kind
 
 from gauge_envs import load_experiment, reference_band
@@ -17,7 +18,6 @@ from gauge_envs.pages.figures import new_figure, save_png
 from gauge_envs.pages.text import QUESTIONS
 from gauge_envs.references.kind import Kind
 from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result
-from gauge_envs.scoring.deviation import trial_distances
 from gauge_envs.scoring.score import Score, score_trajectory
 from gauge_envs.tools.compare.experiment_figure import draw_experiment, save_figures
 

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from gauge_envs.scoring.uncertainty import band_errors
 from scipy.stats import t as student
 
 from gauge_envs.references.band import bundled_band
-from gauge_envs.scoring.uncertainty import band_errors
 from gauge_envs.tools.compare.draws import (
     ScoreDraws,
     paired_scores,

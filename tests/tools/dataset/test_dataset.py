@@ -21,6 +21,7 @@ from dataset_writer import (
     write_synthetic,
     write_trial,
 )
+from gauge_envs.scoring.deformation import deformation_reference
 from hypothesis import given, settings, strategies as st
 from imports import IMPORTED, band_of, import_contents, imported
 from scipy.spatial.transform import Rotation
@@ -35,8 +36,8 @@ from gauge_envs.errors import (
 )
 from gauge_envs.files import data_folder
 from gauge_envs.references.band import bundled_band
-from gauge_envs.references.kind import Kind
 from gauge_envs.references.imported import load_imported, recorded_drivers
+from gauge_envs.references.kind import Kind
 from gauge_envs.references.published import published_baselines
 from gauge_envs.references.user_data import DataSource, user_data_folder
 from gauge_envs.runs.batch import run_many
@@ -49,7 +50,6 @@ from gauge_envs.runs.result_file import (
 )
 from gauge_envs.scene.drivers import DriverMotion
 from gauge_envs.scene.profiles import SampledProfile
-from gauge_envs.scoring.deformation import deformation_reference
 from gauge_envs.scoring.reference import band_grade, load_band
 from gauge_envs.tools.compare.comparison import compare
 from gauge_envs.tools.dataset.layout import find_trials, write_revision

@@ -8,12 +8,10 @@ from swings import swung_rad
 
 from gauge_envs.errors import ShapeError
 from gauge_envs.scoring.events import (
-    dropped_rests,
     energy_loss,
     longest_stationary_duration,
     momentum_transfer_efficiency,
     oscillation_period,
-    spectral_peak_period,
     swing_times,
 )
 
@@ -123,21 +121,6 @@ def test_period_scales_with_the_frame_rate_and_takes_one_coordinate():
         oscillation_period(np.column_stack((signal, signal)))
 
 
-def test_the_plain_spectrum_has_the_period_of_a_bin():
-    """1.14 s lies between 10 / 9 and 10 / 8 s; 300 frames last 10 s."""
-    times_s = np.arange(300) / 30
-    assert spectral_peak_period(
-        25.0 + np.sin(2 * np.pi * times_s / 1.14)
-    ) == pytest.approx(10 / 9)
-    assert spectral_peak_period(np.sin(2 * np.pi * times_s / 1.22)) == pytest.approx(
-        10 / 8
-    )
-    assert spectral_peak_period(
-        np.sin(2 * np.pi * times_s / 1.22), frame_rate_hz=60.0
-    ) == pytest.approx(10 / 16)
-    assert math.isnan(spectral_peak_period(np.full(50, 3.0)))
-
-
 # Rest between impulses
 
 
@@ -182,35 +165,6 @@ def test_fast_jitter_within_the_height_range_is_no_rest():
     assert longest_stationary_duration(heights, speed_limit_mm_s=20.0) == pytest.approx(
         20 / 30
     )
-
-
-def test_a_drift_at_constant_height_is_a_rest_of_the_height_alone():
-    heights = impulses(10, 12, 10)
-    path = np.column_stack((np.arange(len(heights)) * 20.0 / 30, heights))
-    assert longest_stationary_duration(heights) == pytest.approx(12 / 30)
-    assert longest_stationary_duration(heights, path_mm=path) == 0.0
-    assert longest_stationary_duration(
-        heights, path_mm=path, speed_limit_mm_s=21.0
-    ) == pytest.approx(12 / 30)
-
-
-def test_central_differences_lose_the_frames_beside_an_impulse():
-    """The speed at the first and last frame of a rest is half of that of the step beside it."""
-    assert longest_stationary_duration(
-        impulses(40, 9, 12, 7, 30), central=True
-    ) == pytest.approx(10 / 30)
-    turning = np.array([60.0, 30.0, 0.0, 0.0, 30.0, 60.0])
-    assert longest_stationary_duration(turning) == pytest.approx(2 / 30)
-    assert longest_stationary_duration(turning, central=True) == 0.0
-
-
-def test_rests_at_the_ends_are_dropped_and_returned():
-    heights = impulses(40, 9, 12, 7, 30)
-    assert dropped_rests(heights) == pytest.approx((40 / 30, 30 / 30))
-    assert dropped_rests(heights[42:], frame_rate_hz=60.0) == pytest.approx(
-        (0.0, 30 / 60)
-    )
-    assert dropped_rests(np.zeros(20)) == pytest.approx((20 / 30, 20 / 30))
 
 
 # Times of swings
@@ -300,16 +254,4 @@ def test_events_refuse_what_is_not_a_row_of_heights(heights):
     with pytest.raises(ShapeError):
         oscillation_period(heights)
     with pytest.raises(ShapeError):
-        spectral_peak_period(heights)
-    with pytest.raises(ShapeError):
-        dropped_rests(heights)
-    with pytest.raises(ShapeError):
         energy_loss(heights, rest_height_mm=0.0)
-
-
-@pytest.mark.parametrize(
-    "path", [np.zeros((4, 3)), np.zeros(5), np.full((5, 1), np.nan)]
-)
-def test_a_path_has_a_row_for_each_height(path):
-    with pytest.raises(ShapeError, match="path_mm"):
-        longest_stationary_duration(np.zeros(5), path_mm=path)
