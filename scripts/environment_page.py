@@ -9,7 +9,11 @@ from typing import Any
 from gauge_envs.backends.registry import backend_names, backend_title, is_bundled
 from gauge_envs.envs.arguments import EnvArguments
 from gauge_envs.experiments.resolve import load_experiment
-from gauge_envs.experiments.variants import beyond_variants, variants
+from gauge_envs.experiments.variants import (
+    beyond_variants,
+    find_variant,
+    variants,
+)
 from gauge_envs.pages.document import Bullets, Document, Heading, Paragraph, Part
 from gauge_envs.pages.table import Column, Table, grid
 from gauge_envs.pages.text import GRADE_NOTES, Markdown, short_id, value_text
@@ -25,6 +29,7 @@ from gauge_envs.tools.catalog.words import (
     reasons_text,
     step_text,
 )
+from scripts.build_coverage import coverage
 from scripts.generated import ROOT
 
 Values = Mapping[str, Any]
@@ -135,12 +140,8 @@ def _summary(values: Values) -> Iterator[str]:
 
 def _ids(members: Sequence[Values]) -> Table:
     def known(values: Values) -> str:
-        count = values["reference"]["known_frames"]
-        return (
-            "-"
-            if count is None or values["reference"]["grade"] == BandGrade.NONE
-            else str(count)
-        )
+        """Frames of what is compared: of markers where a solution has them."""
+        return coverage(find_variant(short_id(values["id"]))).known.partition(" ")[0]
 
     columns = (
         Column("id", "id", Markdown),
@@ -151,7 +152,7 @@ def _ids(members: Sequence[Values]) -> Table:
         ),
         Column("reference.grade", "grade of the reference"),
         Column("reference.trial_count", "real trials", is_number=True),
-        Column("", "frames with a mean", known, is_number=True),
+        Column("", "frames compared", known, is_number=True),
     )
     notes = dict.fromkeys(
         f"{values['reference']['grade']}: {grade_note(values['reference'])}."
