@@ -9,7 +9,11 @@ from typing import Any
 from gauge_envs.backends.registry import backend_names, backend_title, is_bundled
 from gauge_envs.envs.arguments import EnvArguments
 from gauge_envs.experiments.resolve import load_experiment
-from gauge_envs.experiments.variants import beyond_variants, variants
+from gauge_envs.experiments.variants import (
+    beyond_variants,
+    find_variant,
+    variants,
+)
 from gauge_envs.pages.document import Bullets, Document, Heading, Paragraph, Part
 from gauge_envs.pages.table import Column, Table, grid
 from gauge_envs.pages.text import GRADE_NOTES, Markdown, short_id, value_text
@@ -25,6 +29,7 @@ from gauge_envs.tools.catalog.words import (
     reasons_text,
     step_text,
 )
+from scripts.build_coverage import coverage
 from scripts.generated import ROOT
 
 Values = Mapping[str, Any]
@@ -151,7 +156,7 @@ def _ids(members: Sequence[Values]) -> Table:
         ),
         Column("reference.grade", "grade of the reference"),
         Column("reference.trial_count", "real trials", is_number=True),
-        Column("", "frames with a mean", known, is_number=True),
+        Column("", "frames compared", known, is_number=True),
     )
     notes = dict.fromkeys(
         f"{values['reference']['grade']}: {grade_note(values['reference'])}."
@@ -214,9 +219,7 @@ def _reference(names: _Names, members: Sequence[Values]) -> Iterator[Part]:
         _listed(names, members, lambda values: f"{values['reference']['reward']}.")
     )
     yield Heading("Reference")
-    used = [
-        values for values in members if values["reference"]["grade"] != Kind.NONE
-    ]
+    used = [values for values in members if values["reference"]["grade"] != Kind.NONE]
     lines = _listed(
         names,
         used,

@@ -56,13 +56,15 @@ class RecordedEvent(FileModel):
         unit: Unit of the value.
         value: Real value.
         standard_uncertainty: Its standard uncertainty.
+        markers: Indices of the markers that it rests on; empty for all, or none.
         source: Recording and method, one sentence.
     """
 
     name: str
     unit: str
     value: float
-    standard_uncertainty: float = Field(ge=0.0)
+    standard_uncertainty: float = Field(gt=0.0)
+    markers: tuple[int, ...] = ()
     source: str
 
 

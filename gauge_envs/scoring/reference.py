@@ -52,26 +52,42 @@ def refusal(
         return None
     if band.kind.is_solution and is_moved:
         return f"no score: the {band.kind} reference is of the calibrated start, and this start was scattered"
-    scene = experiment.scene
-    calibrated = _calibrated_scene(experiment.name, experiment.file_sha256)
-    if scene == calibrated:
-        return None
-    changes = list(scene_changes(calibrated, scene))
-    if experiment.drivers is DataSource.ACTION:
-        changes = [one for one in changes if not one.startswith("driver of")]
+    changes = _changes(experiment)
     if band.kind.is_real:
-        stated = {key.rpartition(".")[2] for key in experiment.overrides}
-        is_start_stated = experiment.edited or bool(stated & START_KEYS)
-        changes = [
-            one
-            for one in changes
-            if GEOMETRY.search(one) and (is_start_stated or ": pose" not in one)
-        ]
+        changes = _of_geometry(experiment, changes)
     if not changes:
         return None
     judged = "real scene" if band.kind.is_real else "calibrated scene"
     more = f", and {len(changes) - 1} more" if len(changes) > 1 else ""
     return f"no score: the {band.kind} reference is of the {judged}, and this one differs: {changes[0]}{more}"
+
+
+def has_real_geometry(experiment: Experiment) -> bool:
+    """Return whether gravity, shapes and places are those of the real scene, so that real events compare."""
+    is_own = experiment.reference is not None
+    return is_own or not _of_geometry(experiment, _changes(experiment))
+
+
+def _changes(experiment: Experiment) -> list[str]:
+    """Return what differs from the calibrated scene, one line each; driven motion of actions does not count."""
+    calibrated = _calibrated_scene(experiment.name, experiment.file_sha256)
+    if experiment.scene == calibrated:
+        return []
+    changes = list(scene_changes(calibrated, experiment.scene))
+    if experiment.drivers is DataSource.ACTION:
+        changes = [one for one in changes if not one.startswith("driver of")]
+    return changes
+
+
+def _of_geometry(experiment: Experiment, changes: list[str]) -> list[str]:
+    """Return the changes of gravity, shapes and places; starts scatter in reality, unless a parameter states one."""
+    stated = {key.rpartition(".")[2] for key in experiment.overrides}
+    is_start_stated = experiment.edited or bool(stated & START_KEYS)
+    return [
+        one
+        for one in changes
+        if GEOMETRY.search(one) and (is_start_stated or ": pose" not in one)
+    ]
 
 
 @lru_cache(maxsize=128)

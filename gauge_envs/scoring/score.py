@@ -30,7 +30,8 @@ from gauge_envs.scoring.metrics import (
     trajectory_rmse,
     z_scores,
 )
-from gauge_envs.scoring.reference import refusal
+from gauge_envs.scoring.recorded_events import EVENTS, Motion
+from gauge_envs.scoring.reference import has_real_geometry, refusal
 
 COVERAGE_FACTOR = 1.96
 """Half width of a 95 % interval over the standard uncertainty."""
@@ -306,7 +307,7 @@ def score_trajectory(
         kind=(Kind.NONE if band is None else band.kind).value,
         unit=experiment.score.observable.unit,
         refused=reason,
-        events=_events(experiment, frames, markers_m),
+        events=_events(experiment, times_s, values, frames, markers_m),
         estimates=estimates(experiment, band, times_s=times_s, values=values),
         **numbers,
     )
@@ -434,9 +435,15 @@ def _aligned(band: Band, times_s: FloatArray, projected: FloatArray) -> dict[str
 
 
 def _events(
-    experiment: Experiment, frames: FloatArray, markers_m: FloatArray | None
+    experiment: Experiment,
+    times_s: FloatArray,
+    values: FloatArray,
+    frames: FloatArray,
+    markers_m: FloatArray | None,
 ) -> dict[str, Measured]:
     """Return the events of an episode beside the published and the recorded ones."""
+    if not has_real_geometry(experiment):
+        return {}
     found = {}
     for metric, value in event_values(experiment, frames).items():
         row = experiment.baselines.get(metric)
@@ -446,5 +453,23 @@ def _events(
             unit=METRICS[metric].unit or experiment.score.observable.unit,
             real=None if row is None else row.mean,
             real_uncertainty=None if std is None else std / math.sqrt(PUBLISHED_TRIALS),
+        )
+    recorded = () if experiment.reference else recorded_events(experiment.name)
+    for event in recorded:
+        if markers_m is None and experiment.scene.markers is not None:
+            continue
+        motion = Motion(
+            scene=experiment.scene,
+            times_s=times_s,
+            samples=values,
+            markers_m=np.empty((len(frames), 0, 3)) if markers_m is None else markers_m,
+            markers=event.markers,
+        )
+        value = EVENTS[event.name](motion)
+        found[event.name] = Measured(
+            value=None if math.isnan(value) else value,
+            unit=event.unit,
+            real=event.value,
+            real_uncertainty=event.standard_uncertainty,
         )
     return found

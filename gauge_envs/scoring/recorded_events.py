@@ -1,0 +1,144 @@
+"""Compute the events of an episode that real recordings state, such as the frequency of a swing.
+
+Each event in a file `scoring/bands/<id>.toml` names a function of `EVENTS`. It returns NaN for an event that does not
+happen.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from gauge_envs.observables.deformation import (
+    STATISTICS,
+    deformation_statistics,
+    marked_solid,
+)
+from gauge_envs.scene import Scene
+from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.scoring.events import oscillation_period, swing_times
+
+
+@dataclass(frozen=True, kw_only=True)
+class Motion:
+    """Motion of one episode.
+
+    Attributes:
+        scene: Scene of the episode.
+        times_s: Times of the samples [s], shape [S].
+        samples: g(t) at those times, shape [S, C].
+        markers_m: Markers at the 30 Hz frames [m], shape [T, M, 3]; M is 0 for rigid bodies.
+        markers: Indices of the markers that the event rests on; none for all.
+    """
+
+    scene: Scene
+    times_s: FloatArray
+    samples: FloatArray
+    markers_m: FloatArray
+    markers: Sequence[int] = ()
+
+    @property
+    def frames_s(self) -> FloatArray:
+        """Times of the frames [s], shape [T]."""
+        return np.arange(len(self.markers_m)) / FRAME_RATE_HZ
+
+
+def _angles_deg(start_m: FloatArray, end_m: FloatArray) -> FloatArray:
+    """Return the angles of a line from hanging straight down, positive towards +y."""
+    across = end_m - start_m
+    return np.degrees(np.arctan2(across[:, 1], -across[:, 2]))
+
+
+def _swinging_deg(motion: Motion) -> FloatArray:
+    """Return the angles of the line between two markers at the frames from 0.24 to 1.41 s after the release."""
+    seen = (motion.frames_s > 0.24) & (motion.frames_s < 1.41)
+    return _angles_deg(*motion.markers_m[seen][:, motion.markers].swapaxes(0, 1))
+
+
+def _lag_mm(motion: Motion, *, from_s: float, until_s: float) -> float:
+    """Return how far the first point of g(t) is behind the driver's translation, mean over a span of time."""
+    seen = (motion.times_s >= from_s) & (motion.times_s <= until_s)
+    drive = motion.scene.drivers[0].motions[0]
+    driven_mm = 1e3 * np.array([drive.value(t) for t in motion.times_s[seen]])
+    moved_mm = (motion.samples[seen] - motion.samples[0])[:, :3] @ drive.axis
+    return float(np.mean((driven_mm - moved_mm) * np.sign(driven_mm)))
+
+
+def _cradle_s(motion: Motion, *, times: str, number: int) -> float:
+    """Return when the ball that starts at rest leaves or returns for the nth time, or how long it then rests."""
+    heights_mm = motion.samples[:, 2]
+    seen = swing_times(motion.times_s, heights_mm, rest_height_mm=heights_mm[0])
+    found = getattr(seen, times)
+    return found[number - 1] if number <= len(found) else math.nan
+
+
+def _slide_acceleration_m_per_s2(motion: Motion) -> float:
+    """Return the acceleration of a slide from rest, from 2 to 90 mm of its path."""
+    path_mm = np.linalg.norm(motion.samples - motion.samples[0], axis=1)
+    seen = np.logical_and.accumulate(path_mm < 90.0) & (path_mm > 2.0)
+    if seen.sum() < 3:
+        return math.nan
+    slope = np.polyfit(motion.times_s[seen], np.sqrt(1e-3 * path_mm[seen]), 1)[0]
+    return float(2.0 * slope**2)
+
+
+def _turning_ratio(motion: Motion) -> float:
+    """Return the third turning angle of a pendulum over its angle at the release."""
+    anchor_m = np.array(motion.scene.joints[0].anchor_m)
+    across = 1e-3 * motion.samples - anchor_m
+    angles = np.abs(np.arctan2(across[:, 0], -across[:, 2]))
+    turns = np.flatnonzero((angles[1:-1] > angles[:-2]) & (angles[1:-1] >= angles[2:]))
+    return float(angles[turns[2] + 1] / angles[0]) if len(turns) > 2 else math.nan
+
+
+def _chord_deg(
+    motion: Motion, extreme: Callable[..., float], from_s: float, until_s: float
+) -> float:
+    """Return an extreme angle of the chord from a driven rod to the lowest row of markers over a span of time."""
+    (driver,) = motion.scene.drivers
+    rod_m = driver.path(motion.scene.body(driver.body).pose, motion.frames_s)[:, :3]
+    heights_m = motion.markers_m[0, :, 2]
+    lowest = heights_m < heights_m.min() + 1e-3
+    chords = _angles_deg(rod_m, motion.markers_m[:, lowest].mean(axis=1))
+    seen = (motion.frames_s >= from_s) & (motion.frames_s <= until_s)
+    return float(extreme(chords[seen]))
+
+
+def _strain(motion: Motion, *, statistic: str) -> float:
+    """Return a statistic of deformation at the last frame."""
+    solid = marked_solid(motion.scene)
+    if solid is None:
+        return math.nan
+    used = motion.markers or range(motion.markers_m.shape[1])
+    ends_m = motion.markers_m[[0, -1]][:, used]
+    values = deformation_statistics(ends_m[0], ends_m, solid)
+    return float(values[1, STATISTICS.index(statistic)])
+
+
+EVENTS: dict[str, Callable[[Motion], float]] = {
+    "swing_frequency_hz": lambda motion: (
+        1.0 / oscillation_period(_swinging_deg(motion))
+    ),
+    "mean_angle_deg": lambda motion: float(_swinging_deg(motion).mean()),
+    "foot_lag_mm": partial(_lag_mm, from_s=1.0, until_s=3.0),
+    "cube_lag_mm": partial(_lag_mm, from_s=1.5, until_s=2.0),
+    "slide_acceleration_m_per_s2": _slide_acceleration_m_per_s2,
+    "turning_ratio": _turning_ratio,
+    "cloth_lag_deg": lambda motion: _chord_deg(motion, np.max, 0.0, 0.9),
+    "cloth_swing_deg": lambda motion: _chord_deg(motion, np.min, 0.9, 2.1),
+    "cloth_rebound_deg": lambda motion: _chord_deg(motion, np.max, 1.75, 2.8),
+    "strain_zz": partial(_strain, statistic="strain.zz"),
+    "strain_xz": partial(_strain, statistic="strain.xz"),
+    "area_ratio": partial(_strain, statistic="area_ratio"),
+    **{
+        f"{name}_{number}_s": partial(_cradle_s, times=f"{name}_s", number=number)
+        for name in ("leaves", "returns", "rests")
+        for number in (1, 2, 3)
+    },
+}
+"""Functions of the events, by the name of an entry."""
