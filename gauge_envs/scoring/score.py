@@ -13,7 +13,7 @@ from pydantic import TypeAdapter
 
 from gauge_envs.errors import ShapeError
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.references.band import Band
+from gauge_envs.references.band import Band, recorded_events
 from gauge_envs.references.kind import Kind
 from gauge_envs.references.metrics import METRICS
 from gauge_envs.references.published import Baseline

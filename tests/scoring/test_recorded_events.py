@@ -1,18 +1,13 @@
 """Events of real recordings: functions find the event of a made motion; each entry has a function and an id."""
 
 import math
-import tomllib
-from collections import Counter
 
 import numpy as np
 import pytest
-from places import ROOT
 
-from gauge_envs import find_variant, load_experiment
+from gauge_envs import load_experiment, variants
+from gauge_envs.references.band import recorded_events
 from gauge_envs.scoring.recorded_events import EVENTS, Motion
-
-FILE = ROOT / "scoring" / "bands" / "recorded_events.toml"
-ENTRIES = tomllib.loads(FILE.read_text())["events"]
 
 
 def motion_of(variant, samples=None, markers_m=None, markers=()):
@@ -112,9 +107,12 @@ def test_a_cloth_on_a_rod():
     assert EVENTS["cloth_rebound_deg"](motion) == pytest.approx(6.0)
 
 
-def test_each_entry_has_a_function_and_an_id():
-    for entry in ENTRIES:
-        assert find_variant(entry["id"]) and entry["name"] in EVENTS
-        assert entry["standard_uncertainty"] > 0.0 and ".mp4: " in entry["source"]
-    assert max(Counter((one["id"], one["name"]) for one in ENTRIES).values()) == 1
-    assert {one["name"] for one in ENTRIES} == set(EVENTS)
+def test_each_entry_has_a_function_and_one_source():
+    entries = {one.name: recorded_events(one.name) for one in variants()}
+    for events in entries.values():
+        names = [event.name for event in events]
+        assert len(names) == len(set(names))
+        assert all(name in EVENTS for name in names)
+        assert all(".mp4: " in event.source for event in events)
+    used = {event.name for events in entries.values() for event in events}
+    assert used == set(EVENTS)
