@@ -35,6 +35,9 @@ from scripts.generated import ROOT
 Values = Mapping[str, Any]
 """Dictionary of `description`."""
 
+PUBLISHED = "published_scores"
+"""Study of the published scores: limits with it stand below their table."""
+
 
 def family_document(family: str, *, picture: str, caption: str) -> Document:
     """Return the page of a family.
@@ -327,10 +330,23 @@ def _published(names: _Names, members: Sequence[Values]) -> Iterator[Part]:
         for line in one["baselines"]
     ]
     yield Heading("Published scores")
-    yield (
-        published_table(lines, columns=(Column("id", "id"),))
-        if lines
-        else Paragraph("None.")
+    if not lines:
+        yield Paragraph("None.")
+        return
+    yield published_table(lines, columns=(Column("id", "id"),))
+    notes = _limit_lines(names, members, lambda limit: limit["study"] == PUBLISHED)
+    notes += _listed(names, members, _impossible)
+    if notes:
+        yield Bullets(notes)
+
+
+def _impossible(values: Values) -> str:
+    """Return a note on published scores that are larger than the observable allows."""
+    if not values["reference"]["impossible"]:
+        return ""
+    return (
+        "Some of these scores are larger than is possible, so that their unit or observable is another one; "
+        "`gauge show` names them."
     )
 
 
@@ -411,23 +427,29 @@ def note_of(study: str) -> str:
 
 
 def _limits(names: _Names, members: Sequence[Values]) -> Iterator[Part]:
-    found: dict[str, list[str]] = {}
-    for values in members:
-        for limit in values["limits"]:
-            study = (
-                f" ([study](../../studies/{note_of(limit['study'])}))"
-                if limit["study"]
-                else ""
-            )
-            found.setdefault(limit["text"] + study, []).append(short_id(values["id"]))
-    labels = {text: names.short(having) for text, having in found.items()}
-    lines = [_of(label, text) for text, label in labels.items()]
+    lines = _limit_lines(names, members, lambda limit: limit["study"] != PUBLISHED)
     yield Heading("Known limits")
     yield (
         Bullets(lines)
         if lines
         else Paragraph(Markdown("None but those of [all experiments](../limits.md)."))
     )
+
+
+def _limit_lines(
+    names: _Names, members: Sequence[Values], is_wanted: Callable[[Values], bool]
+) -> list[str]:
+    """Return the known limits that are wanted, each behind the variants that it is of."""
+    found: dict[str, list[str]] = {}
+    for values in members:
+        for limit in filter(is_wanted, values["limits"]):
+            study = (
+                f" ([study](../../studies/{note_of(limit['study'])}))"
+                if limit["study"]
+                else ""
+            )
+            found.setdefault(limit["text"] + study, []).append(short_id(values["id"]))
+    return [_of(names.short(having), text) for text, having in found.items()]
 
 
 # --- constants and their sources --------------------------------------------------------------------------------------

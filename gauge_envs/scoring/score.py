@@ -18,12 +18,15 @@ from gauge_envs.references.kind import Kind
 from gauge_envs.references.metrics import METRICS
 from gauge_envs.references.published import Baseline
 from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.scoring.estimates import Measured, estimates
 from gauge_envs.scoring.events import PUBLISHED_TRIALS, event_values
-from gauge_envs.scoring.interval import distance_interval, mean_uncertainty
+from gauge_envs.scoring.interval import distance_interval, trials_interval
 from gauge_envs.scoring.likely_mistakes import value_mistake
 from gauge_envs.scoring.metrics import (
+    MAX_TIME_OFFSET_S,
     frame_index,
+    interpolated,
     signed_error,
     time_offset,
     trajectory_dtw,
@@ -56,7 +59,7 @@ class Score:
     | `primary` | | distance that reports show first: `rmse_aligned` for a release, `over_uncertainty` for a solution |
     | `exact` | 1 | primary distance over real trials of an exact solution with the same constants |
     | `rmse` | unit | E_RMSE of the paper |
-    | `rmse_95` | unit | its 95 % interval: bootstrap over trials, else 1.96 u of the reference |
+    | `rmse_95` | unit | its 95 % interval, from the scatter of single trials, else 1.96 u of the reference |
     | `rmse_normalized` | 1 | `rmse` over the published mean of real trials |
     | `dtw`, `dtw_normalized` | unit, 1 | E_DTW of the paper, and over the published mean of real trials |
     | `time_offset_s` | s | time shift with the least RMSE; positive when reality is released later |
@@ -343,7 +346,9 @@ def _distances(
         return found | _over_uncertainty(
             band, simulated - band.mean, found["rmse"], markers_m
         )
-    found |= _over_real_trials(experiment, band, found, times_s, band.project(values))
+    found |= _over_real_trials(
+        experiment, band, found, times_s, band.project(values), simulated - band.mean
+    )
     return found | _in_scatter(band, simulated)
 
 
@@ -369,10 +374,11 @@ def _over_real_trials(
     distances: Mapping[str, Any],
     times_s: FloatArray,
     projected: FloatArray,
+    deviation: FloatArray,
 ) -> dict[str, Any]:
     """Return distances over those of real trials, raw and after a time shift, by field of `Score`."""
     found: dict[str, Any] = {"primary": "rmse"}
-    found["rmse_95"] = distance_interval(distances["rmse"], mean_uncertainty(band))
+    found["rmse_95"] = _real_interval(band, distances["rmse"], deviation)
     for metric, row in normalizing_baselines(experiment, band).items():
         if metric in distances:
             found[f"{metric}_normalized"] = distances[metric] / row.mean
@@ -419,13 +425,35 @@ def _marker_deviation(
     return whole - band.points.mean
 
 
+def _real_interval(
+    band: Band,
+    distance: float,
+    deviation: FloatArray,
+    velocity: FloatArray | None = None,
+) -> Interval:
+    """Return the 95 % interval of a distance from real trials; arguments as of `trials_interval`."""
+    if band.trials is None or len(band.trials) < 2:
+        return distance_interval(distance, band.standard_uncertainty)
+    return trials_interval(
+        deviation, band.trials, velocity=velocity, uncertainty=band.uncertainty
+    )
+
+
 def _aligned(band: Band, times_s: FloatArray, projected: FloatArray) -> dict[str, Any]:
     """Return the distance after the time shift with the least RMSE, by field of `Score`."""
     offset_s, rmse = time_offset(times_s, projected, band.mean)
+    queries_s = np.arange(len(band.mean)) / FRAME_RATE_HZ - offset_s
+    shifted = interpolated(queries_s, times_s, projected)
+    velocity = interpolated(queries_s, times_s, np.gradient(projected, times_s, axis=0))
+    # Before its start the simulation is held; at the bound of the shift, it cannot follow an error of the mean.
+    velocity[queries_s < 0.0] = 0.0
+    is_free = abs(offset_s) < MAX_TIME_OFFSET_S - 1e-6
     found = {
         "time_offset_s": offset_s,
         "rmse_aligned": rmse,
-        "rmse_aligned_95": distance_interval(rmse, mean_uncertainty(band)),
+        "rmse_aligned_95": _real_interval(
+            band, rmse, shifted - band.mean, velocity if is_free else None
+        ),
     }
     if band.trial_rmse_aligned is not None:
         mean = float(band.trial_rmse_aligned.mean())
