@@ -26,8 +26,8 @@ NUMBERS = "biuf"
 def data_folder(name: str) -> Path:
     """Return the folder `tasks`, `scoring` or `assets`, inside the installed package or beside it in a checkout."""
     package = Path(__file__).parent
-    for folder in (package / name, package.parent / name):
-        if folder.is_dir() and not (folder / "__init__.py").exists():
+    for folder in (package / "_data" / name, package.parent / name):
+        if folder.is_dir():
             return folder
     raise FileNotFoundError(
         f"gauge-envs is installed without its {name!r} folder (looked in {package} and beside it)"

@@ -53,6 +53,7 @@ from gauge_envs.references.kind import Kind
 from gauge_envs.scene.geometry import BoolArray, FloatArray
 from gauge_envs.scene.jitter import Jitter, jittered
 from gauge_envs.scoring.score import Score
+from gauge_envs.scoring.reference import refusal
 from gauge_envs.scoring.worlds import score_worlds
 
 Step = tuple[
@@ -265,10 +266,9 @@ class GaugeVectorEnv(WorldsEnvironment[Observation]):
     def score_arrays(self) -> dict[str, FloatArray]:
         """Return the scores of all worlds in one pass over their trajectories, as arrays of shape [num_envs].
 
-        The keys are those of `Score` and of its `validation`: `rmse` and, where they apply, `rmse_normalized`,
-        `release_offset_s`, `rmse_aligned` and `rmse_aligned_normalized`.
-        Entries of worlds whose episode is not over or diverged are NaN. A `Score` holds more, as intervals and
-        `verification`, and takes some milliseconds for each world.
+        The keys are those of `Score`: `rmse` and, where they apply, `rmse_normalized`, `time_offset_s`, `rmse_aligned`
+        and `rmse_aligned_normalized`. Entries are NaN of worlds whose episode is not over or diverged, and of those
+        that the reference does not score (`Score.refused`). A `Score` has more, and takes some milliseconds.
         """
         if self.band is None:
             raise EpisodeError(
@@ -277,11 +277,16 @@ class GaugeVectorEnv(WorldsEnvironment[Observation]):
         self._lockstep.run_on()
         times_s, samples = self._lockstep.trajectories()
         over = np.array(
-            [episode.is_over and episode.fault is None for episode in self.episodes]
+            [
+                one.is_over
+                and one.fault is None
+                and refusal(one.experiment, one.band) is None
+                for one in self.episodes
+            ]
         )
         samples[~over] = np.nan
         scores: dict[str, FloatArray] = {}
-        # A law depends on where a world's constants let it start; each band scores its worlds in one pass.
+        # Worlds may replay different trials; each band scores its worlds in one pass.
         bands = [one.band for one in self.episodes if one.band is not None]
         for band in {id(one): one for one in bands}.values():
             rows = [one.band is band for one in self.episodes]

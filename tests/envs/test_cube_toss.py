@@ -50,7 +50,7 @@ def test_the_score_is_against_the_own_trial():
     while not truncated:
         *_, truncated, info = env.step(0)
     score = info["score"]
-    assert (score.grade, score.primary, score.release_offset_s) == (
+    assert (score.kind, score.primary, score.time_offset_s) == (
         "trials",
         "rmse",
         None,

@@ -136,7 +136,7 @@ def test_what_a_device_cannot_do_is_refused(drifting, monkeypatch):
     envs = gymnasium.make_vec(PASSIVE, num_envs=2, mode="device")
     envs.reset(seed=0)
     inner = envs.unwrapped
-    for call in (inner.scores, inner.score_arrays, inner.deformations):
+    for call in (inner.scores, inner.score_arrays):
         with pytest.raises(EpisodeError, match="stays on the device"):
             call()
     for name, arguments, error in (

@@ -115,7 +115,7 @@ def test_the_score_is_that_of_the_last_episode_that_ended():
     assert env.score is None
     run_to_end(env)
     score = env.score
-    assert score.grade == "trials"
+    assert score.kind == "trials"
     env.step(0)
     env.step(0)
     assert env.score == score
@@ -152,7 +152,7 @@ def test_wrapped_environments_keep_what_the_wrapper_does():
     assert short.score is None
     bare = DmEnvironment(GaugeEnv(RIGID))
     run_to_end(bare)
-    assert bare.score.grade == "trials"
+    assert bare.score.kind == "trials"
 
 
 def test_without_dm_env_the_extra_is_named():

@@ -85,7 +85,6 @@ def test_a_spec_rebuilds_the_run_with_all_its_arguments():
         settings={"timestep_s": 1 / 3600},
         marker_proxy=MarkerProxy.MATERIAL,
         drivers=DataSource.BUNDLED,
-        use_withheld=True,
         render_mode="rgb_array",
         width=np.int64(80),
         height=60,
@@ -97,7 +96,7 @@ def test_a_spec_rebuilds_the_run_with_all_its_arguments():
         assert theirs.experiment == ours.experiment
         assert theirs.simulation.settings == ours.simulation.settings
         assert theirs.episode.marker_proxy is MarkerProxy.MATERIAL
-        assert theirs.band.withheld == ours.band.withheld is not None
+        assert theirs.band is ours.band
         assert theirs.spec.kwargs == ours.spec.kwargs
         assert (theirs.render_mode, theirs.spec.kwargs["width"]) == ("rgb_array", 80)
         assert [type(layer) for layer in layers(again)] == [
@@ -253,10 +252,10 @@ def test_scores_are_sent_to_tensorboard_and_to_functions_like_that_of_wandb():
     assert calls[0][1] == calls[1][1]
     assert calls[1][1]["score/rmse_aligned"] == score.rmse_aligned
     assert (
-        calls[1][1]["score/validation/rmse_aligned_normalized"]
-        == score.validation.rmse_aligned_normalized
+        calls[1][1]["score/rmse_aligned_normalized"]
+        == score.rmse_aligned_normalized
     )
-    assert not any("verification" in name for name in calls[1][1])
+    assert "score/over_uncertainty" not in calls[1][1]
     assert writer.scalars == [
         (step, name, value) for step, values in calls for name, value in values.items()
     ]

@@ -325,7 +325,7 @@ def test_law_bands_carry_the_body():
     plate = env.experiment.scene.body("plate").pose.position_m
     arm = np.hypot(*(1e-3 * env.band.mean[:, :2] - plate[:2]).T)
     assert arm == pytest.approx(arm[0])
-    assert env.band.kind == "law"
+    assert env.band.kind == "analytic"
     holds = gymnasium.make("GAUGE/SlopeSlider-1-metal").unwrapped.band.mean
     assert np.ptp(holds, axis=0) == pytest.approx(0.0, abs=1e-9)
 
@@ -334,24 +334,24 @@ def test_scores_against_real_trials(rollout):
     limits = {"wood": (0.45, 0.95), "plastic": (0.92, 1.10), "metal": (0.80, 0.78)}
     for material, (rmse, dtw) in limits.items():
         score = rollout(f"SlopeSlider-2-{material}")[2]["score"]
-        assert score.grade == "trials"
-        assert score.validation.rmse_normalized <= rmse
-        assert score.validation.dtw_normalized <= dtw
+        assert score.kind == "trials"
+        assert score.rmse_normalized <= rmse
+        assert score.dtw_normalized <= dtw
 
 
 def test_bouncing_ball_error_is_release_restitution_and_height(rollout):
     calibrated = rollout("BouncingBall-rubber")[2]["score"]
     effective = rollout("BouncingBall-rubber", parameters="effective")[2]["score"]
     recorded = rollout("BouncingBall-rubber", parameters="recorded")[2]["score"]
-    assert calibrated.validation.rmse_normalized <= 14.5
-    assert calibrated.release_offset_s == pytest.approx(0.056, abs=0.005)
+    assert calibrated.rmse_normalized <= 14.5
+    assert calibrated.time_offset_s == pytest.approx(0.056, abs=0.005)
     assert calibrated.rmse_aligned < 0.55 * calibrated.rmse
     assert effective.rmse_aligned <= 7.4
     # Nearer to the mean than any real trial.
-    assert recorded.validation.rmse_aligned_normalized <= 0.3
+    assert recorded.rmse_aligned_normalized <= 0.3
     assert (
-        recorded.validation.percentile_aligned,
-        effective.validation.percentile_aligned,
+        recorded.percentile,
+        effective.percentile,
     ) == (0.0, 100.0)
 
 

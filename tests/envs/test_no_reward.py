@@ -87,7 +87,6 @@ def test_warnings_have_the_approved_words(approved, tmp_path):
     requests = (
         ("RopeWinding-rubber", {}),
         ("FoamShearing-soft", {"parameters": other}),
-        ("Pendulum-metal", {"use_withheld": True}),
         ("SlopeContact-wood", {}),
         ("Asset", {"asset": copy / "crate.toml"}),
     )

@@ -39,7 +39,6 @@ ARGUMENTS = [
     {"settings": "fast"},
     {"asset": 3},
     {"marker_proxy": "nearest"},
-    {"use_withheld": "no"},
     # What would change nothing.
     {"width": 320},
     {"height": 240},
@@ -47,7 +46,6 @@ ARGUMENTS = [
     {"render_overlay": True},
     {"render_overlay": True, "render_mode": "depth_array"},
     {"marker_proxy": "node"},
-    {"use_withheld": True},
     {"jitter": {"position_m": 0.0, "angle_rad": 0.0, "velocity_m_per_s": 1e-15}},
     {"parameters": {"air.density_kg_per_m3": 1.2, "air.normal_coefficient": 1.0}},
     {"parameters": {"cube.euler_deg": (0.0, 0.0)}},

@@ -169,7 +169,7 @@ def test_bare_sub_environments_are_scored(vector):
     envs = ScoreEpisodes(vector([lambda: GaugeEnv(RIGID)] * 2))
     envs.reset(seed=0)
     scores = run_to_end(envs)[-1][4]["score"]
-    assert [score.grade for score in scores] == ["trials"] * 2
+    assert [score.kind for score in scores] == ["trials"] * 2
     envs.close()
     envs = ScoreEpisodes(
         vector([lambda: GaugeEnv(RIGID)] * 2, autoreset_mode=AutoresetMode.SAME_STEP)

@@ -62,7 +62,7 @@ def test_driven_and_undriven_experiments_take_zero_actions():
     driven = run_episode(RunRequest("SlopeSlider-3-metal"))
     assert driven.driver_provenance == "video"
     assert driven.outcome is Outcome.FINISHED
-    assert driven.score.grade == "recording"
+    assert driven.score.kind == "recording"
 
 
 def test_file_names_differ_between_requests(result):
@@ -144,7 +144,7 @@ def test_one_that_cannot_run_does_not_stop_the_others(tmp_path, monkeypatch):
     ]
     assert "deformable" in results[0].error
     assert results[2].error == "RuntimeError: the engine gave up"
-    assert results[2].score.grade == "trials"
+    assert results[2].score.kind == "trials"
     assert len(list(tmp_path.iterdir())) == 2
 
 

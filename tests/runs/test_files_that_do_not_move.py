@@ -4,7 +4,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from gauge_envs.scoring.verification import COVERAGE_FACTOR
 
 from gauge_envs.errors import TrajectoryFileError
 from gauge_envs.experiments.resolve import load_experiment
@@ -35,19 +34,6 @@ def scored(
     return result.score
 
 
-def is_told(score: Score) -> bool:
-    """Whether a score says that the motion is not that of its reference, or that it says nothing."""
-    found = score.verification
-    if found is not None:
-        if found.uncertainty is None:
-            return found.distance > 0.01 * found.frozen and found.distance > 1.0
-        return found.distance > COVERAGE_FACTOR * found.uncertainty
-    if score.primary is None or score.primary == "verification":
-        return True
-    normalized = score.primary_normalized
-    return normalized is not None and normalized > COVERAGE_FACTOR
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("name", IDS)
 def test_a_file_that_does_not_move_solves_nothing(name: str, tmp_path: Path) -> None:
@@ -55,7 +41,7 @@ def test_a_file_that_does_not_move_solves_nothing(name: str, tmp_path: Path) -> 
     markers = experiment.scene.markers
     positions_m = None if markers is None else np.asarray(markers.positions_m)
     score = scored(name, tmp_path, start_values(experiment), positions_m)
-    assert is_told(score) is (name not in AT_REST)
+    assert (score.verdict == "inside") is (name in AT_REST)
 
 
 @pytest.mark.slow
@@ -73,4 +59,4 @@ def test_a_file_of_zeros_solves_nothing(name: str, tmp_path: Path) -> None:
             score = scored(name, tmp_path, zeros, positions_m)
         except TrajectoryFileError:
             continue
-        assert is_told(score)
+        assert score.verdict != "inside"

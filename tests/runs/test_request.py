@@ -31,7 +31,6 @@ def test_name_id_and_variant_are_the_same_request():
         {"parameters": {"cube.friction": 0.3}},
         {"settings": {"impratio": 1.0}},
         {"marker_proxy": "node"},
-        {"use_withheld": True},
         {"seed": 1},
         {"repeats": 2},
         {"jitter": Jitter()},
@@ -63,7 +62,6 @@ def test_a_run_is_the_episode_of_the_environment_with_its_arguments(name):
         changes |= {
             "parameters": {"cube.friction": 0.2},
             "marker_proxy": MarkerProxy.NODE,
-            "use_withheld": True,
         }
     # `gymnasium.make` refuses arguments that change nothing, which a run of many ids may have.
     env = ScoreEpisode(GaugeEnv(name, **changes))
