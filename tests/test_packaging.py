@@ -37,15 +37,15 @@ def test_wheel_carries_the_data(wheel):
     names = zipfile.ZipFile(wheel).namelist()
     assert (
         sum(
-            name.startswith("gauge_envs/tasks/") and name.endswith(".toml")
+            name.startswith("gauge_envs/_data/tasks/") and name.endswith(".toml")
             for name in names
         )
         >= 23
     )
-    assert "gauge_envs/scoring/single_shot/CubeToss-acrylic.npz" in names
-    assert "gauge_envs/scoring/single_shot/CubeToss-acrylic.LICENSE" in names
-    assert "gauge_envs/scoring/published/engine_results.csv" in names
-    assert "gauge_envs/scoring/bands/SlopeSlider-2-wood.csv" in names
+    assert "gauge_envs/_data/scoring/single_shot/CubeToss-acrylic.npz" in names
+    assert "gauge_envs/_data/scoring/single_shot/CubeToss-acrylic.LICENSE" in names
+    assert "gauge_envs/_data/scoring/published/engine_results.csv" in names
+    assert "gauge_envs/_data/scoring/bands/SlopeSlider-2-wood.npz" in names
     assert "gauge_envs/py.typed" in names
     assert "gauge_command.py" in names
     assert not any(name.startswith(("tests", "studies")) for name in names)

@@ -117,6 +117,9 @@ class EpisodesOnDevice:
     def start(self, states: Any | None) -> None:
         """Start an episode in all worlds; see `DeviceWorlds.begin`."""
         self.device.begin(states)
+        # A solution does not score scattered starts; see `scoring.reference.refusal`.
+        is_solution = self._band is not None and self._band.kind.is_solution
+        self._is_scored = states is None or not is_solution
         for driver in self._drivers:
             driver.reset()
         self._frame = 0
@@ -193,7 +196,7 @@ class EpisodesOnDevice:
             "frame": self._frame,
             "time_s": self._frame / FRAME_RATE_HZ,
         }
-        if self.is_complete and self._band is not None:
+        if self.is_complete and self._band is not None and self._is_scored:
             # The release alignment compares the motion after the last frame too.
             for later in range(self._later_frames):
                 self._simulate(self._frame + later, self._no_rates)

@@ -102,5 +102,3 @@ def reference_kind(variant: str, source: DataSource = DataSource.BUNDLED) -> Kin
         return Kind.TRIALS
     band = load_band(variant, source)
     return Kind.NONE if band is None else band.kind
-
-

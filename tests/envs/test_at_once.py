@@ -106,9 +106,7 @@ def test_scores_as_arrays_are_those_of_each_world(together):
     for key, expected in {
         "rmse": [score.rmse for score in scores],
         "rmse_normalized": [score.rmse_normalized for score in scores],
-        "rmse_aligned_normalized": [
-            score.rmse_aligned_normalized for score in scores
-        ],
+        "rmse_aligned_normalized": [score.rmse_aligned_normalized for score in scores],
         "time_offset_s": [score.time_offset_s for score in scores],
     }.items():
         assert infos[f"_{key}"].all()

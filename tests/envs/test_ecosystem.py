@@ -251,10 +251,7 @@ def test_scores_are_sent_to_tensorboard_and_to_functions_like_that_of_wandb():
     score = info["score"]
     assert calls[0][1] == calls[1][1]
     assert calls[1][1]["score/rmse_aligned"] == score.rmse_aligned
-    assert (
-        calls[1][1]["score/rmse_aligned_normalized"]
-        == score.rmse_aligned_normalized
-    )
+    assert calls[1][1]["score/rmse_aligned_normalized"] == score.rmse_aligned_normalized
     assert "score/over_uncertainty" not in calls[1][1]
     assert writer.scalars == [
         (step, name, value) for step, values in calls for name, value in values.items()
