@@ -52,8 +52,8 @@ from gauge_envs.experiments.variants import Variant
 from gauge_envs.references.kind import Kind
 from gauge_envs.scene.geometry import BoolArray, FloatArray
 from gauge_envs.scene.jitter import Jitter, jittered
-from gauge_envs.scoring.score import Score
 from gauge_envs.scoring.reference import refusal
+from gauge_envs.scoring.score import Score
 from gauge_envs.scoring.worlds import score_worlds
 
 Step = tuple[

@@ -3,14 +3,18 @@
 import re
 from functools import lru_cache
 
+import numpy as np
+
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.experiments.resolve import START_KEYS, load_experiment, shots_of
+from gauge_envs.experiments.resolve import load_experiment, shots_of
 from gauge_envs.references.band import Band, load_band
 from gauge_envs.references.kind import Kind
 from gauge_envs.references.single_shot import single_shots
 from gauge_envs.references.user_data import DataSource
 from gauge_envs.scene import Scene
 from gauge_envs.scene.diff import scene_changes
+from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scoring.likely_mistakes import START_TOLERANCE_MM, start_values
 
 GEOMETRY = re.compile(
     r": (added|removed|(pose|shape|size_m|length_m|radius_m|anchor_m|axis|gravity_m_per_s2)\b)"
@@ -80,14 +84,28 @@ def _changes(experiment: Experiment) -> list[str]:
 
 
 def _of_geometry(experiment: Experiment, changes: list[str]) -> list[str]:
-    """Return the changes of gravity, shapes and places; starts scatter in reality, unless a parameter states one."""
-    stated = {key.rpartition(".")[2] for key in experiment.overrides}
-    is_start_stated = experiment.edited or bool(stated & START_KEYS)
-    return [
-        one
-        for one in changes
-        if GEOMETRY.search(one) and (is_start_stated or ": pose" not in one)
-    ]
+    """Return the changes of gravity, shapes and places that real trials cannot judge.
+
+    Parameter sets of the task file describe the real scene. Starts scatter in reality, so a start counts from
+    `START_TOLERANCE_MM` on.
+    """
+    if experiment.parameters != "custom" and not experiment.edited:
+        return []
+    moving = {body.name for body in experiment.scene.dynamic_bodies}
+    geometry = [one for one in changes if GEOMETRY.search(one)]
+    starts = [one for one in geometry if one.partition(": pose")[0] in moving]
+    calibrated = _calibrated_start(experiment.name, experiment.file_sha256)
+    apart = np.abs(start_values(experiment) - calibrated)
+    is_position = experiment.score.observable.unit == "mm"
+    if not is_position or apart.max() <= START_TOLERANCE_MM:
+        geometry = [one for one in geometry if one not in starts]
+    return geometry
+
+
+@lru_cache(maxsize=128)
+def _calibrated_start(variant: str, file_sha256: str) -> FloatArray:
+    """Return g(t) at the start that the task file states, shape [coordinate_count]."""
+    return start_values(load_experiment(variant))
 
 
 @lru_cache(maxsize=128)

@@ -107,12 +107,14 @@ def test_every_id_answers_in_one_sentence_and_ten_lines(name):
     [
         ("SlopeSlider-2-wood", {"scene.gravity_m_per_s2": 1.62}, "gravity"),
         ("SlopeSlider-2-wood", {"cube.position_m": [0.1, 0.4, 0.5]}, "position_m"),
+        ("SlopeSlider-2-wood", {"cube.position_m": [0.1, 0.4, 0.36]}, None),
+        ("BouncingBall-rubber", "recorded", None),
         ("SlopeSlider-2-wood", {"cube.friction": 0.2}, None),
         ("SlopeSlider-2-wood", "effective", None),
         ("Pendulum-metal", {"scene.gravity_m_per_s2": 9.0}, "gravity"),
         ("SlopeSlider-3-wood", {"cube.friction": 0.2}, "friction"),
         ("SlopeSlider-3-wood", "effective", "friction"),
-        ("TextileFlinging-satin", {"textile.mass_kg": 0.2}, "mass_kg"),
+        ("TextileFlinging-satin", {"textile.areal_density_kg_per_m2": 0.2}, "areal_density"),
     ],
 )
 def test_what_a_reference_cannot_judge_has_no_score_and_one_reason(
