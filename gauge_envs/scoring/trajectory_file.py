@@ -10,30 +10,24 @@ face areas. Columns are the coordinates of g(t) in the order of `coordinate_name
 A CSV header that names coordinates (`cube.x` or `cube.x [mm]`) may list them in any order. Any other header is skipped.
 Without times, rows are the 30 Hz frames. With times, the first is 0. A sample counts as a frame if it is within 0.5 ms
 and within a tenth of the sample spacing. Other frames are interpolated linearly; `interpolated_frames` counts them.
-Samples of up to 10 frames after the last published one serve the time alignment: a file that ends with the last
-frame is not shifted to earlier times. Later ones are not used; without times they are an error, as another rate.
+Samples of up to 10 frames after the last published one serve the time alignment: a file that ends with the last frame
+is not shifted to earlier times. Later ones are not used; without times they are an error, as another rate.
 """
 
 import csv
-import io
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 
 from gauge_envs.errors import TrajectoryFileError
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.files import (
-    csv_text,
-    json_document,
-    npz_arrays,
-    os_errors,
-)
+from gauge_envs.files import csv_text, json_document, npz_arrays, os_errors
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
@@ -43,6 +37,8 @@ from gauge_envs.scoring.metrics import MAX_TIME_OFFSET_S, interpolated
 FRAME_TOLERANCE_S = 5e-4
 """Samples this close to a frame count as the frame [s]; it is the error of times printed with three digits."""
 
+TIME = "time_s"
+"""Name of the column of times."""
 
 TIME_NAME = re.compile(
     r"(?i)(t|time|timestamp|sim_?time|seconds?|(t|time)[ _-]*\(?(s|sec|ms|seconds?)\)?)"
@@ -90,19 +86,22 @@ class StatedOrigin:
 
 
 def stated_origin(file: Path) -> StatedOrigin:
-    """Return what a trajectory file states about its origin."""
+    """Return what a trajectory file states about its origin.
+
+    Raises:
+        TrajectoryFileError: The file cannot be read, or its id is no text.
+    """
     if file.suffix.lower() != ".json":
         return StatedOrigin()
     content = _json_object(file)
-    name, parameters = content.get("id"), content.get("parameters")
+    name, jitter = content.get("id"), content.get("jitter")
     if name is not None and not isinstance(name, str):
         raise TrajectoryFileError(
             f"{file}: id is {name!r}, expected text such as 'GAUGE/SlopeSlider-2-wood'"
         )
-    jitter = content.get("jitter")
     return StatedOrigin(
         id=name,
-        parameters=parameters,
+        parameters=content.get("parameters"),
         has_asset=bool(content.get("asset")),
         jitter=jitter if isinstance(jitter, dict) else {},
     )
@@ -114,6 +113,9 @@ def read_trajectory(file: Path, experiment: Experiment) -> UserTrajectory:
     Args:
         file: The file; its suffix selects the format.
         experiment: Experiment that was simulated.
+
+    Raises:
+        TrajectoryFileError: The file cannot be read, or a row, a column or a time is wrong; the message names it.
     """
     readers = {".csv": _read_csv, ".npz": _read_npz, ".json": _read_json}
     reader = readers.get(file.suffix.lower())
@@ -121,61 +123,76 @@ def read_trajectory(file: Path, experiment: Experiment) -> UserTrajectory:
         raise TrajectoryFileError(
             f"{file}: unknown suffix {file.suffix!r}, expected {', '.join(readers)}"
         )
-    known = experiment.scene.markers
-    layout = _FileLayout(
-        file,
-        experiment.coordinates,
-        experiment.score.observable.unit,
-        marker_count=0 if known is None else len(known.positions_m),
-    )
-    times, values, markers = reader(layout)
-    if times is None:
-        fault = count_mistake(len(values), experiment.frame_count)
-        if fault is not None:
-            raise layout.error("", fault)
-        times = np.arange(len(values)) / FRAME_RATE_HZ
-    elif len(times) > 1:
-        fault = time_mistake(times, experiment.frame_count)
-        if fault is not None:
-            raise layout.error("", fault)
+    names, frame_count = experiment.coordinates, experiment.frame_count
+    layout = _Layout(file, names, experiment.score.observable.unit)
+    table = reader(layout)
+    columns = layout.columns(table)
+    values = columns[:, -len(names) :]
+    if table.has_times:
+        times_s = columns[:, 0]
+        fault = time_mistake(times_s, frame_count) if len(times_s) > 1 else None
+    else:
+        times_s = np.arange(len(values)) / FRAME_RATE_HZ
+        fault = count_mistake(len(values), frame_count)
+    if fault is not None:
+        raise layout.error("", fault)
+    markers = experiment.scene.markers
+    places_m = table.markers_m
+    if experiment.score.observable is Observable.MARKER_POSITION:
+        # A g(t) of marker positions is those of the markers.
+        places_m = 1e-3 * values.reshape(len(values), -1, 3)
     width = values.shape[1]
-    # A g(t) of marker positions is those of the markers, so theirs add nothing.
-    is_of_markers = experiment.score.observable is Observable.MARKER_POSITION
-    if markers is not None and not is_of_markers:
-        values = np.concatenate([values, markers.reshape(len(values), -1)], axis=1)
-    trajectory = _on_frames(file, times, values, experiment.frame_count)
-    if is_of_markers:
-        rows = _frame_rows(trajectory, experiment.frame_count)
-        return replace(
-            trajectory, markers_m=1e-3 * rows[:, :width].reshape(-1, width // 3, 3)
-        )
-    if markers is None:
-        return trajectory
-    markers_m = _frame_rows(trajectory, experiment.frame_count)[:, width:].reshape(
-        -1, *markers.shape[1:]
+    if places_m is not None:
+        count = 0 if markers is None else len(markers.positions_m)
+        layout.check_markers(places_m, [len(values), count, 3])
+        values = np.concatenate([values, places_m.reshape(len(values), -1)], axis=1)
+    times_s, values, interpolated_frames = _on_frames(
+        file, times_s, values, frame_count
     )
-    return replace(trajectory, values=trajectory.values[:, :width], markers_m=markers_m)
+    markers_m = None
+    if places_m is not None:
+        frames_s = np.arange(frame_count) / FRAME_RATE_HZ
+        rows = values[np.searchsorted(times_s, frames_s - 1e-9)]
+        markers_m = rows[:, width:].reshape(-1, *places_m.shape[1:])
+    return UserTrajectory(
+        times_s=times_s,
+        values=values[:, :width],
+        interpolated_frames=interpolated_frames,
+        markers_m=markers_m,
+    )
 
 
-def _frame_rows(trajectory: UserTrajectory, frame_count: int) -> FloatArray:
-    """Return the samples at the 30 Hz frames of the experiment, without later ones."""
-    frames = np.arange(frame_count) / FRAME_RATE_HZ
-    return trajectory.values[np.searchsorted(trajectory.times_s, frames - 1e-9)]
+# --- tables ----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Table:
+    """Cells of a file: the coordinates of g(t) in their order, after the time if there is one.
+
+    Attributes:
+        rows: Cells of each row.
+        places: Place of each row in the file, for messages.
+        has_times: Whether the first cell is the time.
+        markers_m: Markers at the rows [m], shape [T, M, 3]; None without any.
+    """
+
+    rows: Sequence[Any]
+    places: Sequence[str]
+    has_times: bool
+    markers_m: FloatArray | None = None
 
 
 @dataclass(frozen=True)
-class _FileLayout:
+class _Layout:
     """Required content of a file, for checks and messages."""
 
     file: Path
     names: tuple[str, ...]
     unit: str
-    marker_count: int
 
     def error(self, place: str, reason: str) -> TrajectoryFileError:
-        return TrajectoryFileError(
-            f"{self.file}: {place}: {reason}" if place else f"{self.file}: {reason}"
-        )
+        where = f"{self.file}: {place}" if place else str(self.file)
+        return TrajectoryFileError(f"{where}: {reason}")
 
     @property
     def expected(self) -> str:
@@ -184,63 +201,59 @@ class _FileLayout:
             shown = [*shown[:3], "...", shown[-1]]
         return f"expected {len(self.names)} columns: {', '.join(shown)}"
 
-    def number(self, place: str, column: str, value: Any) -> float:
+    def columns(self, table: _Table) -> FloatArray:
+        """Return the cells of a table as numbers, shape [T, column_count]."""
+        names = (TIME, *self.names) if table.has_times else self.names
+        values = np.empty((len(table.rows), len(names)))
+        for index, (row, place) in enumerate(
+            zip(table.rows, table.places, strict=True)
+        ):
+            values[index] = [
+                self._number(place, name, cell)
+                for name, cell in zip(names, row, strict=True)
+            ]
+        return values
+
+    def _number(self, place: str, name: str, cell: Any) -> float:
         """Return the finite number at a place of the file."""
-        unit = "s" if column == "time_s" else self.unit
+        unit = "s" if name == TIME else self.unit
+        wanted = ""
+        number = math.nan
         try:
-            if isinstance(value, bool):
+            if isinstance(cell, bool):
                 raise ValueError
-            number = float(value)
+            number = float(cell)
         except (TypeError, ValueError, OverflowError):
+            wanted = "a number"
+        if not wanted and not math.isfinite(number):
+            wanted = "a finite number"
+        elif not wanted and abs(number) > LARGEST:
+            wanted = f"at most {LARGEST:g}"
+        if wanted:
             raise self.error(
-                place, f"{column} is {_short(value)}, expected a number [{unit}]"
-            ) from None
-        if not math.isfinite(number):
-            raise self.error(
-                place, f"{column} is {_short(value)}, expected a finite number [{unit}]"
-            )
-        if abs(number) > LARGEST:
-            raise self.error(
-                place,
-                f"{column} is {_short(value)}, expected at most {LARGEST:g} [{unit}]",
+                place, f"{name} is {_short(cell)}, expected {wanted} [{unit}]"
             )
         return number
 
-    def table(self, rows: Sequence[Any], places: Sequence[str]) -> FloatArray:
-        """Return rows of numbers as an array, shape [len(rows), coordinate_count]."""
-        values = np.empty((len(rows), len(self.names)))
-        for index, (row, place) in enumerate(zip(rows, places, strict=True)):
-            if not isinstance(row, list):
-                raise self.error(
-                    place, f"{_short(row)} is not a list of numbers; {self.expected}"
-                )
-            if len(row) != len(self.names):
-                raise self.error(place, f"{len(row)} columns, {self.expected}")
-            values[index] = [
-                self.number(place, *entry)
-                for entry in zip(self.names, row, strict=True)
-            ]
-        return values
+    def check_markers(self, markers_m: FloatArray, shape: list[int]) -> None:
+        """Raise an error for markers of another shape, or with a value that is not finite."""
+        if list(markers_m.shape) != shape:
+            raise self.error(
+                "markers_m", f"shape is {list(markers_m.shape)}, expected {shape}"
+            )
+        if not np.isfinite(markers_m).all():
+            raise self.error("markers_m", "a value is not a finite number [m]")
 
 
 def _short(value: Any) -> str:
     if isinstance(value, dict | list):
         return f"a {type(value).__name__} of {len(value)}"
-    text = (
-        repr(value)
-        if not isinstance(value, int) or abs(value) <= LARGEST
-        else "a huge integer"
-    )
+    is_huge = isinstance(value, int) and abs(value) > LARGEST
+    text = "a huge integer" if is_huge else repr(value)
     return text if len(text) <= 40 else f"{text[:37]}..."
 
 
-# --- formats ---------------------------------------------------------------------------------------------------------
-
-Columns = tuple[FloatArray | None, FloatArray, FloatArray | None]
-"""Times [s], shape [T], or None; g(t), shape [T, C]; markers [m], shape [T, M, 3], or None."""
-
-
-def _bytes(file: Path) -> bytes:
+def _content(file: Path) -> bytes:
     with os_errors(
         lambda cause: TrajectoryFileError(f"{file}: cannot be read: {cause}")
     ):
@@ -250,72 +263,59 @@ def _bytes(file: Path) -> bytes:
     return content
 
 
-def _csv_rows(
-    layout: _FileLayout,
-) -> tuple[list[tuple[str, list[str]]], list[str] | None]:
-    """Return place and fields of each row that is no comment; and the comment that is a header, or None."""
-    rows: list[tuple[str, list[str]]] = []
-    header: list[str] | None = None
-    try:
-        reader = csv.reader(csv_text(_bytes(layout.file)))
-        for fields in reader:
-            if not any(field.strip() for field in fields):
-                continue
-            if not fields[0].lstrip().startswith("#"):
-                rows.append(
-                    (f"line {reader.line_num}", [field.strip() for field in fields])
-                )
-            elif not rows and "time_s" in (
-                names := [field.strip(" #\t") for field in fields]
-            ):
-                header = names  # numpy.savetxt writes its header as a comment.
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise layout.error("", f"not a CSV file: {error}") from error
-    if not rows:
-        raise layout.error("", "no rows")
-    return rows, header
+# --- CSV -------------------------------------------------------------------------------------------------------------
 
 
-def _read_csv(layout: _FileLayout) -> Columns:
-    lines, header = _csv_rows(layout)
+def _read_csv(layout: _Layout) -> _Table:
+    lines, header = _csv_lines(layout)
     place, first = lines[0]
-    if (
-        len(first) == 1 < len(layout.names)
-        and len(first[0].replace(";", " ").split()) > 1
-    ):
+    if len(first) == 1 < len(layout.names) and len(re.split(r"[;\s]+", first[0])) > 1:
         raise layout.error(
             place,
             f"one column, expected columns separated by commas; {layout.expected}",
         )
-    if not any(_is_number(field) for field in first) and "" not in first:
+    if not any(_is_number(cell) for cell in first) and "" not in first:
         header = lines.pop(0)[1]
-    places, rows = [place for place, _ in lines], [fields for _, fields in lines]
-    order, time_column = _csv_columns(layout, header)
-    width = len(order) + (time_column is not None)
-    for place, fields in lines:
-        if len(fields) != width:
-            timed = (
-                "time_s and then "
-                if time_column == 0
-                else "time_s and "
-                if time_column is not None
-                else ""
-            )
-            named = (
-                "" if header else "; a time column needs a header that names it time_s"
-            )
+    order, has_times = list(range(len(layout.names))), False
+    if header is not None:
+        order, has_times = _csv_order(layout, header)
+    for place, cells in lines:
+        if len(cells) != len(order):
+            timed = f"{TIME} and then " if has_times else ""
+            named = "; a time column needs a header that names it time_s"
+            named = "" if header else named
             raise layout.error(
-                place, f"{len(fields)} columns, {timed}{layout.expected}{named}"
+                place, f"{len(cells)} columns, {timed}{layout.expected}{named}"
             )
-    times = None
-    if time_column is not None:
-        times = np.array(
-            [
-                layout.number(place, "time_s", row[time_column])
-                for place, row in zip(places, rows, strict=True)
-            ]
-        )
-    return times, layout.table([[row[i] for i in order] for row in rows], places), None
+    rows = [[cells[column] for column in order] for _, cells in lines]
+    places = [place for place, _ in lines]
+    return _Table(rows=rows, places=places, has_times=has_times)
+
+
+def _csv_lines(
+    layout: _Layout,
+) -> tuple[list[tuple[str, list[str]]], list[str] | None]:
+    """Return place and cells of each row that is no comment; and the comment that is a header, or None."""
+    lines: list[tuple[str, list[str]]] = []
+    header = None
+    try:
+        reader = csv.reader(csv_text(_content(layout.file)))
+        for raw in reader:
+            cells = [cell.strip() for cell in raw]
+            if not any(cells):
+                continue
+            if not cells[0].startswith("#"):
+                lines.append((f"line {reader.line_num}", cells))
+                continue
+            # numpy.savetxt writes its header as a comment.
+            names = [cell.strip(" #\t") for cell in cells]
+            if not lines and TIME in names:
+                header = names
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise layout.error("", f"not a CSV file: {error}") from error
+    if not lines:
+        raise layout.error("", "no rows")
+    return lines, header
 
 
 def _is_number(text: str) -> bool:
@@ -326,109 +326,81 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def _csv_columns(
-    layout: _FileLayout, header: list[str] | None
-) -> tuple[list[int], int | None]:
-    """Return the column of each coordinate, and the column of the time or None."""
-    if header is None:
-        return list(range(len(layout.names))), None
-    named = []
+def _csv_order(layout: _Layout, header: Sequence[str]) -> tuple[list[int], bool]:
+    """Return the column of the time, if there is one, and of each coordinate; and whether there is a time."""
+    names = []
     for column in header:
-        name, bracket, rest = column.partition("[")
-        name, unit = name.strip(), rest.strip(" ]")
-        if TIME_NAME.fullmatch(name) and name != "time_s":
+        name, bracket, rest = (part.strip(" ]") for part in column.partition("["))
+        if TIME_NAME.fullmatch(name) and name != TIME:
             raise layout.error(
                 "header",
-                f"column {column!r}: a time column is named time_s, seconds from the start. Rename it",
+                f"column {column!r}: a time column is named {TIME}, seconds from the start. Rename it",
             )
-        wanted = "s" if name == "time_s" else layout.unit
-        if bracket and (name in layout.names or name == "time_s") and unit != wanted:
+        wanted = "s" if name == TIME else layout.unit
+        if bracket and name in (*layout.names, TIME) and rest != wanted:
             raise layout.error(
-                "header", f"column {name} is in [{unit}], expected [{wanted}]"
+                "header", f"column {name} is in [{rest}], expected [{wanted}]"
             )
-        named.append(name)
-    if len(set(named)) < len(named):
-        twice = next(name for name in named if named.count(name) > 1)
-        raise layout.error("header", f"column {twice!r} appears twice")
-    time_column = named.index("time_s") if "time_s" in named else None
-    others = [index for index in range(len(named)) if index != time_column]
-    if set(named) & set(layout.names):
-        missing = [name for name in layout.names if name not in named]
-        unknown = [named[index] for index in others if named[index] not in layout.names]
-        if missing or unknown:
-            fault = (
-                f"no column {missing[0]!r}"
-                if missing
-                else f"unknown column {unknown[0]!r}"
+        names.append(name)
+    twice = [name for name in names if names.count(name) > 1]
+    if twice:
+        raise layout.error("header", f"column {twice[0]!r} appears twice")
+    has_times = TIME in names
+    others = [name for name in names if name != TIME]
+    if not set(others) & set(layout.names):
+        if len(others) != len(layout.names):
+            raise layout.error(
+                "header", f"{len(others)} columns beside {TIME}, {layout.expected}"
             )
-            raise layout.error("header", f"{fault}, {layout.expected}")
-        return [named.index(name) for name in layout.names], time_column
-    if len(others) != len(layout.names):
-        raise layout.error(
-            "header", f"{len(others)} columns beside time_s, {layout.expected}"
-        )
-    return others, time_column
+        chosen = others
+    else:
+        missing = [name for name in layout.names if name not in others]
+        unknown = [name for name in others if name not in layout.names]
+        if missing:
+            raise layout.error("header", f"no column {missing[0]!r}, {layout.expected}")
+        if unknown:
+            raise layout.error(
+                "header", f"unknown column {unknown[0]!r}, {layout.expected}"
+            )
+        chosen = list(layout.names)
+    return [names.index(name) for name in [TIME] * has_times + chosen], has_times
 
 
-def _read_npz(layout: _FileLayout) -> Columns:
-    content = _bytes(layout.file)
+# --- NPZ and JSON ----------------------------------------------------------------------------------------------------
+
+
+def _read_npz(layout: _Layout) -> _Table:
     try:
-        arrays = npz_arrays(content, ("g", "time_s", "markers_m"))
+        arrays = npz_arrays(_content(layout.file))
     except ValueError as error:
         raise layout.error("", f"not an NPZ file: {error}") from error
     if "g" not in arrays:
-        with np.load(io.BytesIO(content)) as archive:
-            names = ", ".join(archive.files[:8]) or "none"
+        names = ", ".join([*arrays][:8]) or "none"
         raise layout.error("", f"no array 'g', it has: {names}; {layout.expected}")
-    for name, array in arrays.items():
-        if name in ("g", "time_s") and array.dtype.kind not in "fiu":
-            raise layout.error(name, f"holds {array.dtype} values, expected numbers")
-    with np.errstate(over="ignore"):
-        g = np.asarray(arrays["g"], dtype=np.float64)
-        times = (
-            np.asarray(arrays["time_s"], dtype=np.float64)
-            if "time_s" in arrays
-            else None
-        )
+    g, times = arrays["g"], arrays.get(TIME)
     if g.ndim != 2 or g.shape[1] != len(layout.names):
         raise layout.error(
             "g",
             f"shape is {list(g.shape)}, expected [T, {len(layout.names)}]; {layout.expected}",
         )
-    for row, column in np.argwhere(~(np.abs(g) <= LARGEST))[:1]:
-        layout.number(f"g, row {row}", layout.names[column], g[row, column].item())
-    markers = _markers(layout, arrays.get("markers_m"), len(g))
-    if times is None:
-        return None, g, markers
-    if times.shape != g.shape[:1]:
+    if times is not None and times.shape != g.shape[:1]:
         raise layout.error(
-            "time_s",
+            TIME,
             f"shape is {list(times.shape)}, expected [{len(g)}] as g has {len(g)} rows",
         )
-    for row in np.flatnonzero(~(np.abs(times) <= LARGEST))[:1]:
-        layout.number(f"row {row}", "time_s", times[row].item())
-    return times, g, markers
-
-
-def _markers(
-    layout: _FileLayout, markers: NDArray[Any] | None, row_count: int
-) -> FloatArray | None:
-    """Return the array `markers_m` of a file, shape [T, M, 3]; None without one."""
-    if markers is None:
-        return None
-    wanted = [row_count, layout.marker_count, 3]
-    if list(markers.shape) != wanted:
-        raise layout.error(
-            "markers_m", f"shape is {list(markers.shape)}, expected {wanted}"
-        )
-    if markers.dtype.kind not in "fiu" or not np.isfinite(markers).all():
-        raise layout.error("markers_m", "a value is not a finite number [m]")
-    return markers.astype(np.float64)
+    rows = g if times is None else np.column_stack([times, g])
+    markers = arrays.get("markers_m")
+    return _Table(
+        rows=rows.tolist(),
+        places=[f"g, row {index}" for index in range(len(g))],
+        has_times=times is not None,
+        markers_m=None if markers is None else markers.astype(np.float64),
+    )
 
 
 def _json_object(file: Path) -> dict[str, Any]:
     try:
-        content = json_document(_bytes(file))
+        content = json_document(_content(file))
     except ValueError as error:
         raise TrajectoryFileError(f"{file}: not a JSON file: {error}") from error
     if not isinstance(content, dict):
@@ -438,59 +410,66 @@ def _json_object(file: Path) -> dict[str, Any]:
     return content
 
 
-def _read_json(layout: _FileLayout) -> Columns:
+def _read_json(layout: _Layout) -> _Table:
     content = _json_object(layout.file)
-    key, times = "g", content.get("time_s")
-    markers_mm = None
-    if "g" not in content and isinstance(content.get("trajectory"), dict):
-        content = content["trajectory"]
-        key, times = "samples", content.get("times_s")
-        markers_mm = content.get("markers_mm")
-        later_s, later = content.get("later_times_s"), content.get("later_samples")
-        if all(
-            isinstance(entry, list)
-            for entry in (times, content.get(key), later_s, later)
-        ):
-            content = content | {key: [*content[key], *later]}
-            times = [*times, *later_s]
+    key, times, markers_mm = "g", content.get(TIME), None
     rows = content.get(key)
+    if "g" not in content and isinstance(content.get("trajectory"), dict):
+        # A result file: samples after the last frame serve the time alignment.
+        recorded = content["trajectory"]
+        key, markers_mm = "samples", recorded.get("markers_mm")
+        rows = _joined(recorded, "samples", "later_samples")
+        times = _joined(recorded, "times_s", "later_times_s")
     if not isinstance(rows, list):
         raise layout.error("", f"no list {key!r} of rows; {layout.expected}")
-    values = layout.table(rows, [f"{key}, row {index}" for index in range(len(rows))])
+    places = [f"{key}, row {index}" for index in range(len(rows))]
+    for row, place in zip(rows, places, strict=True):
+        if not isinstance(row, list):
+            raise layout.error(
+                place, f"{_short(row)} is not a list of numbers; {layout.expected}"
+            )
+        if len(row) != len(layout.names):
+            raise layout.error(place, f"{len(row)} columns, {layout.expected}")
     if times is None:
-        return None, values, None
+        return _Table(rows=rows, places=places, has_times=False)
     if not isinstance(times, list) or len(times) != len(rows):
         count = f"{len(times)} entries" if isinstance(times, list) else _short(times)
         raise layout.error(
-            "time_s",
+            TIME,
             f"{count}, expected a list of {len(rows)} times as {key} has {len(rows)} rows",
         )
-    times_s = np.array(
-        [layout.number(f"row {i}", "time_s", time) for i, time in enumerate(times)]
-    )
-    if not markers_mm:
-        return times_s, values, None
-    # A result has markers at the frames alone; those between are not compared.
+    timed = [[time, *row] for time, row in zip(times, rows, strict=True)]
+    markers_m = _frame_markers(times, markers_mm) if markers_mm else None
+    return _Table(rows=timed, places=places, has_times=True, markers_m=markers_m)
+
+
+def _joined(recorded: Mapping[str, Any], first: str, later: str) -> Any:
+    """Return the list of a result file with that of the samples after the last frame."""
+    values, added = recorded.get(first), recorded.get(later)
+    if isinstance(values, list) and isinstance(added, list):
+        return [*values, *added]
+    return values
+
+
+def _frame_markers(times_s: ArrayLike, markers_mm: ArrayLike) -> FloatArray:
+    """Return the markers of a result file, which has them at the frames alone, at all samples [m]."""
     rows_mm = np.asarray(markers_mm, dtype=np.float64)
     frames_s = np.arange(len(rows_mm)) / FRAME_RATE_HZ
-    markers_m = 1e-3 * interpolated(times_s, frames_s, rows_mm)
-    return (
-        times_s,
-        values,
-        _markers(layout, markers_m.reshape(len(values), -1, 3), len(values)),
-    )
+    at_s = np.asarray(times_s, dtype=np.float64)
+    return 1e-3 * interpolated(at_s, frames_s, rows_mm).reshape(len(at_s), -1, 3)
 
 
 # --- times -----------------------------------------------------------------------------------------------------------
 
 
 def _on_frames(
-    file: Path,
-    times_s: FloatArray,
-    values: FloatArray,
-    frame_count: int,
-) -> UserTrajectory:
-    """Check the times, insert every frame, and cut what is too late for the release alignment."""
+    file: Path, times_s: FloatArray, values: FloatArray, frame_count: int
+) -> tuple[FloatArray, FloatArray, int]:
+    """Check the times, insert every frame, and cut what is too late for the time alignment.
+
+    Returns:
+        Times and values, and the number of frames that were interpolated.
+    """
     frames = np.arange(frame_count) / FRAME_RATE_HZ
     needed = (
         f"{frame_count} frames are needed, 30 a second from 0 to {frames[-1]:.4f} s"
@@ -514,9 +493,8 @@ def _on_frames(
         )
     # A frame takes the nearest sample, if that is near enough. The times stay increasing.
     right = np.clip(np.searchsorted(times_s, frames), 1, len(times_s) - 1)
-    nearest = np.where(
-        frames - times_s[right - 1] <= times_s[right] - frames, right - 1, right
-    )
+    is_left = frames - times_s[right - 1] <= times_s[right] - frames
+    nearest = np.where(is_left, right - 1, right)
     hit = np.abs(times_s[nearest] - frames) <= tolerance
     gap = times_s[right] - times_s[right - 1]
     wide = ~hit & (gap > 1.0 / FRAME_RATE_HZ + 2.0 * tolerance)
@@ -530,13 +508,9 @@ def _on_frames(
     times = times_s.copy()
     times[nearest[hit]] = frames[hit]
     between = frames[~hit]
-    added = interpolated(between, times_s, values)
-    order = np.argsort(np.concatenate([times, between]), kind="stable")
-    times, values = (
-        np.concatenate([times, between])[order],
-        np.concatenate([values, added])[order],
-    )
-    used = times <= frames[-1] + MAX_TIME_OFFSET_S + FRAME_TOLERANCE_S
-    return UserTrajectory(
-        times_s=times[used], values=values[used], interpolated_frames=len(between)
-    )
+    all_times = np.concatenate([times, between])
+    all_values = np.concatenate([values, interpolated(between, times_s, values)])
+    order = np.argsort(all_times, kind="stable")
+    last_s = frames[-1] + MAX_TIME_OFFSET_S + FRAME_TOLERANCE_S
+    order = order[all_times[order] <= last_s]
+    return all_times[order], all_values[order], len(between)
