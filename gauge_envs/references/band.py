@@ -224,8 +224,9 @@ class Band:
     def zero_motion_distance(self) -> float:
         """Distance of a scene in which nothing moves."""
         compared = self.compared
-        first = int(compared.known.argmax())
-        return compared.length(compared.mean - compared.mean[first])
+        first = np.isfinite(compared.mean).argmax(axis=0)
+        start = np.take_along_axis(compared.mean, first[None], axis=0)
+        return compared.length(compared.mean - start)
 
     @property
     def has_release(self) -> bool:

@@ -6,9 +6,9 @@
 - `trial`: read and check one trial file.
 - `findings`: what is wrong with a file or folder.
 - `observation`: compute g(t) and the driver's coordinates of a trial, by the observers of simulations.
-- `statistics`: compute mean, scatter and baselines over trials, with one trial in memory at a time.
+- `statistics`: compute mean, scatter and distances of trials.
 - `importer`: import a dataset folder, one variant after another.
-- `status`: list the reference and the drivers of each variant.
+- `words`: print imports, and the reference and drivers of each variant.
 
 `gauge_envs.references.imported` stores and reads the imported bands and drivers.
 """

@@ -119,7 +119,7 @@ def data_import(
         print_json_lines([{"finding": asdict(finding)} for finding in findings])
     else:
         print_document(import_document(imports), form)
-    kept = sum(one.record is not None for one in imports)
+    kept = sum(one.facts is not None for one in imports)
     message(
         f"{counted(sum(one.used for one in imports), 'trial')} of {counted(kept, 'experiment')} imported"
     )
@@ -133,11 +133,11 @@ def data_import(
 def list_references(patterns: Sequence[str]) -> list[Table]:
     """Return the table of the reference and drivers of experiments, with imported and published baselines."""
     from gauge_envs.experiments.variants import matching_variants
-    from gauge_envs.tools.dataset.words import status_rows, status_table
+    from gauge_envs.tools.dataset.words import status_row, status_table
 
     variants = dict.fromkeys(
         variant
         for pattern in patterns or ["*"]
         for variant in matching_variants(pattern)
     )
-    return [status_table(status_rows(variants))]
+    return [status_table([status_row(variant) for variant in variants])]

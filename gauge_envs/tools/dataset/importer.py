@@ -1,8 +1,7 @@
-"""Import a dataset folder, one variant after another, with one trial in memory at a time."""
+"""Import a dataset folder, one variant after another."""
 
 import hashlib
-from collections.abc import Callable, Iterator
-from contextlib import closing
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,100 +11,47 @@ import numpy as np
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import Variant
 from gauge_envs.files import json_ready, os_errors
-from gauge_envs.observables.deformation import (
-    STATISTICS,
-    marked_solid,
-    trial_statistics,
-)
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.band import Band
-from gauge_envs.references.deformation import DeformationReference
 from gauge_envs.references.imported import (
     DriverRecord,
     ImportFacts,
     SpreadRecord,
-    VariantRecord,
-    remove_leftovers,
     write_imported,
 )
 from gauge_envs.references.kind import Kind
-from gauge_envs.references.metrics import EVENT_METRICS, METRICS
+from gauge_envs.references.metrics import METRICS
 from gauge_envs.references.published import Baseline, published_baselines
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-from gauge_envs.scoring.score import score_trajectory
+from gauge_envs.scoring.events import event_values
 from gauge_envs.tools.dataset.findings import ImportFinding, TrialError
 from gauge_envs.tools.dataset.forms import Stated
 from gauge_envs.tools.dataset.layout import Layout
+from gauge_envs.tools.dataset.lines import BaselineLine
 from gauge_envs.tools.dataset.observation import (
-    CoordinateMean,
     DriverTrack,
-    TrialSpool,
-    TrialStatistics,
     driver_tracks,
     start_quaternions,
-    trial_markers_m,
     trial_trajectory,
+)
+from gauge_envs.tools.dataset.statistics import (
+    distances_to_mean,
+    distances_to_others,
+    mean_and_sigma,
+    rms_over_frames,
 )
 from gauge_envs.tools.dataset.trial import Trial, parse_trial
 
 FLAGGED_DIFFERENCE = 0.05
 """Relative difference between own and published baselines above which they are flagged."""
 
-DOUBLED_CHANGES = 3
+MIN_DOUBLED_CHANGES = 3
 """Least number of changes between pairs of equal frames at which a trial counts as doubled; a body may rest longer."""
 
-LEAST_TRIALS = 2
+MIN_TRIALS = 2
 """Number of trials that scatter needs."""
-
-MOST_TRIAL_NUMBERS = 4_000_000
-"""Largest count of numbers of single trials that an import keeps, 32 MB: 20 trials of 1,000 frames of 200 areas."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class BaselineRow:
-    """Baseline of one metric, from the imported trials and from the paper (Table 5).
-
-    Attributes:
-        metric: `rmse`, `dtw`, `lsd`, `mte`, `pd` or `el`.
-        unit: Unit of the metric.
-        imported: Baseline of the imported trials; None if they do not determine it.
-        published: Baseline of the paper; None if it prints none.
-    """
-
-    metric: str
-    unit: str
-    imported: SpreadRecord | None
-    published: Baseline | None
-
-    @property
-    def difference(self) -> float | None:
-        """Own over published mean, minus 1; None if one is missing or the published one is 0."""
-        if self.imported is None or self.published is None or not self.published.mean:
-            return None
-        return self.imported.mean / self.published.mean - 1.0
-
-    @property
-    def is_flagged(self) -> bool:
-        """Whether own and published mean differ by more than 5 %."""
-        return self.difference is not None and abs(self.difference) > FLAGGED_DIFFERENCE
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return a JSON-ready dictionary."""
-        return json_ready(
-            {
-                "metric": self.metric,
-                "unit": self.unit,
-                "own_mean": self.imported and self.imported.mean,
-                "own_std": self.imported and self.imported.std,
-                "own_trial_count": self.imported.trial_count if self.imported else 0,
-                "published_mean": self.published and self.published.mean,
-                "published_std": self.published and self.published.std,
-                "difference": self.difference,
-                "flagged": self.is_flagged,
-            }
-        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,36 +60,70 @@ class ImportedTrials:
 
     Attributes:
         variant: The variant.
-        record: Record that was stored; None if too few trials could be used.
+        facts: Facts that were stored; None if too few trials could be used.
         used: Number of trials that the band rests on.
         left_out: Number of trial files that were left out.
-        rows: Own and published baselines.
+        frame_count: Number of frames of the band.
+        baselines: Own and published baselines.
         findings: Problems of the files.
     """
 
     variant: Variant
-    record: VariantRecord | None
+    facts: ImportFacts | None
     used: int
     left_out: int
-    rows: tuple[BaselineRow, ...]
-    findings: tuple[ImportFinding, ...]
+    frame_count: int
+    baselines: Sequence[BaselineLine]
+    findings: Sequence[ImportFinding]
 
     def to_dict(self) -> dict[str, Any]:
         """Return a JSON-ready dictionary."""
-        record = self.record
+        facts = self.facts
         return {
             "id": self.variant.id,
-            "imported": record is not None,
+            "imported": facts is not None,
             "trials": self.used,
             "left_out": self.left_out,
-            "frames": record and record.frame_count,
-            "revision": record and record.revision,
-            "sha256": record and record.files_sha256,
-            "baselines": [row.to_dict() for row in self.rows],
-            "drivers": [driver.model_dump() for driver in record.drivers]
-            if record
-            else [],
+            "frames": facts and self.frame_count,
+            "revision": facts and facts.revision,
+            "sha256": facts and facts.files_sha256,
+            "baselines": json_ready(self.baselines),
+            "drivers": [one.model_dump() for one in facts.drivers] if facts else [],
         }
+
+
+def baseline_lines(
+    own: Mapping[str, SpreadRecord], published: Mapping[str, Baseline]
+) -> list[BaselineLine]:
+    """Return the baselines of imported trials beside those of the paper (Table 5), one for each metric."""
+    lines: list[BaselineLine] = []
+    for metric in dict.fromkeys([*own, *published]):
+        mine, theirs = own.get(metric), published.get(metric)
+        own_mean, own_std = _mean_and_std(mine)
+        published_mean, published_std = _mean_and_std(theirs)
+        difference = None
+        if own_mean is not None and published_mean:
+            difference = own_mean / published_mean - 1.0
+        lines.append(
+            {
+                "metric": metric,
+                "unit": published[metric].unit if mine is None else mine.unit,
+                "own_mean": own_mean,
+                "own_std": own_std,
+                "own_trial_count": 0 if mine is None else mine.trial_count,
+                "published_mean": published_mean,
+                "published_std": published_std,
+                "difference": difference,
+                "flagged": abs(difference or 0.0) > FLAGGED_DIFFERENCE,
+            }
+        )
+    return lines
+
+
+def _mean_and_std(
+    spread: SpreadRecord | Baseline | None,
+) -> tuple[float | None, float | None]:
+    return (None, None) if spread is None else (spread.mean, spread.std)
 
 
 def import_trials(
@@ -162,16 +142,14 @@ def import_trials(
     Returns:
         Iterator that imports one variant per step. Damaged trials are left out and listed in the findings.
     """
-    remove_leftovers()
     seen: dict[str, str] = {}
     for variant, files in layout.files.items():
         importer = _VariantImporter(variant, layout, seen, stated)
-        with closing(importer.spool):
-            for path in files:
-                importer.read(path)
-                if advance is not None:
-                    advance(path)
-            yield importer.finish()
+        for path in files:
+            importer.read(path)
+            if advance is not None:
+                advance(path)
+        yield importer.finish()
 
 
 class _VariantImporter:
@@ -191,27 +169,15 @@ class _VariantImporter:
         seen: dict[str, str],
         stated: Stated | None,
     ) -> None:
-        self._stated = stated
         # Recorded motion is projected on the motions of the task file, not on those of an earlier import.
         self._experiment = load_experiment(variant)
         self._layout = layout
         self._seen = seen
-        self._coordinates = self._experiment.coordinates
-        self.spool = TrialSpool((self._experiment.frame_count, len(self._coordinates)))
-        frame_count, drivers = (
-            self._experiment.frame_count,
-            self._experiment.scene.drivers,
-        )
-        self._drivers = {
-            driver.body: _DriverMean(driver, frame_count) for driver in drivers
-        }
-        metrics = self._experiment.score.metrics
-        self._events: dict[str, list[float]] = {
-            metric: [] for metric in metrics if metric in EVENT_METRICS
-        }
-        self._solid = marked_solid(self._experiment.scene)
-        self._statistics: list[FloatArray] = []
+        self._stated = stated
+        self._trials: list[FloatArray] = []
         self._starts: list[FloatArray] = []
+        self._tracks: list[DriverTrack] = []
+        self._events: list[Mapping[str, float]] = []
         self._files: dict[str, str] = {}
         self._findings: list[ImportFinding] = []
 
@@ -219,18 +185,7 @@ class _VariantImporter:
         """Add one trial file, or a finding that says why it is left out."""
         file = self._layout.relative(path)
         try:
-            if not self._layout.holds(path):
-                raise TrialError(
-                    "(file)",
-                    "it links to a file outside of the dataset",
-                    "a copy of it is expected",
-                )
-            with os_errors(
-                lambda cause: TrialError(
-                    "(file)", f"it cannot be read: {cause}", "a file is expected"
-                )
-            ):
-                content = path.read_bytes()
+            content = self._content(path)
             digest = hashlib.sha256(content).hexdigest()
             if digest in self._seen:
                 raise TrialError(
@@ -247,231 +202,169 @@ class _VariantImporter:
             return
         self._seen[digest] = file
         self._files[file] = digest
-        self.spool.add(trajectory)
+        self._trials.append(trajectory)
         self._starts += starts
+        notes = [*self._add_events(trajectory), *self._add_drivers(trial)]
         if _is_doubled(trajectory):
-            twice = "every frame occurs twice"
-            note = TrialError(
+            expected = f"{FRAME_RATE_HZ:g} different frames a second are expected"
+            notes.insert(0, TrialError("(file)", "every frame occurs twice", expected))
+        self._findings += [note.finding(file, left_out=False) for note in notes]
+
+    def _content(self, path: Path) -> bytes:
+        if not self._layout.holds(path):
+            raise TrialError(
                 "(file)",
-                twice,
-                f"{FRAME_RATE_HZ:g} different frames a second are expected",
+                "it links to a file outside of the dataset",
+                "a copy of it is expected",
             )
-            self._findings.append(note.finding(file, left_out=False))
-        self._add_statistics(trial)
-        self._add_events(file, trajectory)
-        self._add_drivers(file, trial)
+        with os_errors(
+            lambda cause: TrialError(
+                "(file)", f"it cannot be read: {cause}", "a file is expected"
+            )
+        ):
+            return path.read_bytes()
+
+    def _add_events(self, trajectory: FloatArray) -> Iterator[TrialError]:
+        """Add the events of a trial, or yield why it has none."""
+        missing = np.isnan(trajectory).any(axis=1)
+        if not missing.any():
+            self._events.append(event_values(self._experiment, trajectory))
+        elif any(METRICS[metric].is_event for metric in self._experiment.score.metrics):
+            expected = "period and pauses need all samples; the band does not"
+            yield TrialError(f"[{missing.argmax()}]", "a sample is missing", expected)
+
+    def _add_drivers(self, trial: Trial) -> Iterator[TrialError]:
+        """Add the motion of drivers, or yield why there is none; a trial without it still counts for the band."""
+        try:
+            self._tracks += driver_tracks(trial, self._experiment)
+        except TrialError as error:
+            yield error
+        # Faults of assets that the experiment does not use are stated too, as of a board that never moves.
+        driven = {driver.body for driver in self._experiment.scene.drivers}
+        yield from (fault for name, fault in trial.faults.items() if name not in driven)
 
     def finish(self) -> ImportedTrials:
         """Store the variant."""
+        experiment = self._experiment
         used, left_out = (
-            len(self.spool),
+            len(self._trials),
             sum(finding.left_out for finding in self._findings),
         )
-        statistics = self.spool.statistics() if used else None
-        rows = self._rows(statistics)
-        record = None
-        if statistics is not None and used >= LEAST_TRIALS:
-            record = self._store(statistics, rows, left_out)
-        else:
+        own: dict[str, SpreadRecord] = {}
+        facts = None
+        if used:
+            trials = np.stack(self._trials)
+            mean, sigma = mean_and_sigma(trials)
+            own = self._baselines(trials, mean)
+            if np.isfinite(sigma).any():
+                facts = self._store(trials, mean, sigma, own, left_out)
+        if facts is None:
             error = TrialError(
                 "(folder)",
                 f"{used} of its trials can be used",
-                f"{LEAST_TRIALS} or more are needed",
+                f"{MIN_TRIALS} or more with common frames are needed",
             )
-            self._findings.append(error.finding(self._experiment.name, left_out=True))
+            self._findings.append(error.finding(experiment.name, left_out=True))
         return ImportedTrials(
-            variant=self._experiment.variant,
-            record=record,
+            variant=experiment.variant,
+            facts=facts,
             used=used,
             left_out=left_out,
-            rows=rows,
-            findings=tuple(self._findings),
+            frame_count=experiment.frame_count,
+            baselines=baseline_lines(own, published_baselines(experiment.name)),
+            findings=self._findings,
         )
 
-    def _add_statistics(self, trial: Trial) -> None:
-        """Add the statistics of deformation at the frames of the experiment; rest is the first frame of the trial."""
-        if self._solid is None:
-            return
-        markers_m = trial_markers_m(trial, self._experiment)[
-            : self._experiment.frame_count
-        ]
-        found = trial_statistics(markers_m, self._solid)
-        padding = ((0, self._experiment.frame_count - len(found)), (0, 0))
-        self._statistics.append(np.pad(found, padding, constant_values=np.nan))
-
-    def _deformation(self) -> DeformationReference | None:
-        """Return mean and scatter of the statistics that some frame of at least two trials has."""
-        if not self._statistics:
-            return None
-        mean = CoordinateMean(self._statistics[0].shape)
-        for trial in self._statistics:
-            mean.add(trial)
-        sigma = mean.scatter(self._statistics)
-        known = np.flatnonzero(np.isfinite(sigma).any(axis=0))
-        if not known.size:
-            return None
-        return DeformationReference(
-            statistics=tuple(STATISTICS[column] for column in known),
-            markers=None,
-            mean=mean.mean[:, known],
-            sigma=sigma[:, known],
-            trial_count=len(self._statistics),
-            source="import",
-        )
-
-    def _add_events(self, file: str, trajectory: FloatArray) -> None:
-        if not self._events:
-            return
-        if np.isnan(trajectory).any():
-            frame = int(np.isnan(trajectory).any(axis=1).argmax())
-            error = TrialError(
-                f"[{frame}]",
-                "a sample is missing",
-                "period and pauses need all samples; the band does not",
-            )
-            self._findings.append(error.finding(file, left_out=False))
-            return
-        times_s = np.arange(len(trajectory)) / FRAME_RATE_HZ
-        score = score_trajectory(
-            self._experiment, None, times_s=times_s, values=trajectory, is_checked=True
-        )
-        for metric, values in self._events.items():
-            value = getattr(score, METRICS[metric].score_field)
-            values.append(np.nan if value is None else value)
-
-    def _add_drivers(self, file: str, trial: Trial) -> None:
-        """Add the driver's motion; a trial without it still counts for the band."""
-        # Faults of assets that the experiment does not use are stated too, as of a board that never moves.
-        unused = [
-            error for name, error in trial.faults.items() if name not in self._drivers
-        ]
-        try:
-            for track in driver_tracks(trial, self._experiment):
-                self._drivers[track.body].add_track(track)
-        except TrialError as error:
-            unused.insert(0, error)
-        self._findings += [error.finding(file, left_out=False) for error in unused]
-
-    def _rows(self, statistics: TrialStatistics | None) -> tuple[BaselineRow, ...]:
-        published = published_baselines(self._experiment.name)
-        values = {metric: np.array(found) for metric, found in self._events.items()}
-        if statistics is not None:
-            values = {"rmse": statistics.rmse, "dtw": statistics.dtw, **values}
+    def _baselines(
+        self, trials: FloatArray, mean: FloatArray
+    ) -> dict[str, SpreadRecord]:
+        """Return the spread of each metric over trials."""
+        rmse, dtw = distances_to_mean(trials, mean)
+        values = {"rmse": rmse, "dtw": dtw}
+        for metric in self._events[0] if self._events else ():
+            values[metric] = np.array([events[metric] for events in self._events])
         unit = self._experiment.score.observable.unit
-        units = {
-            metric: METRICS[metric].unit_of(unit) for metric in (*values, *published)
+        spreads = {
+            metric: SpreadRecord.of(found, METRICS[metric].unit_of(unit))
+            for metric, found in values.items()
         }
-        return tuple(
-            BaselineRow(
-                metric=metric,
-                unit=units[metric],
-                imported=SpreadRecord.of(values[metric], units[metric])
-                if metric in values
-                else None,
-                published=published.get(metric),
-            )
-            for metric in units
-        )
+        return {metric: one for metric, one in spreads.items() if one is not None}
 
     def _store(
-        self, statistics: TrialStatistics, rows: tuple[BaselineRow, ...], left_out: int
-    ) -> VariantRecord:
+        self,
+        trials: FloatArray,
+        mean: FloatArray,
+        sigma: FloatArray,
+        own: dict[str, SpreadRecord],
+        left_out: int,
+    ) -> ImportFacts:
         experiment = self._experiment
-        # Intervals of scores resample the trials, if they are not too many numbers to keep.
-        is_small = (
-            len(self.spool) * experiment.frame_count * len(self._coordinates)
-            <= MOST_TRIAL_NUMBERS
-        )
-        band = Band(
-            grade=Kind.TRIALS,
-            unit=experiment.score.observable.unit,
-            coordinates=self._coordinates,
-            projection=np.eye(len(self._coordinates)),
-            mean=statistics.mean,
-            sigma=statistics.sigma,
-            measured=statistics.measured,
-            trial_count=len(self.spool),
-            source="import",
-            trials=np.stack(list(self.spool)) if is_small else None,
-        )
-        drivers = {
-            body: driven for body, driven in self._drivers.items() if driven.is_usable
-        }
-        deformation = self._deformation()
+        drivers: dict[str, FloatArray] = {}
+        records = []
+        for driver in experiment.scene.drivers:
+            tracks = [track for track in self._tracks if track.body == driver.body]
+            found = _driver_mean(driver, tracks) if tracks else None
+            if found is not None:
+                drivers[driver.body], record = found
+                records.append(record)
+        hashes = "\n".join(self._files.values())
         facts = ImportFacts(
             variant=experiment.name,
             left_out=left_out,
             revision=self._layout.revision,
             files=tuple(self._files),
-            files_sha256=hashlib.sha256(
-                "\n".join(self._files.values()).encode()
-            ).hexdigest(),
+            files_sha256=hashlib.sha256(hashes.encode()).hexdigest(),
             task_sha256=experiment.file_sha256,
-            metrics={
-                row.metric: row.imported for row in rows if row.imported is not None
-            },
-            drivers=tuple(driven.record() for driven in drivers.values()),
-            statistics=() if deformation is None else deformation.statistics,
+            metrics=own,
+            drivers=tuple(records),
         )
-        coordinates = {body: driven.mean for body, driven in drivers.items()}
+        is_seen = np.isfinite(trials)
+        trial_rmse, trial_rmse_aligned = distances_to_others(trials)
+        band = Band(
+            kind=Kind.TRIALS,
+            unit=experiment.score.observable.unit,
+            coordinates=experiment.coordinates,
+            projection=np.eye(len(experiment.coordinates)),
+            mean=mean,
+            sigma=sigma,
+            measured=(2 * is_seen.sum(axis=0) >= len(trials)).any(axis=1),
+            source=facts.origin(len(trials)),
+            trial_count=len(trials),
+            trials=trials,
+            trial_rmse=trial_rmse,
+            trial_rmse_aligned=trial_rmse_aligned,
+            stated_uncertainty=rms_over_frames(sigma) / np.sqrt(len(trials)),
+        )
         starts = np.stack(self._starts) if self._starts else None
-        return write_imported(band, coordinates, facts, deformation, starts)
+        write_imported(band, drivers, facts, starts)
+        return facts
 
 
-class _DriverMean(CoordinateMean):
-    """Mean over trials of one driven body's coordinates, and the motion that they do not cover.
+def _driver_mean(
+    driver: Driver, tracks: Sequence[DriverTrack]
+) -> tuple[FloatArray, DriverRecord] | None:
+    """Return the mean coordinates of a driven body over trials and their quality; None without two known frames."""
+    mean, sigma = mean_and_sigma(np.stack([track.coordinates for track in tracks]))
+    if (np.isfinite(mean).sum(axis=0) < 2).any():
+        return None
+    scatter = np.nan_to_num(sigma).max(axis=0)
+    is_length = np.array([motion.kind == "translate" for motion in driver.motions])
+    return mean, DriverRecord(
+        body=driver.body,
+        trial_count=len(tracks),
+        residual_mm=_rms([track.residual_mm for track in tracks]) or 0.0,
+        residual_deg=_rms([np.degrees(track.residual_rad) for track in tracks]),
+        start_offset_mm=float(np.mean([track.start_offset_mm for track in tracks])),
+        scatter_mm=_largest(1e3 * scatter[is_length]),
+        scatter_deg=_largest(np.degrees(scatter[~is_length])),
+    )
 
-    Args:
-        driver: Bundled driver of the body.
-        frame_count: Frames of the experiment.
-    """
 
-    def __init__(self, driver: Driver, frame_count: int) -> None:
-        super().__init__((frame_count, len(driver.motions)))
-        self._driver = driver
-        self._squares = CoordinateMean((frame_count, len(driver.motions)))
-        self._offsets_mm: list[float] = []
-        self._squares_mm: list[float] = []
-        self._squares_rad: list[float] = []
-
-    def add_track(self, track: DriverTrack) -> None:
-        """Add one trial."""
-        self.add(track.coordinates)
-        self._squares.add(np.square(track.coordinates))
-        self._offsets_mm.append(track.start_offset_mm)
-        self._squares_mm.append(float(np.nanmean(np.square(track.residual_mm))))
-        angles = track.residual_rad[~np.isnan(track.residual_rad)]
-        if angles.size:
-            self._squares_rad.append(float(np.square(angles).mean()))
-
-    @property
-    def is_usable(self) -> bool:
-        """Whether each motion has at least two known frames."""
-        return bool(((self.counts > 0).sum(axis=0) >= 2).all())
-
-    def record(self) -> DriverRecord:
-        """Return the record that is stored beside the coordinates."""
-        spread = np.where(
-            self.counts > 1, self._squares.mean - np.square(self.mean), 0.0
-        )
-        factor = self.counts / np.maximum(self.counts - 1, 1)
-        # The largest standard deviation (n - 1) over frames, shape [motion_count].
-        scatter = np.sqrt(np.maximum(factor * spread, 0.0).max(axis=0))
-        lengths, angles = (
-            scatter[[motion.kind == kind for motion in self._driver.motions]]
-            for kind in ("translate", "rotate")
-        )
-        return DriverRecord(
-            body=self._driver.body,
-            trial_count=len(self._offsets_mm),
-            residual_mm=float(np.sqrt(np.mean(self._squares_mm))),
-            residual_deg=float(np.degrees(np.sqrt(np.mean(self._squares_rad))))
-            if self._squares_rad
-            else None,
-            start_offset_mm=float(np.mean(self._offsets_mm)),
-            scatter_mm=_largest(1e3 * lengths),
-            scatter_deg=_largest(np.degrees(angles)),
-        )
+def _rms(values: Sequence[FloatArray]) -> float | None:
+    """Return the root mean square of known values; None without any."""
+    known = np.concatenate(values)
+    known = known[np.isfinite(known)]
+    return float(np.sqrt(np.square(known).mean())) if known.size else None
 
 
 def _largest(values: FloatArray) -> float | None:
@@ -481,16 +374,10 @@ def _largest(values: FloatArray) -> float | None:
 def _is_doubled(trajectory: FloatArray) -> bool:
     """Return whether every frame of a moving trajectory occurs twice in a row, from the first or the second frame."""
     for first in (0, 1):
-        pairs = trajectory[first : first + (len(trajectory) - first) // 2 * 2].reshape(
-            -1, 2, trajectory.shape[1]
-        )
-        changes = (
-            (pairs[1:, 0] != pairs[:-1, 0])
-            & ~np.isnan(pairs[1:, 0])
-            & ~np.isnan(pairs[:-1, 0])
-        )
-        if changes.any(axis=1).sum() >= DOUBLED_CHANGES and np.array_equal(
-            pairs[:, 0], pairs[:, 1], equal_nan=True
-        ):
+        count = (len(trajectory) - first) // 2
+        pairs = trajectory[first : first + 2 * count].reshape(count, 2, -1)
+        changes = np.nan_to_num(np.diff(pairs[:, 0], axis=0)).any(axis=1).sum()
+        is_equal = np.array_equal(pairs[:, 0], pairs[:, 1], equal_nan=True)
+        if is_equal and changes >= MIN_DOUBLED_CHANGES:
             return True
     return False

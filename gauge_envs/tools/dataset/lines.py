@@ -78,22 +78,12 @@ class StatusDriver(TypedDict):
     recorded: DriverRecord | None
 
 
-class StatusBaseline(TypedDict):
-    """Mean and standard deviation of a metric: own of the trials of the band, and published."""
-
-    metric: str
-    own_mean: float | None
-    own_std: float | None
-    published_mean: float | None
-    published_std: float | None
-
-
 class StatusLine(TypedDict):
     """Reference and drivers of an experiment.
 
     Attributes:
         id: Gymnasium id.
-        grade: What the reference is.
+        kind: What the reference is.
         imported: Whether trials were imported.
         trials: Number of trials of the reference.
         revision: Revision of the dataset that was imported.
@@ -103,10 +93,10 @@ class StatusLine(TypedDict):
     """
 
     id: str
-    grade: Kind
+    kind: Kind
     imported: bool
     trials: int | None
     revision: str | None
     is_current: bool | None
     drivers: Sequence[StatusDriver]
-    baselines: Sequence[StatusBaseline]
+    baselines: Sequence[BaselineLine]

@@ -1,6 +1,6 @@
 """Tables of imports and of the state of the dataset."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from gauge_envs.experiments.resolve import load_experiment
@@ -10,42 +10,40 @@ from gauge_envs.files import json_ready
 from gauge_envs.pages.document import Document, Paragraph, Tone
 from gauge_envs.pages.table import Column, Place, Table
 from gauge_envs.pages.text import METRIC_TITLES, short_id, with_unit
-from gauge_envs.references.band import bundled_sidecar
+from gauge_envs.references.band import load_band
 from gauge_envs.references.imported import load_imported
 from gauge_envs.references.published import published_baselines
 from gauge_envs.references.user_data import DataSource
-from gauge_envs.scoring.reference import band_grade, load_band
+from gauge_envs.scoring.reference import reference_kind
 from gauge_envs.tools.dataset.importer import (
     FLAGGED_DIFFERENCE,
-    BaselineRow,
     ImportedTrials,
+    baseline_lines,
 )
+from gauge_envs.tools.dataset.lines import BaselineLine
 
 STATUS_NOTE = (
-    "Baselines: mean (standard deviation) of the real trials. Own: from the trials of the reference band. Published: "
-    "from the paper, Table 5."
+    "Baselines: mean (standard deviation) of the real trials. Own: from imported trials. Published: from the paper, "
+    "Table 5."
 )
 
-EXPERIMENT = Column("name", "experiment", place=Place.HEADING)
+EXPERIMENT = Column("id", "experiment", short_id, place=Place.HEADING)
 
 
 def import_document(imports: Sequence[ImportedTrials]) -> Document:
     """Return the own baselines beside the paper's, one row per metric, and the imported drivers."""
-    flagged = sum(row.is_flagged for one in imports for row in one.rows)
+    flagged = sum(line["flagged"] for one in imports for line in one.baselines)
     note = f"{flagged} baselines differ from the published ones by more than {100 * FLAGGED_DIFFERENCE:.0f} %"
     drivers = [
-        {"name": one.variant.name, "driver": driver}
+        {"id": one.variant.id, **driver.model_dump()}
         for one in imports
-        if one.record
-        for driver in one.record.drivers
-    ]
-    tables = [
-        _baselines_table(imports),
-        *([_drivers_table(drivers)] if drivers else []),
+        if one.facts
+        for driver in one.facts.drivers
     ]
     return Document(
         parts=[
-            *tables,
+            _baselines_table(imports),
+            *([_drivers_table(drivers)] if drivers else []),
             Paragraph(""),
             Paragraph(note, Tone.WARNING if flagged else Tone.NOTE),
         ]
@@ -53,115 +51,71 @@ def import_document(imports: Sequence[ImportedTrials]) -> Document:
 
 
 def _baselines_table(imports: Sequence[ImportedTrials]) -> Table:
-    def imported(row: BaselineRow) -> str:
-        return (
-            "-"
-            if row.imported is None
-            else with_unit(_spread(row.imported.mean, row.imported.std), row.unit)
-        )
-
-    def published(row: BaselineRow) -> str:
-        return _spread(row.published.mean, row.published.std) if row.published else "-"
-
-    def difference(row: BaselineRow) -> str:
-        return "-" if row.difference is None else f"{100 * row.difference:+.1f} %"
-
-    def style(row: BaselineRow) -> str:
-        return "yellow" if row.is_flagged else ""
-
     return Table(
         columns=(
             EXPERIMENT,
             Column("trials", "", place=Place.HEADING),
-            Column("row.metric", "metric", METRIC_TITLES.__getitem__),
-            Column("row", "own baseline", imported, is_number=True),
-            Column("row", "published", published, is_number=True),
-            Column("row", "difference", difference, is_number=True, style=style),
+            Column("line.metric", "metric", METRIC_TITLES.__getitem__),
+            Column("line", "own baseline", _own, is_number=True),
+            Column("line", "published", _published, is_number=True),
+            Column(
+                "line.difference",
+                "difference",
+                lambda value: f"{100 * value:+.1f} %",
+                is_number=True,
+                style=lambda value: (
+                    "yellow" if abs(value or 0.0) > FLAGGED_DIFFERENCE else ""
+                ),
+            ),
         ),
         rows=[
             {
-                "name": one.variant.name,
+                "id": one.variant.id,
                 "trials": f"{one.used} trials, {one.left_out} left out",
-                "row": row,
+                "line": line,
             }
             for one in imports
-            for row in one.rows
+            for line in one.baselines
         ],
     )
 
 
 def _drivers_table(drivers: Sequence[Mapping[str, Any]]) -> Table:
-    def amounts(length_mm: float | None, angle_deg: float | None) -> str:
-        texts = (
-            f"{value:.2g} {unit}"
-            for value, unit in ((length_mm, "mm"), (angle_deg, "deg"))
-            if value is not None
-        )
-        return ", ".join(texts) or "-"
+    def amounts(name: str) -> Column:
+        def text(driver: Mapping[str, Any]) -> str:
+            values = {unit: driver[f"{name}_{unit}"] for unit in ("mm", "deg")}
+            known = {unit: value for unit, value in values.items() if value is not None}
+            return ", ".join(f"{value:.2g} {unit}" for unit, value in known.items())
+
+        titles = {"residual": "left out by its motions", "scatter": "scatter"}
+        return Column("", titles[name], text)
 
     return Table(
         title="Drivers",
         columns=(
             EXPERIMENT,
-            Column("driver.body", "body"),
-            Column("driver.trial_count", "trials", is_number=True),
+            Column("body", "body"),
+            Column("trial_count", "trials", is_number=True),
+            amounts("residual"),
             Column(
-                "driver",
-                "left out by its motions",
-                lambda one: amounts(one.residual_mm, one.residual_deg),
-            ),
-            Column(
-                "driver.start_offset_mm",
+                "start_offset_mm",
                 "start off by",
                 lambda value: f"{value:.2g} mm",
                 is_number=True,
             ),
-            Column(
-                "driver",
-                "scatter",
-                lambda one: amounts(one.scatter_mm, one.scatter_deg),
-            ),
+            amounts("scatter"),
         ),
         rows=drivers,
     )
 
 
-def status_table(rows: Sequence[dict[str, Any]]) -> Table:
-    """Return the rows of `status_rows` as a table."""
+def _own(line: BaselineLine) -> str:
+    text = _spread(line["own_mean"], line["own_std"])
+    return text if text == "-" else with_unit(text, line["unit"])
 
-    def grade(row: Mapping[str, Any]) -> str:
-        text = f"{row['grade']}, imported" if row["imported"] else row["grade"]
-        return f"{text}; task file changed" if row["is_current"] is False else text
 
-    def baseline(line: Mapping[str, Any]) -> str:
-        imported, published = (
-            _spread(line[f"{whose}_mean"], line[f"{whose}_std"])
-            for whose in ("own", "published")
-        )
-        return f"{METRIC_TITLES[line['metric']]} own {imported}, published {published}"
-
-    def drivers(moved: Sequence[Mapping[str, Any]]) -> str:
-        return (
-            ", ".join(f"{driver['body']}: {driver['provenance']}" for driver in moved)
-            or "-"
-        )
-
-    return Table(
-        columns=(
-            Column("id", "experiment", short_id),
-            Column("", "grade", grade),
-            Column("trials", "trials", is_number=True),
-            Column("drivers", "driver", drivers),
-            Column(
-                "baselines",
-                "baselines",
-                lambda lines: "; ".join(map(baseline, lines)),
-                place=Place.BELOW,
-            ),
-        ),
-        rows=rows,
-        notes=(STATUS_NOTE,),
-    )
+def _published(line: BaselineLine) -> str:
+    return _spread(line["published_mean"], line["published_std"])
 
 
 def _spread(mean: float | None, std: float | None) -> str:
@@ -170,39 +124,54 @@ def _spread(mean: float | None, std: float | None) -> str:
     return f"{mean:.4g}" if std is None else f"{mean:.4g} ({std:.3g})"
 
 
-def status_rows(variants: Iterable[Variant]) -> list[dict[str, Any]]:
-    """Return one JSON-ready row per variant.
+def status_table(rows: Sequence[dict[str, Any]]) -> Table:
+    """Return the rows of `status_row` as a table."""
 
-    Keys: `id`, `grade`, `imported`, `trials`, `revision`, `is_current` (whether the task file is unchanged since the
-    import; None without an import), `drivers` (body, provenance, and the record of an imported driver) and `baselines`
-    (metric, own and published mean and standard deviation).
-    """
-    return [_row(variant) for variant in variants]
+    def kind(row: Mapping[str, Any]) -> str:
+        text = f"{row['kind']}, imported" if row["imported"] else row["kind"]
+        return f"{text}; task file changed" if row["is_current"] is False else text
+
+    def baselines(lines: Sequence[BaselineLine]) -> str:
+        return "; ".join(
+            f"{METRIC_TITLES[line['metric']]} own {_spread(line['own_mean'], line['own_std'])}, "
+            f"published {_published(line)}"
+            for line in lines
+        )
+
+    def drivers(moved: Sequence[Mapping[str, Any]]) -> str:
+        texts = (f"{driver['body']}: {driver['provenance']}" for driver in moved)
+        return ", ".join(texts) or "-"
+
+    return Table(
+        columns=(
+            Column("id", "experiment", short_id),
+            Column("", "reference", kind),
+            Column("trials", "trials", is_number=True),
+            Column("drivers", "driver", drivers),
+            Column("baselines", "baselines", baselines, place=Place.BELOW),
+        ),
+        rows=rows,
+        notes=(STATUS_NOTE,),
+    )
 
 
-def _row(variant: Variant) -> dict[str, Any]:
+def status_row(variant: Variant) -> dict[str, Any]:
+    """Return the reference and the drivers of a variant, JSON-ready, as `lines.StatusLine`."""
     imported = load_imported(variant.name)
     source = DataSource.BUNDLED if imported is None else DataSource.IMPORTED
-    experiment, band = (
-        load_experiment(variant, drivers=source),
-        load_band(variant.name, source),
-    )
-    record = imported.record if imported else None
-    recorded = (
-        {driver.body: driver.model_dump() for driver in record.drivers}
-        if record
-        else {}
-    )
+    experiment = load_experiment(variant, drivers=source)
+    band = load_band(variant.name, source)
+    facts = imported and imported.facts
+    recorded = {one.body: one.model_dump() for one in facts.drivers} if facts else {}
+    is_current = facts and facts.task_sha256 == task_sha256(variant.family)
     return json_ready(
         {
             "id": variant.id,
-            "grade": band_grade(variant.name, source).value,
-            "imported": record is not None,
-            "trials": band.trial_count if band else None,
-            "revision": record.revision if record else None,
-            "is_current": record.task_sha256 == task_sha256(variant.family)
-            if record
-            else None,
+            "kind": reference_kind(variant.name, source).value,
+            "imported": facts is not None,
+            "trials": band and band.trial_count,
+            "revision": facts and facts.revision,
+            "is_current": is_current,
             "drivers": [
                 {
                     "body": driver.body,
@@ -211,29 +180,8 @@ def _row(variant: Variant) -> dict[str, Any]:
                 }
                 for driver in experiment.scene.drivers
             ],
-            "baselines": _baselines(variant),
+            "baselines": baseline_lines(
+                facts.metrics if facts else {}, published_baselines(variant.name)
+            ),
         }
     )
-
-
-def _baselines(variant: Variant) -> list[dict[str, Any]]:
-    """Return mean and standard deviation of each metric: own are those of the trials of the band."""
-    published, imported = published_baselines(variant.name), load_imported(variant.name)
-    sidecar = bundled_sidecar(variant.name) if imported is None else None
-    scores = {} if sidecar is None else {"rmse": sidecar.rmse, "dtw": sidecar.dtw}
-    of_trials = (
-        imported.record.metrics
-        if imported
-        else {metric: score for metric, score in scores.items() if score}
-    )
-    return [
-        {
-            "metric": metric,
-            **{
-                f"{whose}_{key}": getattr(spreads.get(metric), key, None)
-                for whose, spreads in (("own", of_trials), ("published", published))
-                for key in ("mean", "std")
-            },
-        }
-        for metric in dict.fromkeys([*published, *of_trials])
-    ]
