@@ -1,13 +1,4 @@
-"""Standard uncertainties of published constants, and of how the real trials were set up."""
-
-PUBLISHED_TRIALS = 20
-"""Number of real trials of each task whose mean and standard deviation are published (paper, "Data Acquisition")."""
-
-TILT_DEG = 0.3
-"""Standard uncertainty of the angle of the board in the recording of SlopeSlider-3 [deg]."""
-
-START_M = 0.001
-"""Standard uncertainty of the start of a body [m]. The start height of 22 drops of BouncingBall scatters by 0.95 mm."""
+"""Standard uncertainties of published constants."""
 
 FRICTION_SHARES = {"wood": 0.06249, "plastic": 0.1448, "metal": 0.04674}
 """Standard uncertainty of a published friction, over it, by material."""

@@ -2,8 +2,8 @@
 
 from dataset_writer import write_trial
 
+from gauge_envs.references.band import load_band
 from gauge_envs.references.user_data import DataSource
-from gauge_envs.scoring.reference import load_band
 from gauge_envs.tools.dataset.importer import import_trials
 from gauge_envs.tools.dataset.layout import find_trials
 

@@ -155,7 +155,7 @@ def test_damaged_files_are_named_and_the_others_are_used(name, tmp_path):
         assert re.search(f"^{re.escape(file)}: {expected}", str(found[file]))
         assert found[file].left_out
     assert (one.used, one.left_out) == (len(AMOUNTS), len(words))
-    assert one.record.left_out == len(words)
+    assert one.facts.left_out == len(words)
     np.testing.assert_array_equal(band_of(name).mean, undamaged.mean)
     np.testing.assert_array_equal(band_of(name).sigma, undamaged.sigma)
 
@@ -205,7 +205,7 @@ def test_what_an_experiment_does_not_ask_for_may_be_damaged(tmp_path):
     }
     lamp, plate = ("lamp.y", False), ("plate.q[2]", False)
     assert keys == {SLIDER: [lamp], PLATE: [lamp, plate]}
-    assert found[PLATE].record.drivers[0].trial_count == 3
+    assert found[PLATE].facts.drivers[0].trial_count == 3
 
 
 def test_recorded_bodies_are_equally_long(tmp_path):
@@ -239,8 +239,8 @@ def test_marker_sets_of_several_bodies_are_joined(tmp_path):
 def test_two_trials_are_needed(tmp_path):
     write_synthetic(tmp_path, SLIDER, [0.0])
     one = imported(tmp_path)[SLIDER]
-    assert one.record is None and load_imported(SLIDER) is None
-    assert "1 of its trials can be used; 2 or more are needed" in str(one.findings[0])
+    assert one.facts is None and load_imported(SLIDER) is None
+    assert "1 of its trials can be used; 2 or more" in str(one.findings[0])
 
 
 def test_the_command_imports_the_rest_and_exits_with_1(tmp_path, gauge):
@@ -252,7 +252,7 @@ def test_the_command_imports_the_rest_and_exits_with_1(tmp_path, gauge):
     assert f"left out: {trial_folder(SLIDER)}/trial-99.json: (file)" in result.stderr
     assert "8 trials of 2 experiments imported" in result.stderr
     assert SLIDER in result.stdout and PLATE in result.stdout
-    assert load_imported(SLIDER).record.trial_count == 4
+    assert load_imported(SLIDER).band.trial_count == 4
     lines = gauge("data", "import", tmp_path, "--json").stdout.splitlines()
     slider, plate, fault = map(json.loads, lines)
     assert (slider["id"], slider["left_out"]) == (f"GAUGE/{SLIDER}", 1)

@@ -141,8 +141,8 @@ def test_the_same_trials_give_the_same_band_and_driver(layout, tmp_path):
     again = band_of(SLIDER)
     np.testing.assert_allclose(again.mean, band.mean, rtol=0, atol=1e-9)
     np.testing.assert_allclose(again.sigma, band.sigma, rtol=0, atol=1e-9)
-    assert one.record.drivers[0].residual_mm == pytest.approx(
-        usual.record.drivers[0].residual_mm, abs=1e-9
+    assert one.facts.drivers[0].residual_mm == pytest.approx(
+        usual.facts.drivers[0].residual_mm, abs=1e-9
     )
 
 
@@ -223,7 +223,7 @@ def test_a_part_of_the_dataset_is_read(tmp_path):
     for number, table in enumerate(tables):
         (folder / f"{number}.csv").write_bytes(csv_text(table, RATE + UNIT))
     one = imported(tmp_path)[SLIDER]
-    assert (one.used, one.record.drivers[0].trial_count) == (4, 3)
+    assert (one.used, one.facts.drivers[0].trial_count) == (4, 3)
     (finding,) = one.findings
     assert (finding.key, finding.left_out) == ("board", False)
 
