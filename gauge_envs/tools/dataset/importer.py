@@ -74,7 +74,7 @@ class ImportedTrials:
     left_out: int
     frame_count: int
     baselines: Sequence[BaselineLine]
-    findings: Sequence[ImportFinding]
+    findings: tuple[ImportFinding, ...]
 
     def to_dict(self) -> dict[str, Any]:
         """Return a JSON-ready dictionary."""
@@ -272,7 +272,7 @@ class _VariantImporter:
             left_out=left_out,
             frame_count=experiment.frame_count,
             baselines=baseline_lines(own, published_baselines(experiment.name)),
-            findings=self._findings,
+            findings=tuple(self._findings),
         )
 
     def _baselines(

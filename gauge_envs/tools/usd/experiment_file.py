@@ -33,7 +33,7 @@ from gauge_envs.experiments.task_files import task_file_error
 from gauge_envs.experiments.task_format import MarkersSpec, ScoreSpec
 from gauge_envs.files import toml_document
 from gauge_envs.observables.kinds import Observable
-from gauge_envs.references.band import Band, BandSidecar, BandSpec, read_band
+from gauge_envs.references.band import Band
 from gauge_envs.references.metrics import METRICS, BaselineMetric
 from gauge_envs.references.published import PUBLISHED_ENGINES, Baseline, Reference
 from gauge_envs.references.tables import FileModel
@@ -41,6 +41,7 @@ from gauge_envs.scene import Contact, ContactMode, Markers, Motion, Scene
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.geometry import NonNegative, Positive, Vector
 from gauge_envs.scene.timing import FRAME_RATE_HZ, MOST_FRAMES
+from gauge_envs.tools.usd.band_table import BandTable, read_band
 from gauge_envs.tools.usd.reader import read_points, read_usd
 
 
@@ -69,16 +70,6 @@ class FileMarkersSpec(MarkersSpec):
             raise ValueError("one of prim and positions_m is expected")
         # The number of points of a prim is known when the layer is read. Indices are checked there.
         return self
-
-
-class FileBandSpec(BandSpec):
-    """Statements about the band (scoring/README.md).
-
-    Attributes:
-        file: Table of the band, relative to the experiment file.
-    """
-
-    file: str
 
 
 class BaselineSpec(FileModel):
@@ -122,7 +113,7 @@ class ExperimentFile(FileModel):
     markers: FileMarkersSpec | None = None
     contacts: tuple[PairSpec, ...] = ()
     drivers: tuple[DriverSpec, ...] = ()
-    band: FileBandSpec | None = None
+    band: BandTable | None = None
     baseline: dict[BaselineMetric, BaselineSpec] = Field(default_factory=dict)
     camera: Camera | None = None
     provenance: dict[str, str] = Field(min_length=1)
@@ -163,32 +154,40 @@ def load_experiment_file(path: str | PathLike[str]) -> FileExperiment:
     layer = path.parent / definition.usd
     scene, recorded, used_files = _scene(path, layer, definition)
     contents = [content, read_bytes(layer), *map(read_bytes, used_files)]
-    band = None
     if definition.band is not None:
-        table = path.parent / definition.band.file
-        stated = definition.band.model_dump(exclude={"file"})
-        unit = definition.score.observable.unit
-        band = read_band(
-            table, BandSidecar(**stated, unit=unit, frames=definition.frames), path
-        )
-        contents.append(read_bytes(table))
+        contents.append(read_bytes(path.parent / definition.band.file))
     experiment = _file_experiment(
         definition.model_copy(update={"recorded": recorded}),
         scene,
-        band,
+        None,
         asset=Asset(
             path=path, kind=AssetKind.EXPERIMENT, sha256=contents_sha256(contents)
         ),
         file_sha256=contents_sha256(contents),
     )
     check_fit(experiment, experiment)
+    return _with_band(experiment, path)
+
+
+def _with_band(experiment: FileExperiment, path: Path) -> FileExperiment:
+    """Return an experiment with the reference that its file states."""
+    table, reference = experiment.definition.band, experiment.reference
+    if table is None or reference is None:
+        return experiment
     names = experiment.coordinates
-    if band is not None and band.projection.shape[1] != len(names):
+    band = read_band(
+        path.parent / table.file,
+        table,
+        unit=experiment.score.observable.unit,
+        frame_count=experiment.frame_count,
+        width=len(names),
+    )
+    if band.projection.shape[1] != len(names):
         taken = f"it takes {band.projection.shape[1]} coordinates"
         raise TaskFileError(
             path, "band", f"{taken}, g(t) has {len(names)}: {', '.join(names[:6])}"
         )
-    return experiment
+    return replace(experiment, reference=replace(reference, band=band))
 
 
 def _file_experiment(

@@ -28,7 +28,7 @@ def costs(tmp_path):
             id="GAUGE/SlopeSlider-2-wood",
             outcome=Outcome.FINISHED,
             parameters="calibrated",
-            score=Score(grade="trials", unit="mm"),
+            score=Score(kind="trials", unit="mm"),
             task_sha256="0",
             backend="mujoco",
             wall_s=wall_s,
