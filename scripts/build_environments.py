@@ -26,7 +26,7 @@ from gauge_envs.references.band import Band
 from gauge_envs.references.kind import Kind
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.scoring.reference import band_grade
-from gauge_envs.scoring.reference_path import reference_path, reference_text
+from gauge_envs.rendering.reference_path import reference_path, reference_text
 from gauge_envs.tools.video import film_writer
 from scripts.environment_page import family_document
 from scripts.generated import ROOT, markdown_table

@@ -63,7 +63,7 @@ class DeviceWorlds(ABC):
         """Return poses and velocities in a new array, shape [world_count, len(names), 13]; see `World.body_states`."""
 
     def copied(self, array: Any) -> NDArray[Any]:
-        """Return an array on the host; no environment calls it."""
+        """Return an array on the host, for learners; no environment calls it."""
         return np.asarray(array)
 
 

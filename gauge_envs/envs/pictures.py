@@ -18,9 +18,9 @@ from gauge_envs.scene.timing import FRAME_RATE_HZ
 if TYPE_CHECKING:
     from gauge_envs.envs.episode import Episode
     from gauge_envs.rendering.overlay import Overlay
+    from gauge_envs.rendering.reference_path import ReferencePath
     from gauge_envs.rendering.renderer import SceneRenderer
     from gauge_envs.rendering.window import Window
-    from gauge_envs.scoring.reference_path import ReferencePath
 
 RENDER_MODES = ("human", "rgb_array", "depth_array", "rgbd_tuple")
 """Render modes of the environments, apart from None."""
@@ -133,8 +133,8 @@ class Pictures:
             return None
         if self._renderer is None:
             from gauge_envs.rendering.camera import experiment_view, scene_view
+            from gauge_envs.rendering.reference_path import reference_path
             from gauge_envs.rendering.renderer import SceneRenderer
-            from gauge_envs.scoring.reference_path import reference_path
 
             width, height = self._size
             if reach is None:
@@ -238,7 +238,7 @@ def episode_picture(
 def episode_overlay(episode: Episode) -> Overlay:
     """Return the overlay of an episode that has begun."""
     from gauge_envs.rendering.overlay import tracked_overlay
-    from gauge_envs.scoring.reference_path import reference_path
+    from gauge_envs.rendering.reference_path import reference_path
 
     trajectory = episode.trajectory()
     return tracked_overlay(

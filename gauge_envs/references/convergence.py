@@ -9,7 +9,6 @@ from typing import Any, Literal, get_args
 
 from pydantic import NonNegativeFloat, PositiveFloat
 
-from gauge_envs.errors import ReferenceFileError
 from gauge_envs.references.tables import FileModel, read_rows, scoring_folder
 
 RefinedSetting = Literal["timestep_s", "cell_m", "training"]
@@ -54,14 +53,7 @@ class Convergence(FileModel):
 @cache
 def read_convergence(file: Path) -> dict[tuple[str, RefinedSetting], Convergence]:
     """Return the rows of a table by variant and setting."""
-    rows: dict[tuple[str, RefinedSetting], Convergence] = {}
-    for line, row in read_rows(file, list(Convergence.model_fields), Convergence):
-        if (row.variant, row.setting) in rows:
-            raise ReferenceFileError(
-                file, line, f"{row.variant}, {row.setting} has a row above: remove one"
-            )
-        rows[row.variant, row.setting] = row
-    return rows
+    return {(row.variant, row.setting): row for row in read_rows(file, Convergence)}
 
 
 def convergence_of(engine: str, variant: str) -> dict[RefinedSetting, Convergence]:

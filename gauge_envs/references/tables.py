@@ -1,28 +1,25 @@
 """Read the CSV, TOML and JSON files of reference data, each row and table checked by a pydantic model."""
 
 import csv
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, TypeVar
 
-import numpy as np
 from pydantic import (
     AfterValidator,
     BaseModel,
     ConfigDict,
-    NonNegativeInt,
     ValidationError,
 )
 
 from gauge_envs.errors import ReferenceFileError, first_fault
 from gauge_envs.files import (
-    csv_text,
     data_folder,
     toml_document,
 )
-from gauge_envs.scene.geometry import FloatArray, Vector, length_of
+from gauge_envs.scene.geometry import Vector, length_of
 
 
 def _unit(axis: Vector) -> Vector:
@@ -43,14 +40,7 @@ class FileModel(BaseModel):
     )
 
 
-class FrameRow(FileModel):
-    """Row of a table with one row for each frame."""
-
-    frame: NonNegativeInt
-
-
 Model = TypeVar("Model", bound=FileModel)
-Row = TypeVar("Row", bound=FrameRow)
 
 
 def scoring_folder(name: str) -> Path:
@@ -92,98 +82,21 @@ def read_toml(file: Path, model: type[Model]) -> Model:
         return model.model_validate(toml_document(read_content(file)))
 
 
-def csv_header(file: Path) -> list[str]:
-    """Return the names of the columns of a CSV file."""
-    return next(_csv_rows(file), (1, []))[1]
+def read_rows(file: Path, model: type[Model]) -> list[Model]:
+    """Return the rows of a CSV file whose columns are the fields of a model; an empty cell is None.
 
-
-def _csv_rows(file: Path) -> Iterator[tuple[int, list[str]]]:
-    """Yield the line number and the fields of each row; lines that start with `#` are notes."""
-    line = 0
-    try:
-        reader = csv.reader(csv_text(read_content(file)))
-        for fields in reader:
-            line = reader.line_num
-            if not (fields and fields[0].startswith("#")):
-                yield line, fields
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise ReferenceFileError(
-            file, line + 1, f"is not CSV in UTF-8: {error}"
-        ) from None
-
-
-def header_fault(header: Sequence[str], columns: Sequence[str]) -> str:
-    """Return the known columns of a header, and the number of unknown ones: the file may be a private one."""
-    known = [name for name in header if name in columns]
-    return f"columns are {','.join(known) or 'none of these'} and {len(header) - len(known)} unknown ones"
-
-
-def read_rows(
-    file: Path, columns: Sequence[str], model: type[Model]
-) -> Iterator[tuple[int, Model]]:
-    """Read the rows of a CSV file.
-
-    A column `mean.x` is the entry `x` of the field `mean`. An empty field is None.
-
-    Args:
-        file: The file.
-        columns: Columns that it must have, in this order.
-        model: Model of one row.
-
-    Returns:
-        Iterator over the line number and the content of each row.
+    Raises:
+        ReferenceFileError: A row is wrong; the message names its line.
     """
-    rows = _csv_rows(file)
-    line, header = next(rows, (1, []))
-    if header != list(columns):
-        raise ReferenceFileError(
-            file, line, f"{header_fault(header, columns)}, expected {','.join(columns)}"
-        )
-    for line, fields in rows:
-        if len(fields) != len(columns):
-            raise ReferenceFileError(
-                file, line, f"{len(fields)} fields, expected {len(columns)}"
-            )
+    content = read_content(file).decode("utf-8").splitlines()
+    lines = [(number, one) for number, one in enumerate(content, 1) if one[:1] != "#"]
+    cells = list(csv.reader(one for _, one in lines))
+    columns = list(model.model_fields)
+    if cells[:1] != [columns]:
+        raise ReferenceFileError(file, 1, f"expected columns {','.join(columns)}")
+    rows = []
+    for (line, _), fields in zip(lines[1:], cells[1:], strict=True):
         with faults_of(file, line):
-            row = model.model_validate(_nested(columns, fields))
-        yield line, row
-
-
-def _nested(columns: Sequence[str], fields: Sequence[str]) -> dict[str, Any]:
-    row: dict[str, Any] = {}
-    for column, field in zip(columns, fields, strict=True):
-        name, dot, entry = column.partition(".")
-        if dot:
-            row.setdefault(name, {})[entry] = field or None
-        else:
-            row[name] = field or None
-    return row
-
-
-def read_frames(file: Path, columns: Sequence[str], model: type[Row]) -> list[Row]:
-    """Read the rows of a CSV file with one row for each frame, from frame 0; arguments as of `read_rows`."""
-    rows: list[Row] = []
-    for line, row in read_rows(file, columns, model):
-        if row.frame != len(rows):
-            raise ReferenceFileError(
-                file, line, f"frame {row.frame} where {len(rows)} is next"
-            )
-        rows.append(row)
+            values = [field or None for field in fields]
+            rows.append(model.model_validate(dict(zip(columns, values, strict=True))))
     return rows
-
-
-def frame_table(
-    rows: Sequence[Row], field: str, frame_count: int | None = None
-) -> FloatArray:
-    """Return the values of a field that is keyed by column, shape [frame_count, column_count]; NaN is unknown.
-
-    Args:
-        rows: The rows, at least one.
-        field: Name of the field.
-        frame_count: Number of frames, whose last ones may have no row; the number of rows if None.
-    """
-    values = np.array(
-        [[*getattr(row, field).values()] for row in rows], dtype=np.float64
-    )
-    padding = 0 if frame_count is None else frame_count - len(rows)
-    return np.pad(values, ((0, padding), (0, 0)), constant_values=np.nan)

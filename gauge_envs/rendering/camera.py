@@ -5,10 +5,10 @@ import numpy as np
 
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.tables import Camera
+from gauge_envs.rendering.reference_path import ReferencePath
 from gauge_envs.scene import Hinge, Plane, Scene
 from gauge_envs.scene.geometry import FloatArray, length_of, vector
 from gauge_envs.scene.meshes import outline_m
-from gauge_envs.scoring.reference_path import ReferencePath
 
 FIELD_OF_VIEW_DEG = 30.0
 """Vertical field of view of the camera [deg]."""

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import shots_of
 from gauge_envs.observables.kinds import Observable
+from gauge_envs.rendering.reference_path import ReferencePath
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-from gauge_envs.scoring.reference_path import ReferencePath
 
 Color = tuple[float, float, float, float]
 """Red, green, blue and opacity from 0 to 1."""

@@ -60,7 +60,9 @@ def test_worlds_on_a_device_have_the_numbers_of_the_host(name, drifting):
     assert_close(
         {key: found[key] for key in scores}, {key: expected[key] for key in scores}
     )
-    assert {"rmse", "rmse_normalized", "rmse_aligned"} <= scores
+    # The time alignment and references without trials need the host.
+    # Only the host aligns motions in time.
+    assert scores == {"rmse", "rmse_normalized"}
 
 
 def assert_close(here, there):

@@ -21,6 +21,7 @@ from gauge_envs.rendering.camera import (
     scene_view,
 )
 from gauge_envs.rendering.overlay import Overlay
+from gauge_envs.rendering.reference_path import reference_path
 from gauge_envs.rendering.renderer import SceneRenderer
 from gauge_envs.scene import (
     Attachment,
@@ -37,7 +38,6 @@ from gauge_envs.scene import (
     Tether,
 )
 from gauge_envs.scoring.reference import reference_band
-from gauge_envs.scoring.reference_path import reference_path
 from gauge_envs.tools.bench.parts import driver as driver_of, ground, ramp
 from gauge_envs.tools.control.env import ControlEnv
 

@@ -18,9 +18,9 @@ from gauge_envs.rendering.overlay import (
     between,
     tracked_overlay,
 )
+from gauge_envs.rendering.reference_path import reference_path
 from gauge_envs.rendering.renderer import SceneRenderer
 from gauge_envs.scoring.reference import reference_band
-from gauge_envs.scoring.reference_path import reference_path
 
 SIZE = {"width": 240, "height": 180}
 
@@ -254,7 +254,9 @@ def test_an_episode_of_a_soft_body_shows_its_markers_alone():
 
 def test_a_reference_of_other_quantities_has_no_path():
     experiment = load_experiment("FoamTwisting-soft")
-    band = reference_band(experiment, use_withheld=True)
+    band = reference_band(
+        experiment,
+    )
     assert band.unit == "mm^2"
     assert reference_path(experiment, band) is None
 

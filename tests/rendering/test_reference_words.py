@@ -5,12 +5,12 @@ import pytest
 
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.references.kind import Kind
-from gauge_envs.scoring.reference import reference_band
-from gauge_envs.scoring.reference_path import (
+from gauge_envs.rendering.reference_path import (
     reference_path,
     reference_text,
     reference_words,
 )
+from gauge_envs.scoring.reference import reference_band
 
 
 def test_a_mean_is_named_by_the_number_of_its_trials():

@@ -114,7 +114,11 @@ def test_every_id_answers_in_one_sentence_and_ten_lines(name):
         ("Pendulum-metal", {"scene.gravity_m_per_s2": 9.0}, "gravity"),
         ("SlopeSlider-3-wood", {"cube.friction": 0.2}, "friction"),
         ("SlopeSlider-3-wood", "effective", "friction"),
-        ("TextileFlinging-satin", {"textile.areal_density_kg_per_m2": 0.2}, "areal_density"),
+        (
+            "TextileFlinging-satin",
+            {"textile.areal_density_kg_per_m2": 0.2},
+            "areal_density",
+        ),
     ],
 )
 def test_what_a_reference_cannot_judge_has_no_score_and_one_reason(

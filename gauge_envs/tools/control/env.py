@@ -33,11 +33,11 @@ from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.experiments.variants import Variant, find_variant
 from gauge_envs.references.uncertainties import friction_std
+from gauge_envs.rendering.reference_path import ReferencePath
 from gauge_envs.scene import Scene
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.jitter import Jitter, jittered
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLES_PER_FRAME
-from gauge_envs.scoring.reference_path import ReferencePath
 from gauge_envs.tools.control.limit import Ending, Limit, LimitReport, pair_friction
 
 Step = tuple[FloatArray, float, bool, bool, dict[str, Any]]

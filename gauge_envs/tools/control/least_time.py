@@ -7,10 +7,10 @@ from typing import ClassVar
 
 import numpy as np
 
+from gauge_envs.rendering.reference_path import ReferencePath
 from gauge_envs.scene import Scene
 from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
-from gauge_envs.scoring.reference_path import ReferencePath
 from gauge_envs.tools.control.env import ControlEnv
 from gauge_envs.tools.control.limit import Ending, Limit
 from gauge_envs.tools.control.stage import Stage

@@ -9,9 +9,9 @@ from scipy.optimize import minimize_scalar
 
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.references.uncertainties import RESTITUTION_SHARE
+from gauge_envs.rendering.reference_path import ReferencePath
 from gauge_envs.scene import Scene, Sphere
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.scoring.reference_path import ReferencePath
 from gauge_envs.tools.control.env import ControlEnv
 from gauge_envs.tools.control.limit import Ending, Limit
 from gauge_envs.tools.control.stage import (

@@ -17,6 +17,7 @@ from gauge_envs.references.band import Band
 from gauge_envs.references.kind import Kind
 from gauge_envs.rendering.camera import FIELD_OF_VIEW_DEG, experiment_view
 from gauge_envs.rendering.materials import STRING_RADIUS_M, USUAL
+from gauge_envs.rendering.reference_path import reference_path, reference_words
 from gauge_envs.rendering.skin import Skin
 from gauge_envs.runs.replay import (
     Replay,
@@ -39,7 +40,6 @@ from gauge_envs.scene import (
 from gauge_envs.scene.geometry import Pose, Shape
 from gauge_envs.scene.meshes import hull_triangles
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-from gauge_envs.scoring.reference_path import reference_path, reference_words
 
 MAX_COUNT = 32767
 """Largest stored number."""

@@ -79,9 +79,7 @@ class InputFile(FileModel):
 def input_files() -> tuple[InputFile, ...]:
     """Return the table of all files: first frames, then prompts, then the negative prompt."""
     file = scoring_folder("published") / "world_model_inputs.csv"
-    return tuple(
-        row for _, row in read_rows(file, list(InputFile.model_fields), InputFile)
-    )
+    return tuple(read_rows(file, InputFile))
 
 
 def fetch_inputs(
