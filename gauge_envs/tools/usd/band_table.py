@@ -72,7 +72,7 @@ def read_band(
         width: Number of coordinates of g(t).
     """
     names, header = table.coordinates, csv_header(file)
-    columns = [name for name in ("frame", "time_s") if name in header]
+    columns = ["frame", *({"time_s"} & set(header))]
     arrays: dict[str, FloatArray] = {}
     for quantity in ("mean", "sigma", "uncertainty"):
         if quantity == "mean" or f"{quantity}.{names[0]}" in header:
@@ -105,7 +105,7 @@ def read_band(
         projection=identity if table.projection is None else np.array(table.projection),
         mean=mean,
         sigma=sigma,
-        measured=np.isfinite(mean).any(axis=1),
+        measured=np.asarray(np.isfinite(mean).any(axis=1)),
         source=table.source,
         trial_count=table.trial_count,
         uncertainty=uncertainty,
