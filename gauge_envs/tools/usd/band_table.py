@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -9,10 +10,11 @@ import numpy as np
 from pydantic import Field, NonNegativeInt, PositiveInt, model_validator
 
 from gauge_envs.errors import ReferenceFileError
+from gauge_envs.files import csv_text
 from gauge_envs.references.band import Band
 from gauge_envs.references.kind import Kind
-from gauge_envs.references.tables import FileModel, csv_header, read_rows
-from gauge_envs.scene.geometry import FloatArray, NonNegative, Positive
+from gauge_envs.references.tables import FileModel, faults_of, read_content
+from gauge_envs.scene.geometry import FloatArray, Positive
 
 NAN = float("nan")
 
@@ -48,14 +50,23 @@ class BandTable(FileModel):
         return values
 
 
-class _Row(FileModel):
-    """Row of the CSV file; values are keyed by coordinate, and None is unknown."""
-
-    frame: NonNegativeInt
-    time_s: float | None = None
-    mean: dict[str, float | None]
-    sigma: dict[str, NonNegative] = Field(default_factory=dict)
-    uncertainty: dict[str, NonNegative | None] = Field(default_factory=dict)
+def _columns(file: Path) -> dict[str, FloatArray]:
+    """Return the columns of a CSV file by name; an empty cell is NaN, and lines that start with `#` are notes."""
+    reader = csv.reader(csv_text(read_content(file)))
+    header: list[str] = []
+    rows: list[list[float]] = []
+    for cells in reader:
+        if cells and cells[0].startswith("#"):
+            continue
+        if not header:
+            header = cells
+            continue
+        with faults_of(file, reader.line_num):
+            if len(cells) != len(header):
+                raise ValueError(f"{len(cells)} cells, expected {len(header)}")
+            rows.append([float(cell) if cell else NAN for cell in cells])
+    values = np.array(rows).reshape(-1, len(header))
+    return dict(zip(header, values.T, strict=True))
 
 
 def read_band(
@@ -71,19 +82,23 @@ def read_band(
         frame_count: Number of frames of the experiment.
         width: Number of coordinates of g(t).
     """
-    names, header = table.coordinates, csv_header(file)
-    columns = ["frame", *({"time_s"} & set(header))]
+    names = table.coordinates
+    columns = _columns(file)
+    count = len(columns.get("frame", ()))
+    expected = np.arange(count)
+    if not 0 < count <= frame_count or (columns["frame"] != expected).any():
+        raise ReferenceFileError(
+            file, None, f"column frame: frames from 0 to at most {frame_count - 1}"
+        )
     arrays: dict[str, FloatArray] = {}
     for quantity in ("mean", "sigma", "uncertainty"):
-        if quantity == "mean" or f"{quantity}.{names[0]}" in header:
-            columns += [f"{quantity}.{name}" for name in names]
+        wanted = [f"{quantity}.{name}" for name in names]
+        missing = [name for name in wanted if name not in columns]
+        if missing and (quantity == "mean" or len(missing) < len(wanted)):
+            raise ReferenceFileError(file, None, f"no column {missing[0]}")
+        if not missing:
             arrays[quantity] = np.full((frame_count, len(names)), NAN)
-    for index, (line, row) in enumerate(read_rows(file, columns, _Row)):
-        if row.frame != index or index >= frame_count:
-            expected = f"frames count from 0 to {frame_count - 1}"
-            raise ReferenceFileError(file, line, f"frame is {row.frame}: {expected}")
-        for quantity, values in arrays.items():
-            values[index] = [*getattr(row, quantity).values()]
+            arrays[quantity][:count] = np.stack([columns[one] for one in wanted], 1)
     mean, uncertainty = arrays["mean"], arrays.get("uncertainty")
     stated = uncertainty if table.sigma is None else table.sigma
     sigma = np.broadcast_to(
