@@ -24,9 +24,9 @@ from gauge_envs.experiments.variants import Variant, beyond_variants, variants
 from gauge_envs.pages.document import as_markdown
 from gauge_envs.references.band import Band
 from gauge_envs.references.kind import Kind
-from gauge_envs.scene.timing import FRAME_RATE_HZ
-from gauge_envs.scoring.reference import band_grade
 from gauge_envs.rendering.reference_path import reference_path, reference_text
+from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.scoring.reference import reference_kind
 from gauge_envs.tools.video import film_writer
 from scripts.environment_page import family_document
 from scripts.generated import ROOT, markdown_table
@@ -38,7 +38,7 @@ CAPTIONS = PICTURES / "captions.json"
 
 INTRODUCTION = """
 A page for each family of experiments: spaces, reward, reference, engines, constants, and what is known to be wrong.
-Below its picture stand the grades of the references of its ids. `gauge show ID` prints the facts of one id, and
+Below its picture stand the kinds of the references of its ids. `gauge show ID` prints the facts of one id, and
 `gauge list` all ids. [Coverage](../coverage.md) has the references of all in one table. The [gallery](../gallery.md)
 shows control tasks.
 """.strip()
@@ -61,13 +61,11 @@ class Entry:
     Attributes:
         name: Variant.
         to_s: Time of the last frame [s]; None for the end of the episode.
-        use_withheld: Whether to draw a recording that is withheld from scores.
         camera: Entries that replace those of the environment's camera, which leaves room for any start.
     """
 
     name: str
     to_s: float | None = None
-    use_withheld: bool = False
     camera: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -89,16 +87,16 @@ GROUPS: dict[str, tuple[Entry, ...]] = {
         Entry("TextileFlinging-oxford", 1.8),
         Entry("Funnel-satin", 2.0),
         Entry("RotatingBall-uniform", 2.0),
-        Entry("TableclothPulling-metal", 3.0, use_withheld=True),
+        Entry("TableclothPulling-metal", 3.0),
     ),
     "Foam": (
-        Entry("FoamStretching-soft", 0.9, use_withheld=True),
-        Entry("FoamCompressing-soft", 0.9, use_withheld=True),
-        Entry("FoamShearing-soft", 1.2, use_withheld=True),
-        Entry("FoamTwisting-soft", 2.1, use_withheld=True),
-        Entry("FoamBending-soft", 1.1, use_withheld=True),
+        Entry("FoamStretching-soft", 0.9),
+        Entry("FoamCompressing-soft", 0.9),
+        Entry("FoamShearing-soft", 1.2),
+        Entry("FoamTwisting-soft", 2.1),
+        Entry("FoamBending-soft", 1.1),
         Entry("StickStack-soft", 4.0),
-        Entry("CantileverBeam-soft", 0.5, use_withheld=True),
+        Entry("CantileverBeam-soft", 0.5),
     ),
     "Beyond the benchmark": (
         Entry("CubeToss-acrylic", camera={"distance_m": 1.3}),
@@ -163,7 +161,6 @@ def draw(entry: Entry, file: Path) -> str:
         height=height,
         camera=entry.camera,
         render_overlay=True,
-        use_withheld=entry.use_withheld,
     )
     env.reset(seed=0)
     last, stride = stride_of(entry, env.experiment.frame_count)
@@ -261,8 +258,6 @@ def index_text(families: Mapping[str, Sequence[Variant]]) -> str:
 
 def index_cell(family: str, families: Mapping[str, Sequence[Variant]]) -> str:
     """Return picture, name and numbers of a family, with a link to its page."""
-    grades = Counter(band_grade(variant.name) for variant in families[family])
-    count = ", ".join(
-        f"{grades[grade]} x {grade.value}" for grade in Kind if grades[grade]
-    )
+    kinds = Counter(reference_kind(variant.name) for variant in families[family])
+    count = ", ".join(f"{kinds[kind]} x {kind.value}" for kind in Kind if kinds[kind])
     return f"[![{family}](../images/environments/{family}.webp)]({family}.md) [{family}]({family}.md): {count}"

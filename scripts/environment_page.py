@@ -9,27 +9,29 @@ from typing import Any
 from gauge_envs.backends.registry import backend_names, backend_title, is_bundled
 from gauge_envs.envs.arguments import EnvArguments
 from gauge_envs.experiments.resolve import load_experiment
-from gauge_envs.experiments.variants import (
-    beyond_variants,
-    find_variant,
-    variants,
-)
+from gauge_envs.experiments.variants import beyond_variants, variants
 from gauge_envs.pages.document import Bullets, Document, Heading, Paragraph, Part
 from gauge_envs.pages.table import Column, Table, grid
-from gauge_envs.pages.text import GRADE_NOTES, Markdown, short_id, value_text
-from gauge_envs.references.band import SigmaSource
+from gauge_envs.pages.text import (
+    KIND_NOTES,
+    Markdown,
+    event_title,
+    pairs_text,
+    plus_minus_text,
+    quantity_text,
+    short_id,
+    value_text,
+)
 from gauge_envs.references.kind import Kind
 from gauge_envs.tools.catalog.description import description
 from gauge_envs.tools.catalog.spaces import range_text, shape_text
 from gauge_envs.tools.catalog.words import (
-    SIGMA_NOTES,
     convergence_facts,
-    grade_note,
     published_table,
     reasons_text,
+    sees_text,
     step_text,
 )
-from scripts.build_coverage import coverage
 from scripts.generated import ROOT
 
 Values = Mapping[str, Any]
@@ -142,14 +144,7 @@ def _summary(values: Values) -> Iterator[str]:
 
 
 def _ids(members: Sequence[Values]) -> Table:
-    def known(values: Values) -> str:
-        count = values["reference"]["known_frames"]
-        return (
-            "-"
-            if count is None or values["reference"]["grade"] == Kind.NONE
-            else str(count)
-        )
-
+    has_exact = any(values["reference"]["exact"] for values in members)
     columns = (
         Column("id", "id", Markdown),
         *([Column("subtask", "subtask")] if members[0]["subtask"] else []),
@@ -157,15 +152,29 @@ def _ids(members: Sequence[Values]) -> Table:
         Column(
             "duration_s", "duration [s]", lambda value: f"{value:.3f}", is_number=True
         ),
-        Column("reference.grade", "grade of the reference"),
+        Column("reference.kind", "kind of the reference"),
         Column("reference.trial_count", "real trials", is_number=True),
-        Column("", "frames compared", known, is_number=True),
+        Column("reference.known_frames", "frames compared", is_number=True),
+        Column("", "u", lambda one: _length(one, "standard_uncertainty")),
+        Column("", "frozen", lambda one: _length(one, "zero_motion_distance")),
+        *([Column("reference.exact", "exact", pairs_text)] if has_exact else []),
     )
-    notes = dict.fromkeys(
-        f"{values['reference']['grade']}: {grade_note(values['reference'])}."
-        for values in members
+    kinds = dict.fromkeys(values["reference"]["kind"] for values in members)
+    notes = [f"{kind}: {KIND_NOTES[Kind(kind)]}." for kind in kinds]
+    notes.append(
+        "u: standard uncertainty of the reference. Frozen: distance of a scene in which nothing moves."
     )
+    if has_exact:
+        notes.append("Exact: score over real trials of an exact solution.")
     return Table(columns=columns, rows=members, notes=tuple(notes))
+
+
+def _length(values: Values, key: str) -> str:
+    """Return a distance of the reference with its unit; a dash without a reference."""
+    reference = values["reference"]
+    if reference[key] is None:
+        return "-"
+    return f"{quantity_text(reference[key])} {reference['unit']}"
 
 
 # --- spaces, reward, reference ----------------------------------------------------------------------------------------
@@ -222,85 +231,31 @@ def _reference(names: _Names, members: Sequence[Values]) -> Iterator[Part]:
         _listed(names, members, lambda values: f"{values['reference']['reward']}.")
     )
     yield Heading("Reference")
-    used = [values for values in members if values["reference"]["grade"] != Kind.NONE]
-    lines = _listed(
-        names,
-        used,
-        lambda values: (
-            values["reference"]["source"] and f"{values['reference']['source']}."
-        ),
-    )
-    lines += _listed(names, used, _sigma)
-    lines += _listed(names, members, _withheld)
-    if bare := [short_id(values["id"]) for values in members if values not in used]:
-        lines.append(_of(names.short(bare), f"{GRADE_NOTES[Kind.NONE]}."))
-    lines += _listed(
-        names,
-        members,
-        lambda values: (
-            _unsolved(values)["reason"] and f"{_unsolved(values)['reason']}."
-        ),
-    )
-    yield Bullets(lines)
-    if rows := list(_statistics(names, members)):
-        yield Paragraph(
-            "In place of a solution, the last frame: mean +- scatter of runs with other steps and cells."
-        )
-        columns = list(dict.fromkeys(name for row in rows for name in row))
-        yield grid(columns, [[row.get(name, "-") for name in columns] for row in rows])
+
+    def source(values: Values) -> str:
+        return f"{values['reference']['source'] or KIND_NOTES[Kind.NONE]}."
+
+    def sees(values: Values) -> str:
+        text = sees_text(values["reference"]["sees"])
+        return f"What this score sees, {text}." if text else ""
+
+    yield Bullets([*_listed(names, members, source), *_listed(names, members, sees)])
+    yield from _recorded(names, members)
 
 
-def _unsolved(values: Values) -> Values:
-    return values["reference"]["unsolved"] or {"reason": "", "statistics": {}}
-
-
-def _statistics(names: _Names, members: Sequence[Values]) -> Iterator[dict[str, str]]:
-    """Yield statistics of the last frame, a row for each id and engine."""
+def _recorded(names: _Names, members: Sequence[Values]) -> Iterator[Part]:
+    """Yield a table of the recorded events, in which ids share rows."""
+    ids: dict[tuple[str, str, str], list[str]] = {}
     for values in members:
-        statistics = _unsolved(values)["statistics"]
-        for engine in dict.fromkeys(
-            engine for found in statistics.values() for engine in found
-        ):
-            cells = {
-                name: found[engine]
-                for name, found in statistics.items()
-                if engine in found
-            }
-            runs = str(next(iter(cells.values()))[2])
-            texts = {
-                name: f"{mean:.4g} +- {spread:.2g}"
-                for name, (mean, spread, _) in cells.items()
-            }
-            yield {
-                "id": names.short([short_id(values["id"])]),
-                "engine": backend_title(engine),
-                "runs": runs,
-            } | texts
-
-
-def _sigma(values: Values) -> str:
-    reference = values["reference"]
-    if Kind(reference["grade"]).is_solution:
-        return (
-            "Verification: distances are over u of the solution, those from an exact one in its unit, and none is over "
-            "the scatter of real trials."
-        )
-    text = f"Sigma: {SIGMA_NOTES[SigmaSource(reference['sigma_source'])]}."
-    if reference["single_shot"]:
-        return f"{text} Each trial has a start of its own; a reset with a trial or a seed selects another one."
-    if reference["normalized_by_baseline"] is False:
-        text += (
-            " Not normalized: the published baseline is of another span of the motion."
-        )
-    return text
-
-
-def _withheld(values: Values) -> str | None:
-    reason = values["reference"]["withheld"]
-    return (
-        reason
-        and f"A recording is withheld from scores: {reason}. `use_withheld=True` scores on it."
-    )
+        for event in values["reference"]["events"]:
+            value = plus_minus_text(
+                event["value"], event["standard_uncertainty"], event["unit"]
+            )
+            row = (event_title(event["name"]), value, event["source"])
+            ids.setdefault(row, []).append(short_id(values["id"]))
+    if ids:
+        rows = [(names.short(having), *row) for row, having in ids.items()]
+        yield grid(("id", "recorded event", "value +- u", "source"), rows)
 
 
 def _listed(

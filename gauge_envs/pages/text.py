@@ -41,6 +41,19 @@ def kind_notes(kinds: Iterable[str]) -> list[str]:
     return [f"{kind}: {KIND_NOTES[Kind(kind)]}." for kind in sorted(set(kinds))]
 
 
+def event_title(name: str) -> str:
+    """Return the name of an event or estimate in words, without its unit: `lag_mm` is `lag`."""
+    words = re.sub(r"_(m_per_s2|deg|mm|hz|s)$", "", name).replace("_", " ")
+    return METRIC_TITLES.get(name, words)
+
+
+def digits_text(value: float | None) -> str:
+    """Return a number with three digits; a dash for None."""
+    if value is None:
+        return "-"
+    return f"{value:.3g}" if abs(value) < 1000.0 else f"{value:.0f}"
+
+
 def pairs_text(values: Mapping[str, Any], *, skip: Sequence[str] = ()) -> str:
     """Return `key = value, key = value`, without some keys."""
     return ", ".join(

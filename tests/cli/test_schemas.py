@@ -81,7 +81,7 @@ def row(gauge) -> Any:
     [
         {"colour": "red"},
         {"id": None},
-        {"grade": "good"},
+        {"kind": "good"},
         {"frames": "twenty"},
         {"frames": 1.5},
         {"backends": ["mujoco"]},
@@ -96,7 +96,7 @@ def test_a_wrong_value_is_refused(row, change):
 
 def test_a_missing_and_a_renamed_key_are_refused(row):
     renamed = {"name" if key == "id" else key: value for key, value in row.items()}
-    del row["grade"]
+    del row["kind"]
     for wrong in (row, renamed):
         with pytest.raises(AssertionError, match="list: "):
             check_lines("list", json.dumps(wrong))
@@ -190,7 +190,7 @@ def test_json_takes_every_number():
 
 def test_the_command_prints_the_schema(gauge):
     listed = gauge("list", "schemas", "list", "--json").stdout
-    assert json.loads(listed) == {"name": "list", "version": 4}
+    assert json.loads(listed) == {"name": "list", "version": 5}
     shown = json.loads(gauge("show", "backend check", "--schema").stdout)
     assert shown == output_schema("backend check")
     assert shown["$id"] == "urn:gauge-envs:backend-check:2"

@@ -45,7 +45,7 @@ def list_(
 ) -> bool:
     """List experiments; or backends, checks, phenomena, materials, scenes, ...
 
-    Experiments have their observable, the grade of their reference, and the engines that can run them. The pattern '*'
+    Experiments have their observable, the kind of their reference, and the engines that can run them. The pattern '*'
     lists also phenomena of deformable bodies. Exit code 1 when a wrong task file was skipped.
     """
     from gauge_envs.pages.document import Document
@@ -90,7 +90,7 @@ def _list_experiments(patterns: Sequence[str], scored: bool, form: Format) -> bo
         found = list_rows(
             [one for one in variants if one.family not in faults], notify=note
         )
-    rows = [row for row in found if not scored or row["grade"] != Kind.NONE]
+    rows = [row for row in found if not scored or row["kind"] != Kind.NONE]
     families = len({row["family"] for row in rows})
     lines = [
         f"{counted(len(rows), 'id')} in {families} {'family' if families == 1 else 'families'}"

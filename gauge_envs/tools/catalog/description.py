@@ -3,12 +3,11 @@
 The terminal page of `gauge show` and the page of a family in the documentation are both made from it.
 """
 
+import csv
 import dataclasses
-import math
 from fnmatch import fnmatchcase
 from typing import Any
 
-import numpy as np
 from pydantic import Field
 
 from gauge_envs.envs.reward import is_reward_bounded, reward_text
@@ -16,21 +15,14 @@ from gauge_envs.experiments.experiment import Experiment, TaskExperiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.task_format import Substituted
 from gauge_envs.files import data_folder, json_ready
+from gauge_envs.references.band import band_file, recorded_events, stated_of
 from gauge_envs.references.convergence import convergence_rows
-from gauge_envs.references.imported import DriverRecord, load_imported
-from gauge_envs.references.models import unsolved_scenes
-from gauge_envs.references.published import law_for
+from gauge_envs.references.imported import load_imported
 from gauge_envs.references.tables import FileModel, read_toml
-from gauge_envs.references.user_data import DataSource, has_import
+from gauge_envs.references.user_data import DataSource
 from gauge_envs.scene import Deformable, Hinge, RigidBody
-from gauge_envs.scene.profiles import Profile, SampledProfile
-from gauge_envs.scoring.deformation import deformation_reference, real_statistics
-from gauge_envs.scoring.reference import (
-    grade_of,
-    load_band,
-    reference_band,
-)
-from gauge_envs.tools.catalog.listing import engine_rows
+from gauge_envs.scoring.reference import reference_band
+from gauge_envs.tools.catalog.listing import engine_rows, kind_of
 from gauge_envs.tools.catalog.spaces import action_rows, observation_rows
 
 
@@ -203,40 +195,40 @@ def _of_file(experiment: Any) -> dict[str, Any]:
 
 
 def _reference(experiment: Experiment) -> dict[str, Any]:
-    """Return what an experiment is or could be scored against."""
-    reference = experiment.reference
-    band = (
-        load_band(experiment.name, experiment.reference_source)
-        if reference is None
-        else reference.band
-    )
-    law = law_for(experiment.name) if reference is None else None
-    used = reference_band(experiment)
-    shown = band if used is None else used
-    unsolved = unsolved_scenes().get(experiment.name) if reference is None else None
-    deformation = deformation_reference(experiment)
+    """Return what an experiment is scored against."""
+    own, source = experiment.reference, experiment.reference_source
+    band = reference_band(experiment)
+    file = None if own is not None else band_file(experiment.name, source)
+    stated = None if file is None else stated_of(file)
+    events = () if own is not None else recorded_events(experiment.name, source)
     return {
-        "grade": grade_of(experiment).value,
-        "trial_count": shown and shown.trial_count,
+        "kind": kind_of(experiment).value,
+        "unit": band and band.compared.unit,
+        "source": band.source if band is not None else stated and stated.source,
+        "licence": band and band.licence,
+        "trial_count": band and band.trial_count,
         "single_shot": experiment.trial is not None,
-        "source": shown and shown.source,
-        "imported": experiment.reference_source is DataSource.IMPORTED,
-        "is_import_available": has_import(experiment.name),
-        "law": law and law.condition,
-        "sigma_source": shown and shown.sigma_source.value,
-        "known_frames": shown and int(np.isfinite(shown.mean).any(axis=1).sum()),
-        "normalized_by_baseline": shown and shown.normalized_by_baseline,
+        "known_frames": band and int(band.compared.known.sum()),
+        "standard_uncertainty": band and band.standard_uncertainty,
+        "zero_motion_distance": band and band.zero_motion_distance,
+        "exact": {} if band is None else dict(band.exact),
+        "exact_source": stated and stated.exact_source,
+        "events": [one.model_dump() for one in events],
+        "sees": seen_changes(experiment.name),
+        "imported": source is DataSource.IMPORTED,
         "impossible": experiment.impossible_scores,
-        "withheld": band and band.withheld,
-        "unsolved": unsolved.model_dump()
-        if used is None and unsolved is not None
-        else None,
-        "reward": reward_text(used, is_bounded=is_reward_bounded(experiment)),
-        "deformation": [
-            dataclasses.asdict(one)
-            for one in (real_statistics(deformation) if deformation else ())
-        ],
+        "reward": reward_text(band, is_bounded=is_reward_bounded(experiment)),
     }
+
+
+def seen_changes(variant: str) -> dict[str, str] | None:
+    """Return what the score of a variant is with changed motions and constants; None if that was not measured."""
+    file = data_folder("scoring") / "sees.csv"
+    if not file.is_file():
+        return None
+    with file.open(encoding="utf-8", newline="") as stream:
+        rows = csv.DictReader(line for line in stream if not line.startswith("#"))
+        return next((row for row in rows if row["id"] == variant), None)
 
 
 def _body(body: RigidBody | Deformable, experiment: Experiment) -> dict[str, Any]:
@@ -261,61 +253,22 @@ def _body(body: RigidBody | Deformable, experiment: Experiment) -> dict[str, Any
 
 def _driver(experiment: Experiment, index: int) -> dict[str, Any]:
     driver = experiment.scene.drivers[index]
-    described = {"body": driver.body, "provenance": driver.provenance}
-    if not isinstance(experiment, TaskExperiment) or experiment.asset is not None:
-        keys = ("kind", "axis", "point_m", "largest_rate", "residual_rate")
-        stated = [
-            {key: getattr(motion, key) for key in keys}
-            | {"profile": [type(profile).__name__ for profile in motion.profiles]}
-            for motion in driver.motions
-        ]
-        note = "as the asset states it; rates in m/s or rad/s"
-        return described | {"imported": False, "note": note, "motions": stated}
-    variant, spec = experiment.variant, experiment.spec
-    of_subtask = spec.subtasks[variant.subtask].drivers if variant.subtask else None
-    source = (of_subtask if of_subtask is not None else spec.drivers)[index]
-    motions, note = (
-        [motion.model_dump(exclude_none=True) for motion in source.motions],
-        source.note,
-    )
-    imported = (
-        load_imported(experiment.name)
-        if experiment.drivers is DataSource.IMPORTED
-        else None
-    )
-    records = (
-        []
-        if imported is None
-        else [one for one in imported.record.drivers if one.body == driver.body]
-    )
-    if records:
-        note = f"{_recorded_note(records[0])}; not in use is the bundled one: {note}"
-        for motion, used in zip(motions, driver.motions, strict=True):
-            motion["profile"] = [
-                _sampled(profile, motion["kind"]) for profile in used.profiles
-            ]
-    return described | {"imported": bool(records), "note": note, "motions": motions}
-
-
-def _sampled(profile: Profile, kind: str) -> dict[str, Any]:
-    """Return an imported profile as a task file would state it."""
-    assert isinstance(profile, SampledProfile)
-    values = (
-        profile.values
-        if kind == "translate"
-        else [math.degrees(value) for value in profile.values]
-    )
-    unit = "m" if kind == "translate" else "deg"
+    note, imported = "as the asset states it", None
+    if isinstance(experiment, TaskExperiment) and experiment.asset is None:
+        variant, spec = experiment.variant, experiment.spec
+        subtask = spec.subtasks[variant.subtask] if variant.subtask else None
+        stated = spec.drivers
+        if subtask is not None and subtask.drivers is not None:
+            stated = subtask.drivers
+        note = stated[index].note
+        if experiment.drivers is DataSource.IMPORTED:
+            imported = load_imported(experiment.name)
+    records = [] if imported is None else imported.facts.drivers
+    is_imported = any(one.body == driver.body for one in records)
     return {
-        "kind": "sampled",
-        "times_s": list(profile.times_s),
-        f"values_{unit}": list(values),
+        "body": driver.body,
+        "provenance": driver.provenance,
+        "imported": is_imported,
+        "note": "mean motion in the imported trials" if is_imported else note,
+        "motions": [dataclasses.asdict(motion) for motion in driver.motions],
     }
-
-
-def _recorded_note(record: DriverRecord) -> str:
-    angle = "" if record.residual_deg is None else f" and {record.residual_deg:.2g} deg"
-    return (
-        f"mean motion of the body in {record.trial_count} imported trials, from its calibrated start, which is "
-        f"{record.start_offset_mm:.2g} mm from theirs; its motions leave {record.residual_mm:.2g} mm{angle} out (rms)"
-    )

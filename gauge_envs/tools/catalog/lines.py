@@ -3,16 +3,17 @@
 from collections.abc import Mapping, Sequence
 from typing import Any, TypedDict
 
-from gauge_envs.references.convergence import Convergence
+from gauge_envs.references.band import RecordedEvent
 from gauge_envs.references.kind import Kind
-from gauge_envs.references.models import UnsolvedScene
 from gauge_envs.references.published import Baseline
 from gauge_envs.scene import Attachment, Contact
-from gauge_envs.scoring.deformation import RealStatistic
+
+Values = Mapping[str, Any]
+"""A small table, whose keys name its values."""
 
 
-class ExperimentFacts(TypedDict):
-    """What is said of an experiment in any installation.
+class ListLine(TypedDict):
+    """An experiment.
 
     Attributes:
         id: Gymnasium id.
@@ -20,7 +21,9 @@ class ExperimentFacts(TypedDict):
         group: Kind of bodies.
         observable: What g(t) is.
         frames: Number of frames of 1/30 s.
-        grade: What the reference is; see docs/scores.md.
+        kind: Kind of its reference.
+        imported: Whether real trials of it were imported.
+        backends: What each engine lacks to run it; empty for an engine that can.
     """
 
     id: str
@@ -28,17 +31,7 @@ class ExperimentFacts(TypedDict):
     group: str
     observable: str
     frames: int
-    grade: Kind
-
-
-class ListLine(ExperimentFacts):
-    """An experiment.
-
-    Attributes:
-        imported: Whether real trials of it were imported.
-        backends: What each engine lacks to run it; empty for an engine that can.
-    """
-
+    kind: Kind
     imported: bool
     backends: Mapping[str, Sequence[str]]
 
@@ -50,24 +43,6 @@ class SchemaLine(TypedDict):
     version: int
 
 
-class AssetFacts(TypedDict):
-    """The file that states a scene in place of the task file.
-
-    Attributes:
-        file: Its name.
-        kind: Kind of file.
-        sha256: Hash of the file.
-        edited: Whether the scene differs from the calibrated one.
-        changes: The differences.
-    """
-
-    file: str
-    kind: str
-    sha256: str
-    edited: bool
-    changes: Sequence[str]
-
-
 class ObservableFacts(TypedDict):
     """What g(t) is, its unit, and the names of its coordinates."""
 
@@ -76,131 +51,44 @@ class ObservableFacts(TypedDict):
     coordinates: Sequence[str]
 
 
-class ConstantFacts(TypedDict):
-    """A constant with its source."""
-
-    value: Any
-    source: str
-
-
-class ParameterSet(TypedDict):
-    """A set of constants, and what it overrides."""
-
-    summary: str
-    values: Mapping[str, Any]
-
-
-class DriverFacts(TypedDict):
-    """A driven body.
-
-    Attributes:
-        body: Name of the body.
-        provenance: Where its motion is from.
-        imported: Whether it is a recorded motion that was imported.
-        note: What is known of the motion.
-        motions: The motions along or about axes, as in a task file.
-    """
-
-    body: str
-    provenance: str
-    imported: bool
-    note: str
-    motions: Sequence[Mapping[str, Any]]
-
-
-class MarkerFacts(TypedDict):
-    """Number of markers on bodies."""
-
-    count: int
-
-
-class SpaceEntry(TypedDict):
-    """An entry of the action or of the observation.
-
-    Attributes:
-        entry: Key of the entry.
-        whole: Shape of the entry.
-        name: Part of it.
-        shape: Shape of the part.
-        low: Least value; null without bound.
-        high: Largest value; null without bound.
-        unit: Unit; 1 for a pure number.
-        meaning: What it is.
-    """
-
-    entry: str
-    whole: Sequence[int]
-    name: str
-    shape: Sequence[int]
-    low: float
-    high: float
-    unit: str
-    meaning: str
-
-
 class ReferenceFacts(TypedDict):
-    """What an experiment is or could be scored against.
+    """What an experiment is scored against.
 
     Attributes:
-        grade: What the reference is; see docs/scores.md.
+        kind: What the reference motion is.
+        unit: Unit of `standard_uncertainty` and `zero_motion_distance`.
+        source: Where the numbers are from, or why there is no reference.
+        licence: Licence of the data.
         trial_count: Number of real trials.
         single_shot: Whether it is the one trial of the same start.
-        source: Its source.
-        imported: Whether imported trials are in use.
-        is_import_available: Whether there are imported trials.
-        law: Condition of the law, where there is no other reference.
-        sigma_source: Where the standard deviation of the band is from.
         known_frames: Number of frames with a mean.
-        normalized_by_baseline: Whether scores are normalized by the published baseline.
+        standard_uncertainty: Standard uncertainty u of the mean.
+        zero_motion_distance: Distance of a scene in which nothing moves.
+        exact: Distance over real trials of an exact solution, by parameter set.
+        exact_source: How the exact solution was computed.
+        events: Events with a real value.
+        sees: The score with changed motions and constants; null where it was not measured.
+        imported: Whether imported trials are in use.
         impossible: Published scores that cannot be right; empty without.
-        withheld: Why the band is not scored on by default.
-        unsolved: Why the scene has no solution.
         reward: The reward of a step.
-        deformation: Real statistics of deformation, with which every run is compared beside its score.
     """
 
-    grade: Kind
+    kind: Kind
+    unit: str | None
+    source: str | None
+    licence: str | None
     trial_count: int | None
     single_shot: bool
-    source: str | None
-    imported: bool
-    is_import_available: bool
-    law: str | None
-    sigma_source: str | None
     known_frames: int | None
-    normalized_by_baseline: bool | None
+    standard_uncertainty: float | None
+    zero_motion_distance: float | None
+    exact: Mapping[str, float]
+    exact_source: str | None
+    events: Sequence[RecordedEvent]
+    sees: Mapping[str, str] | None
+    imported: bool
     impossible: str
-    withheld: str | None
-    unsolved: UnsolvedScene | None
     reward: str
-    deformation: Sequence[RealStatistic]
-
-
-class EngineFacts(TypedDict):
-    """What an installed engine says of an experiment.
-
-    Attributes:
-        engine: Name of the engine.
-        missing: Features of the scene that it lacks.
-        fault: Why it does not run here.
-        preset: Default preset of the scene.
-        timestep_s: Default time step [s].
-        convergence: What other settings change, by setting.
-    """
-
-    engine: str
-    missing: Sequence[str]
-    fault: str | None
-    preset: str | None
-    timestep_s: float | None
-    convergence: Mapping[str, Convergence]
-
-
-class LimitFacts(TypedDict):
-    """What is known to be wrong or uncertain, and the study that shows it."""
-
-    text: str
-    study: str | None
 
 
 class ShowLine(TypedDict):
@@ -213,12 +101,12 @@ class ShowLine(TypedDict):
         group: Kind of bodies; null for an experiment file.
         evaluates: What is evaluated.
         source: Where the experiment is described.
-        constants: Constants of each body with their sources.
-        parameter_sets: Sets of constants by name.
+        constants: `value` and `source` of each constant of each body.
+        parameter_sets: `summary` and overriding `values` of each set of constants.
         subtask: Title of the subtask.
         provenance: Source of each number of the task file, by its place.
         decisions: What the sources leave open, and what was chosen.
-        asset: File that states the scene; null for the task file.
+        asset: File that states the scene, with its changes; null for the task file.
         frames: Number of frames of 1/30 s.
         duration_s: Duration [s].
         observable: What g(t) is.
@@ -226,15 +114,15 @@ class ShowLine(TypedDict):
         contacts: Constants of pairs of bodies.
         joints: Joints, with the fields of their class in `gauge_envs.scene`.
         attachments: Deformable bodies that are held.
-        drivers: Driven bodies.
+        drivers: Driven bodies: `body`, `provenance`, `imported`, `note`, `motions`.
         air: Constants of the air.
-        markers: Markers on bodies.
-        action: Entries of the action.
-        observation: Entries of the observation.
+        markers: Number of markers on bodies; null without.
+        action: Entries of the action: name, shape, bounds, unit, meaning.
+        observation: Entries of the observation, in the same way.
         reference: What it is scored against.
         baselines: Published scores.
-        engines: What each engine says of it.
-        limits: What is known to be wrong or uncertain.
+        engines: What each engine says: `missing` features, `fault`, `preset`, `timestep_s`, `convergence`.
+        limits: What is known to be wrong or uncertain: `text`, and the `study` that shows it.
     """
 
     id: str
@@ -243,39 +131,28 @@ class ShowLine(TypedDict):
     group: str | None
     evaluates: Sequence[str]
     source: Mapping[str, str]
-    constants: Mapping[str, Mapping[str, ConstantFacts]]
-    parameter_sets: Mapping[str, ParameterSet]
+    constants: Mapping[str, Mapping[str, Values]]
+    parameter_sets: Mapping[str, Values]
     subtask: str | None
     provenance: Mapping[str, str]
     decisions: Sequence[str]
-    asset: AssetFacts | None
+    asset: Values | None
     frames: int
     duration_s: float
     observable: ObservableFacts
-    bodies: Sequence[Mapping[str, Any]]
+    bodies: Sequence[Values]
     contacts: Sequence[Contact]
-    joints: Sequence[Mapping[str, Any]]
+    joints: Sequence[Values]
     attachments: Sequence[Attachment]
-    drivers: Sequence[DriverFacts]
+    drivers: Sequence[Values]
     air: Mapping[str, float] | None
-    markers: MarkerFacts | None
-    action: Sequence[SpaceEntry]
-    observation: Sequence[SpaceEntry]
+    markers: Values | None
+    action: Sequence[Values]
+    observation: Sequence[Values]
     reference: ReferenceFacts
     baselines: Sequence[Baseline]
-    engines: Sequence[EngineFacts]
-    limits: Sequence[LimitFacts]
-
-
-class LimitOfTask(TypedDict):
-    """The most that a law allows, with its standard uncertainty and their sources."""
-
-    quantity: str
-    unit: str
-    value: float
-    sigma: float
-    law: str
-    sigma_source: str
+    engines: Sequence[Values]
+    limits: Sequence[Values]
 
 
 class ControlLine(TypedDict):
@@ -286,7 +163,7 @@ class ControlLine(TypedDict):
         scene: Id of the experiment whose scene it has.
         duration_s: Duration [s].
         observed: What each entry of the observation is.
-        limit: What the law allows.
+        limit: What the law allows: `quantity`, `unit`, `value`, `sigma` and their sources.
         task: What is to be done and what is rewarded.
     """
 
@@ -294,7 +171,7 @@ class ControlLine(TypedDict):
     scene: str
     duration_s: float
     observed: Sequence[str]
-    limit: LimitOfTask
+    limit: Values
     task: str
 
 

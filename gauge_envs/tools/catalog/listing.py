@@ -10,9 +10,10 @@ from gauge_envs.errors import GaugeError, MissingExtraError
 from gauge_envs.experiments.experiment import Experiment, TaskExperiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import Variant
+from gauge_envs.references.kind import Kind
 from gauge_envs.references.user_data import has_import
 from gauge_envs.runs.isolation import Worker
-from gauge_envs.scoring.reference import grade_of
+from gauge_envs.scoring.reference import reference_kind
 
 QUERY_LIMIT_S = 60.0
 """Time for which an engine outside this package may answer [s]."""
@@ -50,8 +51,16 @@ def facts_of(experiment: TaskExperiment) -> dict[str, Any]:
         "group": experiment.spec.group.value,
         "observable": experiment.score.observable.value,
         "frames": experiment.frame_count,
-        "grade": grade_of(experiment).value,
+        "kind": kind_of(experiment).value,
     }
+
+
+def kind_of(experiment: Experiment) -> Kind:
+    """Return the kind of the reference of an experiment."""
+    if experiment.reference is None:
+        return reference_kind(experiment.name, experiment.reference_source)
+    band = experiment.reference.band
+    return Kind.NONE if band is None else band.kind
 
 
 def engine_rows(experiment: Experiment) -> list[dict[str, Any]]:

@@ -75,7 +75,7 @@ def list_table(rows: Sequence[Mapping[str, Any]]) -> Table:
             Column("group", "group", wide_only=True),
             Column("observable", "observable", wide_only=True),
             Column("frames", "frames", is_number=True, wide_only=True),
-            Column("grade", "grade"),
+            Column("kind", "kind"),
             Column(
                 "imported",
                 "imported trials",

@@ -7,33 +7,36 @@ from gauge_envs.envs.arguments import EnvArguments
 from gauge_envs.experiments.experiment import AssetKind
 from gauge_envs.pages.document import Bullets, Document, Heading, Paragraph, Part, Tone
 from gauge_envs.pages.results import convergence_text
-from gauge_envs.pages.table import Column, Facts, Place, Table
+from gauge_envs.pages.table import Column, Facts, Table
 from gauge_envs.pages.text import (
-    GRADE_NOTES,
+    KIND_NOTES,
     METRIC_TITLES,
     NORMALIZED_NOTE,
+    digits_text,
+    event_title,
     pairs_text,
     plus_minus_text,
+    quantity_text,
     score_text,
     shortened,
-    vector_text,
+    value_text,
 )
-from gauge_envs.references.band import SigmaSource
 from gauge_envs.references.kind import Kind
 from gauge_envs.references.published import PUBLISHED_ENGINES
 from gauge_envs.tools.catalog.spaces import range_text, shape_text
 
-SIGMA_NOTES = {
-    SigmaSource.TRIALS: "scatter of the trials, per frame",
-    SigmaSource.BASELINE: "from the published scatter, constant and the same for each coordinate",
-    SigmaSource.MEASUREMENT: "uncertainty of the measurement; the scatter of trials is not known",
-    SigmaSource.MODEL: "uncertainty of the solution; the scatter of trials is not published",
-}
+PUBLISHED_NOTE = "Engine scores over real trials (GAUGE, Table 5)."
 
-SHORT_NOTE = "Engines: score over that of real trials, as published (GAUGE, Table 5)."
-OTHER_QUESTION = (
-    "Published, over real trials (GAUGE, Table 5): another question than grade {grade}"
-)
+SEEN = {
+    "nominal": "MuJoCo",
+    "frozen": "frozen",
+    "late_40_ms": "40 ms late",
+    "friction_20_percent_lower": "friction 20 % lower",
+    "friction_20_percent_higher": "20 % higher",
+    "stiffness_20_percent_lower": "stiffness 20 % lower",
+    "stiffness_20_percent_higher": "20 % higher",
+}
+"""What was scored, by column of `scoring/sees.csv`."""
 
 
 def experiment_document(values: Mapping[str, Any], *, detailed: bool) -> Document:
@@ -43,41 +46,26 @@ def experiment_document(values: Mapping[str, Any], *, detailed: bool) -> Documen
         values: The dictionary.
         detailed: Whether to add the scene, the source of each number, decisions and parameter sets to what fits a page.
     """
+    limits = [limit_text(one) for one in values["limits"]]
     short: tuple[Part, ...] = (
         Paragraph(f"{values['id']}  {values['title']}", Tone.ANSWER),
         Paragraph(values["summary"]),
         Paragraph(""),
         Facts(_facts(values)),
-        Heading(_spaces_heading(values)),
+        Heading("Action and observation"),
         Facts(_entries([*values["action"], *values["observation"]])),
         *_engines(values),
         _published(values),
-        *(
-            [Bullets([limit_text(one) for one in values["limits"]], "Known limits")]
-            if values["limits"]
-            else []
-        ),
-        *(
-            [Heading("Constants and driven motion")]
-            if values["constants"] or values["drivers"]
-            else []
-        ),
+        *([Bullets(limits, "Known limits")] if limits else []),
+        *([Heading("Constants")] if values["constants"] else []),
         Facts(_constants(values["constants"])),
-        *_drivers(values, detailed=detailed),
+        *_drivers(values),
     )
     # The constants of an experiment file are those of its scene.
     if detailed or not values["constants"]:
         return Document(parts=(*short, *_details(values)), rows=[values])
     more = Paragraph("Scene, decisions and all sources: --format wide", Tone.NOTE)
     return Document(parts=(*short, more), rows=[values])
-
-
-def _spaces_heading(values: Mapping[str, Any]) -> str:
-    """Return the heading of the spaces, with the task of a policy where zero actions are near the best."""
-    heading = "Action and observation"
-    if values["drivers"] and values["reference"]["known_frames"]:
-        heading += " (with drivers='action' driven bodies rest until actions move them)"
-    return heading
 
 
 def _facts(values: Mapping[str, Any]) -> dict[str, str]:
@@ -87,60 +75,74 @@ def _facts(values: Mapping[str, Any]) -> dict[str, str]:
         values["asset"],
     )
     facts = {
-        "evaluates": ", ".join(values["evaluates"]),
         "episode": f"{values['frames']} frames at 30 Hz, {values['duration_s']:.3f} s",
         "g(t)": f"{observable['kind']} [{observable['unit']}]: {shortened(observable['coordinates'])}",
-        "grade": grade_text(reference),
-        "reference": reference["source"] or reference["law"] or "none",
+        "reference": reference_text(reference, frames=values["frames"]),
+        "source": reference["source"] or "",
+        "recorded": events_text(reference["events"]),
+        "sees": sees_text(reference["sees"]),
         "reward": reference["reward"],
+        "published": reference["impossible"],
     }
-    if reference["deformation"]:
-        facts["real"] = deformation_text(reference["deformation"])
     if asset is not None:
         facts["asset"] = f"{asset['file']}, sha256 {asset['sha256'][:8]}"
         if asset["kind"] != AssetKind.EXPERIMENT:
             facts["edited"] = "; ".join(asset["changes"]) or "no: the calibrated scene"
-    return facts | _band_facts(values)
+    return {name: text for name, text in facts.items() if text}
+
+
+def reference_text(reference: Mapping[str, Any], *, frames: int) -> str:
+    """Return kind, trials, u, distance without motion, known frames, and scores of exact solutions."""
+    parts = [reference["kind"]]
+    if reference["single_shot"]:
+        parts.append("one trial with the same start, and each has its own")
+    elif reference["trial_count"]:
+        parts = [f"{reference['kind']} ({reference['trial_count']})"]
+    if reference["unit"] is None:
+        return f"{parts[0]}: {KIND_NOTES[Kind.NONE]}"
+    for name, key in (
+        ("u", "standard_uncertainty"),
+        ("a frozen scene is off by", "zero_motion_distance"),
+    ):
+        parts.append(f"{name} {quantity_text(reference[key])} {reference['unit']}")
+    if reference["known_frames"] < frames:
+        parts.append(f"known at {reference['known_frames']} of {frames} frames")
+    exact = [f"{score:.2f} ({name})" for name, score in reference["exact"].items()]
+    if exact:
+        parts.append(f"an exact solution scores {', '.join(exact)} over real trials")
+    return ", ".join(parts)
+
+
+def events_text(events: Sequence[Mapping[str, Any]]) -> str:
+    """Return events with their real values and standard uncertainties; empty without any."""
+    return "; ".join(
+        f"{event_title(one['name'])}: "
+        f"{plus_minus_text(one['value'], one['standard_uncertainty'], one['unit'])}"
+        for one in events
+    )
+
+
+def sees_text(row: Mapping[str, str] | None) -> str:
+    """Return a row of `scoring/sees.csv` in a line; empty without one."""
+    if row is None:
+        return ""
+    metric = row.get("metric", "distance").replace("_", " ")
+    scores = [
+        f"{title} {digits_text(float(row[key]))}"
+        for key, title in SEEN.items()
+        if row.get(key)
+    ]
+    return f"{metric} [{row['unit']}]: {', '.join(scores)}"
 
 
 def _published(values: Mapping[str, Any]) -> Part:
-    """Return the published scores, which are of reality whatever the grade of the reference."""
+    """Return the published scores, which are of reality whatever the reference is."""
     if not values["baselines"]:
         return Paragraph("Published: none")
-    grade = Kind(values["reference"]["grade"])
-    if grade.is_solution:
-        title, note = OTHER_QUESTION.format(grade=grade.value), ""
-    else:
-        title, note = "Published", SHORT_NOTE
-    return published_table(values["baselines"], title=title, note=note)
-
-
-def deformation_text(statistics: Sequence[Mapping[str, Any]]) -> str:
-    """Return real statistics of deformation with their 95 % intervals."""
-    texts = [
-        f"{one['name']} {one['value']:.3g} +- {one['reach_95']:.2g}"
-        + ("" if one["unit"] == "1" else f" {one['unit']}")
-        for one in statistics
-    ]
-    count = statistics[0]["trial_count"]
-    source = "one recording" if count == 1 else f"{count} trials"
-    frame = statistics[0]["frame"]
-    return f"{', '.join(texts)} at frame {frame} (95 %, {source})"
-
-
-def grade_text(reference: Mapping[str, Any]) -> str:
-    """Return the grade of a reference, what it means, and whether a recording is withheld."""
-    count = None if reference["single_shot"] else reference["trial_count"]
-    trials = f", {count} trials" if count else ""
-    withheld = ", recording withheld" if reference["withheld"] is not None else ""
-    return f"{reference['grade']}{trials} ({grade_note(reference)}){withheld}"
-
-
-def grade_note(reference: Mapping[str, Any]) -> str:
-    """Return what the grade of a reference means."""
-    if reference["single_shot"]:
-        return "one real trial with the same start; each trial has its own"
-    return GRADE_NOTES[Kind(reference["grade"])]
+    note = PUBLISHED_NOTE
+    if Kind(values["reference"]["kind"]).is_solution:
+        note += " This id is scored against a solution."
+    return published_table(values["baselines"], title="Published", note=note)
 
 
 def limit_text(limit: Mapping[str, Any]) -> str:
@@ -212,12 +214,9 @@ def _engines(values: Mapping[str, Any]) -> Iterator[Part]:
             ),
             Column("preset", "preset"),
             Column("timestep_s", "step [s]", step_text, is_number=True),
-            Column(
-                "", "works here", lambda row: "yes" if row["fault"] is None else "no"
-            ),
+            Column("", "works here", _works),
         ),
         rows=running,
-        notes=tuple(row["fault"] for row in running if row["fault"] is not None),
     )
     yield Facts(
         {
@@ -228,10 +227,14 @@ def _engines(values: Mapping[str, Any]) -> Iterator[Part]:
     )
 
 
+def _works(row: Mapping[str, Any]) -> str:
+    return "yes" if row["fault"] is None else "no, see gauge list backends"
+
+
 def convergence_facts(values: Mapping[str, Any]) -> dict[str, str]:
     """Return what half the step and half the cell change, by engine, of those that were measured."""
     has_cells = any(body["kind"] != "rigid" for body in values["bodies"])
-    is_verified = Kind(values["reference"]["grade"]).is_solution
+    is_verified = Kind(values["reference"]["kind"]).is_solution
     return {
         row["engine"]: convergence_text(
             row["convergence"],
@@ -247,142 +250,60 @@ def convergence_facts(values: Mapping[str, Any]) -> dict[str, str]:
 # --- details ----------------------------------------------------------------------------------------------------------
 
 
-def _drivers(values: Mapping[str, Any], *, detailed: bool) -> Iterator[Part]:
-    hint = "; imported trials exist: drivers='imported' or --use imported-drivers uses their motion"
-    has_import = values["reference"]["is_import_available"] and values["asset"] is None
+def _drivers(values: Mapping[str, Any]) -> Iterator[Part]:
     for driver in values["drivers"]:
-        end = hint if has_import and not driver["imported"] else ""
         yield Paragraph(
-            f"Driver of {driver['body']} ({driver['provenance']}): {driver['note']}{end}"
-        )
-        yield from (
-            Paragraph(f"  {pairs_text(motion)}")
-            for motion in driver["motions"]
-            if detailed
+            f"Driver of {driver['body']} ({driver['provenance']}): {driver['note']}"
         )
 
 
 def _details(values: Mapping[str, Any]) -> Iterator[Part]:
-    if scale := _scale_facts(values):
-        yield Heading("Scale of the score")
-        yield Facts(scale)
-    yield Heading("Sources")
-    yield Facts(values["source"])
-    yield from _scene(values)
-    if convergence := convergence_facts(values):
-        yield Heading("Convergence")
-        yield Facts(convergence)
-    yield Heading("Where the numbers are from")
-    yield Facts(values["provenance"])
-    yield Heading("Decisions")
-    yield Bullets(values["decisions"] or ["none"])
-    yield Heading("Parameter sets")
-    yield Facts(
-        {
-            name: chosen["summary"]
-            + (f": {pairs_text(chosen['values'])}" if chosen["values"] else "")
-            for name, chosen in values["parameter_sets"].items()
-        }
-    )
+    sets = {
+        name: f"{chosen['summary']}: {pairs_text(chosen['values']) or 'as stated'}"
+        for name, chosen in values["parameter_sets"].items()
+    }
+    sections = {
+        "Sources": {"evaluates": ", ".join(values["evaluates"])} | values["source"],
+        "Bodies": {body["name"]: _fields(body) for body in values["bodies"]},
+        "Contacts": {
+            f"{shortened(one['first'])} on {shortened(one['second'])}": pairs_text(
+                one, skip=("first", "second")
+            )
+            for one in values["contacts"]
+        },
+        "Joints": {
+            f"{one.get('kind', 'attachment')} {number}": _fields(one)
+            for number, one in enumerate((*values["joints"], *values["attachments"]), 1)
+        },
+        "Motions": {
+            f"{driver['body']} {number}": _fields(motion)
+            for driver in values["drivers"]
+            for number, motion in enumerate(driver["motions"], 1)
+        },
+        "Air": {
+            name: value_text(value) for name, value in (values["air"] or {}).items()
+        },
+        "Convergence": convergence_facts(values),
+        "Where the numbers are from": values["provenance"],
+        "Parameter sets": sets,
+    }
+    for title, facts in sections.items():
+        if facts:
+            yield Heading(title)
+            yield Facts(facts)
+    if values["decisions"]:
+        yield Heading("Decisions")
+        yield Bullets(values["decisions"])
 
 
-def _band_facts(values: Mapping[str, Any]) -> dict[str, str]:
-    """Return why a band is withheld or missing, and published scores that cannot be right."""
-    reference = values["reference"]
-    facts = {}
-    if reference["unsolved"] is not None:
-        facts["unsolved"] = reference["unsolved"]["reason"]
-    if reference["impossible"]:
-        facts["published"] = reference["impossible"]
-    if reference["withheld"] is not None:
-        facts["withheld"] = f"{reference['withheld']}; --use withheld scores on it"
-    return facts
-
-
-def _scale_facts(values: Mapping[str, Any]) -> dict[str, str]:
-    """Return where sigma is from, which frames are known, and why scores are not normalized."""
-    reference = values["reference"]
-    facts = {}
-    is_solution = Kind(reference["grade"]).is_solution
-    if reference["sigma_source"] is not None and not is_solution:
-        facts["sigma"] = SIGMA_NOTES[SigmaSource(reference["sigma_source"])]
-    if (reference["known_frames"] or values["frames"]) < values["frames"]:
-        facts["known"] = (
-            f"the mean at {reference['known_frames']} of {values['frames']} frames"
-        )
-    if reference["single_shot"]:
-        facts["normalized"] = (
-            "no: a single trial has no scatter; a reset with a trial or a seed selects another one"
-        )
-    elif reference["impossible"]:
-        facts["normalized"] = "no: published scores cannot be right"
-    elif is_solution:
-        facts["normalized"] = "no: the distance from a solution is a numerical error"
-    elif reference["normalized_by_baseline"] is False:
-        facts["normalized"] = (
-            "no: the published baseline is of another span of the motion"
-        )
-    return facts
-
-
-def _scene(values: Mapping[str, Any]) -> Iterator[Part]:
-    def name(body: Mapping[str, Any]) -> str:
-        return body["name"] + (" (recorded)" if body["recorded"] else "")
-
-    yield Table(
-        title="Bodies",
-        columns=(
-            Column("", "name", name),
-            Column("", "motion", lambda body: body.get("motion", body["kind"])),
-            Column(
-                "",
-                "mass [kg]",
-                lambda body: f"{body['mass_kg']:.10g}" if body["mass_kg"] else "-",
-                is_number=True,
-            ),
-            Column("position_m", "position [m]", vector_text),
-            Column("quaternion_wxyz", "quaternion wxyz", vector_text),
-            Column("", "shape", _shape, place=Place.BELOW),
-        ),
-        rows=values["bodies"],
-    )
-    yield Table(
-        title="Contacts",
-        columns=(
-            Column("first", "first", shortened),
-            Column("second", "second", shortened),
-            Column("friction", "friction", is_number=True),
-            Column("restitution", "restitution", is_number=True),
-            Column("mode", "mode"),
-        ),
-        rows=values["contacts"],
-    )
-    if joints := (*values["joints"], *values["attachments"]):
-        yield Heading("Joints")
-        yield from (Paragraph(pairs_text(joint)) for joint in joints)
-    if values["air"] is not None:
-        yield Heading("Air")
-        yield Paragraph(pairs_text(values["air"]))
-
-
-def _shape(body: Mapping[str, Any]) -> str:
-    shape = dict(body.get("shape") or {"kind": body["kind"]})
-    kind = shape.pop("kind")
-    if "pieces_m" in shape:
-        return f"{kind}, {len(shape['pieces_m'])} pieces"
-    skip = (
-        "name",
-        "kind",
-        "recorded",
-        "motion",
-        "shape",
-        "mass_kg",
-        "position_m",
-        "quaternion_wxyz",
-    )
-    return " ".join(
-        filter(None, (kind, pairs_text(shape), pairs_text(body, skip=skip)))
-    )
+def _fields(values: Mapping[str, Any]) -> str:
+    """Return the values that are not zero, without the name."""
+    stated = {
+        key: value
+        for key, value in values.items()
+        if (any(value) if isinstance(value, list) else value)
+    }
+    return pairs_text(stated, skip=("name",))
 
 
 def published_table(

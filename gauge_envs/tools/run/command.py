@@ -12,6 +12,7 @@ import typer
 from gauge_envs.cli import arguments
 from gauge_envs.cli.interrupts import EXIT_INTERRUPTED
 from gauge_envs.cli.output import (
+    LINE_INTERVAL_S,
     Format,
     LostOutput,
     Progress,
@@ -31,6 +32,15 @@ if TYPE_CHECKING:
 
 FEW_EPISODES = 20
 """Most episodes of rigid bodies that run in this process by default."""
+
+Details = Annotated[
+    bool,
+    arguments.option(
+        arguments.OUTPUT,
+        "Also all numbers of each score, and the published ones.",
+        "--details",
+    ),
+]
 
 
 def run(
@@ -73,6 +83,7 @@ def run(
     out: Annotated[Path, arguments.folder("Folder for the result files.")] = Path(
         "results"
     ),
+    details: Details = False,
     form: arguments.Form = Format.TEXT,
 ) -> bool:
     """Run experiments, score each against its reference, and write a result file for each.
@@ -110,7 +121,7 @@ def run(
             parameters=constants,
             settings=settings,
             asset=asset,
-            **arguments.parsed_use(use, "drivers", "reference", "use_withheld"),
+            **arguments.parsed_use(use, "drivers", "reference"),
             jitter=scatter,
             marker_proxy=marker_proxy,
             seed=seed,
@@ -151,7 +162,7 @@ def run(
         with Progress(
             "episodes",
             sum(request.repeats for request in requests),
-            line_interval_s=0.0,
+            line_interval_s=LINE_INTERVAL_S,
         ) as progress:
             for result in episodes:
                 results.append(result)
@@ -167,13 +178,13 @@ def run(
         )
         raise typer.Exit(EXIT_INTERRUPTED) from None
     except ResultFileError:
-        stderr_console().print(Terminal(summary_document(results), form is Format.WIDE))
+        stderr_console().print(Terminal(summary_document(results)))
         message(
             f"stopped: {_totals(results, out)}; --resume continues from there when the cause is gone"
         )
         raise
     lost.report()
-    document = summary_document(results)
+    document = summary_document(results, details=details or form is Format.WIDE)
     if form is Format.JSON:
         stderr_console().print(Terminal(document))
     else:
@@ -197,6 +208,7 @@ def score(
     ] = None,
     parameters: arguments.Parameters = None,
     use: arguments.Use = None,
+    details: Details = False,
     form: arguments.Form = Format.TEXT,
 ) -> None:
     """Score a trajectory from your own simulator; no engine is needed.
@@ -209,30 +221,25 @@ def score(
     from gauge_envs.runs.score_file import score_file
     from gauge_envs.tools.run.words import summary_document
 
-    used = arguments.parsed_use(use, "reference", "use_withheld")
+    used = arguments.parsed_use(use, "reference")
     result, interpolated = score_file(
         file, variant=name, parameters=arguments.parsed_parameters(parameters), **used
     )
     if interpolated:
         note(f"{counted(interpolated, 'frame')} between samples: interpolated linearly")
-    print_document(
-        replace(summary_document([result]), rows=[result.to_dict(trajectory=False)]),
-        form,
-    )
+    document = summary_document([result], details=details or form is Format.WIDE)
+    print_document(replace(document, rows=[result.to_dict(trajectory=False)]), form)
 
 
 def _check_read(requests: Sequence[RunRequest]) -> None:
-    """Raise an error for an option that would change nothing in any of the runs."""
-    for name, option in (
-        ("marker_proxy", "--marker-proxy node"),
-        ("use_withheld", "--use withheld"),
-    ):
-        first = requests[0]
-        if getattr(first, name) in (False, "material"):
-            continue
-        reasons = {one.unread(one.experiment()).get(name) for one in requests}
-        if None not in reasons:
-            raise ParameterError(f"{option} would change nothing: {reasons.pop()}")
+    """Raise an error for a marker proxy that would change nothing in any of the runs."""
+    if requests[0].marker_proxy == "material":
+        return
+    reasons = {one.unread(one.experiment()).get("marker_proxy") for one in requests}
+    if None not in reasons:
+        raise ParameterError(
+            f"--marker-proxy node would change nothing: {reasons.pop()}"
+        )
 
 
 def _default_jobs(requests: Sequence[RunRequest]) -> int:
