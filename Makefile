@@ -7,7 +7,8 @@ BIN := $(VENV)/bin
 # Tests of a file share simulations and processes, so that a file runs on one worker.
 PYTEST := $(BIN)/python -m pytest -n 2 --dist loadfile
 
-DEMO := "SlopeSlider-*" "Turntable-1-*" BouncingBall-rubber NewtonsCradle-metal Pendulum-metal
+# A slide and a rebound against real trials, a row of balls that engines fail, and two closed forms that they solve.
+DEMO := SlopeSlider-2-wood BouncingBall-rubber NewtonsCradle-metal Pendulum-metal Turntable-1-wood
 
 .PHONY: demo check test slow build bench docs
 

@@ -2,7 +2,7 @@
 
 A text is the same if its words and spaces are, and its numbers within the last place that is printed. What depends on
 the machine and not on the product is replaced by a name first: folders, versions of packages, seconds of the clock,
-spaces at the ends of lines.
+lines of progress, spaces at the ends of lines.
 """
 
 from __future__ import annotations
@@ -38,6 +38,7 @@ MACHINE = (
         r'"\1": ...',
     ),
     (r"\b(gauge-envs|gymnasium|mujoco|numpy|python) \d+(\.\w+)+", r"\1 VERSION"),
+    (r"^\d+/\d+ \S+ on \S+: \w+.*\n", ""),
     (r" +$", ""),
 )
 """Patterns of what a machine adds to an output, with what stands in its place."""

@@ -172,7 +172,7 @@ class _Walk:
         for name in names:
             if name not in form.without and not name.startswith(("_", "model_")):
                 properties[name] = self.schema(hints[name])
-        for name in form.properties:
+        for name in (*form.properties, *getattr(one, "PRINTED", ())):
             getter = getattr(one, name).fget
             properties[name] = self.schema(get_type_hints(getter)["return"])
             described[name] = (inspect.getdoc(getter) or "").partition("\n")[0]

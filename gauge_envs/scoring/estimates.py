@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import ClassVar
 
 import numpy as np
 
@@ -71,6 +72,9 @@ class Measured:
         real: Value of the real trials or the recording; None if it is not known.
         real_uncertainty: Standard uncertainty of `real`, with that of the set-up; None if it is not known.
     """
+
+    PRINTED: ClassVar[tuple[str, ...]] = ("over_real",)
+    """Properties that `Score.to_dict` adds."""
 
     value: float | None
     unit: str

@@ -189,16 +189,10 @@ def test_what_a_jitter_does_not_state_is_zero():
 
 
 def test_data_of_a_command_are_those_that_it_can_use():
-    assert parsed_use(None, "reference", "use_withheld") == {
-        "reference": DataSource.BUNDLED,
-        "use_withheld": False,
-    }
-    assert parsed_use(["imported", "withheld"], "reference", "use_withheld") == {
-        "reference": DataSource.IMPORTED,
-        "use_withheld": True,
-    }
-    with pytest.raises(UnknownNameError, match="imported-drivers"):
-        parsed_use(["imported-drivers"], "use_withheld")
+    assert parsed_use(None, "reference") == {"reference": DataSource.BUNDLED}
+    assert parsed_use(["imported"], "reference") == {"reference": DataSource.IMPORTED}
+    with pytest.raises(UnknownNameError, match="imported-reference"):
+        parsed_use(["imported-drivers"], "reference")
 
 
 def test_numbers_with_commas_are_a_vector():

@@ -22,6 +22,7 @@ STATIC = {
 
 EPISODES = {
     "run": "run 'SlopeSlider-2-*'",
+    "run-details": "run NewtonsCradle-metal --details",
     "run-json": "run SlopeSlider-2-wood SlopeSlider-1-wood --json --seed=3 --set iterations=50",
     "run-declined": "run FoamBending-soft SlopeSlider-2-wood",
     "run-gravity": "run NonsmoothContact-1-wood --parameter scene.gravity_m_per_s2=5",

@@ -82,7 +82,9 @@ def summary_document(results: Sequence[Result], *, details: bool = False) -> Doc
         details: Whether to add all numbers of the scores and the published ones.
     """
     ran = [result for result in results if result.error is None]
-    parts = [*_summary(ran)] if ran else []
+    parts: list[Part] = []
+    if ran:
+        parts += _summary(ran, is_explained=details or len(ran) <= MAX_EXPLAINED)
     if ran and details:
         parts.append(_details_table(ran))
     return Document(parts=[*parts, *_outcomes(results)])
@@ -100,9 +102,8 @@ def _labels(results: Sequence[Result]) -> tuple[str, list[str]]:
     return ", ".join(text for text in shared if text != "seed 0"), labels
 
 
-def _summary(results: Sequence[Result]) -> Iterator[Part]:
+def _summary(results: Sequence[Result], *, is_explained: bool) -> Iterator[Part]:
     """Yield what the results share, and a row for each."""
-    is_explained = len(results) <= MAX_EXPLAINED
     shared, labels = _labels(results)
     rows = [
         _summary_row(result, is_explained=is_explained) | {"label": label}
@@ -148,17 +149,19 @@ def _summary_row(result: Result, *, is_explained: bool) -> dict[str, Any]:
     if result.diverged:
         return row | {"verdict": Outcome.DIVERGED.value}
     row["verdict"] = score.verdict
-    if score.distance is not None:
+    reason = score.refused
+    if score.primary == OVER_U and score.over_uncertainty is None:
+        reason = "no score: the reference is compared by markers, which are not known"
+    if score.distance is not None and reason is None:
         row["distance"] = with_unit(score_text(score.distance), score.distance_unit)
     if score.primary_normalized is not None:
-        unit = "u" if score.primary == OVER_U else "1"
         text = interval_text(
             score.primary_normalized, score.primary_interval, digits_text
         )
-        row["scaled"] = with_unit(text, unit)
-    if score.refused is not None or is_explained:
-        row["motion"] = score.refused or motion_text(score)
-        row["cause"] = cause_text(score)
+        row["scaled"] = with_unit(text, "u" if score.primary == OVER_U else "1")
+    if is_explained:
+        row["motion"] = motion_text(score)
+        row["cause"] = reason or cause_text(score)
     return row
 
 

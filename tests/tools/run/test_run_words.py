@@ -1,0 +1,138 @@
+"""`gauge run` fits a screen, says what a motion implies, and separates the engine from the constants."""
+
+from dataclasses import replace
+
+import pytest
+from rich.console import Console
+
+from gauge_envs.pages.document import Terminal
+from gauge_envs.runs.result import Outcome, Result
+from gauge_envs.scoring.estimates import Measured
+from gauge_envs.scoring.score import Score
+from gauge_envs.tools.run.words import cause_text, motion_text, summary_document
+
+NONE = Score(kind="none", unit="mm")
+
+SLIDE = Score(
+    kind="trials",
+    unit="mm",
+    primary="rmse_aligned",
+    exact=5.09,
+    rmse_aligned=3.33,
+    rmse_aligned_95=(2.2, 4.5),
+    rmse_aligned_normalized=4.95,
+    percentile=100.0,
+    estimates={
+        "friction": Measured(
+            value=0.27318, unit="1", real=0.25702, real_uncertainty=0.0061
+        )
+    },
+)
+
+SWING = Score(
+    kind="analytic",
+    unit="mm",
+    primary="over_uncertainty",
+    rmse=86.3,
+    over_uncertainty=6.1,
+    events={
+        "pd": Measured(value=1.23, unit="s", real=1.14, real_uncertainty=0.015),
+        "el": Measured(value=0.0, unit="1", real=0.0),
+        "turning_ratio": Measured(
+            value=1.0, unit="1", real=0.925, real_uncertainty=0.034
+        ),
+    },
+)
+
+
+def result(score, **changes):
+    values = {"id": "GAUGE/SlopeSlider-2-wood", "outcome": Outcome.FINISHED}
+    values |= {"parameters": "calibrated", "backend": "mujoco", "seed": 0}
+    return Result(**(values | {"score": score, "task_sha256": ""} | changes))
+
+
+def shown(results, *, width=120, details=False):
+    console = Console(width=width, no_color=True)
+    with console.capture() as captured:
+        console.print(Terminal(summary_document(results, details=details)))
+    return captured.get()
+
+
+@pytest.mark.parametrize(
+    ("score", "text"),
+    [
+        (SLIDE, "slides as with friction 0.273; real trials 0.257 +- 0.006"),
+        (SWING, "swings in 1.230 s; real trials 1.140 +- 0.015 s"),
+        (NONE, None),
+    ],
+)
+def test_the_quantity_that_is_farthest_from_reality_is_stated(score, text):
+    assert motion_text(score) == text
+
+
+def test_events_of_recordings_and_events_that_do_not_happen_are_stated():
+    swing = Measured(value=2.5, unit="Hz", real=1.68, real_uncertainty=0.08)
+    score = replace(NONE, events={"swing_frequency_hz": swing})
+    assert motion_text(score) == "swings at 2.50 Hz; the recording 1.68 +- 0.08 Hz"
+    absent = Measured(value=None, unit="mm", real=9.8, real_uncertainty=3.9)
+    score = replace(NONE, events={"cube_lag_mm": absent})
+    assert motion_text(score) == "cube lag does not happen; the recording 10 +- 4 mm"
+    alone = Measured(value=0.387, unit="1", uncertainty=1e-4)
+    score = replace(NONE, estimates={"friction": alone})
+    assert motion_text(score) == "slides as with friction 0.39"
+
+
+@pytest.mark.parametrize(
+    ("engine", "cause"),
+    [
+        (4.95, "the constants, not the engine"),
+        (9.0, "the engine differs from an exact solution"),
+        (2.0, "errors of the engine and of the constants cancel in part"),
+    ],
+)
+def test_an_exact_solution_separates_engine_and_constants(engine, cause):
+    text = cause_text(replace(SLIDE, rmse_aligned_normalized=engine))
+    assert text == f"engine {engine:.2f}, exact 5.09: {cause}"
+
+
+def test_without_an_exact_solution_no_cause_is_stated():
+    assert cause_text(replace(SLIDE, exact=None)) is None
+    assert cause_text(SWING) is None
+
+
+@pytest.mark.parametrize(("width", "most_lines"), [(120, 22), (80, 24)])
+def test_five_ids_fit_a_screen(width, most_lines):
+    text = shown([result(SLIDE), *[result(SWING)] * 4], width=width).splitlines()
+    assert len(text) <= most_lines
+    assert max(map(len, text)) <= width
+    assert sum("outside" in line for line in text) == 5
+
+
+def test_many_results_have_rows_alone():
+    text = shown([result(SLIDE, seed=seed) for seed in range(20)])
+    assert len(text.splitlines()) <= 25
+    assert "seed 19" in text
+    assert "friction" not in text
+
+
+def test_results_name_what_distinguishes_them():
+    text = shown([result(SLIDE), result(SLIDE, backend="newton")])
+    assert text.splitlines()[0] == "calibrated"
+    assert "SlopeSlider-2-wood  newton  trials" in text
+
+
+def test_a_refusal_and_a_divergence_are_stated():
+    reason = "no score: the trials reference is of the real scene"
+    refused = result(replace(NONE, kind="trials", refused=reason))
+    diverged = result(NONE, diverged=True, outcome=Outcome.DIVERGED)
+    text = shown([refused, diverged])
+    assert reason in text
+    assert "no reference" in text
+    assert "diverged" in text
+
+
+def test_details_have_all_numbers_and_published_scores():
+    text = shown([result(SLIDE)], details=True)
+    for words in ("rmse_aligned", "percentile", "Isaac Sim", "1.23", "dtw"):
+        assert words in text
+    assert "Isaac Sim" not in shown([result(SLIDE)])
