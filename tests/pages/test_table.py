@@ -9,29 +9,21 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from gauge_envs.scoring.verification import Verification
 from hypothesis import example, given, settings, strategies as st
 from rich.console import Console
 
 from gauge_envs.pages.document import Terminal, as_markdown, as_rows
-from gauge_envs.pages.results import (
-    convergence_text,
-    percent_text,
-    reality_lines,
-    verification_text,
-)
+from gauge_envs.pages.results import convergence_text, percent_text, score_text_of
 from gauge_envs.pages.svg import CurvePanel, ForestRow, curve_panel, forest, simplified
 from gauge_envs.pages.table import Column, Facts, Place, Table
 from gauge_envs.pages.text import (
     counted,
     quantity_text,
-    reality_notes,
-    reality_of,
     score_text,
     shortened,
     value_text,
 )
-from gauge_envs.scoring.score import Score, Validation
+from gauge_envs.scoring.score import Score
 
 ROWS = (
     {
@@ -66,13 +58,6 @@ def printed(shown, width=80, *, wide=False):
     stream = StringIO()
     Console(file=stream, width=width).print(Terminal(shown, wide))
     return stream.getvalue().splitlines()
-
-
-def test_a_table_of_validation_names_no_solution() -> None:
-    named = [reality_of(grade) for grade in ("trials", "recording", "law", "model")]
-    assert named == ["trials", "recording", "events", "events"]
-    (note,) = reality_notes(["model", "trials", "law", "trials"])
-    assert note.startswith("Grade trials: ") and "solve" not in note
 
 
 def test_a_terminal_has_headings_cells_and_lines_below():
@@ -289,28 +274,17 @@ def test_figures_are_the_approved_ones(approved):
 
 
 def test_results_are_told_in_the_approved_words(approved):
-    solved = Verification(
-        grade="model",
-        quantity="x",
-        unit="mm",
-        distance=0.3,
-        distance_95=(0.1, 0.9),
-        uncertainty=0.2,
-        frozen=6.0,
-        frames=9,
+    solved = Score(
+        kind="numerical",
+        unit="rad",
+        primary="over_uncertainty",
+        rmse=0.1,
+        over_uncertainty=1.5,
+        marker_rmse_mm=0.3,
     )
     trials = Score(
-        grade="trials",
-        unit="mm",
-        primary="rmse",
-        rmse=2.5,
-        validation=Validation(
-            percentile=40.0, percentile_95=(12.0, 71.5), trial_count=20
-        ),
+        kind="trials", unit="mm", primary="rmse", rmse=2.5, rmse_normalized=0.5
     )
-    law = replace(trials, grade="law", validation=None, verification=solved)
-    far = Validation(percentile=100.0, trial_count=20)
-    near = Validation(percentile=97.5, trial_count=40)
     row = {"unit": "mm", "rms": 0.062, "max": 0.18, "share": 0.0034}
     row |= {"points_rms_mm": 0.071, "refined": 900.4, "default": 120.6}
     rows = {
@@ -319,15 +293,8 @@ def test_results_are_told_in_the_approved_words(approved):
         "training": row | {"share": 0.00001},
     }
     lines = [
-        verification_text(replace(solved, uncertainty=None)),
-        verification_text(replace(solved, distance_95=None, frozen=0.0)),
-        *reality_lines("law", law),
-        *reality_lines("changed", law, is_another_scene=True),
-        *reality_lines("markers", replace(law, verification=None)),
-        *reality_lines("trials", trials),
-        *reality_lines("far", replace(trials, validation=far)),
-        *reality_lines("near", replace(trials, validation=near)),
-        *reality_lines("no primary", replace(trials, primary=None)),
+        *(score_text_of(one, one.primary) for one in (solved, trials)),
+        *(one.summary() for one in (solved, trials)),
         *(
             convergence_text(known, has_cells=cells, with_unit=unit)
             for known in (rows, {}, {"timestep_s": row | {"rms": None}})

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from faults import FAULTS, Fault, Faulty, Passed
-from gauge_envs.scoring.pendulum_laws import pendulum_period_s
 from scipy.integrate import quad
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
@@ -18,7 +17,7 @@ from gauge_envs.errors import ParameterError, UnknownNameError
 from gauge_envs.pages.document import as_markdown
 from gauge_envs.runs.rollout import DeclinedError, Rollout
 from gauge_envs.scene import Box, Scene
-from gauge_envs.scoring.estimators import hann_mean
+from gauge_envs.scoring.estimators import hann_mean, pendulum_period_s
 from gauge_envs.tools.conformance import CheckResult, Status, checks, run_checks
 from gauge_envs.tools.conformance.forces import EULER_DEG, _frame_hint
 from gauge_envs.tools.conformance.lab import DisturbedLab, Lab
