@@ -13,6 +13,5 @@ env.reset(seed=0)
 terminated = truncated = False
 while not (terminated or truncated):
     *_, terminated, truncated, info = env.step(0)  # No body is driven, so 0 is the only action.
-score = info["score"]
-print(f"RMSE {score.rmse:.2f} mm, {score.validation.rmse_normalized:.2f} of the mean real trial (grade: {score.grade})")
+print(info["score"].summary())
 draw_experiment([episode_result(env, info)]).savefig("slope_slider.png")
