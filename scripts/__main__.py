@@ -18,7 +18,6 @@ from scripts import (
     build_conformance,
     build_coverage,
     build_environments,
-    build_overview,
     test_matrix,
 )
 from scripts.generated import ROOT, same_text
@@ -27,7 +26,6 @@ PAGES: Mapping[str, Callable[[], Mapping[Path, str]]] = {
     "conformance": build_conformance.contents,
     "coverage": build_coverage.contents,
     "environments": build_environments.contents,
-    "overview": build_overview.contents,
 }
 """Builders that return their files with the text of each, in seconds."""
 

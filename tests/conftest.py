@@ -33,7 +33,7 @@ from gauge_envs.cli.app import app
 from gauge_envs.envs import arguments
 from gauge_envs.errors import MissingExtraError
 from gauge_envs.runs import isolation
-from gauge_envs.tools.catalog import listing, overview
+from gauge_envs.tools.catalog import listing
 
 
 def pytest_addoption(parser):
@@ -206,7 +206,6 @@ def rigid_only(monkeypatch):
     monkeypatch.setattr(BackendMuJoCo, "supports", supports)
     for module in (arguments, listing):
         monkeypatch.setattr(module, "backend_names", lambda: ("mujoco",))
-    monkeypatch.setattr(overview, "stored_rows", lambda variants: None)
 
 
 @pytest.fixture(scope="session")

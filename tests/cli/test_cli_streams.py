@@ -41,14 +41,14 @@ DROPPED = {
 
 LISTED = """
 import os, signal
-from gauge_envs.tools.catalog import overview
+from gauge_envs.tools.catalog import listing
 
 
 def rows(*_, **__):
 {}
 
 
-overview.stored_rows = rows
+listing.list_rows = rows
 """
 """A list of experiments in which a library gets Ctrl-C."""
 
@@ -188,7 +188,7 @@ def test_an_engine_that_exits_ends_no_command_without_a_word(gauge, monkeypatch)
     def exits(*_, **__):
         raise SystemExit(0)
 
-    monkeypatch.setattr("gauge_envs.tools.catalog.overview.stored_rows", exits)
+    monkeypatch.setattr("gauge_envs.tools.catalog.listing.list_rows", exits)
     result = gauge("list")
     assert result.exit_code == 1
     assert "an engine or a library ended the command" in result.stderr

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from gauge_envs.cli import arguments
 from gauge_envs.cli.output import Format, echo, message, note, print_document
-from gauge_envs.errors import TaskFileError
 from gauge_envs.registry import id_modules, instruments_by
 
 if TYPE_CHECKING:
@@ -62,34 +61,28 @@ def list_(
 
 def _list_experiments(patterns: Sequence[str], scored: bool, form: Format) -> bool:
     """Print the experiments of patterns, and return whether a task file was skipped."""
+    from gauge_envs.experiments.task_files import task_file_faults
     from gauge_envs.experiments.variants import (
         beyond_variants,
         matching_variants,
-        unreadable_task_files,
         user_variants,
     )
     from gauge_envs.pages.document import Document, Paragraph
     from gauge_envs.pages.text import counted
     from gauge_envs.references.kind import Kind
-    from gauge_envs.tools.catalog.overview import list_table, stored_rows
+    from gauge_envs.tools.catalog.listing import list_rows
+    from gauge_envs.tools.catalog.words import list_table
 
+    faults = task_file_faults()
+    for fault in faults.values():
+        message(fault, "skipped")
     variants = dict.fromkeys(
         variant
         for pattern in patterns or ["*"]
         for variant in matching_variants(pattern)
+        if variant.family not in faults
     )
-    faults: Mapping[str, TaskFileError] = {}
-    found = None if unreadable_task_files() else stored_rows(variants)
-    if found is None:
-        from gauge_envs.experiments.task_files import task_file_faults
-        from gauge_envs.tools.catalog.listing import list_rows
-
-        faults = task_file_faults()
-        for fault in faults.values():
-            message(fault, "skipped")
-        found = list_rows(
-            [one for one in variants if one.family not in faults], notify=note
-        )
+    found = list_rows(variants, notify=note)
     rows = [row for row in found if not scored or row["kind"] != Kind.NONE]
     families = len({row["family"] for row in rows})
     lines = [

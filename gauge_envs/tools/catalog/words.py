@@ -1,6 +1,7 @@
 """Experiments in words: the list, and each in full."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 from gauge_envs.envs.arguments import EnvArguments
@@ -18,6 +19,7 @@ from gauge_envs.pages.text import (
     plus_minus_text,
     quantity_text,
     score_text,
+    short_id,
     shortened,
     value_text,
 )
@@ -37,6 +39,44 @@ SEEN = {
     "stiffness_20_percent_higher": "20 % higher",
 }
 """What was scored, by column of `scoring/sees.csv`."""
+
+
+def list_table(rows: Sequence[Mapping[str, Any]]) -> Table:
+    """Return the rows of `list_rows` as a table."""
+    imported = [short_id(row["id"]) for row in rows if row["imported"]]
+    # An engine that runs nothing is not installed or broken; it is no exception in each row.
+    working = {
+        name for row in rows for name, lacks in row["backends"].items() if not lacks
+    }
+    return Table(
+        columns=(
+            Column("id", "id"),
+            Column("group", "group", wide_only=True),
+            Column("observable", "observable", wide_only=True),
+            Column("frames", "frames", is_number=True, wide_only=True),
+            Column("kind", "kind"),
+            Column(
+                "imported",
+                "imported trials",
+                lambda known: "yes" if known else "no",
+                wide_only=True,
+            ),
+            Column("backends", "runs on", partial(_usable_text, working=working)),
+        ),
+        rows=rows,
+        notes=(f"Real trials imported for {shortened(imported)}.",) if imported else (),
+    )
+
+
+def _usable_text(
+    backends: Mapping[str, Sequence[str]], *, working: Collection[str]
+) -> str:
+    """Return the engines that run an experiment, of those that run any."""
+    usable = [name for name, lacks in backends.items() if not lacks]
+    others = [name for name, lacks in backends.items() if lacks and name in working]
+    if len(usable) > 2 and len(others) < 2:
+        return f"all {len(usable)}" if not others else f"all but {others[0]}"
+    return ", ".join(usable) or "none"
 
 
 def experiment_document(values: Mapping[str, Any], *, detailed: bool) -> Document:
