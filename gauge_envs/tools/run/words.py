@@ -111,7 +111,7 @@ def _summary(results: Sequence[Result], *, is_explained: bool) -> Iterator[Part]
     ]
     optional = {
         "label": Column("label", "run"),
-        "exact": Column("exact", "exact", score_text, is_number=True),
+        "exact": Column("exact", "exact", digits_text, is_number=True),
     }
     shown = {
         key: [column] if any(row[key] for row in rows) else []
@@ -160,9 +160,19 @@ def _summary_row(result: Result, *, is_explained: bool) -> dict[str, Any]:
         )
         row["scaled"] = with_unit(text, "u" if score.primary == OVER_U else "1")
     if is_explained:
-        row["motion"] = motion_text(score)
+        row["motion"] = "; ".join(
+            filter(None, (motion_text(score), _frames_text(result)))
+        )
         row["cause"] = reason or cause_text(score)
     return row
+
+
+def _frames_text(result: Result) -> str:
+    """Return how many frames the reference judges; empty for all."""
+    count = result.score.compared_frames
+    if count is None or count >= result.frames:
+        return ""
+    return f"compared at {count} of {result.frames} frames"
 
 
 def motion_text(score: Score) -> str | None:
@@ -215,8 +225,10 @@ def cause_text(score: Score) -> str | None:
     engine, exact = score.primary_normalized, score.exact
     if engine is None or exact is None:
         return None
-    numbers = f"engine {score_text(engine)}, exact {score_text(exact)}"
+    numbers = f"engine {digits_text(engine)}, exact {digits_text(exact)}"
     if abs(engine - exact) <= SAME_SHARE * max(engine, exact):
+        if score.verdict == "inside":
+            return f"{numbers}: no error of the engine"
         return f"{numbers}: the constants, not the engine"
     if engine > exact:
         return f"{numbers}: the engine differs from an exact solution"

@@ -83,16 +83,17 @@ def test_events_of_recordings_and_events_that_do_not_happen_are_stated():
 
 
 @pytest.mark.parametrize(
-    ("engine", "cause"),
+    ("engine", "percentile", "cause"),
     [
-        (4.95, "the constants, not the engine"),
-        (9.0, "the engine differs from an exact solution"),
-        (2.0, "errors of the engine and of the constants cancel in part"),
+        (4.95, 100.0, "the constants, not the engine"),
+        (4.95, 60.0, "no error of the engine"),
+        (9.02, 100.0, "the engine differs from an exact solution"),
+        (2.13, 100.0, "errors of the engine and of the constants cancel in part"),
     ],
 )
-def test_an_exact_solution_separates_engine_and_constants(engine, cause):
-    text = cause_text(replace(SLIDE, rmse_aligned_normalized=engine))
-    assert text == f"engine {engine:.2f}, exact 5.09: {cause}"
+def test_an_exact_solution_separates_engine_and_constants(engine, percentile, cause):
+    score = replace(SLIDE, rmse_aligned_normalized=engine, percentile=percentile)
+    assert cause_text(score) == f"engine {engine}, exact 5.09: {cause}"
 
 
 def test_without_an_exact_solution_no_cause_is_stated():
@@ -129,6 +130,12 @@ def test_a_refusal_and_a_divergence_are_stated():
     assert reason in text
     assert "no reference" in text
     assert "diverged" in text
+
+
+def test_a_score_of_few_frames_says_so():
+    few = replace(SWING, compared_frames=6)
+    assert "s; compared at 6 of 302 frames" in shown([result(few, frames=302)])
+    assert "compared at" not in shown([result(few, frames=6)])
 
 
 def test_details_have_all_numbers_and_published_scores():
