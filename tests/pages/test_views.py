@@ -10,13 +10,13 @@ from typer.testing import CliRunner
 from gauge_envs.cli.app import app
 from gauge_envs.experiments.variants import find_variant, variants
 from gauge_envs.pages.document import Terminal
-from gauge_envs.references.imported import SpreadRecord
+from gauge_envs.references.imported import DriverRecord, SpreadRecord
 from gauge_envs.references.published import published_baselines
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result_file import result_file_name, write_result
 from gauge_envs.tools import sanity
-from gauge_envs.tools.dataset.importer import BaselineRow, ImportedTrials
+from gauge_envs.tools.dataset.importer import ImportedTrials, baseline_lines
 from gauge_envs.tools.dataset.words import import_document
 
 IDS = (
@@ -159,23 +159,20 @@ def test_a_table_takes_few_lines_at_80_columns(gauge, command, most):
 @pytest.mark.parametrize("width", [80, 120])
 def test_an_import_fits_the_terminal(width):
     variant = find_variant("NonsmoothContact-1-plastic")
-    lines = published_baselines(variant.name)
-    rows = tuple(
-        BaselineRow(
-            metric=metric,
-            unit="mm",
-            imported=SpreadRecord(unit="mm", mean=12.3456, std=4.5678, trial_count=20),
-            published=line,
-        )
-        for metric, line in lines.items()
-    )
-    driver = SimpleNamespace(
+    published = published_baselines(variant.name)
+    spread = SpreadRecord(unit="mm", mean=12.3456, std=4.5678, trial_count=20)
+    driver = DriverRecord(
         body="board", trial_count=20, residual_mm=0.12, residual_deg=0.34, start_offset_mm=1.2, scatter_mm=0.5,
         scatter_deg=None,
     )  # fmt: skip
-    record = SimpleNamespace(drivers=[driver])
     one = ImportedTrials(
-        variant=variant, record=record, used=20, left_out=1, rows=rows, findings=()
+        variant=variant,
+        facts=SimpleNamespace(drivers=[driver]),
+        used=20,
+        left_out=1,
+        frame_count=11,
+        baselines=baseline_lines(dict.fromkeys(published, spread), published),
+        findings=(),
     )
     console = Console(width=width)
     with console.capture() as capture:

@@ -11,10 +11,9 @@ Its irregularities are read too:
 - A task with one material may have no material folder (bouncing ball).
 - The nonsmooth contacts are in `task-1` to `task-3`, which the metadata calls task-3 to task-5: subtasks 1 to 3.
 
-Other layouts are read by the names of folders, in any order and depth: a task, a material, a subtask, and words that
-say nothing about a trial (`NEUTRAL`). A folder of any other name is left out and reported, as its trials may not be
-real ones; a user who knows better gives it as the dataset's folder. A trial that is there in several forms counts once,
-in the published form if that is there.
+Folders are read by their names, in any order and depth: a task, a material, a subtask, and words that say nothing about
+a trial (`NEUTRAL`). Trials in a folder of any other name may not be the published ones: they are left out and reported.
+A trial that is there in two forms counts once, in the published form.
 """
 
 import json
@@ -22,15 +21,13 @@ import os
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from difflib import get_close_matches
-from fnmatch import fnmatchcase
 from functools import cache
 from pathlib import Path
 
-from gauge_envs.errors import DatasetError, UnknownNameError
+from gauge_envs.errors import DatasetError
 from gauge_envs.experiments.task_files import task_file_faults, task_spec
 from gauge_envs.experiments.task_format import Group, TaskSpec
-from gauge_envs.experiments.variants import Variant, variants
+from gauge_envs.experiments.variants import Variant, matching_variants, variants
 from gauge_envs.files import json_document, printable
 from gauge_envs.tools.dataset.findings import ImportFinding
 from gauge_envs.tools.dataset.forms import FORMS
@@ -46,28 +43,11 @@ NEUTRAL = {
     "data",
     "json",
     "csv",
-    "npz",
     "mocap",
-    "motion",
-    "trial",
     "trials",
-    "trajectory",
     "trajectories",
 }
 """Names of folders that say nothing about a trial."""
-
-TRIAL_FOLDER = re.compile(r"(trial|run|take)\W*_?\d+", re.IGNORECASE)
-DOCUMENTS = ("", ".md", ".txt")
-MOST_FILES = 200_000
-
-UNREAD = {
-    **dict.fromkeys(
-        (".mp4", ".avi", ".mov", ".webm", ".png", ".jpg"), "pictures hold no positions"
-    ),
-    **dict.fromkeys((".obj", ".stl", ".usd", ".xml"), "models hold no motion"),
-    ".parquet": "pandas.read_parquet(file).to_csv makes a CSV file of it",
-}
-"""Why files of a suffix are not read, or what makes them readable."""
 
 SUBTASK_FOLDER = re.compile(r"task\W*_?(\w+)", re.IGNORECASE)
 
@@ -156,66 +136,39 @@ def _revision(root: Path) -> str | None:
 
 
 def _wanted(patterns: Sequence[str]) -> list[Variant]:
-    known = variants()
-    for pattern in patterns:
-        if not any(
-            fnmatchcase(variant.name, pattern.removeprefix("GAUGE/"))
-            for variant in known
-        ):
-            raise UnknownNameError(
-                "experiment", pattern, (variant.name for variant in known)
-            )
-    return [
-        v
-        for v in known
-        if any(
-            fnmatchcase(v.name, pattern.removeprefix("GAUGE/")) for pattern in patterns
-        )
-    ]
+    """Return the variants of some patterns, in their order; each pattern must match one."""
+    wanted = {
+        variant.name for pattern in patterns for variant in matching_variants(pattern)
+    }
+    return [one for one in variants() if one.name in wanted]
 
 
 def _read_folders(
     root: Path, found: dict[Variant, list[Path]], findings: list[ImportFinding]
 ) -> None:
-    """Find the trial files in a folder; add a finding for each other folder, and for each suffix that is not read."""
+    """Find the trial files in a folder; add a finding for each folder of files that belong to no variant."""
 
     def unreadable(error: OSError) -> None:
         problem = f"it cannot be read: {error.strerror or error}"
-        findings.append(
-            _finding(
-                root, Path(error.filename), problem, "a readable folder is expected"
-            )
-        )
+        expected = "a readable folder is expected"
+        findings.append(_finding(root, Path(error.filename), problem, expected))
 
-    places: dict[Path, Variant | ImportFinding] = {}
-    others: dict[str, list[Path]] = {}
-    count = 0
     for parent, folders, names in os.walk(root, onerror=unreadable):
         folders[:] = sorted(name for name in folders if not name.startswith("."))
-        count += len(names)
-        if count > MOST_FILES:
-            raise DatasetError(
-                f"{root}: has more than {MOST_FILES} files; the folder of the dataset is expected"
-            )
-        for path in sorted(
+        files = [
             Path(parent, name)
             for name in [*names, *folders]
-            if not name.startswith(".")
-        ):
-            suffix, is_folder = path.suffix.lower(), path.name in folders
-            if suffix in FORMS and path.name != REVISION_FILE:
-                place = places.setdefault(path.parent, _place(root, path.parent))
-                if isinstance(place, Variant):
-                    found.setdefault(place, []).append(path)
-            elif not is_folder and suffix not in DOCUMENTS:
-                others.setdefault(suffix, []).append(path)
-    findings += [place for place in places.values() if not isinstance(place, Variant)]
-    for suffix, files in sorted(others.items()):
-        why = UNREAD.get(suffix, f"trials are {', '.join(FORMS)}")
-        problem = f"{len(files)} files {suffix} are not read"
-        findings.append(
-            replace(_finding(root, files[0].parent, problem, why), left_out=False)
-        )
+            if Path(name).suffix.lower() in FORMS
+            and not name.startswith(".")
+            and name != REVISION_FILE
+        ]
+        if not files:
+            continue
+        place = _place(root, Path(parent))
+        if isinstance(place, Variant):
+            found.setdefault(place, []).extend(files)
+        else:
+            findings.append(place)
 
 
 def _place(root: Path, folder: Path) -> Variant | ImportFinding:
@@ -224,85 +177,40 @@ def _place(root: Path, folder: Path) -> Variant | ImportFinding:
     parts = list(folder.relative_to(root).parts)
     if not any(_plain(part) in families for part in parts):
         # The folder of a task, or one below it, was given as that of the dataset.
-        above = root.resolve().parts
-        task = next(
-            (number for number, part in enumerate(above) if _plain(part) in families),
-            len(above),
-        )
-        parts = [*(part for part in above[task:] if _is_known(part)), *parts]
-    family = next(
-        (families[_plain(part)] for part in parts if _plain(part) in families), None
-    )
-    if family is not None:
-        others = [part for part in parts if families.get(_plain(part)) != family]
-        variant = _variant(
-            task_spec(family), [part for part in others if _plain(part) not in NEUTRAL]
-        )
+        above = [*map(_plain, root.resolve().parts)]
+        tasks = [number for number, part in enumerate(above) if part in families]
+        parts = [*root.resolve().parts[tasks[-1] if tasks else len(above) :], *parts]
+    named = [part for part in parts if _plain(part) in families]
+    if named:
+        family = families[_plain(named[0])]
+        others = {*NEUTRAL, *map(_plain, named)}
+        rest = [part for part in parts if _plain(part) not in others]
+        variant = _variant(task_spec(family), rest)
         if isinstance(variant, Variant):
             return variant
-        # Where the published form is, folders of unknown names beside it are extra ones.
-        is_named = all(_plain(part) in NEUTRAL or _is_known(part) for part in others)
-        is_extra = (
-            not is_named
-            and "json" not in map(_plain, parts)
-            and (root / "data").is_dir()
-        )
-        return replace(_finding(root, folder, *variant), left_out=not is_extra)
-    near = [
-        hit for part in parts for hit in get_close_matches(_plain(part), families, n=1)
-    ]
-    hint = (
-        f"did you mean that of {families[near[0]]}?"
-        if near
-        else f"that of a task below {', '.join(Group)}"
-    )
-    is_data = bool(parts) and _plain(parts[0]) in NEUTRAL
-    return replace(
-        _finding(root, folder, "no folder above it is a known task", hint),
-        left_out=is_data,
-    )
-
-
-def _is_known(part: str) -> bool:
-    """Return whether a folder's name is that of a task, a material or a subtask."""
-    plain = _plain(part)
-    specs = [task_spec(family) for family in set(_families().values())]
-    materials = {
-        _plain(name)
-        for spec in specs
-        for name in (*spec.materials, *spec.metadata_materials.values())
-    }
-    return (
-        plain in _families()
-        or plain in materials
-        or SUBTASK_FOLDER.fullmatch(part) is not None
-    )
+        problem, expected = variant
+    else:
+        problem = "no folder above it is a known task"
+        expected = f"that of a task below {', '.join(Group)} is expected"
+    # Trials of the published form count, other files beside them may be anything.
+    is_published = "json" in map(_plain, parts)
+    return replace(_finding(root, folder, problem, expected), left_out=is_published)
 
 
 def _one_form(
     root: Path, variant: Variant, files: list[Path], findings: list[ImportFinding]
 ) -> tuple[Path, ...]:
-    """Return the files of the first form and place of a variant's trials; add a finding for each other one."""
-    places: dict[tuple[bool, int, tuple[str, ...]], list[Path]] = {}
-    for path in files:
-        words = tuple(
-            part
-            for part in path.parent.relative_to(root).parts
-            if _plain(part) in NEUTRAL
-        )
-        is_published = path.suffix.lower() == ".json" and "json" in map(_plain, words)
-        places.setdefault(
-            (not is_published, FORMS.index(path.suffix.lower()), words), []
-        ).append(path)
-    first, *others = sorted(places)
-    for place in others:
-        problem = f"{len(places[place])} files {places[place][0].suffix} of {variant.name} are not read"
-        kept = printable(places[first][0].relative_to(root).parent.as_posix())
-        finding = _finding(
-            root, places[place][0].parent, problem, f"its trials in {kept} count"
-        )
+    """Return the files of the first form of a variant's trials; add a finding for those of another form."""
+    forms = {
+        suffix: [p for p in files if p.suffix.lower() == suffix] for suffix in FORMS
+    }
+    first, *others = filter(None, forms.values())
+    for other in others:
+        problem = f"{len(other)} files {other[0].suffix} of {variant.name} are not read"
+        expected = f"those of {first[0].suffix} count"
+        finding = _finding(root, other[0].parent, problem, expected)
         findings.append(replace(finding, left_out=False))
-    return tuple(sorted(places[first], key=_natural))
+    return tuple(sorted(first, key=_natural))
 
 
 def _variant(spec: TaskSpec, folders: Sequence[str]) -> Variant | tuple[str, str]:
@@ -319,10 +227,10 @@ def _variant(spec: TaskSpec, folders: Sequence[str]) -> Variant | tuple[str, str
             material = names[_plain(folder)]
         elif (match := SUBTASK_FOLDER.fullmatch(folder)) and subtask is None:
             subtask = match[1]
-        elif not TRIAL_FOLDER.fullmatch(folder):
-            return f"{folder!r} is neither a material nor a subtask of {spec.family}", (
-                f"materials are {', '.join(names.values())}; subtasks: {subtasks}; "
-                "if its trials are real ones, give the folder itself"
+        else:
+            return (
+                f"{folder!r} is neither a material nor a subtask of {spec.family}",
+                f"materials are {', '.join(names.values())}; subtasks: {subtasks}",
             )
     if material is None and len(spec.materials) == 1:
         material = spec.materials[0]

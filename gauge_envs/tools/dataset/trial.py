@@ -1,6 +1,6 @@
 """Read and check one trial file of the GAUGE dataset.
 
-A trial is a JSON object with `FPS`, `translation unit` and one object per asset, into which `forms` brings other files.
+A trial is a JSON object with `FPS`, `translation unit` and one object per asset, which `forms` also makes of CSV.
 A rigid body has lists `x`, `y`, `z` and usually `qx`, `qy`, `qz`, `qw`; `ex`, `ey`, `ez` are not used. A marker set has
 an object with `x`, `y`, `z` per marker id. Each list has one sample per frame; `null` or NaN is a sample that was not
 captured.
@@ -80,26 +80,26 @@ def parse_trial(
         stated: Unit and rate of files that do not state them.
     """
     values = published_form(content, suffix, stated or Stated())
-    rate, unit = values.pop(RATE), values.pop(UNIT)
-    if (
-        isinstance(rate, bool)
-        or not isinstance(rate, int | float)
-        or rate != FRAME_RATE_HZ
-    ):
-        advice = "; --rate 30 says that of files without one" if rate is None else ""
-        raise TrialError(
-            RATE, f"it is {_shown(rate)}", f"{FRAME_RATE_HZ:g} is expected{advice}"
-        )
-    scale = MILLIMETRES.get(unit.lower().rstrip("s")) if isinstance(unit, str) else None
+    rate, unit = values[RATE], values[UNIT]
+    if rate != FRAME_RATE_HZ:
+        advice = "; --rate 30 states that of files without one" if rate is None else ""
+        expected = f"{FRAME_RATE_HZ:g} is expected{advice}"
+        raise TrialError(RATE, f"it is {_shown(rate)}", expected)
+    scale = MILLIMETRES.get(str(unit).lower().rstrip("s"))
     if scale is None:
-        advice = "; --unit mm says that of files without one" if unit is None else ""
-        raise TrialError(
-            UNIT, f"it is {_shown(unit)}", f"'mm' is expected, or 'cm' or 'm'{advice}"
-        )
+        advice = "; --unit mm states that of files without one" if unit is None else ""
+        expected = f"'mm' is expected, or 'cm' or 'm'{advice}"
+        raise TrialError(UNIT, f"it is {_shown(unit)}", expected)
     poses: dict[str, PoseTrack] = {}
     markers: dict[str, dict[str, FloatArray]] = {}
     faults: dict[str, TrialError] = {}
-    for name, asset in values.items():
+    assets = {name: one for name, one in values.items() if isinstance(one, dict)}
+    if not assets:
+        expected = (
+            "an object such as 'cube', or columns as cube.x, foam.17.x, are expected"
+        )
+        raise TrialError("(file)", "it holds no asset", expected)
+    for name, asset in assets.items():
         lengths: Lengths = {}
         try:
             if any(isinstance(entry, dict) for entry in asset.values()):
@@ -187,49 +187,32 @@ def _table(
 
 def _numbers(key: str, values: Any) -> FloatArray:
     if not isinstance(values, list) or not values:
-        raise TrialError(
-            key,
-            f"it is {_shown(values)}",
-            "a list of numbers, one a frame, is expected",
-        )
-    kinds = set(map(type, values))
-    if not kinds <= {int, float, type(None)}:
-        frame = next(
-            i
-            for i, value in enumerate(values)
-            if type(value) not in (int, float, type(None))
-        )
-        raise TrialError(
-            f"{key}[{frame}]",
-            f"it is {_shown(values[frame])}",
-            "a number or null is expected",
-        )
+        expected = "a list of numbers, one a frame, is expected"
+        raise TrialError(key, f"it is {_shown(values)}", expected)
+    for frame, value in enumerate(values):
+        # A boolean is an integer in Python.
+        if type(value) not in (int, float, type(None)):
+            place = f"{key}[{frame}]"
+            expected = "a number or null is expected"
+            raise TrialError(place, f"it is {_shown(value)}", expected)
     try:
         numbers = np.array(values, dtype=np.float64)
     except OverflowError:
+        expected = "finite numbers are expected"
+        raise TrialError(key, "a number is too large", expected) from None
+    if np.isinf(numbers).any():
+        place = f"{key}[{np.isinf(numbers).argmax()}]"
         raise TrialError(
-            key, "a number is too large", "finite numbers are expected"
-        ) from None
-    infinite = np.isinf(numbers)
-    if infinite.any():
-        frame = int(infinite.argmax())
-        raise TrialError(
-            f"{key}[{frame}]",
-            f"it is {numbers[frame]}",
-            "a finite number, or null, is expected",
+            place, "it is infinite", "a finite number, or null, is expected"
         )
     return numbers
 
 
 def _shown(value: Any) -> str:
     """Return a short text of a value, for a message."""
-    text = (
-        "missing"
-        if value is None
-        else repr(value)
-        if isinstance(value, str | int | float)
-        else type(value).__name__
-    )
+    if value is None:
+        return "missing"
     if isinstance(value, list):
-        text = "an empty list" if not value else "a list"
+        return "a list" if value else "an empty list"
+    text = repr(value) if isinstance(value, str | int | float) else type(value).__name__
     return text if len(text) <= 40 else f"{text[:37]}..."

@@ -565,8 +565,8 @@ RIGID = "data/rigid/slope slider/json"
     ("folder", "right"),
     [
         ("data/plasma/arc/json", "rigid, rope, textile, deformable"),
-        ("data/rigid/slope sliders/json", "that of SlopeSlider"),
-        ("data/rigid/slope slider/trials", "wood, plastic, metal"),
+        ("data/rigid/slope sliders/json", "rigid, rope, textile, deformable"),
+        (RIGID, "wood, plastic, metal"),
         (f"{RIGID}/glass/task-1", "wood, plastic, metal"),
         (f"{RIGID}/task-1", "wood, plastic, metal"),
         (f"{RIGID}/wood", "task-1, task-2, task-3"),
@@ -641,8 +641,8 @@ def test_a_damaged_store_is_named(suffix, content, store, tmp_path, gauge):
     with pytest.raises(ReferenceFileError) as caught:
         load_imported(SLIDER)
     assert str(file) in str(caught.value)
-    assert gauge("show", SLIDER, "--use", "imported-reference").exit_code == 2
-    assert gauge("show", SLIDER).exit_code == 0
+    assert gauge("list", "references", SLIDER).exit_code == 2
+    assert gauge("list", "references", STRETCH).exit_code == 0
     imported(tmp_path)
     assert reference_kind(SLIDER, DataSource.IMPORTED) is Kind.TRIALS
 

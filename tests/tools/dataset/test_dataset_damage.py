@@ -65,15 +65,11 @@ LISTS = "x y z qx qy qz qw ex ey ez"
 
 # Variant, what is done to a trial, and the place, the fault and what would be right.
 DAMAGES = [
-    (SLIDER, raw(b" \n"), r"\(file\): it is empty; a JSON object"),
-    (
-        SLIDER,
-        text(lambda line: line[: len(line) // 2]),
-        r"\(file\): it is not JSON.*; a complete JSON object",
-    ),
-    (SLIDER, raw(b"[1, 2]"), r"\(file\): it is a JSON list; a JSON object"),
-    (SLIDER, raw(b'{"FPS": "\xff\xfe"}'), r"\(file\): it is not text.*; .*UTF-8"),
-    (SLIDER, raw(DEEP), r"\(file\): .*nested too deeply; .*lists of numbers"),
+    (SLIDER, raw(b" \n"), r"\(file\): it is not JSON: .*; a complete file"),
+    (SLIDER, text(lambda line: line[: len(line) // 2]), r"\(file\): it is not JSON"),
+    (SLIDER, raw(b"[1, 2]"), r"\(file\): it is not JSON: it is a list"),
+    (SLIDER, raw(b'{"FPS": "\xff\xfe"}'), r"\(file\): it is not JSON"),
+    (SLIDER, raw(DEEP), r"\(file\): it is not JSON"),
     (SLIDER, put("FPS", 60), "FPS: it is 60; 30 is expected"),
     (SLIDER, put("FPS"), "FPS: it is missing; 30 is expected"),
     (SLIDER, put("FPS", "30"), "FPS: it is '30'; 30 is expected"),
@@ -105,7 +101,11 @@ DAMAGES = [
     (SLIDER, put("cube.qy", [0.0] * 3), "cube.qy: it has 3 samples; .*as in cube.x"),
     (SLIDER, put("cube.x.4", "12"), r"cube.x\[4\]: it is '12'; a number or null"),
     (SLIDER, put("cube.x.4", True), r"cube.x\[4\]: it is True; a number or null"),
-    (SLIDER, put("cube.x.4", math.inf), r"cube.x\[4\]: it is inf; a finite number"),
+    (
+        SLIDER,
+        put("cube.x.4", math.inf),
+        r"cube.x\[4\]: it is infinite; a finite number",
+    ),
     (SLIDER, put("cube.x.4", 10**400), "cube.x: a number is too large; finite numbers"),
     (SLIDER, put("cube.x.4", 1e9), r"cube.x\[4\]: it is 1e\+09 mm; .*a few metres"),
     (SLIDER, put("cube.qw.3", 0.9), r"cube.q\[3\]: .*norm is 0.9; 1 is expected"),
@@ -119,11 +119,6 @@ DAMAGES = [
         SLIDER,
         cube(lambda values: [None] * len(values)),
         "cube: it was never captured; samples are expected",
-    ),
-    (
-        SLIDER,
-        text(lambda line: line.replace('"x"', '"y"', 1)),
-        "y: the key occurs twice; .*unique names",
     ),
     (FOAM, put("foam"), "markers: the marker set is missing; the file has cube"),
     (FOAM, put("foam.5"), "foam: it has 13 markers; 14 are expected"),

@@ -1,6 +1,5 @@
 """Layouts and forms that the dataset may come in: the same trials give the same band, or the reason is named."""
 
-import io
 import json
 
 import numpy as np
@@ -50,79 +49,26 @@ def csv_text(table, comments="", separator=","):
     return (comments + "\n".join(rows) + "\n").encode()
 
 
-def npz(**arrays):
-    stream = io.BytesIO()
-    np.savez(stream, **arrays)
-    return stream.getvalue()
-
-
 def plain_csv(content):
     return csv_text(columns(content), RATE + UNIT)
 
 
-def renamed_csv(content):
-    """Metres, times, another order, case and spelling, and a column that nobody asked for."""
+def other_csv(content):
+    """Semicolons, another order, and columns that nobody asked for; neither rate nor unit."""
     table = {"Confidence": [1.0] * len(content["cube"]["x"])}
-    for name, values in reversed(columns(content).items()):
-        asset, _, key = name.rpartition(".")
-        if key.startswith("q"):
-            table[f"{asset.upper()}_quat_{key[1].upper()}"] = values
-        elif key in "xyz":
-            table[f"{asset.title()}_pos_{key.upper()} [m]"] = [
-                value / 1e3 for value in values
-            ]
-    table["time_s"] = [
-        round(frame / 30, 3) for frame in range(len(table["Confidence"]))
-    ]
+    table |= reversed(columns(content).items())
+    table["time_s"] = [frame / 30 for frame in range(len(table["Confidence"]))]
     return csv_text(table, separator=";")
 
 
-def arrays(content):
-    """Arrays by shape; nothing states unit or rate."""
-    found = {}
-    for name, asset in content.items():
-        if isinstance(asset, dict) and "x" in asset:
-            found[name] = np.column_stack([asset[key] for key in "xyz"])
-            found[f"{name}_quat_wxyz"] = np.column_stack(
-                [asset[f"q{key}"] for key in "wxyz"]
-            )
-        elif isinstance(asset, dict):
-            ids = sorted(asset, key=int)
-            found[name] = np.stack(
-                [np.column_stack([asset[one][key] for key in "xyz"]) for one in ids],
-                axis=1,
-            )
-    return npz(**found, frame=np.arange(len(next(iter(found.values())))))
-
-
-def nested_json(content):
-    """Assets one level down, rows in place of columns, another case of keys."""
-    bodies = {}
-    for name, asset in content.items():
-        if isinstance(asset, dict) and "x" in asset:
-            rows = [
-                list(row) for row in zip(*(asset[key] for key in "xyz"), strict=True)
-            ]
-            bodies[name] = {
-                "Position": rows,
-                **{key.upper(): asset[key] for key in ("qx", "qy", "qz", "qw")},
-            }
-        elif isinstance(asset, dict):
-            bodies[name] = {
-                one: {key.upper(): values for key, values in entry.items()}
-                for one, entry in asset.items()
-            }
-    return json.dumps(
-        {"fps": 30, "Units": "Millimeters", "trial": {"bodies": bodies}}
-    ).encode()
+def plain_json(content):
+    return json.dumps(content).encode()
 
 
 LAYOUTS = {
     "columns in place of objects": ("data/rigid/slope slider/csv/wood/task-3/trial-{}.csv", plain_csv, None),
-    "other names, order, unit, times": ("trajectories/Slope_Slider/task_3/WOOD/trial {}/motion.csv", renamed_csv, None),
-    "arrays by shape": ("mocap/wood/slope-slider/task-3/{}.npz", arrays, MILLIMETRES),
-    "nested": ("data/rigid/trials/slope slider/wood/task-3/json/run-{}/motion/trial.json", nested_json, None),
-    "no folder but those needed": ("slopeslider/wood/task-3/{}.json", nested_json, None),
+    "other order of folders and columns": ("trajectories/Slope_Slider/task_3/WOOD/{}.csv", other_csv, MILLIMETRES),
+    "no folder but those needed": ("slopeslider/wood/task-3/{}.json", plain_json, None),
 }  # fmt: skip
 
 
@@ -146,70 +92,53 @@ def test_the_same_trials_give_the_same_band_and_driver(layout, tmp_path):
     )
 
 
-@pytest.mark.parametrize("form", [plain_csv, arrays, nested_json])
-def test_markers_are_read_in_every_form(form):
+def test_markers_are_read_in_both_forms():
     (content,) = synthetic_trials(FOAM, [0.3]).contents
-    suffix = {plain_csv: ".csv", arrays: ".npz", nested_json: ".json"}[form]
-    (usual,), (found,) = (
-        trial.markers.values()
-        for trial in (
-            parse_trial(json.dumps(content).encode()),
-            parse_trial(form(content), suffix, MILLIMETRES),
-        )
-    )
-    assert len(found) == len(usual)
-    ids = sorted(usual, key=int)
-    for mine, theirs in zip(sorted(found, key=int), ids, strict=True):
-        np.testing.assert_array_equal(found[mine], usual[theirs])
+    (usual,) = parse_trial(plain_json(content)).markers.values()
+    (found,) = parse_trial(plain_csv(content), ".csv").markers.values()
+    assert sorted(found) == sorted(usual)
+    for marker, positions in usual.items():
+        np.testing.assert_array_equal(found[marker], positions)
 
 
 def test_what_lies_beside_the_trials_is_named_and_is_no_fault(tmp_path, gauge):
     """As published this month: videos of world models and full trajectories beside the trials."""
     write_synthetic(tmp_path, SLIDER)
-    contents = synthetic_trials(SLIDER).contents
-    slider, table = "data/rigid/slope slider", plain_csv(contents[0])
+    slider, table = (
+        "data/rigid/slope slider",
+        plain_csv(synthetic_trials(SLIDER).contents[0]),
+    )
     beside = {
-        f"{slider}/full trajectories/wood/task-3": (
-            "trial-1.csv",
-            "'full trajectories' is neither",
-        ),
-        f"{slider}/csv/wood/task-3": (
-            "trial-1.csv",
-            f"1 files .csv of {SLIDER} are not read; its trials in data/",
-        ),
-        f"{slider}/video/wood": (
-            "trial-1.mp4",
-            "1 files .mp4 are not read; pictures hold no positions",
-        ),
-        f"{slider}/table": ("trial-1.parquet", "makes a CSV file of it"),
-        "world-model-videos/wan22/slope slider/wood/task-3": (
-            "trial-1.csv",
-            "'world-model-videos' is neither",
-        ),
-        "metadata/rigid": ("slope slider.json", ""),
+        f"{slider}/full trajectories/wood/task-3": "'full trajectories' is neither",
+        f"{slider}/csv/wood/task-3": f"1 files .csv of {SLIDER} are not read; those of .json count",
+        "world-model-videos/wan22/slope slider/wood/task-3": "'world-model-videos' is neither",
     }
-    for place, (name, _) in beside.items():
+    for place in beside:
         (tmp_path / place).mkdir(parents=True)
-        (tmp_path / place / name).write_bytes(table)
+        (tmp_path / place / "trial-1.csv").write_bytes(table)
+    (tmp_path / slider / "video").mkdir()
+    (tmp_path / slider / "video" / "trial-1.mp4").write_bytes(b"")
     notes = {finding.file: str(finding) for finding in find_trials(tmp_path).findings}
     assert set(notes) == set(beside)
-    for place, (_, words) in beside.items():
+    for place, words in beside.items():
         assert words in notes[place]
     assert gauge("data", "import", tmp_path).exit_code == 0
     assert imported(tmp_path)[SLIDER].used == len(AMOUNTS)
 
 
-def test_a_folder_that_the_user_names_is_read(tmp_path):
-    folder = tmp_path / "slope slider" / "full trajectories"
+def test_a_folder_of_a_task_is_read_and_one_of_another_name_is_not(tmp_path):
     for number, content in enumerate(synthetic_trials(SLIDER).contents):
-        file = folder / "wood" / "task-3" / f"{number}.csv"
-        file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_bytes(plain_csv(content))
+        for name in ("trials", "full trajectories"):
+            folder = tmp_path / name / "slope slider" / "wood" / "task-3"
+            folder.mkdir(parents=True, exist_ok=True)
+            (folder / f"{number}.csv").write_bytes(plain_csv(content))
+    task = tmp_path / "trials" / "slope slider"
+    for named in (task, task / "wood", task / "wood" / "task-3"):
+        assert imported(named)[SLIDER].used == len(AMOUNTS)
+    task.rename(tmp_path / "trials" / "slider")
     words = r"(?s)no trial.*'full trajectories' is neither"
     with pytest.raises(DatasetError, match=words):
         find_trials(tmp_path)
-    for named in (folder, folder / "wood" / "task-3"):
-        assert imported(named)[SLIDER].used == len(AMOUNTS)
 
 
 def test_a_part_of_the_dataset_is_read(tmp_path):
@@ -228,32 +157,22 @@ def test_a_part_of_the_dataset_is_read(tmp_path):
     assert (finding.key, finding.left_out) == ("board", False)
 
 
-STATES = "--unit mm says that of files without one"
-
-
 @pytest.mark.parametrize(
-    ("content", "suffix", "what"),
+    ("content", "what"),
     [
-        (lambda c: arrays(c), ".npz", "FPS: it is missing; 30 is expected; --rate 30"),
-        (lambda c: csv_text(columns(c), RATE), ".csv", STATES),
-        (lambda c: csv_text({**columns(c), "Cube x": [1.0]}), ".csv", "Cube x: the key occurs twice"),
-        (lambda c: csv_text({"cube.x [mm]": [1.0], "cube.y [m]": [1.0]}), ".csv", "columns are in mm, m"),
-        (lambda c: csv_text({"cube.x [m]": [1.0]}, UNIT), ".csv", "it is mm, and columns are in m"),
-        (lambda c: csv_text({"a": [1], "b": [2]}), ".csv", "no name of a column is known: a, b"),
-        (lambda c: b"1,2,3\n4,5,6\n", ".csv", "it has no header"),
-        (lambda c: b"cube.x,cube.y\n1\n", ".csv", "row 1: it has 1 columns; 2 are expected"),
-        (lambda c: csv_text({"time_s": [0.0, 0.1, 0.15], "cube.x": [1, 1, 1]}), ".csv", "not evenly spaced"),
-        (lambda c: csv_text({"time": [0.0, 0.01], "cube.x": [1, 1]}, UNIT), ".csv", "FPS: it is 100"),
-        (lambda c: csv_text({"frame": [0, 1, 3], "cube.x": [1, 1, 1]}), ".csv", "it does not count by 1"),
-        (lambda c: npz(cube=np.zeros((9, 7))), ".npz", r"its shape is \[9, 7\]"),
-        (lambda c: npz(cube=np.array([{}], dtype=object)), ".npz", "it is not an NPZ file of numbers"),
-        (lambda c: b"PK\x03\x04 cut", ".npz", "it is not an NPZ file of numbers"),
+        (lambda c: csv_text(columns(c), UNIT), "FPS: it is missing; 30 is expected; --rate 30"),
+        (lambda c: csv_text(columns(c), RATE), "--unit mm states that of files without one"),
+        (lambda c: csv_text({"a": [1], "b": [2]}, RATE + UNIT), "it holds no asset"),
+        (lambda c: csv_text(columns(c)).replace(b"cube.qx", b"cube.x"), "a column occurs twice"),
+        (lambda c: b"cube.x,cube.y\n", "a header and rows of equal length are needed"),
+        (lambda c: b"cube.x,cube.y\n1\n", "a header and rows of equal length are needed"),
+        (lambda c: b"\xff\xfe", "it is not CSV"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_told_is_an_error_that_says_what_to_do(content, suffix, what):
+def test_what_cannot_be_told_is_an_error_that_says_what_to_do(content, what):
     (trial,) = synthetic_trials(SLIDER, [0.3]).contents
     with pytest.raises(TrialError, match=what):
-        parse_trial(content(trial), suffix)
+        parse_trial(content(trial), ".csv")
 
 
 def test_links_and_empty_tables_cost_nothing_but_their_files(tmp_path):
@@ -279,16 +198,3 @@ def test_the_command_takes_unit_and_rate(tmp_path, gauge):
     refused = gauge("data", "import", tmp_path, "--rate=30")
     assert refused.exit_code == 1 and "--unit mm" in refused.stderr
     assert gauge("data", "import", tmp_path, "--rate=30", "--unit=mm").exit_code == 0
-
-
-def test_empty_rows_are_a_fault_of_their_body_and_names_beside_lists_are_not():
-    lists = {"x": [1.0], "y": [2.0], "z": [3.0]}
-    content = {
-        "FPS": 30,
-        "unit": "mm",
-        "cube": {"positions": []},
-        "foam": {"1": lists | {"note": "left"}},
-    }
-    trial = parse_trial(json.dumps(content).encode())
-    assert list(trial.faults) == ["cube"]
-    np.testing.assert_array_equal(trial.markers["foam"]["1"], [[1.0, 2.0, 3.0]])

@@ -1,4 +1,4 @@
-"""What an import reads: links, folders that cannot be read, many keys, doubled frames."""
+"""What an import reads: links, folders that cannot be read, doubled frames."""
 
 import os
 from pathlib import Path
@@ -9,9 +9,7 @@ from imports import import_contents, imported as imported_trials
 
 from gauge_envs.errors import DatasetError
 from gauge_envs.references.user_data import user_data_folder
-from gauge_envs.tools.dataset.findings import TrialError
 from gauge_envs.tools.dataset.layout import find_trials
-from gauge_envs.tools.dataset.trial import parse_trial
 
 NAME = "SlopeSlider-1-wood"
 
@@ -45,14 +43,6 @@ def test_a_folder_that_cannot_be_read_is_reported(tmp_path, monkeypatch):
     assert (
         finding.problem == "it cannot be read: Permission denied" and finding.left_out
     )
-
-
-def test_many_keys_take_little_time():
-    """A search over all earlier keys would take half an hour."""
-    keys = ",".join(f'"k{number}": 1' for number in range(200_000))
-    content = f'{{"FPS": 30, {keys}, "k7": 1}}'.encode()
-    with pytest.raises(TrialError, match="k7: the key occurs twice"):
-        parse_trial(content)
 
 
 @pytest.mark.parametrize("first", [0, 1])
