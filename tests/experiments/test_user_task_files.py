@@ -56,7 +56,7 @@ def test_a_folder_makes_its_ids_known_and_the_benchmark_stays(own, tmp_path, gau
     env.reset(seed=0)
     for _ in range(15):
         *_, truncated, info = env.step(0)
-    assert truncated and info["score"].grade == "none"
+    assert truncated and info["score"].kind == "none"
     assert [one.name for one in user_variants()] == [NAME]
     assert len(variants()) == counted
     listed = gauge("list")
