@@ -16,6 +16,7 @@ from pydantic import (
 
 from gauge_envs.errors import ReferenceFileError, first_fault
 from gauge_envs.files import (
+    csv_text,
     data_folder,
     toml_document,
 )
@@ -88,7 +89,8 @@ def read_rows(file: Path, model: type[Model]) -> list[Model]:
     Raises:
         ReferenceFileError: A row is wrong; the message names its line.
     """
-    content = read_content(file).decode("utf-8").splitlines()
+    with faults_of(file):
+        content = csv_text(read_content(file)).read().splitlines()
     lines = [(number, one) for number, one in enumerate(content, 1) if one[:1] != "#"]
     cells = list(csv.reader(one for _, one in lines))
     columns = list(model.model_fields)

@@ -564,7 +564,7 @@ def test_the_hash_of_an_experiment_covers_what_its_layer_refers_to(changed):
         (
             ("frames = 31", "frames = 30"),
             ReferenceFileError,
-            "crate.csv: line 32: frame is 30: frames count from 0 to 29",
+            "crate.csv: column frame: 0, 1, ... to at most 29 is expected",
         ),
         (("frames = 31", "frames ="), TaskFileError, "crate.toml: Invalid value"),
         (
@@ -575,7 +575,7 @@ def test_the_hash_of_an_experiment_covers_what_its_layer_refers_to(changed):
         (
             ('["downhill"]', '["uphill"]'),
             ReferenceFileError,
-            "expected frame,mean.uphill",
+            "crate.csv: line 1: expected columns frame,mean.uphill",
         ),
         (
             ('kind = "analytic"', 'kind = "guess"'),
@@ -620,11 +620,11 @@ def test_what_is_wrong_in_a_file_is_reported(replacement, error, message, change
 @pytest.mark.parametrize(
     ("replacement", "message"),
     [
-        (("\n5,", "\n7,"), "line 7: frame is 7: frames count from 0 to 30"),
+        (("\n5,", "\n7,"), "column frame: 0, 1, ... to at most 30 is expected"),
         (("-1121.797086", "fast"), "line 3: mean.downhill: "),
         (("1.001218", "-1.0"), "line 3: sigma.downhill: "),
-        (("1.001218", "1.0,2.0"), "line 3: 4 fields, expected 3"),
-        (("sigma.downhill", "scatter"), "expected frame,mean.downhill"),
+        (("1.001218", "1.0,2.0"), "line 3: "),
+        (("sigma.downhill", "scatter"), "expected columns frame,mean.downhill"),
     ],
 )
 def test_what_is_wrong_in_a_table_is_reported(replacement, message, changed):

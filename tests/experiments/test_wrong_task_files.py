@@ -63,4 +63,6 @@ def test_an_error_of_a_band_prints_no_text_of_the_file(crate, tmp_path):
     crate.write_text(crate.read_text().replace(band, f'file = "{private}"'))
     with pytest.raises(ReferenceFileError) as caught:
         load_experiment_file(crate)
-    assert "column frame" in str(caught.value) and "secret" not in str(caught.value)
+    assert "expected columns frame" in str(caught.value) and "secret" not in str(
+        caught.value
+    )

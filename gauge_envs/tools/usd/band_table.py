@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, NonNegativeInt, PositiveInt, model_validator
+from pydantic import Field, NonNegativeInt, PositiveInt, create_model, model_validator
 
 from gauge_envs.errors import ReferenceFileError
 from gauge_envs.files import csv_text
 from gauge_envs.references.band import Band
 from gauge_envs.references.kind import Kind
-from gauge_envs.references.tables import FileModel, faults_of, read_content
-from gauge_envs.scene.geometry import FloatArray, Positive
+from gauge_envs.references.tables import FileModel, faults_of, read_content, read_rows
+from gauge_envs.scene.geometry import NonNegative, Positive
 
 NAN = float("nan")
+QUANTITIES: dict[str, Any] = {
+    "mean": float,
+    "sigma": NonNegative,
+    "uncertainty": NonNegative,
+}
+"""Columns of the CSV file by their first word, with the type of a cell."""
 
 
 class BandTable(FileModel):
@@ -28,7 +33,7 @@ class BandTable(FileModel):
         coordinates: Names of the C coordinates, as in the columns of the CSV file.
         projection: Linear map from g(t) of width D to the coordinates, shape [C, D]; None is the identity.
         indices: Indices of the coordinates in g(t), in place of `projection`.
-        sigma: Standard deviation at every frame, for a CSV file without columns of it.
+        sigma: Standard deviation at every frame, in place of columns.
         trial_count: Number of real trials; None is unknown.
         source: Where the numbers are from, one sentence.
     """
@@ -50,60 +55,41 @@ class BandTable(FileModel):
         return values
 
 
-def _columns(file: Path) -> dict[str, FloatArray]:
-    """Return the columns of a CSV file by name; an empty cell is NaN, and lines that start with `#` are notes."""
-    reader = csv.reader(csv_text(read_content(file)))
-    header: list[str] = []
-    rows: list[list[float]] = []
-    for cells in reader:
-        if cells and cells[0].startswith("#"):
-            continue
-        if not header:
-            header = cells
-            continue
-        with faults_of(file, reader.line_num):
-            if len(cells) != len(header):
-                raise ValueError(f"{len(cells)} cells, expected {len(header)}")
-            rows.append([float(cell) if cell else NAN for cell in cells])
-    values = np.array(rows).reshape(-1, len(header))
-    return dict(zip(header, values.T, strict=True))
-
-
 def read_band(
     file: Path, table: BandTable, *, unit: str, frame_count: int, width: int
 ) -> Band:
     """Return the reference that a table and its CSV file state.
 
     Args:
-        file: CSV file with a row for each frame: `frame`, `mean.*`, and optionally `time_s`, `sigma.*`,
-            `uncertainty.*`. Frames after its end are unknown. Without sigma, uncertainty counts as sigma.
+        file: CSV file with a row for each frame: `frame`, `mean.*`, and optionally `sigma.*`, `uncertainty.*`. Frames
+            after its end are unknown. Without sigma, uncertainty counts as sigma.
         table: What the experiment file states.
         unit: Unit of g(t).
         frame_count: Number of frames of the experiment.
         width: Number of coordinates of g(t).
     """
     names = table.coordinates
-    columns = _columns(file)
-    count = len(columns.get("frame", ()))
-    expected = np.arange(count)
-    if not 0 < count <= frame_count or (columns["frame"] != expected).any():
-        raise ReferenceFileError(
-            file, None, f"column frame: frames from 0 to at most {frame_count - 1}"
-        )
-    arrays: dict[str, FloatArray] = {}
-    for quantity in ("mean", "sigma", "uncertainty"):
-        wanted = [f"{quantity}.{name}" for name in names]
-        missing = [name for name in wanted if name not in columns]
-        if missing and (quantity == "mean" or len(missing) < len(wanted)):
-            raise ReferenceFileError(file, None, f"no column {missing[0]}")
-        if not missing:
-            arrays[quantity] = np.full((frame_count, len(names)), NAN)
-            arrays[quantity][:count] = np.stack([columns[one] for one in wanted], 1)
+    with faults_of(file):
+        header = csv_text(read_content(file)).readline().strip().split(",")
+        stated = [one for one in QUANTITIES if f"{one}.{names[0]}" in header]
+        quantities = stated if "mean" in stated else ["mean", *stated]
+        fields: dict[str, Any] = {"frame": (NonNegativeInt, ...)}
+        for quantity in quantities:
+            kind = QUANTITIES[quantity]
+            fields |= {f"{quantity}.{name}": (kind | None, ...) for name in names}
+        rows = read_rows(file, create_model("Row", __base__=FileModel, **fields))
+    frames = [row.model_dump()["frame"] for row in rows]
+    if frames != list(range(len(rows))) or not 0 < len(rows) <= frame_count:
+        expected = f"column frame: 0, 1, ... to at most {frame_count - 1} is expected"
+        raise ReferenceFileError(file, None, expected)
+    values = np.full((frame_count, len(fields)), NAN)
+    values[: len(rows)] = [[*row.model_dump().values()] for row in rows]
+    parts = np.split(values[:, 1:], len(quantities), axis=1)
+    arrays = dict(zip(quantities, parts, strict=True))
     mean, uncertainty = arrays["mean"], arrays.get("uncertainty")
-    stated = uncertainty if table.sigma is None else table.sigma
-    sigma = np.broadcast_to(
-        arrays.get("sigma", NAN if stated is None else stated), mean.shape
-    )
+    sigma = arrays.get("sigma", uncertainty)
+    if table.sigma is not None or sigma is None:
+        sigma = np.full(mean.shape, table.sigma or NAN)
     if not np.isfinite(mean + sigma).any():
         raise ReferenceFileError(file, None, "no frame has both mean and sigma")
     identity = np.eye(len(names))
