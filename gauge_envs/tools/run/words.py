@@ -42,14 +42,12 @@ PHRASES = {
     "pd": "swings in {}",
     "frequency": "swings at {}",
     "swing_frequency_hz": "swings at {}",
+    "droop": "droops by {}",
     "lsd": "the last ball rests for {}",
     "mte": "passes on {} of the momentum",
     "el": "loses {} of the energy",
 }
 """What a motion does, by estimate or event."""
-
-OF_TRIALS = ("friction", "restitution", "period", *METRICS)
-"""Quantities whose real value is of several trials; others are of one recording."""
 
 DISTANCES = ("rmse_aligned", "rmse", "dtw")
 """Fields of a score in its unit, which may have an interval and a published value."""
@@ -189,7 +187,9 @@ def motion_text(score: Score) -> str | None:
         text = PHRASES.get(name, f"{event_title(name)} {{}}").format(value)
     if one.real is None:
         return text
-    owner = "real trials" if name in OF_TRIALS else "the recording"
+    # Estimates and published metrics are of several trials, and other events of one recording.
+    is_of_trials = name in score.estimates or name in METRICS
+    owner = "real trials" if is_of_trials else "the recording"
     return f"{text}; {owner} {_real_text(one)}"
 
 

@@ -77,6 +77,10 @@ def test_events_of_recordings_and_events_that_do_not_happen_are_stated():
     absent = Measured(value=None, unit="mm", real=9.8, real_uncertainty=3.9)
     score = replace(NONE, events={"cube_lag_mm": absent})
     assert motion_text(score) == "cube lag does not happen; the recording 10 +- 4 mm"
+    droop = Measured(value=15.084, unit="mm", real=16.158, real_uncertainty=0.009)
+    score = replace(NONE, estimates={"droop": droop})
+    text = "droops by 15.084 mm; real trials 16.158 +- 0.009 mm"
+    assert motion_text(score) == text
     alone = Measured(value=0.387, unit="1", uncertainty=1e-4)
     score = replace(NONE, estimates={"friction": alone})
     assert motion_text(score) == "slides as with friction 0.39"
