@@ -221,14 +221,19 @@ def _reference(experiment: Experiment) -> dict[str, Any]:
     }
 
 
-def seen_changes(variant: str) -> dict[str, str] | None:
-    """Return what the score of a variant is with changed motions and constants; None if that was not measured."""
+def seen_changes(variant: str) -> list[dict[str, Any]]:
+    """Return what MuJoCo's score of a variant is with changed motions and constants, a row for each metric."""
     file = data_folder("scoring") / "sees.csv"
-    if not file.is_file():
-        return None
     with file.open(encoding="utf-8", newline="") as stream:
-        rows = csv.DictReader(line for line in stream if not line.startswith("#"))
-        return next((row for row in rows if row["id"] == variant), None)
+        rows = [row for row in csv.DictReader(stream) if row.pop("id") == variant]
+    texts = ("metric", "unit")
+    return [
+        {
+            key: text if key in texts else float(text or "nan")
+            for key, text in row.items()
+        }
+        for row in rows
+    ]
 
 
 def _body(body: RigidBody | Deformable, experiment: Experiment) -> dict[str, Any]:

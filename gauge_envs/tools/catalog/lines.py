@@ -67,7 +67,7 @@ class ReferenceFacts(TypedDict):
         exact: Distance over real trials of an exact solution, by parameter set.
         exact_source: How the exact solution was computed.
         events: Events with a real value.
-        sees: The score with changed motions and constants; null where it was not measured.
+        sees: The score on MuJoCo with changed motions and constants, for each metric; null was not measured.
         imported: Whether imported trials are in use.
         impossible: Published scores that cannot be right; empty without.
         reward: The reward of a step.
@@ -85,7 +85,7 @@ class ReferenceFacts(TypedDict):
     exact: Mapping[str, float]
     exact_source: str | None
     events: Sequence[RecordedEvent]
-    sees: Mapping[str, str] | None
+    sees: Sequence[Values]
     imported: bool
     impossible: str
     reward: str

@@ -114,9 +114,9 @@ def _facts(values: Mapping[str, Any]) -> dict[str, str]:
         values["reference"],
         values["asset"],
     )
+    g = f"{observable['kind']} [{observable['unit']}], {values['frames']} frames at 30 Hz"
     facts = {
-        "episode": f"{values['frames']} frames at 30 Hz, {values['duration_s']:.3f} s",
-        "g(t)": f"{observable['kind']} [{observable['unit']}]: {shortened(observable['coordinates'])}",
+        "g(t)": f"{g}: {shortened(observable['coordinates'])}",
         "reference": reference_text(reference, frames=values["frames"]),
         "source": reference["source"] or "",
         "recorded": events_text(reference["events"]),
@@ -162,17 +162,18 @@ def events_text(events: Sequence[Mapping[str, Any]]) -> str:
     )
 
 
-def sees_text(row: Mapping[str, str] | None) -> str:
-    """Return a row of `scoring/sees.csv` in a line; empty without one."""
-    if row is None:
-        return ""
-    metric = row.get("metric", "distance").replace("_", " ")
-    scores = [
-        f"{title} {digits_text(float(row[key]))}"
-        for key, title in SEEN.items()
-        if row.get(key)
-    ]
-    return f"{metric} [{row['unit']}]: {', '.join(scores)}"
+def sees_text(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return rows of `scoring/sees.csv` in a line; empty without any."""
+    texts = []
+    for row in rows:
+        scores = [
+            f"{title} {digits_text(row[key])}"
+            for key, title in SEEN.items()
+            if row[key] is not None
+        ]
+        unit = "" if row["unit"] == "1" else f" [{row['unit']}]"
+        texts.append(f"{event_title(row['metric'])}{unit}: {', '.join(scores)}")
+    return "; ".join(texts)
 
 
 def _published(values: Mapping[str, Any]) -> Part:

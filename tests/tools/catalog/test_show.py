@@ -3,14 +3,19 @@
 import pytest
 
 from gauge_envs import load_experiment
+from gauge_envs.files import json_ready
 from gauge_envs.tools.catalog import description as catalog
-from gauge_envs.tools.catalog.words import events_text, reference_text, sees_text
+from gauge_envs.tools.catalog.words import (
+    SEEN,
+    events_text,
+    reference_text,
+    sees_text,
+)
 
-SEES = """# measured on MuJoCo
-id,metric,unit,nominal,frozen,late_40_ms,friction_20_percent_lower,friction_20_percent_higher
-SlopeSlider-2-wood,rmse_aligned,mm,3.327,211,3.33,5.53,13.6
-NewtonsCradle-metal,rmse,mm,86.3,107,85.8,,
-NewtonsCradle-metal,lsd,s,0.0667,0,0.0667,,
+SEES = f"""id,metric,unit,{",".join(SEEN)}
+SlopeSlider-2-wood,rmse_aligned,mm,3.327,211,3.33,5.53,13.6,,
+NewtonsCradle-metal,rmse,mm,86.3,107,85.8,,,,
+NewtonsCradle-metal,lsd,s,0.0667,0,0.0667,,,,
 """
 
 
@@ -23,7 +28,7 @@ NewtonsCradle-metal,lsd,s,0.0667,0,0.0667,,
         ),
         (
             "NewtonsCradle-metal",
-            "rmse [mm]: MuJoCo 86.3, frozen 107, 40 ms late 85.8",
+            "RMSE [mm]: MuJoCo 86.3, frozen 107, 40 ms late 85.8; LSD [s]: MuJoCo 0.0667, frozen 0, 40 ms late 0.0667",
         ),
         ("Funnel-satin", ""),
     ],
@@ -31,12 +36,7 @@ NewtonsCradle-metal,lsd,s,0.0667,0,0.0667,,
 def test_what_a_score_sees_is_one_line(tmp_path, monkeypatch, name, line):
     (tmp_path / "sees.csv").write_text(SEES)
     monkeypatch.setattr(catalog, "data_folder", lambda _: tmp_path)
-    assert sees_text(catalog.seen_changes(name)) == line
-
-
-def test_without_a_table_nothing_is_said(tmp_path, monkeypatch):
-    monkeypatch.setattr(catalog, "data_folder", lambda _: tmp_path)
-    assert sees_text(catalog.seen_changes("SlopeSlider-2-wood")) == ""
+    assert sees_text(json_ready(catalog.seen_changes(name))) == line
 
 
 def test_the_reference_is_stated_in_a_line():
