@@ -13,11 +13,7 @@ from functools import partial
 
 import numpy as np
 
-from gauge_envs.observables.deformation import (
-    STATISTICS,
-    deformation_statistics,
-    marked_solid,
-)
+from gauge_envs.observables.deformation import deformation, solid_axes
 from gauge_envs.scene import Scene
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
@@ -109,15 +105,11 @@ def _chord_deg(
     return float(extreme(chords[seen]))
 
 
-def _strain(motion: Motion, *, statistic: str) -> float:
-    """Return a statistic of deformation at the last frame."""
-    solid = marked_solid(motion.scene)
-    if solid is None:
-        return math.nan
+def _deformation(motion: Motion, name: str) -> float:
+    """Return a quantity of `deformation` at the last frame."""
     used = motion.markers or range(motion.markers_m.shape[1])
-    ends_m = motion.markers_m[[0, -1]][:, used]
-    values = deformation_statistics(ends_m[0], ends_m, solid)
-    return float(values[1, STATISTICS.index(statistic)])
+    rest_m, now_m = motion.markers_m[[0, -1]][:, used]
+    return deformation(rest_m, now_m, solid_axes(motion.scene))[name]
 
 
 EVENTS: dict[str, Callable[[Motion], float]] = {
@@ -132,9 +124,10 @@ EVENTS: dict[str, Callable[[Motion], float]] = {
     "cloth_lag_deg": lambda motion: _chord_deg(motion, np.max, 0.0, 0.9),
     "cloth_swing_deg": lambda motion: _chord_deg(motion, np.min, 0.9, 2.1),
     "cloth_rebound_deg": lambda motion: _chord_deg(motion, np.max, 1.75, 2.8),
-    "strain_zz": partial(_strain, statistic="strain.zz"),
-    "strain_xz": partial(_strain, statistic="strain.xz"),
-    "area_ratio": partial(_strain, statistic="area_ratio"),
+    **{
+        name: partial(_deformation, name=name)
+        for name in ("strain_zz", "strain_xz", "area_ratio")
+    },
     **{
         f"{name}_{number}_s": partial(_cradle_s, times=f"{name}_s", number=number)
         for name in ("leaves", "returns", "rests")

@@ -304,7 +304,6 @@ def test_an_import_is_used_when_asked_for_and_shown(tmp_path, gauge):
     assert (row["kind"], row["imported"]) == ("numerical", True)
     bundled = shown("show", name)["reference"]
     assert (bundled["kind"], bundled["imported"]) == ("numerical", False)
-    assert bundled["is_import_available"]
     used = shown("show", name, "--use", "imported")
     assert used["reference"]["imported"] and used["reference"]["trial_count"] == 4
     assert "imported dataset revision 9e0acb7" in used["reference"]["source"]
