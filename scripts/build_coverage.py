@@ -1,4 +1,4 @@
-"""Write which reference each id has: all in `docs/coverage.md`, counts in `docs/scores.md` and in `README.md`.
+"""Write which reference each id has: all in `docs/coverage.md`, counts in `README.md`.
 
 The table leaves out imported trials, which differ between users: `gauge list references` reports those.
 """
@@ -30,9 +30,6 @@ HEAD = """
 | u | standard uncertainty of the reference motion, in the unit |
 | events | events with a real value: published LSD, MTE and PD, and those measured in recordings |
 """
-
-SUM_NAME = "references"
-"""Name of the part with the numbers of ids by their references, in the other pages."""
 
 QUESTIONS = {
     Kind.TRIALS: ("is it like reality?", "real trials: slides, drops"),
@@ -130,11 +127,7 @@ def short_table(rows: Sequence[Row]) -> Iterator[str]:
 def contents() -> dict[Path, str]:
     """Return the pages with their generated parts replaced."""
     rows = [coverage(variant) for variant in variants()]
-    shorter = {
-        ROOT / "README.md": "\n".join(short_table(rows)),
-        ROOT / "docs" / "scores.md": "\n".join(sum_table(rows)),
-    }
     pages = page_part(PAGE, "coverage", SCRIPT, coverage_markdown(rows))
-    for file, part in shorter.items():
-        pages |= page_part(file, SUM_NAME, SCRIPT, part)
+    short = "\n".join(short_table(rows))
+    pages |= page_part(ROOT / "README.md", "references", SCRIPT, short)
     return pages
