@@ -1,4 +1,4 @@
-"""Time `dtw_path` against tslearn and dtaidistance on two trajectories of the longest textile task, 562 x 63.
+"""Time `trajectory_dtw` against tslearn and dtaidistance on two trajectories of the longest textile task, 562 x 63.
 
 Prints the ratio of medians (ours over theirs, below 1 is faster) of interleaved runs. The exit code is 1 if another
 library is faster. All run on one thread and are timed by its CPU clock, so the load of the machine does not matter.
@@ -17,7 +17,7 @@ from collections.abc import Callable
 import numpy as np
 
 from gauge_envs.errors import MissingExtraError
-from gauge_envs.scoring.metrics.trajectory import dtw_path
+from gauge_envs.scoring.metrics import trajectory_dtw
 
 FRAME_COUNT, MARKER_COUNT = 562, 63
 
@@ -91,12 +91,12 @@ def main() -> int:
             print(error, file=sys.stderr)
             return 2
         calls = {
-            "gauge_envs.dtw_path": lambda a=first, b=second: dtw_path(a, b)
+            "gauge_envs.trajectory_dtw": lambda a=first, b=second: trajectory_dtw(a, b)
         } | others
         with threadpool_limits(1):
             medians = cpu_medians_ms(calls, repeats)
-        ours = medians.pop("gauge_envs.dtw_path")
-        print(f"{title}: gauge_envs.dtw_path {ours:.2f} ms")
+        ours = medians.pop("gauge_envs.trajectory_dtw")
+        print(f"{title}: gauge_envs.trajectory_dtw {ours:.2f} ms")
         for name, theirs in medians.items():
             verdict = "  SLOWER" if ours >= theirs else ""
             print(f"  {ours / theirs:5.2f} of {name} ({theirs:.2f} ms){verdict}")

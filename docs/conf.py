@@ -100,7 +100,9 @@ def link_included(app: Sphinx, file: Path, page: str, content: list[str]) -> Non
     """Point the links of an included file, whose own folder is the checkout, to the pages of studies."""
     text = content[0].replace("](../studies/README.md", "](../docs/studies/index.md")
     text = text.replace("](studies/README.md", "](docs/studies/index.md")
-    text = re.sub(r"\]\(studies/(\w+)/README\.md", r"](docs/studies/\1.md", text)
+    text = re.sub(
+        r"\]\((\.\./)?studies/(\w+)/README\.md", r"](\1docs/studies/\2.md", text
+    )
     content[0] = NOTES.sub(r"\1", text)
 
 
