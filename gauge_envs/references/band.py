@@ -82,7 +82,7 @@ class BandFile(FileModel):
         standard_uncertainty: As `Band.standard_uncertainty`; for readers of the file.
         zero_motion_distance: As `Band.zero_motion_distance`; for readers of the file.
         exact: Normalized distance of an exact solution of the scene, by parameter set.
-        exact_source: How the exact solution was computed.
+        exact_source: How the exact solution was computed, or why there is none.
         events: Real values of events.
         imported: What `gauge data import` states about the trials; empty for bundled references.
     """

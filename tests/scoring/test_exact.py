@@ -1,23 +1,15 @@
 """What exact solutions score is recomputed from closed forms and an ODE, without any engine."""
 
-import csv
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.interpolate import PchipInterpolator
 
 from gauge_envs import load_experiment
+from gauge_envs.references.band import load_band
 from gauge_envs.scoring.reference import reference_band
 from gauge_envs.scoring.score import score_trajectory
 
-FILE = Path(__file__).parents[2] / "scoring" / "exact.csv"
-EXACT = {
-    (row["id"], row["parameters"]): float(row["exact"])
-    for row in csv.DictReader(FILE.open())
-    if row["exact"]
-}
 SETS = ("calibrated", "effective")
 
 
@@ -55,7 +47,7 @@ def test_ball_in_free_fall_with_ideal_rebounds(parameters):
         impact_s += 2.0 * speed / gravity
     positions = np.tile(start, (len(times_s), 1))
     positions[:, 2] = heights
-    exact = EXACT["BouncingBall-rubber", parameters]
+    exact = load_band("BouncingBall-rubber").exact[parameters]
     assert score(experiment, times_s, positions) == pytest.approx(exact, rel=0.01)
 
 
@@ -72,7 +64,7 @@ def test_cube_slides_down_the_fixed_board(material, parameters):
     travel = 0.5 * acceleration * times_s**2
     offsets = np.outer(travel, [cosine, 0.0, -sine])
     found = score(experiment, times_s, start_m(experiment, "cube") + offsets)
-    assert found == pytest.approx(EXACT[name, parameters], rel=0.01)
+    assert found == pytest.approx(load_band(name).exact[parameters], rel=0.01)
 
 
 @pytest.mark.parametrize("parameters", SETS)
@@ -115,5 +107,5 @@ def test_cube_slips_on_the_tilting_board(parameters):
         [places * cosine + height * sine, 0.0 * sine, height * cosine - places * sine]
     )
     found = score(experiment, times_s, motion.point_m + offsets)
-    exact = EXACT["SlopeSlider-3-metal", parameters]
+    exact = load_band("SlopeSlider-3-metal").exact[parameters]
     assert found == pytest.approx(exact, rel=0.01)
