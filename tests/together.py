@@ -23,9 +23,6 @@ class OneOfMany(World):
     def track(self, name, points_m):
         return self.simulation.track(name, points_m)
 
-    def grip_wrenches(self, names):
-        return self.simulation.grip_wrenches(names)
-
 
 class Together(Worlds):
     """MuJoCo simulations that advance in one call."""

@@ -102,21 +102,6 @@ class World(ABC):
         """
         return None
 
-    def grip_wrenches(self, names: Sequence[str]) -> FloatArray | None:
-        """Return the wrenches by which rigid bodies hold the deformable bodies attached to them.
-
-        They include what carries the attached row of a cloth: a body at rest that holds a whole cloth pulls up with the
-        weight of all of it. Contact is not part of them.
-
-        Args:
-            names: Names of fixed or driven bodies of attachments.
-
-        Returns:
-            A new array, shape [len(names), 6]: force [N] (3) and torque about the body origin [N m] (3) on the
-            deformable bodies, in the world frame. None where the engine does not read them.
-        """
-        return None
-
     def contact_forces(
         self, pairs: Sequence[tuple[str, str]]
     ) -> Callable[[], FloatArray] | None:

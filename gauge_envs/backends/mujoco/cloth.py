@@ -60,12 +60,6 @@ class ClothPartMuJoCo(FlexPart):
         """Let the cloth start at another pose in the compiled model, with what holds it; see `Points.place`."""
         self.points.place(model, self.grid.at(pose))
 
-    def carried(self, body: str) -> tuple[FloatArray, FloatArray]:
-        """Return the attached vertices of a body, which have no mass in the model; see `FlexPart.carried`."""
-        rows = self.points.attached_to(body)
-        masses_kg = self.cloth.areal_density_kg_per_m2 * self.grid.vertex_areas_m2()
-        return masses_kg[rows], self.rest_m[rows]
-
     def complete(self, model: mujoco.MjModel) -> None:
         """Write the fabric's membrane law and scale the bending stiffness of the diagonals."""
         flex = self.flex.id

@@ -153,17 +153,6 @@ class FlexPart:
         """Return the current world positions of the nodes [m], shape [node_count, 3]."""
         return self.points.positions()
 
-    def carried(self, body: str) -> tuple[FloatArray, FloatArray]:
-        """Return the material that a body carries without simulating it: masses [kg] and places at the start [m].
-
-        Args:
-            body: Name of a rigid body that the part is attached to.
-
-        Returns:
-            Masses, shape [count], and places in the world, shape [count, 3].
-        """
-        return np.zeros(0), np.zeros((0, 3))
-
 
 def make_firm(
     flex: mujoco.MjsFlex, solref: tuple[float, ...], solimp: tuple[float, ...]

@@ -18,7 +18,6 @@ from gauge_envs.backends.mujoco.cloth import (
     check_air_step,
 )
 from gauge_envs.backends.mujoco.flex import FlexPart, free_joint_views
-from gauge_envs.backends.mujoco.grips import GripReader
 from gauge_envs.backends.mujoco.line import LinePartMuJoCo
 from gauge_envs.backends.mujoco.model import (
     START_KEY,
@@ -136,7 +135,6 @@ class SimulationMuJoCo(Simulation):
             model, mujoco.mjtState.mjSTATE_INTEGRATION
         )
         self._readers: dict[tuple[str, ...], StateReader] = {}
-        self._grip_reader: GripReader | None = None
         self.contact_readers: list[MeanForces] = []
         self._driven: dict[str, DrivenBody] = {}
         self._built = self._scene = scene
@@ -337,17 +335,6 @@ class SimulationMuJoCo(Simulation):
             if isinstance(part, SoftPartMuJoCo | LinePartMuJoCo)
             else None
         )
-
-    def grip_wrenches(self, names: Sequence[str]) -> FloatArray | None:
-        """Return the wrenches on cloth and soft bodies, or None for ropes and rods; see `World.grip_wrenches`."""
-        if self._grip_reader is None:
-            self._grip_reader = GripReader(
-                self._built, self.spec, self.model, self.data, self._parts, self.grips
-            )
-        if not {*names} <= {*self._grip_reader.names}:
-            return None
-        found = self._grip_reader.wrenches()
-        return np.array([found[name] for name in names])
 
     def contact_forces(
         self, pairs: Sequence[tuple[str, str]]

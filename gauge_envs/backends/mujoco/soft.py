@@ -7,7 +7,7 @@ in torsion.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from math import ceil
 from typing import TYPE_CHECKING
 
@@ -130,7 +130,6 @@ class SoftPartMuJoCo(FlexPart):
         points: Points,
         layers: Sequence[int],
         grips: Sequence[Grip],
-        carried: Mapping[str, tuple[FloatArray, FloatArray]],
     ) -> None:
         # The nodes are a regular grid of points, surface included.
         super().__init__(flex, lattice.grid_m(lattice.subdivisions), points)
@@ -138,13 +137,8 @@ class SoftPartMuJoCo(FlexPart):
         self._lattice = lattice
         self._soft_row = soft_row
         self._layers = tuple(layers)
-        self._carried = dict(carried)
         self._grid = lattice.weights(self.rest_m)
         self.node_indices = soft_row.nodes_of(self.rest_m)
-
-    def carried(self, body: str) -> tuple[FloatArray, FloatArray]:
-        """Return the material in a grip and the end nodes, which move with the grip; see `FlexPart.carried`."""
-        return self._carried.get(body, super().carried(body))
 
     def complete(self, model: mujoco.MjModel) -> None:
         """Write the stiffness of each cell's material."""
@@ -323,7 +317,6 @@ def add_soft(
     )
     attached: dict[int, RigidAttachment] = {}
     grips = []
-    carried = {}
     for side, attachment in soft_row.ends.items():
         section = sections[0 if side == "low" else -1].ravel().tolist()
         if attachment.motion is Motion.FIXED:
@@ -336,15 +329,10 @@ def add_soft(
                 spec.body(name).mass, spec.body(name).gravcomp = grip_mass_kg, 1.0
         centre_m, size_m = _gripped_box_m(soft_row, side)
         _add_gripped_material(spec, flex, attachment, centre_m, size_m)
-        gripped_kg = densities[0 if side == "low" else -1] * np.prod(size_m)
-        carried[attachment.body] = (
-            np.append(masses_kg[section], gripped_kg),
-            np.vstack([lattice.rest_m[section], centre_m]),
-        )
     points = Points(list(flex.nodebody), lattice.rest_m, attached)
     flex.nodebody, flex.node = points.carriers()
     points.delete_attached(spec)
-    return SoftPartMuJoCo(flex, lattice, soft_row, points, layers, grips, carried)
+    return SoftPartMuJoCo(flex, lattice, soft_row, points, layers, grips)
 
 
 def _cells_of_a_block(

@@ -78,7 +78,6 @@ class ResampledSimulation(WrappedSimulation):
         self._bodies = [body.name for body in scene.bodies]
         self._rows = {name: row for row, name in enumerate(self._bodies)}
         self._nodes = [body.name for body in scene.deformables]
-        self._holders = scene.holders
         self._readers: list[Callable[[], FloatArray]] = []
         self._begin()
 
@@ -124,8 +123,6 @@ class ResampledSimulation(WrappedSimulation):
         found: dict[str, Any] = {"bodies": self.inner.body_states(self._bodies)}
         found |= {name: self.inner.nodes(name).copy() for name in self._nodes}
         found |= {f"reader {n}": one() for n, one in enumerate(self._readers)}
-        if self._holders:
-            found["wrenches"] = self.inner.grip_wrenches(self._holders)
         return found
 
     @property
@@ -164,12 +161,6 @@ class ResampledSimulation(WrappedSimulation):
         key = f"reader {len(self._readers)}"
         self._readers.append(read)
         return lambda: self._between(key, read())
-
-    def grip_wrenches(self, names: Sequence[str]) -> FloatArray | None:
-        """Return the wrenches at the time now; those of other bodies than the scene's holders at the last step."""
-        now = self.inner.grip_wrenches(names)
-        is_kept = tuple(names) == tuple(self._holders)
-        return self._between("wrenches", now) if now is not None and is_kept else now
 
     def state(self) -> Any:
         """Return a snapshot."""

@@ -63,10 +63,6 @@ class WrappedSimulation(Simulation):
         """Pass on."""
         return self.inner.contact_forces(pairs)
 
-    def grip_wrenches(self, names: Sequence[str]) -> FloatArray | None:
-        """Pass on."""
-        return self.inner.grip_wrenches(names)
-
     def fault(self) -> str | None:
         """Pass on."""
         return self.inner.fault()
