@@ -4,16 +4,17 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from gauge_envs.pages.document import Document, Paragraph, Part, Tone
+from gauge_envs.pages.document import Document, Heading, Paragraph, Part, Tone
 from gauge_envs.pages.results import (
     configuration_parts,
     discretization_text,
 )
-from gauge_envs.pages.table import Column, Place, Table
+from gauge_envs.pages.table import Column, Facts, Place, Table
 from gauge_envs.pages.text import (
     digits_text,
     event_title,
     interval_text,
+    plus_minus_text,
     score_text,
     short_id,
     shortened,
@@ -35,6 +36,19 @@ SAME_SHARE = 0.1
 
 NOTE = "Over the mean distance of real trials, or over u, the standard uncertainty. [95 % interval]. More: --details"
 
+COLUMNS = (
+    Column("id", "id", short_id),
+    Column("label", "run"),
+    Column("kind", "kind"),
+    Column("distance", "distance", is_number=True),
+    Column("scaled", "over real trials or u", is_number=True),
+    Column("exact", "exact", digits_text, is_number=True),
+    Column("verdict", "verdict"),
+    Column("motion", "motion", place=Place.BELOW),
+    Column("cause", "cause", place=Place.BELOW),
+)
+"""Columns of the summary; those without any value are left out."""
+
 PHRASES = {
     "friction": "slides as with friction {}",
     "restitution": "rebounds with restitution {}",
@@ -49,20 +63,8 @@ PHRASES = {
 }
 """What a motion does, by estimate or event."""
 
-DISTANCES = ("rmse_aligned", "rmse", "dtw")
-"""Fields of a score in its unit, which may have an interval and a published value."""
-
-NUMBERS = (
-    "over_uncertainty",
-    "marker_rmse_mm",
-    "time_offset_s",
-    "mean_abs_z",
-    "inside_1sigma",
-    "inside_2sigma",
-    "percentile",
-    "compared_frames",
-)
-"""Other fields of a score that are one number."""
+NO_NUMBERS = ("kind", "unit", "primary", "events", "estimates", "refused")
+"""Fields of a score that are no numbers."""
 
 TONES = {
     Outcome.DIVERGED: Tone.ERROR,
@@ -80,12 +82,8 @@ def summary_document(results: Sequence[Result], *, details: bool = False) -> Doc
         details: Whether to add all numbers of the scores and the published ones.
     """
     ran = [result for result in results if result.error is None]
-    parts: list[Part] = []
-    if ran:
-        parts += _summary(ran, is_explained=details or len(ran) <= MAX_EXPLAINED)
-    if ran and details:
-        parts.append(_details_table(ran))
-    return Document(parts=[*parts, *_outcomes(results)])
+    summary = _summary(ran, details=details) if ran else ()
+    return Document(parts=[*summary, *_outcomes(results)])
 
 
 def _labels(results: Sequence[Result]) -> tuple[str, list[str]]:
@@ -100,41 +98,20 @@ def _labels(results: Sequence[Result]) -> tuple[str, list[str]]:
     return ", ".join(text for text in shared if text != "seed 0"), labels
 
 
-def _summary(results: Sequence[Result], *, is_explained: bool) -> Iterator[Part]:
-    """Yield what the results share, and a row for each."""
+def _summary(results: Sequence[Result], *, details: bool) -> Iterator[Part]:
+    """Yield what the results share, a row for each, and their details."""
+    is_explained = details or len(results) <= MAX_EXPLAINED
     shared, labels = _labels(results)
     rows = [
         _summary_row(result, is_explained=is_explained) | {"label": label}
         for result, label in zip(results, labels, strict=True)
     ]
-    optional = {
-        "label": Column("label", "run"),
-        "exact": Column("exact", "exact", digits_text, is_number=True),
-    }
-    shown = {
-        key: [column] if any(row[key] for row in rows) else []
-        for key, column in optional.items()
-    }
     yield Paragraph(shared, Tone.NOTE)
-    yield Table(
-        columns=(
-            Column("id", "id", short_id),
-            *shown["label"],
-            Column("kind", "kind"),
-            Column("distance", "distance", is_number=True),
-            Column("scaled", "over real trials or u", is_number=True),
-            *shown["exact"],
-            Column("verdict", "verdict", style=_verdict_style),
-            Column("motion", "motion", place=Place.BELOW),
-            Column("cause", "cause", place=Place.BELOW),
-        ),
-        rows=rows,
-        notes=(NOTE,),
-    )
-
-
-def _verdict_style(verdict: str) -> str:
-    return "red" if verdict == Outcome.DIVERGED else ""
+    known = [column for column in COLUMNS if any(row.get(column.key) for row in rows)]
+    yield Table(columns=tuple(known), rows=rows, notes=(NOTE,))
+    for result, label in zip(results if details else (), labels, strict=False):
+        yield Heading(f"{short_id(result.id)} {label}".rstrip())
+        yield Facts(_details(result))
 
 
 def _summary_row(result: Result, *, is_explained: bool) -> dict[str, Any]:
@@ -235,66 +212,35 @@ def cause_text(score: Score) -> str | None:
     return f"{numbers}: errors of the engine and of the constants cancel in part"
 
 
-# --- details ---------------------------------------------------------------------------------------------------------
-
-
-def _details_table(results: Sequence[Result]) -> Table:
-    return Table(
-        title="All numbers",
-        columns=(
-            Column("id", "id", short_id, place=Place.HEADING),
-            Column("label", "", place=Place.HEADING),
-            Column("quantity", "quantity"),
-            Column("value", "value", is_number=True),
-            Column("real", "real", is_number=True),
-            Column("over", "over real", score_text, is_number=True),
-            *(
-                Column(f"engines.{key}", title, score_text, is_number=True)
-                for key, title in PUBLISHED_ENGINES.items()
-            ),
-            Column("convergence", "discretization", place=Place.BELOW),
-        ),
-        rows=[
-            {"id": result.id, "label": label} | row
-            for result, label in zip(results, _labels(results)[1], strict=True)
-            for row in _number_rows(result)
-        ],
-        notes=(
-            "Engines: published scores over real trials (GAUGE, Table 5). +-: standard uncertainty.",
-        ),
-    )
-
-
-def _number_rows(result: Result) -> Iterator[dict[str, Any]]:
-    """Yield a row for each number of a score, by its name there, and for each published score."""
-    score, published = result.score, published_baselines(short_id(result.id))
+def _details(result: Result) -> dict[str, str]:
+    """Return all numbers of a score by their names there, the published ones, and what half the step changes."""
+    score, name = result.score, short_id(result.id)
+    facts = {
+        key: _numbers_text(value)
+        for key, value in score.to_dict().items()
+        if key not in NO_NUMBERS and value is not None
+    }
+    for key, one in {**score.estimates, **score.events}.items():
+        facts[key] = with_unit(digits_text(one.value), one.unit)
+        if one.real is not None:
+            facts[key] += f", real {_real_text(one)}"
+    for key, line in published_baselines(name).items():
+        engines = ", ".join(
+            f"{title} {score_text(line.engines[engine])}"
+            for engine, title in PUBLISHED_ENGINES.items()
+        )
+        real = plus_minus_text(line.mean, line.std, line.unit)
+        facts[f"published {key}"] = f"real trials {real}; {engines}"
     converged = convergence_rows(result.backend, result.id)
-    for key in DISTANCES:
-        value, line = getattr(score, key), published.get(key)
-        if value is None and line is None:
-            continue
-        text = interval_text(value, getattr(score, f"{key}_95", None))
-        yield {
-            "quantity": key,
-            "value": with_unit(text, score.unit),
-            "real": line and with_unit(score_text(line.mean), line.unit),
-            "over": getattr(score, f"{key}_normalized"),
-            "engines": line and line.engines,
-            "convergence": discretization_text(result, converged)
-            if key == "rmse"
-            else None,
-        }
-    for key in NUMBERS:
-        if (number := getattr(score, key)) is not None:
-            yield {"quantity": key, "value": digits_text(number)}
-    for name, one in {**score.events, **score.estimates}.items():
-        yield {
-            "quantity": name,
-            "value": with_unit(digits_text(one.value), one.unit),
-            "real": None if one.real is None else _real_text(one),
-            "over": one.over_real,
-            "engines": published[name].engines if name in published else None,
-        }
+    if text := discretization_text(result, converged):
+        facts["discretization"] = text
+    return facts
+
+
+def _numbers_text(value: float | Sequence[float]) -> str:
+    """Return a number, or several, with three digits."""
+    numbers = value if isinstance(value, Sequence) else [value]
+    return ", ".join(digits_text(number) for number in numbers)
 
 
 def _outcomes(results: Sequence[Result]) -> Iterator[Paragraph]:
