@@ -32,7 +32,10 @@ MAX_EXPLAINED = 5
 """Results up to this number have lines below their rows; more of them have rows alone."""
 
 SAME_SHARE = 0.1
-"""Relative difference up to which an engine and an exact solution are equally far from real trials."""
+"""Difference up to which an engine and an exact solution are equally far from real trials, over that distance.
+
+Of a distance that is shorter than that of real trials, it is over theirs.
+"""
 
 NOTE = "Over the mean distance of real trials, or over u, the standard uncertainty. [95 % interval]. More: --details"
 
@@ -107,7 +110,11 @@ def _summary(results: Sequence[Result], *, details: bool) -> Iterator[Part]:
         for result, label in zip(results, labels, strict=True)
     ]
     yield Paragraph(shared, Tone.NOTE)
-    known = [column for column in COLUMNS if any(row.get(column.key) for row in rows)]
+    known = [
+        column
+        for column in COLUMNS
+        if any(row.get(column.key) not in (None, "") for row in rows)
+    ]
     yield Table(columns=tuple(known), rows=rows, notes=(NOTE,))
     for result, label in zip(results if details else (), labels, strict=False):
         yield Heading(f"{short_id(result.id)} {label}".rstrip())
@@ -203,7 +210,7 @@ def cause_text(score: Score) -> str | None:
     if engine is None or exact is None:
         return None
     numbers = f"engine {digits_text(engine)}, exact {digits_text(exact)}"
-    if abs(engine - exact) <= SAME_SHARE * max(engine, exact):
+    if abs(engine - exact) <= SAME_SHARE * max(engine, exact, 1.0):
         if score.verdict == "inside":
             return f"{numbers}: no error of the engine"
         return f"{numbers}: the constants, not the engine"

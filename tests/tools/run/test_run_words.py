@@ -100,6 +100,15 @@ def test_an_exact_solution_separates_engine_and_constants(engine, percentile, ca
     assert cause_text(score) == f"engine {engine}, exact 5.09: {cause}"
 
 
+def test_an_exact_solution_at_rest_has_no_distance():
+    still = replace(
+        SLIDE, exact=0.0, rmse_aligned_normalized=0.001, percentile=0.0, estimates={}
+    )
+    assert cause_text(still) == "engine 0.001, exact 0: no error of the engine"
+    assert "verdict" in shown([result(still)])
+    assert "exact" in shown([result(still)] * 9)
+
+
 def test_without_an_exact_solution_no_cause_is_stated():
     assert cause_text(replace(SLIDE, exact=None)) is None
     assert cause_text(SWING) is None
