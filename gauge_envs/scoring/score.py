@@ -161,36 +161,32 @@ class Score:
         """Return the score in one sentence."""
         if self.refused is not None:
             return f"{self.refused[0].upper()}{self.refused[1:]}."
-        parts = []
+        parts = [self.verdict]
         if self.distance is not None:
-            parts.append(f"{self.verdict}: {_text(self.distance)} {self.distance_unit}")
-            parts.append(self._scaled_text())
-        elif self.verdict != "no reference":
-            parts.append(self.verdict)
-        else:
-            parts.append("no reference")
-        parts += [
-            _beside_text(name, one)
-            for name, one in {**self.events, **self.estimates}.items()
-        ][:2]
-        text = ", ".join(part for part in parts if part)
+            parts[0] += f": {_text(self.distance)} {self.distance_unit}"
+        if self.primary_normalized is not None:
+            parts.append(self._scaled_text(self.primary_normalized))
+        parts += self._measured_texts[:2]
+        text = ", ".join(parts)
         return f"{text[0].upper()}{text[1:]}."
 
-    def _scaled_text(self) -> str:
-        ratio = self.primary_normalized
-        if ratio is None:
-            return ""
+    @property
+    def _measured_texts(self) -> list[str]:
+        """Events and estimates, each beside its real value."""
+        measured = {**self.events, **self.estimates}
+        return [_beside_text(name, one) for name, one in measured.items()]
+
+    def _scaled_text(self, ratio: float) -> str:
+        """Return the primary distance over its scale, in words."""
         if self.primary == OVER_U:
             return f"{_text(ratio)} u of the {self.kind} reference"
         text = f"{_text(ratio)} times as far as real trials"
         if self.primary_interval is not None:
             low, high = (_text(end) for end in self.primary_interval)
             text += f" [{low}, {high}]"
-        return (
-            text
-            if self.exact is None
-            else f"{text}, an exact solution {_text(self.exact)}"
-        )
+        if self.exact is not None:
+            text += f", an exact solution {_text(self.exact)}"
+        return text
 
     def __repr__(self) -> str:
         """Return at most ten lines; `to_dict` has all numbers."""
@@ -201,11 +197,7 @@ class Score:
             if one.name not in left_out and getattr(self, one.name) is not None
         ]
         rows = [", ".join(numbers[start : start + 4]) for start in range(0, 24, 4)]
-        measured = [
-            _beside_text(name, one)
-            for name, one in {**self.events, **self.estimates}.items()
-        ]
-        lines = [self.summary(), *rows, "; ".join(measured[:8])]
+        lines = [self.summary(), *rows, "; ".join(self._measured_texts[:8])]
         inner = "\n".join(f"    {line}" for line in lines if line)
         return f"Score(\n{inner}\n)"
 
