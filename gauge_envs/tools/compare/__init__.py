@@ -1,4 +1,4 @@
-"""Engines, parameters and settings side by side: scores and ranks within each grade of reference."""
+"""Engines, parameters and settings side by side: scores and ranks within each kind of reference."""
 
 from typing import TYPE_CHECKING
 
@@ -11,14 +11,13 @@ if TYPE_CHECKING:
         ExperimentComparison as ExperimentComparison,
         compare as compare,
     )
-    from gauge_envs.tools.compare.grades import (
+    from gauge_envs.tools.compare.ranks import (
         PUBLISHED as PUBLISHED,
-        GradeComparison as GradeComparison,
-        GradeScore as GradeScore,
+        KindComparison as KindComparison,
+        KindScore as KindScore,
     )
-    from gauge_envs.tools.compare.rank_tables import (
+    from gauge_envs.tools.compare.tables import (
         deciding_text as deciding_text,
-        grades_of as grades_of,
         mean_rank_text as mean_rank_text,
     )
     from gauge_envs.tools.compare.words import short_tables as short_tables
@@ -26,6 +25,7 @@ if TYPE_CHECKING:
         choose_yardstick as choose_yardstick,
         coordinate_words as coordinate_words,
         is_aligned as is_aligned,
+        judging_band as judging_band,
     )
 else:
     __getattr__, __all__ = door(__name__)

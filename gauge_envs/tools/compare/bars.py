@@ -16,9 +16,8 @@ from gauge_envs.pages.text import (
     short_id,
     with_unit,
 )
-from gauge_envs.references.kind import Kind
 from gauge_envs.references.published import PUBLISHED_ENGINES, published_baselines
-from gauge_envs.scoring.verification import COVERAGE_FACTOR
+from gauge_envs.scoring.score import COVERAGE_FACTOR
 from gauge_envs.tools.compare.comparison import Cell
 from gauge_envs.tools.compare.panels import Series
 
@@ -33,8 +32,6 @@ VALIDATION = "over real trials"
 """Scale of bars: 1 is the mean of real trials, or the real value of an event."""
 LEAST_REACH = {VALIDATION: 1.2, "u": 1.2 * COVERAGE_FACTOR}
 """Value that the axis of a scale reaches at least, so that it has the line that bars are compared with."""
-MOST_BARS = 24
-"""Largest number of bars and their titles on a page, but for the first metric of each scale."""
 
 
 @dataclass(frozen=True)
@@ -59,25 +56,16 @@ class Bar:
 def bar_groups(name: str, series: Sequence[Series]) -> dict[str, dict[str, list[Bar]]]:
     """Return bars by their scale and their metric.
 
-    On the scale `VALIDATION` are the metrics of the paper, with the published engines. Distances from a law or a solved
-    model have its unit, `u` or `mm`.
+    On the scale `VALIDATION` are the metrics of the paper, with the published engines. Distances from a solution have
+    the scale `u`.
     """
     groups: dict[str, list[Bar]] = {}
-    verified = [
-        result.score.verification
-        for one in series
-        for result in one.results
-        if result.score.verification is not None
-    ]
-    is_solved = any(
-        Kind(result.score.grade).is_solution for one in series for result in one.results
-    )
-    if any(
-        result.score.primary == ALIGNED.key for one in series for result in one.results
-    ):
+    scores = [result.score for one in series for result in one.results]
+    is_solved = any(one.over_uncertainty is not None for one in scores)
+    if any(one.primary == ALIGNED.key for one in scores):
         groups[ALIGNED.title] = [_own_bar(one, ALIGNED.key) for one in series]
     for metric, line in published_baselines(short_id(name)).items():
-        # Published scores are distances from real trials; those from a law or a solved model are numerical errors.
+        # Published scores are distances from real trials; those from a solution are numerical errors.
         if metric == "el" or (is_solved and not SCORE_METRICS[metric].is_event):
             continue
         bars = [_own_bar(one, metric) for one in series]
@@ -97,29 +85,9 @@ def bar_groups(name: str, series: Sequence[Series]) -> dict[str, dict[str, list[
             )
         groups[SCORE_METRICS[metric].title] = bars
     scales: dict[str, dict[str, list[Bar]]] = {}
-    if verified:
-        solved = [_own_bar(one, VERIFIED.key) for one in series]
-        scales[verified[0].scale_unit] = {VERIFIED.title: solved}
+    if is_solved:
+        scales["u"] = {VERIFIED.title: [_own_bar(one, VERIFIED.key) for one in series]}
     return scales | ({VALIDATION: groups} if groups else {})
-
-
-def kept_bars(
-    scales: dict[str, dict[str, list[Bar]]],
-) -> tuple[dict[str, dict[str, list[Bar]]], str]:
-    """Return the bars that fit on a page, with the first metric of each scale, and a sentence on those left out."""
-    kept: dict[str, dict[str, list[Bar]]] = {}
-    left_out: list[str] = []
-    room = MOST_BARS
-    for scale, groups in scales.items():
-        kept[scale] = {}
-        for metric, group in groups.items():
-            room -= len(group) + 1
-            if kept[scale] and room < 0:
-                left_out.append(metric)
-            else:
-                kept[scale][metric] = group
-    text = f"Without bars for want of room: {', '.join(left_out)}; see gauge compare."
-    return kept, text if left_out else ""
 
 
 def _own_bar(one: Series, metric: str) -> Bar:
@@ -131,7 +99,7 @@ def _own_bar(one: Series, metric: str) -> Bar:
         text = (
             "diverged"
             if any(result.diverged for result in one.results)
-            else "no reference"
+            else one.first.score.verdict
         )
         if raw is not None:
             unit = SCORE_METRICS[metric].unit_of(one.results[0].score.unit)
@@ -246,14 +214,10 @@ def name_scale(
     question, line, text = "validation", 1.0, "over real trials; 1 = their mean"
     if scale == "u":
         question, line = "verification", COVERAGE_FACTOR
-        text = f"over u of the solution;\nup to {line} u no difference is seen"
-    elif scale != VALIDATION:
-        question, line = "verification", 0.0
-        text = f"error, from an exact solution [{scale}]"
+        text = f"over u of the solution;\nup to {line} u is inside"
     elif SCORE_METRICS["rmse"].title not in groups:
         text = "over the mean of real trials; 1 is ideal"
-    if line:
-        axis.axvline(line, color=REAL, lw=1.0, ls="--", zorder=2)
+    axis.axvline(line, color=REAL, lw=1.0, ls="--", zorder=2)
     axis.set_xlabel(text, fontsize=9)
     if several:
         axis.set_title(QUESTIONS[question], loc="right", fontsize=9, fontweight="bold")

@@ -45,7 +45,7 @@ def compare(
 ) -> bool:
     """Compare engines, parameters and settings: scores with intervals, and ranks.
 
-    Ranks are within each grade of reference. Without a reference, distances between engines are shown. Results that
+    Ranks are within each kind of reference. Without a reference, distances between engines are shown. Results that
     differ in their seed alone are repeats, shown as mean and scatter. Exit code 2 when no result is left, 1 when a
     damaged file was skipped.
     """

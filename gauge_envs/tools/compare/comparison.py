@@ -1,5 +1,6 @@
 """Results of any configurations side by side: their scores, ranks and distances."""
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -8,38 +9,39 @@ from itertools import combinations
 import numpy as np
 
 from gauge_envs.errors import GaugeError
+from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.task_files import task_sha256
 from gauge_envs.experiments.variants import find_variant, variants
 from gauge_envs.pages.results import (
+    ALIGNED,
     SCORE_METRICS,
-    VERIFIED,
     configuration_labels,
     configuration_parts,
     normalized_score,
     raw_score,
     score_interval,
-    score_percentile,
 )
 from gauge_envs.pages.text import counted, short_id
+from gauge_envs.references.band import Band
 from gauge_envs.references.kind import Kind
 from gauge_envs.references.published import Baseline, published_baselines
 from gauge_envs.runs.configuration import RunConfiguration, group_by_configuration
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.runs.result_file import recorded_experiment
 from gauge_envs.scoring.reference import reference_band
-from gauge_envs.tools.compare.distance import Distance, trajectory_distance
-from gauge_envs.tools.compare.draws import (
-    ScoreDraws,
+from gauge_envs.scoring.score import OVER_U, normalizing_baselines
+from gauge_envs.tools.compare.difference import (
+    Deviations,
     ScoreSpread,
     repeats_interval,
-    score_draws,
 )
-from gauge_envs.tools.compare.grades import (
-    GradeComparison,
-    GradedExperiment,
-    compare_grade,
-    grade_name,
+from gauge_envs.tools.compare.distance import Distance, trajectory_distance
+from gauge_envs.tools.compare.ranks import (
+    KindComparison,
+    ScoredExperiment,
+    compare_kind,
 )
+from gauge_envs.tools.compare.yardstick import choose_yardstick, is_aligned
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,12 +50,12 @@ class Cell:
 
     Attributes:
         results: Repeats by seed, including those that were declined, failed or diverged.
-        draws: Bootstrap draws of their scores; None if a repeat has no score, because a mean without failures would be
-            too good.
+        deviations: Their deviations from the reference; None if a repeat has no score, because a mean without failures
+            would be too good.
     """
 
     results: tuple[Result, ...]
-    draws: ScoreDraws | None = None
+    deviations: Deviations | None = None
 
     def count(self, outcome: Outcome) -> int:
         """Return the number of repeats with an outcome."""
@@ -97,11 +99,23 @@ class Cell:
             [normalized_score(score, metric) or 0.0 for score in scores], intervals
         )
 
-    def percentile(self, metric: str) -> float | None:
-        """Return the percentage of real trials that are closer to their mean; mean over the repeats that have it."""
-        known = [score_percentile(result.score, metric) for result in self.results]
+    @property
+    def percentile(self) -> float | None:
+        """Percentage of real trials that are closer to their mean, as mean over the repeats that have it."""
+        known = [result.score.percentile for result in self.results]
         spread = ScoreSpread.of([value for value in known if value is not None])
         return None if spread is None else spread.mean
+
+    @property
+    def verdict(self) -> str:
+        """Verdict of the repeats that finished: one word, or how often each occurs; empty without any."""
+        words = [
+            one.score.verdict for one in self.results if one.outcome is Outcome.FINISHED
+        ]
+        counts = {word: words.count(word) for word in words}
+        if len(counts) < 2:
+            return next(iter(counts), "")
+        return ", ".join(f"{count} {word}" for word, count in counts.items())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,8 +124,7 @@ class ExperimentComparison:
 
     Attributes:
         id: Gymnasium id.
-        grade: Grade of the reference.
-        withheld: Whether its band is withheld by default.
+        kind: Kind of the reference; `none` also where it refuses to score any of the results.
         unit: Unit of the observable.
         cells: Results in the order of `Comparison.configurations`; None for a configuration without this experiment.
         baselines: Published scatter of real trials and scores of three engines, by metric.
@@ -119,8 +132,7 @@ class ExperimentComparison:
     """
 
     id: str
-    grade: str
-    withheld: bool
+    kind: str
     unit: str
     cells: tuple[Cell | None, ...]
     baselines: Mapping[str, Baseline]
@@ -132,35 +144,20 @@ class ExperimentComparison:
         return short_id(self.id)
 
     @property
-    def grade_name(self) -> str:
-        """Grade, and whether its band is withheld."""
-        return grade_name(self.grade, withheld=self.withheld)
-
-    @property
-    def is_verified(self) -> bool:
+    def is_solution(self) -> bool:
         """Whether results are compared with the solution of their scene, and not with reality."""
-        return Kind(self.grade).is_solution
+        return Kind(self.kind).is_solution
 
     @property
-    def scale_unit(self) -> str:
-        """Unit of the primary score over its scale: `1` over real trials, else as `Verification.scale_unit`."""
-        found = (
-            result.score.verification
-            for cell in self.cells
-            if cell is not None
-            for result in cell.results
-        )
-        return next((one.scale_unit for one in found if one is not None), "1")
+    def results(self) -> list[Result]:
+        """All results."""
+        return [one for cell in self.cells if cell is not None for one in cell.results]
 
     @property
     def primary(self) -> str:
         """Metric that reports show first, as `Score.primary`; `rmse` without a score."""
-        results = [
-            result for cell in self.cells if cell is not None for result in cell.results
-        ]
         return next(
-            (one.score.primary for one in results if one.score.primary is not None),
-            "rmse",
+            (one.score.primary for one in self.results if one.score.primary), "rmse"
         )
 
     def metrics(self, among: Iterable[str] = tuple(SCORE_METRICS)) -> list[str]:
@@ -176,32 +173,31 @@ class ExperimentComparison:
 
     def unit_of(self, metric: str) -> str:
         """Return the unit of a metric that is not normalized."""
+        if metric == OVER_U:
+            return next((one.score.distance_unit for one in self.results), self.unit)
         return SCORE_METRICS[metric].unit_of(self.unit)
 
     def published(self, metric: str) -> Mapping[str, float | None] | None:
         """Return the published scores of a metric by engine; None where nothing comparable was published.
 
-        The paper scored trajectories against the mean of real trials, so RMSE and DTW need a reference of that grade.
+        The paper scored trajectories against the mean of real trials, so RMSE and DTW need a reference of that kind.
         Event metrics do not depend on the reference.
         """
         line = self.baselines.get(metric)
-        is_comparable = self.grade == Kind.TRIALS.value and not self.withheld
-        return (
-            line.engines
-            if line is not None and (is_comparable or SCORE_METRICS[metric].is_event)
-            else None
-        )
+        is_comparable = self.kind == Kind.TRIALS or SCORE_METRICS[metric].is_event
+        return line.engines if line is not None and is_comparable else None
 
-    def graded(self) -> GradedExperiment:
-        """Return the scores of this experiment for a comparison within its grade."""
-        return GradedExperiment(
+    def scored(self) -> ScoredExperiment:
+        """Return the scores of this experiment for a comparison within its kind."""
+        return ScoredExperiment(
             id=self.id,
-            draws=tuple(None if cell is None else cell.draws for cell in self.cells),
+            deviations=tuple(
+                None if cell is None else cell.deviations for cell in self.cells
+            ),
             intervals=tuple(
                 None if cell is None else cell.interval_95(self.primary)
                 for cell in self.cells
             ),
-            scale_unit=self.scale_unit,
         )
 
 
@@ -246,36 +242,28 @@ class Comparison:
         return {"first": self.labels[of.first], "second": self.labels[of.second]}
 
     @cached_property
-    def grades(self) -> tuple[GradeComparison, ...]:
-        """What the scores of each grade say, best grade first; an experiment of several references is left out."""
-        groups: dict[tuple[Kind, bool], list[ExperimentComparison]] = {}
-        for one in filter(_has_one_reference, self.experiments):
-            groups.setdefault((Kind(one.grade), one.withheld), []).append(one)
-        order = list(Kind)
+    def kinds(self) -> tuple[KindComparison, ...]:
+        """Ranks within each kind of reference; an experiment of several references is left out."""
+        groups = {
+            kind: [
+                one
+                for one in self.experiments
+                if one.kind == kind and _has_one_reference(one)
+            ]
+            for kind in Kind
+        }
         return tuple(
-            found
-            for group in sorted(
-                groups, key=lambda group: (order.index(group[0]), group[1])
-            )
-            for found in self.compare_within(groups[group])
+            found for group in groups.values() for found in self.compare_within(group)
         )
 
     def compare_within(
         self, experiments: Sequence[ExperimentComparison]
-    ) -> tuple[GradeComparison, ...]:
-        """Return ranks in experiments of one grade, for each set of constants.
-
-        Args:
-            experiments: Experiments of the same grade, at least one.
-        """
-        first = experiments[0]
-        graded = [one.graded() for one in experiments]
-        return compare_grade(
-            first.grade,
-            withheld=first.withheld,
-            experiments=graded,
-            constants=self._constants,
-        )
+    ) -> tuple[KindComparison, ...]:
+        """Return ranks in experiments of one kind, for each set of constants."""
+        if not experiments:
+            return ()
+        scored = [one.scored() for one in experiments]
+        return compare_kind(experiments[0].kind, scored, self._constants)
 
     @cached_property
     def _constants(self) -> tuple[str, ...]:
@@ -314,16 +302,10 @@ def _cells_of(experiments: Iterable[ExperimentComparison], index: int) -> list[C
 
 def _has_one_reference(one: ExperimentComparison) -> bool:
     """Return whether all results of an experiment are scored against the same reference."""
-    results = [
-        result
-        for cell in one.cells
-        if cell is not None
-        for result in cell.results
-        if result.error is None
-    ]
     references = {
-        (one.score.grade, one.score.withheld, *sorted(one.dataset.items()))
-        for one in results
+        (result.score.kind, *sorted(result.dataset.items()))
+        for result in one.results
+        if result.error is None
     }
     return len(references) <= 1
 
@@ -354,7 +336,7 @@ def compare(results: Iterable[Result]) -> Comparison:
     return Comparison(
         configurations=tuple(configuration for configuration, _ in groups),
         experiments=tuple(experiments),
-        notes=(*notes, *_mismatches(every)),
+        notes=tuple(dict.fromkeys([*notes, *_mismatches(every)])),
     )
 
 
@@ -364,7 +346,8 @@ def _experiment(name: str, cells: Sequence[Cell | None]) -> ExperimentComparison
         (index, cell.results) for index, cell in enumerate(cells) if cell is not None
     ]
     results = [result for _, members in present for result in members]
-    first = next((result for result in results if result.error is None), results[0])
+    ran = [result for result in results if result.error is None] or results
+    is_refused = all(one.score.refused is not None for one in ran)
     baselines = published_baselines(short_id(name))
     distances = []
     for (index, some), (other_index, others) in combinations(present, 2):
@@ -375,9 +358,8 @@ def _experiment(name: str, cells: Sequence[Cell | None]) -> ExperimentComparison
             distances.append(distance)
     return ExperimentComparison(
         id=name,
-        grade=first.score.grade,
-        withheld=first.score.withheld is not None,
-        unit=first.score.unit,
+        kind=Kind.NONE.value if is_refused else ran[0].score.kind,
+        unit=ran[0].score.unit,
         cells=tuple(cells),
         baselines=baselines,
         distances=tuple(distances),
@@ -402,37 +384,55 @@ def _cell(name: str, members: Sequence[Result], notes: list[str]) -> Cell | None
             f"{short_id(name)}: repeats of {mine[0].backend} differ in the settings in force"
         )
     kept = tuple(sorted(latest.values(), key=lambda result: result.seed or 0))
-    return Cell(results=kept, draws=_cell_draws(kept, notes)) if kept else None
+    return Cell(results=kept, deviations=_deviations(kept, notes)) if kept else None
 
 
-def _cell_draws(results: Sequence[Result], notes: list[str]) -> ScoreDraws | None:
-    """Return the draws of repeats; None without them, with a note if they should have some."""
-    metric = _scale_metric(results)
-    scores = [normalized_score(result.score, metric) for result in results]
-    if None in scores:
+def _deviations(results: Sequence[Result], notes: list[str]) -> Deviations | None:
+    """Return the deviations of repeats; None without scores, with a note if they should have some."""
+    scores = [one.score for one in results if one.outcome is Outcome.FINISHED]
+    if len(scores) < len(results) or any(
+        one.primary_normalized is None for one in scores
+    ):
         return None
     refused = f"{short_id(results[0].id)}: not ranked, because its"
     try:
         experiment = recorded_experiment(results[0])
-        band = reference_band(
-            experiment, use_withheld=results[0].score.withheld is not None
+        band = reference_band(experiment)
+        if band is None:
+            return None
+        against = choose_yardstick(results[:1], band, names=())
+        found = Deviations.of(
+            band,
+            [against.deviation(one, aligned=is_aligned(one)) for one in results],
+            [one.seed for one in results],
+            scale=_scale(experiment, band, scores[0].primary),
         )
-        draws = None if band is None else score_draws(results, experiment, band)
     except GaugeError as error:
         notes.append(f"{refused} result cannot be scored again: {error}")
         return None
-    if draws is None or np.allclose(
-        draws.raw, np.array(scores, dtype=np.float64), rtol=1e-6, atol=1e-9
-    ):
-        return draws
-    notes.append(f"{refused} score was made against another reference; run it again")
+    stored = np.array([one.primary_normalized for one in scores], dtype=np.float64)
+    if np.allclose(found.scores, stored, rtol=1e-6, atol=1e-9):
+        return found
+    notes.append(
+        f"{refused} score was made against another reference or motion; run it again"
+    )
     return None
+
+
+def _scale(experiment: Experiment, band: Band, primary: str | None) -> float:
+    """Return the distance that is 1 as normalized score; NaN without one."""
+    if primary == OVER_U:
+        return band.standard_uncertainty
+    if primary == ALIGNED.key and band.trial_rmse_aligned is not None:
+        return float(band.trial_rmse_aligned.mean())
+    line = normalizing_baselines(experiment, band).get("rmse")
+    return math.nan if line is None else line.mean
 
 
 def _scale_metric(results: Sequence[Result]) -> str:
     """Return the metric whose scale the scores of repeats have: `rmse`, or the distance from the solution."""
-    is_verified = any(Kind(one.score.grade).is_solution for one in results)
-    return VERIFIED.key if is_verified else "rmse"
+    is_solution = any(Kind(one.score.kind).is_solution for one in results)
+    return OVER_U if is_solution else "rmse"
 
 
 def _mismatches(results: Sequence[Result]) -> list[str]:
@@ -464,10 +464,12 @@ def _mismatches(results: Sequence[Result]) -> list[str]:
             f"scored by different versions of gauge-envs: {', '.join(made_with)}"
         )
     for name, same in by_id.items():
-        grades = sorted({one.score.grade for one in same})
-        if len(grades) > 1:
+        refused = {one.score.refused for one in same} - {None}
+        notes += [f"{short_id(name)}: {reason}" for reason in sorted(map(str, refused))]
+        kinds = sorted({one.score.kind for one in same})
+        if len(kinds) > 1:
             notes.append(
-                f"{short_id(name)}: scored against references of grade {' and '.join(grades)}"
+                f"{short_id(name)}: scored against references of kind {' and '.join(kinds)}"
             )
         if len({tuple(sorted(one.dataset.items())) for one in same}) > 1:
             notes.append(

@@ -13,7 +13,7 @@ from gauge_envs.runs.result import Result
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.scoring.metrics import trajectory_rmse
-from gauge_envs.tools.compare.draws import ScoreSpread
+from gauge_envs.tools.compare.difference import ScoreSpread
 
 MOTION_SHARE = 0.05
 """Threshold of a distance, as a share of the motion, for experiments without a published scatter of real trials."""

@@ -1,7 +1,7 @@
 """The page of one experiment as a picture (needs matplotlib).
 
-From the top: distance over time, which its score is of, beside the scores; the coordinates that decide it; all others,
-small or as a map; of cloth and foam three moments beside the reference.
+From the top: distance over time, which its score is of, beside the scores; the coordinates that decide it; and a map of
+all, if they are more.
 """
 
 from __future__ import annotations
@@ -17,23 +17,18 @@ from gauge_envs.errors import ShapeError
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.pages.figures import OURS, new_figure, save_png
 from gauge_envs.pages.results import configuration_labels
-from gauge_envs.pages.text import GRADE_NOTES, QUESTIONS, quantity_text, short_id
+from gauge_envs.pages.text import KIND_NOTES, QUESTIONS, quantity_text, short_id
 from gauge_envs.references.band import Band
 from gauge_envs.references.kind import Kind
 from gauge_envs.runs.configuration import group_by_configuration
 from gauge_envs.runs.result import Result
 from gauge_envs.runs.result_file import recorded_experiment
-from gauge_envs.scene import Cloth, SoftBody
-from gauge_envs.scoring.reference import reference_band
 from gauge_envs.tools.compare.bars import (
     LEAST_REACH,
-    VALIDATION,
     bar_groups,
     draw_bars,
-    kept_bars,
     name_scale,
 )
-from gauge_envs.tools.compare.moments import Moments, draw_moments, moments_of
 from gauge_envs.tools.compare.panels import (
     Series,
     draw_coordinates,
@@ -45,6 +40,7 @@ from gauge_envs.tools.compare.yardstick import (
     Yardstick,
     choose_yardstick,
     is_aligned,
+    judging_band,
     points_words,
 )
 
@@ -57,14 +53,8 @@ MOST_HEIGHT_IN = 13.2
 """Largest height of a picture: 1,584 pixels, which fits on a screen or a page."""
 DECIDING = 3
 """Number of coordinates that have a large panel."""
-MOST_SMALL = 12
-"""Largest number of further coordinates with a small panel each; more of them are a map."""
-SMALL_COLUMNS = 5
 MOST_MAPS = 3
 """Largest number of configurations that have a map."""
-MOST_MOMENT_ROWS = 2
-"""Largest number of configurations whose moments are drawn."""
-
 Row = tuple[float, str, Callable[["SubFigure"], None]]
 """Height [inch], title and drawing of a row of the page."""
 
@@ -105,25 +95,13 @@ def draw_experiment(
         )
     series = _series(results, among or results)
     experiment = recorded_experiment(series[0].first)
-    band = reference_band(
-        experiment, use_withheld=any(result.score.withheld for result in results)
-    )
+    band = judging_band(experiment, results)
     against = choose_yardstick(
         [one.first for one in series], band, names=[one.label for one in series]
     )
-    bars, left_out = kept_bars(bar_groups(results[0].id, series))
+    bars = bar_groups(results[0].id, series)
     rows = [_first_row(series, against, bars), *_coordinate_rows(series, against)]
-    rows += _moment_rows(series, against, experiment)
-    notes = wrap(
-        " ".join(
-            [
-                mean_legend(against),
-                *_notes(experiment, band, has_published=VALIDATION in bars),
-                left_out,
-            ]
-        ).strip(),
-        195,
-    )
+    notes = wrap(" ".join([mean_legend(against), *_notes(experiment, band)]), 195)
     around_in = 0.75 + 0.16 * len(notes)
     heights = [height for height, _, _ in rows]
     figure = new_figure(WIDTH_IN, min(sum(heights) + around_in, MOST_HEIGHT_IN))
@@ -203,7 +181,6 @@ def _coordinate_rows(series: Sequence[Series], against: Yardstick) -> Iterator[R
     order = np.argsort(-shares, kind="stable")
     count = len(shares)
     deciding = sorted(order[:DECIDING].tolist())
-    rest = sorted(order[DECIDING:].tolist())
 
     def draw_deciding(part: SubFigure) -> None:
         axes = part.subplots(1, len(deciding), squeeze=False)[0]
@@ -211,32 +188,16 @@ def _coordinate_rows(series: Sequence[Series], against: Yardstick) -> Iterator[R
             axes, deciding, series, against, shares=shares, is_difference=is_close
         )
 
-    def draw_rest(part: SubFigure) -> None:
-        rows = -(-len(rest) // SMALL_COLUMNS)
-        axes = list(part.subplots(rows, SMALL_COLUMNS, squeeze=False).flat)
-        for axis in axes[len(rest) :]:
-            axis.set_axis_off()
-        draw_coordinates(
-            axes[: len(rest)], rest, series, against, shares=shares, small=True
-        )
-
     is_close = against.is_close(deviations, deciding)
     title = "Coordinates, with their share of the squared distance"
     if count == 1:
         title = "The coordinate that is compared"
-    elif rest:
+    elif count > DECIDING:
         title = f"The {DECIDING} of {count} coordinates with the largest share of the squared distance"
     if is_close:
         title += f", minus {against.name}"
     yield 2.5, title, draw_deciding
-    if not rest:
-        return
-    if len(rest) <= MOST_SMALL:
-        yield (
-            1.3 * -(-len(rest) // SMALL_COLUMNS) + 0.3,
-            "The other coordinates",
-            draw_rest,
-        )
+    if count <= DECIDING:
         return
     mapped = others[:MOST_MAPS]
     what = points_words(against.points) if against.points else f"{count} coordinates"
@@ -247,45 +208,14 @@ def _coordinate_rows(series: Sequence[Series], against: Yardstick) -> Iterator[R
     )
 
 
-def _moment_rows(
-    series: Sequence[Series], against: Yardstick, experiment: Experiment
-) -> Iterator[Row]:
-    """Yield the row of three moments, of cloth and foam whose markers are known."""
-    scene = experiment.scene
-    if not scene.has(Cloth | SoftBody):
-        return
-    others = series if against.reference is not None or against.of_start else series[1:]
-    found = [moments_of(one, against, scene.markers) for one in others]
-    every: list[Moments] = [one for one in found if one is not None and one.frames]
-    every = every[:MOST_MOMENT_ROWS]
-    if not every:
-        return
-    title = f"Three moments, with the distance from {against.name} as colour"
-    if every[0].reference_mm is not None:
-        title += f", and in grey {against.name}"
-    yield (
-        2.1 * len(every) + 0.3,
-        title,
-        lambda part: draw_moments(part, every, reference=against.name),
-    )
-
-
-def _notes(
-    experiment: Experiment, band: Band | None, *, has_published: bool
-) -> list[str]:
-    grade = Kind.NONE if band is None else band.kind
-    parts = [f"Grade {grade.value}: {GRADE_NOTES[grade]}."]
-    parts += (
-        [f"{band.source[:1].upper()}{band.source[1:]}."] if band is not None else []
-    )
-    parts += (
-        [f"Driver: {experiment.driver_provenance}."]
-        if experiment.driver_provenance
-        else []
-    )
-    if has_published:
-        parts.append("Grey bars: engines as published (GAUGE, Table 5).")
-    return parts
+def _notes(experiment: Experiment, band: Band | None) -> list[str]:
+    kind = Kind.NONE if band is None else band.kind
+    parts = [f"Reference {kind.value}: {KIND_NOTES[kind]}."]
+    if band is not None:
+        parts.append(f"{band.source[:1].upper()}{band.source[1:]}.")
+    if experiment.driver_provenance:
+        parts.append(f"Driver: {experiment.driver_provenance}.")
+    return [*parts, "Grey bars: engines as published (GAUGE, Table 5)."]
 
 
 def _series(results: Iterable[Result], among: Sequence[Result]) -> list[Series]:

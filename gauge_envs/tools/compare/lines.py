@@ -5,10 +5,10 @@ from typing import Annotated, Any, Literal, TypedDict
 
 from gauge_envs.cli.schemas import Form
 from gauge_envs.runs.configuration import RunConfiguration
-from gauge_envs.scoring.verification import Verification
+from gauge_envs.scoring.score import Interval
+from gauge_envs.tools.compare.difference import ScoreSpread
 from gauge_envs.tools.compare.distance import Distance
-from gauge_envs.tools.compare.draws import ScoreSpread
-from gauge_envs.tools.compare.grades import Interval, Mean
+from gauge_envs.tools.compare.ranks import Mean
 
 
 class RealFacts(TypedDict):
@@ -33,14 +33,13 @@ class CellFacts(TypedDict):
     Attributes:
         label: Name of the configuration in tables.
         outcomes: How each repeat ended.
-        reasons: Why it was declined, failed or diverged.
+        reasons: Why it was declined, failed or diverged, or why its reference does not score it.
         seeds: Seed of each repeat.
         raw: The metric in its unit.
-        normalized: The metric over that of real trials.
+        normalized: The metric over that of real trials, or over u of a solution.
         normalized_95: 95 % interval of the mean of it.
-        percentile: Percentage of real trials that are closer to their mean.
-        verification: Distance of each repeat from a law or a solved model.
-        also_verified: The same of further quantities, as the force of a rod; a list for each repeat.
+        percentile: Percentage of real trials that are closer to their mean, by the primary distance.
+        verdicts: `inside`, `outside` or `no reference`, of each repeat.
         settings: Numerical settings of the engine.
         versions: Versions of the packages.
     """
@@ -53,8 +52,7 @@ class CellFacts(TypedDict):
     normalized: SpreadFacts | None
     normalized_95: Interval | None
     percentile: float | None
-    verification: Sequence[Verification | None]
-    also_verified: Sequence[Sequence[Verification]]
+    verdicts: Sequence[str]
     settings: Mapping[str, Any] | None
     versions: Mapping[str, str] | None
 
@@ -78,8 +76,7 @@ class ExperimentLine(TypedDict):
     Attributes:
         record: `experiment`.
         id: Gymnasium id.
-        grade: What the reference is.
-        withheld: Whether its band is withheld by default.
+        kind: What the reference is.
         metric: Name of the metric; null without a score.
         unit: Its unit.
         real: Scores of real trials.
@@ -91,8 +88,7 @@ class ExperimentLine(TypedDict):
 
     record: Literal["experiment"]
     id: str
-    grade: str
-    withheld: bool
+    kind: str
     metric: str | None
     unit: str | None
     real: RealFacts | None
@@ -118,25 +114,23 @@ class RankedFacts(TypedDict):
     ranks: Mapping[str, Mean]
 
 
-class GradeLine(TypedDict):
-    """Ranks within a grade of reference.
+class KindLine(TypedDict):
+    """Ranks within a kind of reference.
 
     Attributes:
-        record: `grade`.
-        grade: Name of the grade.
-        withheld: Whether the bands are withheld by default.
+        record: `kind`.
+        kind: Name of the kind.
         constants: Constants that the configurations share.
         ids: Experiments that count.
         configurations: Ranks of each configuration.
     """
 
-    record: Literal["grade"]
-    grade: str
-    withheld: bool
+    record: Literal["kind"]
+    kind: str
     constants: str
     ids: Sequence[str]
     configurations: Sequence[RankedFacts]
 
 
-CompareLine = ExperimentLine | GradeLine
-"""The scores of each experiment, then the ranks of each grade."""
+CompareLine = ExperimentLine | KindLine
+"""The scores of each experiment, then the ranks of each kind."""

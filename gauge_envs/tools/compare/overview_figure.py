@@ -11,13 +11,13 @@ from gauge_envs.pages.figures import OURS, REAL, new_figure, save_png, tidy_axis
 from gauge_envs.pages.results import SCORE_METRICS, VERIFIED
 from gauge_envs.references.published import PUBLISHED_ENGINES
 from gauge_envs.runs.result import Outcome, Result
-from gauge_envs.scoring.verification import COVERAGE_FACTOR
+from gauge_envs.scoring.score import COVERAGE_FACTOR
 from gauge_envs.tools.compare.comparison import (
     Comparison,
     ExperimentComparison,
     compare,
 )
-from gauge_envs.tools.compare.draws import ScoreSpread
+from gauge_envs.tools.compare.difference import ScoreSpread
 from gauge_envs.tools.compare.experiment_figure import save_figures
 
 if TYPE_CHECKING:
@@ -68,9 +68,8 @@ def draw_overview(
 ) -> Figure | None:
     """Return dots of the score of every experiment over its scale, with their 95 % intervals.
 
-    Configurations are in colour. Published engines are in grey beside the raw scores of grade `trials`, because these
-    alone are against the same reference. Distances from laws and solved models have panels of their own, one for each
-    scale.
+    Configurations are in colour. Published engines are in grey beside the raw scores of kind `trials`, because these
+    alone are against the same reference. Distances from solutions have a panel of their own.
 
     Args:
         comparison: What `gauge_envs.tools.compare.comparison.compare` returns.
@@ -80,15 +79,13 @@ def draw_overview(
     Returns:
         The picture; None if no experiment has such a score.
     """
-    scales = {one.scale_unit for one in comparison.experiments if one.is_verified}
-    solved = [(VERIFIED.key, scale) for scale in sorted(scales - {"1"})]
-    chosen: list[tuple[str | None, str]] = [(None, "1"), ("rmse", "1"), *solved]
+    chosen: list[str | None] = [None, "rmse", VERIFIED.key]
     if metric is not None:
-        chosen = [*solved] if metric == VERIFIED.key else [(metric, "1")]
+        chosen = [metric]
     shown = []
     panels: list[list[_Row]] = [[] for _ in chosen]
     for one in comparison.experiments:
-        rows = [_Row.of(one, name, scale) for name, scale in chosen]
+        rows = [_Row.of(one, name) for name in chosen]
         if _diverged(one) or any(row.has_score for row in rows):
             shown.append(one)
             for panel, row in zip(panels, rows, strict=True):
@@ -107,11 +104,11 @@ def draw_overview(
         return None
     figure = new_figure(max(10.0, 4.0 * len(chosen)), 0.3 * len(shown) + 2.2)
     axes = figure.subplots(1, len(chosen), sharey=True, squeeze=False)[0]
-    for axis, panel, (name, scale) in zip(axes, panels, chosen, strict=True):
-        _draw_panel(axis, panel, name, scale)
+    for axis, panel, name in zip(axes, panels, chosen, strict=True):
+        _draw_panel(axis, panel, name)
     axes[0].set_yticks(
         range(len(shown)),
-        [f"{one.name}  ({one.grade_name})" for one in shown],
+        [f"{one.name}  ({one.kind})" for one in shown],
         fontsize=8,
     )
     axes[0].set_ylim(len(shown) - 0.5, -0.5)
@@ -132,14 +129,10 @@ class _Row:
     published: Mapping[str, float | None]
 
     @classmethod
-    def of(cls, one: ExperimentComparison, metric: str | None, scale: str) -> _Row:
-        """Return the scores of a metric; None is the primary one, of which nothing comparable is published.
-
-        An experiment with another scale than that of the panel has none.
-        """
+    def of(cls, one: ExperimentComparison, metric: str | None) -> _Row:
+        """Return the scores of a metric; None is the primary one over real trials, of which nothing is published."""
         name = metric or one.primary
-        is_verified = name == VERIFIED.key
-        if is_verified and (metric is None or one.scale_unit != scale):
+        if metric is None and one.is_solution:
             nothing = [None] * len(one.cells)
             return cls(one, nothing, nothing, {})
         is_comparable = metric is not None and SCORE_METRICS[metric].is_normalized
@@ -158,19 +151,14 @@ class _Row:
         return any(self.spreads) or bool(self.published)
 
 
-def _draw_panel(
-    axis: Axes, rows: Sequence[_Row], metric: str | None, scale: str
-) -> None:
+def _draw_panel(axis: Axes, rows: Sequence[_Row], metric: str | None) -> None:
     # An end of an interval at 0 has no place on a logarithmic axis: the bar reaches the edge.
     axis.set_xscale("log", nonpositive="clip")
     axis.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
     is_verified = metric == VERIFIED.key
     line = COVERAGE_FACTOR if is_verified else 1.0
-    # An exact solution has nothing that a distance from it is compared with.
-    is_exact = is_verified and scale != "u"
-    if not is_exact:
-        axis.axvline(line, color=REAL, lw=1.2, ls="--", zorder=1)
-    places = [] if is_exact else [line]
+    axis.axvline(line, color=REAL, lw=1.2, ls="--", zorder=1)
+    places = [line]
     for place, row in enumerate(rows):
         for engine, marker in zip(PUBLISHED_ENGINES, ENGINE_MARKERS, strict=True):
             value = row.published.get(engine)
@@ -201,10 +189,8 @@ def _draw_panel(
     closer = "1 is ideal" if metric in ("lsd", "mte", "pd") else "lower is closer"
     aligned = " (aligned after a release)" if metric is None else ""
     label = f"over real trials{aligned}, log scale; {closer}; bars: 95 %"
-    if is_exact:
-        label = f"error, from exact solutions [{scale}], log scale"
-    elif is_verified:
-        label = f"over u of the solution, log scale; up to {line} no difference is seen"
+    if is_verified:
+        label = f"over u of the solution, log scale; up to {line} u is inside"
     axis.set_xlabel(label, fontsize=9)
     title = "Primary score" if metric is None else SCORE_METRICS[metric].title
     if is_verified:

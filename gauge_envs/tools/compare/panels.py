@@ -80,7 +80,7 @@ class Series:
 
     @property
     def first(self) -> Result:
-        """Its first result, which stands for all in maps and moments."""
+        """Its first result, which stands for all in maps."""
         return self.results[0]
 
     @property
@@ -110,25 +110,19 @@ def draw_distances(axis: Axes, series: Sequence[Series], against: Yardstick) -> 
 
 
 def _draw_spread(axis: Axes, against: Yardstick, *, aligned: bool) -> None:
-    """Draw the distances of real trials, or their spread or u of the solution, and that of a scene without motion."""
+    """Draw the distance of real trials, or their spread or u of the solution, and that of a scene without motion."""
     band = against.band
-    trials = against.trial_lengths(aligned=aligned)
-    if len(trials):
+    distance = against.trial_distance(aligned=aligned)
+    if distance is not None:
         how = ", aligned too" if aligned else ""
-        mean = np.sqrt(np.nanmean(np.square(trials), axis=0))
         axis.fill_between(
             against.times_s,
-            mean,
+            distance,
             0.0,
             facecolor=ONE_SIGMA,
-            label=f"real trials from the mean of the others{how}: root mean square",
+            label=f"1: mean of the real trials from the mean of the others{how}",
             zorder=1,
         )
-        for number, one in enumerate(trials):
-            label = None if number else "each real trial"
-            axis.plot(
-                against.times_s, one, color="#909090", lw=0.6, label=label, zorder=2
-            )
     elif against.has_spread:
         spread = against.lengths(against.spread)
         shades = ((1.0, ONE_SIGMA, 1.1), (against.reach, TWO_SIGMA, 1.0))
@@ -162,7 +156,7 @@ def _draw_lengths(
     for number, result in enumerate(one.results):
         aligned = is_aligned(result)
         lengths = against.lengths(against.deviation(result, aligned=aligned))
-        offset_s = result.score.release_offset_s
+        offset_s = result.score.time_offset_s
         text = one.legend
         if aligned and offset_s is not None and len(one.results) == 1:
             text += f", moved by {offset_s:+.3f} s to align the release"
@@ -241,7 +235,6 @@ def draw_coordinates(
     against: Yardstick,
     *,
     shares: FloatArray,
-    small: bool = False,
     is_difference: bool = False,
 ) -> None:
     """Draw coordinates over time, one in each panel, with the spread of the reference.
@@ -252,7 +245,6 @@ def draw_coordinates(
         series: The results.
         against: What they are drawn against.
         shares: Share of every coordinate in the squared distance, shape [C].
-        small: Whether the panels are small.
         is_difference: Whether to draw the results minus the reference, where the curves lie on each other.
     """
     window = _window(series, against)
@@ -263,7 +255,6 @@ def draw_coordinates(
                 axis,
                 against,
                 column,
-                marks=not small,
                 **look,
             )
         _draw_curves(axis, series, against, column, **look)
@@ -271,12 +262,10 @@ def draw_coordinates(
         title = f"{name} [{against.unit}]"
         if shares.any() and len(shares) > 1:
             title += f": {_share_text(shares[column])}"
-        size = 7 if small else 9
-        axis.set_title(title, loc="left", fontsize=size)
-        axis.tick_params(labelsize=size - 1)
+        axis.set_title(title, loc="left", fontsize=9)
+        axis.tick_params(labelsize=8)
         axis.set_xlim(*window)
-        if not small:
-            axis.set_xlabel("time [s]", fontsize=size)
+        axis.set_xlabel("time [s]", fontsize=9)
         tidy_axis(axis)
     # The band of real trials fills a panel; that of a solution may be narrower than rounding errors.
     if not against.band.kind.is_real:
@@ -313,7 +302,6 @@ def _draw_mean(
     against: Yardstick,
     column: int,
     *,
-    marks: bool,
     window: tuple[float, float],
     is_difference: bool,
 ) -> None:
@@ -351,7 +339,7 @@ def _draw_mean(
                 ls=style,
                 zorder=5 if is_real else 2,
             )
-    if is_real and marks:
+    if is_real:
         for flags, face in ((band.measured, REAL), (~band.measured, "white")):
             flags = flags & is_shown
             axis.plot(

@@ -9,13 +9,15 @@ from gauge_envs.files import json_ready
 from gauge_envs.pages.document import Document, Paragraph
 from gauge_envs.pages.results import SCORE_METRICS
 from gauge_envs.pages.table import Table
-from gauge_envs.pages.text import QUESTIONS
-from gauge_envs.references.kind import Kind
+from gauge_envs.scoring.score import OVER_U
 from gauge_envs.tools.compare.comparison import Cell, Comparison
-from gauge_envs.tools.compare.grades import GradeComparison, GradeScore
-from gauge_envs.tools.compare.rank_tables import rank_tables
-from gauge_envs.tools.compare.score_tables import score_table, verification_table
-from gauge_envs.tools.compare.summary_tables import distance_table, summary_table
+from gauge_envs.tools.compare.ranks import KindComparison, KindScore
+from gauge_envs.tools.compare.tables import (
+    distance_table,
+    rank_tables,
+    score_table,
+    summary_table,
+)
 
 ALL_METRICS = tuple(SCORE_METRICS)
 
@@ -32,9 +34,9 @@ def check_metrics(names: Iterable[str]) -> tuple[str, ...]:
 def comparison_document(
     comparison: Comparison, metrics: Sequence[str] = ALL_METRICS
 ) -> Document:
-    """Return scores and ranks of each grade, distances without a reference, and a summary.
+    """Return scores and ranks within each kind, distances without a reference, and a summary.
 
-    Its rows are the scores of each experiment and the ranks of each grade; `record` states which.
+    Its rows are the scores of each experiment and the ranks within each kind; `record` states which.
 
     Args:
         comparison: The comparison.
@@ -42,20 +44,15 @@ def comparison_document(
     """
     rows = comparison_rows(comparison, metrics)
     tables: list[Table] = []
-    if validated := _validation_rows(comparison, rows):
-        tables.append(score_table(comparison, validated))
-    if any(one.is_verified for one in comparison.experiments):
-        tables.append(verification_table(comparison))
-    for question in QUESTIONS:
-        tables += rank_tables(comparison, question)
-    if any(
-        one.grade == Kind.NONE.value and one.distances for one in comparison.experiments
-    ):
-        tables.append(distance_table(comparison))
+    if shown := _shown_rows(comparison, rows):
+        tables.append(score_table(comparison, shown))
+    tables += rank_tables(comparison)
+    distances = distance_table(comparison)
+    tables += [] if distances is None else [distances]
     if rows:
         tables.append(summary_table(comparison))
     records = [{"record": "experiment", **row} for row in rows]
-    records += _grade_records(comparison)
+    records += _kind_records(comparison)
     return Document(
         parts=tables or (Paragraph("no results to compare"),),
         rows=records,
@@ -64,31 +61,24 @@ def comparison_document(
 
 
 def short_tables(comparison: Comparison) -> list[Table]:
-    """Return the ranks within each grade, and the score of each experiment that comes first."""
+    """Return the ranks within each kind, and the score of each experiment that comes first."""
     first: dict[str, dict[str, Any]] = {}
-    for row in _validation_rows(comparison, comparison_rows(comparison)):
+    for row in _shown_rows(comparison, comparison_rows(comparison)):
         first.setdefault(row["id"], row)
-    tables = [
-        table
-        for question in QUESTIONS
-        for table in rank_tables(comparison, question, with_experiments=False)
-    ]
-    if first:
-        tables.append(score_table(comparison, [*first.values()]))
-    if any(one.is_verified for one in comparison.experiments):
-        tables.append(verification_table(comparison))
-    return tables
+    tables = [*rank_tables(comparison, with_experiments=False)]
+    return [*tables, score_table(comparison, [*first.values()])] if first else tables
 
 
-def _validation_rows(
+def _shown_rows(
     comparison: Comparison, rows: Sequence[dict[str, Any]]
 ) -> list[dict[str, Any]]:
-    """Return the rows that compare with reality: a law or a solved model has those of events alone."""
-    verified = {one.id for one in comparison.experiments if one.is_verified}
+    """Return the rows of the table: RMSE and DTW from a solution have no scale, and its distance says it."""
+    solved = {one.id for one in comparison.experiments if one.is_solution}
     return [
         row
         for row in rows
-        if row["id"] not in verified
+        if row["id"] not in solved
+        or row["metric"] == OVER_U
         or (row["metric"] is not None and SCORE_METRICS[row["metric"]].is_event)
     ]
 
@@ -115,8 +105,7 @@ def comparison_rows(
             rows.append(
                 {
                     "id": one.id,
-                    "grade": one.grade,
-                    "withheld": one.withheld,
+                    "kind": one.kind,
                     "metric": name,
                     "unit": name and one.unit_of(name),
                     "real": baseline and {"mean": baseline.mean, "std": baseline.std},
@@ -132,23 +121,19 @@ def comparison_rows(
 def _cell_row(cell: Cell | None, metric: str | None) -> dict[str, Any]:
     if cell is None:
         cell = Cell(results=())
-    verification = []
-    also_verified = []
-    for result in cell.results:
-        first = result.score.verification
-        verification.append(None if first is None else asdict(first))
-        also_verified.append([asdict(one) for one in result.score.also_verified])
     ran = [result for result in cell.results if result.error is None]
     return {
         "outcomes": [result.outcome.value for result in cell.results],
-        "reasons": [result.error or result.diverged_reason for result in cell.results],
+        "reasons": [
+            one.error or one.diverged_reason or one.score.refused
+            for one in cell.results
+        ],
         "seeds": [result.seed for result in cell.results],
         "raw": _spread_row(cell, metric, normalized=False),
         "normalized": _spread_row(cell, metric, normalized=True),
         "normalized_95": metric and cell.interval_95(metric),
-        "percentile": metric and cell.percentile(metric),
-        "verification": verification,
-        "also_verified": also_verified,
+        "percentile": cell.percentile,
+        "verdicts": [result.score.verdict for result in cell.results],
         "settings": ran[0].settings if ran else None,
         "versions": ran[0].versions if ran else None,
     }
@@ -166,33 +151,27 @@ def _spread_row(
     return asdict(spread) | {"values": cell.values(metric, normalized=normalized)}
 
 
-def _grade_records(comparison: Comparison) -> Iterator[dict[str, Any]]:
-    """Yield the ranks of each grade."""
-    for grade in comparison.grades:
+def _kind_records(comparison: Comparison) -> Iterator[dict[str, Any]]:
+    """Yield the ranks within each kind."""
+    for kind in comparison.kinds:
         yield {
-            "record": "grade",
-            "grade": grade.grade,
-            "withheld": grade.withheld,
-            "constants": grade.constants,
-            "ids": grade.ids,
-            "configurations": [
-                _rank_row(comparison, grade, one) for one in grade.scores
-            ],
+            "record": "kind",
+            "kind": kind.kind,
+            "constants": kind.constants,
+            "ids": kind.ids,
+            "configurations": [_rank_row(comparison, kind, one) for one in kind.scores],
         }
 
 
 def _rank_row(
-    comparison: Comparison, grade: GradeComparison, score: GradeScore
+    comparison: Comparison, kind: KindComparison, score: KindScore
 ) -> dict[str, Any]:
-    """Return the ranks of a configuration over a grade and in each experiment, with 95 % intervals."""
-    ranks = {}
-    for experiment in grade.experiments:
-        rank = experiment.ranks.get(score.configuration)
-        if rank is not None:
-            ranks[experiment.id] = {
-                "value": rank.value,
-                "interval_95": rank.interval_95,
-            }
+    """Return the ranks of a configuration over a kind and in each experiment."""
+    ranks = {
+        one.id: asdict(rank)
+        for one in kind.experiments
+        if (rank := one.ranks.get(score.configuration)) is not None
+    }
     mean = score.mean_rank
     return {
         "label": comparison.labels[score.configuration],

@@ -2,33 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from gauge_envs.errors import ShapeError
+from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.pages.results import ALIGNED
-from gauge_envs.references.band import Band, SigmaSource
+from gauge_envs.references.band import Band
 from gauge_envs.references.kind import Kind
 from gauge_envs.runs.result import RecordedTrajectory, Result, recorded_frames
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-from gauge_envs.scoring.deviation import trial_distances
-from gauge_envs.scoring.numerics import interpolated
-from gauge_envs.scoring.verification import (
-    COVERAGE_FACTOR,
-    MARKER_AXES,
-    drawn_spread,
-    point_lengths,
-)
+from gauge_envs.scoring.metrics import interpolated
+from gauge_envs.scoring.reference import reference_band
+from gauge_envs.scoring.score import COVERAGE_FACTOR
 
-SPREADS = {
-    SigmaSource.TRIALS: "scatter of the real trials (1 standard deviation)",
-    SigmaSource.BASELINE: "published scatter of real trials (1 standard deviation)",
-    SigmaSource.MEASUREMENT: "uncertainty of the measurement (1 standard deviation)",
-}
-"""What is shaded about a real mean, by its source."""
 ROUNDING_SHARE = 1e-7
 """Deviation, over the range of a motion, below which only rounding is seen."""
 VISIBLE_SHARE = 0.05
@@ -41,7 +31,7 @@ class Yardstick:
 
     Attributes:
         name: Its name in words, as `the mean of 20 real trials`.
-        band: Mean and spread in the coordinates that are compared. Its grade is `none` for another engine or the start.
+        band: Mean and spread in the coordinates that are compared. Its kind is `none` for another engine or the start.
         reference: Reference of the score; None without one. Its `points`, if any, are `band`.
         of_start: Whether it is the start of each result itself.
     """
@@ -64,41 +54,38 @@ class Yardstick:
     @property
     def has_spread(self) -> bool:
         """Whether it says how far real trials are apart, or what its solution leaves open."""
-        return self.reference is not None and not self.reference.is_exact
+        return self.reference is not None
 
     @property
     def spread(self) -> FloatArray:
         """Scatter of real trials or u of the solution, shape [frame_count, C]; 0 without one."""
-        return drawn_spread(self.band)
+        stated = self.band.uncertainty if self.band.kind.is_solution else None
+        return self.band.sigma if stated is None else stated
 
     @property
     def reach(self) -> float:
         """What a shaded area ends at, in units of `spread`: two standard deviations, or the end of 95 % of u."""
         return COVERAGE_FACTOR if self.band.kind.is_solution else 2.0
 
-    def trial_lengths(self, *, aligned: bool) -> FloatArray:
-        """Return the distance of each real trial from the mean of the others, shape [trial_count, frame_count].
-
-        It is NaN where one is not known, and empty without trials.
+    def trial_distance(self, *, aligned: bool) -> float | None:
+        """Return the mean distance of the real trials, each from the mean of the others; None without trials.
 
         Args:
             aligned: Whether each is aligned to the release of the others.
         """
-        found = None if self.reference is None else trial_distances(self.reference)
-        if found is None:
-            return np.zeros((0, len(self.band.mean)))
-        every = found.aligned_deviations if aligned else found.deviations
-        return np.array([self.lengths(one) for one in every])
+        if self.reference is None:
+            return None
+        every = (
+            self.reference.trial_rmse_aligned if aligned else self.reference.trial_rmse
+        )
+        return None if every is None else float(every.mean())
 
     @property
     def spread_words(self) -> tuple[str, str]:
         """Names of the spread, and of what the wider shaded area ends at."""
         if self.band.kind.is_solution:
-            return (
-                "u: uncertainty of the solution",
-                f"up to {self.reach} u no difference is seen",
-            )
-        return SPREADS[self.band.sigma_source], "twice that"
+            return "u: uncertainty of the solution", f"up to {self.reach} u is inside"
+        return "scatter of real trials (1 standard deviation)", "twice that"
 
     @property
     def end_s(self) -> float:
@@ -113,14 +100,16 @@ class Yardstick:
         return np.arange(len(self.band.mean)) / FRAME_RATE_HZ
 
     def lengths(self, values: FloatArray) -> FloatArray:
-        """Return the length of values at each frame, as scores count it, shape [frame_count]."""
-        if self.reference is None and not self.of_start:
-            return np.asarray(np.linalg.norm(values, axis=1))
-        if self.reference is None and self.points:
-            return np.asarray(np.linalg.norm(values, axis=1)) / np.sqrt(
-                len(self.points)
-            )
-        return point_lengths(values, self.band)
+        """Return the length of values at each frame, shape [frame_count].
+
+        It is over known coordinates, NaN without any, and the root mean square over markers.
+        """
+        if self.reference is None:
+            count = len(self.points) if self.of_start and self.points else 1
+            return np.asarray(np.linalg.norm(values, axis=1)) / np.sqrt(count)
+        squares = np.where(np.isfinite(self.band.mean), np.square(values), 0.0)
+        lengths = np.sqrt(squares.sum(axis=1) / self.band.marker_count)
+        return np.where(self.band.known, lengths, np.nan)
 
     def motion(
         self, result: Result, *, aligned: bool = False
@@ -129,7 +118,7 @@ class Yardstick:
 
         Args:
             result: A result of the experiment.
-            aligned: Whether to shift it by its release offset, if it has one.
+            aligned: Whether to shift it by its time offset, if it has one.
 
         Returns:
             Markers at the frames, where these are compared, else all samples of g(t). Both are empty where markers are
@@ -146,7 +135,7 @@ class Yardstick:
             )
         if self.reference is None and recorded.coordinates != [*self.band.coordinates]:
             return np.zeros(0), np.zeros((0, len(self.band.coordinates)))
-        offset_s = result.score.release_offset_s if aligned else None
+        offset_s = result.score.time_offset_s if aligned else None
         times_s, samples = recorded.arrays(later=offset_s is not None)
         values = samples if self.reference is None else self.band.project(samples)
         if offset_s is None:
@@ -159,7 +148,7 @@ class Yardstick:
 
         Args:
             result: A result of the experiment.
-            aligned: Whether to shift it by its release offset, if it has one.
+            aligned: Whether to shift it by its time offset, if it has one.
         """
         times_s, values = self.motion(result, aligned=aligned)
         mean = self.band.mean
@@ -182,9 +171,7 @@ class Yardstick:
         if not self.points:
             names = tuple(coordinate_words(name) for name in self.band.coordinates)
             return names, np.abs(deviation)
-        sizes = np.linalg.norm(
-            deviation.reshape(len(deviation), -1, MARKER_AXES), axis=2
-        )
+        sizes = np.linalg.norm(deviation.reshape(len(deviation), -1, 3), axis=2)
         return tuple(coordinate_words(name) for name in self.points), sizes
 
     def is_close(
@@ -243,21 +230,25 @@ def choose_yardstick(
     )
     mean[numbers] = rows
     plain = Band(
-        grade=Kind.NONE,
+        kind=Kind.NONE,
         unit=first.unit,
         coordinates=tuple(first.coordinates),
         projection=np.eye(mean.shape[1]),
         mean=mean,
         sigma=np.zeros_like(mean),
         measured=np.isfinite(mean).all(axis=1),
-        trial_count=None,
         source="",
-        normalized_by_baseline=False,
     )
     # Without a reference, how far the engines are apart is all there is to see.
     if len(results) > 1:
         return Yardstick(name=names[0], band=plain, reference=None)
     return Yardstick(name="the start", band=plain, reference=None, of_start=True)
+
+
+def judging_band(experiment: Experiment, results: Iterable[Result]) -> Band | None:
+    """Return the reference of an experiment; None without one, or if it refuses to score each of the results."""
+    refused = all(one.score.refused is not None for one in results)
+    return None if refused else reference_band(experiment)
 
 
 def is_aligned(result: Result) -> bool:
@@ -282,7 +273,7 @@ def points_words(points: Sequence[str]) -> str:
 
 def point_names(coordinates: Sequence[str]) -> tuple[str, ...]:
     """Return the points whose x, y and z the coordinates are, as `marker-0`; empty for others, and for one point."""
-    stems = [name.rpartition(".")[0] for name in coordinates[::MARKER_AXES]]
+    stems = [name.rpartition(".")[0] for name in coordinates[::3]]
     expected = [f"{stem}.{axis}" for stem in stems for axis in "xyz"]
     is_of_points = all(stems) and list(coordinates) == expected
     return tuple(stems) if is_of_points and len(stems) > 1 else ()

@@ -26,7 +26,7 @@ from gauge_envs.pages.html import (
 )
 from gauge_envs.pages.results import discretization_text
 from gauge_envs.pages.table import Table, grid
-from gauge_envs.pages.text import QUESTIONS, shortened
+from gauge_envs.pages.text import shortened
 from gauge_envs.references.convergence import convergence_rows
 from gauge_envs.runs.replay import (
     ReplayError,
@@ -34,8 +34,12 @@ from gauge_envs.runs.replay import (
     replayed_experiment,
 )
 from gauge_envs.runs.result import Result
-from gauge_envs.scoring.reference import reference_band
-from gauge_envs.tools.compare import ExperimentComparison, compare, mean_rank_text
+from gauge_envs.tools.compare import (
+    ExperimentComparison,
+    compare,
+    judging_band,
+    mean_rank_text,
+)
 from gauge_envs.tools.site.experiment_page import experiment_page
 from gauge_envs.tools.site.model import (
     Site,
@@ -225,7 +229,7 @@ def _replay(site: Site, index: int, result: Result) -> dict[str, Any]:
         raise ReplayError("its result file is not known")
     replay = load_or_replay(result, file)
     experiment = replayed_experiment(result)
-    band = reference_band(experiment, use_withheld=result.score.withheld is not None)
+    band = judging_band(experiment, [result])
     return replay_data(
         experiment, replay, band, label=site.labels[index], color=site.line(index)[0]
     )
@@ -260,8 +264,7 @@ def engine_page(site: Site, name: str) -> str:
     for index in site.engines[name]:
         parts += [
             *_means(site, index),
-            *section(QUESTIONS["validation"], _scores(site, index, is_verified=False)),
-            *section(QUESTIONS["verification"], _scores(site, index, is_verified=True)),
+            *section("Scores", _scores(site, index)),
             *_settings(site, index),
             *_reasons(site, index),
         ]
@@ -281,23 +284,23 @@ def _means(site: Site, index: int) -> list[Html]:
     counts += f"{summary.not_run} did not run."
     heading = element("h2", site.swatch(index), site.labels[index])
     ranks = [
-        f"{grade.name}: {mean_rank_text(score.mean_rank)} of {len(grade.scores)}"
-        for grade in site.comparison.grades
-        for score in grade.scores
+        f"{kind.name}: {mean_rank_text(score.mean_rank)} of {len(kind.scores)}"
+        for kind in site.comparison.kinds
+        for score in kind.scores
         if score.configuration == index
         and score.mean_rank is not None
-        and len(grade.scores) > 1
+        and len(kind.scores) > 1
     ]
     places = [element("p", f"Mean rank: {'; '.join(ranks)}.")] if ranks else []
     physics = f" Physics: {one.physics}." if one.physics else ""
     return [heading, element("p", f"Versions: {versions}.{physics} {counts}"), *places]
 
 
-def _scores(site: Site, index: int, *, is_verified: bool) -> Table:
+def _scores(site: Site, index: int) -> Table:
     rows = []
     for one in site.comparison.experiments:
         cell = one.cells[index]
-        if cell is not None and one.is_verified is is_verified:
+        if cell is not None:
             result = first_result(cell)
             convergence = None
             if result is not None:
@@ -308,8 +311,8 @@ def _scores(site: Site, index: int, *, is_verified: bool) -> Table:
                 site.experiment_link(one, site.family(one)[0]),
                 score_cell(one, cell, one.primary),
             )
-            rows.append((name, one.grade_name, score, convergence or "-"))
-    return grid(("experiment", "grade", "score [95 %]", "discretization"), rows)
+            rows.append((name, one.kind, score, convergence or "-"))
+    return grid(("experiment", "reference", "score [95 %]", "discretization"), rows)
 
 
 def _settings(site: Site, index: int) -> list[Part]:

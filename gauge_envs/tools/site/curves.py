@@ -67,14 +67,10 @@ def _legend(site: Site, indices: Sequence[int], band: Band | None) -> Html:
     if band is not None:
         means = {
             Kind.RECORDING: "real: one recorded trial",
-            Kind.ANALYTIC: "law, not measured",
-            Kind.NUMERICAL: "solved model, not measured",
+            Kind.ANALYTIC: "closed form, not measured",
+            Kind.NUMERICAL: "numerical solution, not measured",
         }
         unit = "u of the solution" if band.kind.is_solution else "sigma"
-        areas = (
-            ("--band1", "swatch area", f"1 {unit}"),
-            ("--band2", "swatch area", f"2 {unit}"),
-        )
         mean = (
             "real mean"
             if band.trial_count is None
@@ -82,7 +78,8 @@ def _legend(site: Site, indices: Sequence[int], band: Band | None) -> Html:
         )
         for color, kind, text in (
             ("--real", "swatch", means.get(band.kind, mean)),
-            *(() if band.is_exact else areas),
+            ("--band1", "swatch area", f"1 {unit}"),
+            ("--band2", "swatch area", f"2 {unit}"),
         ):
             entries.append(
                 join(
@@ -120,15 +117,13 @@ def _band_panels(
         (site.line(i), site.labels[i], against.times_s, against.lengths(one))
         for i, one in deviations.items()
     ]
-    trials = against.trial_lengths(aligned=any(map(is_aligned, ran.values())))
-    note = ""
-    if against.has_spread:
-        reach, text = against.lengths(spread), against.spread_words[0]
-        if len(trials):
-            reach = np.sqrt(np.nanmean(np.square(trials), axis=0))
-            text = "root mean square of the real trials from the mean of the others"
-        curves.insert(0, (("var(--real)", True), text, against.times_s, reach))
-        note = f"Dashed in the first panel: {text}. "
+    distance = against.trial_distance(aligned=any(map(is_aligned, ran.values())))
+    reach, text = against.lengths(spread), against.spread_words[0]
+    if distance is not None:
+        reach = np.full(len(mean), distance)
+        text = "mean of the real trials from the mean of the others"
+    curves.insert(0, (("var(--real)", True), text, against.times_s, reach))
+    note = f"Dashed in the first panel: {text}. "
     panels = [
         CurvePanel(
             title=f"distance from {against.name} [{against.unit}]",

@@ -8,15 +8,14 @@ from gauge_envs.pages.document import Heading, Paragraph, Part, Tone
 from gauge_envs.pages.html import Html, element, join, listed
 from gauge_envs.pages.results import (
     SCORE_METRICS,
-    VERIFIED,
     discretization_text,
-    reality_lines,
 )
 from gauge_envs.pages.svg import ForestRow, forest
 from gauge_envs.pages.table import Table, grid
 from gauge_envs.pages.text import (
-    GRADE_NOTES,
-    QUESTIONS,
+    KIND_NOTES,
+    digits_text,
+    event_title,
     score_text,
     with_unit,
 )
@@ -25,8 +24,9 @@ from gauge_envs.references.convergence import convergence_rows
 from gauge_envs.references.kind import Kind
 from gauge_envs.references.published import PUBLISHED_ENGINES
 from gauge_envs.runs.result_file import recorded_experiment
-from gauge_envs.scoring.reference import reference_band
-from gauge_envs.tools.compare import ExperimentComparison
+from gauge_envs.scoring.estimates import Measured
+from gauge_envs.scoring.score import OVER_U
+from gauge_envs.tools.compare import ExperimentComparison, judging_band
 from gauge_envs.tools.site.curves import curves
 from gauge_envs.tools.site.model import (
     Parts,
@@ -63,12 +63,7 @@ def experiment_page(
     """Return the page of an experiment with its replay; the notes say why configurations have none."""
     results = first_results(one)
     experiment = _experiment(results)
-    withheld = any(result.score.withheld is not None for result in results.values())
-    band = (
-        None
-        if experiment is None
-        else reference_band(experiment, use_withheld=withheld)
-    )
+    band = None if experiment is None else judging_band(experiment, results.values())
     replays: Parts = [
         *([] if replay is None else [replay]),
         *(Paragraph(note, Tone.WARNING) for note in replay_notes),
@@ -79,10 +74,10 @@ def experiment_page(
         *_scores(site, one),
         *([Heading("3D replay"), *replays] if replays else []),
         *curves(site, one.unit, results, band),
-        *_causes(site, results),
+        *_words(site, results),
         *_distances(site, one),
         *section("Convergence", _convergence(site, results), CONVERGENCE_NOTE),
-        *section("Implied parameters", _implied(site, results)),
+        *section("Estimates", _estimates(site, results)),
         *section("Did not finish", _not_run(site, one)),
         Heading("How to reproduce"),
         *run_commands(site, one),
@@ -112,13 +107,9 @@ def _head(
         yield element(
             "p", element("b", "Tests: "), ", ".join(experiment.spec.evaluates), "."
         )
-    text = f"{GRADE_NOTES[Kind(one.grade)]}."
+    text = f"{KIND_NOTES[Kind(one.kind)]}."
     source = "" if band is None else f" {band.source.rstrip('.')}."
-    yield element("p", element("b", f"Reference, grade {one.grade}: "), text, source)
-    if band is not None and band.withheld is not None:
-        yield Paragraph(
-            f"This band is withheld by default: {band.withheld}.", Tone.WARNING
-        )
+    yield element("p", element("b", f"Reference, {one.kind}: "), text, source)
 
 
 def _forest(site: Site, one: ExperimentComparison) -> Parts:
@@ -138,8 +129,7 @@ def _forest(site: Site, one: ExperimentComparison) -> Parts:
         for index, cell, spread in found
         if spread is not None
     ]
-    # The distance from an exact solution has nothing that it is compared with on an axis.
-    if not rows or one.scale_unit not in ("1", "u"):
+    if not rows:
         return []
     rows.sort(key=lambda row: row.value)
     rows += [
@@ -153,15 +143,15 @@ def _forest(site: Site, one: ExperimentComparison) -> Parts:
         if value is not None
     ]
     title = SCORE_METRICS[one.primary].title
-    if one.is_verified:
-        figure = forest(f"{title} over u", rows, unity="u")
-    else:
-        figure = forest(f"{title} over that of real trials", rows, unity="real trials")
+    unity, over = (
+        ("u", "u") if one.is_solution else ("real trials", "that of real trials")
+    )
+    figure = forest(f"{title} over {over}", rows, unity=unity)
     ranks = [
-        join([site.links[two.configuration], f": {place_text(grade, two)}"])
-        for grade in site.comparison.compare_within([one])
-        for two in grade.ranked
-        if len(grade.scores) > 1
+        join([site.links[two.configuration], f": {place_text(kind, two)}"])
+        for kind in site.comparison.compare_within([one])
+        for two in kind.ranked
+        if len(kind.scores) > 1
     ]
     return [
         element(
@@ -171,27 +161,17 @@ def _forest(site: Site, one: ExperimentComparison) -> Parts:
 
 
 def _scores(site: Site, one: ExperimentComparison) -> Parts:
-    """Return the table of scores; of a scene with a solution, events stand apart, which are compared with real ones."""
-    names = one.metrics()
-    events = [name for name in names if SCORE_METRICS[name].is_event]
-    if not one.is_verified or not events:
-        return _score_section(site, one, names)
-    others = [name for name in names if name not in events]
-    return [*_score_section(site, one, others), *_score_section(site, one, events)]
-
-
-def _score_section(
-    site: Site, one: ExperimentComparison, names: Sequence[str]
-) -> Parts:
+    """Return the table of scores; RMSE and DTW from a solution have no scale, and its distance says it."""
+    names = [
+        name
+        for name in one.metrics()
+        if not one.is_solution or name == OVER_U or SCORE_METRICS[name].is_event
+    ]
     if not names:
         return []
-    is_verified = one.is_verified and VERIFIED.key in names
-    percentiles = [
-        None if cell is None else cell.percentile(one.primary) for cell in one.cells
-    ]
-    has_trials = any(percentile is not None for percentile in percentiles)
+    has_trials = any(cell and cell.percentile is not None for cell in one.cells)
     titles = ["", *(SCORE_METRICS[name].title for name in names)]
-    note = SOLUTION_NOTE if is_verified else SCORES_NOTE
+    note = SOLUTION_NOTE if OVER_U in names else SCORES_NOTE
     if has_trials:
         titles.append("real trials closer")
         note += " Real trials closer: share of the real trials that are closer to their mean."
@@ -203,8 +183,8 @@ def _score_section(
             *(score_cell(one, cell, name) for name in names),
         ]
         if has_trials:
-            percentile = percentiles[index]
-            row.append("-" if percentile is None else f"{percentile:.0f} %")
+            share = cell.percentile if cell else None
+            row.append("-" if share is None else f"{share:.0f} %")
         row.append(site.comparison.configurations[index].physics or "-")
         rows.append(row)
     for engine, title in PUBLISHED_ENGINES.items():
@@ -212,25 +192,19 @@ def _score_section(
         if any(value is not None for value in values):
             empty = [""] * (len(titles) - 1 - len(names))
             rows.append([f"{title}, paper", *map(score_text, values), *empty])
-    title = QUESTIONS["verification" if is_verified else "validation"]
-    return section(title, grid(titles, rows), note)
+    return section("Scores", grid(titles, rows), note)
 
 
-def _causes(site: Site, results: Results) -> Parts:
+def _words(site: Site, results: Results) -> Parts:
     lines = [
-        join([site.swatch(index), line])
+        join([site.swatch(index), f"{site.labels[index]}: {result.score.summary()}"])
         for index, result in results.items()
-        for line in reality_lines(
-            site.labels[index],
-            result.score,
-            is_another_scene=result.is_another_scene,
-        )
     ]
-    return [Heading("The distance in words"), listed(lines)] if lines else []
+    return [Heading("In words"), listed(lines)] if lines else []
 
 
 def _distances(site: Site, one: ExperimentComparison) -> Parts:
-    if one.grade != Kind.NONE.value:
+    if one.kind != Kind.NONE:
         return []
     rows = [
         (
@@ -260,25 +234,24 @@ def _convergence(site: Site, results: Results) -> Table:
     return grid(("engine", "half step, half cell"), rows)
 
 
-def _implied(site: Site, results: Results) -> Table:
-    rows: list[tuple[str, ...]] = []
-    for index, result in results.items():
-        for one in result.score.implied:
-            spread = (
-                ""
-                if one.real_uncertainty is None
-                else f" \u00b1 {one.real_uncertainty:.2g}"
-            )
-            real = (
-                "-"
-                if one.real is None
-                else with_unit(f"{one.real:.4g}{spread}", one.unit)
-            )
-            simulated = with_unit(f"{one.value:.4g}", one.unit)
-            rows.append(
-                (site.links[index], one.parameter.replace("_", " "), simulated, real)
-            )
-    return grid(("engine", "parameter", "simulated", "real"), rows)
+def _estimates(site: Site, results: Results) -> Table:
+    rows = [
+        (
+            site.links[index],
+            event_title(name),
+            with_unit(digits_text(one.value), one.unit),
+            "-" if one.real is None else with_unit(_real_text(one), one.unit),
+        )
+        for index, result in results.items()
+        for name, one in result.score.estimates.items()
+    ]
+    return grid(("engine", "quantity", "simulated", "real"), rows)
+
+
+def _real_text(one: Measured) -> str:
+    if one.real_uncertainty is None:
+        return digits_text(one.real)
+    return f"{digits_text(one.real)} \u00b1 {one.real_uncertainty:.2g}"
 
 
 def _not_run(site: Site, one: ExperimentComparison) -> Table:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from enum import StrEnum
 from functools import cached_property
 from pathlib import Path
 
@@ -14,10 +13,10 @@ from gauge_envs.experiments.experiment import TaskExperiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.pages.document import Heading, Paragraph, Part, Tone, page
 from gauge_envs.pages.html import Html, below, element, join, slug
-from gauge_envs.pages.results import VERIFIED
 from gauge_envs.pages.table import Table
 from gauge_envs.pages.text import score_text, with_unit
 from gauge_envs.runs.result import Outcome, Result
+from gauge_envs.scoring.score import OVER_U
 from gauge_envs.tools.compare import Cell, Comparison, ExperimentComparison
 
 COLOR_COUNT = 7
@@ -32,39 +31,22 @@ LOST = (Outcome.DIVERGED, Outcome.FAILED, Outcome.DECLINED)
 """Outcomes without a score."""
 
 
-class Standing(StrEnum):
-    """Standing of a score, by its interval, to that of real trials or to u; the value is a class of its cell."""
+SHARES = {"inside": ("near", "inside"), "outside": ("far", "wrong")}
+"""Classes of a cell and of a badge whose experiments all have a verdict; others are between."""
 
-    NEAR = "near"
-    """The whole interval is below 1."""
-    EVEN = "even"
-    """The interval holds 1."""
-    FAR = "far"
-    """The whole interval is above 1."""
-    SOLVED = "solved"
-    """The interval of the distance from a solution reaches 0."""
-    DIFFERS = "differs"
-    """The interval of the distance from a solution is above 0."""
 
-    @classmethod
-    def of(cls, interval: Sequence[float], *, is_verified: bool) -> Standing:
-        """Return how an interval lies to 1, the mean score of real trials, or to 0, the solution of the scene."""
-        low, high = interval
-        if is_verified:
-            return cls.DIFFERS if low > 0.0 else cls.SOLVED
-        return cls.NEAR if high < 1.0 else cls.FAR if low > 1.0 else cls.EVEN
-
-    @property
-    def badge(self) -> Html:
-        """A sign and words, so that the colour alone says nothing."""
-        kind, text = {
-            Standing.NEAR: ("inside", "\u25bc below 1"),
-            Standing.EVEN: ("visible", "\u2248 1 is in the interval"),
-            Standing.FAR: ("wrong", "\u25b2 above 1"),
-            Standing.SOLVED: ("inside", "reaches 0: no difference is seen"),
-            Standing.DIFFERS: ("wrong", "above 0: differs from the solution"),
-        }[self]
-        return element("span", text, class_=f"badge {kind}")
+def standing(cells: Iterable[Cell | None]) -> tuple[str, Html | None]:
+    """Return the class of a cell over experiments, and a badge with their verdicts; nothing without a verdict."""
+    words = [cell.verdict for cell in cells if cell is not None and cell.verdict]
+    known = [word for word in words if word != "no reference"]
+    if not known:
+        return "", None
+    text = known[0]
+    if len(known) > 1:
+        text = f"{known.count('inside')} of {len(known)} inside"
+    same = known[0] if len(set(known)) == 1 else ""
+    style, look = SHARES.get(same, ("even", "visible"))
+    return style, element("span", text, class_=f"badge {look}")
 
 
 def whisker_text(
@@ -240,22 +222,17 @@ def score_cell(one: ExperimentComparison, cell: Cell | None, metric: str) -> Htm
     spread, raw = (
         cell.spread(metric, normalized=normalized) for normalized in (True, False)
     )
-    interval = cell.interval_95(metric)
     parts: list[Html] = []
     if spread is not None:
-        unit = one.scale_unit if metric == VERIFIED.key else "1"
-        parts.append(whisker_text(spread.mean, interval, unit))
-        if interval is not None and metric == one.primary:
-            standing = Standing.of(interval, is_verified=one.is_verified)
-            parts.append(standing.badge)
+        unit = "u" if metric == OVER_U else "1"
+        parts.append(whisker_text(spread.mean, cell.interval_95(metric), unit))
     elif raw is not None:
-        parts.append(
-            element(
-                "span",
-                with_unit(score_text(raw.mean), one.unit_of(metric)),
-                class_="value",
-            )
-        )
+        parts.append(whisker_text(raw.mean, None, one.unit_of(metric)))
+    badge = standing([cell])[1] if metric == one.primary else None
+    if badge is not None:
+        parts.append(badge)
+    refused = {result.score.refused for result in cell.results} - {None}
+    parts += [element("span", str(reason), class_="quiet") for reason in refused]
     for outcome in LOST:
         if count := cell.count(outcome):
             text = (

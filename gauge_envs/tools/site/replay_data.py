@@ -216,7 +216,7 @@ def _ghost(experiment: Experiment, band: Band) -> dict[str, Any] | None:
         experiment.scene.body(name).shape if is_body else None for name in path.names
     ]
     return {
-        "grade": band.kind.value,
+        "kind": band.kind.value,
         "trials": band.trial_count,
         "full": path.is_full,
         "names": list(path.names),
@@ -236,9 +236,9 @@ def ghost_text(ghosts: Sequence[Mapping[str, Any]]) -> str:
     if not ghosts:
         return ""
     ghost = ghosts[0]
-    grade = Kind(ghost["grade"])
-    what = reference_words(grade, ghost["trials"])
-    what += ", no recorded motion" if not grade.is_real else ""
+    kind = Kind(ghost["kind"])
+    what = reference_words(kind, ghost["trials"])
+    what += ", no recorded motion" if not kind.is_real else ""
     kept = (
         ""
         if ghost["full"]

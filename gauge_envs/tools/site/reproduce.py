@@ -52,8 +52,6 @@ def run_command(results: Sequence[Result]) -> str | None:
         for key in ("drivers", "reference")
         if first.dataset.get(key) == DataSource.IMPORTED
     ]
-    if first.score.withheld is not None:
-        used.append("withheld")
     if used:
         words += ["--use", ",".join(used)]
     if first.asset and kind != AssetKind.EXPERIMENT:

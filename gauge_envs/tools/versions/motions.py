@@ -125,10 +125,10 @@ def _apart(one: Result, other: Result) -> tuple[FloatArray, FloatArray]:
 
 
 def _closer(found: Comparison, results: Sequence[Result], sides: Sequence[Side]) -> str:
-    """Return the title of the side whose rank is better in at least 95 % of the draws; empty without one."""
+    """Return the title of the side that is closer to the reference, if the scores are resolved; empty without one."""
     of_sides = [RunConfiguration.of(result) for result in results]
-    for grade in found.grades:
-        for experiment in grade.experiments:
+    for kind in found.kinds:
+        for experiment in kind.experiments:
             for index, rank in experiment.ranks.items():
                 if len(experiment.ranks) > 1 and rank.interval_95[1] == 1.0:
                     return sides[of_sides.index(found.configurations[index])].title

@@ -15,8 +15,6 @@ import numpy as np
 from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.variants import find_variant, variants
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.scoring.dependence import LEVEL
-from gauge_envs.scoring.numerics import share_interval, student_quantile
 from gauge_envs.tools.versions.environments import (
     NUMPY_2_SINCE,
     made_environment,
@@ -118,8 +116,11 @@ def _mean(values: FloatArray) -> Estimate:
     mean = float(values.mean())
     if len(values) < 2:
         return Estimate(value=mean)
+    # The import takes longer than the whole module.
+    from scipy.stats import t as student
+
     error = float(values.std(ddof=1)) / math.sqrt(len(values))
-    half = student_quantile(len(values) - 1, 0.5 * (1.0 + LEVEL)) * error
+    half = float(student.ppf(0.975, len(values) - 1)) * error
     return Estimate(value=mean, low=mean - half, high=mean + half)
 
 
@@ -127,8 +128,12 @@ def _success_share(values: FloatArray) -> Estimate | None:
     """Return the share of successes with the exact interval of Clopper and Pearson."""
     if np.isnan(values).any():
         return None
-    low, high = share_interval(float(values.sum()), len(values), LEVEL)
-    return Estimate(value=float(values.mean()), low=low, high=high)
+    from scipy.stats import binomtest
+
+    found = binomtest(int(values.sum()), len(values)).proportion_ci(method="exact")
+    return Estimate(
+        value=float(values.mean()), low=float(found.low), high=float(found.high)
+    )
 
 
 def _excludes_zero(change: Estimate | None) -> bool:

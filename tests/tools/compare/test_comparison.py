@@ -14,7 +14,7 @@ from gauge_envs.experiments.task_files import task_sha256, task_spec
 from gauge_envs.files import versions
 from gauge_envs.pages.document import Terminal, as_markdown, as_rows
 from gauge_envs.pages.figures import OURS
-from gauge_envs.pages.results import SCORE_METRICS, VERIFIED, configuration_labels
+from gauge_envs.pages.results import SCORE_METRICS, configuration_labels
 from gauge_envs.references.published import published_baselines
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
@@ -24,13 +24,13 @@ from gauge_envs.runs.result_file import (
     result_file_name,
     write_result,
 )
+from gauge_envs.scoring.estimates import Measured
 from gauge_envs.scoring.reference import reference_band
-from gauge_envs.scoring.score import Score, Validation, score_trajectory
+from gauge_envs.scoring.score import Score, score_trajectory
 from gauge_envs.tools.compare.comparison import compare
+from gauge_envs.tools.compare.difference import ScoreSpread
 from gauge_envs.tools.compare.distance import MOTION_SHARE
-from gauge_envs.tools.compare.draws import ScoreSpread
 from gauge_envs.tools.compare.experiment_figure import draw_experiment
-from gauge_envs.tools.compare.grades import compare_grade
 from gauge_envs.tools.compare.overview_figure import draw_overview
 from gauge_envs.tools.compare.words import (
     check_metrics,
@@ -44,15 +44,15 @@ SLIDER, PLASTIC, FOAM, CRADLE = (
     "SlopeSlider-3-wood",
     "NewtonsCradle-metal",
 )
-GRADES = {SLIDER: "trials", PLASTIC: "trials", FOAM: "none", CRADLE: "none"}
+KINDS = {SLIDER: "trials", PLASTIC: "trials", FOAM: "none", CRADLE: "none"}
 RATE_HZ = 180
 
-HOLD, DRIVEN, SOLVED = (
-    "SlopeSlider-1-wood",
+TURNED, DRIVEN, SOLVED = (
+    "Turntable-1-wood",
     "SlopeSlider-3-metal",
     "SlopeSlider-3-plastic",
 )
-"""Experiments of the grades law, recording and model."""
+"""Experiments of the kinds analytic, recording and numerical."""
 
 
 def recorded(motion, *, seconds=1.0):
@@ -88,9 +88,10 @@ def made(
     """A result as an engine would leave it; rmse is the normalized one."""
     family = name.split("-")[0]
     score = Score(
-        grade=GRADES[name],
+        kind=KINDS[name],
         unit="mm",
-        validation=None if GRADES[name] == "law" else Validation(rmse_normalized=rmse),
+        primary="rmse",
+        rmse_normalized=rmse,
         rmse=None if rmse is None else 18.0 * rmse,
     )
     values = {
@@ -149,9 +150,8 @@ def cells(results, metric="rmse"):
     """Texts of the row of a metric, a column a configuration."""
     comparison = compare(results)
     markdown = as_markdown(comparison_document(comparison, [metric]))
-    row = next(
-        line for line in markdown.splitlines() if line.startswith("| SlopeSlider")
-    )
+    title = f"| {SCORE_METRICS[metric].title} |"
+    row = next(line for line in markdown.splitlines() if title in line)
     return [cell.strip() for cell in row.strip("|").split("|")][4:-3]
 
 
@@ -283,13 +283,13 @@ def test_repeats_that_diverged_are_counted_and_leave_the_cell_unscored_in_the_su
     comparison = compare(results)
     (summary,) = comparison.summaries()
     assert (summary.ran, summary.scored, summary.diverged) == (1, 0, 1)
-    assert comparison.grades == ()
+    assert comparison.kinds == ()
 
 
 def test_a_raw_score_without_baseline_is_stated_in_its_unit():
-    assert cells([made(score=Score(grade="trials", unit="mm", rmse=12.5))]) == [
-        "12.50 mm"
-    ]
+    assert cells(
+        [made(score=Score(kind="trials", unit="mm", primary="rmse", rmse=12.5))]
+    ) == ["12.50 mm"]
 
 
 def test_a_declined_result_without_versions_joins_the_configuration_that_ran():
@@ -332,15 +332,15 @@ def test_nothing_to_compare():
     assert as_rows(comparison_document(compare([]))) == []
 
 
-# --- grades ---
+# --- kinds ---
 
 
 @pytest.fixture(scope="module")
 def real():
-    """Results of MuJoCo of every grade, by variant."""
+    """Results of MuJoCo of every kind, by variant."""
     return {
         name: replace(run_episode(RunRequest(name)), wall_s=1.0)
-        for name in (SLIDER, PLASTIC, HOLD, DRIVEN, SOLVED)
+        for name in (SLIDER, PLASTIC, TURNED, DRIVEN, SOLVED)
     }
 
 
@@ -355,7 +355,7 @@ def altered(result, scale, **changes):
     )
     experiment = recorded_experiment(result)
     times_s, values = moved.arrays(later=True)
-    band = reference_band(experiment, use_withheld=result.score.withheld is not None)
+    band = reference_band(experiment)
     score = score_trajectory(experiment, band, times_s=times_s, values=values)
     return replace(result, trajectory=moved, score=score, **changes)
 
@@ -371,37 +371,27 @@ def under_two_names(real, *names):
     return [one for name in names for one in (real[name], as_newton(real[name]))]
 
 
-def grade(comparison, name):
-    return next(one for one in comparison.grades if one.name == name)
+def kind(comparison, name):
+    return next(one for one in comparison.kinds if one.name == name)
 
 
-def test_each_grade_has_its_own_means_and_nothing_else_changes_them(real):
+def test_each_kind_has_its_own_means_and_nothing_else_changes_them(real):
     trials, others = (
         under_two_names(real, SLIDER, PLASTIC),
-        under_two_names(real, HOLD, DRIVEN, SOLVED),
+        under_two_names(real, TURNED, DRIVEN, SOLVED),
     )
     alone, together = compare(trials), compare([*others, *trials])
-    assert [one.name for one in together.grades] == [
-        "trials",
-        "recording",
-        "law",
-        "model",
-    ]
-    assert grade(alone, "trials") == grade(together, "trials")
-    ours = grade(together, "trials").scores[0]
-    aligned = [
-        real[name].score.validation.rmse_aligned_normalized
-        for name in (SLIDER, PLASTIC)
-    ]
+    names = ["trials", "recording", "analytic", "numerical"]
+    assert [one.name for one in together.kinds] == names
+    assert kind(alone, "trials") == kind(together, "trials")
+    ours = kind(together, "trials").scores[0]
+    aligned = [real[name].score.rmse_aligned_normalized for name in (SLIDER, PLASTIC)]
     assert ours.mean.value == pytest.approx(np.mean(aligned))
     assert ours.mean_rank.value == 1.5
-    assert grade(together, "law").scores[0].mean.value == pytest.approx(
-        real[HOLD].score.verification.distance
-    )
-    assert grade(together, "model").ids == (f"GAUGE/{SOLVED}",)
-    assert grade(together, "model").scores[0].mean.value == pytest.approx(
-        real[SOLVED].score.verification.scaled
-    )
+    for name, solved in (("analytic", TURNED), ("numerical", SOLVED)):
+        assert kind(together, name).ids == (f"GAUGE/{solved}",)
+        mean = kind(together, name).scores[0].mean
+        assert mean.value == pytest.approx(real[solved].score.over_uncertainty)
 
 
 def test_published_engines_stand_beside_raw_scores_of_trials_alone(real):
@@ -414,32 +404,19 @@ def test_published_engines_stand_beside_raw_scores_of_trials_alone(real):
         rows[f"GAUGE/{SLIDER}", "rmse"] == published_baselines(SLIDER)["rmse"].engines
     )
     assert rows[f"GAUGE/{SLIDER}", "rmse_aligned"] is None
-    assert {rows[f"GAUGE/{name}", "rmse"] for name in (HOLD, DRIVEN, SOLVED)} == {None}
+    assert {rows[f"GAUGE/{name}", "rmse"] for name in (TURNED, DRIVEN, SOLVED)} == {
+        None
+    }
 
 
 def test_published_constants_are_not_ranked_against_other_ones(real):
     changed = replace(real[SLIDER], parameters="effective")
     other = as_newton(altered(changed, 1.5))
-    found = compare([real[SLIDER], as_newton(real[SLIDER]), changed, other]).grades
+    found = compare([real[SLIDER], as_newton(real[SLIDER]), changed, other]).kinds
     assert [one.name for one in found] == ["trials", "trials, effective"]
     assert [len(one.scores) for one in found] == [2, 2]
     text = printed([real[SLIDER], as_newton(real[SLIDER]), changed, other])
     assert "trials, effective, 1 experiment" in text
-
-
-def test_a_withheld_band_is_a_group_of_its_own(real):
-    withheld = run_episode(RunRequest("SlopeContact-wood", use_withheld=True))
-    comparison = compare([real[DRIVEN], withheld])
-    names = {one.name: one.ids for one in comparison.grades}
-    # The withheld band has no trials, so an aligned score has nothing to be divided by.
-    assert names == {"recording": (f"GAUGE/{DRIVEN}",)}
-    (grade,) = compare_grade(
-        "recording",
-        withheld=True,
-        experiments=[compare([real[DRIVEN]]).experiments[0].graded()],
-        constants=["calibrated"],
-    )
-    assert grade.name == "recording, withheld"
 
 
 def test_only_experiments_that_all_have_scored_are_ranked(real):
@@ -450,14 +427,14 @@ def test_only_experiments_that_all_have_scored_are_ranked(real):
         as_newton(real[SLIDER]),
         as_newton(real[PLASTIC]),
     ]
-    one = grade(compare([*both, third]), "trials")
+    one = kind(compare([*both, third]), "trials")
     assert one.ids == (f"GAUGE/{SLIDER}",)
 
 
 def test_identical_trajectories_tie(real):
     comparison = compare(under_two_names(real, *real))
-    assert len(comparison.grades) == 4
-    for one in comparison.grades:
+    assert len(comparison.kinds) == 4
+    for one in comparison.kinds:
         for experiment in one.experiments:
             ranks = [rank.value for rank in experiment.ranks.values()]
             assert ranks == [1.5, 1.5]
@@ -466,60 +443,55 @@ def test_identical_trajectories_tie(real):
 def test_a_large_difference_ranks(real):
     wrong = {name: as_newton(altered(real[name], 1.5)) for name in (SLIDER, PLASTIC)}
     comparison = compare([*wrong.values(), real[SLIDER], real[PLASTIC]])
-    trials = grade(comparison, "trials")
+    trials = kind(comparison, "trials")
     assert [score.mean_rank.interval_95 for score in trials.scores] == [(1, 1), (2, 2)]
 
 
-def test_repeats_are_paired_by_seed_and_averaged_in_each_draw(real):
+def test_repeats_are_paired_by_seed_and_averaged(real):
     scales = {1: 0.9, 2: 1.0, 3: 1.1}
     ours = [altered(real[SLIDER], scale, seed=seed) for seed, scale in scales.items()]
     theirs = [as_newton(result) for result in ours[1:]]
-    ranks = [one.mean_rank for one in grade(compare([*ours, *theirs]), "trials").scores]
+    ranks = [one.mean_rank for one in kind(compare([*ours, *theirs]), "trials").scores]
     assert [(one.value, one.interval_95) for one in ranks] == [(1.5, (1, 2))] * 2
-    (score, *_) = grade(compare(ours), "trials").scores
+    (score, *_) = kind(compare(ours), "trials").scores
     mean = np.mean([result.score.primary_normalized for result in ours])
     assert score.mean.value == pytest.approx(mean)
     # Over one experiment, a mean has the interval of the cell that shows the same score.
     (one,) = compare(ours).experiments
     assert score.mean.interval_95 == one.cells[0].interval_95(one.primary)
     # Repeats that differ widen the interval: their scatter is part of the uncertainty of the mean.
-    (alone, *_) = grade(compare(ours[1:2]), "trials").scores
+    (alone, *_) = kind(compare(ours[1:2]), "trials").scores
     widths = [
         one.mean.interval_95[1] - one.mean.interval_95[0] for one in (score, alone)
     ]
     assert widths[0] > widths[1]
 
 
-def test_draws_of_two_configurations_are_paired_and_those_of_two_experiments_are_not(
-    real,
-):
-    comparison = compare(under_two_names(real, SLIDER, PLASTIC))
-    drawn = [
-        [cell.draws.draws[0] for cell in one.cells] for one in comparison.experiments
-    ]
-    assert np.corrcoef(*drawn[0])[0, 1] > 0.99
-    assert abs(np.corrcoef(drawn[0][0], drawn[1][0])[0, 1]) < 0.06
-
-
-def test_a_score_of_another_reference_is_not_ranked(real):
+def test_a_score_that_is_not_of_its_trajectory_is_not_ranked(real):
     score = real[SLIDER].score
-    wrong = replace(score.validation, rmse_normalized=0.3)
-    stale = replace(real[SLIDER], score=replace(score, validation=wrong))
+    stale = replace(real[SLIDER], score=replace(score, rmse_aligned_normalized=0.3))
     comparison = compare([stale, as_newton(real[SLIDER])])
-    assert len(grade(comparison, "trials").scores) == 1
-    assert any(
-        "its score was made against another reference" in note
-        for note in comparison.notes
-    )
+    assert len(kind(comparison, "trials").scores) == 1
+    assert any("another reference or motion" in note for note in comparison.notes)
+
+
+def test_a_refused_score_is_its_sentence_and_has_no_rank(real):
+    moon = {"scene.gravity_m_per_s2": 1.62}
+    sentence = "no score: the trials reference is of the real scene, and this one differs: gravity"
+    refused = Score(kind="trials", unit="mm", refused=sentence)
+    other = replace(real[SLIDER], parameters=moon, score=refused)
+    comparison = compare([real[SLIDER], other])
+    assert f"{SLIDER}: {sentence}" in comparison.notes
+    assert [len(one.scores) for one in comparison.kinds] == [1]
+    row = comparison_rows(comparison, ["rmse"])[0]["configurations"]
+    assert [one["reasons"] for one in row] == [[None], [sentence]]
+    assert [one["verdicts"] for one in row] == [["outside"], ["no reference"]]
 
 
 def test_a_trajectory_that_does_not_fit_the_experiment_is_not_ranked():
     comparison = compare([made(rmse=0.5, seconds=0.1)])
-    assert comparison.grades == ()
-    assert any(
-        "cannot be scored again" in note and "no sample at frame" in note
-        for note in comparison.notes
-    )
+    assert comparison.kinds == ()
+    assert any("another reference or motion" in note for note in comparison.notes)
 
 
 def test_results_of_two_references_are_not_averaged(real):
@@ -529,29 +501,25 @@ def test_results_of_two_references_are_not_averaged(real):
     comparison = compare(
         [
             real[SLIDER],
-            replace(imported, score=replace(imported.score, grade="recording")),
+            replace(imported, score=replace(imported.score, kind="recording")),
         ]
     )
-    assert comparison.grades == ()
-    assert any("references of grade" in note for note in comparison.notes)
+    assert comparison.kinds == ()
+    assert any("references of kind" in note for note in comparison.notes)
 
 
-@pytest.mark.parametrize(
-    "metric",
-    [
-        name
-        for name, one in SCORE_METRICS.items()
-        if one.is_normalized and one is not VERIFIED
-    ],
-)
-def test_each_normalized_metric_has_an_interval(metric):
-    values = {f"{metric}_normalized": 0.5, f"{metric}_normalized_95": (0.25, 1.5)}
-    if not SCORE_METRICS[metric].is_event:
-        values = {"validation": Validation(**values)}
+def test_the_primary_metric_has_its_interval_and_an_event_has_its_ratio():
     score = Score(
-        grade="none", unit="mm", **values | {SCORE_METRICS[metric].score_field: 9.0}
+        kind="trials",
+        unit="mm",
+        primary="rmse",
+        rmse=9.0,
+        rmse_95=(4.5, 27.0),
+        rmse_normalized=0.5,
+        events={"mte": Measured(value=0.4, unit="1", real=0.8)},
     )
-    assert cells([made(score=score)], metric) == ["0.50 [0.25, 1.50]"]
+    assert cells([made(score=score)]) == ["0.50 [0.25, 1.50]"]
+    assert cells([made(score=score)], "mte") == ["0.50"]
 
 
 # --- distances ---
@@ -666,7 +634,10 @@ def test_repeats_are_lines_of_one_colour_and_configurations_keep_theirs():
 
 def test_engines_without_a_reference_get_a_panel_of_their_distance():
     # A cube of another friction is not the one that was solved.
-    other = {"parameters": {"cube.friction": 0.2}}
+    other = {
+        "parameters": {"cube.friction": 0.2},
+        "score": Score(kind="numerical", unit="mm", refused="no score: it differs"),
+    }
     figure = draw_experiment(
         [made(FOAM, **other), made(FOAM, backend="newton", motion=along(60.0), **other)]
     )
@@ -710,30 +681,28 @@ def test_overview_has_every_score_where_it_belongs():
 
 
 def test_overview_shows_intervals_and_published_engines_beside_raw_trials_alone(real):
-    figure = draw_overview(compare([real[SLIDER], real[HOLD]]))
+    figure = draw_overview(compare([real[SLIDER], real[TURNED]]))
     primary, raw, solved = figure.axes
     score = real[SLIDER].score
-    assert score.validation.rmse_aligned_normalized in places_of(primary)
-    # The distance from an exact solution has an axis of its own, in its unit, and no line at 1.
-    assert places_of(solved) == {real[HOLD].score.verification.distance}
-    assert "[mm]" in solved.get_xlabel()
-    assert score.validation.rmse_normalized in places_of(raw)
+    assert score.rmse_aligned_normalized in places_of(primary)
+    # The distance from a solution has an axis of its own, over u.
+    assert real[TURNED].score.over_uncertainty in places_of(solved)
+    assert "over u" in solved.get_xlabel()
+    assert score.rmse_normalized in places_of(raw)
     published = {
         name: set(published_baselines(name)["rmse"].engines.values())
-        for name in (SLIDER, HOLD)
+        for name in (SLIDER, TURNED)
     }
     assert published[SLIDER] <= places_of(raw)
     assert not published[SLIDER] & places_of(primary)
-    assert not published[HOLD] & places_of(raw)
+    assert not published[TURNED] & places_of(raw)
     bars = [
         tuple(path.vertices[:, 0])
         for bar in primary.collections
         for path in bar.get_paths()
     ]
     assert any(
-        bar == pytest.approx(score.validation.rmse_aligned_normalized_95)
-        for bar in bars
-        if len(bar) == 2
+        bar == pytest.approx(score.primary_interval) for bar in bars if len(bar) == 2
     )
 
 
@@ -746,7 +715,12 @@ def write(folder, *results):
 
 
 LOSS = Score(
-    grade="none", unit="mm", lsd_s=0.19, lsd_normalized=0.5, mte=0.2, mte_normalized=0.2
+    kind="none",
+    unit="mm",
+    events={
+        "lsd": Measured(value=0.19, unit="s", real=0.38),
+        "mte": Measured(value=0.2, unit="1", real=1.0),
+    },
 )
 MADE = (
     made(rmse=0.41),
@@ -771,8 +745,8 @@ def test_the_output_is_the_approved_one(gauge, approved, tmp_path):
 
 def test_ranks_are_the_approved_ones(gauge, approved, tmp_path, real):
     wrong = as_newton(altered(real[SLIDER], 1.5))
-    write(tmp_path, real[SLIDER], real[PLASTIC], real[HOLD], wrong)
-    write(tmp_path, as_newton(real[PLASTIC]), as_newton(real[HOLD]))
+    write(tmp_path, real[SLIDER], real[PLASTIC], real[TURNED], wrong)
+    write(tmp_path, as_newton(real[PLASTIC]), as_newton(real[TURNED]))
     result = gauge("compare", ".", "--json", "--metric=rmse")
     approved("compare/real-json", approval.readable(result))
 

@@ -1,146 +1,159 @@
-"""Ranks by paired bootstrap and intervals of means over repeats, against closed forms."""
+"""Differences of two configurations and their ranks, against closed forms and simulated worlds."""
 
 import numpy as np
 import pytest
-from gauge_envs.scoring.uncertainty import band_errors
-from scipy.stats import t as student
 
-from gauge_envs.references.band import bundled_band
-from gauge_envs.tools.compare.draws import (
-    ScoreDraws,
-    paired_scores,
+from gauge_envs.references.band import Band
+from gauge_envs.references.kind import Kind
+from gauge_envs.tools.compare.difference import (
+    Deviations,
+    difference_interval,
     repeats_interval,
 )
-from gauge_envs.tools.compare.grades import (
+from gauge_envs.tools.compare.ranks import (
     NEGLIGIBLE,
-    GradedExperiment,
-    compare_grade,
+    ScoredExperiment,
+    compare_kind,
 )
 
-
-def scored(*scores, name="exact", scatter=0.0):
-    """Scores with independent errors of a standard deviation, by default none."""
-    random = np.random.default_rng([7, *name.encode()])
-    draws = []
-    for score in scores:
-        drawn = score + scatter * random.standard_normal((1, 4000))
-        value = np.array([score])
-        draws.append(ScoreDraws((0,), value, value, drawn, np.zeros((1, 0))))
-    return GradedExperiment(id=name, draws=tuple(draws))
+FRAMES = 40
+WORLDS = 1000
 
 
-def graded(*experiments, constants=None):
-    """Comparisons over experiments of one grade."""
-    count = len(experiments[0].draws)
-    return compare_grade(
-        "trials",
-        withheld=False,
-        experiments=experiments,
-        constants=constants or ["calibrated"] * count,
+def band_of(mean, *, kind=Kind.TRIALS, trials=None, u=None):
+    """A reference with three coordinates."""
+    return Band(
+        kind=kind,
+        unit="mm",
+        coordinates=("x", "y", "z"),
+        projection=np.eye(3),
+        mean=mean,
+        sigma=np.ones_like(mean),
+        measured=np.ones(len(mean), dtype=bool),
+        source="a simulated world",
+        trials=trials,
+        trial_count=None if trials is None else len(trials),
+        stated_uncertainty=u,
     )
 
 
-# --- ranks -----------------------------------------------------------------------------------------------------------
+def deviations(band, *motions, seeds=None):
+    apart = [one - band.mean for one in motions]
+    return Deviations.of(band, apart, seeds or range(len(apart)), scale=1.0)
 
 
-def test_ranks_of_exact_scores_are_those_of_the_scores():
-    (grade,) = graded(scored(3.0, 1.0, 1.0, 2.0))
-    (one,) = grade.experiments
+def scored(*scores, name="exact", u=0.0):
+    """Configurations off by these distances along one axis, against a reference with a standard uncertainty."""
+    band = band_of(np.zeros((FRAMES, 3)), kind=Kind.ANALYTIC, u=u)
+    found = [
+        None if score is None else deviations(band, np.full((FRAMES, 3), [score, 0, 0]))
+        for score in scores
+    ]
+    nothing = (None,) * len(found)
+    return ScoredExperiment(id=name, deviations=tuple(found), intervals=nothing)
+
+
+def compared(*experiments, constants=None):
+    count = len(experiments[0].deviations)
+    return compare_kind("analytic", experiments, constants or ["calibrated"] * count)
+
+
+def test_ranks_are_those_of_scores_whose_differences_are_resolved():
+    (kind,) = compared(scored(3.0, 1.0, 1.0 + 0.9 * NEGLIGIBLE, 2.0))
+    (one,) = kind.experiments
     assert [one.ranks[index].value for index in range(4)] == [4.0, 1.5, 1.5, 3.0]
-    assert [one.ranks[index].interval_95 for index in range(4)] == [
-        (4, 4),
-        (1, 2),
-        (1, 2),
-        (3, 3),
-    ]
+    ends = [one.ranks[index].interval_95 for index in range(4)]
+    assert ends == [(4, 4), (1, 2), (1, 2), (3, 3)]
+    # Whether 1 or 2 is closer hangs on whether the error exceeds 1.5 u, which has a chance of 7 %.
+    (kind,) = compared(scored(1.0, 2.0, 6.0, u=1.0))
+    ends = [kind.experiments[0].ranks[index].interval_95 for index in range(3)]
+    assert ends == [(1, 2), (1, 2), (3, 3)]
 
 
-def test_a_difference_that_no_table_shows_is_a_tie():
-    (grade,) = graded(scored(2.0, 2.0 + 0.9 * NEGLIGIBLE, 2.0 + 1.2 * NEGLIGIBLE))
-    (one,) = grade.experiments
-    assert [one.ranks[index].interval_95 for index in range(3)] == [
-        (1, 2),
-        (1, 3),
-        (2, 3),
-    ]
-
-
-def test_a_rank_is_one_and_the_chances_that_others_are_closer():
-    experiment = scored(1.0, 1.1, 1.2, scatter=0.1)
-    (grade,) = graded(experiment)
-    drawn = [one.draws[0] for one in experiment.draws]
-    for index, score in enumerate(grade.scores):
-        chances = 0.0
-        for other in range(3):
-            if other != index:
-                apart = drawn[index] - drawn[other]
-                ties = np.mean(np.abs(apart) <= NEGLIGIBLE)
-                chances += np.mean(apart > NEGLIGIBLE) + 0.5 * ties
-        assert score.mean_rank.value == pytest.approx(1.0 + chances)
-        low, high = score.mean_rank.interval_95
-        assert 1.0 <= low <= high <= 3.0
-
-
-def test_a_common_error_of_the_reference_does_not_change_a_rank():
-    error = 0.3 * np.random.default_rng(5).standard_normal((1, 4000))
-    draws = []
-    for score in (1.0, 1.1):
-        value = np.array([score])
-        draws.append(ScoreDraws((0,), value, value, value + error, np.zeros((1, 0))))
-    (grade,) = graded(GradedExperiment(id="slide", draws=tuple(draws)))
-    assert [one.mean_rank.interval_95 for one in grade.scores] == [(1, 1), (2, 2)]
-
-
-def test_one_experiment_with_scores_fifty_times_larger_does_not_decide():
-    """The first is closer in three of four; by the mean score, the second would be closer by far."""
-    usual = [scored(1.0, 2.0, name=name, scatter=0.05) for name in ("a", "b", "c")]
-    (grade,) = graded(*usual, scored(100.0, 50.0, name="d", scatter=0.05))
-    first, second = grade.scores
+def test_constants_and_experiments_that_one_did_not_score_are_apart():
+    usual = [scored(1.0, 2.0, name=name) for name in ("a", "b", "c")]
+    (kind,) = compared(*usual, scored(100.0, 50.0, name="d"), scored(9.0, None))
+    first, second = kind.scores
+    # One experiment with scores fifty times larger does not decide, and one that lacks a score does not count.
+    assert kind.ids == ("a", "b", "c", "d")
     assert first.mean.value > second.mean.value
-    assert [one.configuration for one in grade.ranked] == [0, 1]
+    assert [one.configuration for one in kind.ranked] == [0, 1]
     assert first.mean_rank.value == pytest.approx(1.25)
-
-
-def test_other_constants_are_ranked_apart():
     constants = ("calibrated", "effective", "calibrated", "effective")
-    experiment = scored(2.0, 0.2, 1.0, 0.1)
-    found = graded(experiment, constants=constants)
-    assert [one.name for one in found] == ["trials", "trials, effective"]
+    found = compared(scored(2.0, 0.2, 1.0, 0.1), constants=constants)
+    assert [one.name for one in found] == ["analytic", "analytic, effective"]
     ranks = [
-        {one.configuration: one.mean_rank.value for one in grade.scores}
-        for grade in found
+        {one.configuration: one.mean_rank.value for one in kind.scores}
+        for kind in found
     ]
     assert ranks == [{0: 2.0, 2: 1.0}, {1: 2.0, 3: 1.0}]
 
 
-def test_an_experiment_that_one_did_not_score_counts_for_no_mean_rank():
-    partial = scored(1.0, 2.0, name="partial")
-    partial = GradedExperiment(id="partial", draws=(partial.draws[0], None))
-    (grade,) = graded(scored(2.0, 1.0, name="whole"), partial)
-    assert grade.ids == ("whole",)
-    assert [one.mean_rank.value for one in grade.scores] == [2.0, 1.0]
-    assert [one.id for one in grade.experiments] == ["whole", "partial"]
+@pytest.mark.parametrize("count", [5, 10, 20])
+@pytest.mark.parametrize(("correlation", "least"), [(0.0, 0.92), (0.3, 0.87)])
+@pytest.mark.parametrize("second", ["close", "far", "slow"])
+def test_the_interval_of_a_difference_covers_the_true_one(
+    count, correlation, least, second
+):
+    """Two fixed simulations of a fall; trials scatter in their release and sideways, consecutive ones alike or not."""
+    random = np.random.default_rng([count, int(10 * correlation), len(second)])
+    times_s = np.arange(FRAMES)[:, None] / 30
+    fall_mm = -4905.0 * np.square(times_s) * [0.0, 0.3, 1.0]
+    velocity_mm_per_s = np.gradient(fall_mm, times_s[:, 0], axis=0)
+    side = np.broadcast_to([1.0, 0.0, 0.0], fall_mm.shape)
+    modes = np.array([0.004 * velocity_mm_per_s, 5.0 * side])
+    motions = fall_mm + 8.0 * side, fall_mm + {
+        "close": 8.3 * side,
+        "far": 30.0 * side - 0.02 * fall_mm,
+        "slow": 0.004 * fall_mm,
+    }[second]  # fmt: skip
+    true = [np.square(one - fall_mm).sum() / FRAMES for one in motions]
+    held = 0
+    for _ in range(WORLDS):
+        weights = random.standard_normal((count, 2))
+        for place in range(1, count):
+            weights[place] *= np.sqrt(1.0 - correlation**2)
+            weights[place] += correlation * weights[place - 1]
+        trials = fall_mm + np.einsum("nk,ktc->ntc", weights, modes)
+        band = band_of(trials.mean(axis=0), trials=trials)
+        one, other = (deviations(band, motion) for motion in motions)
+        sum_mm = one.scores[0] + other.scores[0]
+        low, high = difference_interval(one, other)
+        held += low <= (true[0] - true[1]) / sum_mm <= high
+    # Trials that are like the one before cover less, as in the interval of a single score.
+    assert least <= held / WORLDS <= 0.98
 
 
-# --- draws -----------------------------------------------------------------------------------------------------------
+def test_engines_as_far_from_a_solution_are_rarely_told_apart():
+    """The error of the solution has the size u and any direction; an engine that is 8 u off is told from none."""
+    random = np.random.default_rng(5)
+    apart, found = 0, 0
+    for _ in range(300):
+        basis = np.linalg.qr(random.standard_normal((3 * FRAMES, 4)))[0]
+        basis = np.sqrt(FRAMES) * basis.T.reshape(-1, FRAMES, 3)
+        error = random.standard_normal() * basis[0]
+        band = band_of(error, kind=Kind.NUMERICAL, u=1.0)
+        one, two, solved = (
+            deviations(band, motion)
+            for motion in (8.0 * basis[0], 8.0 * basis[1], 0.0 * basis[0])
+        )
+        low, high = difference_interval(one, two)
+        apart += low > 0.0 or high < 0.0
+        found += difference_interval(one, solved)[0] > 0.0
+    assert apart / 300 <= 0.05 + 3.0 * np.sqrt(0.05 * 0.95 / 300)
+    assert found / 300 > 0.9
 
 
-def test_the_chance_that_one_is_closer_is_that_of_students_test():
-    """The difference of two squared distances is linear in the mean, so its test is exact for normal trials."""
-    band = bundled_band("SlopeSlider-2-wood")
-    errors = band_errors(band, None)
-    known = np.isfinite(band.mean).all(axis=1)
-    trials = band.trials[:, known]
-    shift = 0.05 * (band.trials[3] - band.trials[0])
-    first, second = band.mean + 8.0 + shift, band.mean - 8.0
-    nearer = np.mean(errors.draws(first - band.mean) < errors.draws(second - band.mean))
-    single = np.square(first[known] - trials).sum(axis=(1, 2))
-    single -= np.square(second[known] - trials).sum(axis=(1, 2))
-    count = len(trials)
-    expected = student.cdf(
-        -single.mean() / (single.std(ddof=1) / np.sqrt(count)), count - 1
-    )
-    assert nearer == pytest.approx(expected, abs=0.05)
+def test_repeats_are_paired_by_seed_and_their_scatter_counts():
+    band = band_of(np.zeros((FRAMES, 3)), kind=Kind.ANALYTIC, u=0.0)
+    axis = np.full((FRAMES, 3), [1.0, 0.0, 0.0])
+    ours = deviations(band, 1.0 * axis, 2.0 * axis, 3.0 * axis, seeds=[1, 2, 3])
+    theirs = deviations(band, 2.5 * axis, 3.5 * axis, seeds=[2, 3])
+    assert difference_interval(ours, theirs) == pytest.approx((-0.5, -0.5))
+    others = deviations(band, 2.5 * axis, 3.5 * axis, seeds=[8, 9])
+    low, high = difference_interval(ours, others)
+    assert (low + high) / 2 == pytest.approx(-1.0)
+    assert high - low > 5.0
 
 
 def test_the_interval_of_a_mean_over_repeats_holds_the_true_mean():
@@ -148,11 +161,8 @@ def test_the_interval_of_a_mean_over_repeats_holds_the_true_mean():
     for count, shared, own in [(4, 0.1, 0.1), (3, 0.02, 0.2), (8, 0.2, 0.05)]:
         held = 0
         for _ in range(1000):
-            scores = (
-                2.0
-                + shared * random.standard_normal()
-                + own * random.standard_normal(count)
-            )
+            scores = 2.0 + shared * random.standard_normal()
+            scores = scores + own * random.standard_normal(count)
             low, high = repeats_interval(
                 [*scores],
                 [(one - 1.96 * shared, one + 1.96 * shared) for one in scores],
@@ -162,78 +172,3 @@ def test_the_interval_of_a_mean_over_repeats_holds_the_true_mean():
         assert 0.93 <= held / 1000 <= 0.985
     assert repeats_interval([1.0], [(0.5, 2.5)]) == pytest.approx((0.5, 2.5))
     assert repeats_interval([0.1, 0.3], [(0.0, 0.2), (0.2, 0.4)])[0] == 0.0
-
-
-def test_many_repeats_scatter_as_their_mean_does():
-    """500 repeats of which 20 are drawn: an error of the reference of 0.2, and a scatter of 3 over the root of 500."""
-    random = np.random.default_rng(7)
-    values = 5.0 + 3.0 * random.standard_normal(500)
-    error = 0.2 * random.standard_normal(4000)
-    none = np.zeros((20, 0))
-
-    def scores(values):
-        drawn = values[:20, None] + error
-        return ScoreDraws(tuple(range(500)), values, values, drawn, none)
-
-    mean, draws = scores(values).mean()
-    assert mean == pytest.approx(values.mean())
-    assert draws.mean() == pytest.approx(mean, abs=0.02)
-    expected = np.hypot(0.2, values.std(ddof=1) / np.sqrt(500))
-    assert draws.std() == pytest.approx(expected, rel=0.04)
-    # The same starts and the same reference: neither scatters in a difference.
-    (_, first), (_, second) = paired_scores(scores(values), scores(values + 0.1))
-    assert second - first == pytest.approx(0.1, abs=1e-9)
-
-
-# --- distances from a solution ---------------------------------------------------------------------------------------
-
-
-def of_solution(motions, error):
-    """Return engines that are observed against a solution with an error, in units of u, shape [entry_count] each."""
-    draws = []
-    for motion in motions:
-        deviation = (motion - error)[None]
-        distance = np.linalg.norm(deviation, axis=1)
-        errors = np.random.default_rng(3).standard_normal(4000)
-        drawn = np.maximum(distance[:, None] + errors, 0.0)
-        draws.append(
-            ScoreDraws(
-                (0,), distance, distance, drawn, np.zeros((1, 0)), deviation, errors
-            )
-        )
-    return GradedExperiment(id="solved", draws=tuple(draws), scale_unit="u")
-
-
-def first_is_closer(motions, error):
-    """Whether the rank of the first engine is 1 in 95 % of the draws."""
-    (grade,) = graded(of_solution(motions, error))
-    return grade.scores[0].mean_rank.interval_95 == (1.0, 1.0)
-
-
-@pytest.mark.parametrize("directions", [1, 30])
-@pytest.mark.parametrize("size_in_u", [1.0, 8.0])
-def test_engines_that_are_as_far_from_the_solution_rarely_rank_apart(
-    directions, size_in_u
-):
-    """The error has the size u and any number of directions; two engines are off by as much in two of them."""
-    random = np.random.default_rng([directions, int(size_in_u)])
-    worlds, apart = 200, 0
-    for _ in range(worlds):
-        basis = np.linalg.qr(random.standard_normal((40, max(directions, 2))))[0]
-        error = basis[:, :directions] @ random.standard_normal(directions)
-        error /= np.sqrt(directions)
-        motions = size_in_u * basis[:, 0], size_in_u * basis[:, 1]
-        apart += first_is_closer(motions, error)
-    # By chance the first is closer in 2.5 %.
-    assert apart / worlds <= 0.025 + 3.0 * np.sqrt(0.025 * 0.975 / worlds)
-
-
-def test_an_engine_that_solves_the_scene_ranks_before_one_that_is_off_by_6_u():
-    random = np.random.default_rng(5)
-    basis = np.linalg.qr(random.standard_normal((40, 2)))[0]
-    found = []
-    for _ in range(100):
-        error = basis @ random.standard_normal(2) / np.sqrt(2.0)
-        found.append(first_is_closer((np.zeros(40), 6.0 * basis[:, 0]), error))
-    # 6 u are told apart where the error along the difference is below 3 u - 1.96 u: its standard deviation is 0.71 u.
-    assert np.mean(found) > 0.85
