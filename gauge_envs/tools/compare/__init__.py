@@ -17,7 +17,6 @@ if TYPE_CHECKING:
         KindScore as KindScore,
     )
     from gauge_envs.tools.compare.tables import (
-        deciding_text as deciding_text,
         mean_rank_text as mean_rank_text,
     )
     from gauge_envs.tools.compare.words import short_tables as short_tables

@@ -8,13 +8,17 @@ from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
 from gauge_envs.pages.figures import ENGINES, REAL, tidy_axis
-from gauge_envs.pages.results import ALIGNED, SCORE_METRICS, VERIFIED
+from gauge_envs.pages.results import (
+    ALIGNED,
+    SCORE_METRICS,
+    VERIFIED,
+    score_text_of,
+)
 from gauge_envs.pages.text import (
     QUESTIONS,
     interval_text,
     score_text,
     short_id,
-    with_unit,
 )
 from gauge_envs.references.published import PUBLISHED_ENGINES, published_baselines
 from gauge_envs.scoring.score import COVERAGE_FACTOR
@@ -74,15 +78,8 @@ def bar_groups(name: str, series: Sequence[Series]) -> dict[str, dict[str, list[
         ):
             value = line.engines[engine]
             text = "not published" if value is None else score_text(value)
-            bars.append(
-                Bar(
-                    f"{title}, paper",
-                    color,
-                    text,
-                    value or 0.0,
-                    (value or 0.0, value or 0.0),
-                )
-            )
+            place = value or 0.0
+            bars.append(Bar(f"{title}, paper", color, text, place, (place, place)))
         groups[SCORE_METRICS[metric].title] = bars
     scales: dict[str, dict[str, list[Bar]]] = {}
     if is_solved:
@@ -92,37 +89,18 @@ def bar_groups(name: str, series: Sequence[Series]) -> dict[str, dict[str, list[
 
 def _own_bar(one: Series, metric: str) -> Bar:
     cell = Cell(results=one.results)
-    spread, raw = (
-        cell.spread(metric, normalized=normalized) for normalized in (True, False)
-    )
+    spread = cell.spread(metric, normalized=True)
     if spread is None:
-        text = (
-            "diverged"
-            if any(result.diverged for result in one.results)
-            else one.first.score.verdict
-        )
-        if raw is not None:
-            unit = SCORE_METRICS[metric].unit_of(one.results[0].score.unit)
-            text = f"{with_unit(score_text(raw.mean), unit)}, not normalized"
+        is_diverged = any(result.diverged for result in one.results)
+        text = "diverged" if is_diverged else score_text_of(one.first.score, metric)
         return Bar(one.label, one.color, text)
-    interval = cell.interval_95(metric) if len(one.results) == 1 else None
-    if interval is not None:
-        return Bar(
-            one.label,
-            one.color,
-            interval_text(spread.mean, interval),
-            spread.mean,
-            interval,
-        )
-    reach = spread.std or 0.0
-    text = score_text(spread.mean) + (f" +- {score_text(reach)}" if reach else "")
-    return Bar(
-        one.label,
-        one.color,
-        text,
-        spread.mean,
-        (spread.mean - reach, spread.mean + reach),
-    )
+    reach, text = spread.std or 0.0, score_text(spread.mean)
+    ends = (spread.mean - reach, spread.mean + reach)
+    if reach:
+        text += f" +- {score_text(reach)}"
+    elif (interval := cell.interval_95(metric)) is not None:
+        ends, text = interval, interval_text(spread.mean, interval)
+    return Bar(one.label, one.color, text, spread.mean, ends)
 
 
 def draw_bars(
@@ -136,17 +114,8 @@ def draw_bars(
         depth: Least number of bars that fits, so that no bar is thick.
         least: Least value that the axis reaches.
     """
-    longest = max(
-        [
-            1e-9,
-            least,
-            *(
-                max(bar.value, bar.ends[1])
-                for group in groups.values()
-                for bar in group
-            ),
-        ]
-    )
+    every = [bar for group in groups.values() for bar in group]
+    longest = max(least, 1e-9, *(max(bar.value, bar.ends[1]) for bar in every))
     unit = 0.015 * longest
     ticks, places = [], []
     place = 0.0

@@ -278,26 +278,26 @@ class Comparison:
             for one in self.configurations
         )
 
-    def summaries(self) -> tuple[Summary, ...]:
+    def summaries(self) -> list[Summary]:
         """Return one summary for each configuration, in their order."""
-        return tuple(self._summary(index) for index in range(len(self.configurations)))
-
-    def _summary(self, index: int) -> Summary:
-        cells = _cells_of(self.experiments, index)
-        return Summary(
-            ran=sum(cell.ran for cell in cells),
-            scored=sum(
-                None not in cell.values(_scale_metric(cell.results), normalized=True)
-                for cell in cells
-            ),
-            diverged=sum(cell.count(Outcome.DIVERGED) > 0 for cell in cells),
-            not_run=sum(not cell.ran for cell in cells),
-        )
-
-
-def _cells_of(experiments: Iterable[ExperimentComparison], index: int) -> list[Cell]:
-    """Return the results of a configuration in experiments that it has."""
-    return [cell for one in experiments if (cell := one.cells[index]) is not None]
+        found = []
+        for index in range(len(self.configurations)):
+            every = [(one, one.cells[index]) for one in self.experiments]
+            cells = [cell for _, cell in every if cell is not None]
+            scales = [
+                cell.values(OVER_U if one.is_solution else "rmse", normalized=True)
+                for one, cell in every
+                if cell is not None
+            ]
+            found.append(
+                Summary(
+                    ran=sum(cell.ran for cell in cells),
+                    scored=sum(None not in values for values in scales),
+                    diverged=sum(cell.count(Outcome.DIVERGED) > 0 for cell in cells),
+                    not_run=sum(not cell.ran for cell in cells),
+                )
+            )
+        return found
 
 
 def _has_one_reference(one: ExperimentComparison) -> bool:
@@ -427,12 +427,6 @@ def _scale(experiment: Experiment, band: Band, primary: str | None) -> float:
         return float(band.trial_rmse_aligned.mean())
     line = normalizing_baselines(experiment, band).get("rmse")
     return math.nan if line is None else line.mean
-
-
-def _scale_metric(results: Sequence[Result]) -> str:
-    """Return the metric whose scale the scores of repeats have: `rmse`, or the distance from the solution."""
-    is_solution = any(Kind(one.score.kind).is_solution for one in results)
-    return OVER_U if is_solution else "rmse"
 
 
 def _mismatches(results: Sequence[Result]) -> list[str]:

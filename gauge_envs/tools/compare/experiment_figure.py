@@ -1,15 +1,14 @@
 """The page of one experiment as a picture (needs matplotlib).
 
-From the top: distance over time, which its score is of, beside the scores; the coordinates that decide it; and a map of
-all, if they are more.
+Above, distance over time, which its score is of, beside the scores; below, the coordinates that decide it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Container, Iterable, Iterator, Sequence
 from pathlib import Path
 from textwrap import wrap
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -25,6 +24,7 @@ from gauge_envs.runs.result import Result
 from gauge_envs.runs.result_file import recorded_experiment
 from gauge_envs.tools.compare.bars import (
     LEAST_REACH,
+    VALIDATION,
     bar_groups,
     draw_bars,
     name_scale,
@@ -33,7 +33,6 @@ from gauge_envs.tools.compare.panels import (
     Series,
     draw_coordinates,
     draw_distances,
-    draw_maps,
     mean_legend,
 )
 from gauge_envs.tools.compare.yardstick import (
@@ -49,14 +48,12 @@ if TYPE_CHECKING:
 
 
 WIDTH_IN = 12.0
+BELOW_IN = 2.5
+"""Height of the coordinates."""
 MOST_HEIGHT_IN = 13.2
 """Largest height of a picture: 1,584 pixels, which fits on a screen or a page."""
 DECIDING = 3
 """Number of coordinates that have a large panel."""
-MOST_MAPS = 3
-"""Largest number of configurations that have a map."""
-Row = tuple[float, str, Callable[["SubFigure"], None]]
-"""Height [inch], title and drawing of a row of the page."""
 
 
 def save_figures(results: Sequence[Result], folder: Path) -> Iterator[Path]:
@@ -100,16 +97,29 @@ def draw_experiment(
         [one.first for one in series], band, names=[one.label for one in series]
     )
     bars = bar_groups(results[0].id, series)
-    rows = [_first_row(series, against, bars), *_coordinate_rows(series, against)]
-    notes = wrap(" ".join([mean_legend(against), *_notes(experiment, band)]), 195)
-    around_in = 0.75 + 0.16 * len(notes)
-    heights = [height for height, _, _ in rows]
-    figure = new_figure(WIDTH_IN, min(sum(heights) + around_in, MOST_HEIGHT_IN))
-    parts = figure.subfigures(len(rows), 1, height_ratios=heights, squeeze=False)[:, 0]
-    for part, (_, title, draw) in zip(parts, rows, strict=True):
-        if title:
-            part.suptitle(title, x=0.01, ha="left", fontsize=10, fontweight="bold")
-        draw(part)
+    notes = wrap(" ".join([mean_legend(against), *_notes(experiment, band, bars)]), 195)
+    counts = [
+        sum(len(group) + 1 for group in groups.values()) for groups in bars.values()
+    ]
+    above_in = max(3.3, 0.24 * sum(counts) + 0.6 * len(bars) + 0.4)
+    height_in = above_in + BELOW_IN + 0.75 + 0.16 * len(notes)
+    figure = new_figure(WIDTH_IN, min(height_in, MOST_HEIGHT_IN))
+    ratios_in = (above_in, BELOW_IN)
+    above, below = figure.subfigures(2, 1, squeeze=False, height_ratios=ratios_in)[:, 0]
+    _title(above, _distance_title(against))
+    grid = above.add_gridspec(1, 2, width_ratios=(1.8, 1.0)) if bars else None
+    place = above.add_gridspec(1, 1)[0, 0] if grid is None else grid[0, 0]
+    draw_distances(above.add_subplot(place), series, against)
+    if grid is not None:
+        # Two questions have two axes: no bar of one stands on the scale of the other.
+        ratios = [count + 2.0 for count in counts]
+        places = grid[0, 1].subgridspec(len(bars), 1, height_ratios=ratios)
+        for row, (scale, groups) in enumerate(bars.items()):
+            axis = above.add_subplot(places[row, 0])
+            depth = 2.4 * above_in if len(bars) == 1 else 0.0
+            draw_bars(axis, groups, depth=depth, least=LEAST_REACH.get(scale, 0.0))
+            name_scale(axis, groups, scale, several=len(bars) > 1)
+    _draw_deciding(below, series, against)
     question = _question(band)
     figure.suptitle(
         f"{results[0].id}: {experiment.title}\n{question}",
@@ -129,31 +139,8 @@ def _question(band: Band | None) -> str:
     return QUESTIONS["verification" if band.kind.is_solution else "validation"]
 
 
-def _first_row(
-    series: Sequence[Series], against: Yardstick, bars: dict[str, Any]
-) -> Row:
-    counts = [
-        sum(len(group) + 1 for group in groups.values()) for groups in bars.values()
-    ]
-    height = max(3.3, 0.24 * sum(counts) + 0.6 * len(bars) + 0.4)
-
-    def draw(part: SubFigure) -> None:
-        grid = part.add_gridspec(
-            1, 2 if bars else 1, width_ratios=(1.8, 1.0)[: 1 + bool(bars)]
-        )
-        draw_distances(part.add_subplot(grid[0, 0]), series, against)
-        if not bars:
-            return
-        # Two questions have two axes: no bar of one stands on the scale of the other.
-        ratios = [count + 2.0 for count in counts]
-        places = grid[0, 1].subgridspec(len(bars), 1, height_ratios=ratios)
-        for place, (scale, groups) in enumerate(bars.items()):
-            axis = part.add_subplot(places[place, 0])
-            depth = 2.4 * height if len(bars) == 1 else 0.0
-            draw_bars(axis, groups, depth=depth, least=LEAST_REACH.get(scale, 0.0))
-            name_scale(axis, groups, scale, several=len(bars) > 1)
-
-    return height, _distance_title(against), draw
+def _title(part: SubFigure, text: str) -> None:
+    part.suptitle(text, x=0.01, ha="left", fontsize=10, fontweight="bold")
 
 
 def _distance_title(against: Yardstick) -> str:
@@ -168,8 +155,10 @@ def _distance_title(against: Yardstick) -> str:
     return f"Distance from {against.name}, root mean square over {what}{until}"
 
 
-def _coordinate_rows(series: Sequence[Series], against: Yardstick) -> Iterator[Row]:
-    """Yield the rows of the coordinates that decide the score, and of all others."""
+def _draw_deciding(
+    part: SubFigure, series: Sequence[Series], against: Yardstick
+) -> None:
+    """Draw the coordinates that decide the score."""
     # The engine that others are compared with is at no distance from itself.
     others = series if against.reference is not None or against.of_start else series[1:]
     deviations = [
@@ -182,40 +171,28 @@ def _coordinate_rows(series: Sequence[Series], against: Yardstick) -> Iterator[R
     count = len(shares)
     deciding = sorted(order[:DECIDING].tolist())
 
-    def draw_deciding(part: SubFigure) -> None:
-        axes = part.subplots(1, len(deciding), squeeze=False)[0]
-        draw_coordinates(
-            axes, deciding, series, against, shares=shares, is_difference=is_close
-        )
-
-    is_close = against.is_close(deviations, deciding)
+    axes = part.subplots(1, len(deciding), squeeze=False)[0]
+    draw_coordinates(axes, deciding, series, against, shares=shares)
     title = "Coordinates, with their share of the squared distance"
     if count == 1:
         title = "The coordinate that is compared"
     elif count > DECIDING:
         title = f"The {DECIDING} of {count} coordinates with the largest share of the squared distance"
-    if is_close:
-        title += f", minus {against.name}"
-    yield 2.5, title, draw_deciding
-    if count <= DECIDING:
-        return
-    mapped = others[:MOST_MAPS]
-    what = points_words(against.points) if against.points else f"{count} coordinates"
-    yield (
-        2.9,
-        f"All {what}: distance from {against.name} over time",
-        lambda part: draw_maps(part, mapped, against),
-    )
+    _title(part, title)
 
 
-def _notes(experiment: Experiment, band: Band | None) -> list[str]:
+def _notes(
+    experiment: Experiment, band: Band | None, bars: Container[str]
+) -> list[str]:
     kind = Kind.NONE if band is None else band.kind
     parts = [f"Reference {kind.value}: {KIND_NOTES[kind]}."]
     if band is not None:
         parts.append(f"{band.source[:1].upper()}{band.source[1:]}.")
     if experiment.driver_provenance:
         parts.append(f"Driver: {experiment.driver_provenance}.")
-    return [*parts, "Grey bars: engines as published (GAUGE, Table 5)."]
+    if VALIDATION in bars:
+        parts.append("Grey bars: engines as published (GAUGE, Table 5).")
+    return parts
 
 
 def _series(results: Iterable[Result], among: Sequence[Result]) -> list[Series]:

@@ -1,4 +1,4 @@
-"""Panels of the picture of one experiment: distance over time, coordinates, and a map of all of them."""
+"""Panels of the picture of one experiment: distance over time, and coordinates."""
 
 from __future__ import annotations
 
@@ -24,15 +24,11 @@ from gauge_envs.tools.compare.yardstick import (
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import SubFigure
 
 
 ONE_SIGMA = "#c4c4c4"
 TWO_SIGMA = "#e3e3e3"
 HATCH: dict[str, Any] = {"hatch": "////", "edgecolor": "white", "linewidth": 0.0}
-DISTANCE_COLORS = "magma_r"
-"""Colours of distances, from light for none to dark: they print in grey and suit colour-blind readers."""
-
 MIN_RANGE = 0.02
 """Smallest range of a panel without a band of real trials, relative to that of the widest panel of the experiment."""
 LOW_QUANTILE = 0.02
@@ -42,13 +38,7 @@ LINEAR_RATIO = 20.0
 MOST_SECONDS = 20.0
 """Longest motion that is drawn whole [s]: in a longer one, swings of a second fill the panel."""
 WINDOW_S = 10.0
-"""Part of a longer motion that is drawn [s]."""
-MAX_ALIGNED = 2
-"""Largest number of configurations that are drawn as they ran beside their aligned curves."""
-MOST_MAP_LABELS = 16
-"""Largest number of rows of a map that are named."""
-TOP_SHARE = 99.5
-"""Percentage of the values of a map below the end of its colours: one diverged point must not hide all others."""
+"""Last part of a longer motion that is drawn [s]."""
 
 
 @dataclass(frozen=True)
@@ -63,30 +53,20 @@ class Series:
     @property
     def legend(self) -> str:
         """Entry of the legend."""
-        diverged, count = (
-            sum(result.diverged for result in self.results),
-            len(self.results),
-        )
-        if count == 1:
-            return f"{self.label}, diverged" if diverged else self.label
-        return f"{self.label}, {count} repeats" + (
-            f", {diverged} diverged" if diverged else ""
-        )
-
-    @property
-    def alpha(self) -> float:
-        """Opacity of a curve."""
-        return 1.0 if len(self.results) == 1 else 0.7
+        count, diverged = len(self.results), sum(one.diverged for one in self.results)
+        repeats = f", {count} repeats" if count > 1 else ""
+        return f"{self.label}{repeats}" + (f", {diverged} diverged" if diverged else "")
 
     @property
     def first(self) -> Result:
-        """Its first result, which stands for all in maps."""
+        """Its first result, which stands for its configuration."""
         return self.results[0]
 
     @property
     def line(self) -> dict[str, Any]:
         """How its curves look."""
-        return {"color": self.color, "lw": self.width, "alpha": self.alpha}
+        alpha = 1.0 if len(self.results) == 1 else 0.7
+        return {"color": self.color, "lw": self.width, "alpha": alpha}
 
 
 # --- distance over time ----------------------------------------------------------------------------------------------
@@ -100,7 +80,7 @@ def draw_distances(axis: Axes, series: Sequence[Series], against: Yardstick) -> 
         aligned = any(is_aligned(result) for one in series for result in one.results)
         _draw_spread(axis, against, aligned=aligned)
         for one in series:
-            _draw_lengths(axis, one, against, several=len(series) > MAX_ALIGNED)
+            _draw_lengths(axis, one, against)
     axis.set_ylabel(f"distance [{against.unit}]")
     axis.set_xlabel("time [s]")
     axis.set_xlim(0.0, against.end_s)
@@ -123,7 +103,7 @@ def _draw_spread(axis: Axes, against: Yardstick, *, aligned: bool) -> None:
             label=f"1: mean of the real trials from the mean of the others{how}",
             zorder=1,
         )
-    elif against.has_spread:
+    elif against.reference is not None:
         spread = against.lengths(against.spread)
         shades = ((1.0, ONE_SIGMA, 1.1), (against.reach, TWO_SIGMA, 1.0))
         for (reach, shade, order), name in zip(
@@ -139,7 +119,7 @@ def _draw_spread(axis: Axes, against: Yardstick, *, aligned: bool) -> None:
             )
     if not band.kind.is_solution:
         return
-    start = band.mean[int(np.isfinite(band.mean).any(axis=1).argmax())]
+    start = band.mean[int(band.known.argmax())]
     axis.plot(
         against.times_s,
         against.lengths(band.mean - start),
@@ -150,9 +130,7 @@ def _draw_spread(axis: Axes, against: Yardstick, *, aligned: bool) -> None:
     )
 
 
-def _draw_lengths(
-    axis: Axes, one: Series, against: Yardstick, *, several: bool
-) -> None:
+def _draw_lengths(axis: Axes, one: Series, against: Yardstick) -> None:
     for number, result in enumerate(one.results):
         aligned = is_aligned(result)
         lengths = against.lengths(against.deviation(result, aligned=aligned))
@@ -167,16 +145,6 @@ def _draw_lengths(
             zorder=4,
             **one.line,
         )
-        if aligned and len(one.results) == 1 and not several:
-            axis.plot(
-                against.times_s,
-                against.lengths(against.deviation(result, aligned=False)),
-                color=one.color,
-                lw=1.1,
-                ls=":",
-                label=f"{one.label}, as it ran",
-                zorder=3,
-            )
 
 
 def _draw_apart(axis: Axes, series: Sequence[Series]) -> None:
@@ -199,30 +167,24 @@ def _draw_apart(axis: Axes, series: Sequence[Series]) -> None:
 
 
 def _scale_distances(axis: Axes, against: Yardstick) -> None:
-    """Choose a linear or a logarithmic axis, and its limits."""
-    drawn = [np.asarray(line.get_ydata(), dtype=float) for line in axis.get_lines()]
-    values = np.concatenate([one.ravel() for one in drawn] or [np.zeros(1)])
-    values = values[np.isfinite(values) & (values > 0.0)]
-    top = float(values.max(initial=0.0))
-    spread = (
-        float(np.nanmax(against.lengths(against.spread), initial=0.0))
-        if against.has_spread
-        else 0.0
-    )
-    is_solution = against.band.kind.is_solution
-    if top <= 0.0 or not (is_solution or (spread and top > LINEAR_RATIO * spread)):
-        axis.set_ylim(bottom=0.0)
-        return
-    axis.set_yscale("log")
+    """Choose a linear or a logarithmic axis, and its lower limit."""
+    spread = 0.0
+    if against.reference is not None:
+        spread = float(np.nanmax(against.lengths(against.spread), initial=0.0))
     results = [
         np.asarray(line.get_ydata(), dtype=float)
         for line in axis.get_lines()
         if line.get_color() != REAL
     ]
-    errors = np.concatenate([one.ravel() for one in results] or [values])
-    errors = errors[np.isfinite(errors) & (errors > 0.0)]
-    lowest = float(np.quantile(errors, LOW_QUANTILE)) if len(errors) else top
-    axis.set_ylim(0.5 * min(lowest, spread or top), 2.0 * max(top, spread))
+    lengths = np.concatenate([*results, np.zeros(1)])
+    lengths = lengths[np.isfinite(lengths) & (lengths > 0.0)]
+    is_wide = 0.0 < LINEAR_RATIO * spread < lengths.max(initial=0.0)
+    if not len(lengths) or not (against.band.kind.is_solution or is_wide):
+        axis.set_ylim(bottom=0.0)
+        return
+    lowest = float(np.quantile(lengths, LOW_QUANTILE))
+    axis.set_yscale("log")
+    axis.set_ylim(bottom=0.5 * min(lowest, spread or lowest))
 
 
 # --- coordinates -----------------------------------------------------------------------------------------------------
@@ -235,7 +197,6 @@ def draw_coordinates(
     against: Yardstick,
     *,
     shares: FloatArray,
-    is_difference: bool = False,
 ) -> None:
     """Draw coordinates over time, one in each panel, with the spread of the reference.
 
@@ -245,19 +206,13 @@ def draw_coordinates(
         series: The results.
         against: What they are drawn against.
         shares: Share of every coordinate in the squared distance, shape [C].
-        is_difference: Whether to draw the results minus the reference, where the curves lie on each other.
     """
-    window = _window(series, against)
-    look: dict[str, Any] = {"window": window, "is_difference": is_difference}
+    start_s = against.end_s - WINDOW_S if against.end_s > MOST_SECONDS else 0.0
+    window = (start_s, against.end_s)
     for axis, column in zip(axes, columns, strict=True):
         if not against.of_start:
-            _draw_mean(
-                axis,
-                against,
-                column,
-                **look,
-            )
-        _draw_curves(axis, series, against, column, **look)
+            _draw_mean(axis, against, column, window)
+        _draw_curves(axis, series, against, column, window)
         name = coordinate_words(against.band.coordinates[column])
         title = f"{name} [{against.unit}]"
         if shares.any() and len(shares) > 1:
@@ -277,20 +232,6 @@ def _share_text(share: float) -> str:
     return f"{percent:.0f} %" if percent >= 1.0 or percent == 0.0 else "below 1 %"
 
 
-def _window(series: Sequence[Series], against: Yardstick) -> tuple[float, float]:
-    """Return the times that are drawn: all, or of a long motion the part with the largest squared distance."""
-    if against.end_s <= MOST_SECONDS:
-        return 0.0, against.end_s
-    squares = np.zeros(len(against.times_s))
-    for one in series:
-        lengths = against.lengths(against.deviation(one.first, aligned=False))
-        squares += np.nan_to_num(np.square(lengths))
-    width = round(WINDOW_S * FRAME_RATE_HZ)
-    sums = np.convolve(squares, np.ones(width), mode="valid")
-    start_s = int(sums.argmax()) / FRAME_RATE_HZ
-    return start_s, start_s + WINDOW_S
-
-
 def _shown(times_s: FloatArray, window: tuple[float, float]) -> BoolArray:
     """Return which times lie in a window, and the ones next to it."""
     margin_s = 1.0 / FRAME_RATE_HZ
@@ -301,9 +242,7 @@ def _draw_mean(
     axis: Axes,
     against: Yardstick,
     column: int,
-    *,
     window: tuple[float, float],
-    is_difference: bool,
 ) -> None:
     """Draw the mean and its spread; extrapolated parts are hatched and dotted."""
     band = against.band
@@ -312,8 +251,6 @@ def _draw_mean(
         band.mean[:, column],
         against.spread[:, column],
     )
-    if is_difference:
-        mean = mean - mean
     # What lies outside would set the limits of the axis.
     is_shown = _shown(times, window)
     is_real = band.kind.is_real
@@ -359,10 +296,10 @@ def mean_legend(against: Yardstick) -> str:
     if against.of_start:
         return ""
     text = f"Black: {against.name}."
-    if against.has_spread:
+    if against.reference is not None:
         narrow, wide = against.spread_words
         text += f" Dark grey: {narrow}; light grey: {wide}."
-    known = np.isfinite(against.band.mean).any(axis=1)
+    known = against.band.known
     if against.reference is not None and (~against.band.measured & known).any():
         text += " Hatched and dotted: extrapolated, not measured."
     return text
@@ -373,30 +310,15 @@ def _draw_curves(
     series: Sequence[Series],
     against: Yardstick,
     column: int,
-    *,
     window: tuple[float, float],
-    is_difference: bool,
 ) -> None:
-    def curve(result: Result, *, aligned: bool) -> tuple[FloatArray, FloatArray]:
-        if is_difference:
-            times, values = against.times_s, against.deviation(result, aligned=aligned)
-        else:
-            times, values = against.motion(result, aligned=aligned)
-        shown = _shown(times, window)
-        return times[shown], values[shown, column]
-
     low, high = axis.get_ylim() if axis.has_data() else (np.inf, -np.inf)
     for one in series:
         for result in one.results:
-            aligned = is_aligned(result)
-            times, values = curve(result, aligned=aligned)
-            axis.plot(times, values, zorder=4, **one.line)
-            low, high = _span(low, high, values)
-            if aligned and len(one.results) == 1 and len(series) <= MAX_ALIGNED:
-                times, raw = curve(result, aligned=False)
-                look: dict[str, Any] = {"color": one.color, "lw": 1.1, "ls": ":"}
-                axis.plot(times, raw, zorder=3, **look)
-                low, high = _span(low, high, raw)
+            times, values = against.motion(result, aligned=is_aligned(result))
+            shown = _shown(times, window)
+            axis.plot(times[shown], values[shown, column], zorder=4, **one.line)
+            low, high = _span(low, high, values[shown, column])
     if not low < high:
         middle = low if np.isfinite(low) else 0.0
         low, high = middle - 1e-9, middle + 1e-9
@@ -421,38 +343,3 @@ def _widen(axes: Iterable[Axes]) -> None:
     for axis, low, high in limits:
         lacking = max(least - (high - low), 0.0)
         axis.set_ylim(low - 0.5 * lacking, high + 0.5 * lacking)
-
-
-# --- map of all points -----------------------------------------------------------------------------------------------
-
-
-def draw_maps(figure: SubFigure, series: Sequence[Series], against: Yardstick) -> None:
-    """Draw a map for each configuration: a row for each point or coordinate, time to the right, distance as colour."""
-    maps = [
-        against.per_point(against.deviation(one.first, aligned=is_aligned(one.first)))
-        for one in series
-    ]
-    finite = [sizes[np.isfinite(sizes)] for _, sizes in maps]
-    top = float(np.percentile(np.concatenate([*finite, [0.0]]), TOP_SHARE)) or 1e-9
-    axes = figure.subplots(1, len(series), sharey=True, squeeze=False)[0]
-    image: Any = None
-    for axis, one, (names, sizes) in zip(axes, series, maps, strict=True):
-        image = axis.imshow(
-            sizes.T,
-            aspect="auto",
-            interpolation="nearest",
-            cmap=DISTANCE_COLORS,
-            vmin=0.0,
-            vmax=top,
-            extent=(0.0, float(against.times_s[-1]), len(names) - 0.5, -0.5),
-        )
-        axis.set_xlim(0.0, against.end_s)
-        axis.set_xlabel("time [s]", fontsize=9)
-        axis.set_title(one.legend, loc="left", fontsize=9, color=one.color)
-        axis.tick_params(labelsize=8)
-        axis.set_facecolor("#f4f4f4")
-        step = -(-len(names) // MOST_MAP_LABELS)
-        axis.set_yticks(range(0, len(names), step), names[::step], fontsize=7)
-    bar = figure.colorbar(image, ax=list(axes), pad=0.01)
-    bar.set_label(f"distance [{against.unit}]", fontsize=9)
-    bar.ax.tick_params(labelsize=8)

@@ -31,13 +31,10 @@ from gauge_envs.runs.result import Outcome
 from gauge_envs.scoring.score import COVERAGE_FACTOR, OVER_U
 from gauge_envs.tools.compare.comparison import Comparison
 from gauge_envs.tools.compare.distance import MOTION_SHARE, Distance
-from gauge_envs.tools.compare.ranks import NEGLIGIBLE, KindComparison, Mean
+from gauge_envs.tools.compare.ranks import NEGLIGIBLE, Mean
 
 VERDICT = "verdict"
 """Key of the row with the verdicts, above that of each primary metric."""
-
-MAX_NAMED = 4
-"""Number of experiments up to which the rank in each is shown beside their mean."""
 
 EXPERIMENT = Column("id", "experiment", short_id, place=Place.HEADING)
 KIND = Column("kind", "reference", place=Place.HEADING)
@@ -253,7 +250,6 @@ def rank_tables(
             "kind": f"{kind.name}, {counted(len(kind.ids), 'experiment')}",
             "label": comparison.labels[one.configuration],
             "mean_rank": one.mean_rank,
-            "decides": deciding_text(kind, one.configuration),
         }
         for kind in comparison.kinds
         for one in kind.ranked
@@ -266,7 +262,6 @@ def rank_tables(
                 KIND,
                 Column("label", "configuration"),
                 Column("mean_rank", "mean rank", mean_rank_text, is_number=True),
-                Column("decides", "rank in"),
             ),
             rows=rows,
             notes=(
@@ -292,20 +287,6 @@ def rank_text(rank: Mean | None) -> str:
 def mean_rank_text(mean: Mean) -> str:
     """Return a mean rank with its interval."""
     return interval_text(mean.value, mean.interval_95, lambda rank: f"{rank:.1f}")
-
-
-def deciding_text(kind: KindComparison, configuration: int) -> str:
-    """Return the experiments in which a configuration ranks best and worst, all if there are at most four."""
-    ranks = [
-        (one.ranks[configuration].value, one)
-        for one in kind.experiments
-        if one.id in kind.ids
-    ]
-    ordered = sorted(ranks, key=lambda entry: entry[0])
-    shown = ordered if len(ordered) <= MAX_NAMED else [ordered[0], ordered[-1]]
-    return ", ".join(
-        f"{short_id(one.id)}: {rank_text(one.ranks[configuration])}" for _, one in shown
-    )
 
 
 # --- distances and counts --------------------------------------------------------------------------------------------

@@ -19,11 +19,6 @@ from gauge_envs.scoring.metrics import interpolated
 from gauge_envs.scoring.reference import reference_band
 from gauge_envs.scoring.score import COVERAGE_FACTOR
 
-ROUNDING_SHARE = 1e-7
-"""Deviation, over the range of a motion, below which only rounding is seen."""
-VISIBLE_SHARE = 0.05
-"""Largest deviation, over the range of a motion, below which two curves of it lie on each other."""
-
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Yardstick:
@@ -50,11 +45,6 @@ class Yardstick:
     def unit(self) -> str:
         """Unit of the compared coordinates."""
         return self.band.unit
-
-    @property
-    def has_spread(self) -> bool:
-        """Whether it says how far real trials are apart, or what its solution leaves open."""
-        return self.reference is not None
 
     @property
     def spread(self) -> FloatArray:
@@ -90,7 +80,7 @@ class Yardstick:
     @property
     def end_s(self) -> float:
         """Last time at which it is known [s]."""
-        known = np.flatnonzero(np.isfinite(self.band.mean).any(axis=1))
+        known = np.flatnonzero(self.band.known)
         last = int(known[-1]) if len(known) else 0
         return max(last / FRAME_RATE_HZ, 1e-3)
 
@@ -158,40 +148,6 @@ class Yardstick:
         inside = numbers < len(whole)
         whole[numbers[inside]] = rows[inside]
         return whole - (whole[:1] if self.of_start else mean)
-
-    def per_point(self, deviation: FloatArray) -> tuple[tuple[str, ...], FloatArray]:
-        """Return names and sizes of the rows of a map: distances of points, or sizes of single coordinates.
-
-        Args:
-            deviation: Values, shape [frame_count, C].
-
-        Returns:
-            Names, and sizes of shape [frame_count, point_count].
-        """
-        if not self.points:
-            names = tuple(coordinate_words(name) for name in self.band.coordinates)
-            return names, np.abs(deviation)
-        sizes = np.linalg.norm(deviation.reshape(len(deviation), -1, 3), axis=2)
-        return tuple(coordinate_words(name) for name in self.points), sizes
-
-    def is_close(
-        self, deviations: Sequence[FloatArray], columns: Sequence[int]
-    ) -> bool:
-        """Return whether curves of results would lie on that of the yardstick, so that differences say more.
-
-        Args:
-            deviations: Deviation of each result, shape [frame_count, C].
-            columns: Indices of the coordinates that are drawn.
-        """
-        if self.of_start:
-            return False
-        largest = [np.abs(one[:, columns]) for one in deviations]
-        away = max((float(np.nanmax(one, initial=0.0)) for one in largest), default=0.0)
-        drawn = self.band.mean[:, columns]
-        spans = np.nanmax(drawn, axis=0) - np.nanmin(drawn, axis=0)
-        spread = float(np.nanmax(self.spread[:, columns], initial=0.0))
-        span = float(spans.max())
-        return away > ROUNDING_SHARE * span and max(away, spread) < VISIBLE_SHARE * span
 
     def shares(self, deviations: Sequence[FloatArray]) -> FloatArray:
         """Return the share of each coordinate in the squared distance, mean over results, shape [C].
@@ -291,9 +247,9 @@ def coordinate_words(name: str) -> str:
 
 def _band_words(band: Band) -> str:
     if band.kind is Kind.ANALYTIC:
-        return "the law"
+        return "the closed form"
     if band.kind is Kind.NUMERICAL:
-        return "the solved scene"
+        return "the numerical solution"
     if band.kind is Kind.RECORDING:
         return "the one recorded real trial"
     if band.trial_count is None:

@@ -16,7 +16,6 @@ from gauge_envs.tools.compare import (
     ExperimentComparison,
     KindComparison,
     KindScore,
-    deciding_text,
     mean_rank_text,
 )
 from gauge_envs.tools.site.model import (
@@ -114,14 +113,13 @@ def _ranking(site: Site, kind: KindComparison) -> list[Part]:
             join([site.swatch(one.configuration), site.labels[one.configuration]]),
             site.comparison.configurations[one.configuration].physics,
             mean_rank_text(one.mean_rank),
-            deciding_text(kind, one.configuration),
         )
         for one in kind.ranked
         if one.mean_rank is not None
     ]
     return section(
         f"Ranks against {_title(kind)}{constants}, {counted(len(kind.ids), 'experiment')}",
-        grid(("configuration", "physics", "mean rank", "rank in"), rows),
+        grid(("configuration", "physics", "mean rank"), rows),
         f"{KIND_NOTES[Kind(kind.kind)].capitalize()}.",
     )
 
