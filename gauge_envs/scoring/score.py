@@ -75,7 +75,7 @@ class Score:
     | `marker_rmse_mm` | mm | distance of the markers of cloth and foam, which `over_uncertainty` is of |
     | `events` | each | `lsd`, `mte`, `pd`, `el` and recorded events, by name (`Measured`) |
     | `estimates` | each | friction, restitution, period of this motion and of the real trials, by name (`Measured`) |
-    | `refused` | | why the reference does not score this scene, one sentence |
+    | `refused` | | why the reference does not score this motion, one sentence |
     """
 
     kind: str
@@ -105,7 +105,9 @@ class Score:
 
     @property
     def distance(self) -> float | None:
-        """The primary distance in its unit, `distance_unit`."""
+        """The primary distance in its unit, `distance_unit`; None without one."""
+        if self.primary == OVER_U and self.over_uncertainty is None:
+            return None
         if self.primary == OVER_U:
             return self.rmse if self.marker_rmse_mm is None else self.marker_rmse_mm
         value: float | None = getattr(self, self.primary) if self.primary else None
@@ -298,6 +300,8 @@ def score_trajectory(
     reason = refusal(experiment, band, is_moved=is_moved)
     if band is not None and reason is None:
         numbers = _distances(experiment, band, times_s, values, frames, markers_m)
+        if band.kind.is_solution and "over_uncertainty" not in numbers:
+            reason = "no verdict: the reference compares markers, which are not given; RMSE and DTW are of g(t)"
     return Score(
         kind=(Kind.NONE if band is None else band.kind).value,
         unit=experiment.score.observable.unit,

@@ -78,6 +78,7 @@ def test_cloth_is_compared_by_markers_and_needs_them():
         is_checked=True,
     )
     assert without.over_uncertainty is None and without.rmse == 0.0
+    assert "markers" in without.refused and without.verdict == "no reference"
 
 
 @pytest.mark.parametrize("name", one_of_a_kind(NAMES))

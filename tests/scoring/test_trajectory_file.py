@@ -1,6 +1,7 @@
 """Trajectory files of users: three formats give one score; each flaw is named with file, place and expectation."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,9 +17,11 @@ from gauge_envs.scoring.trajectory_file import read_trajectory
 def test_a_closed_form_slide_in_a_csv_scores_as_in_the_library(tmp_path):
     file = write_csv(tmp_path / "slide.csv", SLIDE)
     result, interpolated = score_file(file, variant=NAME)
-    assert result.score == score_trajectory(
+    expected = score_trajectory(
         RESOLVED, reference_band(RESOLVED), times_s=TIMES, values=SLIDE
     )
+    # Nobody knows the constants of a CSV file, and so its exact solution.
+    assert result.score == replace(expected, exact=None) != expected
     # scoring/README.md: an ideal Coulomb cube with the calibrated friction scores 0.41.
     assert result.score.rmse_normalized == pytest.approx(0.41, abs=0.005)
     assert (interpolated, result.backend, result.wall_s, result.seed) == (
