@@ -3,9 +3,7 @@
 import json
 
 import pytest
-from texts import changed_text
 
-from gauge_envs.errors import ReferenceFileError
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import variants
 from gauge_envs.files import data_folder
