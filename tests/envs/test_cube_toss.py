@@ -12,7 +12,7 @@ from gauge_envs.references.single_shot import single_shots
 from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.episodes import run_episodes
 from gauge_envs.runs.request import RunRequest
-from gauge_envs.scoring.reference import band_grade
+from gauge_envs.scoring.reference import reference_kind
 
 ID = "GAUGE/CubeToss-acrylic"
 NAME = "CubeToss-acrylic"
@@ -60,7 +60,7 @@ def test_the_score_is_against_the_own_trial():
     errors = np.linalg.norm(inner.trajectory().frames - recorded, axis=1)
     assert score.rmse == pytest.approx(np.sqrt(np.mean(errors**2)))
     assert 2.0 < score.rmse < 20.0
-    assert band_grade(NAME) is Kind.TRIALS
+    assert reference_kind(NAME) is Kind.TRIALS
     env.close()
 
 
