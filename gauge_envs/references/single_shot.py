@@ -1,121 +1,32 @@
 """Single-shot trials: recordings that each have a start of their own, so that no mean over them exists.
 
-A variant beyond the benchmark may have `scoring/single_shot/<variant>.npz` with the recordings and a sidecar
-`<variant>.toml` with their source and nuisances. `scoring/README.md` describes both files. The recordings are corrected
-by the nuisances when they are read.
+A variant beyond the benchmark may have `scoring/single_shot/<variant>.npz` with the recordings and `<variant>.toml`
+with their source and nuisances; `scoring/README.md` describes both. Recordings are corrected by the nuisances when read.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache, cached_property
-from pathlib import Path
+from functools import cache
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, NonNegativeInt, PositiveInt
 
 from gauge_envs.errors import ParameterError
-from gauge_envs.files import npz_arrays
+from gauge_envs.files import npz_arrays, toml_document
 from gauge_envs.references.band import Band
 from gauge_envs.references.kind import Kind
-from gauge_envs.references.tables import (
-    FileModel,
-    faults_of,
-    read_content,
-    read_toml,
-    scoring_folder,
-)
-from gauge_envs.scene.geometry import FloatArray, NonNegative, Positive
+from gauge_envs.references.tables import faults_of, read_content, scoring_folder
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
-Half = Literal["fit", "judge"]
-
 QUATERNION_UNIT = 1.0 / 32767.0
 """Value of one count of a stored quaternion."""
-
-
-class ShotNuisances(FileModel):
-    """Errors of a recording that no engine can answer for, fitted on the half of the trials that is not scored.
-
-    Attributes:
-        length_scale: Factor on recorded lengths and speeds, from the acceleration in free flight.
-        length_scale_std_error: Standard error of it.
-        height_offset_m: Height that is added after the scale, so that the resting body touches z = 0.
-        velocity_lag_s: Time by which a recorded velocity is late: half an interval for backward differences.
-        position_noise_m: Standard deviation of a position in free flight about a parabola.
-        rotation_noise_deg: Standard deviation of a rotation angle, per axis, in free flight about a constant rate.
-        rest_height_std_m: Standard deviation of the rest height over the trials.
-        rest_tilt_deg: Root mean square of the angle between the upper face and the horizontal at rest.
-        start_velocity_std_m_per_s: Standard error of each start velocity.
-        start_angular_velocity_std_rad_per_s: Standard error of each start angular velocity.
-    """
-
-    length_scale: Positive
-    length_scale_std_error: Positive
-    height_offset_m: float
-    velocity_lag_s: NonNegative
-    position_noise_m: Positive
-    rotation_noise_deg: Positive
-    rest_height_std_m: Positive
-    rest_tilt_deg: Positive
-    start_velocity_std_m_per_s: Positive
-    start_angular_velocity_std_rad_per_s: Positive
-
-
-class CopiedTrial(FileModel):
-    """A trial that is the same recording as an earlier one, laid elsewhere on the table: it is no trial of its own.
-
-    Attributes:
-        trial: Number of the trial.
-        of: Number of the earlier one, which is no copy itself.
-    """
-
-    trial: NonNegativeInt
-    of: NonNegativeInt
-
-
-class ShotSidecar(FileModel):
-    """What is known about the recordings of a variant.
-
-    Attributes:
-        body: Name of the recorded body.
-        trial_count: Number of trials.
-        rate_hz: Frames a second of the recordings.
-        position_unit_m: Value of one count of a stored position.
-        fit: Rule of the half that constants and nuisances may be fitted on; the other half judges.
-        source: Where the recordings are from, one sentence.
-        source_sha256: Hash of the file that the script has read.
-        licence: File in the same folder with the licence of the recordings.
-        nuisances: Errors of the recordings.
-        copies: Trials that repeat an earlier one.
-    """
-
-    body: str
-    trial_count: PositiveInt
-    rate_hz: Positive
-    position_unit_m: Positive
-    fit: Literal["even"]
-    source: str
-    source_sha256: str = Field(pattern="^[0-9a-f]{64}$")
-    licence: str
-    nuisances: ShotNuisances
-    copies: tuple[CopiedTrial, ...] = ()
-
-
-ARRAYS = (
-    "source_number",
-    "first",
-    "position",
-    "quaternion",
-    "start_velocity",
-    "start_angular_velocity_body",
-)
-"""Arrays of a file of recordings; `scoring/README.md` gives their shapes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,7 +35,6 @@ class SingleShot:
 
     Attributes:
         body: Name of the body.
-        trial: Number of the trial, from 0.
         source_number: Number of the trial in the source.
         times_s: Times of the frames, from 0, shape [T].
         positions_m: Positions of the body origin, shape [T, 3].
@@ -134,7 +44,6 @@ class SingleShot:
     """
 
     body: str
-    trial: int
     source_number: int
     times_s: FloatArray
     positions_m: FloatArray
@@ -170,9 +79,8 @@ class SingleShot:
         from scipy.spatial.transform import Slerp
 
         within_s = np.clip(times_s, 0.0, self.duration_s)
-        return CubicSpline(self.times_s, self.positions_m)(within_s), Slerp(
-            self.times_s, self.rotations
-        )(within_s)
+        positions_m = CubicSpline(self.times_s, self.positions_m)(within_s)
+        return positions_m, Slerp(self.times_s, self.rotations)(within_s)
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,23 +91,25 @@ class SingleShots:
 
     Attributes:
         variant: Name of the variant.
-        sidecar: What is known about them.
-        arrays: Content of the file of recordings.
+        stated: Content of the TOML file, with `nuisances`: errors of the recordings that no engine can answer for.
+        arrays: Arrays of the NPZ file.
     """
 
     variant: str
-    sidecar: ShotSidecar
-    arrays: dict[str, NDArray[Any]]
+    stated: Mapping[str, Any]
+    arrays: Mapping[str, NDArray[Any]]
 
     def __len__(self) -> int:
-        return self.sidecar.trial_count
+        return len(self.arrays["source_number"])
 
-    @cached_property
+    @property
     def copies(self) -> dict[int, int]:
         """Trials that repeat an earlier one, with the number of that one."""
-        return {copy.trial: copy.of for copy in self.sidecar.copies}
+        return {copy["trial"]: copy["of"] for copy in self.stated["copies"]}
 
-    def trials(self, half: Half | None = None, *, every: int = 1) -> tuple[int, ...]:
+    def trials(
+        self, half: Literal["fit", "judge"] | None = None, *, every: int = 1
+    ) -> tuple[int, ...]:
         """Return independent trials: without those that repeat an earlier one.
 
         Args:
@@ -207,43 +117,39 @@ class SingleShots:
             every: Count of trials, copies included, from one to the next.
         """
         first, step = {"fit": (0, 2), "judge": (1, 2), None: (0, 1)}[half]
-        return tuple(
-            trial
-            for trial in range(first, len(self), step * every)
-            if trial not in self.copies
-        )
+        chosen = range(first, len(self), step * every)
+        return tuple(trial for trial in chosen if trial not in self.copies)
 
     def shot(self, trial: int) -> SingleShot:
-        """Return one trial, from 0."""
+        """Return one trial, from 0.
+
+        Raises:
+            ParameterError: There is no such trial.
+        """
         from scipy.spatial.transform import Rotation
 
         if not 0 <= trial < len(self):
             raise ParameterError(
                 f"GAUGE/{self.variant}: trial {trial} does not exist: choose 0 to {len(self) - 1}"
             )
-        data, nuisances = self.arrays, self.sidecar.nuisances
-        rows = slice(*(int(row) for row in data["first"][trial : trial + 2]))
-        positions_m = (
-            self.sidecar.position_unit_m
-            * nuisances.length_scale
-            * data["position"][rows].astype(np.float64)
-        )
-        positions_m[:, 2] += nuisances.height_offset_m
+        data, nuisances = self.arrays, self.stated["nuisances"]
+        rows = slice(*data["first"][trial : trial + 2].tolist())
+        unit_m = self.stated["position_unit_m"] * nuisances["length_scale"]
+        positions_m = unit_m * data["position"][rows].astype(np.float64)
+        positions_m[:, 2] += nuisances["height_offset_m"]
         quaternions = QUATERNION_UNIT * data["quaternion"][rows].astype(np.float64)
         quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
         start = Rotation.from_quat(quaternions[0], scalar_first=True)
+        # Recordings state the rate about the axes of the body, scenes about those of the world.
+        rate_of_body = data["start_angular_velocity_body"][trial].astype(np.float64)
         return SingleShot(
-            body=self.sidecar.body,
-            trial=trial,
+            body=self.stated["body"],
             source_number=int(data["source_number"][trial]),
-            times_s=np.arange(len(positions_m)) / self.sidecar.rate_hz,
+            times_s=np.arange(len(positions_m)) / self.stated["rate_hz"],
             positions_m=positions_m,
             quaternions=quaternions,
             velocity_m_per_s=data["start_velocity"][trial].astype(np.float64),
-            # Recordings state the rate about the axes of the body, scenes about those of the world.
-            angular_velocity_rad_per_s=start.apply(
-                data["start_angular_velocity_body"][trial].astype(np.float64)
-            ),
+            angular_velocity_rad_per_s=start.apply(rate_of_body),
         )
 
     def band(self, trial: int, frame_count: int) -> Band:
@@ -253,42 +159,35 @@ class SingleShots:
             trial: Number of the trial.
             frame_count: Number of 30 Hz frames of an episode.
         """
-        shot, nuisances = self.shot(trial), self.sidecar.nuisances
+        shot, nuisances = self.shot(trial), self.stated["nuisances"]
         times_s = np.arange(frame_count) / FRAME_RATE_HZ
         mean = 1e3 * shot.poses_at(times_s)[0]
-        sigma = 1e3 * float(
-            np.hypot(nuisances.position_noise_m, nuisances.rest_height_std_m)
-        )
-        repeats = (
-            f" (the same recording as trial {self.copies[trial]})"
-            if trial in self.copies
-            else ""
-        )
+        noise_m = nuisances["position_noise_m"], nuisances["rest_height_std_m"]
+        sigma = np.full_like(mean, 1e3 * float(np.hypot(*noise_m)))
+        repeats = ""
+        if trial in self.copies:
+            repeats = f" (the same recording as trial {self.copies[trial]})"
         return Band(
             kind=Kind.TRIALS,
             unit="mm",
             coordinates=tuple(f"{shot.body}.{axis}" for axis in "xyz"),
             projection=np.eye(3),
             mean=mean,
-            sigma=np.full_like(mean, sigma),
+            sigma=sigma,
             measured=times_s <= shot.duration_s,
             trial_count=1,
-            source=f"trial {trial}{repeats} of {self.sidecar.source}",
-            uncertainty=np.full_like(mean, sigma),
+            source=f"trial {trial}{repeats} of {self.stated['source']}",
+            uncertainty=sigma,
             normalized=False,
         )
 
 
+@cache
 def single_shots(variant: str) -> SingleShots | None:
     """Return the recorded single-shot trials of a variant, or None."""
-    return _read(scoring_folder("single_shot") / f"{variant}.npz", variant)
-
-
-@cache
-def _read(file: Path, variant: str) -> SingleShots | None:
+    file = scoring_folder("single_shot") / f"{variant}.npz"
     if not file.is_file():
         return None
-    sidecar = read_toml(file.with_suffix(".toml"), ShotSidecar)
+    stated = toml_document(read_content(file.with_suffix(".toml")))
     with faults_of(file):
-        arrays = npz_arrays(read_content(file), ARRAYS)
-    return SingleShots(variant, sidecar, arrays)
+        return SingleShots(variant, stated, npz_arrays(read_content(file)))

@@ -7,8 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from gauge_envs import beyond_variants, load_experiment, variants
-from gauge_envs.errors import ParameterError, ReferenceFileError
-from gauge_envs.references import single_shot
+from gauge_envs.errors import ParameterError
 from gauge_envs.references.single_shot import single_shots
 
 NAME = "CubeToss-acrylic"
@@ -115,7 +114,7 @@ def test_planted_faults_of_convention_are_seen(shots):
         return replace(shot, quaternions=np.roll(shot.quaternions, 1, axis=1))
 
     def unscaled(shot):
-        scale = shots.sidecar.nuisances.length_scale
+        scale = shots.stated["nuisances"]["length_scale"]
         return replace(
             shot,
             positions_m=shot.positions_m / scale,
@@ -123,7 +122,9 @@ def test_planted_faults_of_convention_are_seen(shots):
         )
 
     def late_velocity(shot):
-        lag = np.array([0.0, 0.0, GRAVITY * shots.sidecar.nuisances.velocity_lag_s])
+        lag = np.array(
+            [0.0, 0.0, GRAVITY * shots.stated["nuisances"]["velocity_lag_s"]]
+        )
         return replace(shot, velocity_m_per_s=shot.velocity_m_per_s + lag)
 
     for fault, column, limit in (
@@ -139,15 +140,19 @@ def test_planted_faults_of_convention_are_seen(shots):
 
 
 def test_nuisances_agree_with_what_they_were_not_fitted_on(shots):
-    nuisances = shots.sidecar.nuisances
+    nuisances = shots.stated["nuisances"]
     # The height of the resting cube gives the scale a second time.
     rest = [shots.shot(trial).positions_m[-1, 2] for trial in shots.trials("judge")]
     assert np.median(rest) == pytest.approx(HALF_WIDTH_M, abs=1e-4)
-    unshifted = (np.median(rest) - nuisances.height_offset_m) / nuisances.length_scale
-    assert HALF_WIDTH_M / unshifted == pytest.approx(nuisances.length_scale, abs=4e-3)
+    unshifted = (np.median(rest) - nuisances["height_offset_m"]) / nuisances[
+        "length_scale"
+    ]
+    assert HALF_WIDTH_M / unshifted == pytest.approx(
+        nuisances["length_scale"], abs=4e-3
+    )
     # Backward differences lag by half an interval.
-    assert nuisances.velocity_lag_s == pytest.approx(
-        0.5 / shots.sidecar.rate_hz, rel=0.1
+    assert nuisances["velocity_lag_s"] == pytest.approx(
+        0.5 / shots.stated["rate_hz"], rel=0.1
     )
 
 
@@ -166,15 +171,6 @@ def test_a_trial_that_does_not_exist_is_named(shots):
     ):
         shots.shot(499)
     assert single_shots("SlopeSlider-2-wood") is None
-
-
-def test_damaged_files_are_named(tmp_path, monkeypatch):
-    folder = single_shot.scoring_folder("single_shot")
-    (tmp_path / f"{NAME}.toml").write_bytes((folder / f"{NAME}.toml").read_bytes())
-    (tmp_path / f"{NAME}.npz").write_bytes(b"nothing")
-    monkeypatch.setattr(single_shot, "scoring_folder", lambda _: tmp_path)
-    with pytest.raises(ReferenceFileError, match=r"CubeToss-acrylic.npz: "):
-        single_shots(NAME)
 
 
 def test_moment_of_inertia_is_the_stated_one():

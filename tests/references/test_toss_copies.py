@@ -42,5 +42,5 @@ def test_seeds_select_independent_trials_and_a_copy_says_so():
         getattr(reference_band(with_trial(experiment, trial)), "source", "")
         for trial in (49, 123)
     ]
-    assert sources[0].startswith(f"trial 49 of {shots.sidecar.source}")
+    assert sources[0].startswith(f"trial 49 of {shots.stated['source']}")
     assert sources[1].startswith("trial 123 (the same recording as trial 49) of ")
