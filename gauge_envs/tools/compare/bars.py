@@ -93,6 +93,8 @@ def _own_bar(one: Series, metric: str) -> Bar:
     if spread is None:
         is_diverged = any(result.diverged for result in one.results)
         text = "diverged" if is_diverged else score_text_of(one.first.score, metric)
+        if one.first.score.refused is not None:
+            text = "not scored"
         return Bar(one.label, one.color, text)
     reach, text = spread.std or 0.0, score_text(spread.mean)
     ends = (spread.mean - reach, spread.mean + reach)

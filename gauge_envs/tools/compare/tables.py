@@ -100,14 +100,15 @@ def score_table(comparison: Comparison, rows: Sequence[dict[str, Any]]) -> Table
     shown = []
     for row in rows:
         one = experiments[row["id"]]
-        if row["metric"] == one.primary and any(
-            cell and cell.verdict for cell in one.cells
-        ):
-            verdicts = [cell.verdict if cell else "" for cell in one.cells]
+        verdicts = [cell.verdict if cell else "" for cell in one.cells]
+        # Without a reference motion, recorded events alone may decide.
+        is_judged = bool(set(verdicts) - {"", "no reference"})
+        if row["metric"] == one.primary or (row["metric"] is None and is_judged):
             shown.append(
                 row | {"metric": VERDICT, "published": None, VERDICT: verdicts}
             )
-        shown.append(row)
+        if row["metric"] is not None or not is_judged:
+            shown.append(row)
     return Table(
         title="Scores over the mean score of the real trials, or over u of a solution, with 95 % intervals",
         columns=(

@@ -150,19 +150,10 @@ class Yardstick:
         return whole - (whole[:1] if self.of_start else mean)
 
     def shares(self, deviations: Sequence[FloatArray]) -> FloatArray:
-        """Return the share of each coordinate in the squared distance, mean over results, shape [C].
-
-        It is the share in the motion of the reference where no result is away from it.
-        """
+        """Return the share of each coordinate in the squared distance, mean over results, shape [C]; 0 without any."""
         squares = [np.nansum(np.square(one), axis=0) for one in deviations]
         known = [one / one.sum() for one in squares if 0.0 < one.sum() < np.inf]
-        if known:
-            return np.asarray(np.mean(known, axis=0))
-        mean = self.band.mean
-        moved = np.nansum(
-            np.square(mean - mean[np.isfinite(mean).any(axis=1).argmax()]), axis=0
-        )
-        return np.asarray(moved / (moved.sum() or 1.0))
+        return np.mean(known or [np.zeros(len(self.band.coordinates))], axis=0)
 
 
 def choose_yardstick(

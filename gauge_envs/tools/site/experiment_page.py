@@ -108,7 +108,11 @@ def _head(
             "p", element("b", "Tests: "), ", ".join(experiment.spec.evaluates), "."
         )
     text = f"{KIND_NOTES[Kind(one.kind)]}."
-    source = "" if band is None else f" {band.source.rstrip('.')}."
+    source = (
+        ""
+        if band is None
+        else f" {band.source[:1].upper()}{band.source[1:].rstrip('.')}."
+    )
     yield element("p", element("b", f"Reference, {one.kind}: "), text, source)
 
 

@@ -228,11 +228,11 @@ def score_cell(one: ExperimentComparison, cell: Cell | None, metric: str) -> Htm
         parts.append(whisker_text(spread.mean, cell.interval_95(metric), unit))
     elif raw is not None:
         parts.append(whisker_text(raw.mean, None, one.unit_of(metric)))
-    badge = standing([cell])[1] if metric == one.primary else None
-    if badge is not None:
-        parts.append(badge)
-    refused = {result.score.refused for result in cell.results} - {None}
-    parts += [element("span", str(reason), class_="quiet") for reason in refused]
+    if metric == one.primary:
+        badge = standing([cell])[1]
+        parts += [] if badge is None else [badge]
+        refused = {result.score.refused for result in cell.results} - {None}
+        parts += [element("span", str(reason), class_="quiet") for reason in refused]
     for outcome in LOST:
         if count := cell.count(outcome):
             text = (
