@@ -1,7 +1,7 @@
 """Single-shot trials: recordings that each have a start of their own, so that no mean over them exists.
 
 A variant beyond the benchmark may have `scoring/single_shot/<variant>.npz` with the recordings and `<variant>.toml`
-with their source and nuisances; `scoring/README.md` describes both. Recordings are corrected by the nuisances when read.
+with their source and nuisances (`scoring/README.md`). Recordings are corrected by the nuisances when they are read.
 """
 
 from __future__ import annotations
