@@ -78,11 +78,7 @@ def trajectory_dtw(simulated: ArrayLike, real_mean: ArrayLike) -> float:
 
 def _frame_distances(first: FloatArray, second: FloatArray) -> FloatArray:
     """Return the Euclidean distances of all pairs of frames over measured coordinates, shape [T1, T2]."""
-    from scipy.spatial.distance import cdist
-
-    measured = np.isfinite(second)
-    if measured.all():
-        return np.asarray(cdist(first, second))
+    # One coordinate at a time: SciPy's import takes longer than the distances, and all at once take much memory.
     squares = np.zeros((len(first), len(second)))
     for column in range(first.shape[1]):
         apart = first[:, column, None] - second[:, column]

@@ -131,10 +131,7 @@ def _summary_row(result: Result, *, is_explained: bool) -> dict[str, Any]:
     if result.diverged:
         return row | {"verdict": Outcome.DIVERGED.value}
     row["verdict"] = score.verdict
-    reason = score.refused
-    if score.primary == OVER_U and score.over_uncertainty is None:
-        reason = "no score: the reference is compared by markers, which are not known"
-    if score.distance is not None and reason is None:
+    if score.distance is not None:
         row["distance"] = with_unit(score_text(score.distance), score.distance_unit)
     if score.primary_normalized is not None:
         text = interval_text(
@@ -145,7 +142,9 @@ def _summary_row(result: Result, *, is_explained: bool) -> dict[str, Any]:
         row["motion"] = "; ".join(
             filter(None, (motion_text(score), _frames_text(result)))
         )
-        row["cause"] = reason or cause_text(score)
+        row["cause"] = score.refused or cause_text(score)
+        if result.is_edited and score.refused is None:
+            row["cause"] = f"edited: {shortened(result.asset['changes'])}"
     return row
 
 
