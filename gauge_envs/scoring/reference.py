@@ -54,7 +54,8 @@ def refusal(
     """
     if band is None or experiment.reference is not None:
         return None
-    is_scattered = is_moved or experiment.scene.stated is not None
+    scene = experiment.scene
+    is_scattered = is_moved or (scene.stated or scene) != scene
     if band.kind.is_solution and is_scattered:
         return f"no score: the {band.kind} reference is of the calibrated start, and this start was scattered"
     changes = _changes(experiment)

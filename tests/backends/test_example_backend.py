@@ -221,7 +221,7 @@ def measure_experiment():
         values[parameters] = {
             "times_s": trajectory.times_s.tolist(),
             "position_m": (trajectory.samples / 1e3).tolist(),
-            "rmse_normalized": info["score"].validation.rmse_normalized,
+            "rmse_normalized": info["score"].rmse_normalized,
             "versions": env.unwrapped.versions,
         }
     return values

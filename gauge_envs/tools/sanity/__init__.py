@@ -6,7 +6,7 @@ A target passes through the modules in this order, which `run` calls.
 2. `phenomena` state scenes and reality; `measure` runs them by `scenario`, and gives verdicts.
 3. `target_checks` judge what is stated: gravity, the time of one action, and the robot's own model.
 4. `cure` applies documented changes and measures again.
-5. `words` write the report; `difference` compares two.
+5. `words` write the report; `comparison` compares two.
 
 Example:
     >>> from gauge_envs.tools.sanity import check
@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 from gauge_envs.registry import door
 
 if TYPE_CHECKING:
-    from gauge_envs.tools.sanity.difference import difference as difference
+    from gauge_envs.tools.sanity.comparison import difference as difference
     from gauge_envs.tools.sanity.model import (
         ContactGroup as ContactGroup,
         Cure as Cure,

@@ -233,7 +233,7 @@ def _compare(
 ) -> int:
     """Print the rows of two targets beside each other, and return the exit code."""
     from gauge_envs.tools.sanity import check, difference
-    from gauge_envs.tools.sanity.difference import difference_document
+    from gauge_envs.tools.sanity.comparison import difference_document
 
     reports = [check(target, explain=False, **options) for target in (first, second)]
     found = difference(*reports)

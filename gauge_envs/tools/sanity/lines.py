@@ -3,7 +3,7 @@
 from typing import Annotated, TypedDict
 
 from gauge_envs.cli.schemas import Form
-from gauge_envs.tools.sanity.difference import Difference, DifferenceRow
+from gauge_envs.tools.sanity.comparison import Difference, DifferenceRow
 from gauge_envs.tools.sanity.model import (
     PhenomenonResult,
     RealityKind,

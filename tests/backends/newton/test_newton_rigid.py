@@ -98,7 +98,7 @@ def test_out_of_the_box_restitution_has_no_effect_as_published():
                 settings={"preset": "out_of_box"},
                 parameters={"ball.restitution": e},
             )
-        ).score.validation.rmse_normalized
+        ).score.rmse_normalized
         for e in (0.0, 0.9)
     }
     assert scores[0.0] == scores[0.9] == pytest.approx(22.71, rel=0.005)
