@@ -32,11 +32,11 @@ HEAD = """
 """
 
 QUESTIONS = {
-    Kind.TRIALS: ("is it like reality?", "real trials: slides, drops"),
+    Kind.TRIALS: ("is it like reality?", "real trials: slides, drops, a cradle"),
     Kind.RECORDING: ("is it like reality?", "one recorded real trial"),
     Kind.ANALYTIC: (
         "does the engine solve the scene?",
-        "an analytical solution: turntables, cradle, pendulum, ramps",
+        "an analytical solution: turntables, pendulum, ramps, foam",
     ),
     Kind.NUMERICAL: (
         "does the engine solve the scene?",

@@ -230,8 +230,11 @@ class Band:
 
     @property
     def has_release(self) -> bool:
-        """Whether the motion starts with a release at an unknown time, as that of real trials does."""
-        return self.kind.is_real and self.zero_motion_distance > 0.0
+        """Whether the motion starts with a release at an unknown time, as measured motions do.
+
+        Means that follow from published numbers of trials start at frame 0.
+        """
+        return self.kind is Kind.RECORDING or self.trials is not None
 
     def of_trial(self, trial: int) -> Band:
         """Return the band of one of its trials, with the uncertainty of measuring it."""

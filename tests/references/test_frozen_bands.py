@@ -27,9 +27,9 @@ def test_62_of_75_ids_have_a_reference_and_each_file_says_what_it_is():
     assert (len(NAMES), len(SCORED)) == (75, 62)
     count = {kind.value: list(kinds.values()).count(kind) for kind in Kind}
     assert count == {
-        "trials": 7,
+        "trials": 8,
         "recording": 2,
-        "analytic": 23,
+        "analytic": 22,
         "numerical": 30,
         "none": 0,
     }
