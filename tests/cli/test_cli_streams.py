@@ -261,7 +261,8 @@ def test_ctrl_c_is_quiet_at_every_moment(tmp_path):
         timeout=300,
     )
     assert done.returncode == 0 and NAME in done.stdout
-    moments = json.loads(done.stderr)
+    # Under a profiler, CPython 3.12.1 loses `**values` in a comprehension, and the command notes that engine before.
+    moments = json.loads(done.stderr.splitlines()[-1])
     assert [
         stderr for _, stderr in moments if re.search(FRAME_OF_THE_COMMAND, stderr)
     ] == []
