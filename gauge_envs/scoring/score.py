@@ -143,9 +143,9 @@ class Score:
     def verdict(self) -> str:
         """`inside`, `outside` or `no reference`.
 
-        Inside means: at least one real trial is as far from the mean of the others; without single trials, the mean
-        deviation is at most 2 standard deviations; of a solution, the distance is at most 1.96 u. Without a reference
-        motion, the events with a real value decide, each within 1.96 u.
+        Inside means: at least one real trial is as far from the mean of the others; without single trials, the distance
+        is at most twice the published mean of real trials, or 1.96 u where none is published; of a solution, it is at
+        most 1.96 u. Without a reference motion, the events with a real value decide, each within 1.96 u.
         """
         if self.refused is not None:
             return "no reference"
@@ -153,8 +153,10 @@ class Score:
             return _word(self.over_uncertainty <= COVERAGE_FACTOR)
         if self.percentile is not None:
             return _word(self.percentile < 100.0)
-        if self.mean_abs_z is not None:
-            return _word(self.mean_abs_z <= 2.0)
+        if self.primary_normalized is not None:
+            return _word(self.primary_normalized <= 2.0)
+        if self.rmse_95 is not None:
+            return _word(self.rmse_95[0] == 0.0)
         found = [one.is_inside for one in self.events.values()]
         known = [one for one in found if one is not None]
         return _word(all(known)) if known else "no reference"

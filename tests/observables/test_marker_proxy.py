@@ -24,7 +24,7 @@ def test_the_node_scores_the_mesh(name):
         run_episode(RunRequest(name, marker_proxy=proxy))
         for proxy in ("node", "material")
     )
-    assert node.score.rmse_normalized > 5.0 * material.score.rmse_normalized
+    assert node.score.rmse > 5.0 * material.score.rmse
     areas = [np.array(one.trajectory.samples)[0] for one in (material, node)]
     assert areas[0] == pytest.approx(625.0 / 3.0, abs=0.01)
     assert areas[1].min() > 1.3 * 625.0 / 3.0
