@@ -28,7 +28,7 @@ MOST_BASE_MB = 500.0
 NEEDS_EXTRA = (
     (("sanity", "HalfCheetah-v5"), "sanity"),
     (("data", "scenes", "--check"), "usd"),
-    (("video", "board", "board.pdf"), "video"),
+    (("video", "prompts"), "video"),
 )
 """Commands beyond a first run, and the extra that their messages name."""
 
