@@ -28,7 +28,7 @@ MOST_BASE_MB = 500.0
 NEEDS_EXTRA = (
     (("sanity", "HalfCheetah-v5"), "sanity"),
     (("data", "scenes", "--check"), "usd"),
-    (("video", "prompts"), "video"),
+    (("video", "score", "slide.mp4", "--id", "SlopeSlider-2-wood"), "video"),
 )
 """Commands beyond a first run, and the extra that their messages name."""
 
@@ -116,6 +116,7 @@ def test_installed_wheel_makes_an_environment_outside_the_checkout(wheel, tmp_pa
         )
 
     assert "75 ids in 22 families" in gauge("list").stdout
+    (tmp_path / "slide.mp4").write_bytes(b"\0\0\0\x18ftypmp42")
     for words, extra in NEEDS_EXTRA:
         refused = gauge(*words)
         assert refused.returncode == 2
