@@ -252,6 +252,7 @@ class Band:
             trial_rmse_aligned=None,
             normalized=False,
             stated_uncertainty=None,
+            exact={},
         )
 
     def project(self, g: ArrayLike) -> FloatArray:

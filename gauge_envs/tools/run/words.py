@@ -211,7 +211,7 @@ def cause_text(score: Score) -> str | None:
     numbers = f"engine {digits_text(engine)}, exact {digits_text(exact)}"
     if abs(engine - exact) <= SAME_SHARE * max(engine, exact, 1.0):
         if score.verdict == "inside":
-            return f"{numbers}: no error of the engine"
+            return f"{numbers}: the engine agrees with the exact solution"
         return f"{numbers}: the constants, not the engine"
     if engine > exact:
         return f"{numbers}: the engine differs from an exact solution"

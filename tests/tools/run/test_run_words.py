@@ -90,7 +90,7 @@ def test_events_of_recordings_and_events_that_do_not_happen_are_stated():
     ("engine", "percentile", "cause"),
     [
         (4.95, 100.0, "the constants, not the engine"),
-        (4.95, 60.0, "no error of the engine"),
+        (4.95, 60.0, "the engine agrees with the exact solution"),
         (9.02, 100.0, "the engine differs from an exact solution"),
         (2.13, 100.0, "errors of the engine and of the constants cancel in part"),
     ],
@@ -104,7 +104,10 @@ def test_an_exact_solution_at_rest_has_no_distance():
     still = replace(
         SLIDE, exact=0.0, rmse_aligned_normalized=0.001, percentile=0.0, estimates={}
     )
-    assert cause_text(still) == "engine 0.001, exact 0: no error of the engine"
+    assert (
+        cause_text(still)
+        == "engine 0.001, exact 0: the engine agrees with the exact solution"
+    )
     assert "verdict" in shown([result(still)])
     assert "exact" in shown([result(still)] * 9)
 
