@@ -89,6 +89,9 @@ def _as_backend_error(place: str) -> Iterator[None]:
     except (GaugeError, KeyboardInterrupt):
         raise
     except BaseException as error:  # Also SystemExit.
+        # After Ctrl-C in an import, releasing the module's lock can raise another error.
+        if isinstance(error.__context__, KeyboardInterrupt):
+            raise error.__context__ from None
         raise BackendError(
             f"{place}: {type(error).__name__}: {error}".removesuffix(": ")
         ) from error

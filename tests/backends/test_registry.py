@@ -2,7 +2,7 @@
 
 import pytest
 
-from gauge_envs.backends import Backend, Support, backend, backend_names
+from gauge_envs.backends import Backend, Support, backend, backend_names, registry
 from gauge_envs.backends.registry import backend_class, backend_title
 from gauge_envs.errors import BackendError, MissingExtraError, UnknownNameError
 from gauge_envs.experiments.variants import find_variant
@@ -113,3 +113,14 @@ def test_engines_of_this_package_have_titles_and_colours_without_being_installed
         == len({one.marker for one in classes.values()})
         == len(classes)
     )
+
+
+def test_ctrl_c_in_an_import_is_no_error_of_the_engine():
+    def interrupted_import():
+        try:
+            raise KeyboardInterrupt
+        finally:
+            raise RuntimeError("cannot release un-acquired lock")
+
+    with pytest.raises(KeyboardInterrupt), registry._as_backend_error("engine"):
+        interrupted_import()
