@@ -1,0 +1,229 @@
+"""N worlds of one scene in a physics engine: what environments drive, advance and read.
+
+The first axis of every array is the world. All numbers are in SI units, in the world frame, float64. A state of a rigid
+body has 13 numbers: position of the body origin [m] (3), unit quaternion w x y z (4), linear velocity of the body origin
+[m/s] (3) and angular velocity [rad/s] (3).
+"""
+
+from __future__ import annotations
+
+import inspect
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, ClassVar
+
+import numpy as np
+
+from gauge_envs.errors import BackendError
+from gauge_envs.files import processors
+from gauge_envs.scene.geometry import FloatArray
+
+ContactForces = Callable[[], FloatArray]
+"""Reader of contact forces [N], which returns a new array of shape [world_count, pair_count, 3]."""
+
+MaterialPoints = Callable[[], FloatArray]
+"""Reader of material points [m], which returns an array of shape [world_count, point_count, 3]."""
+
+
+class Simulation(ABC):
+    """Worlds of one scene that advance together.
+
+    A new simulation is at the nominal start of its scene, at time 0, and can be read before its first reset. Environments
+    call `reset`; then, every 1/180 s, `drive` for each kinematic body, `advance`, and the readers.
+
+    Attributes:
+        settings: Every numerical setting in force, as a flat, JSON-ready mapping. Each result records it.
+        world_count: Number of worlds N.
+    """
+
+    settings: Mapping[str, Any]
+    world_count: int = 1
+    frees_python: ClassVar[bool] = False
+    """Whether `advance` runs without Python's lock, so that `LoopedSimulation` advances several in as many threads."""
+
+    def __init_subclass__(cls, **arguments: Any) -> None:
+        """Raise an error for a class of the 0.3 contract, whose methods have other parameters."""
+        super().__init_subclass__(**arguments)
+        for method, expected in (("reset", "starts"), ("drive", "targets")):
+            if expected not in inspect.signature(getattr(cls, method)).parameters:
+                raise BackendError(
+                    f"{cls.__module__}.{cls.__name__}.{method} has no parameter {expected!r}: it follows the contract of "
+                    "gauge-envs 0.3. In 1.0 a Simulation holds N worlds: reset(starts, seed), drive(body, targets) and "
+                    "arrays whose first axis is the world; docs/adding_an_engine.md lists the changes"
+                )
+
+    @abstractmethod
+    def reset(self, starts: FloatArray | None = None, seed: int = 0) -> None:
+        """Start all worlds at time 0. The same starts and seed give the same trajectories.
+
+        Args:
+            starts: Initial states, shape [N, B, 13]: those of `scene.bodies` and then of `scene.deformables`, in their
+                order. Dynamic and kinematic bodies may start elsewhere than the scene says, and a cloth that nothing
+                clamps; the pose of a cloth is that of its frame. Rows of all other bodies are those of the scene. None
+                is the nominal start, see `gauge_envs.scene.states.nominal_states`.
+            seed: Seed of engines that draw random numbers.
+        """
+
+    def drive(self, body: str, targets: FloatArray) -> None:
+        """Prescribe the motion of a kinematic body during the next `advance`.
+
+        The motion is uniformly accelerated: t seconds later the body is at pose + v t + a t^2 / 2. With piecewise
+        constant velocity, each change of speed would jolt the bodies that rest on it. An engine without prescribed
+        acceleration may use the mean velocity of each step, and should document it.
+
+        Args:
+            body: Name of a kinematic body. Environments drive each of them before every `advance`.
+            targets: Shape [N, 19]: pose at the start of the interval, position [m] (3) and quaternion w x y z (4); linear
+                [m/s] (3) and angular velocity [rad/s] (3) then; linear [m/s^2] (3) and angular acceleration [rad/s^2]
+                (3). It may be a read-only view.
+
+        Raises:
+            BackendError: The engine drives no bodies.
+        """
+        raise BackendError(f"{type(self).__name__} drives no body: implement drive")
+
+    @abstractmethod
+    def advance(self, seconds: float) -> None:
+        """Simulate an interval [s] in all worlds. Environments pass 1/180 s."""
+
+    @abstractmethod
+    def body_states(self, names: Sequence[str]) -> FloatArray:
+        """Return the current states of rigid bodies, a new array of shape [N, len(names), 13].
+
+        Args:
+            names: Names of rigid bodies; fixed and driven bodies are allowed.
+        """
+
+    def nodes(self, name: str) -> FloatArray:
+        """Return the nodes of a deformable body [m], shape [N, node_count, 3]."""
+        raise KeyError(name)
+
+    def diverged(self) -> Mapping[int, str]:
+        """Return why the engine gave up the state of a world since the last reset, by the number of the world.
+
+        An engine that replaces a state that is not finite must report it here. Environments find states that are not
+        finite, too fast or too far away on their own.
+        """
+        return {}
+
+    @abstractmethod
+    def close(self) -> None:
+        """Free the engine's resources. A second call does nothing."""
+
+    # --- optional: forces, and points that the engine locates better than its nodes do ---
+
+    def apply_wrench(self, body: str, wrenches: FloatArray) -> None:
+        """Apply a force and a torque to a dynamic body from now on, until another call or a reset.
+
+        Args:
+            body: Name of a dynamic body.
+            wrenches: Force [N] through its centre of mass and torque [N m], shape [N, 6].
+
+        Raises:
+            BackendError: The engine does not support it.
+        """
+        raise BackendError(
+            f"{type(self).__name__} applies no force or torque to {body!r}: implement apply_wrench"
+        )
+
+    def contact_forces(self, pairs: Sequence[tuple[str, str]]) -> ContactForces | None:
+        """Return a reader of contact forces between rigid bodies, or None if the engine has none.
+
+        Args:
+            pairs: Names of two bodies each.
+
+        Returns:
+            Reader of the forces [N] of the second bodies on the first, friction included, in the mean over the last
+            `advance`, shape [N, len(pairs), 3].
+        """
+        return None
+
+    def track(self, name: str, points_m: FloatArray) -> MaterialPoints | None:
+        """Return a reader of material points of a deformable body, or None to interpolate between its nodes.
+
+        Ropes and rods need a reader, because their nodes form a line.
+
+        Args:
+            name: Name of the body. A body may also track points of the bodies that it is bonded to.
+            points_m: World positions at the nominal start [m], shape [point_count, 3].
+
+        Raises:
+            ShapeError: A point lies outside the material.
+        """
+        return None
+
+
+class LoopedSimulation(Simulation):
+    """Simulations of one world each, as one: for engines without batches, and for worlds with different constants.
+
+    Args:
+        simulations: One simulation for each world.
+    """
+
+    def __init__(self, simulations: Sequence[Simulation]) -> None:
+        self._simulations = simulations
+        self.settings = simulations[0].settings
+        self.world_count = len(simulations)
+        thread_count = min(processors(), self.world_count)
+        is_threaded = simulations[0].frees_python and thread_count > 1
+        self._threads = ThreadPoolExecutor(thread_count) if is_threaded else None
+
+    def reset(self, starts: FloatArray | None = None, seed: int = 0) -> None:
+        """Start each world."""
+        for number, one in enumerate(self._simulations):
+            one.reset(None if starts is None else starts[number : number + 1], seed)
+
+    def drive(self, body: str, targets: FloatArray) -> None:
+        """Prescribe the motion of a body in each world."""
+        for number, one in enumerate(self._simulations):
+            one.drive(body, targets[number : number + 1])
+
+    def advance(self, seconds: float) -> None:
+        """Advance each world."""
+        apply = map if self._threads is None else self._threads.map
+        # The results of the map raise the errors of its calls.
+        list(apply(lambda one: one.advance(seconds), self._simulations))
+
+    def body_states(self, names: Sequence[str]) -> FloatArray:
+        """Return the states of each world."""
+        return np.concatenate([one.body_states(names) for one in self._simulations])
+
+    def nodes(self, name: str) -> FloatArray:
+        """Return the nodes of each world."""
+        return np.concatenate([one.nodes(name) for one in self._simulations])
+
+    def diverged(self) -> Mapping[int, str]:
+        """Return the reason of each world that diverged."""
+        found = [one.diverged().get(0) for one in self._simulations]
+        return {number: reason for number, reason in enumerate(found) if reason}
+
+    def apply_wrench(self, body: str, wrenches: FloatArray) -> None:
+        """Apply a force and a torque in each world."""
+        for number, one in enumerate(self._simulations):
+            one.apply_wrench(body, wrenches[number : number + 1])
+
+    def contact_forces(self, pairs: Sequence[tuple[str, str]]) -> ContactForces | None:
+        """Return a reader of the contact forces in each world."""
+        return _joined([one.contact_forces(pairs) for one in self._simulations])
+
+    def track(self, name: str, points_m: FloatArray) -> MaterialPoints | None:
+        """Return a reader of material points in each world."""
+        return _joined([one.track(name, points_m) for one in self._simulations])
+
+    def close(self) -> None:
+        """Close each world."""
+        for one in self._simulations:
+            one.close()
+        if self._threads is not None:
+            self._threads.shutdown()
+
+
+def _joined(
+    readers: Sequence[Callable[[], FloatArray] | None],
+) -> Callable[[], FloatArray] | None:
+    """Return a reader of all worlds, or None if a world has none."""
+    known = [one for one in readers if one is not None]
+    if len(known) < len(readers):
+        return None
+    return lambda: np.concatenate([read() for read in known])
