@@ -1,7 +1,8 @@
 """Physics engines behind one interface, one folder per engine."""
 
+from typing import Any
+
 from gauge_envs.backends.base import Backend, FileBackend, ModelFile, Repeatability
-from gauge_envs.backends.device import DeviceWorlds
 from gauge_envs.backends.features import Feature, Support
 from gauge_envs.backends.registry import (
     backend,
@@ -13,24 +14,17 @@ from gauge_envs.backends.registry import (
     support_of,
     versions_of,
 )
-from gauge_envs.backends.shared.states import ReplayedSimulation
-from gauge_envs.backends.world import Simulation, World
-from gauge_envs.backends.worlds import ArraySimulation, ArrayWorlds, Worlds
+from gauge_envs.backends.simulation import LoopedSimulation, Simulation
 
 __all__ = [
-    "ArraySimulation",
-    "ArrayWorlds",
     "Backend",
-    "DeviceWorlds",
     "Feature",
     "FileBackend",
+    "LoopedSimulation",
     "ModelFile",
     "Repeatability",
-    "ReplayedSimulation",
     "Simulation",
     "Support",
-    "World",
-    "Worlds",
     "backend",
     "backend_for",
     "backend_names",
@@ -40,3 +34,23 @@ __all__ = [
     "support_of",
     "versions_of",
 ]
+
+_LEFT = (
+    "ArraySimulation",
+    "ArrayWorlds",
+    "DeviceWorlds",
+    "ReplayedSimulation",
+    "World",
+    "Worlds",
+)
+"""Classes of the contract of 0.3."""
+
+
+def __getattr__(name: str) -> Any:
+    """Say what replaces a class of the contract of 0.3."""
+    if name in _LEFT:
+        raise ImportError(
+            f"gauge_envs.backends.{name} belongs to the engine contract of gauge-envs 0.3. In 1.0 one class, Simulation, "
+            "holds N worlds, and nothing saves or restores states; docs/adding_an_engine.md lists the changes"
+        )
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

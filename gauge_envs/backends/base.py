@@ -9,26 +9,25 @@ A backend is one class with three methods. It receives a `Scene` and never the n
         def build(self, scene, settings): ...
         def versions(self): ...
 
-`build` returns a `Simulation` at the scene's start; it may be read before its first reset. An environment resets it.
-Then, every 1/180 s, the environment drives each kinematic body and advances the simulation. An entry point of the group
+`build` returns a `Simulation` of one world at the scene's nominal start; `build_worlds` returns one of N worlds, which by
+default loops over N simulations. Every 1/180 s, the environment drives each kinematic body and advances the simulation. An entry point of the group
 `gauge_envs.backends` makes a backend available by name; docs/adding_an_engine.md gives a complete example.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, ClassVar, Literal
 
 from gauge_envs.backends.fabric_constants import FabricConstants
 from gauge_envs.backends.features import Feature, Support, needed_features
-from gauge_envs.backends.world import Simulation
-from gauge_envs.backends.worlds import SeparateWorlds, Worlds
+from gauge_envs.backends.simulation import LoopedSimulation, Simulation
 from gauge_envs.errors import ParameterError, UnsupportedSceneError
-from gauge_envs.scene import Pose, Scene
+from gauge_envs.scene import Scene
 from gauge_envs.scene.fabrics import Fabric
 
 
@@ -51,7 +50,7 @@ class Repeatability:
 
     Attributes:
         kind: `bits`: every run has the same bits on one kind of processor. `run`: a simulation repeats its bits after
-            `reset` and `restore`, and another simulation of the scene does not. `statistical`: no run repeats another.
+            `reset`, and another simulation of the scene does not. `statistical`: no run repeats another.
         start_error: Error e by which checks judge runs that do not repeat bits. Other runs are disturbed by it: their
             free bodies start e apart [m, rad], and their gravity differs by the share e. Any state [m, 1, m/s, rad/s]
             may differ by e and ten times what it differs between disturbed runs; the median one by half of that.
@@ -90,12 +89,6 @@ class Backend(ABC):
         features: Optional features that `build` builds. Scenes with others are declined, so that an engine which was
             written before a feature existed leaves none out.
         own_defaults: Presets that leave the engine as its makers deliver it.
-        worlds_mix_constants: Whether `build_worlds` takes scenes that differ in masses and contact constants too. Such
-            scenes are built one by one for other engines.
-        worlds_share_simulation: Whether `build_worlds` makes one simulation of all worlds. A sweep runs the repeats of
-            such an engine together, and those of others one by one, so that an interrupted one loses less.
-        worlds_restart_alone: Whether `Worlds.restart` of what `build_worlds` returns starts one world anew while others
-            go on.
     """
 
     name: ClassVar[str]
@@ -107,9 +100,6 @@ class Backend(ABC):
     corrections: ClassVar[tuple[str, ...]] = ()
     features: ClassVar[frozenset[Feature]] = frozenset()
     own_defaults: ClassVar[frozenset[str]] = frozenset({"out_of_box"})
-    worlds_mix_constants: ClassVar[bool] = False
-    worlds_share_simulation: ClassVar[bool] = True
-    worlds_restart_alone: ClassVar[bool] = False
 
     def whose_physics(self, preset: str) -> str:
         """Return whose physics a preset shows: `own defaults`, `own options`, or `corrected` by this package."""
@@ -129,7 +119,7 @@ class Backend(ABC):
     def build(
         self, scene: Scene, settings: Mapping[str, Any] | None = None
     ) -> Simulation:
-        """Build a scene and return a simulation at the scene's start.
+        """Build a scene in one world, at the scene's nominal start.
 
         Args:
             scene: A scene that `supports` accepts.
@@ -144,19 +134,26 @@ class Backend(ABC):
         return Repeatability()
 
     def build_worlds(
-        self, scenes: Sequence[Scene], settings: Mapping[str, Any] | None = None
-    ) -> Worlds:
-        """Build several instances of a scene. An engine with batched worlds overrides it.
+        self,
+        scene: Scene,
+        world_count: int,
+        settings: Mapping[str, Any] | None = None,
+    ) -> Simulation:
+        """Build a scene in N worlds. An engine with batched worlds overrides it.
 
         Args:
-            scenes: One or more scenes that differ only in their start poses and velocities; with `worlds_mix_constants`
-                also in the masses of rigid bodies, and in friction and restitution.
+            scene: A scene that `supports` accepts.
+            world_count: Number of worlds N.
             settings: As in `build`.
 
         Raises:
             ParameterError: A setting does not exist or has an invalid value.
         """
-        return SeparateWorlds([self.build(scene, settings) for scene in scenes])
+        if world_count == 1:
+            return self.build(scene, settings)
+        return LoopedSimulation(
+            [self.build(scene, settings) for _ in range(world_count)]
+        )
 
     def resolved_settings(
         self, scene: Scene, settings: Mapping[str, Any] | None = None
@@ -213,53 +210,6 @@ class Backend(ABC):
         raise UnsupportedSceneError(
             f"backend {self.name!r} builds no model files: use a USD layer"
         )
-
-
-def worlds_of(
-    engine: Backend,
-    scenes: Sequence[Scene],
-    settings: Mapping[str, Any] | None = None,
-    *,
-    restart_alone: bool = False,
-) -> Worlds:
-    """Build several instances of a scene that may differ in starts and constants.
-
-    The engine builds them together where it can, and one by one otherwise. An engine whose `build_worlds` was written
-    for scenes with the same constants thus never gives all worlds those of the first.
-
-    Args:
-        engine: The engine.
-        scenes: One or more scenes with the same bodies, shapes and motions of drivers.
-        settings: As in `Backend.build`.
-        restart_alone: Whether `Worlds.restart` is needed.
-    """
-    if restart_alone and not engine.worlds_restart_alone:
-        return Backend.build_worlds(engine, scenes, settings)
-    first = scenes[0]
-    alike = all(_soft_constants(scene) == _soft_constants(first) for scene in scenes)
-    same = alike and all(
-        _rigid_constants(scene) == _rigid_constants(first) for scene in scenes
-    )
-    if same or (alike and engine.worlds_mix_constants and not first.deformables):
-        return engine.build_worlds(scenes, settings)
-    return Backend.build_worlds(engine, scenes, settings)
-
-
-def _rigid_constants(scene: Scene) -> tuple[object, ...]:
-    return (
-        *((body.mass_kg, body.inertia_kg_m2) for body in scene.bodies),
-        *scene.contacts,
-    )
-
-
-def _soft_constants(scene: Scene) -> tuple[object, ...]:
-    origin = Pose(position_m=(0.0, 0.0, 0.0))
-    return (
-        *(replace(body, pose=origin) for body in scene.deformables),
-        *scene.joints,
-        *((one.shift_m, one.turn_rad) for one in scene.drivers),
-        scene.air,
-    )
 
 
 def scene_support(engine: Backend, scene: Scene) -> Support:

@@ -6,7 +6,6 @@ from functools import cache
 from pathlib import Path
 
 from gauge_envs.backends.base import Backend, FileBackend, with_declared
-from gauge_envs.backends.checked import with_checks
 from gauge_envs.backends.features import Support
 from gauge_envs.errors import BackendError, GaugeError, ParameterError, UnknownNameError
 from gauge_envs.registry import BUNDLED, engine_points
@@ -41,7 +40,7 @@ def backend(name: str) -> Backend:
                     f"{place}: the class has the name {engine.name!r}. "
                     "Give the key of the entry point and the attribute `name` of the class the same text."
                 )
-            return engine if is_bundled(name) else with_checks(engine)
+            return engine
     raise UnknownNameError("backend", name, backend_names())
 
 

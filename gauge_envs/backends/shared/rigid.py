@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Hashable, Iterable, Sequence
-from dataclasses import dataclass, field, fields
-from operator import attrgetter
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gauge_envs.backends.world import World
+from gauge_envs.backends.simulation import Simulation
 from gauge_envs.scene import (
-    Cloth,
     Hinge,
     Motion,
     Pose,
@@ -39,24 +37,8 @@ if TYPE_CHECKING:
 CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])
 """Factors of a unit quaternion w, x, y, z that give the inverse rotation."""
 
-_STARTS = ("pose", "linear_velocity_m_per_s", "angular_velocity_rad_per_s")
-
-
-def _fields_without(kind: type, others: Iterable[str]) -> Callable[[object], object]:
-    """Return a function that reads all fields of a dataclass but some."""
-    return attrgetter(*({one.name for one in fields(kind) if one.init} - {*others}))
-
-
-_without_start = {
-    RigidBody: _fields_without(RigidBody, _STARTS),
-    Cloth: _fields_without(Cloth, ("pose",)),
-}
-_PLACED = ("bodies", "deformables", "drivers", "markers")
-_scene_without_places = _fields_without(Scene, _PLACED)
-
-
 def body_state(pose: Pose, velocity: Iterable[float] = (0.0,) * 6) -> FloatArray:
-    """Return the state of a body with a pose and a velocity, shape [13]; see `World.body_states`."""
+    """Return the state of a body with a pose and a velocity, shape [13]; see `Simulation.body_states`."""
     return np.array([*pose.position_m, *pose.quaternion, *velocity])
 
 
@@ -70,7 +52,7 @@ def placed_states(scene: Scene, *motions: Motion) -> dict[str, FloatArray]:
 
 
 class MeanForces:
-    """Mean contact forces of pairs of bodies over the steps of an interval; see `World.contact_forces`.
+    """Mean contact forces of pairs of bodies over the steps of an interval, in one world.
 
     Args:
         pairs: Two bodies each.
@@ -102,60 +84,35 @@ class MeanForces:
         self._count += 1
 
     def mean(self) -> FloatArray:
-        """Return the mean force on the first body of each pair [N], shape [pair_count, 3]."""
-        return self._sums_n / max(self._count, 1)
+        """Return the mean force on the first body of each pair [N], shape [1, pair_count, 3]."""
+        return self._sums_n[None] / max(self._count, 1)
 
 
-class PlacedWorld(World):
-    """A world that knows the states of some bodies, and reads those of the others from the engine.
+class PlacedSimulation(Simulation):
+    """A simulation that knows the states of some bodies, and reads those of the others from the engine.
 
     Attributes:
-        placed: States of the known bodies, by name.
+        placed: States of the known bodies by name, shape [13] or [world_count, 13].
     """
 
     placed: dict[str, FloatArray]
 
     @abstractmethod
     def moving_states(self, names: Sequence[str]) -> Any:
-        """Return the states of bodies that the engine moves, an array or rows of shape [len(names), 13]."""
+        """Return the states of bodies that the engine moves, shape [world_count, len(names), 13]."""
 
     def body_states(self, names: Sequence[str]) -> FloatArray:
-        """Return poses and velocities of bodies, shape [len(names), 13]; see `World.body_states`."""
-        states = np.empty((len(names), 13))
+        """Return the states of bodies, shape [world_count, len(names), 13]; see `Simulation.body_states`."""
+        states = np.empty((self.world_count, len(names), 13))
         moving = []
         for row, name in enumerate(names):
             if name in self.placed:
-                states[row] = self.placed[name]
+                states[:, row] = self.placed[name]
             else:
                 moving.append(row)
         if moving:
-            states[moving] = self.moving_states([names[row] for row in moving])
+            states[:, moving] = self.moving_states([names[row] for row in moving])
         return states
-
-
-def starts_elsewhere(built: Scene, scene: Scene) -> list[RigidBody | Cloth] | None:
-    """Return the rigid bodies and the cloths of a scene that start otherwise than in the one that was built.
-
-    None if anything but the motion of driven bodies and the places of markers differs too.
-    """
-    # Comparing tuples is quick where most of their members are the same objects.
-    if _scene_without_places(built) != _scene_without_places(scene):
-        return None
-    before = (*built.bodies, *built.deformables)
-    after = (*scene.bodies, *scene.deformables)
-    if len(before) != len(after):
-        return None
-    moved: list[RigidBody | Cloth] = []
-    for old, new in zip(before, after, strict=True):
-        if old == new:
-            continue
-        if not isinstance(new, RigidBody | Cloth) or type(old) is not type(new):
-            return None
-        kept = _without_start[type(new)]
-        if kept(old) != kept(new):
-            return None
-        moved.append(new)
-    return moved
 
 
 def centre_velocity(body: RigidBody, centre_m: ArrayLike) -> FloatArray:
@@ -250,7 +207,7 @@ class TetherSpring:
 
 @dataclass(frozen=True)
 class DrivenMotion:
-    """Uniformly accelerated motion of a driven body, with the arguments of `World.drive`.
+    """Uniformly accelerated motion of a driven body in one world; see `Simulation.drive`.
 
     Attributes:
         start: Pose at the start of the interval.
@@ -263,16 +220,11 @@ class DrivenMotion:
     acceleration: FloatArray = field(default_factory=lambda: np.zeros(6))
 
     @classmethod
-    def copied(
-        cls,
-        pose: Pose,
-        velocity: FloatArray,
-        acceleration: FloatArray,
-    ) -> DrivenMotion:
-        """Return the motion of a call of `World.drive`, whose arrays may change afterwards."""
-        return cls(
-            pose, np.array(velocity, dtype=float), np.array(acceleration, dtype=float)
-        )
+    def of(cls, target: FloatArray) -> DrivenMotion:
+        """Return the motion of a row of `Simulation.drive`, shape [19], which may change afterwards."""
+        x, y, z, qw, qx, qy, qz, *_ = target.tolist()
+        pose = Pose(position_m=(x, y, z), quaternion=(qw, qx, qy, qz))
+        return cls(pose, target[7:13].copy(), target[13:].copy())
 
     def travel(self, times_s: float | FloatArray) -> FloatArray:
         """Return displacement [m] and rotation vector [rad] since the start.
@@ -302,7 +254,7 @@ class DrivenMotion:
         return np.asarray(self.velocity + np.asarray(self.acceleration) * time_s)
 
     def state_at(self, time_s: float) -> FloatArray:
-        """Return the state of the body at a time since the start [s], shape [13]; see `World.body_states`."""
+        """Return the state of the body at a time since the start [s], shape [13]; see `Simulation.body_states`."""
         return body_state(self.pose(time_s), self.velocity_at(time_s))
 
     def steps(self, step_s: float, count: int) -> tuple[FloatArray, FloatArray]:
