@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -23,7 +22,6 @@ from gauge_envs.scene.geometry import (
     vector_quaternions,
 )
 from gauge_envs.scene.profiles import Profile
-from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,15 +70,11 @@ class Driver:
         body: Name of the kinematic body.
         motions: Motions that apply in order to the start pose, each in the world frame.
         provenance: Source of the motion: `video`, `mocap`, `nominal`, ...
-        shift_m: Displacement of the body from its place in the set-up [m], beside its motions; None for none.
-        turn_rad: Rotation vector about its origin from its place in the set-up [rad]; None for none.
     """
 
     body: str
     motions: tuple[DriverMotion, ...]
     provenance: str
-    shift_m: Vector | None = None
-    turn_rad: Vector | None = None
 
     def pose(self, start: Pose, time_s: float) -> Pose:
         """Return the pose at a time; see `state`."""
@@ -104,40 +98,26 @@ class Driver:
     def path(self, start: Pose, times_s: FloatArray) -> FloatArray:
         """Return poses and velocities at times, without actions, as `moved` does; shape [time_count, 13]."""
         coordinates, rates = recorded_coordinates(self.motions, times_s)
-        return self.moved(start_rows([start]), times_s, coordinates, rates)
+        pose = [*start.position_m, *start.quaternion]
+        starts = np.tile(pose, (len(times_s), 1))
+        return self.moved(starts, coordinates, rates)
 
     def moved(
-        self,
-        starts: FloatArray,
-        times_s: FloatArray,
-        coordinates: FloatArray,
-        rates: FloatArray,
+        self, starts: FloatArray, coordinates: FloatArray, rates: FloatArray
     ) -> FloatArray:
-        """Return poses and velocities in many worlds at a time, or in one at many times.
+        """Return poses and velocities of the body.
 
         Args:
-            starts: Rows of `start_rows` before anything moves, shape [1, 7] or [world_count, 7].
-            times_s: Time since the start of the episode [s], shape [1] or [world_count].
-            coordinates: Coordinate of each motion [m or rad], shape [world_count, motion_count].
-            rates: Rate of each motion [m/s or rad/s], shape [world_count, motion_count].
+            starts: Poses before anything moves, position [m] and quaternion w x y z, shape [count, 7].
+            coordinates: Coordinate of each motion [m or rad], shape [count, motion_count].
+            rates: Rate of each motion [m/s or rad/s], shape [count, motion_count].
 
         Returns:
             Position, quaternion, linear velocity of the body origin [m/s] (3) and angular velocity [rad/s] (3) in the
-            world frame, shape [world_count, 13].
+            world frame, shape [count, 13].
         """
         position, quaternions = starts[:, :3], starts[:, 3:]
         linear = angular = np.zeros((1, 3))
-        shift_m, turn_rad = self.shift_m, self.turn_rad
-        if shift_m is not None and turn_rad is not None:
-            # It goes there in the first frame, as what it holds starts without strain.
-            frames = np.minimum(FRAME_RATE_HZ * times_s, 1.0)[:, None]
-            share = 0.5 * (1.0 - np.cos(np.pi * frames))
-            share_rate = 0.5 * np.pi * FRAME_RATE_HZ * np.sin(np.pi * frames)
-            position = position + share * shift_m
-            turns = vector_quaternions(share * np.asarray(turn_rad))
-            quaternions = quaternion_products(turns, quaternions)
-            linear = linear + share_rate * shift_m
-            angular = angular + share_rate * turn_rad
         for index, motion in enumerate(self.motions):
             value, rate = coordinates[:, index, None], rates[:, index, None]
             axis = np.asarray(motion.axis)
@@ -162,22 +142,10 @@ class Driver:
         states[:, 10:] = angular
         return states
 
-    @property
-    def spin_limit_rad_per_s(self) -> float:
-        """Bound on the angular speed of the driven body [rad/s]."""
-        turn_rad = math.hypot(*(self.turn_rad or ()))
-        misplacing = 0.5 * math.pi * FRAME_RATE_HZ * turn_rad
-        return misplacing + sum(
-            one.largest_rate for one in self.motions if one.kind == "rotate"
-        )
-
     def speed_limit_m_per_s(self, body: RigidBody) -> float:
         """Return a bound on the speed of any point of the driven body [m/s]."""
         corners = body.pose.to_world(body.shape.corners_m)
-        radius_m = np.linalg.norm(corners - body.pose.position_m, axis=1).max()
-        turn_rad = math.hypot(*(self.turn_rad or ()))
-        way_m = math.hypot(*(self.shift_m or ())) + float(radius_m) * turn_rad
-        speed = 0.5 * math.pi * FRAME_RATE_HZ * way_m
+        speed = 0.0
         for motion in self.motions:
             if motion.kind == "translate":
                 speed += motion.largest_rate
@@ -187,13 +155,6 @@ class Driver:
                 ).max()
                 speed += motion.largest_rate * float(arm)
         return speed
-
-
-def start_rows(poses: Sequence[Pose]) -> FloatArray:
-    """Return positions [m] and unit quaternions w x y z of poses, shape [pose_count, 7]."""
-    rows = np.array([[*pose.position_m, *pose.quaternion] for pose in poses])
-    rows[:, 3:] = unit_quaternions(rows[:, 3:])
-    return rows
 
 
 def recorded_coordinates(

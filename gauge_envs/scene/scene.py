@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from itertools import product
 from types import UnionType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -32,7 +32,6 @@ from gauge_envs.scene.bodies import (
 )
 from gauge_envs.scene.contact_faces import ContactFaces, TouchingGroup
 from gauge_envs.scene.geometry import Plane
-from gauge_envs.scene.meshes import body_mass_properties
 
 if TYPE_CHECKING:
     from gauge_envs.scene.drivers import Driver
@@ -63,8 +62,6 @@ class Scene:
         markers: Markers on deformable bodies, if any.
         gravity_m_per_s2: Downward acceleration [m/s^2].
         air: Air that acts on the cloth, if any; other bodies feel none.
-        stated: The scene that this one is with other starts; None for a stated scene, and after any `replace`. An
-            engine may compute there what a rigid motion keeps, as rest lengths: no rounding then depends on the start.
 
     Raises:
         ParameterError: A start velocity is not finite, belongs to a body that is not dynamic or is attached to a
@@ -83,7 +80,6 @@ class Scene:
     markers: Markers | None = None
     gravity_m_per_s2: float = GRAVITY_M_PER_S2
     air: Air | None = None
-    stated: Scene | None = field(init=False, default=None, repr=False, compare=False)
     _by_name: dict[str, RigidBody] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -252,46 +248,6 @@ class Scene:
         return reach + 1.0 + self.speed_limit_m_per_s * self.duration_s
 
     @cached_property
-    def kinetic_energy_limit_j(self) -> float:
-        """Upper bound on the total kinetic energy of the dynamic bodies [J].
-
-        It is the potential energy above the floor, plus the energy of the start and of elastic hits by the drivers,
-        times 1.25.
-        """
-        driven = self._driven_speed_m_per_s
-        total = 0.0
-        for body in self.dynamic_bodies:
-            lowest = body.heights_m[0]
-            total += (
-                body.mass_kg
-                * self.gravity_m_per_s2
-                * max(lowest - self.floor_height_m, 0.02)
-            )
-            linear: Any = body.linear_velocity_m_per_s
-            angular = body.angular_velocity_rad_per_s
-            if any(angular):
-                centre_m, inertia = body_mass_properties(body)
-                rotation = body.pose.rotation
-                linear = linear + np.cross(angular, rotation.apply(centre_m))
-                spin = rotation.apply(angular, inverse=True)
-                total += 0.5 * float(spin @ inertia @ spin)
-            # One elastic hit adds twice the driver's speed.
-            total += 0.5 * body.mass_kg * (2.0 * driven + math.hypot(*linear)) ** 2
-        return 1.25 * total
-
-    def spin_limit_rad_per_s(self, body: RigidBody) -> float:
-        """Return a bound on the angular speed of a body [rad/s], which all energy of the scene turns, or a driver."""
-        if body in self.dynamic_bodies:
-            inertia = body_mass_properties(body)[1]
-            least = float(np.linalg.eigvalsh(inertia)[0])
-            return float(np.sqrt(2.0 * self.kinetic_energy_limit_j / least))
-        return sum(
-            driver.spin_limit_rad_per_s
-            for driver in self.drivers
-            if driver.body == body.name
-        )
-
-    @cached_property
     def _driven_speed_m_per_s(self) -> float:
         """Bound on the speed of a point of a driven body [m/s]."""
         return max(
@@ -299,28 +255,12 @@ class Scene:
             default=0.0,
         )
 
-    def started(self, **starts: Any) -> Scene:
-        """Return the scene with other starts of bodies that no driver moves.
-
-        What does not depend on them is neither checked again nor, of drivers, computed again.
-        """
-        kept = {name: vars(self)[name] for name in _ARGUMENTS}
-        other = object.__new__(Scene)
-        vars(other)["stated"] = self.stated or self
-        vars(other).update(kept | starts)
-        vars(other)["_driven_speed_m_per_s"] = self._driven_speed_m_per_s
-        other._check_starts()
-        return other
-
     @cached_property
     def _start_speed_m_per_s(self) -> float:
         """Highest start speed of a point of a dynamic body [m/s]."""
         return max(
             (_point_speed_m_per_s(body) for body in self.dynamic_bodies), default=0.0
         )
-
-
-_ARGUMENTS = tuple(one.name for one in fields(Scene) if one.init)
 
 
 def _colliding_pairs(

@@ -1,8 +1,8 @@
-"""Initial states of a scene as an array, and how they scatter.
+"""Initial states of a scene as an array.
 
-States have the rows of `Scene.bodies` and then of `Scene.deformables`, and 13 numbers each: position [m], unit quaternion
-w x y z, linear velocity [m/s] and angular velocity [rad/s], in the world frame. A deformable body starts at rest; its row
-has the pose of its frame.
+States have the rows of `Scene.bodies` and then of `Scene.deformables`, and 13 numbers each: position [m], unit
+quaternion w x y z, linear velocity [m/s] and angular velocity [rad/s], in the world frame. A deformable body starts at
+rest; its row has the pose of its frame.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """MuJoCo backend, the default engine."""
 
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -11,7 +11,6 @@ from gauge_envs.backends.features import Feature
 from gauge_envs.backends.mujoco.deformables import unsupported_features
 from gauge_envs.backends.mujoco.fabrics import flex_constants
 from gauge_envs.backends.mujoco.model import build_model
-from gauge_envs.backends.mujoco.model_settings import option_settings
 from gauge_envs.backends.mujoco.settings import settings_for
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
 from gauge_envs.backends.mujoco.versions import (
@@ -19,10 +18,8 @@ from gauge_envs.backends.mujoco.versions import (
     without_absent,
     without_deformables,
 )
-from gauge_envs.backends.mujoco.worlds import WorldsMuJoCo
-from gauge_envs.backends.settings import check_kept
 from gauge_envs.backends.shared.bundled import BundledBackend
-from gauge_envs.backends.worlds import Worlds
+from gauge_envs.backends.simulation import Simulation
 from gauge_envs.errors import ParameterError, UnsupportedSceneError
 from gauge_envs.registry import model_files
 from gauge_envs.scene import Scene
@@ -52,8 +49,6 @@ class BackendMuJoCo(BundledBackend):
             "out_of_box": {"preset": "out_of_box"},
         }
     )
-    worlds_mix_constants = True
-    worlds_share_simulation = False
 
     def unsupported(self, scene: Scene) -> Iterator[str]:
         """Yield the unsupported features, such as cloth on a dynamic body or, below MuJoCo 4, deformable bodies."""
@@ -63,35 +58,31 @@ class BackendMuJoCo(BundledBackend):
     def build(
         self, scene: Scene, settings: Mapping[str, Any] | None = None
     ) -> SimulationMuJoCo:
-        """Build a scene; settings are the fields of `SettingsMuJoCo`.
+        """Build a scene; settings are the fields of `SettingsMuJoCo`."""
+        return self._compiled(scene, 1, settings)
 
-        A scene with deformable bodies that starts elsewhere than stated is built as stated and then moved, as a reset
-        does, if `SimulationMuJoCo.start_at` can: a model that is compiled elsewhere has other last bits.
-        """
-        for reason in without_deformables(scene):
-            raise UnsupportedSceneError(reason)
-        if scene.stated is not None and scene.deformables:
-            simulation = self._compiled(scene.stated, settings)
-            if simulation.start_at(scene):
-                return simulation
-        return self._compiled(scene, settings)
+    def build_worlds(
+        self,
+        scene: Scene,
+        world_count: int,
+        settings: Mapping[str, Any] | None = None,
+    ) -> Simulation:
+        """Build rigid worlds of one model, which threads step; those with deformable bodies have a model each."""
+        if scene.deformables:
+            return super().build_worlds(scene, world_count, settings)
+        return self._compiled(scene, world_count, settings)
 
     def _compiled(
-        self, scene: Scene, settings: Mapping[str, Any] | None
+        self, scene: Scene, world_count: int, settings: Mapping[str, Any] | None
     ) -> SimulationMuJoCo:
+        for reason in without_deformables(scene):
+            raise UnsupportedSceneError(reason)
         chosen = settings_for(scene, settings)
         in_force = without_absent(chosen.model_dump(mode="json"))
         spec, model, parts = build_model(scene, chosen)
-        check_kept("MuJoCo", in_force, option_settings(model))
-        return SimulationMuJoCo(scene, in_force, spec, model, parts)
-
-    def build_worlds(
-        self, scenes: Sequence[Scene], settings: Mapping[str, Any] | None = None
-    ) -> Worlds:
-        """Build worlds that threads step; those with deformable bodies run alone, since reading them takes long."""
-        if scenes[0].deformables:
-            return super().build_worlds(scenes, settings)
-        return WorldsMuJoCo([self.build(scene, settings) for scene in scenes])
+        return SimulationMuJoCo(
+            scene, in_force, spec, model, parts, world_count=world_count
+        )
 
     def read_file(self, path: Path, scene: Scene) -> ModelFile:
         """Read an MJCF file, through the instrument that reads them."""
@@ -109,7 +100,6 @@ class BackendMuJoCo(BundledBackend):
         simulation = SimulationMuJoCo(
             scene,
             *model_files(self.name).load_model(path, scene),
-            fixes_start=True,
         )
         # The sparse models of this package agree with dense ones: `robot-solver` ran on all of them.
         if advice := sparse_advice(simulation.model):

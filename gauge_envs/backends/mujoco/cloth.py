@@ -56,9 +56,9 @@ class ClothPartMuJoCo(FlexPart):
         super().__init__(flex, grid.rest_m, points)
         self.cloth, self.grid = cloth, grid
 
-    def place(self, model: mujoco.MjModel, pose: Pose) -> None:
-        """Let the cloth start at another pose in the compiled model, with what holds it; see `Points.place`."""
-        self.points.place(model, self.grid.at(pose))
+    def start_at(self, pose: Pose) -> None:
+        """Let a cloth without attachments start at another pose."""
+        self.points.start_at(self.grid.at(pose))
 
     def complete(self, model: mujoco.MjModel) -> None:
         """Write the fabric's membrane law and scale the bending stiffness of the diagonals."""
@@ -201,6 +201,10 @@ class FoldWatch:
         # Elements of flat cloth that share no vertex are 0.7 of a cell apart.
         self._apart_m = 0.65 * min(part.grid.cell_m) - 2.0 * part.flex.radius
         self._seen_m: FloatArray | None = None
+
+    def forget(self) -> None:
+        """Forget where the cloth was, for another run."""
+        self._seen_m = None
 
     def stays_apart(self, seconds: float) -> bool:
         """Return whether the cloth cannot touch itself in the next seconds."""

@@ -77,15 +77,13 @@ class Points:
             arms_m = self._attached[rows[0]].pose.to_body(self._rest_m[rows])
             self._moving.append((rows, arms_m, *free_joint_views(model, data, body)))
 
-    def place(self, model: mujoco.MjModel, rest_m: FloatArray) -> None:
-        """Let the points start elsewhere in the compiled model, by a rigid motion that attached ones share.
+    def start_at(self, rest_m: FloatArray) -> None:
+        """Let points of which none is attached start elsewhere.
 
         Args:
-            model: The compiled model.
             rest_m: World positions at the start [m], shape [point_count, 3].
         """
-        self._rest_m = rest_m
-        model.body_pos[self._bodies] = rest_m[self.free]
+        self._qpos[self._addresses] = rest_m - self._rest_m
 
     def positions(self) -> FloatArray:
         """Return the current world positions [m], shape [point_count, 3], from joint coordinates alone."""

@@ -1,12 +1,10 @@
-"""A MuJoCo simulation: driving, stepping and reading of its state."""
+"""MuJoCo worlds of one scene: driving, stepping and reading of their states."""
 
 from __future__ import annotations
 
-import ctypes
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import partial
-from math import cos, hypot, sin
-from typing import Any, Protocol
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -19,25 +17,13 @@ from gauge_envs.backends.mujoco.cloth import (
 )
 from gauge_envs.backends.mujoco.flex import FlexPart, free_joint_views
 from gauge_envs.backends.mujoco.line import LinePartMuJoCo
-from gauge_envs.backends.mujoco.model import (
-    START_KEY,
-    hinge_in_body,
-    start_velocities,
-)
+from gauge_envs.backends.mujoco.model import START_KEY
 from gauge_envs.backends.mujoco.soft import Grip, SoftPartMuJoCo
-from gauge_envs.backends.shared.rigid import MeanForces, starts_elsewhere
-from gauge_envs.backends.shared.states import Snapshot, StateOrigin
-from gauge_envs.backends.world import Simulation
-from gauge_envs.scene import (
-    Attachment,
-    Cloth,
-    Hinge,
-    Motion,
-    Pose,
-    RigidBody,
-    Scene,
-)
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.backends.shared.rigid import CONJUGATE, MeanForces, body_state
+from gauge_envs.backends.simulation import ContactForces, MaterialPoints, Simulation
+from gauge_envs.files import processors
+from gauge_envs.scene import Motion, Pose, Scene
+from gauge_envs.scene.geometry import FloatArray, quaternion_products, unit_quaternions
 
 BAD_STATES = {
     mujoco.mjtWarning.mjWARN_BADQPOS: "position",
@@ -46,46 +32,23 @@ BAD_STATES = {
 }
 """Quantity of each warning after which MuJoCo puts the state back to its start."""
 
-NO_CLOCK = ctypes.cast(
-    ctypes.pythonapi.PyFloat_GetMin, ctypes.CFUNCTYPE(ctypes.c_double)
-)
-"""A function of C that returns a constant. In Python MuJoCo reads a clock dozens of times in each step, for the timers
-of `MjData`: a fifth to a third of a step of a few rigid bodies (studies/cost)."""
-
-
-UNIT_LENGTH = 1e-14
-"""Largest deviation of an axis from length 1 that MuJoCo's compiler leaves as it is."""
-
-
-def without_clock(step: Callable[[], object]) -> None:
-    """Call a function that steps, without a clock unless a user has set one; see `NO_CLOCK`."""
-    # Of the user, or of another thread that is in this function.
-    has_clock = mujoco.get_mjcb_time() is not None
-    if not has_clock:
-        mujoco.set_mjcb_time(NO_CLOCK)
-    try:
-        step()
-    finally:
-        if not has_clock:
-            mujoco.set_mjcb_time(None)
-
 
 class SimulationMuJoCo(Simulation):
-    """A scene in MuJoCo.
+    """A scene in MuJoCo: one model, and one `MjData` for each world, which threads step.
 
     Args:
         scene: The scene.
         settings: Numerical settings in force, including `timestep_s`.
         spec: The editable model, for export and inspection.
         model: The compiled model.
-        parts: Parts of its deformable bodies, by name.
-        fixes_start: Whether the model is a file's, which states the start.
+        parts: Parts of its deformable bodies, by name; with any, there is one world.
+        world_count: Number of worlds.
 
     Attributes:
-        data: MuJoCo's state of the model.
+        datas: MuJoCo's state of each world.
+        data: MuJoCo's state of the first world.
         timestep_s: Time step [s].
         grips: Nodes of soft bodies that move with driven bodies.
-        contact_readers: Readers of contact forces.
     """
 
     frees_python = True
@@ -98,288 +61,174 @@ class SimulationMuJoCo(Simulation):
         model: mujoco.MjModel,
         parts: Mapping[str, FlexPart],
         *,
-        fixes_start: bool = False,
+        world_count: int = 1,
     ) -> None:
         self.settings = settings
-        self._fixes_start = fixes_start
+        self.world_count = world_count
         self.spec = spec
         self.model = model
+        self.datas = [mujoco.MjData(model) for _ in range(world_count)]
+        self.data = self.datas[0]
+        self.timestep_s = float(settings["timestep_s"])
+        self._scene = scene
         self._parts = parts
-        self.data = mujoco.MjData(model)
         self.grips: list[Grip] = []
         for part in dict.fromkeys(parts.values()):
             part.bind(model, self.data)
             if isinstance(part, SoftPartMuJoCo):
                 self.grips += part.grips
-        self.timestep_s = float(settings["timestep_s"])
         self._cloths = {
             name: part
             for name, part in parts.items()
             if isinstance(part, ClothPartMuJoCo)
         }
-        self._stated_nodes = {name: one.nodes() for name, one in self._cloths.items()}
         self._air: list[AirOnCloth] = []
         if scene.air is not None:
-            cloth = [*self._cloths.values()]
-            check_air_step(scene, cloth, self.timestep_s)
-            self._air = [AirOnCloth(scene.air, part, self.data) for part in cloth]
-        # A scene in which a cloth touches nothing but itself.
+            cloths = [*self._cloths.values()]
+            check_air_step(scene, cloths, self.timestep_s)
+            self._air = [AirOnCloth(scene.air, part, self.data) for part in cloths]
+        self._folds = self._fold_watch()
+        self._force_readers: list[list[MeanForces]] = [[] for _ in self.datas]
+        self._bodies = _Bodies(scene, model)
+        # Views: fetching an array of MuJoCo costs more than reading from it.
+        self._qpos = [data.qpos for data in self.datas]
+        self._qvel = [data.qvel for data in self.datas]
+        self._warnings = [data.warning.number for data in self.datas]
+        self._driven: dict[str, list[DrivenBody]] = {}
+        thread_count = min(processors(), world_count)
+        self._threads = ThreadPoolExecutor(thread_count) if thread_count > 1 else None
+        self.reset()
+
+    def _fold_watch(self) -> FoldWatch | None:
+        """Return the watch of a cloth that touches nothing but itself, or None."""
         touching = {
             name
-            for contact in scene.contacts
+            for contact in self._scene.contacts
             for name in (*contact.first, *contact.second)
         }
-        lone = self._cloths.get(touching.pop()) if len(touching) == 1 else None
-        self._folds = FoldWatch(lone, model, self.data) if lone else None
-        self._state_size = mujoco.mj_stateSize(
-            model, mujoco.mjtState.mjSTATE_INTEGRATION
-        )
-        self._readers: dict[tuple[str, ...], StateReader] = {}
-        self.contact_readers: list[MeanForces] = []
-        self._driven: dict[str, DrivenBody] = {}
-        self._built = self._scene = scene
-        self._origin = _origin(settings, scene)
-        key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, START_KEY)
-        self._start_velocities = model.key_qvel[key] if key >= 0 else np.zeros(model.nv)
-        self.data.qvel[:] = self._start_velocities
-        self._warning_counts = self.data.warning.number
+        if len(touching) != 1 or touching.isdisjoint(self._cloths):
+            return None
+        return FoldWatch(self._cloths[touching.pop()], self.model, self.data)
 
-    def reset(self, seed: int) -> None:
-        """Return to the scene's start. MuJoCo draws no random numbers, so the seed has no effect."""
-        mujoco.mj_resetData(self.model, self.data)
-        self.data.qvel[:] = self._start_velocities
-
-    def start_at(self, scene: Scene) -> bool:
-        """Place bodies elsewhere in the compiled model; see `Simulation.start_at`.
-
-        A scene is built anew if more than the starts of rigid bodies and cloths and the motion of driven bodies
-        differs. Fixed and driven bodies and cloths start elsewhere only in a model that was compiled at their stated
-        start, of which a rigid motion keeps all but places.
-        The editable model, and the centre and extent of MuJoCo's own pictures, stay those of the first start.
-        """
-        moved = starts_elsewhere(self._scene, scene)
-        if moved == []:
-            self._scene = scene
-            self.reset(0)
-            return True
-        model = self.model
-        is_scaled = self.settings.get("inverse_weight_scale", 1.0) != 1.0
-        # The compiler normalizes an axis of another length, with bits of its own.
-        is_rounded = any(
-            abs(hypot(*hinge.axis) - 1.0) > UNIT_LENGTH
-            for hinge in scene.hinges.values()
-        )
-        if moved is None or self._fixes_start or is_scaled or is_rounded:
-            return False
-        others = {one.name for one in moved} - {
-            one.name for one in scene.dynamic_bodies
-        }
-        if others and not self._takes(scene, others):
-            return False
-        velocities = start_velocities(scene, model)
-        if velocities.any() != bool(model.nkey):
-            return False
-        for one in moved:
-            if isinstance(one, Cloth):
-                self._cloths[one.name].place(model, one.pose)
-            else:
-                self._place(one, scene.hinges.get(one.name))
-        if scene.dynamic_bodies:
-            # What follows from the start, such as inverse weights.
-            mujoco.mj_setConst(model, self.data)
-        model.key_qpos[:] = model.qpos0
-        self._start_velocities[:] = velocities
-        self._scene = scene
-        if scene.hinges:  # The reader of a hinged body keeps its start.
-            self._readers.clear()
-        self._origin = _origin(self.settings, scene)
-        self.reset(0)
-        return True
-
-    def _takes(self, scene: Scene, others: set[str]) -> bool:
-        """Return whether bodies that are not dynamic can start as a scene says.
-
-        Args:
-            scene: The scene.
-            others: Names of the fixed and driven bodies and of the cloths that start elsewhere than now.
-        """
-        if not scene.deformables or (scene.stated or scene) != self._built:
-            return False
-        rounding = 1e-9
-        return all(
-            held.deformable in self._cloths
-            # The reader of wrenches frees fixed bodies where they were compiled.
-            and scene.body(held.to).motion is not Motion.FIXED
-            and np.abs(_seen(scene, held) - _seen(self._built, held)).max() < rounding
-            for held in scene.attachments
-            if not others.isdisjoint((held.deformable, held.to))
-        )
-
-    def _place(self, body: RigidBody, hinge: Hinge | None) -> None:
-        """Let a rigid body start elsewhere in the compiled model."""
-        model = self.model
-        index = model.body(body.name).id
-        quaternion = np.array(body.pose.quaternion)
-        mujoco.mju_normalize4(quaternion)
-        model.body_pos[index] = body.pose.position_m
-        model.body_quat[index] = quaternion
-        if body.motion is Motion.FIXED:
+    def reset(self, starts: FloatArray | None = None, seed: int = 0) -> None:
+        """Start all worlds; MuJoCo draws no random numbers, so the seed has no effect."""
+        key = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_KEY, START_KEY)
+        for data in self.datas:
+            mujoco.mj_resetData(self.model, data)
+            if key >= 0:
+                data.qvel[:] = self.model.key_qvel[key]
+        if self._folds is not None:
+            self._folds.forget()
+        if starts is None:
             return
-        first = model.joint(body.name)
-        if hinge is None:
-            start = np.concatenate([body.pose.position_m, quaternion])
-            first.qpos0[:] = first.qpos_spring[:] = start
-        else:
-            first.pos[:], first.axis[:] = hinge_in_body(body, hinge)
+        self._bodies.write(starts, self._qpos, self._qvel)
+        names = [body.name for body in self._scene.deformables]
+        attached = {one.deformable for one in self._scene.attachments}
+        for name, part in self._cloths.items():
+            if name not in attached:
+                row = starts[0, len(self._scene.bodies) + names.index(name)].tolist()
+                w, x, y, z = row[3:7]
+                part.start_at(Pose(position_m=tuple(row[:3]), quaternion=(w, x, y, z)))
 
-    def drive(
-        self,
-        body: str,
-        pose: Pose,
-        velocity: FloatArray,
-        acceleration: FloatArray,
-    ) -> None:
-        """Write the body's pose, its velocity, and the force that gives its large mass the acceleration."""
-        place = (*pose.position_m, *pose.quaternion)
-        self.driven_body(body).write(place, velocity, acceleration)
+    def drive(self, body: str, targets: FloatArray) -> None:
+        """Write each world's pose, velocity, and the force that gives the body's large mass the acceleration."""
+        if body not in self._driven:
+            self._driven[body] = [
+                DrivenBody(self.model, data, body) for data in self.datas
+            ]
+        for driven, target in zip(self._driven[body], targets, strict=True):
+            driven.write(target)
         for grip in self.grips:
             if grip.body == body:
                 grip.follow()
 
-    def driven_body(self, name: str) -> DrivenBody:
-        """Return what drives a body by its name."""
-        if name not in self._driven:
-            self._driven[name] = DrivenBody(self.model, self.data, name)
-        return self._driven[name]
-
-    def apply_wrench(self, body: str, wrench: FloatArray) -> None:
-        """Apply a force and a torque to a dynamic body; see `World.apply_wrench`."""
-        self.data.xfrc_applied[self.model.body(body).id] = wrench
+    def apply_wrench(self, body: str, wrenches: FloatArray) -> None:
+        """Apply a force and a torque to a dynamic body; see `Simulation.apply_wrench`."""
+        index = self.model.body(body).id
+        for data, wrench in zip(self.datas, wrenches, strict=True):
+            data.xfrc_applied[index] = wrench
 
     def advance(self, seconds: float) -> None:
-        """Step the model."""
-        self._step(round(seconds / self.timestep_s))
-
-    def _step(self, count: int) -> None:
+        """Step the model in all worlds."""
+        count = round(seconds / self.timestep_s)
+        if self._threads is not None:
+            # The results of the map raise the errors of its calls.
+            worlds = range(self.world_count)
+            list(self._threads.map(lambda world: self._step(world, count), worlds))
+            return
         if self._folds is None or not self._folds.stays_apart(count * self.timestep_s):
-            self._steps(count)
+            self._step(0, count)
             return
         flags = self.model.opt.disableflags
         self.model.opt.disableflags = flags | mujoco.mjtDisableBit.mjDSBL_CONTACT
-        self._steps(count)
+        self._step(0, count)
         self.model.opt.disableflags = flags
 
-    def _steps(self, count: int) -> None:
-        for reader in self.contact_readers:
+    def _step(self, world: int, count: int) -> None:
+        """Step one world."""
+        readers = self._force_readers[world]
+        for reader in readers:
             reader.clear()
-        if not self._air and not self.contact_readers:
-            without_clock(partial(mujoco.mj_step, self.model, self.data, nstep=count))
+        if not self._air and not readers:
+            mujoco.mj_step(self.model, self.datas[world], nstep=count)
             return
         for _ in range(count):
             for air in self._air:
                 air.apply()
-            mujoco.mj_step(self.model, self.data)
-            for reader in self.contact_readers:
+            mujoco.mj_step(self.model, self.datas[world])
+            for reader in readers:
                 reader.add()
 
-    def fault(self) -> str | None:
-        """Return why MuJoCo put the state back to its start since the last reset, or None; see `World.fault`."""
-        counts = self._warning_counts.tolist()
-        for warning, quantity in BAD_STATES.items():
-            if counts[warning]:
-                return f"MuJoCo found a {quantity} that is huge or not finite, and put the state back to its start"
-        return None
+    def diverged(self) -> Mapping[int, str]:
+        """Return the worlds whose state MuJoCo put back to its start since the last reset."""
+        found = {}
+        for world, counts in enumerate(self._warnings):
+            for warning, quantity in BAD_STATES.items():
+                if counts[warning]:
+                    found[world] = (
+                        f"MuJoCo found a {quantity} that is huge or not finite, and put the state back to its start"
+                    )
+                    break
+        return found
 
     def body_states(self, names: Sequence[str]) -> FloatArray:
-        """Return poses and velocities of bodies, shape [len(names), 13]; see `World.body_states`."""
-        return self.reader(names).states()
-
-    def sample_positions(
-        self, names: Sequence[str], count: int, interval_s: float
-    ) -> FloatArray:
-        """Advance and return positions; see `Simulation.sample_positions`."""
-        positions = np.empty((count, len(names), 3))
-        read = self.reader(names).read_positions
-        steps = round(interval_s / self.timestep_s)
-        for row in positions:
-            self._step(steps)
-            read(row)
-        return positions
-
-    def reader(self, names: Sequence[str]) -> StateReader:
-        """Return a reader of the states of some bodies."""
-        key = tuple(names)
-        if key not in self._readers:
-            self._readers[key] = _reader(self._scene, self.model, self.data, key)
-        return self._readers[key]
+        """Return the states of bodies, shape [N, len(names), 13]."""
+        return self._bodies.read(tuple(names), self._qpos, self._qvel)
 
     def nodes(self, name: str) -> FloatArray:
-        """Return the current nodes of a deformable body [m], shape [node_count, 3]."""
+        """Return the nodes of a deformable body [m], shape [1, node_count, 3]."""
         part = self._parts[name]
-        return (
-            part.nodes()[part.node_indices[name]]
-            if name in part.node_indices
-            else part.nodes()
-        )
+        nodes = part.nodes()
+        if name in part.node_indices:
+            nodes = nodes[part.node_indices[name]]
+        return nodes[None]
 
-    def stated_nodes(self, name: str) -> FloatArray | None:
-        """Return the nodes of a cloth where it was compiled; see `World.stated_nodes`."""
-        is_stated = self._scene.stated == self._built
-        return self._stated_nodes.get(name) if is_stated else None
-
-    def track(self, name: str, points_m: FloatArray) -> Callable[[], FloatArray] | None:
-        """Return a reader of material points of soft bodies, ropes and rods, or None for cloth; see `World.track`."""
+    def track(self, name: str, points_m: FloatArray) -> MaterialPoints | None:
+        """Return a reader of material points of soft bodies, ropes and rods, or None for cloth."""
         part = self._parts[name]
-        return (
-            part.track(points_m)
-            if isinstance(part, SoftPartMuJoCo | LinePartMuJoCo)
-            else None
-        )
+        if not isinstance(part, SoftPartMuJoCo | LinePartMuJoCo):
+            return None
+        read = part.track(points_m)
+        return lambda: read()[None]
 
-    def contact_forces(
-        self, pairs: Sequence[tuple[str, str]]
-    ) -> Callable[[], FloatArray]:
-        """Return a reader of contact forces, for which steps are taken one by one; see `World.contact_forces`."""
-        model, data = self.model, self.data
-        bodies = [(model.body(one).id, model.body(other).id) for one, other in pairs]
-        reader = MeanForces(bodies, lambda: _touches(model, data))
-        self.contact_readers.append(reader)
-        return reader.mean
-
-    def state(self) -> Snapshot:
-        """Return MuJoCo's integration state, shape [state_size], with its origin."""
-        state = np.empty(self._state_size)
-        mujoco.mj_getState(
-            self.model, self.data, state, mujoco.mjtState.mjSTATE_INTEGRATION
-        )
-        return self._origin.state(state)
-
-    def restore(self, state: Snapshot) -> None:
-        """Restore an integration state."""
-        values = self._origin.values(state)
-        self._warning_counts[:] = 0
-        mujoco.mj_setState(
-            self.model, self.data, values, mujoco.mjtState.mjSTATE_INTEGRATION
-        )
+    def contact_forces(self, pairs: Sequence[tuple[str, str]]) -> ContactForces:
+        """Return a reader of contact forces, for which steps are taken one by one."""
+        model = self.model
+        bodies = [
+            (model.body(first).id, model.body(second).id) for first, second in pairs
+        ]
+        readers = [
+            MeanForces(bodies, lambda data=data: _touches(model, data))
+            for data in self.datas
+        ]
+        for known, reader in zip(self._force_readers, readers, strict=True):
+            known.append(reader)
+        return lambda: np.concatenate([reader.mean() for reader in readers])
 
     def close(self) -> None:
-        """Do nothing, since the simulation only holds memory."""
-
-
-def _seen(scene: Scene, held: Attachment) -> FloatArray:
-    """Return origin [m] and axes of a cloth in the frame of the body that holds it, shape [4, 3]."""
-    (cloth,) = (one for one in scene.deformables if one.name == held.deformable)
-    holder = scene.body(held.to).pose
-    return np.vstack(
-        [
-            holder.to_body(np.array(cloth.pose.position_m)),
-            cloth.pose.matrix.T @ holder.matrix,
-        ]
-    )
-
-
-def _origin(settings: Mapping[str, Any], scene: Scene) -> StateOrigin:
-    return StateOrigin(f"mujoco {mujoco.__version__}", settings, scene)
+        """End the threads."""
+        if self._threads is not None:
+            self._threads.shutdown()
 
 
 def _touches(
@@ -398,172 +247,162 @@ def _touches(
 
 
 class DrivenBody:
-    """Views of MuJoCo's arrays with the pose, velocity, force and mass of a driven body."""
+    """Views of MuJoCo's arrays with the pose, velocity, force and mass of a driven body in one world."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, body: str) -> None:
         index = model.body(body).id
         self._pose, velocity = free_joint_views(model, data, body)
-        self._quaternion = self._pose[3:]
-        self._linear = velocity[:3]
-        self._angular = velocity[3:]
+        self._linear, self._angular = velocity[:3], velocity[3:]
         self._force = data.xfrc_applied[index]
         self._mass_kg = model.body_mass[index : index + 1]
         self._inverse = np.empty(4)
 
-    def write(
-        self,
-        pose: Sequence[float] | FloatArray,
-        velocity: FloatArray,
-        acceleration: FloatArray,
-    ) -> None:
-        """Write a motion of `World.drive`; the pose is position [m] and quaternion w x y z, shape [7]."""
-        self._pose[:] = pose
-        self._linear[:] = velocity[:3]
+    def write(self, target: FloatArray) -> None:
+        """Write a row of `Simulation.drive`, shape [19]."""
+        self._pose[:] = target[:7]
+        self._linear[:] = target[7:10]
         # MuJoCo keeps a free joint's angular velocity in the body frame.
-        mujoco.mju_negQuat(self._inverse, self._quaternion)
-        mujoco.mju_rotVecQuat(self._angular, velocity[3:], self._inverse)
+        mujoco.mju_negQuat(self._inverse, target[3:7])
+        mujoco.mju_rotVecQuat(self._angular, target[10:13], self._inverse)
         # The mass and all moments of inertia of a driven body are the same number.
-        np.multiply(self._mass_kg, acceleration, out=self._force)
+        np.multiply(self._mass_kg, target[13:], out=self._force)
 
 
-class StateReader(Protocol):
-    """Reader of the states of a fixed list of bodies.
+class _Bodies:
+    """Places of the states of rigid bodies in `qpos` and `qvel`.
 
-    It keeps views of MuJoCo's arrays, because fetching an array costs more than reading from it.
+    A dynamic or driven body has a free joint, or a hinge to the world; a fixed body has none.
     """
 
-    def states(self) -> FloatArray:
-        """Return the states of the bodies, shape [body_count, 13]."""
+    def __init__(self, scene: Scene, model: mujoco.MjModel) -> None:
+        self._scene = scene
+        self._placed = {body.name: body_state(body.pose) for body in scene.bodies}
+        self._hinges = scene.hinges
+        self._qpos0 = model.qpos0
+        self._rows: dict[tuple[str, ...], _Rows] = {}
+        # The places of a body's joint in qpos and qvel.
+        self.joints: dict[str, tuple[int, int]] = {}
+        for body in scene.bodies:
+            if body.motion is not Motion.FIXED:
+                joint = model.body(body.name).jntadr[0]
+                places = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
+                self.joints[body.name] = places
 
-    def read_positions(self, out: FloatArray) -> None:
-        """Write the positions of the bodies [m] to `out`, shape [body_count, 3]."""
+    def write(
+        self, starts: FloatArray, qpos: Sequence[FloatArray], qvel: Sequence[FloatArray]
+    ) -> None:
+        """Write initial states, shape [N, B, 13], of all bodies that move."""
+        names = [body.name for body in self._scene.bodies]
+        for name, (position, velocity) in self.joints.items():
+            states = starts[:, names.index(name)]
+            quaternions = unit_quaternions(states[:, 3:7])
+            hinge = self._hinges.get(name)
+            if hinge is None:
+                for world, state in enumerate(states):
+                    qpos[world][position : position + 3] = state[:3]
+                    qpos[world][position + 3 : position + 7] = quaternions[world]
+                    qvel[world][velocity : velocity + 3] = state[7:10]
+                    angular = qvel[world][velocity + 3 : velocity + 6]
+                    inverse = CONJUGATE * quaternions[world]
+                    mujoco.mju_rotVecQuat(angular, state[10:], inverse)
+                continue
+            axis = np.asarray(hinge.axis)
+            back = CONJUGATE * self._placed[name][3:7]
+            turns = quaternion_products(quaternions, back)
+            angles = 2.0 * np.arctan2(turns[:, 1:] @ axis, turns[:, 0])
+            # The shorter way round.
+            angles = (angles + np.pi) % (2.0 * np.pi) - np.pi
+            for world, state in enumerate(states):
+                qpos[world][position] = self._qpos0[position] + angles[world]
+                qvel[world][velocity] = state[10:] @ axis
+
+    def read(
+        self,
+        names: tuple[str, ...],
+        qpos: Sequence[FloatArray],
+        qvel: Sequence[FloatArray],
+    ) -> FloatArray:
+        """Return the states of bodies, shape [N, len(names), 13]."""
+        if names not in self._rows:
+            self._rows[names] = _Rows(self._scene, names, self.joints)
+        rows = self._rows[names]
+        states = np.empty((len(qpos), len(names), 13))
+        states[:] = rows.placed
+        if rows.free:
+            for state, positions, velocities in zip(states, qpos, qvel, strict=True):
+                state[rows.free, :7] = positions[rows.poses]
+                state[rows.free, 7:] = velocities[rows.velocities]
+                for row in rows.free:
+                    # MuJoCo keeps a free joint's angular velocity in the body frame.
+                    body = state[row]
+                    mujoco.mju_rotVecQuat(body[10:], body[10:].copy(), body[3:7])
+        if rows.hinged:
+            angles = np.array(qpos)[:, rows.angles] - self._qpos0[rows.angles]
+            rates = np.array(qvel)[:, rows.rates]
+            states[:, rows.hinged] = rows.hinged_states(angles, rates)
+        return states
 
 
-def _reader(
-    scene: Scene, model: mujoco.MjModel, data: mujoco.MjData, names: tuple[str, ...]
-) -> StateReader:
-    if all(
-        scene.body(name).motion is not Motion.FIXED and name not in scene.hinges
-        for name in names
-    ):
-        return (
-            _OneFreeBody(model, data, names[0])
-            if len(names) == 1
-            else _FreeBodies(model, data, names)
+class _Rows:
+    """Places of the states of some bodies, and the circles of those on a hinge.
+
+    Args:
+        scene: The scene.
+        names: Names of the bodies.
+        joints: Places of the joint of each body that moves in `qpos` and `qvel`.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        names: tuple[str, ...],
+        joints: Mapping[str, tuple[int, int]],
+    ) -> None:
+        self.placed = np.array([body_state(scene.body(name).pose) for name in names])
+        self.placed = self.placed.reshape(-1, 13)
+        hinges = [scene.hinges.get(name) for name in names]
+        moving = [row for row, name in enumerate(names) if name in joints]
+        self.free = [row for row in moving if hinges[row] is None]
+        self.hinged = [row for row in moving if hinges[row] is not None]
+        free = np.array([joints[names[row]] for row in self.free], dtype=int)
+        free = free.reshape(-1, 2)
+        self.poses = free[:, :1] + np.arange(7)
+        self.velocities = free[:, 1:] + np.arange(6)
+        self.angles = [joints[names[row]][0] for row in self.hinged]
+        self.rates = [joints[names[row]][1] for row in self.hinged]
+        known = [hinge for hinge in hinges if hinge is not None]
+        self._axes = np.array([hinge.axis for hinge in known]).reshape(-1, 3)
+        anchors_m = np.array([hinge.anchor_m for hinge in known]).reshape(-1, 3)
+        arms_m = self.placed[self.hinged, :3] - anchors_m
+        along_m = (arms_m * self._axes).sum(axis=1, keepdims=True) * self._axes
+        self._centres_m = anchors_m + along_m
+        self._arms_m = arms_m - along_m
+        self._sides_m = np.cross(self._axes, arms_m)
+        self._quaternions = unit_quaternions(self.placed[self.hinged, 3:7])
+
+    def hinged_states(self, angles: FloatArray, rates: FloatArray) -> FloatArray:
+        """Return the states of bodies that have turned about their hinges.
+
+        Args:
+            angles: Angles from the nominal start [rad], shape [N, hinge_count].
+            rates: Their rates [rad/s], shape [N, hinge_count].
+
+        Returns:
+            Shape [N, hinge_count, 13].
+        """
+        cosines, sines = np.cos(angles)[..., None], np.sin(angles)[..., None]
+        states = np.empty((*angles.shape, 13))
+        states[..., :3] = (
+            self._centres_m + cosines * self._arms_m + sines * self._sides_m
         )
-    hinge = scene.hinges.get(names[0]) if len(names) == 1 else None
-    if hinge is not None:
-        return _OneHingedBody(scene, model, data, hinge)
-    return _AnyBodies(model, data, names)
-
-
-class _OneFreeBody:
-    """A single free body: its state is a slice of qpos and qvel."""
-
-    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, name: str) -> None:
-        self._pose, velocity = free_joint_views(model, data, name)
-        self._position = self._pose[:3]
-        self._quaternion = self._pose[3:]
-        self._linear = velocity[:3]
-        self._angular = velocity[3:]
-
-    def states(self) -> FloatArray:
-        """Return the state of the body, shape [1, 13]."""
-        state = np.empty((1, 13))
-        row = state[0]
-        row[:7] = self._pose
-        row[7:10] = self._linear
-        mujoco.mju_rotVecQuat(row[10:], self._angular, self._quaternion)
-        return state
-
-    def read_positions(self, out: FloatArray) -> None:
-        """Write the position of the body to `out`, shape [1, 3]."""
-        out[0] = self._position
-
-
-class _FreeBodies:
-    """Several free bodies, read from qpos and qvel by index arrays."""
-
-    def __init__(
-        self, model: mujoco.MjModel, data: mujoco.MjData, names: tuple[str, ...]
-    ) -> None:
-        self._qpos = data.qpos
-        self._qvel = data.qvel
-        joints = [model.joint(name).id for name in names]
-        self._poses = model.jnt_qposadr[joints][:, None] + np.arange(7)
-        self._velocities = model.jnt_dofadr[joints][:, None] + np.arange(6)
-
-    def states(self) -> FloatArray:
-        """Return the states of the bodies, shape [body_count, 13]."""
-        states = np.empty((len(self._poses), 13))
-        states[:, :7] = self._qpos[self._poses]
-        states[:, 7:] = self._qvel[self._velocities]
-        for state in states:
-            mujoco.mju_rotVecQuat(state[10:], state[10:].copy(), state[3:7])
+        tangents_m = cosines * self._sides_m - sines * self._arms_m
+        states[..., 7:10] = rates[..., None] * tangents_m
+        states[..., 10:] = rates[..., None] * self._axes
+        halves = 0.5 * angles[..., None]
+        turns = np.concatenate(
+            [np.cos(halves), np.sin(halves) * self._axes], axis=-1
+        ).reshape(-1, 4)
+        starts = np.tile(self._quaternions, (len(angles), 1))
+        quaternions = quaternion_products(turns, starts)
+        states[..., 3:7] = quaternions.reshape(*angles.shape, 4)
         return states
-
-    def read_positions(self, out: FloatArray) -> None:
-        """Write the positions of the bodies to `out`, shape [body_count, 3]."""
-        out[:] = self._qpos[self._poses[:, :3]]
-
-
-class _AnyBodies:
-    """Free, hinged and fixed bodies, read through MuJoCo's kinematics."""
-
-    def __init__(
-        self, model: mujoco.MjModel, data: mujoco.MjData, names: tuple[str, ...]
-    ) -> None:
-        self._model = model
-        self._data = data
-        ids = [model.body(name).id for name in names]
-        self._bodies = [(index, data.xpos[index], data.xquat[index]) for index in ids]
-        self._velocity = np.empty(6)
-
-    def states(self) -> FloatArray:
-        """Return the states of the bodies, shape [body_count, 13]."""
-        mujoco.mj_kinematics(self._model, self._data)
-        mujoco.mj_comPos(self._model, self._data)
-        mujoco.mj_comVel(self._model, self._data)
-        states = np.empty((len(self._bodies), 13))
-        velocity = self._velocity
-        for state, (index, position, quaternion) in zip(
-            states, self._bodies, strict=True
-        ):
-            mujoco.mj_objectVelocity(
-                self._model, self._data, mujoco.mjtObj.mjOBJ_XBODY, index, velocity, 0
-            )
-            state[:3] = position
-            state[3:7] = quaternion
-            state[7:10] = velocity[3:]
-            state[10:] = velocity[:3]
-        return states
-
-    def read_positions(self, out: FloatArray) -> None:
-        """Write the positions of the bodies to `out`, shape [body_count, 3]."""
-        mujoco.mj_kinematics(self._model, self._data)
-        for row, (_, position, _) in zip(out, self._bodies, strict=True):
-            row[:] = position
-
-
-class _OneHingedBody(_AnyBodies):
-    """A single hinged body; evaluating its circle is faster than MuJoCo's kinematics."""
-
-    def __init__(
-        self, scene: Scene, model: mujoco.MjModel, data: mujoco.MjData, hinge: Hinge
-    ) -> None:
-        super().__init__(model, data, (hinge.body,))
-        address = int(model.joint(hinge.body).qposadr[0])
-        self._angle = data.qpos[address : address + 1]
-        axis = np.asarray(hinge.axis)
-        arm = np.asarray(scene.body(hinge.body).pose.position_m) - hinge.anchor_m
-        along = axis * (axis @ arm)
-        self._circle = np.column_stack(
-            [hinge.anchor_m + along, arm - along, np.cross(axis, arm)]
-        ).tolist()
-
-    def read_positions(self, out: FloatArray) -> None:
-        """Write the position of the body to `out`, shape [1, 3]."""
-        angle = self._angle.item()
-        cosine, sine = cos(angle), sin(angle)
-        for axis, (centre, arm, side) in enumerate(self._circle):
-            out[0, axis] = centre + cosine * arm + sine * side

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])
 """Factors of a unit quaternion w, x, y, z that give the inverse rotation."""
 
+
 def body_state(pose: Pose, velocity: Iterable[float] = (0.0,) * 6) -> FloatArray:
     """Return the state of a body with a pose and a velocity, shape [13]; see `Simulation.body_states`."""
     return np.array([*pose.position_m, *pose.quaternion, *velocity])

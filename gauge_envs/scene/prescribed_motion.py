@@ -1,0 +1,219 @@
+"""Motion of a driven body in N worlds, cut into intervals of uniform acceleration."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from functools import lru_cache
+
+import numpy as np
+
+from gauge_envs.scene.drivers import Driver, DriverMotion, recorded_coordinates
+from gauge_envs.scene.geometry import (
+    FloatArray,
+    quaternion_products,
+    quaternion_vectors,
+    unit_quaternions,
+)
+from gauge_envs.scene.scene import Scene
+from gauge_envs.scene.states import nominal_states, row_of
+from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
+
+
+class PrescribedMotion:
+    """The motion of one driven body: the recorded motion, and a displacement by actions.
+
+    Args:
+        driver: The driver.
+        start: Pose of the body before anything moves, position [m] and quaternion w x y z, shape [7].
+        count: Number of intervals.
+        world_count: Number of worlds N.
+        interval_s: Length of an interval [s].
+
+    Attributes:
+        body: Name of the body.
+        motion_count: Degrees of freedom M of the driver.
+    """
+
+    def __init__(
+        self,
+        driver: Driver,
+        start: FloatArray,
+        count: int,
+        *,
+        world_count: int = 1,
+        interval_s: float = SAMPLE_INTERVAL_S,
+    ) -> None:
+        self.body = driver.body
+        self.motion_count = len(driver.motions)
+        self._interval_s = interval_s
+        self._count = count
+        self._scale = np.array([motion.residual_rate for motion in driver.motions])
+        self._drivers = [driver] * world_count
+        self._start = np.tile(start, (world_count, 1))
+        self.reset()
+
+    def reset(
+        self,
+        drivers: Sequence[Driver] | None = None,
+        starts: FloatArray | None = None,
+    ) -> None:
+        """Return to the recorded motion.
+
+        Args:
+            drivers: Driver of each world, with the same degrees of freedom; None keeps them.
+            starts: Pose of the body in each world before anything moves, shape [N, 7]; None keeps them.
+        """
+        if drivers is not None:
+            self._drivers = list(drivers)
+        if starts is not None:
+            self._start = np.array(starts)
+        self._start[:, 3:] = unit_quaternions(self._start[:, 3:])
+        self._offsets = np.zeros((len(self._start), self.motion_count))
+
+    def targets(self, first: int, actions: FloatArray, count: int = 1) -> FloatArray:
+        """Return what `Simulation.drive` takes in the next intervals, and add the displacement by the actions.
+
+        Args:
+            first: Number of the first interval, from 0.
+            actions: Action for each degree of freedom, from -1 to 1, shape [N, M].
+            count: Number of intervals, in which the actions hold.
+
+        Returns:
+            Shape [count, N, 19].
+        """
+        rates = actions * self._scale
+        if not (self._offsets.any() or rates.any()):
+            return self._recorded(first, count)
+        steps = self._interval_s * np.arange(count + 1, dtype=np.float64)
+        offsets = self._offsets + steps[:, None, None] * rates
+        self._offsets = offsets[-1]
+        coordinates, recorded_rates = self._coordinates(first, count)
+        states = _states(
+            self._drivers,
+            self._start,
+            coordinates + offsets,
+            recorded_rates + rates,
+        )
+        return _uniformly_accelerated(states, self._interval_s)
+
+    def _recorded(self, first: int, count: int) -> FloatArray:
+        """Return the intervals of the motion without actions, which are computed once."""
+        paths = [
+            _recorded_targets(driver, start.tobytes(), self._count, self._interval_s)
+            for driver, start in zip(self._drivers, self._start, strict=True)
+        ]
+        if all(path is paths[0] for path in paths):
+            rows = paths[0][first : first + count, None]
+            return np.broadcast_to(rows, (count, len(paths), 19))
+        return np.stack([path[first : first + count] for path in paths], axis=1)
+
+    def _coordinates(self, first: int, count: int) -> tuple[FloatArray, FloatArray]:
+        """Return coordinates and rates without actions at the ends of intervals, shape [count + 1, N, M] each."""
+        kept = [
+            _recorded_coordinates(driver.motions, self._count, self._interval_s)
+            for driver in self._drivers
+        ]
+        part = slice(first, first + count + 1)
+        values, rates = (
+            np.stack([one[kind][part] for one in kept], axis=1) for kind in (0, 1)
+        )
+        return values, rates
+
+
+def prescribed_motions(
+    scene: Scene,
+    seconds: float,
+    *,
+    world_count: int = 1,
+    interval_s: float = SAMPLE_INTERVAL_S,
+) -> list[PrescribedMotion]:
+    """Return the motions of a scene's driven bodies from its nominal start.
+
+    Args:
+        scene: The scene.
+        seconds: Time for which the scene will be driven [s].
+        world_count: Number of worlds.
+        interval_s: Length of an interval [s].
+    """
+    states = nominal_states(scene)
+    count = math.ceil(seconds / interval_s - 1e-6)
+    return [
+        PrescribedMotion(
+            driver,
+            states[row_of(scene, driver.body), :7],
+            count,
+            world_count=world_count,
+            interval_s=interval_s,
+        )
+        for driver in scene.drivers
+    ]
+
+
+@lru_cache(maxsize=256)
+def _recorded_targets(
+    driver: Driver, start: bytes, count: int, interval_s: float
+) -> FloatArray:
+    """Return the intervals of the motion without actions in one world, read-only, shape [count, 19]."""
+    values, rates = _recorded_coordinates(driver.motions, count, interval_s)
+    starts = np.frombuffer(start).reshape(1, 7)
+    states = _states([driver], starts, values[:, None], rates[:, None])
+    rows = _uniformly_accelerated(states, interval_s)[:, 0]
+    rows.flags.writeable = False
+    return rows
+
+
+@lru_cache(maxsize=256)
+def _recorded_coordinates(
+    motions: tuple[DriverMotion, ...], count: int, interval_s: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return coordinates without actions [m or rad] and their rates, shape [count + 1, M] each."""
+    times_s = interval_s * np.arange(count + 1, dtype=np.float64)
+    return recorded_coordinates(motions, times_s)
+
+
+def _states(
+    drivers: Iterable[Driver], starts: FloatArray, values: FloatArray, rates: FloatArray
+) -> FloatArray:
+    """Return states of the body, shape [sample_count, N, 13], from coordinates of shape [sample_count, N, M]."""
+    sample_count, world_count, _ = values.shape
+    drivers = list(drivers)
+    if all(driver is drivers[0] for driver in drivers):
+        # All worlds at once.
+        rows = np.tile(starts, (sample_count, 1))
+        flat = sample_count * world_count
+        states = drivers[0].moved(
+            rows, values.reshape(flat, -1), rates.reshape(flat, -1)
+        )
+        return states.reshape(sample_count, world_count, 13)
+    each = [
+        driver.moved(
+            np.tile(start, (sample_count, 1)), values[:, world], rates[:, world]
+        )
+        for world, (driver, start) in enumerate(zip(drivers, starts, strict=True))
+    ]
+    return np.stack(each, axis=1)
+
+
+def _uniformly_accelerated(states: FloatArray, interval_s: float) -> FloatArray:
+    """Return motions between states, with velocities closest to theirs; each ends at the pose of the next state.
+
+    Args:
+        states: States at the ends of the intervals, shape [count + 1, N, 13].
+        interval_s: Length of an interval [s].
+
+    Returns:
+        Pose, velocity and acceleration of each interval, shape [count, N, 19].
+    """
+    shape = (len(states) - 1, states.shape[1])
+    before = states[:-1].reshape(-1, 13)
+    after = states[1:].reshape(-1, 13)
+    back = before[:, 3:7] * [1.0, -1.0, -1.0, -1.0]
+    turns = unit_quaternions(quaternion_products(after[:, 3:7], back))
+    linear = (after[:, :3] - before[:, :3]) / interval_s
+    angular = quaternion_vectors(turns) / interval_s
+    mean = np.concatenate([linear, angular], axis=1)
+    velocity = before[:, 7:] + mean - 0.5 * (before[:, 7:] + after[:, 7:])
+    acceleration = (after[:, 7:] - before[:, 7:]) / interval_s
+    rows = np.concatenate([before[:, :7], velocity, acceleration], axis=1)
+    return rows.reshape(*shape, 19)
