@@ -32,7 +32,7 @@ from gauge_envs.registry import door, register_bundled_ids
 
 if TYPE_CHECKING:
     from gauge_envs.envs.env import GaugeEnv as GaugeEnv
-    from gauge_envs.envs.episode import Trajectory as Trajectory
+    from gauge_envs.envs.rollout import Trajectory as Trajectory
     from gauge_envs.envs.wrappers import (
         LogScore as LogScore,
         ScoreEpisode as ScoreEpisode,

@@ -3,31 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import TYPE_CHECKING, Any, ClassVar
 
-from gauge_envs.envs.arguments import (
-    EnvArguments,
-    EnvKeywords,
-    Scatter,
-    Starts,
-    TrialStart,
-    drawn_seed,
-    jittered_experiment,
-    start_of,
+import gymnasium
+
+from gauge_envs.backends.registry import versions_of
+from gauge_envs.envs.arguments import EnvArguments, checked_action
+from gauge_envs.envs.initial_states import InitialStates, Scatter
+from gauge_envs.envs.pictures import (
+    RENDER_MODES,
+    Pictures,
+    Rendered,
+    rollout_picture,
 )
-from gauge_envs.envs.base import SimulationEnvironment
-from gauge_envs.envs.episode import Episode, Trajectory
-from gauge_envs.envs.pictures import Pictures, Rendered, episode_picture
-from gauge_envs.envs.spaces import Observation
-from gauge_envs.experiments.experiment import Experiment
+from gauge_envs.envs.rollout import Trajectory
+from gauge_envs.envs.spaces import (
+    Observation,
+    action_space_of,
+    observation_space_of,
+)
+from gauge_envs.errors import EpisodeError
 from gauge_envs.experiments.variants import Variant
-from gauge_envs.scene.jitter import Jitter
+from gauge_envs.references.band import Band
+from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 if TYPE_CHECKING:
     from gauge_envs.scoring.score import Score
 
 
-class GaugeEnv(SimulationEnvironment[Observation, Any]):
+class GaugeEnv(gymnasium.Env[Observation, Any]):
     """One experiment of the GAUGE benchmark.
 
     An episode starts from the motion-capture initial state and has the published number of frames. `reset` returns
@@ -67,7 +71,7 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
         render_overlay: Whether pictures also show the tracked points, their paths so far, and the places of the
             reference, as far as g(t) is of positions. Off by default: a policy that learns from pictures must not see
             the reference, and pictures of different references stay comparable.
-        jitter: Scatter of the start of every episode. `real` draws starts as real hands scatter: recorded ones where
+        jitter: Noise of the start of every episode. `real` draws starts as real hands scatter: recorded ones where
             the trials have a start each, elsewhere by the default `Jitter`. Or a `Jitter`, or its fields as a mapping.
         **arguments: Keywords of `gauge_envs.envs.arguments.EnvArguments`, with their defaults: `backend="mujoco"`,
             `parameters="calibrated"`, `settings=None`, `marker_proxy="material"`, `drivers="bundled"`,
@@ -75,10 +79,10 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
 
     Attributes:
         arguments: Variant and keywords.
-        band: Band that rewards and scores are relative to, or None.
-        episode: The current episode.
+        experiment: The experiment.
+        rollout: The episode, in one world.
         seed_used: Seed of the last reset; None before the first.
-        jitter: Jitter or trial of the last reset, or None.
+        versions: Versions of the engine's packages.
 
     Raises:
         UnknownNameError: No such variant or backend.
@@ -97,7 +101,10 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
         (18, 'trials')
     """
 
-    episode: Episode
+    metadata: ClassVar[dict[str, Any]] = {  # type: ignore[misc]  # gymnasium declares it without ClassVar
+        "render_modes": [*RENDER_MODES],
+        "render_fps": int(FRAME_RATE_HZ),
+    }
 
     def __init__(
         self,
@@ -109,9 +116,10 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
         camera: Mapping[str, Any] | None = None,
         render_overlay: bool = False,
         jitter: Scatter = None,
-        **arguments: Unpack[EnvKeywords],
+        **arguments: Any,
     ) -> None:
-        pictures = Pictures(
+        self.render_mode = render_mode
+        self._pictures = Pictures(
             render_mode,
             width=width,
             height=height,
@@ -119,32 +127,20 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
             has_overlay=render_overlay,
         )
         self.arguments = EnvArguments(variant, **arguments)
-        experiment = self.arguments.experiment()
-        super().__init__(
-            experiment,
-            pictures,
-            backend=self.arguments.backend,
-            settings=self.arguments.settings,
-        )
-        self.band = self._stated_band = self.arguments.band(experiment)
-        self._starts = Starts(experiment, jitter)
+        self.experiment = self.arguments.experiment()
+        self._initial_states = InitialStates(self.experiment, jitter)
+        band = self.arguments.band(self.experiment)
+        self.rollout = self.arguments.rollout([self.experiment], [band])
+        self.versions = versions_of(self.arguments.backend)
         self.seed_used: int | None = None
-        self.jitter: Jitter | TrialStart | None = None
-        self._build(experiment)
-        self.action_space = self.episode.action_space
-        self.observation_space = self.episode.observation_space
+        self.action_space = action_space_of(self.experiment)
+        self.observation_space = observation_space_of(self.experiment)
+        self._is_closed = False
 
-    def _build(self, experiment: Experiment) -> bool:
-        is_kept = super()._build(experiment)
-        if is_kept and self.episode.start_at(experiment):
-            return True
-        self.episode = Episode(
-            experiment,
-            self.simulation,
-            band=self.band,
-            marker_proxy=self.arguments.proxy,
-        )
-        return is_kept
+    @property
+    def band(self) -> Band | None:
+        """Band that rewards and the score of the episode are relative to, or None."""
+        return self.rollout.bands[0]
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -152,39 +148,27 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
         """Start a new episode from the motion-capture initial state.
 
         Args:
-            seed: Seed of the engine and of the jitter, and of the random numbers that seed later resets without one.
+            seed: Seed of the engine and of the noise, and of the random numbers that seed later resets without one.
             options: They hold for the next resets too, which an autoreset calls without any, until a reset has a seed
                 or options. `{"jitter": True}` moves the start at random by the default `Jitter`, as repeats of a real
-                trial scatter; a `Jitter` states other standard deviations, and False takes the argument `jitter` back.
+                trial scatter; a `Jitter` gives other standard deviations, and False takes the argument `jitter` back.
                 `{"trial": 3}` starts from the positions and velocities of imported trial 3, see
-                `gauge_envs.envs.trial_start.trial_scene`, or replays a bundled one with its own driven path, which then
-                scores it. An engine that cannot place the start in what it has built builds the scene anew. An
-                experiment with single-shot trials starts from one of them without an option too: from trial `seed`
-                modulo their number.
+                `gauge_envs.envs.trial_start.trial_states`, or replays a bundled one with its own driven path, which
+                then scores it. An experiment with single-shot trials starts from one of them without an option too:
+                from trial `seed` modulo their number.
 
         Raises:
             EpisodeError: The environment is closed.
-            ParameterError: There is no such option or trial, or the scene has no start that can be jittered.
-            UnsupportedSceneError: The backend cannot build the scene from that start.
+            ParameterError: There is no such option or trial, or the scene has no start that can scatter.
         """
         self._check_open("reset")
         super().reset(seed=seed)
-        scatter = self._starts.of_reset(options, seeded=seed is not None)
-        self.seed_used = drawn_seed(seed, scatter, self.np_random)
-        jitter = start_of(self.experiment, scatter, seed=self.seed_used)
-        if jitter is not None or self.jitter is not None:
-            experiment = jittered_experiment(
-                self.experiment, jitter, seed=self.seed_used
-            )
-            self.band = self._stated_band
-            if experiment.trial is not None:
-                self.band = self.arguments.band(experiment)
-            self._build(experiment)
-        self.jitter = jitter
-        self.simulation.reset(self.seed_used)
-        self.episode.begin()
+        draw = self._initial_states.of_reset(options, seeded=seed is not None)
+        self.seed_used = self._initial_states.seed_of(seed, draw, self.np_random)
+        start = self._initial_states.sample(draw, self.seed_used)
+        self.rollout.reset([start], self.seed_used)
         self._show()
-        return self.episode.observation(), self.episode.info()
+        return self._observation(), self.rollout.info(0)
 
     def step(
         self, action: Any
@@ -195,19 +179,19 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
             ActionError: The action has the wrong shape, is out of range or is not a number.
             EpisodeError: The environment was not reset, or the episode is over.
         """
-        episode = self.episode
-        self._check_running(started=episode.frame is not None, is_over=episode.is_over)
-        episode.advance(episode.checked(action))
-        fault = episode.end_frame()
-        truncated = not fault and episode.is_complete
+        self._check_started("step")
+        rollout = self.rollout
+        if rollout.is_over[0]:
+            raise EpisodeError(f"{self.experiment.id}: the episode is over, call reset")
+        rollout.step(checked_action(action, self.action_space)[None])
         self._show()
-        return (
-            episode.observation(),
-            episode.reward(),
-            bool(fault),
-            truncated,
-            episode.info(),
-        )
+        terminated = 0 in rollout.diverged
+        truncated = rollout.is_complete and not terminated
+        reward = float(rollout.rewards()[0])
+        return self._observation(), reward, terminated, truncated, rollout.info(0)
+
+    def _observation(self) -> Observation:
+        return {name: rows[0] for name, rows in self.rollout.observation().items()}
 
     def trajectory(self) -> Trajectory:
         """Return what the current episode has recorded so far.
@@ -215,7 +199,7 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
         Raises:
             EpisodeError: The environment was not reset.
         """
-        return self.episode.trajectory()
+        return self.rollout.trajectory()
 
     def score(self) -> Score | None:
         """Return the score of the episode, or None before it is over.
@@ -223,10 +207,9 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
         An experiment that starts with a release is simulated on by 10 frames first, for the release alignment. The
         score of an episode that diverged has a kind and no number.
         """
-        if not self.episode.is_over:
+        if self.rollout.frame is None or not self.rollout.is_over[0]:
             return None
-        self.episode.run_on()
-        return self.episode.score()
+        return self.rollout.score()
 
     def render(self) -> Rendered | None:
         """Return a picture of the scene in the form of the render mode; None without one, and with a window.
@@ -237,7 +220,28 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
         """
         if self.render_mode is None:
             return None
+        self._check_started("render")
+        return rollout_picture(self._pictures, self.rollout)
 
-        episode = self.episode
-        self._check_started("render", started=episode.frame is not None)
-        return episode_picture(self._pictures, episode, drawn_as=episode)
+    def close(self) -> None:
+        """Free the simulation and the renderer. A second call does nothing."""
+        if not self._is_closed:
+            self._is_closed = True
+            self._pictures.close()
+            self.rollout.simulation.close()
+
+    def _show(self) -> None:
+        """Draw what a reset or a step has reached, in the window if there is one."""
+        if self.render_mode == "human":
+            self.render()
+
+    def _check_open(self, call: str) -> None:
+        if self._is_closed:
+            raise EpisodeError(
+                f"{self.experiment.id}: {call} after close; make the environment again"
+            )
+
+    def _check_started(self, call: str) -> None:
+        self._check_open(call)
+        if self.rollout.frame is None:
+            raise EpisodeError(f"{self.experiment.id}: call reset before {call}")

@@ -13,10 +13,9 @@ from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.tables import Camera
 from gauge_envs.references.band import Band
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 if TYPE_CHECKING:
-    from gauge_envs.envs.episode import Episode
+    from gauge_envs.envs.rollout import Rollout
     from gauge_envs.rendering.overlay import Overlay
     from gauge_envs.rendering.reference_path import ReferencePath
     from gauge_envs.rendering.renderer import SceneRenderer
@@ -215,37 +214,38 @@ def _checked_camera(camera: Mapping[str, Any] | None) -> dict[str, Any]:
     return entries
 
 
-def episode_picture(
-    pictures: Pictures, episode: Episode, *, drawn_as: Episode
+def rollout_picture(
+    pictures: Pictures, rollout: Rollout, world: int = 0
 ) -> Rendered | None:
-    """Return a picture of an episode in the form of the render mode, with its overlay if the pictures have one.
+    """Return a picture of a world in the form of the render mode, with its overlay if the pictures have one.
 
     Args:
-        pictures: Renderer.
-        episode: An episode that has begun.
-        drawn_as: Episode whose scene states camera and shapes, the same in each call until the renderer is closed.
+        pictures: Renderer; camera and shapes stay those of the first call until it is closed.
+        rollout: The episode, which has begun.
+        world: Number of the world.
     """
     return pictures.draw(
-        drawn_as.experiment,
-        drawn_as.rest_nodes_m,
-        band=drawn_as.band,
-        poses=episode.poses(),
-        nodes_m=episode.nodes_m(),
-        overlay=episode_overlay(episode) if pictures.has_overlay else None,
+        rollout.experiment,
+        rollout.rest_nodes_m,
+        band=rollout.bands[0],
+        poses=rollout.poses(world),
+        nodes_m=rollout.nodes_m(world),
+        overlay=rollout_overlay(rollout, world) if pictures.has_overlay else None,
     )
 
 
-def episode_overlay(episode: Episode) -> Overlay:
-    """Return the overlay of an episode that has begun."""
+def rollout_overlay(rollout: Rollout, world: int = 0) -> Overlay:
+    """Return the overlay of a world."""
     from gauge_envs.rendering.overlay import tracked_overlay
     from gauge_envs.rendering.reference_path import reference_path
 
-    trajectory = episode.trajectory()
+    trajectory = rollout.trajectory(world)
+    experiment = rollout.experiment
     return tracked_overlay(
-        episode.experiment,
-        reference_path(episode.experiment, episode.band),
-        time_s=(episode.frame or 0) / FRAME_RATE_HZ,
+        experiment,
+        reference_path(experiment, rollout.bands[world]),
+        time_s=float(trajectory.times_s[-1]),
         samples=trajectory.samples,
         markers_m=trajectory.markers_m[-1],
-        poses=episode.poses(),
+        poses=rollout.poses(world),
     )

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from gauge_envs.experiments.experiment import Experiment
@@ -20,9 +18,38 @@ def is_reward_bounded(experiment: Experiment) -> bool:
     return bool(experiment.scene.deformables)
 
 
-def bounded_reward(distance: Any) -> Any:
-    """Return -z / (1 + z) of a distance z, or of an array of them: 0 at the reference, -1/2 at z = 1, above -1."""
-    return 1.0 / (1.0 + distance) - 1.0
+class Reward:
+    """Rewards of worlds against one band.
+
+    Args:
+        band: The band.
+        is_bounded: Whether rewards are bounded, see `is_reward_bounded`.
+    """
+
+    def __init__(self, band: Band, is_bounded: bool) -> None:
+        self._is_bounded = is_bounded
+        self._has_points = band.points is not None
+        terms = reward_terms(band, is_bounded=is_bounded)
+        assert terms is not None
+        self._projection, self._mean, self._weight = terms
+
+    def of(self, frame: int, g: FloatArray, markers_m: FloatArray) -> FloatArray:
+        """Return minus the mean over band coordinates of |z| at a frame, shape [N]; 0 where the band knows nothing.
+
+        A band with `points` compares the positions of the markers. A bounded reward is -z / (1 + z).
+
+        Args:
+            frame: Number of the frame.
+            g: g(t) of each world, shape [N, coordinate_count].
+            markers_m: Markers of each world [m], shape [N, marker_count, 3].
+        """
+        if self._has_points:
+            g = 1e3 * markers_m.reshape(len(g), -1)
+        deviation = g @ self._projection.T - self._mean[frame]
+        distance = np.abs(deviation) @ self._weight[frame]
+        if self._is_bounded:
+            return np.asarray(1.0 / (1.0 + distance) - 1.0)
+        return -distance
 
 
 def reward_terms(

@@ -1,18 +1,29 @@
-"""Action and observation space of an experiment, from its scene alone."""
+"""Action and observation space of an experiment; bounds of observations are the limits of `gauge_envs.envs.limits`."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any, cast
 
 import numpy as np
 from gymnasium import spaces
 
-from gauge_envs.envs.reach import Reach
+from gauge_envs.envs.limits import DISTANCE_LIMIT_M, STATE_LIMITS
 from gauge_envs.experiments.experiment import Experiment
+from gauge_envs.observables.kinds import Observable
 from gauge_envs.scene.geometry import FloatArray
 
 Observation = dict[str, FloatArray]
+
+LARGEST_VALUE = {
+    Observable.POSITION: 1e3 * DISTANCE_LIMIT_M,
+    Observable.MARKER_POSITION: 1e3 * DISTANCE_LIMIT_M,
+    # An angle deficit is 2 pi less the angles of at most eight triangles.
+    Observable.CURVATURE: 8.0 * np.pi,
+    Observable.LINE_CURVATURE: np.pi,
+    # Two sides of a triangle are at most the diagonal of the space.
+    Observable.FACE_AREA: 0.5 * (2e3 * np.sqrt(3.0) * DISTANCE_LIMIT_M) ** 2,
+}
+"""Largest absolute value of g(t), in its unit: mm, rad or mm^2."""
 
 
 def action_space_of(experiment: Experiment) -> spaces.Space[Any]:
@@ -24,41 +35,25 @@ def action_space_of(experiment: Experiment) -> spaces.Space[Any]:
     )
 
 
-STILL_RAD_PER_S = 0.01
-"""Angular speed that a driven body which does not turn may seem to have, by the rounding of engines."""
-
-
 def observation_space_of(experiment: Experiment) -> spaces.Space[Observation]:
     """Return the observation space of an experiment; `GaugeEnv` says what each entry holds."""
     scene = experiment.scene
-    reach = Reach(scene)
 
-    def states(names: Sequence[str]) -> spaces.Box:
-        high = np.empty((len(names), 13))
-        high[:, 3:7], high[:, 7:10] = 1.0 + 1e-9, scene.speed_limit_m_per_s
-        for row, name in zip(high, names, strict=True):
-            row[10:] = scene.spin_limit_rad_per_s(scene.body(name)) + STILL_RAD_PER_S
-        low = -high
-        for index, name in enumerate(names):
-            low[index, :3], high[index, :3] = reach.box_m(name)
-        return spaces.Box(low, high, dtype=np.float64)
+    def box(limit: float | FloatArray, *shape: int) -> spaces.Box:
+        high = np.broadcast_to(limit, shape).astype(np.float64)
+        return spaces.Box(-high, high, dtype=np.float64)
 
-    low, high = reach.observable(
-        experiment.score.observable, experiment.recorded, len(experiment.coordinates)
-    )
     entries: dict[str, spaces.Space[Any]] = {
-        "observable": spaces.Box(low, high, dtype=np.float64),
+        "observable": box(
+            LARGEST_VALUE[experiment.score.observable], len(experiment.coordinates)
+        ),
         "time": spaces.Box(0.0, scene.duration_s + 1e-9, (1,), np.float64),
     }
     if experiment.recorded:
-        entries["bodies"] = states(experiment.recorded)
+        entries["bodies"] = box(STATE_LIMITS, len(experiment.recorded), 13)
     else:
-        markers = scene.markers
-        count = 0 if markers is None else len(markers.positions_m)
-        low_m, high_m = reach.box_m(*(() if markers is None else markers.bodies))
-        entries["markers"] = spaces.Box(
-            np.tile(low_m, (count, 1)), np.tile(high_m, (count, 1)), dtype=np.float64
-        )
+        count = 0 if scene.markers is None else len(scene.markers.positions_m)
+        entries["markers"] = box(DISTANCE_LIMIT_M, count, 3)
     if scene.drivers:
-        entries["driver"] = states([driver.body for driver in scene.drivers])
+        entries["driver"] = box(STATE_LIMITS, len(scene.drivers), 13)
     return cast("spaces.Space[Observation]", spaces.Dict(entries))

@@ -1,29 +1,28 @@
-"""Start an episode as an imported trial starts, or drive it as a bundled one: option `trial` of a reset."""
+"""Starts of imported trials, and starts and driven paths of bundled ones: option `trial` of a reset."""
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.experiments.resolve import AnyExperiment
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.imported import START_FRAMES, ImportedVariant, load_imported
 from gauge_envs.references.tables import FileModel, read_toml, scoring_folder
 from gauge_envs.references.user_data import DataSource
-from gauge_envs.scene import Hinge, Pose, RigidBody, Scene, Sphere, Tether
+from gauge_envs.scene import Hinge, RigidBody, Sphere, Tether
 from gauge_envs.scene.contact_faces import blocked_directions
+from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.geometry import FloatArray, Vector, length_of, vector
-from gauge_envs.scene.jitter import swung
+from gauge_envs.scene.jitter import across, turn
 from gauge_envs.scene.profiles import SampledProfile
+from gauge_envs.scene.states import nominal_states, row_of
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 DIFFERENCE_PER_FRAME = (-1.5, 2.0, -0.5)
 """Weights of the first three frames in the velocity of the first one, exact for a constant acceleration."""
-
-SAME_ANGLE_RAD = 1e-12
-"""Largest rotation that rounding gives to a body that did not rotate [rad]."""
 
 
 class _DrivenTrials(FileModel):
@@ -32,8 +31,20 @@ class _DrivenTrials(FileModel):
     motions: dict[str, tuple[tuple[tuple[float, ...], ...], ...]]
 
 
-def driven_trial(experiment: AnyExperiment, trial: int) -> AnyExperiment | None:
-    """Return an experiment with the start and driven path of a bundled trial, which scores it; None without such."""
+class DrivenTrial(NamedTuple):
+    """Start and driven path of a trial.
+
+    Attributes:
+        states: Initial states, shape [body_count, 13].
+        drivers: Drivers with the path of the trial.
+    """
+
+    states: FloatArray
+    drivers: tuple[Driver, ...]
+
+
+def driven_trial(experiment: Experiment, trial: int) -> DrivenTrial | None:
+    """Return start and driven path of a bundled trial, or None if the experiment has none."""
     file = scoring_folder("trials") / f"{experiment.name}.toml"
     is_imported = DataSource.IMPORTED in (
         experiment.drivers,
@@ -48,13 +59,12 @@ def driven_trial(experiment: AnyExperiment, trial: int) -> AnyExperiment | None:
         raise ParameterError(
             f"{experiment.id}: trial {trial} does not exist: choose 0 to {count - 1}"
         )
-    starts = {
-        name: replace(scene.body(name).pose, position_m=positions_m[trial])
-        for name, positions_m in known.start_m.items()
-    }
+    states = nominal_states(scene)
+    for name, positions_m in known.start_m.items():
+        states[row_of(scene, name), :3] = positions_m[trial]
     drivers = []
     for driver in scene.drivers:
-        point_m = starts[driver.body].position_m
+        point_m = vector(states[row_of(scene, driver.body), :3])
         motions = []
         for motion, values in zip(
             driver.motions, known.motions[driver.body][trial], strict=True
@@ -64,18 +74,11 @@ def driven_trial(experiment: AnyExperiment, trial: int) -> AnyExperiment | None:
             profiles = (path,) if motion.profiles else ()
             motions.append(replace(motion, point_m=point_m, profiles=profiles))
         drivers.append(replace(driver, motions=tuple(motions)))
-    bodies = tuple(
-        replace(body, pose=starts.get(body.name, body.pose)) for body in scene.bodies
-    )
-    return replace(
-        experiment,
-        scene=replace(scene, bodies=bodies, drivers=tuple(drivers)),
-        trial=trial,
-    )
+    return DrivenTrial(states, tuple(drivers))
 
 
-def trial_scene(experiment: Experiment, trial: int) -> Scene:
-    """Return the scene of an experiment with the start of an imported trial: poses and velocities.
+def trial_states(experiment: Experiment, trial: int) -> FloatArray:
+    """Return the initial states of an imported trial, shape [body_count, 13].
 
     Velocities are differences of the first three frames, exact for a constant acceleration. Measurement noise of 0.1 mm
     makes a velocity wrong by 8 mm/s, and noise of 0.1 degrees a spin by 0.14 rad/s.
@@ -103,27 +106,23 @@ def trial_scene(experiment: Experiment, trial: int) -> Scene:
     turns = _first_turns(imported, trial, len(experiment.recorded))
     attached = {attachment.to for attachment in scene.attachments}
     joints = {joint.body: joint for joint in scene.joints}
-    started = {
-        name: _started(
-            scene.body(name),
-            joints.get(name),
-            blocked_directions(
-                scene.body(name).pose, scene.contact_faces.normals([name])
-            ),
-            positions_m[:, index],
-            *turns[index],
-        )
-        for index, name in enumerate(experiment.recorded)
-        if name not in attached
-    }
-    if not started:
+    names = [name for name in experiment.recorded if name not in attached]
+    if not names:
         raise ParameterError(
             f"{experiment.id}: every recorded body is attached to a deformable body, so no trial gives a start: remove "
             "the option 'trial'"
         )
-    return replace(
-        scene, bodies=tuple(started.get(body.name, body) for body in scene.bodies)
-    )
+    states = nominal_states(scene)
+    for name in names:
+        index = experiment.recorded.index(name)
+        state, body = states[row_of(scene, name)], scene.body(name)
+        if name in joints:
+            _swing(state, joints[name], positions_m[:, index])
+            continue
+        normals = scene.contact_faces.normals([name])
+        blocked = blocked_directions(body.pose, normals)
+        _move(state, body, blocked, positions_m[:, index], *turns[index])
+    return states
 
 
 def _imported(experiment: Experiment) -> ImportedVariant:
@@ -193,48 +192,34 @@ def _first_turns(
     return turns
 
 
-def _started(
+def _move(
+    state: FloatArray,
     body: RigidBody,
-    joint: Hinge | Tether | None,
     blocked: FloatArray,
     positions_m: FloatArray,
     rotation: Rotation,
     spin: FloatArray,
-) -> RigidBody:
-    """Return a body at its recorded start.
+) -> None:
+    """Write the recorded start of a body without a joint to its state.
 
     Args:
+        state: Its nominal state, shape [13].
         body: The body.
-        joint: Its joint, if any.
         blocked: Directions along which it cannot start elsewhere, shape [1 to 3, 3].
         positions_m: Its positions in the first frames [m], shape [START_FRAMES, 3].
         rotation: Its rotation from the mean start.
         spin: Its angular velocity [rad/s].
     """
     velocity = FRAME_RATE_HZ * np.asarray(DIFFERENCE_PER_FRAME) @ positions_m
-    shift = positions_m[0] - body.pose.position_m
-    if joint is not None:
-        return _swinging(body, joint, positions_m[0], velocity)
+    shift = positions_m[0] - state[:3]
     if not isinstance(body.shape, Sphere):
-        for normal in blocked:
-            shift, velocity = (
-                one - (one @ normal) * normal for one in (shift, velocity)
-            )
+        shift, velocity = across(shift, blocked), across(velocity, blocked)
         is_single = len(blocked) == 1
         spin = (spin @ blocked[0]) * blocked[0] if is_single else np.zeros(3)
         rotation = _about(rotation, blocked[0]) if is_single else Rotation.identity()
-    pose = Pose.from_rotation(
-        vector(body.pose.position_m + shift), rotation * body.pose.rotation
-    )
-    if rotation.magnitude() < SAME_ANGLE_RAD:
-        # A rotation of nothing keeps the orientation bit for bit.
-        pose = replace(body.pose, position_m=pose.position_m)
-    return replace(
-        body,
-        pose=pose,
-        linear_velocity_m_per_s=vector(velocity),
-        angular_velocity_rad_per_s=vector(spin),
-    )
+    turn(state[:7], rotation.as_rotvec(), state[:3].copy())
+    state[:3] += shift
+    state[7:10], state[10:] = velocity, spin
 
 
 def _about(rotation: Rotation, axis: FloatArray) -> Rotation:
@@ -243,30 +228,23 @@ def _about(rotation: Rotation, axis: FloatArray) -> Rotation:
     return Rotation.from_rotvec(2.0 * np.arctan2(np.array([x, y, z]) @ axis, w) * axis)
 
 
-def _swinging(
-    body: RigidBody, joint: Hinge | Tether, position_m: FloatArray, velocity: FloatArray
-) -> RigidBody:
-    """Return a body that is rotated about its joint towards a position, and swings with a velocity [m/s]."""
+def _swing(state: FloatArray, joint: Hinge | Tether, positions_m: FloatArray) -> None:
+    """Rotate a state about its joint towards the first recorded position, with the recorded velocity along the arc."""
+    velocity = FRAME_RATE_HZ * np.asarray(DIFFERENCE_PER_FRAME) @ positions_m
     anchor = np.asarray(joint.anchor_m)
-    arm, recorded = np.subtract(body.pose.position_m, anchor), position_m - anchor
+    arm, recorded = state[:3] - anchor, positions_m[0] - anchor
     if isinstance(joint, Hinge):
         axis = np.asarray(joint.axis)
-        flat, aim = (one - (one @ axis) * axis for one in (arm, recorded))
-        rotation = Rotation.from_rotvec(
-            np.arctan2(np.cross(flat, aim) @ axis, flat @ aim) * axis
-        )
-        arm = rotation.apply(flat)
+        flat, aim = across(arm, axis[None]), across(recorded, axis[None])
+        turn_rad = np.arctan2(np.cross(flat, aim) @ axis, flat @ aim) * axis
+        arm = Rotation.from_rotvec(turn_rad).apply(flat)
         angular = np.cross(arm, velocity) @ axis / (arm @ arm) * axis
     else:
-        turn = np.cross(arm, recorded)
-        size = length_of(turn)
-        rotation = Rotation.from_rotvec(
-            np.arctan2(size, arm @ recorded) * turn / size if size else np.zeros(3)
-        )
-        arm = rotation.apply(arm)
+        normal = np.cross(arm, recorded)
+        size = length_of(normal)
+        angle = np.arctan2(size, arm @ recorded)
+        turn_rad = angle * normal / size if size else np.zeros(3)
+        arm = Rotation.from_rotvec(turn_rad).apply(arm)
         angular = np.cross(arm, velocity) / (arm @ arm)
-    return replace(
-        swung(body, rotation.as_quat(scalar_first=True), anchor),
-        linear_velocity_m_per_s=vector(np.cross(angular, arm)),
-        angular_velocity_rad_per_s=vector(angular),
-    )
+    turn(state[:7], turn_rad, anchor)
+    state[7:10], state[10:] = np.cross(angular, arm), angular

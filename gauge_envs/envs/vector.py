@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Literal, Unpack, cast
+from typing import Any, ClassVar, cast
 
 import numpy as np
 from gymnasium.utils.seeding import np_random
@@ -18,40 +18,29 @@ from gymnasium.vector import (
     VectorEnv,
     VectorWrapper,
 )
+from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from gauge_envs.backends.device import DeviceWorlds
-from gauge_envs.backends.worlds import Worlds
+from gauge_envs.backends.registry import versions_of
 from gauge_envs.envs.arguments import (
     EnvArguments,
-    EnvKeywords,
-    Scatter,
-    Starts,
-    TrialStart,
     check_episode_steps,
-    drawn_seed,
-    jittered_experiment,
-    start_of,
+    checked_action,
     warn_without_reward,
 )
-from gauge_envs.envs.at_once import episodes_in_lockstep
-from gauge_envs.envs.base import WorldsEnvironment, world_constants
-from gauge_envs.envs.device import EpisodesOnDevice, dynamic_states
-from gauge_envs.envs.episode import Episode
-from gauge_envs.envs.lockstep import EpisodesOneByOne
-from gauge_envs.envs.pictures import (
-    WORLDS_RENDER_MODES,
-    Pictures,
-    Rendered,
-    episode_picture,
+from gauge_envs.envs.initial_states import InitialStates, Scatter
+from gauge_envs.envs.pictures import WORLDS_RENDER_MODES, Pictures, rollout_picture
+from gauge_envs.envs.spaces import (
+    Observation,
+    action_space_of,
+    observation_space_of,
 )
-from gauge_envs.envs.spaces import Observation
-from gauge_envs.errors import EpisodeError, ParameterError
-from gauge_envs.experiments.experiment import Experiment
+from gauge_envs.errors import ActionError, EpisodeError, ParameterError
 from gauge_envs.experiments.variants import Variant
+from gauge_envs.references.band import Band
 from gauge_envs.references.kind import Kind
 from gauge_envs.scene.geometry import BoolArray, FloatArray
-from gauge_envs.scene.jitter import Jitter, jittered
+from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.scoring.reference import refusal
 from gauge_envs.scoring.score import Score
 from gauge_envs.scoring.worlds import score_worlds
@@ -65,11 +54,7 @@ Step = tuple[
 ]
 
 
-START_COUNT = 1024
-"""Smallest number of random starts from which episodes draw theirs."""
-
-
-class GaugeVectorEnv(WorldsEnvironment[Observation]):
+class GaugeVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
     """Worlds of one experiment in lockstep on one backend, which may simulate them at once.
 
     Each world behaves as a `GaugeEnv`. Spaces, rewards and `infos` have the form of `gymnasium.vector.SyncVectorEnv`.
@@ -94,14 +79,16 @@ class GaugeVectorEnv(WorldsEnvironment[Observation]):
         render_overlay: As for `GaugeEnv`.
         jitter: As for `GaugeEnv`; each world has starts of its own.
         world_parameters: Overrides for each world, such as `[{"cube.friction": 0.25}, {"cube.friction": 0.30}]`; they
-            come on top of `parameters`. Engines that cannot mix constants in one batch build such worlds one by one.
+            come on top of `parameters`. Such worlds are built one by one.
         **arguments: Keywords of `GaugeEnv`: `backend`, `parameters`, `settings`, ...
 
     Attributes:
         arguments: Variant and keywords.
+        experiment: The experiment.
         band: Band that rewards and scores are relative to, or None.
+        rollout: The current episodes.
         seeds_used: Seeds of the last reset; empty before the first.
-        jitter: Jitter or trial of the last reset, or None.
+        versions: Versions of the engine's packages.
 
     Example:
         >>> import gymnasium as gym, gauge_envs
@@ -117,7 +104,11 @@ class GaugeVectorEnv(WorldsEnvironment[Observation]):
         ['trials', 'trials', 'trials']
     """
 
-    _lockstep: EpisodesOneByOne
+    metadata: ClassVar[dict[str, Any]] = {  # type: ignore[misc]  # gymnasium declares it without ClassVar
+        "render_modes": [*WORLDS_RENDER_MODES],
+        "render_fps": int(FRAME_RATE_HZ),
+        "autoreset_mode": AutoresetMode.NEXT_STEP,
+    }
 
     def __init__(
         self,
@@ -131,10 +122,16 @@ class GaugeVectorEnv(WorldsEnvironment[Observation]):
         render_overlay: bool = False,
         jitter: Scatter = None,
         world_parameters: Sequence[Mapping[str, Any]] | None = None,
-        **arguments: Unpack[EnvKeywords],
+        **arguments: Any,
     ) -> None:
-        constants = world_constants(num_envs, world_parameters)
-        pictures = Pictures(
+        if not isinstance(num_envs, int) or num_envs < 1:
+            raise ParameterError(f"num_envs is {num_envs!r}, expected 1 or more")
+        if world_parameters is not None and len(world_parameters) != num_envs:
+            raise ParameterError(
+                f"world_parameters has {len(world_parameters)} entries for {num_envs} worlds: give one for each"
+            )
+        self.render_mode = render_mode
+        self._pictures = Pictures(
             render_mode,
             width=width,
             height=height,
@@ -143,63 +140,35 @@ class GaugeVectorEnv(WorldsEnvironment[Observation]):
             modes=WORLDS_RENDER_MODES,
         )
         self.arguments = EnvArguments(variant, **arguments)
-        experiment = self.arguments.experiment()
-        super().__init__(
-            experiment,
-            pictures,
-            backend=self.arguments.backend,
-            settings=self.arguments.settings,
-        )
-        band = self.arguments.band(experiment)
-        # A model is the solution of the calibrated scene, and not of worlds with other constants.
-        is_another = (
-            band is not None
-            and band.kind is Kind.NUMERICAL
-            and any(world_parameters or ())
-        )
-        self.band = None if is_another else band
-        self._starts = Starts(experiment, jitter)
-        self._randoms: list[np.random.Generator] = []
+        self.experiment = experiment = self.arguments.experiment()
+        self.band = self._band(world_parameters)
+        experiments, bands = [experiment] * num_envs, [self.band] * num_envs
+        for world, constants in enumerate(world_parameters or ()):
+            if constants:
+                changed = dict(experiment.overrides) | dict(constants)
+                varied = replace(self.arguments, parameters=changed)
+                experiments[world] = varied.experiment()
+                bands[world] = varied.band(experiments[world])
+        self._initial_states = InitialStates(experiment, jitter)
+        self.rollout = self.arguments.rollout(experiments, bands)
+        self.versions = versions_of(self.arguments.backend)
         self.seeds_used: tuple[int, ...] = ()
-        self.jitter: Jitter | TrialStart | None = None
-        common = dict(experiment.overrides)
-        self._stated = [
-            replace(self.arguments, parameters=common | dict(one)).experiment()
-            if one
-            else experiment
-            for one in constants
-        ]
-        self._bands = [
-            self.band if one is experiment else self.arguments.band(one)
-            for one in self._stated
-        ]
-        self._build(self._stated)
-        self._set_spaces(num_envs, self.episodes[0])
+        self._randoms: list[np.random.Generator] = []
+        self.num_envs = num_envs
+        self.single_action_space = action_space_of(experiment)
+        self.single_observation_space = observation_space_of(experiment)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
 
-    def _build(self, experiments: Sequence[Experiment]) -> None:
-        kept: Worlds | None = None
-        if "_lockstep" in vars(self):
-            if self.worlds.start_at([one.scene for one in experiments]):
-                self._pictures.free()
-                if all(map(Episode.start_at, self.episodes, experiments)):
-                    return
-                kept = self.worlds
-            else:
-                self._free()
-        self._lockstep = episodes_in_lockstep(
-            self.arguments, experiments, self._bands, worlds=kept
-        )
-        self._is_reset = False
-
-    @property
-    def worlds(self) -> Worlds:
-        """The worlds."""
-        return self._lockstep.worlds
-
-    @property
-    def episodes(self) -> Sequence[Episode]:
-        """The current episode of each world."""
-        return self._lockstep.episodes
+    def _band(
+        self, world_parameters: Sequence[Mapping[str, Any]] | None
+    ) -> Band | None:
+        """Return the band of the worlds; a solution is of the calibrated scene, not of worlds with other constants."""
+        band = self.arguments.band(self.experiment)
+        is_varied = any(world_parameters or ())
+        if is_varied and band is not None and band.kind is Kind.NUMERICAL:
+            return None
+        return band
 
     def reset(
         self,
@@ -210,57 +179,84 @@ class GaugeVectorEnv(WorldsEnvironment[Observation]):
         """Start a new episode in every world.
 
         Args:
-            seed: Seed of the engine and of the first world's jitter; each next world has one more. Or the seed of each
-                world; the engine takes the first. None is 0; where starts scatter, the
-                random numbers of each world draw its seed, as at autoreset.
+            seed: Seed of the engine and of the first world's noise; each next world has one more. Or the seed of each
+                world; the engine takes the first. None is 0; where starts scatter, the random numbers of each world
+                draw its seed, as at autoreset.
             options: See `GaugeEnv.reset`; they hold for autoreset. With `{"jitter": True}` each world has a start of
-                its own; `{"trial": 3}` starts every world from imported trial 3. With single-shot trials each world
-                starts from its seed's one.
+                its own; `{"trial": 3}` starts every world from trial 3. With single-shot trials each world starts from
+                its seed's one.
         """
-        stated = [None] * self.num_envs if seed is None else self._seeds(seed)
         self._check_open("reset")
-        jitter = self._starts.of_reset(options, seeded=seed is not None)
+        given = [None] * self.num_envs if seed is None else self._seeds(seed)
+        sampler = self._initial_states
+        draw = sampler.of_reset(options, seeded=seed is not None)
         if seed is not None or not self._randoms:
-            self._randoms = [np_random(one)[0] for one in stated]
+            self._randoms = [np_random(one)[0] for one in given]
         seeds = [*range(self.num_envs)]
-        if seed is not None or jitter is not None:
+        if seed is not None or draw is not None:
             seeds = [
-                drawn_seed(one, jitter, random)
-                for one, random in zip(stated, self._randoms, strict=True)
+                sampler.seed_of(one, draw, random)
+                for one, random in zip(given, self._randoms, strict=True)
             ]
         super().reset(seed=seeds[0])
         self.seeds_used = tuple(seeds)
-        starts = [start_of(self.experiment, jitter, seed=one) for one in seeds]
-        if any(starts) or self.jitter is not None:
-            experiments = [
-                jittered_experiment(stated, start, seed=one)
-                for stated, start, one in zip(self._stated, starts, seeds, strict=True)
-            ]
-            self._build(experiments)
-        self.jitter = starts[0]
-        self._is_reset = True
-        self._lockstep.begin(seeds[0])
-        return self._lockstep.observations(), self._lockstep.infos(self._add_info)
+        self.rollout.reset([sampler.sample(draw, one) for one in seeds], seeds[0])
+        return self.rollout.observation(), self._infos(range(self.num_envs))
+
+    def _seeds(self, seed: int | Sequence[int | None]) -> list[int | None]:
+        """Return the seed of each world; each next one has one more than a single seed."""
+        if isinstance(seed, int | np.integer):
+            return [int(seed) + world for world in range(self.num_envs)]
+        if len(seed) != self.num_envs:
+            raise ParameterError(
+                f"{len(seed)} seeds for {self.num_envs} worlds: give one for each world, or a single number"
+            )
+        return list(seed)
 
     def step(self, actions: Any) -> Step:
         """Simulate one frame, 1/30 s, in every world; if all have ended, start the next episode of all instead.
 
         Args:
-            actions: One action for each world.
+            actions: One action for each world; those of worlds that have ended are not read.
         """
-        self._check_started("step", started=self._is_reset)
-        if not len(self._lockstep.running):
+        self._check_started("step")
+        rollout = self.rollout
+        if rollout.is_over.all():
             observations, infos = self.reset()
-            return observations, np.zeros(self.num_envs), *self._lockstep.flags(), infos
-        self._lockstep.step(actions)
-        rewards, infos = self._lockstep.rewards(), self._lockstep.infos(self._add_info)
-        return self._lockstep.observations(), rewards, *self._lockstep.flags(), infos
+            none = np.zeros(self.num_envs, dtype=np.bool_)
+            return observations, np.zeros(self.num_envs), none, none.copy(), infos
+        running = np.flatnonzero(~rollout.is_over).tolist()
+        rollout.step(self._checked(actions, running))
+        terminated = rollout.terminated
+        truncated = rollout.is_over & ~terminated
+        infos = self._infos(running)
+        return rollout.observation(), rollout.rewards(), terminated, truncated, infos
+
+    def _checked(self, actions: Any, running: Sequence[int]) -> FloatArray:
+        """Return the actions of all worlds, shape [num_envs, motion_count]; 0 for those that have ended."""
+        count = len(actions) if hasattr(actions, "__len__") else 0
+        if count != self.num_envs:
+            raise ActionError(
+                f"actions {actions!r}: expected one action for each of {self.num_envs} worlds"
+            )
+        checked = np.zeros((self.num_envs, self.rollout.motion_count))
+        for world in running:
+            checked[world] = checked_action(actions[world], self.single_action_space)
+        return checked
+
+    def _infos(self, worlds: Sequence[int]) -> dict[str, Any]:
+        """Return the infos of some worlds."""
+        infos: dict[str, Any] = {}
+        for world in worlds:
+            infos = self._add_info(infos, self.rollout.info(world), world)
+        return infos
 
     def scores(self) -> tuple[Score | None, ...]:
         """Return the score of each world's episode, or None before it is over; see `GaugeEnv.score`."""
-        self._lockstep.run_on()
+        is_over = self.rollout.is_over
         return tuple(
-            episode.score() if episode.is_over else None for episode in self.episodes
+            self.rollout.score(world) if is_over[world] else None
+            for world in range(self.num_envs)
         )
 
     def score_arrays(self) -> dict[str, FloatArray]:
@@ -274,22 +270,24 @@ class GaugeVectorEnv(WorldsEnvironment[Observation]):
             raise EpisodeError(
                 f"{self.experiment.id}: it has no reference, and so no scores"
             )
-        self._lockstep.run_on()
-        times_s, samples = self._lockstep.trajectories()
-        over = np.array(
-            [
-                one.is_over
-                and one.fault is None
-                and refusal(one.experiment, one.band) is None
-                for one in self.episodes
-            ]
-        )
-        samples[~over] = np.nan
+        rollout = self.rollout
+        rollout.run_on()
+        times_s, samples = rollout.trajectories()
         scores: dict[str, FloatArray] = {}
         # Worlds may replay different trials; each band scores its worlds in one pass.
-        bands = [one.band for one in self.episodes if one.band is not None]
-        for band in {id(one): one for one in bands}.values():
-            rows = [one.band is band for one in self.episodes]
+        for band in {id(band): band for band in rollout.bands if band}.values():
+            rows = [
+                world
+                for world in np.flatnonzero(rollout.is_over).tolist()
+                if rollout.bands[world] is band
+                and world not in rollout.diverged
+                and refusal(
+                    rollout.experiment_of(world),
+                    band,
+                    is_moved=bool(rollout.starts[world].noise),
+                )
+                is None
+            ]
             found = score_worlds(
                 self.experiment, band, times_s=times_s, values=samples[rows]
             )
@@ -297,127 +295,31 @@ class GaugeVectorEnv(WorldsEnvironment[Observation]):
                 scores.setdefault(key, np.full(self.num_envs, np.nan))[rows] = values
         return scores
 
-    def _picture(self, number: int) -> Rendered | None:
-        return episode_picture(
-            self._pictures, self.episodes[number], drawn_as=self.episodes[0]
+    def render(self) -> tuple[Any, ...] | None:
+        """Return a picture of each world in the form of the render mode, or None without one."""
+        if self.render_mode is None:
+            return None
+        self._check_started("render")
+        return tuple(
+            rollout_picture(self._pictures, self.rollout, world)
+            for world in range(self.num_envs)
         )
 
-    def _free(self) -> None:
-        super()._free()
-        self.worlds.close()
+    def close_extras(self, **_: Any) -> None:
+        """Free the worlds and the renderer."""
+        self._pictures.close()
+        self.rollout.simulation.close()
 
-
-class DeviceVectorEnv(GaugeVectorEnv):
-    """Worlds of one experiment of rigid bodies in arrays of the engine's device: `make_vec(id, mode="device")`.
-
-    It has the spaces, the starts, the rewards and the scores of `GaugeVectorEnv`, but for rounding in the engine's
-    precision. What differs:
-
-    - Observations, rewards, terminations, truncations and scores are arrays of the engine's library. Actions may be;
-      they are clipped to -1 and 1.
-    - All worlds run to the last frame of the experiment, and start their next episode in the step after it, also with
-      random starts. A world that diverges is terminated from then on and keeps its observation; its reward is 0, and
-      its scores are NaN. No reason is given.
-    - A reset draws a random start for each world, and for 1,024 at least. Each later episode takes one of them
-      in each world, without repetition among the worlds.
-    - `infos` has `frame` and `time_s`, and at the last frame the arrays of `GaugeVectorEnv.score_arrays`.
-    - There are no pictures, trials, or records of single worlds.
-
-    Args:
-        variant: Name of the variant, as `SlopeSlider-2-wood`.
-        num_envs: Number of worlds.
-        **arguments: Other arguments of `GaugeVectorEnv`.
-
-    Raises:
-        UnsupportedSceneError: The experiment has deformable bodies, or observes no positions.
-        BackendError: The engine has no arrays on a device.
-    """
-
-    _lockstep: EpisodesOnDevice  # type: ignore[assignment]  # the parent's other methods that need records raise
-
-    def _build(self, experiments: Sequence[Experiment]) -> None:
-        if self.render_mode is not None:
-            raise ParameterError("render_mode: worlds on a device have no pictures")
-        self._lockstep = EpisodesOnDevice(
-            self.arguments, experiments, self.experiment, self.band
-        )
-        self._starts_m: Any = None
-        self._order = np.random.default_rng(0)
-        self._is_reset = False
-
-    @property
-    def worlds_on_device(self) -> DeviceWorlds:
-        """The worlds in arrays of the device."""
-        return self._lockstep.device
-
-    def reset(
-        self,
-        *,
-        seed: int | Sequence[int] | None = None,
-        options: dict[str, Any] | None = None,
-    ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Start a new episode in every world.
-
-        Args:
-            seed: As for `GaugeVectorEnv.reset`; None draws seeds where starts scatter.
-            options: `{"jitter": ...}`, as for `GaugeEnv.reset`; it holds for the next episodes.
-        """
-        self._check_open("reset")
-        jitter = self._starts.of_reset(options, seeded=seed is not None)
-        if not isinstance(jitter, Jitter | None):
-            raise ParameterError(
-                f"{self.experiment.id}: trials do not start worlds on a device"
+    def _check_open(self, call: str) -> None:
+        if self.closed:
+            raise EpisodeError(
+                f"{self.experiment.id}: {call} after close; make the environment again"
             )
-        stated = [None] * self.num_envs if seed is None else self._seeds(seed)
-        seeds = [drawn_seed(one, jitter, self._order) for one in stated]
-        self._order = np.random.default_rng(seeds[0])
-        self.seeds_used, self.jitter = tuple(seeds), jitter
-        self._starts_m = None
-        if jitter is not None:
-            later = range(seeds[-1] + 1, seeds[-1] + 1 + START_COUNT - len(seeds))
-            scene = self.experiment.scene
-            starts = [
-                dynamic_states(jittered(scene, jitter, seed=one))
-                for one in (*seeds, *later)
-            ]
-            self._starts_m = self._lockstep.device.asarray(np.stack(starts))
-        self._is_reset = True
-        return self._begin(np.arange(self.num_envs))
 
-    def _begin(self, order: Any) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Start an episode in all worlds, from random starts of some numbers if starts scatter."""
-        starts = self._starts_m
-        if starts is not None:
-            starts = starts[self._lockstep.device.asarray(order)]
-        self._lockstep.start(starts)
-        return self._lockstep.observation(), self._lockstep.info()
-
-    def step(
-        self, actions: Any
-    ) -> tuple[dict[str, Any], Any, Any, Any, dict[str, Any]]:
-        """Simulate one frame, 1/30 s, in every world; after the last one, start the next episode of all instead.
-
-        Args:
-            actions: Actions of all worlds, shape [num_envs, ...]; on the device, or a NumPy array.
-        """
-        self._check_started("step", started=self._is_reset)
-        episodes = self._lockstep
-        if episodes.is_complete:
-            count = self.num_envs if self._starts_m is None else len(self._starts_m)
-            order = self._order.choice(count, self.num_envs, replace=False)
-            observation, info = self._begin(order)
-            return observation, *episodes.nothing(), info
-        rewards = episodes.advance(actions)
-        over = (episodes.diverged, episodes.truncations())
-        return episodes.observation(), rewards, *over, episodes.info()
-
-    def scores(self) -> Any:
-        """Raise an error."""
-        raise EpisodeError(
-            f"{self.experiment.id}: the record stays on the device; infos has scores at the end"
-        )
-
-    score_arrays = scores
+    def _check_started(self, call: str) -> None:
+        self._check_open(call)
+        if self.rollout.frame is None:
+            raise EpisodeError(f"{self.experiment.id}: call reset before {call}")
 
 
 class ScoreEpisodes(VectorWrapper):
@@ -509,7 +411,6 @@ class ScoreEpisodes(VectorWrapper):
 
 def scored_vector_env(
     *,
-    mode: Literal["host", "device"] = "host",
     score: bool = True,
     score_arrays: bool = False,
     max_episode_steps: int | None = None,
@@ -518,35 +419,22 @@ def scored_vector_env(
     """Return a `GaugeVectorEnv` that is scored; `gymnasium.make_vec` calls this for every id.
 
     Args:
-        mode: `device` makes a `DeviceVectorEnv`, whose arrays stay on the engine's device and which scores itself.
         score: Whether to score each episode; training needs rewards alone.
         score_arrays: Argument `arrays` of `ScoreEpisodes`.
         max_episode_steps: Steps of an episode, as `gymnasium.make_vec` repeats them from the spec.
         **arguments: Arguments of `GaugeVectorEnv`.
 
     Raises:
-        ParameterError: Other `max_episode_steps` than those of the experiment, or an argument would change nothing.
+        ParameterError: Other `max_episode_steps` than those of the experiment, or arrays of scores without a reference.
 
     Warns:
         NoRewardWarning: The experiment has no reference in use, so that every reward is 0; once for each id.
     """
-    if not score and (score_arrays or mode == "device"):
-        raise ParameterError(
-            "score=False goes with separate scores alone: leave out score_arrays=True and mode='device', or score=False"
-        )
-    if mode not in ("host", "device"):
-        raise ParameterError(f"mode is {mode!r}, expected 'host' or 'device'")
-    if mode == "device":
-        envs: GaugeVectorEnv = DeviceVectorEnv(**arguments)
-    else:
-        envs = GaugeVectorEnv(**arguments)
-    envs.arguments.check_read(envs.experiment)
+    envs = GaugeVectorEnv(**arguments)
     if score_arrays and envs.band is None:
         raise ParameterError(
-            f"{envs.experiment.id}: score_arrays=True would change nothing: it has no reference, and so no scores"
+            f"{envs.experiment.id}: score_arrays=True needs a reference, and it has none"
         )
     check_episode_steps(max_episode_steps, envs.experiment.frame_count - 1)
     warn_without_reward(envs.experiment, envs.band)
-    if mode == "device" or not score:
-        return envs
-    return ScoreEpisodes(envs, arrays=score_arrays)
+    return ScoreEpisodes(envs, arrays=score_arrays) if score else envs

@@ -134,14 +134,10 @@ def scored_env(*, score: bool = True, **arguments: Any) -> ScoreEpisode | GaugeE
             needs rewards alone.
         **arguments: Arguments of `GaugeEnv`.
 
-    Raises:
-        ParameterError: An argument would change nothing.
-
     Warns:
         NoRewardWarning: The experiment has no reference in use, so that every reward is 0; once for each id.
     """
     env = GaugeEnv(**arguments)
-    env.arguments.check_read(env.experiment)
     warn_without_reward(env.experiment, env.band)
     return ScoreEpisode(env) if score else env
 

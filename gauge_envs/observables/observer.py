@@ -7,13 +7,12 @@ default mesh; its scores then measure the mesh.
 
 from collections.abc import Callable, Iterable, Sequence
 from enum import StrEnum
-from functools import lru_cache, partial
+from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
 
-from gauge_envs.backends.world import Simulation, World
-from gauge_envs.backends.worlds import Worlds
+from gauge_envs.backends.simulation import Simulation
 from gauge_envs.errors import ShapeError
 from gauge_envs.observables.functions import (
     angle_deficit_curvature,
@@ -39,43 +38,34 @@ class MarkerProxy(StrEnum):
 
 
 class Observer(Protocol):
-    """Observer of one kind of generalized trajectory.
+    """Observer of one kind of generalized trajectory in N worlds.
 
     Attributes:
         width: Number of coordinates of g(t).
-        markers_m: Marker positions at the last observation [m], shape [marker_count, 3]; empty for rigid bodies.
+        marker_count: Number of markers; 0 for rigid bodies.
     """
 
     width: int
-    markers_m: FloatArray
+    marker_count: int
 
-    def now(self, world: World) -> FloatArray:
-        """Return g(t) now, shape [width]."""
-
-    def sample(
-        self, simulation: Simulation, count: int, interval_s: float
-    ) -> FloatArray:
-        """Advance `count` intervals and return g(t) after each, shape [count, width]."""
+    def observe(self, simulation: Simulation) -> tuple[FloatArray, FloatArray]:
+        """Return g(t) now, shape [N, width], and the markers [m], shape [N, marker_count, 3]."""
 
 
 class ObserverPositions:
     """Observer of the positions of rigid bodies [mm]."""
 
+    marker_count = 0
+
     def __init__(self, names: Sequence[str]) -> None:
         self._names = tuple(names)
         self.width = 3 * len(self._names)
-        self.markers_m = np.zeros((0, 3))
 
-    def now(self, world: World) -> FloatArray:
-        """Return the positions now, shape [width]."""
-        return 1e3 * world.body_states(self._names)[:, :3].ravel()
-
-    def sample(
-        self, simulation: Simulation, count: int, interval_s: float
-    ) -> FloatArray:
-        """Advance `count` intervals and return g(t) after each, shape [count, width]."""
-        positions = simulation.sample_positions(self._names, count, interval_s)
-        return 1e3 * positions.reshape(count, self.width)
+    def observe(self, simulation: Simulation) -> tuple[FloatArray, FloatArray]:
+        """Return the positions now, shape [N, width], and no markers."""
+        positions_m = simulation.body_states(self._names)[:, :, :3]
+        count = len(positions_m)
+        return 1e3 * positions_m.reshape(count, self.width), np.empty((count, 0, 3))
 
 
 class ObserverMarkers:
@@ -84,137 +74,74 @@ class ObserverMarkers:
     Args:
         scene: Scene with the positions of the markers at rest.
         observable: Kind of generalized trajectory.
-        world: World at the start, which gives the nodes.
+        simulation: Worlds at the nominal start, which give the nodes.
         proxy: Marker proxy.
 
     Attributes:
-        markers_m: Marker positions at the last observation [m], shape [marker_count, 3].
         largest_distance_m: Distance of the worst marker from its proxy at rest.
-        bodies: Names of the bodies with markers.
-        observed: Function that returns g(t) of marker positions; see `observe_markers`.
-        read: The engine's reader of all markers; None if they are interpolated between nodes, as `indices` and
-            `weights` state, shape [marker_count, k] each.
+        indices: Nodes of each marker, shape [marker_count, k]; `weights` are their shares, of the same shape. Not used
+            where the engine has a reader of material points.
     """
 
     def __init__(
-        self, scene: Scene, observable: Observable, world: World, proxy: MarkerProxy
+        self,
+        scene: Scene,
+        observable: Observable,
+        simulation: Simulation,
+        proxy: MarkerProxy,
     ) -> None:
         if scene.markers is None:
             raise ShapeError(
                 f"observable {observable.value!r} needs markers, and the scene has none"
             )
-        self.bodies = scene.markers.bodies
-        self.observed = partial(
-            observe_markers, markers=scene.markers, observable=observable
-        )
-        now_m = np.asarray(scene.markers.positions_m)
-        rest = {name: world.nodes(name) for name in self.bodies}
-        stated = scene.stated
-        if stated is not None and stated.markers is not None:
-            # A rigid motion keeps the material points, but not which of equal triangles rounding finds first.
-            found = {name: world.stated_nodes(name) for name in self.bodies}
-            before = {name: one for name, one in found.items() if one is not None}
-            if len(before) == len(rest):
-                scene, rest = stated, before
-        assert scene.markers is not None
-        targets = np.asarray(scene.markers.positions_m)
-        self.read = (
-            _tracker(world, rest, targets) if proxy is MarkerProxy.MATERIAL else None
-        )
+        self._markers, self._observable = scene.markers, observable
+        self._bodies = scene.markers.bodies
+        targets_m = np.asarray(scene.markers.positions_m)
+        self.marker_count = len(targets_m)
+        self._read: Callable[[], FloatArray] | None = None
+        rest = {name: simulation.nodes(name)[0] for name in self._bodies}
         if proxy is MarkerProxy.NODE:
             nodes = np.concatenate(list(rest.values()))
-            self.indices = assign_markers(
-                targets, nodes, max_distance_m=MARKER_REACH_M
-            )[:, None]
-            self.weights = np.ones((len(targets), 1))
-        elif self.read is None:
+            nearest = assign_markers(targets_m, nodes, max_distance_m=MARKER_REACH_M)
+            self.indices, self.weights = nearest[:, None], np.ones((len(nearest), 1))
+        else:
+            self._read = _tracker(simulation, self._bodies, targets_m)
+        if proxy is MarkerProxy.MATERIAL and self._read is None:
             deformables = {body.name: body for body in scene.deformables}
-            self.indices, self.weights = material_points(targets, rest, deformables)
-        self.markers_m = self._marker_positions(world)
-        self.largest_distance_m = float(
-            np.linalg.norm(self.markers_m - now_m, axis=1).max()
+            self.indices, self.weights = material_points(targets_m, rest, deformables)
+        apart_m = self.markers(simulation)[0] - targets_m
+        self.largest_distance_m = float(np.linalg.norm(apart_m, axis=1).max())
+        self.width = self.observe(simulation)[0].shape[1]
+
+    def observe(self, simulation: Simulation) -> tuple[FloatArray, FloatArray]:
+        """Return g(t) now, shape [N, width], and the markers [m], shape [N, marker_count, 3]."""
+        markers_m = self.markers(simulation)
+        g = observe_markers(
+            markers_m, markers=self._markers, observable=self._observable
         )
-        self.width = len(self.observed(self.markers_m[None])[0])
+        return g, markers_m
 
-    def now(self, world: World) -> FloatArray:
-        """Return g(t) now, shape [width]."""
-        self.markers_m = self._marker_positions(world)
-        return self.observed(self.markers_m[None])[0]
-
-    def sample(
-        self, simulation: Simulation, count: int, interval_s: float
-    ) -> FloatArray:
-        """Advance `count` intervals and return g(t) after each, shape [count, width]."""
-        markers = np.empty((count, *self.markers_m.shape))
-        for row in markers:
-            simulation.advance(interval_s)
-            row[:] = self._marker_positions(simulation)
-        self.markers_m = markers[-1].copy()
-        return self.observed(markers)
-
-    def _marker_positions(self, world: World) -> FloatArray:
-        if self.read is not None:
-            return self.read()
-        nodes = np.concatenate([world.nodes(name) for name in self.bodies])
-        return _interpolated(nodes, self.indices.T, self.weights.T)
-
-
-class MarkersOfWorlds:
-    """Observer of the markers of many worlds at once.
-
-    Args:
-        observers: The observer of each world.
-        worlds: The worlds.
-    """
-
-    def __init__(self, observers: Sequence[ObserverMarkers], worlds: Worlds) -> None:
-        first = observers[0]
-        self._worlds = worlds
-        self._bodies = first.bodies
-        self.observed = first.observed
-        self._readers = [one.read for one in observers if one.read is not None]
-        if not self._readers:
-            # Rows of the nodes of all worlds.
-            count = sum(len(worlds.worlds[0].nodes(name)) for name in first.bodies)
-            self._rows = np.concatenate(
-                [count * number + one.indices for number, one in enumerate(observers)]
-            ).T.copy()
-            self._weights = np.concatenate([one.weights for one in observers]).T.copy()
-
-    def positions(self) -> FloatArray:
-        """Return the positions of the markers [m], shape [world_count, marker_count, 3]."""
-        if self._readers:
-            return np.stack([read() for read in self._readers])
-        parts = [self._worlds.nodes(name) for name in self._bodies]
-        nodes = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
-        markers_m = _interpolated(nodes.reshape(-1, 3), self._rows, self._weights)
-        return markers_m.reshape(len(nodes), -1, 3)
-
-
-def _interpolated(
-    nodes_m: FloatArray, rows: IntArray, weights: FloatArray
-) -> FloatArray:
-    """Return weighted sums of nodes [m], shape [point_count, 3].
-
-    Args:
-        nodes_m: Positions of nodes [m], shape [node_count, 3].
-        rows: Nodes of each point, shape [k, point_count].
-        weights: Their weights, shape [k, point_count].
-    """
-    points_m = weights[0][:, None] * nodes_m.take(rows[0], axis=0)
-    for row, weight in zip(rows[1:], weights[1:], strict=True):
-        points_m += weight[:, None] * nodes_m.take(row, axis=0)
-    return points_m
+    def markers(self, simulation: Simulation) -> FloatArray:
+        """Return the markers now [m], shape [N, marker_count, 3]."""
+        if self._read is not None:
+            return self._read()
+        parts = [simulation.nodes(name) for name in self._bodies]
+        nodes_m = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
+        # Weighted sums of the nodes of each marker.
+        markers_m = np.zeros((len(nodes_m), self.marker_count, 3))
+        for indices, weights in zip(self.indices.T, self.weights.T, strict=True):
+            markers_m += weights[:, None] * nodes_m[:, indices]
+        return markers_m
 
 
 def _tracker(
-    world: World, names: Iterable[str], targets_m: FloatArray
+    simulation: Simulation, names: Iterable[str], targets_m: FloatArray
 ) -> Callable[[], FloatArray] | None:
     """Return the engine's tracker of all markers, or None if the engine has none."""
     refusal = None
     for name in names:
         try:
-            return world.track(name, targets_m)
+            return simulation.track(name, targets_m)
         except ShapeError as error:
             refusal = error
     raise refusal or ShapeError("the markers are on no body")

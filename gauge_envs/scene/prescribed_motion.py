@@ -8,7 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from gauge_envs.scene.drivers import Driver, DriverMotion, recorded_coordinates
+from gauge_envs.scene.drivers import Driver, recorded_coordinates
 from gauge_envs.scene.geometry import (
     FloatArray,
     quaternion_products,
@@ -70,6 +70,22 @@ class PrescribedMotion:
             self._start = np.array(starts)
         self._start[:, 3:] = unit_quaternions(self._start[:, 3:])
         self._offsets = np.zeros((len(self._start), self.motion_count))
+        # Worlds with the same motion share it: then the axis of the worlds has length 1.
+        is_shared = all(one is self._drivers[0] for one in self._drivers)
+        is_shared = is_shared and (self._start == self._start[0]).all()
+        worlds = range(1 if is_shared else len(self._drivers))
+        recorded = [
+            _recorded(
+                self._drivers[world],
+                self._start[world].tobytes(),
+                self._count,
+                self._interval_s,
+            )
+            for world in worlds
+        ]
+        self._targets, self._values, self._rates = (
+            np.stack(arrays, axis=1) for arrays in zip(*recorded, strict=True)
+        )
 
     def targets(self, first: int, actions: FloatArray, count: int = 1) -> FloatArray:
         """Return what `Simulation.drive` takes in the next intervals, and add the displacement by the actions.
@@ -84,41 +100,19 @@ class PrescribedMotion:
         """
         rates = actions * self._scale
         if not (self._offsets.any() or rates.any()):
-            return self._recorded(first, count)
+            shape = (count, len(rates), 19)
+            return np.broadcast_to(self._targets[first : first + count], shape)
         steps = self._interval_s * np.arange(count + 1, dtype=np.float64)
         offsets = self._offsets + steps[:, None, None] * rates
         self._offsets = offsets[-1]
-        coordinates, recorded_rates = self._coordinates(first, count)
+        part = slice(first, first + count + 1)
         states = _states(
             self._drivers,
             self._start,
-            coordinates + offsets,
-            recorded_rates + rates,
+            self._values[part] + offsets,
+            self._rates[part] + rates,
         )
         return _uniformly_accelerated(states, self._interval_s)
-
-    def _recorded(self, first: int, count: int) -> FloatArray:
-        """Return the intervals of the motion without actions, which are computed once."""
-        paths = [
-            _recorded_targets(driver, start.tobytes(), self._count, self._interval_s)
-            for driver, start in zip(self._drivers, self._start, strict=True)
-        ]
-        if all(path is paths[0] for path in paths):
-            rows = paths[0][first : first + count, None]
-            return np.broadcast_to(rows, (count, len(paths), 19))
-        return np.stack([path[first : first + count] for path in paths], axis=1)
-
-    def _coordinates(self, first: int, count: int) -> tuple[FloatArray, FloatArray]:
-        """Return coordinates and rates without actions at the ends of intervals, shape [count + 1, N, M] each."""
-        kept = [
-            _recorded_coordinates(driver.motions, self._count, self._interval_s)
-            for driver in self._drivers
-        ]
-        part = slice(first, first + count + 1)
-        values, rates = (
-            np.stack([one[kind][part] for one in kept], axis=1) for kind in (0, 1)
-        )
-        return values, rates
 
 
 def prescribed_motions(
@@ -150,26 +144,21 @@ def prescribed_motions(
     ]
 
 
-@lru_cache(maxsize=256)
-def _recorded_targets(
+@lru_cache(maxsize=64)
+def _recorded(
     driver: Driver, start: bytes, count: int, interval_s: float
-) -> FloatArray:
-    """Return the intervals of the motion without actions in one world, read-only, shape [count, 19]."""
-    values, rates = _recorded_coordinates(driver.motions, count, interval_s)
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the motion without actions in one world.
+
+    Returns:
+        Targets of the intervals, shape [count, 19]; coordinates [m or rad] and their rates at the ends of the
+        intervals, shape [count + 1, M] each.
+    """
+    times_s = interval_s * np.arange(count + 1, dtype=np.float64)
+    values, rates = recorded_coordinates(driver.motions, times_s)
     starts = np.frombuffer(start).reshape(1, 7)
     states = _states([driver], starts, values[:, None], rates[:, None])
-    rows = _uniformly_accelerated(states, interval_s)[:, 0]
-    rows.flags.writeable = False
-    return rows
-
-
-@lru_cache(maxsize=256)
-def _recorded_coordinates(
-    motions: tuple[DriverMotion, ...], count: int, interval_s: float
-) -> tuple[FloatArray, FloatArray]:
-    """Return coordinates without actions [m or rad] and their rates, shape [count + 1, M] each."""
-    times_s = interval_s * np.arange(count + 1, dtype=np.float64)
-    return recorded_coordinates(motions, times_s)
+    return _uniformly_accelerated(states, interval_s)[:, 0], values, rates
 
 
 def _states(

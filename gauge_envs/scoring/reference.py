@@ -54,7 +54,7 @@ def refusal(
     """
     if band is None or experiment.reference is not None:
         return None
-    if band.kind.is_solution and (is_moved or has_scattered_start(experiment)):
+    if band.kind.is_solution and is_moved:
         return f"no score: the {band.kind} reference is of the calibrated start, and this start was scattered"
     changes = _changes(experiment)
     if band.kind.is_real:
@@ -64,12 +64,6 @@ def refusal(
     judged = "real scene" if band.kind.is_real else "calibrated scene"
     more = f", and {len(changes) - 1} more" if len(changes) > 1 else ""
     return f"no score: the {band.kind} reference is of the {judged}, and this one differs: {changes[0]}{more}"
-
-
-def has_scattered_start(experiment: Experiment) -> bool:
-    """Return whether the start is not that of the scene, as by jitter."""
-    scene = experiment.scene
-    return (scene.stated or scene) != scene
 
 
 def has_real_geometry(experiment: Experiment) -> bool:

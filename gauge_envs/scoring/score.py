@@ -34,7 +34,7 @@ from gauge_envs.scoring.metrics import (
     z_scores,
 )
 from gauge_envs.scoring.recorded_events import EVENTS, Motion
-from gauge_envs.scoring.reference import has_real_geometry, has_scattered_start, refusal
+from gauge_envs.scoring.reference import has_real_geometry, refusal
 
 COVERAGE_FACTOR = 1.96
 """Half width of a 95 % interval over the standard uncertainty."""
@@ -303,8 +303,7 @@ def score_trajectory(
     if band is not None and reason is None:
         numbers = _distances(experiment, band, times_s, values, frames, markers_m)
         # The exact solution starts as the scene states.
-        is_scattered = is_moved or has_scattered_start(experiment)
-        if not is_scattered and not experiment.edited:
+        if not is_moved and not experiment.edited:
             numbers["exact"] = band.exact.get(experiment.parameters)
         if band.kind.is_solution and "over_uncertainty" not in numbers:
             reason = "no verdict: the reference compares markers, which are not given; RMSE and DTW are of g(t)"

@@ -1,10 +1,13 @@
-"""Record what happens in a scene on an engine, through the public contract alone."""
+"""Drive and advance the worlds of a scene, and record what happens, through the public contract alone.
+
+`intervals` is the only loop over time: environments, runs, conformance checks and sanity checks all use it.
+"""
 
 from __future__ import annotations
 
 import math
 import traceback
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -13,12 +16,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends import Simulation
-from gauge_envs.envs.driver_paths import DriverPaths
 from gauge_envs.errors import BackendError, GaugeError
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.observables.observer import MarkerProxy, ObserverMarkers
 from gauge_envs.scene import Motion, Scene
 from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.prescribed_motion import PrescribedMotion, prescribed_motions
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 
 PACKAGE = Path(__file__).parents[1]
@@ -52,13 +55,13 @@ class NotFiniteError(DivergedError):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Rollout:
+class Recording:
     """Motion of all bodies of a scene, at evenly spaced samples.
 
     Attributes:
         scene: The scene.
         times_s: Times of the samples [s], shape [sample_count].
-        states: States of each rigid body by name, shape [sample_count, 13]; see `World.body_states`.
+        states: States of each rigid body by name, shape [sample_count, 13]; see `Simulation.body_states`.
         nodes_m: Recorded nodes of deformable bodies by name [m], shape [sample_count, node_count, 3].
         markers_m: The scene's markers as points of the material [m], shape [sample_count, marker_count, 3].
     """
@@ -101,7 +104,7 @@ class Rollout:
             int(first), int(np.searchsorted(self.times_s, end_s + 1e-9, side="right"))
         )
 
-    def cut(self, start_s: float, end_s: float) -> Rollout:
+    def cut(self, start_s: float, end_s: float) -> Recording:
         """Return the rollout from one time [s] to another, both included; times stay as they are."""
         part = self.between(start_s, end_s)
         return replace(
@@ -117,6 +120,36 @@ class Rollout:
         return int(np.abs(self.times_s - time_s).argmin())
 
 
+def intervals(
+    simulation: Simulation,
+    motions: Sequence[PrescribedMotion],
+    first: int,
+    count: int,
+    actions: Sequence[FloatArray],
+    *,
+    interval_s: float = SAMPLE_INTERVAL_S,
+) -> Iterator[int]:
+    """Drive and advance all worlds, and yield after each interval its number among the `count`.
+
+    Args:
+        simulation: The worlds.
+        motions: Motions of the driven bodies.
+        first: Number of the first interval since the start.
+        count: Number of intervals.
+        actions: For each motion the actions that hold in all of these intervals, shape [N, motion_count].
+        interval_s: Length of an interval [s].
+    """
+    targets = [
+        motion.targets(first, action, count)
+        for motion, action in zip(motions, actions, strict=True)
+    ]
+    for index in range(count):
+        for motion, rows in zip(motions, targets, strict=True):
+            simulation.drive(motion.body, rows[index])
+        simulation.advance(interval_s)
+        yield index
+
+
 def record(
     simulation: Simulation,
     scene: Scene,
@@ -127,7 +160,7 @@ def record(
     speed_limit_m_per_s: float = math.inf,
     ends_beyond_m: float = math.inf,
     rest_m_per_s: float = 0.0,
-) -> Rollout:
+) -> Recording:
     """Drive a simulation from its start and record it.
 
     Args:
@@ -141,7 +174,8 @@ def record(
         rest_m_per_s: Speed along each axis below which all dynamic bodies must stay for `REST_S` to end it too [m/s].
     """
     count = round(seconds / interval_s)
-    paths = DriverPaths(scene, seconds, interval_s)
+    motions = prescribed_motions(scene, seconds, interval_s=interval_s)
+    actions = [np.zeros((1, motion.motion_count)) for motion in motions]
     observer = None
     if scene.markers is not None:
         observer = ObserverMarkers(
@@ -159,8 +193,8 @@ def record(
     for index in range(count + 1):
         time = f"after {index * interval_s:.3g} s"
         now = _read(simulation, scene, names, observer)
-        if fault := simulation.fault():
-            raise DivergedError(f"{time} {fault}")
+        if reason := simulation.diverged().get(0):
+            raise DivergedError(f"{time} {reason}")
         if name := _not_finite(names, now):
             raise NotFiniteError(f"{time} {name!r} is not finite")
         speeds = _speeds_m_per_s(dynamic, last or now, now, interval_s)
@@ -185,9 +219,9 @@ def record(
         if is_at_rest or _has_left(samples[0], now, ends_beyond_m):
             break
         if index < count:
-            _advance(simulation, paths, index, time)
+            _advance(simulation, motions, actions, index, interval_s, time)
     states = np.stack([sample.states for sample in samples])
-    return Rollout(
+    return Recording(
         scene=scene,
         times_s=interval_s * np.arange(len(samples), dtype=np.float64),
         states={body.name: states[:, index] for index, body in enumerate(scene.bodies)},
@@ -197,11 +231,6 @@ def record(
         },
         markers_m=np.stack([sample.markers_m for sample in samples]),
     )
-
-
-def states_now(simulation: Simulation, names: Sequence[str]) -> FloatArray:
-    """Return a copy of the current states of bodies, shape [len(names), 13]."""
-    return np.array(simulation.body_states(names), dtype=np.float64)
 
 
 def raised_at(error: BaseException) -> str:
@@ -257,21 +286,30 @@ def _read(
     names: Sequence[str],
     observer: ObserverMarkers | None,
 ) -> _Sample:
-    if observer is not None:
-        observer.now(simulation)
+    markers_m = NO_MARKERS if observer is None else observer.markers(simulation)[0]
     return _Sample(
-        states=states_now(simulation, names),
+        states=np.array(simulation.body_states(names)[0], dtype=np.float64),
         nodes_m={
-            body.name: np.array(simulation.nodes(body.name), dtype=np.float64)
+            body.name: np.array(simulation.nodes(body.name)[0], dtype=np.float64)
             for body in scene.deformables
         },
-        markers_m=NO_MARKERS if observer is None else observer.markers_m,
+        markers_m=markers_m,
     )
 
 
-def _advance(simulation: Simulation, paths: DriverPaths, index: int, time: str) -> None:
+def _advance(
+    simulation: Simulation,
+    motions: Sequence[PrescribedMotion],
+    actions: Sequence[FloatArray],
+    index: int,
+    interval_s: float,
+    time: str,
+) -> None:
     try:
-        paths.advance(simulation, index)
+        for _ in intervals(
+            simulation, motions, index, 1, actions, interval_s=interval_s
+        ):
+            pass
     # Engines raise exceptions of any kind, such as MuJoCo when a diverged scene has more contacts than fit in memory.
     except Exception as error:
         reason = " ".join(str(error).split())

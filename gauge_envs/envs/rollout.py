@@ -1,0 +1,454 @@
+"""Episodes of one experiment in N worlds: the only place where the intervals of a frame are run and observed.
+
+A step of the worlds is, six times, drive, advance and observe (`intervals`), and then a look at what diverged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from gauge_envs.backends.simulation import Simulation
+from gauge_envs.envs.initial_states import InitialState
+from gauge_envs.envs.limits import diverged_bodies, diverged_nodes, spans_m
+from gauge_envs.envs.recording import intervals
+from gauge_envs.envs.reward import Reward
+from gauge_envs.envs.spaces import Observation
+from gauge_envs.errors import EpisodeError
+from gauge_envs.experiments.experiment import Experiment
+from gauge_envs.observables.kinds import Observable
+from gauge_envs.observables.observer import (
+    MarkerProxy,
+    Observer,
+    ObserverMarkers,
+    ObserverPositions,
+)
+from gauge_envs.references.band import Band
+from gauge_envs.scene.geometry import BoolArray, FloatArray, IntArray
+from gauge_envs.scene.prescribed_motion import prescribed_motions
+from gauge_envs.scene.states import row_of
+from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
+from gauge_envs.scoring.metrics import MAX_TIME_OFFSET_S
+
+if TYPE_CHECKING:
+    # Scores import much of SciPy, and come with the end of an episode.
+    from gauge_envs.scoring.score import Score
+
+LATER_FRAMES = round(MAX_TIME_OFFSET_S * FRAME_RATE_HZ)
+"""Frames that worlds with a release run on after the last one, for the alignment over time."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trajectory:
+    """What an episode has recorded so far.
+
+    Attributes:
+        times_s: Times of the dense samples [s], 180 a second, shape [sample_count].
+        samples: The generalized trajectory g(t) at those times, shape [sample_count, coordinate_count].
+        frames: g(t) at the 30 Hz frames, shape [frame_count, coordinate_count].
+        bodies: States of the recorded bodies at the frames, shape [frame_count, body_count, 13]; `body_count` is 0 if
+            markers are recorded.
+        markers_m: Marker positions at the frames [m], shape [frame_count, marker_count, 3]; `marker_count` is 0 if
+            bodies are recorded.
+        later_times_s: Times of samples after the last frame [s], for the release alignment; shape [later_count], empty
+            before the score is read and where nothing is aligned.
+        later_samples: g(t) at those times, shape [later_count, coordinate_count].
+    """
+
+    times_s: FloatArray
+    samples: FloatArray
+    frames: FloatArray
+    bodies: FloatArray
+    markers_m: FloatArray
+    later_times_s: FloatArray
+    later_samples: FloatArray
+
+    @property
+    def dense(self) -> tuple[FloatArray, FloatArray]:
+        """All times [s], shape [sample_count + later_count], and g(t) at those times."""
+        return (
+            np.concatenate([self.times_s, self.later_times_s]),
+            np.concatenate([self.samples, self.later_samples]),
+        )
+
+
+class Rollout:
+    """Episodes in N worlds in lockstep: they start together, and each step is one frame of all worlds.
+
+    A world that diverges ends; its last frame stays what is observed, and the others go on.
+
+    Args:
+        experiments: The experiment of each world; they may differ in constants.
+        simulation: The worlds, at the nominal start.
+        bands: Band that rewards and scores of each world are relative to, or None.
+        marker_proxy: Marker proxy of deformable bodies: tracked node or material point.
+
+    Attributes:
+        experiment: The experiment of the first world.
+        simulation: The worlds.
+        world_count: Number of worlds N.
+        frame: Number of the current frame; None before `reset`.
+        last_frames: Last frame of each world so far, shape [N].
+        diverged: Why worlds have diverged, by their numbers.
+        starts: Start of each world.
+        bands: Band of each world, of the trial where it repeats one.
+        rest_nodes_m: Nodes of each deformable body at the nominal start [m], shape [node_count, 3].
+    """
+
+    def __init__(
+        self,
+        experiments: Sequence[Experiment],
+        simulation: Simulation,
+        *,
+        bands: Sequence[Band | None],
+        marker_proxy: MarkerProxy = MarkerProxy.MATERIAL,
+    ) -> None:
+        self.experiment = experiment = experiments[0]
+        scene = experiment.scene
+        self.simulation = simulation
+        self.world_count = count = simulation.world_count
+        self.frame: int | None = None
+        self.last_frames = np.zeros(count, dtype=np.intp)
+        self.diverged: dict[int, str] = {}
+        self.starts: Sequence[InitialState] = ()
+        self._experiments = experiments
+        self._nominal_bands = bands
+        self._set_bands(bands)
+        self.rest_nodes_m = {
+            body.name: simulation.nodes(body.name)[0].copy()
+            for body in scene.deformables
+        }
+        self._rest_spans_m = {
+            name: float(spans_m(nodes[None])[0])
+            for name, nodes in self.rest_nodes_m.items()
+        }
+        has_release = any(
+            band is not None and band.has_release and one.trial is None
+            for band, one in zip(bands, experiments, strict=True)
+        )
+        self._later_frames = LATER_FRAMES if has_release else 0
+        frame_count = experiment.frame_count
+        seconds = (frame_count - 1 + self._later_frames) / FRAME_RATE_HZ
+        self._motions = prescribed_motions(scene, seconds, world_count=count)
+        self._dynamic = [body.name for body in scene.dynamic_bodies]
+        self._driven = [driver.body for driver in scene.drivers]
+        self._recorded = [self._dynamic.index(name) for name in experiment.recorded]
+        self._observer: Observer
+        observable = experiment.score.observable
+        if observable is Observable.POSITION:
+            self._observer = ObserverPositions(experiment.recorded)
+        else:
+            self._observer = ObserverMarkers(
+                scene, observable, simulation, marker_proxy
+            )
+        sample_count = round(seconds * FRAME_RATE_HZ) * SAMPLES_PER_FRAME + 1
+        self._samples = np.full((sample_count, count, self._observer.width), np.nan)
+        self._bodies = np.full((frame_count, count, len(self._recorded), 13), np.nan)
+        marker_shape = (frame_count, count, self._observer.marker_count, 3)
+        self._markers_m = np.full(marker_shape, np.nan)
+        self._driver_states = np.full(
+            (frame_count, count, len(self._driven), 13), np.nan
+        )
+
+    @property
+    def motion_count(self) -> int:
+        """Numbers of an action: degrees of freedom of all driven bodies."""
+        return sum(motion.motion_count for motion in self._motions)
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether this is the last frame."""
+        return self.frame == self.experiment.frame_count - 1
+
+    @property
+    def is_over(self) -> BoolArray:
+        """Which worlds have ended, shape [N]."""
+        return self.terminated | self.is_complete
+
+    @property
+    def terminated(self) -> BoolArray:
+        """Which worlds have diverged, shape [N]."""
+        terminated = np.zeros(self.world_count, dtype=np.bool_)
+        terminated[[*self.diverged]] = True
+        return terminated
+
+    # --- frames ---
+
+    def reset(
+        self, starts: Sequence[InitialState] | None = None, seed: int = 0
+    ) -> None:
+        """Start an episode in every world, and record frame 0.
+
+        Args:
+            starts: Start of each world; None is the nominal start.
+            seed: Seed of the engine.
+
+        Raises:
+            BackendError: The engine's states have another shape than the contract says, or are not finite.
+        """
+        is_moved = starts is not None or bool(self.starts)
+        self.starts = starts or ()
+        states = None
+        if starts is not None:
+            states = np.array([start.states for start in starts])
+        self.simulation.reset(states, seed)
+        for index, motion in enumerate(self._motions):
+            if starts is None or states is None:
+                motion.reset()
+                continue
+            row = row_of(self.experiment.scene, motion.body)
+            drivers = [start.drivers[index] for start in starts]
+            motion.reset(drivers, states[:, row, :7])
+        if is_moved:
+            self._set_bands([self._band_of(world) for world in range(self.world_count)])
+        self.frame = 0
+        self.diverged = {}
+        self.last_frames[:] = 0
+        self._later_counts: IntArray | None = None
+        self._last_view: dict[str, FloatArray] | None = None
+        g, self._now_markers_m = self._observer.observe(self.simulation)
+        self._samples[0] = g
+        self._record()
+
+    def step(self, actions: FloatArray) -> None:
+        """Run a frame of all worlds.
+
+        Args:
+            actions: Action of each world for each motion of a driver, from -1 to 1, shape [N, motion_count].
+        """
+        for _ in self.substeps(actions):
+            pass
+
+    def substeps(self, actions: FloatArray | None = None) -> Iterator[int]:
+        """Run a frame of all worlds, and yield after each of its six intervals; see `step`."""
+        assert self.frame is not None, "reset comes first"
+        yield from self._simulated(self.frame, actions)
+        self.frame += 1
+        self.last_frames[~self.terminated] = self.frame
+        states = self._record()
+        for world, reason in self._newly_diverged(states).items():
+            self.diverged.setdefault(world, reason)
+
+    def play(self) -> None:
+        """Run all episodes without actions to their ends."""
+        while not self.is_over.all():
+            for _ in self.substeps():
+                pass
+
+    def _simulated(self, frame: int, actions: FloatArray | None) -> Iterator[int]:
+        """Drive, advance and observe the six intervals after a frame."""
+        if actions is None:
+            actions = np.zeros((self.world_count, self.motion_count))
+        ends = np.cumsum([motion.motion_count for motion in self._motions])
+        split = np.split(actions, ends[:-1], axis=1) if self._motions else []
+        first = frame * SAMPLES_PER_FRAME
+        for index in intervals(
+            self.simulation, self._motions, first, SAMPLES_PER_FRAME, split
+        ):
+            g, self._now_markers_m = self._observer.observe(self.simulation)
+            self._samples[first + index + 1] = g
+            yield index
+
+    def _record(self) -> FloatArray:
+        """Record the frame, and return the states of the dynamic bodies, shape [N, body_count, 13]."""
+        frame = self.frame or 0
+        states = self.simulation.body_states(self._dynamic)
+        self._bodies[frame] = states[:, self._recorded]
+        self._markers_m[frame] = self._now_markers_m
+        if self._driven:
+            self._driver_states[frame] = self.simulation.body_states(self._driven)
+        return states
+
+    def _newly_diverged(self, states: FloatArray) -> dict[int, str]:
+        """Return why worlds have diverged now: the engine's reason first."""
+        found = dict(self.simulation.diverged())
+        for name, rest_m in self._rest_spans_m.items():
+            found = diverged_nodes(name, self.simulation.nodes(name), rest_m) | found
+        return diverged_bodies(self._dynamic, states) | found
+
+    def run_on(self) -> None:
+        """Simulate on past the last frame, so that the alignment over time knows the later motion.
+
+        Driven bodies continue their recorded motion without actions.
+        """
+        if (
+            not self._later_frames
+            or not self.is_complete
+            or self._later_counts is not None
+        ):
+            return
+        self._last_view = self._view()
+        counts = np.zeros(self.world_count, dtype=np.intp)
+        is_running = ~self.terminated
+        last = self.experiment.frame_count - 1
+        for later in range(self._later_frames):
+            for _ in self._simulated(last + later, None):
+                pass
+            first = (last + later) * SAMPLES_PER_FRAME + 1
+            rows = self._samples[first : first + SAMPLES_PER_FRAME]
+            is_running &= np.isfinite(rows).all(axis=(0, 2))
+            states = self.simulation.body_states(self._dynamic)
+            is_running[[*self._newly_diverged(states)]] = False
+            counts[is_running] = later + 1
+        self._later_counts = counts
+
+    # --- what was recorded ---
+
+    def observation(self) -> Observation:
+        """Return the observations of all worlds in new arrays; a world that has ended keeps its last one."""
+        worlds, frames = np.arange(self.world_count), self.last_frames
+        observation = {
+            "observable": self._samples[frames * SAMPLES_PER_FRAME, worlds],
+            "time": (frames / FRAME_RATE_HZ)[:, None],
+        }
+        if self.experiment.recorded:
+            observation["bodies"] = self._bodies[frames, worlds]
+        else:
+            observation["markers"] = self._markers_m[frames, worlds]
+        if self._driven:
+            observation["driver"] = self._driver_states[frames, worlds]
+        return observation
+
+    def rewards(self) -> FloatArray:
+        """Return the reward of each world in this frame, shape [N]; 0 for one that had ended before."""
+        frame = self.frame or 0
+        rewards = np.zeros(self.world_count)
+        for reward, has_band in self._rewards:
+            worlds = np.flatnonzero(has_band & (self.last_frames == frame))
+            g = self._samples[frame * SAMPLES_PER_FRAME, worlds]
+            rewards[worlds] = reward.of(frame, g, self._markers_m[frame, worlds])
+        return rewards
+
+    def info(self, world: int) -> dict[str, Any]:
+        """Return frame, time, kind of the reference, sources of reference and driven motion, and any divergence."""
+        frame = int(self.last_frames[world])
+        band, experiment = self.bands[world], self.experiment
+        info: dict[str, Any] = {
+            "frame": frame,
+            "time_s": frame / FRAME_RATE_HZ,
+            "reference": "none" if band is None else band.kind.value,
+            "reference_source": experiment.reference_source.value,
+            "drivers": experiment.drivers.value,
+        }
+        if experiment.edited:
+            info["edited"] = True
+        trial = self.experiment_of(world).trial
+        if trial is not None:
+            info["trial"] = trial
+        if world in self.diverged:
+            info["diverged"] = self.diverged[world]
+        return info
+
+    def experiment_of(self, world: int) -> Experiment:
+        """Return the experiment of a world, with the trial that it repeats."""
+        experiment = self._experiments[world]
+        if not self.starts or self.starts[world].trial is None:
+            return experiment
+        start = self.starts[world]
+        if start.drivers == experiment.scene.drivers:
+            return replace(experiment, trial=start.trial)
+        scene = replace(experiment.scene, drivers=start.drivers)
+        return replace(experiment, scene=scene, trial=start.trial)
+
+    def trajectory(self, world: int = 0) -> Trajectory:
+        """Return what the episode of a world has recorded so far.
+
+        Raises:
+            EpisodeError: `reset` was not called.
+        """
+        if self.frame is None:
+            raise EpisodeError(f"{self.experiment.id}: no trajectory before reset")
+        frame = int(self.last_frames[world])
+        end = frame * SAMPLES_PER_FRAME + 1
+        later = 0
+        if self._later_counts is not None:
+            later = int(self._later_counts[world]) * SAMPLES_PER_FRAME
+        times_s = np.arange(end + later, dtype=np.float64) * SAMPLE_INTERVAL_S
+        samples = self._samples[:, world].copy()
+        return Trajectory(
+            times_s=times_s[:end],
+            samples=samples[:end],
+            frames=samples[:end:SAMPLES_PER_FRAME],
+            bodies=self._bodies[: frame + 1, world].copy(),
+            markers_m=self._markers_m[: frame + 1, world].copy(),
+            later_times_s=times_s[end:],
+            later_samples=samples[end : end + later],
+        )
+
+    def trajectories(self) -> tuple[FloatArray, FloatArray]:
+        """Return times [s], shape [sample_count], and g(t) of all worlds, shape [N, sample_count, coordinate_count].
+
+        Samples that a world did not reach are NaN.
+        """
+        counts = self.last_frames * SAMPLES_PER_FRAME + 1
+        if self._later_counts is not None:
+            counts = counts + self._later_counts * SAMPLES_PER_FRAME
+        numbers = np.arange(len(self._samples))
+        is_reached = numbers[:, None] < counts
+        samples = np.where(is_reached[:, :, None], self._samples, np.nan)
+        times_s = SAMPLE_INTERVAL_S * numbers.astype(np.float64)
+        return times_s, samples.transpose(1, 0, 2)
+
+    def score(self, world: int = 0) -> Score:
+        """Return the score of a world whose episode is over; if it diverged, the score has a kind and no number."""
+        from gauge_envs.scoring.score import Score, score_trajectory
+
+        experiment, band = self.experiment_of(world), self.bands[world]
+        if not self.is_over[world]:
+            raise EpisodeError(f"{experiment.id}: no score before the episode is over")
+        if world in self.diverged:
+            kind = "none" if band is None else band.kind.value
+            return Score(kind=kind, unit=experiment.score.observable.unit)
+        self.run_on()
+        trajectory = self.trajectory(world)
+        times_s, values = trajectory.dense
+        return score_trajectory(
+            experiment,
+            band,
+            times_s=times_s,
+            values=values,
+            markers_m=trajectory.markers_m,
+            is_checked=True,
+            is_moved=bool(self.starts and self.starts[world].noise),
+        )
+
+    # --- places for pictures ---
+
+    def poses(self, world: int = 0) -> Mapping[str, FloatArray]:
+        """Return the pose of each rigid body that moves: position [m] and quaternion w x y z, shape [7]."""
+        view = self._last_view or self._view()
+        return {name: view[name][world, :7] for name in (*self._dynamic, *self._driven)}
+
+    def nodes_m(self, world: int = 0) -> Mapping[str, FloatArray]:
+        """Return the nodes of each deformable body [m], shape [node_count, 3]."""
+        view = self._last_view or self._view()
+        return {name: view[name][world] for name in self.rest_nodes_m}
+
+    def _view(self) -> dict[str, FloatArray]:
+        """Return the states of all bodies that move, and the nodes of deformable ones, in all worlds."""
+        names = [*self._dynamic, *self._driven]
+        states = self.simulation.body_states(names)
+        view = {name: states[:, row] for row, name in enumerate(names)}
+        for name in self.rest_nodes_m:
+            view[name] = self.simulation.nodes(name).copy()
+        return view
+
+    def _band_of(self, world: int) -> Band | None:
+        """Return the band of a world: of the trial that it repeats, else the nominal one."""
+        from gauge_envs.scoring.reference import reference_band
+
+        if not self.starts or self.starts[world].trial is None:
+            return self._nominal_bands[world]
+        return reference_band(self.experiment_of(world))
+
+    def _set_bands(self, bands: Sequence[Band | None]) -> None:
+        self.bands = bands
+        is_bounded = bool(self.experiment.scene.deformables)
+        different = {id(band): band for band in bands if band is not None}
+        self._rewards = [
+            (Reward(band, is_bounded), np.array([one is band for one in bands]))
+            for band in different.values()
+        ]
