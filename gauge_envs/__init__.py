@@ -28,7 +28,7 @@ from gauge_envs.experiments.variants import (
     user_task_files,
     variants as variants,
 )
-from gauge_envs.registry import door, register_bundled_ids
+from gauge_envs.registry import id_modules, lazy_names
 
 if TYPE_CHECKING:
     from gauge_envs.envs.env import GaugeEnv as GaugeEnv
@@ -53,7 +53,21 @@ if TYPE_CHECKING:
         load_experiment_file as load_experiment_file,
     )
 else:
-    __getattr__, __all__ = door(__name__)
+    __getattr__, _LAZY = lazy_names(
+        __name__,
+        {
+            ".envs.env": ["GaugeEnv"],
+            ".envs.episode": ["Trajectory"],
+            ".envs.wrappers": ["LogScore", "ScoreEpisode"],
+            ".experiments.experiment": ["Experiment"],
+            ".experiments.resolve": ["load_experiment", "load_experiment_from_asset"],
+            ".experiments.task_files": ["load_task"],
+            ".scene.jitter": ["Jitter"],
+            ".scoring.reference": ["reference_band"],
+            ".scoring.score": ["Score", "score_trajectory"],
+            ".tools.usd": ["load_experiment_file"],
+        },
+    )
     __all__ = sorted(
         [
             "GaugeError",
@@ -62,7 +76,7 @@ else:
             "find_variant",
             "register_all",
             "variants",
-            *__all__,
+            *_LAZY,
         ]
     )
 
@@ -72,7 +86,7 @@ else:
 
 
 def register_all() -> None:
-    """Register every variant and `GAUGE/Asset` with Gymnasium; `import gauge_envs` calls this.
+    """Register every variant, `GAUGE/Asset` and control task with Gymnasium; `import gauge_envs` calls this.
 
     Variants of task files that the environment variable `GAUGE_TASKS` names are among them.
 
@@ -98,7 +112,8 @@ def register_all() -> None:
                 max_episode_steps=count,
                 kwargs={"variant": name},
             )
+    for ids in id_modules():
+        ids.register()
 
 
 register_all()
-register_bundled_ids()

@@ -10,7 +10,7 @@ import pytest
 from packaging.requirements import Requirement
 from places import ROOT
 
-from gauge_envs.registry import bundled_instruments
+from gauge_envs.cli.commands import BUNDLED
 from scripts.lowest_versions import constraints
 
 PACKAGE = ROOT / "gauge_envs"
@@ -125,10 +125,10 @@ def test_every_declared_dependency_is_imported_or_has_a_reason(files):
 def test_extras_are_imported_at_first_use(files):
     extras = set().union(*EXTRAS.values()) - BASE
     stated = {
-        f"tools/{one.name}/": EXTRAS[one.extra]
-        for one in bundled_instruments()
+        f"tools/{one.place.partition('.')[0]}/": EXTRAS[one.extra]
+        for one in BUNDLED
         if one.extra
-    }
+    } | {"tools/usd/": EXTRAS["usd"]}
     at_once = {
         file: found
         for file, (_, names) in files.items()

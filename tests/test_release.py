@@ -11,7 +11,7 @@ import yaml
 from places import ROOT
 
 from gauge_envs.cli.app import load_command
-from gauge_envs.registry import command_lines
+from gauge_envs.cli.commands import help_lines
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 WORKFLOWS = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
@@ -97,9 +97,7 @@ def test_commands_of_a_workflow_exist(file):
         if command.startswith("gauge ") and command != "gauge --version":
             words = shlex.split(command.partition(" >>")[0])[1:]
             name = next(
-                name
-                for name in (" ".join(words[:2]), words[0])
-                if name in command_lines()
+                name for name in (" ".join(words[:2]), words[0]) if name in help_lines()
             )
             found = load_command(name)
             found.make_context(name, words[len(name.split()) :])

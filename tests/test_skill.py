@@ -12,8 +12,8 @@ import pytest
 from places import ROOT
 
 from gauge_envs.cli.app import load_command
+from gauge_envs.cli.commands import commands
 from gauge_envs.cli.schemas import schema_names
-from gauge_envs.registry import instruments_by
 
 SKILL = ROOT / ".agents" / "skills" / "gauge-envs" / "SKILL.md"
 TEXT = SKILL.read_text()
@@ -79,16 +79,14 @@ def test_it_is_short_and_states_when_to_use_it():
 
 
 def test_its_commands_and_keys_exist():
-    commands = instruments_by("commands")
+    names = commands()
     lines = [line for block in blocks("sh") for line in block.splitlines()]
     lines += re.findall(r"`(gauge [^`]*)`", TEXT)
     found = [shlex.split(line.partition(">")[0]) for line in lines]
     found = [words[1:] for words in found if words[0] == "gauge"]
     assert len(found) >= 10
     for words in found:
-        name = next(
-            name for name in (" ".join(words[:2]), words[0]) if name in commands
-        )
+        name = next(name for name in (" ".join(words[:2]), words[0]) if name in names)
         known = {option for one in load_command(name).params for option in one.opts}
         stated = {word for word in words if word.startswith("-")}
         assert stated <= known, words

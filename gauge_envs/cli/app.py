@@ -15,6 +15,7 @@ import typer
 import typer.core
 
 from gauge_envs.cli import arguments
+from gauge_envs.cli.commands import commands, help_lines
 from gauge_envs.cli.interrupts import (
     EXIT_INTERRUPTED,
     command_runs,
@@ -26,22 +27,21 @@ from gauge_envs.cli.output import EXIT_USAGE, echo, message, quieted
 from gauge_envs.cli.streams import open_closed_streams, reserved_stdout
 from gauge_envs.cli.values import checked_values
 from gauge_envs.errors import GaugeError, ParameterError, UnknownNameError
-from gauge_envs.registry import command_lines, instruments_by
 
 UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 """Errors of a full or broken disk."""
 
 
 def load_command(name: str) -> Any:
-    """Return a command, imported from its instrument, or a group."""
-    instrument = instruments_by("commands").get(name)
-    if instrument is None:
-        return _Group(name=name, help=command_lines()[name], no_args_is_help=True)
-    function = instrument.function(name)
+    """Return a command, imported from its module, or a group."""
+    found = commands().get(name)
+    if found is None:
+        return _Group(name=name, help=help_lines()[name], no_args_is_help=True)
+    function = found.function()
     # Rich would keep the ends of lines within a paragraph.
     text = re.sub(r"(?<!\n)\n(?!\n)", " ", inspect.cleandoc(function.__doc__ or ""))
     single = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-    below = [f"gauge {other}: {command_lines()[other]}" for other in _below(name)]
+    below = [f"gauge {other}: {help_lines()[other]}" for other in _below(name)]
     epilog = "\n\n".join(["See also", *below]) if below else None
     command = _with_common_options(function)
     single.command(name, cls=_Command, help=text, epilog=epilog)(command)
@@ -92,7 +92,7 @@ def _with_common_options(function: Any) -> Any:
 
 def _below(name: str) -> list[str]:
     """Return the names of the commands that are listed under a name; empty for the command line itself."""
-    return [other for other in command_lines() if other.rpartition(" ")[0] == name]
+    return [other for other in help_lines() if other.rpartition(" ")[0] == name]
 
 
 TYPE_WORDS = {"<int range>": "integer", "<int>": "integer", "<float>": "number"}
@@ -185,28 +185,28 @@ class _Group(typer.core.TyperGroup):
         super().format_help(ctx, formatter)
 
     def list_commands(self, ctx: Any) -> list[str]:
-        name = self.name if self.name in command_lines() else ""
+        name = self.name if self.name in help_lines() else ""
         return [other.removeprefix(f"{name} ") for other in _below(name)]
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         full = self._full(cmd_name)
         return (
-            _Named(name=cmd_name, help=command_lines()[full])
-            if full in command_lines()
+            _Named(name=cmd_name, help=help_lines()[full])
+            if full in help_lines()
             else None
         )
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         for count in (2, 1):
             name = self._full(" ".join(args[:count]))
-            if name in command_lines():
+            if name in help_lines():
                 return name, self.get_command(ctx, " ".join(args[:count])), args[count:]
         raise UnknownNameError(
             "command", name, map(self._full, self.list_commands(ctx))
         )
 
     def _full(self, name: str) -> str:
-        return f"{self.name} {name}" if self.name in command_lines() else name
+        return f"{self.name} {name}" if self.name in help_lines() else name
 
 
 class _Root(_Group):

@@ -1,7 +1,6 @@
-"""JSON Schema of what commands print with `--json`: each follows from the type that its `instrument.toml` names.
+"""JSON Schema of what commands print with `--json`: each follows from the type that `cli/commands.py` names.
 
-A type is a dataclass, a typed dictionary, or a union of them where a command prints lines of several kinds. The table
-`[outputs]` of an `instrument.toml` names it, as `run = { line = "lines:RunLine", version = 1 }`.
+A type is a dataclass, a typed dictionary, or a union of them where a command prints lines of several kinds.
 """
 
 from __future__ import annotations
@@ -13,14 +12,13 @@ import typing
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from enum import Enum
-from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal, TypeAlias, get_args, get_origin, get_type_hints
 
 import numpy as np
 
+from gauge_envs.cli.commands import Command, all_commands
 from gauge_envs.errors import UnknownNameError
-from gauge_envs.registry import instruments_by
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
@@ -28,6 +26,11 @@ DESCRIPTION = (
     "One line of stdout, a JSON object; an empty output has no line. null in place of a number: it is not known, does "
     "not apply, or is not finite."
 )
+
+RESULT_FILE = Command(
+    "result-file", "run.command:run", line="run.lines:ResultFile", version=7
+)
+"""What `gauge run` writes."""
 
 PLAIN: Mapping[Any, Mapping[str, Any]] = {
     Any: {},
@@ -67,10 +70,13 @@ WHOLE = Form()
 
 def schema_names() -> dict[str, int]:
     """Return the version of each schema by its name, in the order of `gauge --help`."""
-    return {
-        name: instrument.outputs[name].version
-        for name, instrument in instruments_by("outputs").items()
-    }
+    return {name: one.version for name, one in _outputs().items()}
+
+
+def _outputs() -> dict[str, Command]:
+    """Return the commands that print JSON, and the command whose files are results."""
+    found = {name: one for name, one in all_commands().items() if one.line}
+    return found | {RESULT_FILE.name: RESULT_FILE}
 
 
 def output_schema(name: str) -> Schema:
@@ -82,19 +88,17 @@ def output_schema(name: str) -> Schema:
     Raises:
         UnknownNameError: There is no such schema.
     """
-    known = instruments_by("outputs")
+    known = _outputs()
     if name not in known:
         raise UnknownNameError("schema", name, known)
-    output = known[name].outputs[name]
-    module, _, attribute = output.line.partition(":")
-    line = getattr(import_module(f"{known[name].package}.{module}"), attribute)
-    is_file = name == "result-file"
+    output = known[name]
+    is_file = name == RESULT_FILE.name
     return {
         "$schema": DIALECT,
         "$id": f"urn:gauge-envs:{name.replace(' ', '-')}:{output.version}",
         "title": "Result file" if is_file else f"gauge {name} --json",
         "description": DESCRIPTION.partition(". ")[2] if is_file else DESCRIPTION,
-    } | schema_of(line)
+    } | schema_of(output.line_type())
 
 
 def schema_of(line: Any) -> Schema:

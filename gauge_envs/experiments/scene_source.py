@@ -17,7 +17,7 @@ from gauge_envs.errors import AssetError, first_names
 from gauge_envs.experiments.experiment import Asset, AssetKind
 from gauge_envs.files import os_errors
 from gauge_envs.references.metrics import EVENT_METRICS
-from gauge_envs.registry import scene_files, scene_suffixes
+from gauge_envs.registry import SCENE_SUFFIXES, scene_files
 from gauge_envs.scene import Hinge, Motion
 from gauge_envs.scene.diff import scene_changes
 
@@ -55,7 +55,7 @@ def with_asset(experiment: TaskExperiment, path: Path) -> TaskExperiment:
 
     contents = [read_bytes(path)]
     changes: tuple[str, ...]
-    if path.suffix in scene_suffixes():
+    if path.suffix in SCENE_SUFFIXES:
         layer = _scene_of_file(experiment, path)
         kind, scene = AssetKind.USD, layer.scene
         contents += map(read_bytes, layer.used_files)
@@ -64,7 +64,7 @@ def with_asset(experiment: TaskExperiment, path: Path) -> TaskExperiment:
         kind, file = AssetKind.MODEL, engine.read_file(path, experiment.scene)
         scene, changes = file.scene, file.changes
     else:
-        known = ", ".join(scene_suffixes())
+        known = ", ".join(SCENE_SUFFIXES)
         raise AssetError(
             path,
             "",

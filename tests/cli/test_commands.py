@@ -9,12 +9,12 @@ from programs import run_python
 from rich.text import Text
 
 from gauge_envs.cli.app import load_command
-from gauge_envs.registry import command_lines, instruments_by
+from gauge_envs.cli.commands import commands, help_lines, listings
 
 MOST_HELP_COST = 8.0
 """CPU time of `gauge --help` over that of `import typer`."""
 
-NAMES = list(instruments_by("commands"))
+NAMES = list(commands())
 
 
 def options(command):
@@ -38,21 +38,18 @@ def options(command):
 @pytest.mark.parametrize("name", NAMES)
 def test_the_line_in_the_table_is_that_of_the_function(name):
     """The help of a group shows it without an import of the instrument."""
-    text = inspect.cleandoc(instruments_by("commands")[name].function(name).__doc__)
-    assert text.partition("\n\n")[0].replace("\n", " ") == command_lines()[name]
+    text = inspect.cleandoc(commands()[name].function().__doc__)
+    assert text.partition("\n\n")[0].replace("\n", " ") == help_lines()[name]
 
 
 def test_every_listing_has_its_function():
-    assert all(
-        callable(instrument.function(f"list {kind}"))
-        for kind, instrument in instruments_by("listings").items()
-    )
+    assert all(callable(listing.function()) for listing in listings().values())
 
 
 def test_the_help_names_all_commands(gauge):
     shown = gauge("--help").stdout
-    assert all(name in shown for name in command_lines() if " " not in name)
-    for name in command_lines():
+    assert all(name in shown for name in help_lines() if " " not in name)
+    for name in help_lines():
         entry, _, below = name.partition(" ")
         assert not below or below in gauge(entry, "--help").stdout
 

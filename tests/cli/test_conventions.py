@@ -18,12 +18,12 @@ from gauge_envs.cli.arguments import (
     parsed_use,
     split_values,
 )
+from gauge_envs.cli.commands import commands, help_lines
 from gauge_envs.cli.values import longest
 from gauge_envs.errors import ParameterError, UnknownNameError
 from gauge_envs.references.user_data import DataSource
-from gauge_envs.registry import command_lines, instruments_by
 
-NAMES = list(instruments_by("commands"))
+NAMES = list(commands())
 
 SHORT = {
     "--backend": "-b",
@@ -55,7 +55,7 @@ IDS = [f"{name} {longest(one)}" for name, one in ALL]
 
 
 def test_there_are_at_most_13_commands_at_the_top():
-    assert len({name for name in command_lines() if " " not in name}) <= 13
+    assert len({name for name in help_lines() if " " not in name}) <= 13
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -9,7 +9,7 @@ from slide import SLIDE, write_csv
 
 from gauge_envs import load_experiment
 from gauge_envs.cli.app import load_command
-from gauge_envs.registry import instruments_by
+from gauge_envs.cli.commands import commands
 
 STATIC = {
     "list": "list",
@@ -45,7 +45,7 @@ def test_the_help_of_every_command(approved):
         "typer", "0.29", reason="earlier ones keep help of arguments elsewhere"
     )
     lines = []
-    for name in instruments_by("commands"):
+    for name in commands():
         command = load_command(name)
         lines.append(f"gauge {name}: {command.help}")
         for one in command.params:

@@ -13,11 +13,11 @@ from json_lines import check_lines, validator
 from slide import SLIDE, write_csv
 
 from gauge_envs.cli.app import load_command
+from gauge_envs.cli.commands import commands, listings
 from gauge_envs.cli.output import json_text
 from gauge_envs.cli.schemas import output_schema, schema_names, schema_of
-from gauge_envs.registry import instruments_by
 
-KINDS = [f"list {kind}" for kind in instruments_by("listings")]
+KINDS = [f"list {kind}" for kind in listings()]
 
 HERE = {
     "list": "list SlopeSlider-2-wood FoamBending-soft",
@@ -45,7 +45,7 @@ ELSEWHERE = {
 def test_every_command_with_json_has_a_schema():
     formatted = {
         name
-        for name in instruments_by("commands")
+        for name in commands()
         if any("--format" in one.opts for one in load_command(name).params)
     }
     assert {*formatted, *KINDS, "result-file"} == set(schema_names())

@@ -13,8 +13,9 @@ from places import ROOT
 from programs import printed
 from texts import fenced
 
+from gauge_envs.cli import commands as command_table
 from gauge_envs.cli.app import load_command
-from gauge_envs.registry import command_lines, instruments_by
+from gauge_envs.cli.commands import help_lines
 
 DOCS = ROOT / "docs"
 README = ROOT / "README.md"
@@ -228,7 +229,7 @@ def mentioned(page):
 def command_of(words):
     """The command of words, and its arguments."""
     name = next(
-        name for name in (" ".join(words[:2]), words[0]) if name in command_lines()
+        name for name in (" ".join(words[:2]), words[0]) if name in help_lines()
     )
     return load_command(name), words[len(name.split()) :]
 
@@ -275,7 +276,7 @@ def test_the_page_of_commands_lists_every_command_with_an_example():
         page.read_text(),
         flags=re.MULTILINE,
     )
-    assert [name for name, _ in rows] == list(instruments_by("commands"))
+    assert [name for name, _ in rows] == list(command_table.commands())
     for name, example in rows:
         assert example.startswith(name)
         parse(shlex.split(example))

@@ -8,14 +8,15 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from gauge_envs.cli import arguments
+from gauge_envs.cli.commands import listings
 from gauge_envs.cli.output import Format, echo, message, note, print_document
-from gauge_envs.registry import id_modules, instruments_by
+from gauge_envs.registry import id_modules
 
 if TYPE_CHECKING:
     from gauge_envs.pages.table import Table
 
-KINDS = instruments_by("listings")
-"""Instrument of each kind that `gauge list` knows beside experiments."""
+KINDS = listings()
+"""What `gauge list` lists other than experiments, by kind."""
 
 OTHER_WORDS = {kind.removesuffix("s"): kind for kind in ("experiments", *KINDS)} | {
     "engines": "backends",
@@ -55,7 +56,7 @@ def list_(
         kind, patterns = "experiments", words or []
     if kind == "experiments":
         return _list_experiments(patterns, scored, form)
-    print_document(Document(parts=KINDS[kind].function(f"list {kind}")(patterns)), form)
+    print_document(Document(parts=KINDS[kind].function()(patterns)), form)
     return False
 
 

@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from gauge_envs.registry import door
+from gauge_envs.registry import lazy_names
 
 if TYPE_CHECKING:
     from gauge_envs.tools.compare.comparison import (
@@ -27,4 +27,18 @@ if TYPE_CHECKING:
         judging_band as judging_band,
     )
 else:
-    __getattr__, __all__ = door(__name__)
+    __getattr__, __all__ = lazy_names(
+        __name__,
+        {
+            ".comparison": ["Cell", "Comparison", "ExperimentComparison", "compare"],
+            ".ranks": ["PUBLISHED", "KindComparison", "KindScore"],
+            ".tables": ["mean_rank_text"],
+            ".words": ["short_tables"],
+            ".yardstick": [
+                "choose_yardstick",
+                "coordinate_words",
+                "is_aligned",
+                "judging_band",
+            ],
+        },
+    )

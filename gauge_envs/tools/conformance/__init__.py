@@ -27,7 +27,7 @@ one scene share a `Recorded` of it, as in `rigid`: it is built and recorded once
 
 from typing import TYPE_CHECKING
 
-from gauge_envs.registry import door
+from gauge_envs.registry import lazy_names
 
 if TYPE_CHECKING:
     from gauge_envs.runs.rollout import Rollout as Rollout
@@ -50,4 +50,27 @@ if TYPE_CHECKING:
     )
     from gauge_envs.tools.conformance.run import run_checks as run_checks
 else:
-    __getattr__, __all__ = door(__name__)
+    __getattr__, __all__ = lazy_names(
+        __name__,
+        {
+            "gauge_envs.runs.rollout": ["Rollout"],
+            ".cloth": [
+                "BENT_FREE_M",
+                "bending_stiffness",
+                "cantilever_strip",
+                "hanging_strip",
+                "stretch_stiffness",
+            ],
+            ".lab": ["Lab"],
+            ".model": [
+                "Check",
+                "CheckResult",
+                "Measurement",
+                "Status",
+                "Tolerance",
+                "check",
+                "checks",
+            ],
+            ".run": ["run_checks"],
+        },
+    )

@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from gauge_envs.registry import door
+from gauge_envs.registry import lazy_names
 
 if TYPE_CHECKING:
     from gauge_envs.tools.control.env import ControlEnv as ControlEnv
@@ -14,4 +14,13 @@ if TYPE_CHECKING:
     )
     from gauge_envs.tools.control.vector import ControlWorlds as ControlWorlds
 else:
-    __getattr__, __all__ = door(__name__)
+    __getattr__, __all__ = lazy_names(
+        __name__,
+        {
+            ".env": ["ControlEnv"],
+            ".limit": ["LimitReport"],
+            ".play": ["Policy", "play_paid"],
+            ".tasks": ["control_tasks", "find_control_task"],
+            ".vector": ["ControlWorlds"],
+        },
+    )

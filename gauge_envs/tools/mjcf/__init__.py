@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from gauge_envs.registry import door
+from gauge_envs.registry import lazy_names
 
 if TYPE_CHECKING:
     from gauge_envs.tools.mjcf.drivers import (
@@ -15,4 +15,10 @@ if TYPE_CHECKING:
         scene_mjcf_text as scene_mjcf_text,
     )
 else:
-    __getattr__, __all__ = door(__name__)
+    __getattr__, __all__ = lazy_names(
+        __name__,
+        {
+            ".drivers": ["DRIVER_COLUMNS", "DRIVER_PREFIX"],
+            ".writer": ["NUMBER", "expanded", "scene_mjcf_text"],
+        },
+    )

@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from gauge_envs.registry import door
+from gauge_envs.registry import lazy_names
 
 if TYPE_CHECKING:
     from gauge_envs.tools.recipes.aim import FREE_FRICTION as FREE_FRICTION, Aim as Aim
@@ -24,4 +24,13 @@ if TYPE_CHECKING:
         find_recipe as find_recipe,
     )
 else:
-    __getattr__, __all__ = door(__name__)
+    __getattr__, __all__ = lazy_names(
+        __name__,
+        {
+            ".aim": ["FREE_FRICTION", "Aim"],
+            ".engines": ["engine_names", "engine_settings"],
+            ".measure": ["Measured", "measured"],
+            ".probes": ["Probe", "Rest", "Spread"],
+            ".search": ["Recipe", "find_recipe"],
+        },
+    )

@@ -17,7 +17,7 @@ Example:
 
 from typing import TYPE_CHECKING
 
-from gauge_envs.registry import door
+from gauge_envs.registry import lazy_names
 
 if TYPE_CHECKING:
     from gauge_envs.tools.sanity.comparison import difference as difference
@@ -38,4 +38,25 @@ if TYPE_CHECKING:
     from gauge_envs.tools.sanity.stacks import configuration as configuration
     from gauge_envs.tools.sanity.stacks.gymnasium_env import Target as Target
 else:
-    __getattr__, __all__ = door(__name__)
+    __getattr__, __all__ = lazy_names(
+        __name__,
+        {
+            ".comparison": ["difference"],
+            ".model": [
+                "ContactGroup",
+                "Cure",
+                "Need",
+                "PartOutcome",
+                "PhenomenonResult",
+                "Reality",
+                "RealityKind",
+                "Report",
+                "TrainingConfiguration",
+                "Verdict",
+            ],
+            ".robot.foot": ["FootGeometry"],
+            ".run": ["check"],
+            ".stacks": ["configuration"],
+            ".stacks.gymnasium_env": ["Target"],
+        },
+    )

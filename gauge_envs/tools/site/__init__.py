@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from gauge_envs.registry import door
+from gauge_envs.registry import lazy_names
 
 if TYPE_CHECKING:
     from gauge_envs.tools.site.build import (
@@ -10,4 +10,9 @@ if TYPE_CHECKING:
         save_site as save_site,
     )
 else:
-    __getattr__, __all__ = door(__name__)
+    __getattr__, __all__ = lazy_names(
+        __name__,
+        {
+            ".build": ["ReplayNote", "save_site"],
+        },
+    )

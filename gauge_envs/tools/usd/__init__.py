@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from gauge_envs.registry import door
+from gauge_envs.registry import lazy_names
 
 if TYPE_CHECKING:
     from gauge_envs.tools.usd.experiment_file import (
@@ -22,4 +22,14 @@ if TYPE_CHECKING:
         to_usd as to_usd,
     )
 else:
-    __getattr__, __all__ = door(__name__)
+    __getattr__, __all__ = lazy_names(
+        __name__,
+        {
+            ".experiment_file": ["load_experiment_file"],
+            ".isaac_fabric": ["surface_constants"],
+            ".layer": ["record_follower"],
+            ".reader": ["UsdScene", "from_usd", "read_points", "read_usd"],
+            ".writer": ["export_stage", "scene_stage", "to_usd"],
+        },
+        extra="usd",
+    )

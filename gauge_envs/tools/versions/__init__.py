@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from gauge_envs.registry import door
+from gauge_envs.registry import lazy_names
 
 if TYPE_CHECKING:
     from gauge_envs.tools.versions.comparison import compare as compare
@@ -17,4 +17,12 @@ if TYPE_CHECKING:
         is_discrete as is_discrete,
     )
 else:
-    __getattr__, __all__ = door(__name__)
+    __getattr__, __all__ = lazy_names(
+        __name__,
+        {
+            ".comparison": ["compare"],
+            ".model": ["Comparison", "Side", "Verdict"],
+            ".processes": ["bench"],
+            ".worker": ["imbalance", "is_discrete"],
+        },
+    )

@@ -8,7 +8,7 @@ Example:
 
 from typing import TYPE_CHECKING
 
-from gauge_envs.registry import door
+from gauge_envs.registry import lazy_names
 
 if TYPE_CHECKING:
     from gauge_envs.tools.video.frames import FileFrames as FileFrames
@@ -34,4 +34,21 @@ if TYPE_CHECKING:
     )
     from gauge_envs.tools.video.writer import film_writer as film_writer
 else:
-    __getattr__, __all__ = door(__name__)
+    __getattr__, __all__ = lazy_names(
+        __name__,
+        {
+            ".frames": ["FileFrames"],
+            ".scoring": [
+                "METRICS",
+                "PAPER_METRICS",
+                "VideoScore",
+                "law_share",
+                "score",
+                "score_track",
+            ],
+            ".tasks": ["Motion", "VideoTask", "video_task", "video_tasks"],
+            ".track": ["Event", "Track", "read_track", "save_track"],
+            ".writer": ["film_writer"],
+        },
+        extra="video",
+    )

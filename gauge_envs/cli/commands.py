@@ -1,0 +1,281 @@
+"""The commands of `gauge`: their functions, their lines of help, and what each prints with `--json`.
+
+A command of another package is an entry point of the group `gauge_envs.instruments`. Its name is that of the command,
+and its value is a function that typer can call:
+
+    [project.entry-points."gauge_envs.instruments"]
+    drift = "my_package.drift:drift"
+"""
+
+from dataclasses import dataclass
+from pkgutil import resolve_name
+from typing import Any
+
+from gauge_envs.errors import needs_extra
+from gauge_envs.registry import PACKAGE, installed_points
+
+PLUGINS_GROUP = "gauge_envs.instruments"
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command, or a kind that `gauge list` knows, as `list checks`.
+
+    Attributes:
+        name: Its words.
+        place: Module and function, as `catalog.command:show`.
+        help: Line in the help of `gauge`; a kind of `gauge list` has none.
+        line: Module and type of a line of `--json`, as `catalog.lines:Show`; empty where there is no such line.
+        version: Version of the schema of the line.
+        extra: Extra of this package that it needs, or empty.
+        package: Package of the modules, with a dot at the end.
+    """
+
+    name: str
+    place: str
+    help: str = ""
+    line: str = ""
+    version: int = 1
+    extra: str = ""
+    package: str = "gauge_envs.tools."
+
+    def function(self) -> Any:
+        """Return the function, imported from its module.
+
+        Raises:
+            MissingExtraError: The extra is not installed; the function raises it too.
+        """
+        if not self.extra:
+            return resolve_name(self.package + self.place)
+        with needs_extra(f"gauge {self.name}", self.extra):
+            found = resolve_name(self.package + self.place)
+        return needs_extra(f"gauge {self.name}", self.extra)(found)
+
+    def line_type(self) -> Any:
+        """Return the type of a line of `--json`."""
+        return resolve_name(self.package + self.line)
+
+
+GROUPS = {
+    "backend": "Check physics engines, and find what changed between two releases.",
+    "data": "Real trials and scenes: download, import, write for other tools.",
+    "video": "Judge videos of world models by the laws of motion.",
+}
+"""Line of help of each first word that is no command."""
+
+BUNDLED = (
+    Command(
+        "list",
+        "catalog.command:list_",
+        "List experiments; or backends, checks, phenomena, materials, scenes, ...",
+        line="catalog.lines:ListLine",
+        version=5,
+    ),
+    Command(
+        "show",
+        "catalog.command:show",
+        "Show one experiment or control task: reference, reward, spaces, engines, constants.",
+        line="catalog.lines:Show",
+        version=6,
+    ),
+    Command(
+        "list schemas", "catalog.command:list_schemas", line="catalog.lines:SchemaLine"
+    ),
+    Command(
+        "run",
+        "run.command:run",
+        "Run experiments, score each against its reference, and write a result file for each.",
+        line="run.lines:RunLine",
+        version=7,
+    ),
+    Command(
+        "score",
+        "run.command:score",
+        "Score a trajectory from your own simulator; no engine is needed.",
+        line="run.lines:RunLine",
+        version=7,
+    ),
+    Command(
+        "compare",
+        "compare.command:compare",
+        "Compare engines, parameters and settings: scores with intervals, and ranks.",
+        line="compare.lines:CompareLine",
+        version=5,
+    ),
+    Command(
+        "plot",
+        "compare.command:plot",
+        "Draw results: experiments over real bands, or a comparison.",
+    ),
+    Command(
+        "report",
+        "site.command:report",
+        "Write results as a static site: engines, phenomena, curves, errors and 3D replays.",
+    ),
+    Command(
+        "sweep",
+        "sweep.command:sweep",
+        "Run engines, settings and experiments in all combinations; continue an earlier run.",
+        line="sweep.lines:SweepLine",
+        version=6,
+    ),
+    Command(
+        "sanity",
+        "sanity.command:sanity",
+        "Report which physics a training configuration gets wrong, and what corrects it.",
+        line="sanity.lines:SanityLine",
+        version=5,
+    ),
+    Command(
+        "sanity probe",
+        "sanity.command:sanity_probe",
+        "Print a Python file that saves the settings of a training environment.",
+    ),
+    Command(
+        "list phenomena",
+        "sanity.command:list_phenomena",
+        line="sanity.lines:PhenomenonLine",
+    ),
+    Command(
+        "recipe",
+        "recipes.command:recipe",
+        "Give contact settings of an engine for a measured behaviour, and what they reach.",
+        line="recipes.lines:Recipe",
+    ),
+    Command(
+        "recipe fabrics",
+        "recipes.command:recipe_fabrics",
+        "Show the six fabrics in every engine's constants, and what is lost.",
+        line="recipes.lines:FabricsLine",
+    ),
+    Command(
+        "list materials",
+        "recipes.command:list_materials",
+        line="recipes.lines:MaterialLine",
+    ),
+    Command(
+        "backend check",
+        "conformance.command:backend_check",
+        "Check engines against closed forms, with a diagnosis of each failure.",
+        line="conformance.lines:FindingLine",
+        version=2,
+    ),
+    Command(
+        "list backends",
+        "conformance.command:list_backends",
+        line="conformance.lines:BackendLine",
+    ),
+    Command(
+        "list checks",
+        "conformance.command:list_checks",
+        line="conformance.lines:CheckLine",
+    ),
+    Command(
+        "backend versions",
+        "versions.command:backend_versions",
+        "Compare releases of MuJoCo on your model, settings or engines: what changed, and which side is right.",
+        line="versions.lines:VersionsLine",
+        version=3,
+    ),
+    Command(
+        "data download",
+        "dataset.command:data_download",
+        "Download the GAUGE dataset (10 GB in all); an interrupted download resumes.",
+    ),
+    Command(
+        "data import",
+        "dataset.command:data_import",
+        "Make bands and drivers of real trials, beside the published baselines; offline.",
+        line="dataset.lines:ImportLine",
+    ),
+    Command(
+        "list references",
+        "dataset.command:list_references",
+        line="dataset.lines:StatusLine",
+        version=3,
+    ),
+    Command(
+        "data scenes",
+        "assets.command:data_scenes",
+        "Write every scene as USD and MJCF, and every solid as OBJ.",
+        extra="usd",
+    ),
+    Command(
+        "data isaac-sim",
+        "assets.command:data_isaac_sim",
+        "Write experiments as USD layers that Isaac Sim simulates.",
+        extra="usd",
+    ),
+    Command(
+        "list scenes",
+        "assets.command:list_scenes",
+        line="assets.lines:SceneLine",
+        extra="usd",
+    ),
+    Command(
+        "video prompts",
+        "video.command:video_prompts",
+        "Fetch the first frame and the prompt of each task of the benchmark (3 MB).",
+        extra="video",
+    ),
+    Command(
+        "video score",
+        "video.command:video_score",
+        "Follow the object in videos, fit the law of the task, and report its metrics.",
+        line="video.lines:VideoLine",
+        version=5,
+        extra="video",
+    ),
+    Command(
+        "video report",
+        "video.command:video_report",
+        "Score the videos of many models, and write a page with a table and pictures.",
+        extra="video",
+    ),
+    Command(
+        "list video-tasks",
+        "video.command:list_video_tasks",
+        line="video.lines:TaskLine",
+        extra="video",
+    ),
+)
+"""Commands of this package in the order of the help; without its folder a command is left out."""
+
+
+def all_commands() -> dict[str, Command]:
+    """Return commands and kinds of `gauge list` by name; a plug-in cannot take a name of this package."""
+    plugins = (
+        Command(point.name, point.value, f"Of the package {point.module}.", package="")
+        for point in installed_points(PLUGINS_GROUP)
+    )
+    found: dict[str, Command] = {}
+    for command in (*BUNDLED, *plugins):
+        folder = PACKAGE / "tools" / command.place.partition(".")[0]
+        if not command.package or folder.is_dir():
+            found.setdefault(command.name, command)
+    return found
+
+
+def commands() -> dict[str, Command]:
+    """Return the commands by name, in the order of the help."""
+    return {name: one for name, one in all_commands().items() if one.help}
+
+
+def listings() -> dict[str, Command]:
+    """Return what `gauge list` lists other than experiments, by kind, as `checks`."""
+    return {
+        name.removeprefix("list "): one
+        for name, one in all_commands().items()
+        if not one.help
+    }
+
+
+def help_lines() -> dict[str, str]:
+    """Return the line of help of each command and group, in the order of the help."""
+    lines: dict[str, str] = {}
+    for name, command in commands().items():
+        group = name.partition(" ")[0]
+        if group in GROUPS:
+            lines.setdefault(group, GROUPS[group])
+        lines[name] = command.help
+    return lines

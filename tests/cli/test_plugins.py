@@ -1,0 +1,52 @@
+"""A command of another package, and what the registry says of files that nobody reads."""
+
+import sys
+from importlib.metadata import EntryPoint
+
+import pytest
+from typer.testing import CliRunner
+
+from gauge_envs import registry
+from gauge_envs.cli.app import app
+from gauge_envs.cli.commands import PLUGINS_GROUP, commands
+from gauge_envs.errors import RegistryError
+
+COMMAND = '''
+from gauge_envs.cli.output import echo
+
+
+def drift(cm: int = 0) -> None:
+    """Report how far a resting body drifts."""
+    echo(f"drift {cm}")
+'''
+
+
+@pytest.fixture
+def plugins(tmp_path, monkeypatch):
+    """Install entry points of another author, one of which has the name of a bundled command."""
+    (tmp_path / "drift_tools.py").write_text(COMMAND)
+    points = [
+        EntryPoint(name, "drift_tools:drift", PLUGINS_GROUP)
+        for name in ("drift", "list")
+    ]
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(
+        registry, "entry_points", lambda group: points if group == PLUGINS_GROUP else []
+    )
+    yield
+    sys.modules.pop("drift_tools", None)
+
+
+def test_a_plug_in_has_its_command_behind_the_bundled_ones(plugins):
+    shown = CliRunner(env={"COLUMNS": "200"}).invoke(app, ["--help"]).stdout
+    assert shown.index(" list ") < shown.index(" drift ")
+    assert CliRunner().invoke(app, ["drift", "--cm", "3"]).stdout == "drift 3\n"
+
+
+def test_a_plug_in_cannot_take_a_command_of_this_package(plugins):
+    assert commands()["list"].package == "gauge_envs.tools."
+
+
+def test_a_scene_file_that_nobody_reads_is_an_error_with_the_known_suffixes():
+    with pytest.raises(RegistryError, match=r"'\.fbx'; known: .*\.usda"):
+        registry.scene_files(".fbx")
