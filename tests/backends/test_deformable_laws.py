@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs import load_experiment
 from gauge_envs.errors import ShapeError
-from gauge_envs.runs.rollout import record
+from gauge_envs.envs.recording import record
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2,
     Attachment,

@@ -21,7 +21,7 @@ from gauge_envs.runs.episodes import run_episode, run_episodes
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Outcome
 from gauge_envs.runs.result_file import load_result, result_file_name, write_result
-from gauge_envs.runs.rollout import NotFiniteError, record
+from gauge_envs.envs.recording import NotFiniteError, record
 from gauge_envs.runs.score_file import score_file
 from gauge_envs.tools.compare.experiment_figure import draw_experiment, save_figures
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from gauge_envs.runs.rollout import Rollout
+from gauge_envs.envs.recording import Recording
 from gauge_envs.scene import Contact, RigidBody, Scene
 from gauge_envs.scoring.estimators import Bounce, first_bounce
 from gauge_envs.tools.bench.parts import ball, ground
@@ -57,7 +57,7 @@ def drop_scene(
     )
 
 
-def bounce_of(rollout: Rollout, name: str) -> Bounce | None:
+def bounce_of(rollout: Recording, name: str) -> Bounce | None:
     """Return the first bounce of a body that is let go at rest over level ground at height 0; None if it never falls.
 
     Args:

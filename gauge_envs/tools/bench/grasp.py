@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gauge_envs.runs.rollout import Rollout
+from gauge_envs.envs.recording import Recording
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2 as G,
     Box,
@@ -83,20 +83,20 @@ SHARES = (0.3826, 0.7071)
 """Mean distance from the centre of a square's points, and of its corners, over its side."""
 
 
-def from_pads_m(rollout: Rollout) -> FloatArray:
+def from_pads_m(rollout: Recording) -> FloatArray:
     """Return the displacement of the object from the middle of its pads [m], shape [sample_count, 3]."""
     return rollout.displacement("object") - 0.5 * (
         rollout.displacement("left") + rollout.displacement("right")
     )
 
 
-def pad_depth_um(rollout: Rollout) -> float:
+def pad_depth_um(rollout: Recording) -> float:
     """Return the depth of the pads in the box [um]."""
     apart_m = rollout.displacement("left")[:, 0] - rollout.displacement("right")[:, 0]
     return 0.5e6 * float(apart_m[rollout.between(STILL_S, SHAKEN_S)].mean())
 
 
-def pad_creep_um_per_s(rollout: Rollout) -> float:
+def pad_creep_um_per_s(rollout: Recording) -> float:
     """Return the speed with which the box creeps down its pads [um/s]."""
     still = rollout.between(STILL_S, SHAKEN_S)
     return -1e6 * steady_speed_m_per_s(
@@ -109,7 +109,7 @@ def torque_share(torque_n_m: float) -> float:
     return torque_n_m / (2.0 * FRICTION * 2.0 * WEIGHT_N * PAD_M)
 
 
-def spin_torque_share(rollout: Rollout) -> float:
+def spin_torque_share(rollout: Recording) -> float:
     """Return `torque_share` of a box that spins between its pads: its loss of energy over the angle."""
     spin_rad_per_s = rollout.angular_velocity("object")[:, 0]
     lost_j = (

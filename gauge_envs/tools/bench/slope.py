@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gauge_envs.runs.rollout import Rollout
+from gauge_envs.envs.recording import Recording
 from gauge_envs.scene import Pose
 from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.scoring.estimators import (
@@ -47,18 +47,18 @@ class Slope:
         return cls(axes=axes, angle_rad=math.atan2(sine, float(normal[2])))
 
 
-def slope_of(rollout: Rollout, support: str) -> Slope:
+def slope_of(rollout: Recording, support: str) -> Slope:
     """Return the face of a support of a rollout, as it starts."""
     return Slope.of(rollout.scene.body(support).pose)
 
 
-def moved_m(rollout: Rollout, body: str, support: str) -> FloatArray:
+def moved_m(rollout: Recording, body: str, support: str) -> FloatArray:
     """Return the displacement of a body downhill, across and off its support [m], shape [sample_count, 3]."""
     return np.asarray(rollout.displacement(body) @ slope_of(rollout, support).axes.T)
 
 
 def acceleration_downhill_m_per_s2(
-    rollout: Rollout, body: str, support: str, *, start_s: float = 0.0
+    rollout: Recording, body: str, support: str, *, start_s: float = 0.0
 ) -> float:
     """Return the acceleration of a body down its support from a time on."""
     later = rollout.between(start_s, math.inf)
@@ -68,7 +68,7 @@ def acceleration_downhill_m_per_s2(
 
 
 def creep_m_per_s(
-    rollout: Rollout, body: str, support: str, *, start_s: float
+    rollout: Recording, body: str, support: str, *, start_s: float
 ) -> float:
     """Return the speed with which a body creeps down its support from a time on."""
     later = rollout.between(start_s, math.inf)
@@ -78,7 +78,7 @@ def creep_m_per_s(
 
 
 def friction_of_slide(
-    rollout: Rollout, body: str, support: str, *, start_s: float
+    rollout: Recording, body: str, support: str, *, start_s: float
 ) -> float:
     """Return the friction of a body that slides down its support from a time on, and may hop on it."""
     later = rollout.between(start_s, math.inf)

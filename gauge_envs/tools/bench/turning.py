@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from gauge_envs.runs.rollout import Rollout
+from gauge_envs.envs.recording import Recording
 from gauge_envs.scene import Scene
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scoring.estimators import steady_speed_m_per_s
@@ -42,7 +42,7 @@ def turning_scene(
 
 
 def turning_arm_m(
-    rollout: Rollout, axis: tuple[float, float, float], *, start_s: float = 0.0
+    rollout: Recording, axis: tuple[float, float, float], *, start_s: float = 0.0
 ) -> float:
     """Return the torque against a turn over the normal force [m], from the spin that a ball loses: -I / (m g) dw/dt.
 

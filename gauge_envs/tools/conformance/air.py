@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from gauge_envs.runs.rollout import Rollout
+from gauge_envs.envs.recording import Recording
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Air, Pose, Region, Scene
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scoring.estimators import steady_speed_m_per_s
@@ -40,7 +40,7 @@ SOURCE = "quadratic drag, Newton's law of resistance"
 
 def _free_sheet(
     lab: Lab, pose: Pose, air: Air, seconds: float, gravity: float
-) -> Rollout:
+) -> Recording:
     cloth = sheet(FABRIC, pose, (0.15, 0.15))
     scene = Scene(
         bodies=(FRAME,),
@@ -85,7 +85,7 @@ ACROSS_M_PER_S = WIND_M_PER_S * math.sin(math.radians(INCIDENCE_DEG))
 
 def _in_wind(
     lab: Lab, seconds: float, **coefficients: Any
-) -> tuple[Rollout, FloatArray]:
+) -> tuple[Recording, FloatArray]:
     """Record a sheet without gravity in wind along +x, which meets its plane at 40 degrees.
 
     Args:

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.runs.rollout import Rollout
+from gauge_envs.envs.recording import Recording
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Cloth, Pose, Region, Scene
 from gauge_envs.scene.fabrics import Fabric
 from gauge_envs.scene.geometry import FloatArray, vector
@@ -64,21 +64,21 @@ At full gravity its slope would reach 0.5, and the moment of its weight near the
 """
 
 
-def strip_of(rollout: Rollout) -> Cloth:
+def strip_of(rollout: Recording) -> Cloth:
     """Return the strip of a scene of this module."""
     (cloth,) = rollout.scene.deformables
     assert isinstance(cloth, Cloth), "the scene has a strip alone"
     return cloth
 
 
-def local_nodes(rollout: Rollout) -> FloatArray:
+def local_nodes(rollout: Recording) -> FloatArray:
     """Return nodes in the cloth's frame [m], shape [sample_count, node_count, 3]."""
     return np.array(
         [strip_of(rollout).pose.to_body(nodes) for nodes in rollout.nodes_m["cloth"]]
     )
 
 
-def equilibrium(rollout: Rollout, settled_s: float) -> tuple[FloatArray, FloatArray]:
+def equilibrium(rollout: Recording, settled_s: float) -> tuple[FloatArray, FloatArray]:
     """Return nodes at the start and in equilibrium, in the cloth's frame [m], each of shape [node_count, 3]."""
     local = local_nodes(rollout)
     return local[0], hann_mean(
@@ -166,7 +166,7 @@ _hanging = _hanging_lift.recorded(
 
 
 @_hanging.check("cloth-start", **NODES)
-def _cloth_start(rollout: Rollout) -> Measurement:
+def _cloth_start(rollout: Recording) -> Measurement:
     found = [
         bounds_error(local_nodes(part)[0], (*strip_of(part).size_m, 0.0))
         for _, part in _hanging_lift.parts(rollout)
@@ -195,16 +195,16 @@ _cantilever = _cantilever_lift.recorded(
 
 
 @_cantilever.check("cloth-clamp")
-def _cloth_clamp(rollout: Rollout) -> Measurement:
+def _cloth_clamp(rollout: Recording) -> Measurement:
     return _cantilever_lift.clamp_excess(rollout)
 
 
 @_cantilever.check("cloth-held", **ATTACHED)
-def _cloth_held(rollout: Rollout) -> Measurement:
+def _cloth_held(rollout: Recording) -> Measurement:
     return _cantilever_lift.held_error(rollout)
 
 
-def stretch_stiffness(rollout: Rollout) -> Measurement:
+def stretch_stiffness(rollout: Recording) -> Measurement:
     """Measure K_s [N/m] from the sag of a strip, a width or more from its clamp: u = rho g (L s - s^2/2) / K_s."""
     cloth = strip_of(rollout)
     rest, now = equilibrium(rollout, 0.2)
@@ -258,7 +258,7 @@ _sheared = _shear_lift.recorded(
 )
 
 
-def _shear_stiffness(rollout: Rollout) -> Measurement:
+def _shear_stiffness(rollout: Recording) -> Measurement:
     cloth = strip_of(rollout)
     rest, now = equilibrium(rollout, 0.15)
     s = 0.5 * SPAN_M + rest[:, 0]
@@ -276,7 +276,7 @@ _sheared.check("cloth-shear")(
 )
 
 
-def bending_stiffness(rollout: Rollout) -> Measurement:
+def bending_stiffness(rollout: Recording) -> Measurement:
     """Measure the bending stiffness per width [N m] from the droop of a clamped strip: D w'' = rho g (L - s)^2 / 2."""
     cloth = strip_of(rollout)
     rest, now = equilibrium(rollout, SETTLED_SHARE * rollout.scene.duration_s)
@@ -302,7 +302,7 @@ SLOPE = Pose.from_euler_deg((0.0, 0.0, 1.0), (0.0, SLIDE_SLOPE_DEG, 0.0))
 
 
 @recorded("a sheet of cloth on a fixed slab that leans by 30 degrees; friction 0.3")
-def _sliding(lab: Lab) -> Rollout:
+def _sliding(lab: Lab) -> Recording:
     # The mid-plane starts half the thickness above the slab.
     start = SLOPE.to_world(np.array([-0.3, 0.0, 0.5 * SLAB_M[2] + 0.5e-3]))
     pose = Pose(position_m=vector(start), quaternion=SLOPE.quaternion)
@@ -319,13 +319,13 @@ def _sliding(lab: Lab) -> Rollout:
     return lab.rollout(scene)
 
 
-def _on_slab(rollout: Rollout) -> FloatArray:
+def _on_slab(rollout: Recording) -> FloatArray:
     """Return nodes in the slab's frame [m], shape [sample_count, node_count, 3]."""
     return np.array([SLOPE.to_body(nodes) for nodes in rollout.nodes_m["cloth"]])
 
 
 @_sliding.check("cloth-slide")
-def _cloth_slide(rollout: Rollout) -> Measurement:
+def _cloth_slide(rollout: Recording) -> Measurement:
     window = rollout.between(0.1, 0.4)
     positions = _on_slab(rollout)[window, :, 0].mean(axis=1)
     return slide_acceleration(
@@ -334,7 +334,7 @@ def _cloth_slide(rollout: Rollout) -> Measurement:
 
 
 @_sliding.check("cloth-rests")
-def _cloth_rests(rollout: Rollout) -> Measurement:
+def _cloth_rests(rollout: Recording) -> Measurement:
     height = (
         _on_slab(rollout)[rollout.between(0.3, 0.4), :, 2] - 0.5 * SLAB_M[2] - 0.5e-3
     )

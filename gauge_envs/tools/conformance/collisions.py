@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.runs.rollout import Rollout
+from gauge_envs.envs.recording import Recording
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2 as G,
     Box,
@@ -106,7 +106,7 @@ _volley = rollout_of(
 )
 
 
-def _restitution(rollout: Rollout, name: str) -> float:
+def _restitution(rollout: Recording, name: str) -> float:
     shot = SHOTS[name]
     other = f"target of {name}" if shot.hits_ball else "wall"
     apart = rollout.velocity(other)[:, 0] - rollout.velocity(name)[:, 0]
@@ -116,7 +116,7 @@ def _restitution(rollout: Rollout, name: str) -> float:
 
 def _volley_check(id: str, names: list[str]) -> None:
     @_volley.check(id)
-    def measure(rollout: Rollout) -> Measurement:
+    def measure(rollout: Recording) -> Measurement:
         ratios = {
             name: _restitution(rollout, name) / SHOTS[name].restitution
             for name in names
@@ -133,7 +133,7 @@ _volley_check("volley-late", [name for name in SHOTS if name.startswith("0.5")])
 
 
 @_volley.check("volley-momentum")
-def _volley_momentum(rollout: Rollout) -> Measurement:
+def _volley_momentum(rollout: Recording) -> Measurement:
     ratios = {}
     for name, shot in SHOTS.items():
         if shot.hits_ball:
@@ -178,7 +178,7 @@ def _crossed_scene() -> Scene:
     "two bars, edge down, that meet the upper edge of a fixed and of a free bar across at 0.6 m/s; no gravity",
     _crossed_scene(),
 ).check("crossed-edges")
-def _crossed_edges(rollout: Rollout) -> Measurement:
+def _crossed_edges(rollout: Recording) -> Measurement:
     ratios = {}
     for lower in ("fixed bar", "dynamic bar"):
         upper = f"bar on the {lower}"
@@ -254,7 +254,7 @@ _pucks = rollout_of(
 
 
 @_pucks.check("pucks-friction")
-def _pucks_friction(rollout: Rollout) -> Measurement:
+def _pucks_friction(rollout: Recording) -> Measurement:
     ratios = {}
     for name, puck in PUCKS.items():
         start = np.array(rollout.scene.body(name).linear_velocity_m_per_s)
@@ -288,7 +288,7 @@ _late = rollout_of(
 
 
 @_late.check("carry-late")
-def _carry_late(rollout: Rollout) -> Measurement:
+def _carry_late(rollout: Recording) -> Measurement:
     later = rollout.between(LATE_S, 2.4)
     moved = rollout.displacement("cube")[later] @ [0.8, 0.6, 0.0]
     rate = acceleration_m_per_s2(rollout.times_s[later], moved)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from gauge_envs.runs.rollout import Rollout
+from gauge_envs.envs.recording import Recording
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Box, Contact, Pose, Scene, Vector
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scoring.estimators import slide_friction
@@ -74,13 +74,13 @@ _hold = rollout_of(
 
 
 @_slide.check("fixed-body-stays")
-def _fixed_body_stays(rollout: Rollout) -> Measurement:
+def _fixed_body_stays(rollout: Recording) -> Measurement:
     return Measurement(measured=largest_mm(rollout.displacement("board")))
 
 
 def _slide_check(id: str, name: str, friction: float) -> None:
     @_slide.check(id)
-    def measure(rollout: Rollout) -> Measurement:
+    def measure(rollout: Recording) -> Measurement:
         found = slide_acceleration(
             acceleration_downhill_m_per_s2(rollout, name, "board"), friction
         )
@@ -168,7 +168,7 @@ def _rolling(lab: Lab) -> Measurement:
 
 
 @_hold.check("hold")
-def _hold_check(rollout: Rollout) -> Measurement:
+def _hold_check(rollout: Recording) -> Measurement:
     return Measurement(measured=largest_mm(rollout.displacement("cube")))
 
 
@@ -265,7 +265,7 @@ _rebound_check(
 
 
 @recorded("a box dropped by 0.35 m on a corner, on a plane")
-def _tumble(lab: Lab) -> Rollout:
+def _tumble(lab: Lab) -> Recording:
     brick = box(
         "brick",
         (0.0, 0.0, 0.35),
@@ -304,7 +304,7 @@ _tower = rollout_of(
 
 
 @_tumble.check("drop-energy")
-def _largest_gain(rollout: Rollout) -> Measurement:
+def _largest_gain(rollout: Recording) -> Measurement:
     """Measure the gain of kinetic and potential energy of the dynamic boxes above z = 0, over the initial one [%]."""
     energy = np.zeros(len(rollout.times_s))
     for one in rollout.scene.dynamic_bodies:
@@ -321,7 +321,7 @@ def _largest_gain(rollout: Rollout) -> Measurement:
 
 
 @_pile.check("pile-sinks")
-def _pile_sinks(rollout: Rollout) -> Measurement:
+def _pile_sinks(rollout: Recording) -> Measurement:
     corners = Box(size_m=PILE_BOX_M).corners_m
     deepest = 0.0
     for one in rollout.scene.dynamic_bodies:
@@ -335,7 +335,7 @@ def _pile_sinks(rollout: Rollout) -> Measurement:
 
 
 @_tower.check("tower-stands")
-def _tower_stands(rollout: Rollout) -> Measurement:
+def _tower_stands(rollout: Recording) -> Measurement:
     top = rollout.scene.dynamic_bodies[-1].name
     moved_mm = 1e3 * rollout.displacement(top)[rollout.between(0.8, 1.0)]
     aside_mm = np.linalg.norm(moved_mm[:, :2], axis=1)
@@ -393,7 +393,7 @@ OBLIQUE_TEXTS: dict[str, Any] = {
 }
 
 
-def _after(rollout: Rollout, name: str) -> tuple[float, float, float, str]:
+def _after(rollout: Recording, name: str) -> tuple[float, float, float, str]:
     """Return speed along the plane, speed up, spin about y of a ball after its impact, and what is plainly wrong."""
     velocity, along = rollout.velocity(name)[-1], OBLIQUE[name][1]
     spin = float(rollout.angular_velocity(name)[-1, 1])
@@ -408,7 +408,7 @@ def _after(rollout: Rollout, name: str) -> tuple[float, float, float, str]:
 
 
 @_oblique.check("oblique-grip-speed", **OBLIQUE_TEXTS)
-def _grip_speed(rollout: Rollout) -> Measurement:
+def _grip_speed(rollout: Recording) -> Measurement:
     along, _, _, hint = _after(rollout, "grip")
     return Measurement(
         measured=along, expected=5.0 / 7.0 * OBLIQUE["grip"][1], hint=hint
@@ -416,7 +416,7 @@ def _grip_speed(rollout: Rollout) -> Measurement:
 
 
 @_oblique.check("oblique-grip-spin", **OBLIQUE_TEXTS)
-def _grip_spin(rollout: Rollout) -> Measurement:
+def _grip_spin(rollout: Recording) -> Measurement:
     _, _, spin, hint = _after(rollout, "grip")
     return Measurement(
         measured=spin, expected=5.0 / 7.0 * OBLIQUE["grip"][1] / RADIUS_M, hint=hint
@@ -424,7 +424,7 @@ def _grip_spin(rollout: Rollout) -> Measurement:
 
 
 @_oblique.check("oblique-slip-friction", **OBLIQUE_TEXTS)
-def _slip_friction(rollout: Rollout) -> Measurement:
+def _slip_friction(rollout: Recording) -> Measurement:
     friction, before = OBLIQUE["slip"]
     along, up, _, hint = _after(rollout, "slip")
     measured = (before - along) / (up + OBLIQUE_DOWN_M_PER_S)
@@ -440,7 +440,7 @@ def _slip_friction(rollout: Rollout) -> Measurement:
         "diagnosis": "where rebound-0.5 passes, slip adds to the rebound: a convex contact model dilates as it slips"
     },
 )
-def _slip_rebound(rollout: Rollout) -> Measurement:
+def _slip_rebound(rollout: Recording) -> Measurement:
     _, up, _, hint = _after(rollout, "slip")
     return Measurement(
         measured=up / OBLIQUE_DOWN_M_PER_S, expected=OBLIQUE_E, hint=hint

@@ -11,7 +11,7 @@ import numpy as np
 
 from gauge_envs.backends import Simulation
 from gauge_envs.envs.driver_paths import DriverPaths
-from gauge_envs.runs.rollout import states_now
+from gauge_envs.envs.recording import states_now
 from gauge_envs.scene import Box, Cylinder, Hinge, Pose, Scene
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.bench.parts import ball, body, box, contact, fixed_box, ground

@@ -7,10 +7,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from gauge_envs.envs.driver_paths import DriverPaths
-from gauge_envs.runs.rollout import (
+from gauge_envs.envs.recording import (
     DeclinedError,
     NotFiniteError,
-    Rollout,
+    Recording,
     record,
     states_now,
 )
@@ -427,7 +427,7 @@ def parts_apart(apart: FloatArray, name: str) -> dict[str, float]:
     }
 
 
-def _difference(first: Rollout, second: Rollout, hint: str = "") -> Measurement:
+def _difference(first: Recording, second: Recording, hint: str = "") -> Measurement:
     """Measure the largest difference between two rollouts of one scene in any number."""
     parts: dict[str, float] = {}
     for name, states in first.states.items():
@@ -440,7 +440,7 @@ def _difference(first: Rollout, second: Rollout, hint: str = "") -> Measurement:
 
 def _again_after_reset(
     lab: Lab, scene: Scene, seconds: float
-) -> tuple[Rollout, Rollout]:
+) -> tuple[Recording, Recording]:
     """Return two rollouts of one simulation, which runs with another seed and is reset between them.
 
     The first sample of the first rollout is from before the first reset.
@@ -460,17 +460,17 @@ def _again_after_reset(
 
 
 @recorded(BOUNCES)
-def _bounce_again(lab: Lab) -> tuple[Rollout, Rollout]:
+def _bounce_again(lab: Lab) -> tuple[Recording, Recording]:
     return _again_after_reset(lab, bounces(lab), 0.5)
 
 
 @recorded(STRIP_ON_ROD)
-def _cloth_again(lab: Lab) -> tuple[Rollout, Rollout]:
+def _cloth_again(lab: Lab) -> tuple[Recording, Recording]:
     return _again_after_reset(lab, strip_on_rod(), 0.2)
 
 
 @_bounce_again.check("reset-start", tolerance=EXACT)
-def _reset_start(pair: tuple[Rollout, Rollout]) -> Measurement:
+def _reset_start(pair: tuple[Recording, Recording]) -> Measurement:
     first, second = (rollout.cut(0.0, 0.0) for rollout in pair)
     apart = np.abs(
         [
@@ -485,7 +485,7 @@ def _reset_start(pair: tuple[Rollout, Rollout]) -> Measurement:
 
 
 @_bounce_again.check("reset-course", **SAME_SEED)
-def _reset_course(pair: tuple[Rollout, Rollout]) -> Measurement:
+def _reset_course(pair: tuple[Recording, Recording]) -> Measurement:
     return _difference(*pair)
 
 

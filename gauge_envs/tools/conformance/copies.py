@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.runs.rollout import Rollout
+from gauge_envs.envs.recording import Recording
 from gauge_envs.scene import (
     Box,
     Contact,
@@ -247,7 +247,7 @@ def _scene(with_string: bool = True) -> Scene:
 
 
 def _moved(
-    rollout: Rollout, name: str, copy: _Copy, part: str
+    rollout: Recording, name: str, copy: _Copy, part: str
 ) -> tuple[FloatArray, FloatArray]:
     """Return displacements [m] and steps of rotation [rad] of a body as in the upright copy.
 
@@ -265,13 +265,13 @@ def _moved(
     "heavy: a brick that hits a slab, a ball that a driven paddle hits, a bar that turns on a leaning hinge, a beam "
     "that whirls on a string; no gravity"
 )
-def _copies(lab: Lab) -> Rollout:
+def _copies(lab: Lab) -> Recording:
     # Some engines start strings at rest: they build the scene without.
     return lab.rollout(lab.first_supported(_scene(), _scene(with_string=False)))
 
 
 @_copies.check("copies-alike")
-def _copies_alike(rollout: Rollout) -> Measurement:
+def _copies_alike(rollout: Recording) -> Measurement:
     errors, details = {}, {}
     parts = [part for part in PARTS if f"upright {part}" in rollout.states]
     for part in parts:

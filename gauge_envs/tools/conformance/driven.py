@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.runs.rollout import Rollout
+from gauge_envs.envs.recording import Recording
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Box, Scene
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.profiles import TrapezoidProfile
@@ -61,14 +61,14 @@ _turntable = rollout_of(
 
 
 @_carry.check("driven-velocity")
-def _driven_velocity(rollout: Rollout) -> Measurement:
+def _driven_velocity(rollout: Recording) -> Measurement:
     cruise = rollout.scene.drivers[0].motions[0].rate(0.6)
     speed = rollout.velocity("plate")[rollout.sample_at(0.6), 0]
     return Measurement(measured=float(speed / cruise), expected=1.0)
 
 
 @_turntable.check("driven-path")
-def _driven_path(rollout: Rollout) -> Measurement:
+def _driven_path(rollout: Recording) -> Measurement:
     corners = Box(size_m=PLATE_M).corners_m
     rotated = np.stack(
         [rotation.apply(corners) for rotation in rollout.rotation("plate")]
@@ -77,7 +77,7 @@ def _driven_path(rollout: Rollout) -> Measurement:
     return found if found.hint else replace(found, hint=_turn_hint(rollout))
 
 
-def _turn_hint(rollout: Rollout) -> str:
+def _turn_hint(rollout: Recording) -> str:
     """Return how far the plate turns in each interval, from where its drive puts it, if that is degrees for radians."""
     prescribed = Rotation.concatenate([pose.rotation for pose in driver_poses(rollout)])
     asked = (prescribed[1:] * prescribed[:-1].inv()).magnitude()
@@ -106,7 +106,7 @@ CARRY_DIAGNOSIS = (
     + "; check the angular velocity's sign and frame, and outward creep",
 )
 @_carry.check("carry-line", diagnosis=CARRY_DIAGNOSIS)
-def _slip(rollout: Rollout) -> Measurement:
+def _slip(rollout: Recording) -> Measurement:
     """Measure the largest displacement of the cube in the plate's prescribed frame [mm]."""
     poses = driver_poses(rollout)
     places = [
@@ -161,6 +161,6 @@ _collision = rollout_of(
 
 
 @_collision.check("pushed-ball")
-def _pushed_ball(rollout: Rollout) -> Measurement:
+def _pushed_ball(rollout: Recording) -> Measurement:
     pushed = rollout.velocity("left")[rollout.sample_at(PUSHED_S), 0]
     return Measurement(measured=float(pushed), expected=PUSH_M_PER_S)

@@ -11,7 +11,7 @@ from itertools import islice
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.runs.rollout import Rollout
+from gauge_envs.envs.recording import Recording
 from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.scoring.estimators import acceleration_m_per_s2
 from gauge_envs.tools.conformance.torques import wrong_torques
@@ -24,7 +24,7 @@ LEAST_TURN_RAD = 0.05
 """Rotation from which on a hinge shows its anchor."""
 
 
-def facts(rollout: Rollout) -> str:
+def facts(rollout: Recording) -> str:
     """Return what is otherwise than the scene states, the first of a kind; empty where nothing is."""
     found = [next(kind(rollout), "") for kind in (_starts, _driven, _hinges, _gravity)]
     # Where the parts are otherwise, torques are.
@@ -32,7 +32,7 @@ def facts(rollout: Rollout) -> str:
     return "; ".join(told)
 
 
-def _starts(rollout: Rollout) -> Iterator[str]:
+def _starts(rollout: Recording) -> Iterator[str]:
     for body in rollout.scene.bodies:
         off_mm = 1e3 * (rollout.position(body.name)[0] - body.pose.position_m)
         turned = rollout.rotation(body.name)[0] * body.pose.rotation.inv()
@@ -60,7 +60,7 @@ def _starts(rollout: Rollout) -> Iterator[str]:
                 )
 
 
-def _driven(rollout: Rollout) -> Iterator[str]:
+def _driven(rollout: Recording) -> Iterator[str]:
     for driver in rollout.scene.drivers:
         name = driver.body
         asked = driver.path(rollout.scene.body(name).pose, rollout.times_s)
@@ -124,7 +124,7 @@ def _wrong_drive(found: FloatArray, law: FloatArray, interval_s: float) -> str:
     return f"is elsewhere from {wrong[0]:.3g} to {wrong[-1]:.3g} s alone, by up to {1e3 * size:.3g} mm"
 
 
-def _hinges(rollout: Rollout) -> Iterator[str]:
+def _hinges(rollout: Recording) -> Iterator[str]:
     scene = rollout.scene
     for name, hinge in scene.hinges.items():
         axis = np.array(hinge.axis)
@@ -185,7 +185,7 @@ def _pivot(
     return solution[3:], float(left_m)
 
 
-def _gravity(rollout: Rollout) -> Iterator[str]:
+def _gravity(rollout: Recording) -> Iterator[str]:
     scene = rollout.scene
     bound = scene.contacts or scene.joints or scene.attachments
     if bound or not scene.gravity_m_per_s2:

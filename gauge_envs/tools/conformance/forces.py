@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.runs.rollout import DeclinedError, states_now
+from gauge_envs.envs.recording import DeclinedError, states_now
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2 as G,
     Box,

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.envs.driver_paths import DriverPaths
-from gauge_envs.runs.rollout import Rollout, states_now
+from gauge_envs.envs.recording import Recording, states_now
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Pose, Scene
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
@@ -44,7 +44,7 @@ TURNING_N_M = 0.07
 """Torque that turns the box [N m]."""
 
 
-def _pushed(lab: Lab, scene: Scene, wrench: Callable[[float], Any]) -> Rollout:
+def _pushed(lab: Lab, scene: Scene, wrench: Callable[[float], Any]) -> Recording:
     """Return the rollout of a box between pads with twice its weight, with a wrench over time on it [N, N m]."""
     count, names = (
         round(scene.duration_s / SAMPLE_INTERVAL_S),
@@ -62,7 +62,7 @@ def _pushed(lab: Lab, scene: Scene, wrench: Callable[[float], Any]) -> Rollout:
             paths.advance(simulation, index)
             rows.append(states_now(simulation, names))
     times_s = SAMPLE_INTERVAL_S * np.arange(count + 1, dtype=np.float64)
-    return Rollout(
+    return Recording(
         scene=scene,
         times_s=times_s,
         states=dict(zip(names, np.stack(rows, axis=1), strict=True)),
@@ -73,7 +73,7 @@ def _pushed(lab: Lab, scene: Scene, wrench: Callable[[float], Any]) -> Rollout:
     "a box of 0.2 kg between two pads of 20 mm by 20 mm on jaws of 2 m that press with twice its weight each, with "
     "friction 0.5: 1.5 s at rest, then 1 s under a force of half its weight on its centre, up and down with 4 Hz"
 )
-def _grasped(lab: Lab) -> Rollout:
+def _grasped(lab: Lab) -> Recording:
     def shake(time_s: float) -> tuple[float, ...]:
         force = (
             SHAKE * WEIGHT_N * np.sin(2.0 * np.pi * SHAKES_HZ * time_s)
@@ -86,17 +86,17 @@ def _grasped(lab: Lab) -> Rollout:
 
 
 @_grasped.check("grasp-sink")
-def _grasp_sink(rollout: Rollout) -> Measurement:
+def _grasp_sink(rollout: Recording) -> Measurement:
     return Measurement(measured=pad_depth_um(rollout))
 
 
 @_grasped.check("grasp-creep")
-def _grasp_creep(rollout: Rollout) -> Measurement:
+def _grasp_creep(rollout: Recording) -> Measurement:
     return Measurement(measured=pad_creep_um_per_s(rollout))
 
 
 @_grasped.check("grasp-holds")
-def _grasp_holds(rollout: Rollout) -> Measurement:
+def _grasp_holds(rollout: Recording) -> Measurement:
     places = from_pads_m(rollout.cut(SHAKEN_S, rollout.times_s[-1]))
     return Measurement(measured=1e3 * float(np.abs(places[:, 2] - places[0, 2]).max()))
 
@@ -104,12 +104,12 @@ def _grasp_holds(rollout: Rollout) -> Measurement:
 @recorded(
     "the same box between pads that press with half its weight each, so that friction carries half of it"
 )
-def _slipping(lab: Lab) -> Rollout:
+def _slipping(lab: Lab) -> Recording:
     return lab.rollout(grasp_scene(0.15), wrenches=grasp_wrenches(0.5 * WEIGHT_N))
 
 
 @_slipping.check("grasp-slips")
-def _grasp_slips(rollout: Rollout) -> Measurement:
+def _grasp_slips(rollout: Recording) -> Measurement:
     falls = acceleration_m_per_s2(rollout.times_s, rollout.position("object")[:, 2])
     return Measurement(measured=1.0 + falls / G, expected=FRICTION)
 
@@ -117,7 +117,7 @@ def _grasp_slips(rollout: Rollout) -> Measurement:
 @recorded(
     "the same box between pads that press with twice its weight each, under a torque of 0.07 N m; no gravity"
 )
-def _turned(lab: Lab) -> Rollout:
+def _turned(lab: Lab) -> Recording:
     return _pushed(
         lab,
         grasp_scene(0.1, gravity=0.0),
@@ -126,7 +126,7 @@ def _turned(lab: Lab) -> Rollout:
 
 
 @_turned.check("grasp-torsion")
-def _grasp_torsion(rollout: Rollout) -> Measurement:
+def _grasp_torsion(rollout: Recording) -> Measurement:
     angles_rad = rollout.rotation("object").as_rotvec()[:, 0]
     rate_rad_per_s2 = acceleration_m_per_s2(rollout.times_s, angles_rad)
     held_n_m = TURNING_N_M - box_inertia_kg_m2(OBJECT)[0] * rate_rad_per_s2
@@ -144,13 +144,13 @@ _off_centre = replace(
     "the same box between balls of 5 mm radius that press with five times its weight 50 mm above its centre, released "
     "at 0.7 rad"
 )
-def _swinging(lab: Lab) -> Rollout:
+def _swinging(lab: Lab) -> Recording:
     scene = grasp_scene(2.0, pad=TIP, grasped=_off_centre)
     return lab.rollout(scene, wrenches=grasp_wrenches(5.0 * WEIGHT_N))
 
 
 @_swinging.check("grasp-swing")
-def _grasp_swing(rollout: Rollout) -> Measurement:
+def _grasp_swing(rollout: Recording) -> Measurement:
     angles = rollout.rotation("object").as_rotvec()[:, 0]
     gyration = float(np.sqrt(box_inertia_kg_m2(OBJECT)[0] / MASS_KG))
     expected = pendulum_period_s(

@@ -21,7 +21,7 @@ from gauge_envs.errors import (
     ParameterError,
     UnsupportedSceneError,
 )
-from gauge_envs.runs.rollout import DeclinedError, Rollout, raised_at, record
+from gauge_envs.envs.recording import DeclinedError, Recording, raised_at, record
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2,
     Attachment,
@@ -68,7 +68,7 @@ class Lab:
         self.backend = backend
         self.settings_in_force: dict[str, Any] = {}
         self.settings = settings
-        self.rollouts: list[Rollout] = []
+        self.rollouts: list[Recording] = []
         self._kept: dict[
             Callable[[Lab], Any], tuple[Any, Exception | None, dict[str, Any]]
         ] = {}
@@ -132,7 +132,7 @@ class Lab:
         *,
         interval_s: float = SAMPLE_INTERVAL_S,
         wrenches: Mapping[str, ArrayLike] = {},
-    ) -> Rollout:
+    ) -> Recording:
         """Build a scene, reset it, push and drive it, and record it.
 
         Args:
@@ -162,7 +162,7 @@ class Lab:
         value, error, self.settings_in_force = self._kept[function]
         if error is not None:
             raise error
-        if isinstance(value, Rollout):
+        if isinstance(value, Recording):
             self.rollouts.append(value)
         return value  # type: ignore[no-any-return]
 

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.runs.rollout import Rollout
+from gauge_envs.envs.recording import Recording
 from gauge_envs.scene import GRAVITY_M_PER_S2, Pose
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scoring.estimators import slide_friction
@@ -119,7 +119,7 @@ def largest_mm(vectors_m: FloatArray) -> float:
     return 1e3 * float(np.linalg.norm(vectors_m, axis=-1).max())
 
 
-def inertia_kg_m2(rollout: Rollout, name: str) -> FloatArray:
+def inertia_kg_m2(rollout: Recording, name: str) -> FloatArray:
     """Return the inertia tensor of a box in the world [kg m^2], shape [sample_count, 3, 3]."""
     axes = rollout.rotation(name).as_matrix()
     moments = box_inertia_kg_m2(rollout.scene.body(name))
@@ -239,14 +239,14 @@ def passive_energy_gain(
     )
 
 
-def driver_poses(rollout: Rollout) -> list[Pose]:
+def driver_poses(rollout: Recording) -> list[Pose]:
     """Return the pose that the scene's only driver prescribes at each sample."""
     (driver,) = rollout.scene.drivers
     start = rollout.scene.body(driver.body).pose
     return [driver.pose(start, float(time_s)) for time_s in rollout.times_s]
 
 
-def driver_error(rollout: Rollout, points_m: FloatArray) -> Measurement:
+def driver_error(rollout: Recording, points_m: FloatArray) -> Measurement:
     """Measure the largest distance [mm] of points from where the scene's only driver would carry them.
 
     Args:
@@ -270,7 +270,7 @@ def driver_error(rollout: Rollout, points_m: FloatArray) -> Measurement:
     return Measurement(measured=error, expected=0.0, hint=hint)
 
 
-def attachment_error(rollout: Rollout, name: str) -> Measurement:
+def attachment_error(rollout: Recording, name: str) -> Measurement:
     """Measure the largest distance [mm] of a hanging body's upper nodes from their places on the driven body."""
     nodes = rollout.nodes_m[name]
     attached = nodes[0, :, 2] > nodes[0, :, 2].max() - PLACE_TOLERANCE_M

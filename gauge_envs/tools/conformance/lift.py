@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from gauge_envs.runs.rollout import Rollout
+from gauge_envs.envs.recording import Recording
 from gauge_envs.scene import Motion, Region, Scene
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.profiles import TrapezoidProfile
@@ -88,14 +88,14 @@ class Lift:
             duration_s=self.still_s + RAMP_S + self.late_s,
         )
 
-    def recorded(self, scene: str) -> Recorded[Rollout]:
+    def recorded(self, scene: str) -> Recorded[Recording]:
         """Return the rollout of the scene; its first body stands still in words already."""
         text = f"{scene}; their frame then moves up with {self.speed_m_per_s:g} m/s"
         return rollout_of(text, self.scene)
 
     def part(
-        self, rollout: Rollout, name: str, start_s: float, end_s: float
-    ) -> Rollout:
+        self, rollout: Recording, name: str, start_s: float, end_s: float
+    ) -> Recording:
         """Return the rollout of one body as in its own scene, relative to the frame.
 
         The sample at the start of the whole rollout comes first, then those from one time to another. Their times
@@ -120,11 +120,11 @@ class Lift:
             },
         )
 
-    def at_rest(self, rollout: Rollout, name: str = "") -> Rollout:
+    def at_rest(self, rollout: Recording, name: str = "") -> Recording:
         """Return the rollout of a body, the first one by default, while the frame stands still."""
         return self.part(rollout, name or next(iter(self.scenes)), 0.0, self.still_s)
 
-    def parts(self, rollout: Rollout) -> Iterator[tuple[str, Rollout]]:
+    def parts(self, rollout: Recording) -> Iterator[tuple[str, Recording]]:
         """Yield each body while the frame stands still, and while it moves with its speed."""
         for name in self.scenes:
             yield f"{name} at rest", self.at_rest(rollout, name)
@@ -132,11 +132,11 @@ class Lift:
             yield f"{name} at {self.speed_m_per_s:g} m/s", late
 
     def ratio(
-        self, measure: Callable[[Rollout], Measurement], what: str
-    ) -> Callable[[Rollout], Measurement]:
+        self, measure: Callable[[Recording], Measurement], what: str
+    ) -> Callable[[Recording], Measurement]:
         """Return the measurement of the ratio to its law that is furthest from 1, over all bodies and phases."""
 
-        def measured(rollout: Rollout) -> Measurement:
+        def measured(rollout: Recording) -> Measurement:
             ratios, hints = {}, {}
             for name, part in self.parts(rollout):
                 found = measure(part)
@@ -150,7 +150,7 @@ class Lift:
         measured.__module__ = measure.__module__
         return measured
 
-    def held_error(self, rollout: Rollout) -> Measurement:
+    def held_error(self, rollout: Recording) -> Measurement:
         """Measure the largest displacement [mm] of a clamped node relative to the frame."""
         errors: dict[str, float] = {}
         for name, scene in self.scenes.items():
@@ -167,7 +167,7 @@ class Lift:
                 errors[name] = max(errors.get(name, 0.0), furthest_mm)
         return furthest(errors)
 
-    def clamp_excess(self, rollout: Rollout) -> Measurement:
+    def clamp_excess(self, rollout: Recording) -> Measurement:
         """Measure how far beyond its clamp a node of a body is still while the frame stands still [mm]."""
         excesses: dict[str, float] = {}
         for name, scene in self.scenes.items():

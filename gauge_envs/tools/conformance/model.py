@@ -18,7 +18,7 @@ from gauge_envs.errors import ParameterError, UnknownNameError
 from gauge_envs.files import json_ready, versions
 
 if TYPE_CHECKING:
-    from gauge_envs.runs.rollout import Rollout
+    from gauge_envs.envs.recording import Recording
     from gauge_envs.scene import Scene
     from gauge_envs.tools.conformance.lab import Lab
 
@@ -317,7 +317,7 @@ def recorded(scene: str) -> Callable[[Callable[[Lab], T]], Recorded[T]]:
     return lambda record: Recorded(scene, record)
 
 
-def rollout_of(scene: str, built: Scene) -> Recorded[Rollout]:
+def rollout_of(scene: str, built: Scene) -> Recorded[Recording]:
     """Return the rollout of a scene, which is stated in words too, over its duration."""
     return Recorded(scene, lambda lab: lab.rollout(built))
 

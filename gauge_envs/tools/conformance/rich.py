@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.runs.rollout import Rollout
+from gauge_envs.envs.recording import Recording
 from gauge_envs.scene import (
     Box,
     ConvexUnion,
@@ -101,7 +101,7 @@ _glide = rollout_of(
 
 
 @_glide.check("glide-speed")
-def _glide_speed(rollout: Rollout) -> Measurement:
+def _glide_speed(rollout: Recording) -> Measurement:
     ratios = {}
     for name, velocity in GLIDES.items():
         for start_s, end_s in ((0.0, 0.8), (0.8, 1.8), (2.1, GLIDE_S)):
@@ -116,7 +116,7 @@ def _glide_speed(rollout: Rollout) -> Measurement:
 
 
 @_glide.check("glide-turn")
-def _glide_turn(rollout: Rollout) -> Measurement:
+def _glide_turn(rollout: Recording) -> Measurement:
     rates = RATES | {"spinning ball": SPIN_RAD_PER_S}
     ratios = {}
     for name, rate in rates.items():
@@ -131,7 +131,7 @@ def _glide_turn(rollout: Rollout) -> Measurement:
 
 
 @_glide.check("glide-reports")
-def _glide_reports(rollout: Rollout) -> Measurement:
+def _glide_reports(rollout: Recording) -> Measurement:
     errors = {}
     for one in rollout.scene.bodies:
         turns = rollout.rotation(one.name)
@@ -197,7 +197,7 @@ _turned = rollout_of(
 
 
 @_turned.check("driven-turned-path")
-def _driven_turned_path(rollout: Rollout) -> Measurement:
+def _driven_turned_path(rollout: Recording) -> Measurement:
     vertices = Box(size_m=PLATE_M).corners_m
     errors, hints = {}, {}
     for motion in rollout.scene.drivers:
@@ -221,7 +221,7 @@ def _driven_turned_path(rollout: Rollout) -> Measurement:
 
 
 @_turned.check("driven-turned-rate")
-def _driven_turned_rate(rollout: Rollout) -> Measurement:
+def _driven_turned_rate(rollout: Recording) -> Measurement:
     errors, hints = {}, {}
     for motion in rollout.scene.drivers:
         name = motion.body
@@ -267,6 +267,6 @@ OFF_CENTRE = ConvexUnion(pieces_m=(corners((0.0, -0.02, -0.02), (0.12, 0.03, 0.0
         duration_s=0.4,
     ),
 ).check("tether-origin")
-def _tether_origin(rollout: Rollout) -> Measurement:
+def _tether_origin(rollout: Recording) -> Measurement:
     distance = np.linalg.norm(rollout.position("block") - STRING_TOP_M, axis=1)
     return furthest_from(1e3 * STRING_M, 1e3 * distance)

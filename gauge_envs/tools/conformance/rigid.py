@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gauge_envs.runs.rollout import Rollout
+from gauge_envs.envs.recording import Recording
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2 as G,
     Box,
@@ -64,7 +64,7 @@ def _gravity_hint(measured: float, expected: float) -> str:
     return ""
 
 
-def _limit_hint(rollout: Rollout) -> str:
+def _limit_hint(rollout: Recording) -> str:
     """Return the speed that a falling body does not exceed; empty if it is as fast at the end as gravity makes it."""
     speed = np.linalg.norm(rollout.velocity("brick"), axis=1)
     late = speed[-len(speed) // 10 :]
@@ -83,7 +83,7 @@ FALL_TOLERANCE = Tolerance(
 
 @_slow_fall.check("gravity-of-scene", tolerance=FALL_TOLERANCE)
 @_fall.check("free-fall", tolerance=FALL_TOLERANCE)
-def _free_fall(rollout: Rollout) -> Measurement:
+def _free_fall(rollout: Recording) -> Measurement:
     measured = -acceleration_m_per_s2(rollout.times_s, rollout.position("brick")[:, 2])
     expected = rollout.scene.gravity_m_per_s2
     hint = _gravity_hint(measured, expected) or _limit_hint(rollout)
@@ -101,14 +101,14 @@ def _free_fall_spinning(lab: Lab) -> Measurement:
 
 
 @_fall.check("free-fall-drift")
-def _free_fall_drift(rollout: Rollout) -> Measurement:
+def _free_fall_drift(rollout: Recording) -> Measurement:
     return Measurement(
         measured=1e3 * float(np.abs(rollout.displacement("brick")[:, :2]).max())
     )
 
 
 @_fall.check("free-fall-turn")
-def _free_fall_turn(rollout: Rollout) -> Measurement:
+def _free_fall_turn(rollout: Recording) -> Measurement:
     rotations = rollout.rotation("brick")
     turned = rotations * rotations[0].inv()
     return Measurement(measured=float(np.degrees(turned.magnitude().max())))
@@ -168,7 +168,7 @@ _long_pendulum = Recorded(
 
 @_long_pendulum.check("pendulum-long-period")
 @_pendulum.check("pendulum-period")
-def _pendulum_period(rollout: Rollout) -> Measurement:
+def _pendulum_period(rollout: Recording) -> Measurement:
     gyration = float(np.sqrt(0.4) * BOB_M)
     expected = pendulum_period_s(
         length_m=PENDULUM_M,
@@ -188,7 +188,7 @@ def _pendulum_period(rollout: Rollout) -> Measurement:
 
 @_long_pendulum.check("pendulum-long-energy")
 @_pendulum.check("pendulum-energy")
-def _pendulum_energy(rollout: Rollout) -> Measurement:
+def _pendulum_energy(rollout: Recording) -> Measurement:
     velocity = rollout.velocity("bob")
     spin = rollout.angular_velocity("bob")
     height_m = rollout.position("bob")[:, 2]
@@ -211,7 +211,7 @@ def _pendulum_energy(rollout: Rollout) -> Measurement:
 
 
 @_pendulum.check("hinge-radius")
-def _hinge_radius(rollout: Rollout) -> Measurement:
+def _hinge_radius(rollout: Recording) -> Measurement:
     arm = rollout.position("bob") - np.asarray(PIVOT_M)
     radial, along = (
         np.abs(np.hypot(arm[:, 0], arm[:, 2]) - PENDULUM_M),
@@ -228,14 +228,14 @@ STRING_M, SLACK_M = 0.3, 0.1
 @recorded(
     "a ball on a slack string of 0.3 m; it falls by 0.1 m until the string is taut"
 )
-def _tether(lab: Lab) -> Rollout:
+def _tether(lab: Lab) -> Recording:
     bob = ball("bob", (0.0, 0.0, 1.0 - STRING_M + SLACK_M), radius_m=0.01)
     string = Tether(body="bob", anchor_m=(0.0, 0.0, 1.0), length_m=STRING_M)
     return lab.rollout(Scene(bodies=(bob,), joints=(string,), duration_s=1.0))
 
 
 @_tether.check("tether-slack")
-def _tether_slack(rollout: Rollout) -> Measurement:
+def _tether_slack(rollout: Recording) -> Measurement:
     falling = rollout.between(0.0, 0.13)
     measured = -acceleration_m_per_s2(
         rollout.times_s[falling], rollout.position("bob")[falling, 2]
@@ -251,7 +251,7 @@ def _tether_slack(rollout: Rollout) -> Measurement:
 
 
 @_tether.check("tether-length")
-def _tether_length(rollout: Rollout) -> Measurement:
+def _tether_length(rollout: Recording) -> Measurement:
     distance = np.linalg.norm(rollout.position("bob") - [0.0, 0.0, 1.0], axis=1)
     missing = distance.max() > 2.0 * STRING_M
     hint = (
@@ -276,7 +276,7 @@ LEAST_ASIDE_MM = 1.0
 
 
 @recorded("three balls that hang at rest on taut strings of 0.24, 0.3 and 0.36 m")
-def _hanging_bobs(lab: Lab) -> Rollout:
+def _hanging_bobs(lab: Lab) -> Recording:
     bobs, strings = [], []
     for name, (anchor_m, length_m) in STRINGS_M.items():
         place = (*anchor_m[:2], anchor_m[2] - length_m)
@@ -286,7 +286,7 @@ def _hanging_bobs(lab: Lab) -> Rollout:
 
 
 @_hanging_bobs.check("tether-rest")
-def _tether_rest(rollout: Rollout) -> Measurement:
+def _tether_rest(rollout: Recording) -> Measurement:
     late = rollout.between(0.8, 1.0)
     shares, aside = {}, []
     for name, (anchor_m, length_m) in STRINGS_M.items():
@@ -305,7 +305,7 @@ def _tether_rest(rollout: Rollout) -> Measurement:
 
 
 @_hanging_bobs.check("tether-place")
-def _tether_place(rollout: Rollout) -> Measurement:
+def _tether_place(rollout: Recording) -> Measurement:
     sides = {
         name: largest_mm(rollout.position(name)[:, :2] - anchor_m[:2])
         for name, (anchor_m, _) in STRINGS_M.items()
@@ -319,7 +319,7 @@ def _tether_place(rollout: Rollout) -> Measurement:
 @recorded(
     "three balls of radius 30 mm over a plane; only one of them has a contact with it"
 )
-def _pairs(lab: Lab) -> Rollout:
+def _pairs(lab: Lab) -> Recording:
     places = {
         "listed": (-0.1, 0.0, 0.03),
         "unlisted": (0.1, 0.0, 0.03),
@@ -333,7 +333,7 @@ def _pairs(lab: Lab) -> Rollout:
 
 
 @_pairs.check("contact-unlisted")
-def _contact_unlisted(rollout: Rollout) -> Measurement:
+def _contact_unlisted(rollout: Recording) -> Measurement:
     # A fit, since after 0.5 s a semi-implicit step of 1/180 s has fallen by 1.1 % more than the law.
     falls = {
         name: -acceleration_m_per_s2(rollout.times_s, rollout.position(name)[:, 2])
@@ -346,7 +346,7 @@ def _contact_unlisted(rollout: Rollout) -> Measurement:
 
 
 @_pairs.check("contact-listed")
-def _contact_listed(rollout: Rollout) -> Measurement:
+def _contact_listed(rollout: Recording) -> Measurement:
     height_mm = 1e3 * float(rollout.position("listed")[-1, 2] - 0.03)
     hint = ""
     if height_mm > 0.0:

@@ -13,10 +13,10 @@ from gauge_envs.backends import Backend, backend as find_backend
 from gauge_envs.backends.registry import versions_of
 from gauge_envs.errors import GaugeError
 from gauge_envs.runs.isolation import CrashError, Worker
-from gauge_envs.runs.rollout import (
+from gauge_envs.envs.recording import (
     DeclinedError,
     NotFiniteError,
-    Rollout,
+    Recording,
     raised_at,
 )
 from gauge_envs.tools.conformance.facts import facts
@@ -285,7 +285,7 @@ def _width(lab: Lab, one: Check, found: Measurement) -> float:
 
 
 def _judged(
-    one: Check, found: Measurement, width: float, rollouts: Sequence[Rollout]
+    one: Check, found: Measurement, width: float, rollouts: Sequence[Recording]
 ) -> Outcome:
     """Return the outcome of a measurement that may be as far as `width` from what is expected.
 

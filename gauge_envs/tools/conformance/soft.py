@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import j0, jn_zeros
 
-from gauge_envs.runs.rollout import Rollout
+from gauge_envs.envs.recording import Recording
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2 as G,
     Attachment,
@@ -82,14 +82,14 @@ _hanging = _foam_lift.recorded(
 """They sag by 2 mm, their largest strain is 2 %, and their period 80 ms."""
 
 
-def _bar(rollout: Rollout) -> SoftBody:
+def _bar(rollout: Recording) -> SoftBody:
     """Return the only bar of a scene."""
     (bar,) = rollout.scene.deformables
     assert isinstance(bar, SoftBody), "the scene has a bar alone"
     return bar
 
 
-def _equilibrium(rollout: Rollout) -> tuple[FloatArray, FloatArray]:
+def _equilibrium(rollout: Recording) -> tuple[FloatArray, FloatArray]:
     """Return start and mean displacement of nodes at least one width from the clamp [m], shapes [node_count, 3]."""
     nodes = rollout.nodes_m["foam"] - np.asarray(CENTRE_M)
     displacement = hann_mean(nodes[rollout.between(0.25, np.inf)]) - nodes[0]
@@ -114,12 +114,12 @@ def _strain_rate_per_m(rest: FloatArray, displacement: FloatArray) -> float:
 
 
 @_hanging.check("foam-start", **NODES)
-def _foam_start(rollout: Rollout) -> Measurement:
+def _foam_start(rollout: Recording) -> Measurement:
     nodes = _foam_lift.at_rest(rollout).nodes_m["foam"][0] - np.asarray(CENTRE_M)
     return bounds_error(nodes, BAR.shape.size_m)
 
 
-def _young(rollout: Rollout) -> Measurement:
+def _young(rollout: Recording) -> Measurement:
     bar = _bar(rollout)
     rate = _strain_rate_per_m(*_equilibrium(rollout))
     load = bar.mass_kg / (EDGE_M**2 * LENGTH_M) * G
@@ -130,16 +130,16 @@ _hanging.check("foam-tension")(_foam_lift.ratio(_young, "Young's modulus is"))
 
 
 @_hanging.check("foam-clamp")
-def _foam_clamp(rollout: Rollout) -> Measurement:
+def _foam_clamp(rollout: Recording) -> Measurement:
     return _foam_lift.clamp_excess(rollout)
 
 
 @_hanging.check("foam-held", **ATTACHED)
-def _foam_held(rollout: Rollout) -> Measurement:
+def _foam_held(rollout: Recording) -> Measurement:
     return _foam_lift.held_error(rollout)
 
 
-def _poisson(rollout: Rollout) -> Measurement:
+def _poisson(rollout: Recording) -> Measurement:
     rest, displacement = _equilibrium(rollout)
     height = rest[:, 2] + 0.5 * LENGTH_M
     lever = height[:, None] * rest[:, :2]
@@ -194,13 +194,13 @@ _falling_rope = rollout_of(
 )
 
 
-def _along(rollout: Rollout) -> FloatArray:
+def _along(rollout: Recording) -> FloatArray:
     """Return the nodes in their order along the rope [m], shape [sample_count, node_count, 3]."""
     nodes = rollout.nodes_m["rope"]
     return np.asarray(nodes[:, np.argsort(nodes[0, :, 0])])
 
 
-def _start_error(rollout: Rollout) -> Measurement:
+def _start_error(rollout: Recording) -> Measurement:
     """Measure the distance of the last node of the only line of a scene from its end [mm]."""
     (line,) = rollout.scene.deformables
     assert isinstance(line, Rope | Rod)
@@ -221,13 +221,13 @@ _falling_rope.check("rope-start", **NODES)(_start_error)
 
 
 @_falling_rope.check("rope-nodes", tolerance=COUNT)
-def _rope_nodes(rollout: Rollout) -> Measurement:
+def _rope_nodes(rollout: Recording) -> Measurement:
     along = rollout.nodes_m["rope"][0, :, 0]
     return Measurement(measured=float((np.diff(along) <= 0.0).sum()))
 
 
 @_falling_rope.check("rope-length")
-def _rope_length(rollout: Rollout) -> Measurement:
+def _rope_length(rollout: Recording) -> Measurement:
     lengths = np.linalg.norm(np.diff(_along(rollout), axis=1), axis=2).sum(axis=1)
     measured_m = float(lengths[np.abs(lengths - ROPE_M).argmax()])
     hint = f"its length becomes {1e3 * measured_m:.4g} mm"
@@ -310,11 +310,11 @@ _drooping_rod = _rod_lift.recorded(
 
 
 @_drooping_rod.check("rod-start", **NODES)
-def _rod_start(rollout: Rollout) -> Measurement:
+def _rod_start(rollout: Recording) -> Measurement:
     return _start_error(_rod_lift.at_rest(rollout))
 
 
-def _rod_stiffness(rollout: Rollout) -> Measurement:
+def _rod_stiffness(rollout: Recording) -> Measurement:
     (rod,) = rollout.scene.deformables
     assert isinstance(rod, Rod), "the scene has a rod alone"
     nodes = rollout.nodes_m["rod"]
@@ -334,5 +334,5 @@ _drooping_rod.check("rod-bending")(
 
 
 @_drooping_rod.check("rod-held", **ATTACHED)
-def _rod_held(rollout: Rollout) -> Measurement:
+def _rod_held(rollout: Recording) -> Measurement:
     return _rod_lift.held_error(rollout)

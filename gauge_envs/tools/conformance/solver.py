@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends import Backend
 from gauge_envs.backends.shared.resampled import worlds_in_intervals
-from gauge_envs.runs.rollout import DeclinedError
+from gauge_envs.envs.recording import DeclinedError
 from gauge_envs.scene import GRAVITY_M_PER_S2, Box, Pose, RigidBody, Scene
 from gauge_envs.scene.geometry import FloatArray, vector
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S

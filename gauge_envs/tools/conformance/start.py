@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.runs.rollout import Rollout
+from gauge_envs.envs.recording import Recording
 from gauge_envs.scene import (
     Box,
     ConvexUnion,
@@ -88,14 +88,14 @@ def _explained(
 
 
 def _off_line_mm(
-    moved_m: FloatArray, rollout: Rollout
+    moved_m: FloatArray, rollout: Recording
 ) -> Callable[[FloatArray], float]:
     """Return the function that gives the largest distance [mm] from a straight line with a velocity."""
     return lambda velocity: largest_mm(moved_m - np.outer(rollout.times_s, velocity))
 
 
 @_thrown_ball.check("start-velocity")
-def _start_velocity(rollout: Rollout) -> Measurement:
+def _start_velocity(rollout: Recording) -> Measurement:
     velocity = np.array(LINEAR_M_PER_S)
     explanations = {
         "the ball starts at rest": np.zeros(3),
@@ -109,7 +109,7 @@ def _start_velocity(rollout: Rollout) -> Measurement:
 
 
 @_thrown_brick.check("start-spin")
-def _start_spin(rollout: Rollout) -> Measurement:
+def _start_spin(rollout: Recording) -> Measurement:
     last = rollout.rotation("thrown")[-1]
     spin = np.array(ANGULAR_RAD_PER_S)
 
@@ -132,7 +132,7 @@ def _start_spin(rollout: Rollout) -> Measurement:
 
 
 @_thrown_solid.check("start-velocity-of-origin")
-def _start_velocity_of_origin(rollout: Rollout) -> Measurement:
+def _start_velocity_of_origin(rollout: Recording) -> Measurement:
     moved = rollout.position("thrown") + rollout.rotation("thrown").apply(CENTRE_M)
     moved -= POSE.to_world(CENTRE_M)
     of_origin = np.array(LINEAR_M_PER_S)
@@ -170,7 +170,7 @@ DERIVATIVE_TOLERANCE = Tolerance(
 
 
 @_thrown_brick.check("angular-velocity", tolerance=DERIVATIVE_TOLERANCE)
-def _angular_velocity(rollout: Rollout) -> Measurement:
+def _angular_velocity(rollout: Recording) -> Measurement:
     states = rollout.states["thrown"]
     rotations = rollout.rotation("thrown")
     actual = spin_from_orientations(rotations, rollout.interval_s)
@@ -207,7 +207,7 @@ def _quaternion_hint(quaternions: FloatArray, spin: FloatArray) -> str:
 
 
 @_thrown_solid.check("velocity-of-origin", tolerance=DERIVATIVE_TOLERANCE)
-def _velocity_of_origin(rollout: Rollout) -> Measurement:
+def _velocity_of_origin(rollout: Recording) -> Measurement:
     states = rollout.states["thrown"]
     actual = (states[2:, :3] - states[:-2, :3]) / (2.0 * rollout.interval_s)
     reported = states[1:-1, 7:10]
@@ -223,7 +223,7 @@ def _velocity_of_origin(rollout: Rollout) -> Measurement:
 
 
 @_thrown_brick.check("spin-momentum")
-def _spin_momentum(rollout: Rollout) -> Measurement:
+def _spin_momentum(rollout: Recording) -> Measurement:
     spin = rollout.angular_velocity("thrown")
     momentum = np.einsum("tij,tj->ti", inertia_kg_m2(rollout, "thrown"), spin)
     change = np.linalg.norm(momentum - momentum[0], axis=1).max()
@@ -247,7 +247,7 @@ SPIN_RAD_PER_S = 200.0
 @recorded(
     "a ball thrown with 3 mm/s and a spin of 200 rad/s, without gravity and contacts"
 )
-def _fast_spin(lab: Lab) -> Rollout:
+def _fast_spin(lab: Lab) -> Recording:
     axis = np.array([1.0, 2.0, 2.0]) / 3.0
     thrown = replace(
         BALL.bodies[0],
@@ -258,7 +258,7 @@ def _fast_spin(lab: Lab) -> Rollout:
 
 
 @_fast_spin.check("spin-fast")
-def _spin_fast(rollout: Rollout) -> Measurement:
+def _spin_fast(rollout: Recording) -> Measurement:
     rotations = rollout.rotation("thrown")
     turned = (rotations[1:] * rotations[:-1].inv()).magnitude()
     reported = length_of(rollout.angular_velocity("thrown")[-1])
@@ -271,6 +271,6 @@ def _spin_fast(rollout: Rollout) -> Measurement:
 
 
 @_fast_spin.check("orientation-unit")
-def _orientation_unit(rollout: Rollout) -> Measurement:
+def _orientation_unit(rollout: Recording) -> Measurement:
     lengths = np.linalg.norm(rollout.states["thrown"][:, 3:7], axis=1)
     return furthest_from(1.0, lengths)

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from gauge_envs.runs.rollout import Rollout
+from gauge_envs.envs.recording import Recording
 from gauge_envs.scene import Hinge
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.meshes import mass_properties
@@ -40,7 +40,7 @@ LEAST, LEFT, MANY = 2e-3, 0.1, 0.9
 class _Turning:
     """Motion of a body on a hinge with the constants of the scene: angles from the start [rad], shape [T]."""
 
-    def __init__(self, rollout: Rollout, hinge: Hinge) -> None:
+    def __init__(self, rollout: Recording, hinge: Hinge) -> None:
         scene = rollout.scene
         body, axis = scene.body(hinge.body), np.array(hinge.axis)
         turns, interval_s = rollout.rotation(body.name), rollout.interval_s
@@ -118,7 +118,7 @@ class _Turning:
         return left_n_m(best), float(best)
 
 
-def wrong_torques(rollout: Rollout) -> Iterator[str]:
+def wrong_torques(rollout: Recording) -> Iterator[str]:
     """Yield for each hinge on which a body turns otherwise the constants that explain it alone."""
     scene = rollout.scene
     bound = {name for one in scene.contacts for name in one.first + one.second}

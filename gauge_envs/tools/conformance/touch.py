@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from gauge_envs.runs.rollout import Rollout
+from gauge_envs.envs.recording import Recording
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2 as G,
     Attachment,
@@ -184,7 +184,7 @@ def _resting(kind: str) -> Scene:
     )
 
 
-def _on_slabs(kind: str) -> Recorded[Rollout]:
+def _on_slabs(kind: str) -> Recorded[Recording]:
     return rollout_of(
         f"three bodies of a kind and of different sizes and materials ({kind}), one on a fixed slab, one on a driven "
         "slab that stands still, and one on a free slab",
@@ -192,10 +192,10 @@ def _on_slabs(kind: str) -> Recorded[Rollout]:
     )
 
 
-def _rests(kind: str) -> Callable[[Rollout], Measurement]:
+def _rests(kind: str) -> Callable[[Recording], Measurement]:
     """Return the measurement of the height of three bodies of a kind over the slabs on which they rest [mm]."""
 
-    def measure(rollout: Rollout) -> Measurement:
+    def measure(rollout: Recording) -> Measurement:
         late = rollout.between(0.75 * rollout.scene.duration_s, math.inf)
         errors = {}
         for one, motion in zip(rollout.scene.deformables, MOTIONS, strict=True):
@@ -267,7 +267,7 @@ def node_masses_kg(one: Deformable, nodes_m: FloatArray) -> FloatArray:
     return one.mass_kg * shares
 
 
-def mass_moment_kg_m(rollout: Rollout, soft: str, rigid: str) -> FloatArray:
+def mass_moment_kg_m(rollout: Recording, soft: str, rigid: str) -> FloatArray:
     """Return the displacement of a deformable and a rigid body times their masses [kg m], shape [sample_count, 3]."""
     nodes = rollout.nodes_m[soft]
     (one,) = (body for body in rollout.scene.deformables if body.name == soft)
@@ -343,7 +343,7 @@ def _towed() -> Scene:
 @recorded(
     "three ropes without gravity, each attached to a free block that a force pulls ahead, up to 16 m/s"
 )
-def _pulled(lab: Lab) -> Rollout:
+def _pulled(lab: Lab) -> Recording:
     scene = _towed()
     ahead = PULL_M_PER_S2 * np.eye(6)[0]
     pairs = zip(scene.bodies, scene.deformables, strict=True)
@@ -356,7 +356,7 @@ def _pulled(lab: Lab) -> Rollout:
 
 
 @_pulled.check("rope-mass")
-def _pulled_mass(rollout: Rollout) -> Measurement:
+def _pulled_mass(rollout: Recording) -> Measurement:
     ratios = {}
     for line, bob in zip(rollout.scene.deformables, rollout.scene.bodies, strict=True):
         total_kg = line.mass_kg + bob.mass_kg
@@ -370,7 +370,7 @@ def _pulled_mass(rollout: Rollout) -> Measurement:
 
 
 @_pulled.check("rope-pulled-length")
-def _pulled_length(rollout: Rollout) -> Measurement:
+def _pulled_length(rollout: Recording) -> Measurement:
     ratios = {}
     for line in rollout.scene.deformables:
         assert isinstance(line, Rope), "the scene has ropes alone"
@@ -408,7 +408,7 @@ def _carried() -> Scene:
     "a sheet of cloth on a slab that is driven by 10 m/s^2; friction 0.3, the slab listed first",
     _carried(),
 ).check("cloth-carry-slip")
-def _cloth_carry_slip(rollout: Rollout) -> Measurement:
+def _cloth_carry_slip(rollout: Recording) -> Measurement:
     part = rollout.between(0.05, CARRY_S)
     mean = rollout.nodes_m["cloth"][part, :, 0].mean(axis=1)
     measured = acceleration_m_per_s2(rollout.times_s[part], mean) / G
@@ -452,7 +452,7 @@ def _folded() -> Scene:
     "over it, with slack",
     _folded(),
 ).check("cloth-touches-itself")
-def _cloth_touches_itself(rollout: Rollout) -> Measurement:
+def _cloth_touches_itself(rollout: Recording) -> Measurement:
     nodes = rollout.nodes_m["cloth"]
     late = rollout.between(FOLDED_S - 0.2, math.inf)
     # The held half is level, so that the height over it needs no pairs of nodes.

@@ -19,7 +19,7 @@ from gauge_envs.backends.shared.resampled import worlds_in_intervals
 from gauge_envs.backends.worlds import Worlds
 from gauge_envs.envs.device import dynamic_states
 from gauge_envs.errors import BackendError, MissingExtraError
-from gauge_envs.runs.rollout import DeclinedError
+from gauge_envs.envs.recording import DeclinedError
 from gauge_envs.scene import RigidBody, Scene
 from gauge_envs.scene.geometry import FloatArray, IntArray
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S

@@ -10,7 +10,7 @@ from pydantic import ValidationError
 
 from gauge_envs.errors import ParameterError, first_fault, nearest
 from gauge_envs.files import json_ready
-from gauge_envs.runs.rollout import DivergedError
+from gauge_envs.envs.recording import DivergedError
 from gauge_envs.tools.recipes.aim import (
     FRICTION_RANGE,
     MASS_RANGE_KG,

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.base import Backend, scene_support
 from gauge_envs.errors import UnsupportedSceneError
-from gauge_envs.runs.rollout import Rollout, record
+from gauge_envs.envs.recording import Recording, record
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2 as G,
     Box,
@@ -277,7 +277,7 @@ class Probe:
 
     def _rollout(
         self, bodies: Sequence[RigidBody], lean: Rotation, build: Build, seconds: float
-    ) -> Rollout:
+    ) -> Recording:
         """Record bodies on a leaning plane."""
         interval_s = self.timestep_s * max(1, round(SAMPLE_S / self.timestep_s))
         pose = Pose.from_rotation((0.0, 0.0, 0.0), lean)

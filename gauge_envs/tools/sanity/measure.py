@@ -14,7 +14,7 @@ from gauge_envs.backends import Backend, backend, backend_names, is_bundled, ver
 from gauge_envs.errors import GaugeError
 from gauge_envs.files import json_ready
 from gauge_envs.runs.isolation import CrashError, Worker
-from gauge_envs.runs.rollout import DeclinedError, DivergedError, Rollout
+from gauge_envs.envs.recording import DeclinedError, DivergedError, Recording
 from gauge_envs.tools.sanity.model import (
     VISIBLE_WITHIN,
     Need,
@@ -135,7 +135,7 @@ class Measured:
     deviation: float = math.inf
     verdict: Verdict
     remark: str = ""
-    rollout: Rollout | None = None
+    rollout: Recording | None = None
     engine_died: bool = False
 
 
@@ -192,7 +192,7 @@ class Measurements:
 
     def _rollout(
         self, scenario: Scenario, settings: Settings
-    ) -> Rollout | DeclinedError | DivergedError:
+    ) -> Recording | DeclinedError | DivergedError:
         """Return the rollout of a scenario, or why there is none."""
         if _key(self.engine, run_scenario, scenario, settings) in self._known:
             return self._outcome(run_scenario, scenario, settings)
@@ -246,7 +246,7 @@ def _key(
     return function.__name__, scenario.name, text
 
 
-def judged(phenomenon: Phenomenon, rollout: Rollout) -> Measured:
+def judged(phenomenon: Phenomenon, rollout: Recording) -> Measured:
     """Return the outcome of a phenomenon in a rollout of its scenario."""
     failure = "" if phenomenon.failure is None else phenomenon.failure(rollout)
     value, reality = float(phenomenon.value(rollout)), phenomenon.reality

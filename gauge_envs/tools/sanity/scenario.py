@@ -15,7 +15,7 @@ from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.experiments.variants import find_variant
 from gauge_envs.runs.isolation import Worker
-from gauge_envs.runs.rollout import DeclinedError, Rollout, record
+from gauge_envs.envs.recording import DeclinedError, Recording, record
 from gauge_envs.scene import Scene
 from gauge_envs.scene.geometry import FloatArray, vector
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
@@ -94,7 +94,7 @@ class Scenario:
         )
 
 
-def run_scenario(backend: Backend, scenario: Scenario, settings: Settings) -> Rollout:
+def run_scenario(backend: Backend, scenario: Scenario, settings: Settings) -> Recording:
     """Build a scenario's scene, run it and record it.
 
     It is driven and sampled every few steps, as many as fit in the scenario's interval, or every step. Settings without

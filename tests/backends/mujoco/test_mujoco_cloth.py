@@ -11,7 +11,7 @@ from gauge_envs import load_experiment
 from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.backends.mujoco.cloth import FoldWatch, add_cloth
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
-from gauge_envs.runs.rollout import record
+from gauge_envs.envs.recording import record
 from gauge_envs.scene import (
     Attachment,
     Pose,

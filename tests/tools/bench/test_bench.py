@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.runs.rollout import Rollout
+from gauge_envs.envs.recording import Recording
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Pose, Scene
 from gauge_envs.tools.bench.drop import (
     RADIUS_M,
@@ -53,7 +53,7 @@ def rollout_of(scene, times_s, **moved):
         )
         rows[:, 3:7] = body.pose.quaternion
         states[body.name] = rows
-    return Rollout(scene=scene, times_s=times_s, states=states)
+    return Recording(scene=scene, times_s=times_s, states=states)
 
 
 # --- slopes ----------------------------------------------------------------------------------------------------------

@@ -15,7 +15,7 @@ from gauge_envs.backends import Repeatability, Support, backend, registry
 from gauge_envs.cli.app import app
 from gauge_envs.errors import ParameterError, UnknownNameError
 from gauge_envs.pages.document import as_markdown
-from gauge_envs.runs.rollout import DeclinedError, Rollout
+from gauge_envs.envs.recording import DeclinedError, Recording
 from gauge_envs.scene import Box, Scene
 from gauge_envs.scoring.estimators import hann_mean, pendulum_period_s
 from gauge_envs.tools.conformance import CheckResult, Status, checks, run_checks
@@ -461,7 +461,7 @@ def test_a_soft_hinge_and_lost_energy_are_measured():
     gyration_m = np.sqrt(0.4) * 0.05 / 0.2
     speeds = np.sqrt(2.0 * 9.80665 * fallen_m * kept / (1.0 + gyration_m**2))
     states[:, 7], states[:, 11] = -speeds, speeds / 0.2
-    rollout = Rollout(
+    rollout = Recording(
         scene=Scene(bodies=(), duration_s=0.1),
         times_s=np.arange(20) / 180.0,
         states={"bob": states},

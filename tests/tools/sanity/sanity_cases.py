@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 
-from gauge_envs.runs.rollout import Rollout
+from gauge_envs.envs.recording import Recording
 
 CHEETAH = {
     "timestep_s": 0.01,
@@ -32,7 +32,7 @@ def moved(scenario, times_s, markers_m=None, **displacements_m):
         states[body.name][:, 3:7] = body.pose.quaternion
         states[body.name][:, 7:10] = np.gradient(displacement, times_s, axis=0)
     markers = np.zeros((len(times_s), 0, 3)) if markers_m is None else markers_m
-    return Rollout(
+    return Recording(
         scene=scenario.scene, times_s=times_s, states=states, markers_m=markers
     )
 

@@ -8,7 +8,7 @@ from sanity_cases import CHEETAH, moved
 
 from gauge_envs.backends import backend
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
-from gauge_envs.runs.rollout import DeclinedError, DivergedError
+from gauge_envs.envs.recording import DeclinedError, DivergedError
 from gauge_envs.scene import Rope
 from gauge_envs.tools.sanity.measure import Measurements
 from gauge_envs.tools.sanity.model import Verdict

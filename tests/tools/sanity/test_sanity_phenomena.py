@@ -10,7 +10,7 @@ from sanity_cases import CHEETAH, moved
 from wobbling import WobblingBackend, told
 
 from gauge_envs.backends import backend
-from gauge_envs.runs.rollout import DeclinedError, DivergedError
+from gauge_envs.envs.recording import DeclinedError, DivergedError
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G
 from gauge_envs.scene.driver_path import DriverPath
 from gauge_envs.scoring.metrics import trajectory_dtw, trajectory_rmse

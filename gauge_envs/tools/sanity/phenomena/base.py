@@ -7,7 +7,7 @@ from typing import Any
 
 from gauge_envs.files import data_folder, toml_document
 from gauge_envs.references.published import published_baselines
-from gauge_envs.runs.rollout import Rollout
+from gauge_envs.envs.recording import Recording
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scoring.estimators import acceleration_m_per_s2
 from gauge_envs.tools.sanity.model import Need, Reality
@@ -38,8 +38,8 @@ class Phenomenon:
     scenario: Scenario
     unit: str
     reality: Reality
-    value: Callable[[Rollout], float]
-    failure: Callable[[Rollout], str] | None = None
+    value: Callable[[Recording], float]
+    failure: Callable[[Recording], str] | None = None
     needs_friction: bool = False
     needs_foot: bool = False
     needs_space: bool = False
@@ -120,7 +120,7 @@ def position_scatter_mm(variant: str) -> float:
 
 
 def acceleration(
-    rollout: Rollout, displacement_mm: FloatArray, start_s: float, end_s: float
+    rollout: Recording, displacement_mm: FloatArray, start_s: float, end_s: float
 ) -> float:
     """Return the mean acceleration of a displacement, shape [sample_count], between two times [m/s^2]."""
     part = rollout.between(start_s, end_s)

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from gauge_envs.observables.functions import face_areas_mm2
-from gauge_envs.runs.rollout import Rollout
+from gauge_envs.envs.recording import Recording
 from gauge_envs.scene import Cloth, Scene
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scoring.estimators import hann_mean
@@ -45,7 +45,7 @@ HUNG = "TextileFlinging-satin"
 """Variant with the fabric that stretches most under its own weight."""
 
 
-def _low_m(rollout: Rollout) -> FloatArray:
+def _low_m(rollout: Recording) -> FloatArray:
     """Return the mean position of the lowest row of markers of a hanging cloth [m], shape [sample_count, 3]."""
     heights = rollout.markers_m[0, :, 2]
     return rollout.markers_m[:, heights - heights.min() < ROW_M].mean(axis=1)
@@ -54,7 +54,7 @@ def _low_m(rollout: Rollout) -> FloatArray:
 def cloth_carry() -> Phenomenon:
     """Return the lag of a cube on a tablecloth, the one recorded experiment on cloth whose fabric is known."""
 
-    def lag_mm(rollout: Rollout) -> FloatArray:
+    def lag_mm(rollout: Recording) -> FloatArray:
         return 1e3 * (rollout.displacement("cube") - rollout.displacement("rod"))[:, 0]
 
     return Phenomenon(
@@ -91,7 +91,7 @@ def cloth_sag() -> Phenomenon:
         / cloth.stretch_stiffness_n_per_m
     )
 
-    def sag_mm(rollout: Rollout) -> FloatArray:
+    def sag_mm(rollout: Recording) -> FloatArray:
         height = _low_m(rollout)[:, 2]
         return 1e3 * (height[0] - height)
 
@@ -114,7 +114,7 @@ def cloth_sag() -> Phenomenon:
 def fling_lag() -> Phenomenon:
     """Return the largest angle of a cloth behind a rod that flings it."""
 
-    def angle_deg(rollout: Rollout) -> FloatArray:
+    def angle_deg(rollout: Recording) -> FloatArray:
         chord = _low_m(rollout) - rollout.position("rod")
         return np.degrees(np.arctan2(chord[:, 1], -chord[:, 2]))
 
@@ -148,7 +148,7 @@ def foam(name: str, variant: str, recording: str, verb: str) -> Phenomenon:
     """Return the change of the area of a face of foam that grips pull or compress."""
     grip = recorded(recording, "grip_mm")["value"]
 
-    def change(rollout: Rollout) -> FloatArray:
+    def change(rollout: Recording) -> FloatArray:
         assert rollout.scene.markers is not None
         area = face_areas_mm2(rollout.markers_m, rollout.scene.markers.faces).sum(
             axis=1
@@ -173,7 +173,7 @@ def foam(name: str, variant: str, recording: str, verb: str) -> Phenomenon:
 def beam() -> Phenomenon:
     """Return the frequency of an oscillating beam."""
 
-    def height_mm(rollout: Rollout) -> FloatArray:
+    def height_mm(rollout: Recording) -> FloatArray:
         # The beam starts level, along y, from its pedestal.
         reach = np.abs(
             rollout.markers_m[0, :, 1] - rollout.scene.body("base").pose.position_m[1]
@@ -217,14 +217,14 @@ DRAG_S, STEADY_S = 3.0, 0.5
 def rope_length() -> Phenomenon:
     """Return the largest change of the length of a rope under the jerk of two balls."""
 
-    def stretch_mm(rollout: Rollout) -> FloatArray:
+    def stretch_mm(rollout: Recording) -> FloatArray:
         # Nodes are in their order along the rope.
         lengths = np.linalg.norm(np.diff(rollout.nodes_m["rope"], axis=1), axis=2).sum(
             axis=1
         )
         return 1e3 * (lengths - lengths[0])
 
-    def largest_mm(rollout: Rollout) -> float:
+    def largest_mm(rollout: Recording) -> float:
         stretch = stretch_mm(rollout)
         return float(stretch[np.abs(stretch).argmax()])
 
@@ -249,7 +249,7 @@ def foot_lag() -> Phenomenon:
     real = recorded("stick_stack", "mean_lag_of_foot_mm")
     low, high = real["low"], real["high"]
 
-    def lag_mm(rollout: Rollout) -> FloatArray:
+    def lag_mm(rollout: Recording) -> FloatArray:
         foot = rollout.markers_m[:, rollout.markers_m[0, :, 2].argmin(), 0]
         return 1e3 * (rollout.displacement("base")[:, 0] - (foot - foot[0]))
 

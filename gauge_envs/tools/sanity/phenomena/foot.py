@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.runs.rollout import Rollout
+from gauge_envs.envs.recording import Recording
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2,
     Contact,
@@ -175,12 +175,12 @@ def _source(law: str, foot: FootGeometry) -> str:
 # --- readings --------------------------------------------------------------------------------------------------------
 
 
-def _downhill_mm(rollout: Rollout) -> FloatArray:
+def _downhill_mm(rollout: Recording) -> FloatArray:
     """Return displacements of the foot down the ground [mm], shape [sample_count]."""
     return 1e3 * moved_m(rollout, FOOT, GROUND)[:, 0]
 
 
-def _lowest_mm(rollout: Rollout, foot: FootGeometry) -> FloatArray:
+def _lowest_mm(rollout: Recording, foot: FootGeometry) -> FloatArray:
     """Return the height of the lowest sole above level ground [mm], shape [sample_count]."""
     turns = rollout.rotation(FOOT).as_matrix()
     heights = np.einsum("ti,pi->tp", turns[:, 2], foot.soles_m)
@@ -286,7 +286,7 @@ def depth(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
 def rebound(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
     """Return the speed of a foot after a landing over that before."""
 
-    def ratio(rollout: Rollout) -> float:
+    def ratio(rollout: Recording) -> float:
         heights = _lowest_mm(rollout, foot)
         hop = max(float(heights[int(np.argmin(heights)) :].max()), 0.0)
         return float(np.sqrt(hop / (1e3 * DROP_M)))
@@ -306,12 +306,12 @@ def rebound(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
 def rest(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
     """Return the time of a foot from a landing to rest."""
 
-    def last_s(rollout: Rollout) -> float:
+    def last_s(rollout: Recording) -> float:
         """Return the last time at which the foot moves [s]."""
         moving = np.flatnonzero(np.abs(rollout.velocity(FOOT)[:, 2]) > AT_REST_M_PER_S)
         return float(rollout.times_s[moving[-1]]) if len(moving) else 0.0
 
-    def failure(rollout: Rollout) -> str:
+    def failure(rollout: Recording) -> str:
         return (
             "it still moves at the end"
             if last_s(rollout) > rollout.times_s[-1] - STILL_S

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.references.published import published_baselines
-from gauge_envs.runs.rollout import Rollout
+from gauge_envs.envs.recording import Recording
 from gauge_envs.scene import Box, Pose, Scene
 from gauge_envs.scene.geometry import FloatArray, vector
 from gauge_envs.scoring.estimators import steady_speed_m_per_s
@@ -61,12 +61,12 @@ def _hold_scenario(material: str) -> Scenario:
     )
 
 
-def _on_board_mm(rollout: Rollout) -> FloatArray:
+def _on_board_mm(rollout: Recording) -> FloatArray:
     """Return displacements of the cube [mm], shape [sample_count, 3]: downhill, across, normal to the board."""
     return 1e3 * moved_m(rollout, "cube", "board")
 
 
-def _downhill_mm(rollout: Rollout) -> FloatArray:
+def _downhill_mm(rollout: Recording) -> FloatArray:
     return _on_board_mm(rollout)[:, 0]
 
 
@@ -89,7 +89,7 @@ def creep_bound_mm_per_s(variant: str) -> float:
 def creeping(
     title: str,
     scenario: Scenario,
-    downhill_mm: Callable[[Rollout], FloatArray],
+    downhill_mm: Callable[[Recording], FloatArray],
     source: str,
     rationale: str,
 ) -> Phenomenon:
@@ -104,7 +104,7 @@ def creeping(
     """
     bound = creep_bound_mm_per_s(scenario.variant)
 
-    def speed_mm_per_s(rollout: Rollout) -> float:
+    def speed_mm_per_s(rollout: Recording) -> float:
         late = rollout.between(SETTLED_S, HOLD_S)
         return steady_speed_m_per_s(rollout.times_s[late], downhill_mm(rollout)[late])
 
@@ -166,7 +166,7 @@ def thrown(material: str) -> Phenomenon:
     )
 
 
-def _gaps_mm(rollout: Rollout) -> FloatArray:
+def _gaps_mm(rollout: Recording) -> FloatArray:
     """Return the gap between the faces of cube and board [mm], shape [sample_count]."""
     cube, board = rollout.scene.body("cube"), rollout.scene.body("board")
     assert isinstance(cube.shape, Box) and isinstance(board.shape, Box)
@@ -181,7 +181,7 @@ def _gaps_mm(rollout: Rollout) -> FloatArray:
 def sliding(
     title: str,
     scenario: Scenario,
-    downhill_mm: Callable[[Rollout], FloatArray],
+    downhill_mm: Callable[[Recording], FloatArray],
     real: Reality,
 ) -> Phenomenon:
     """Return the acceleration of a body that slides down a slope.
@@ -284,7 +284,7 @@ def turned_slide(material: str) -> Phenomenon:
 # --- on a turntable --------------------------------------------------------------------------------------------------
 
 
-def _on_plate_mm(rollout: Rollout) -> FloatArray:
+def _on_plate_mm(rollout: Recording) -> FloatArray:
     """Return positions of the cube in the plate's frame [mm], shape [sample_count, 3]."""
     arm = rollout.position("cube") - rollout.position("plate")
     return 1e3 * rollout.rotation("plate").apply(arm, inverse=True)
@@ -300,7 +300,7 @@ def carry(material: str) -> Phenomenon:
         released="cube",
     )
 
-    def slip_mm(rollout: Rollout) -> FloatArray:
+    def slip_mm(rollout: Recording) -> FloatArray:
         place = _on_plate_mm(rollout)[:, :2]
         return np.linalg.norm(place - place[0], axis=1)
 
@@ -328,7 +328,7 @@ def slip() -> Phenomenon:
     )
     radius_mm = recorded("turntable", "radius_at_start_mm")["value"]
 
-    def slip_deg(rollout: Rollout) -> FloatArray:
+    def slip_deg(rollout: Recording) -> FloatArray:
         place = _on_plate_mm(rollout)
         angle = np.unwrap(np.arctan2(place[:, 1], place[:, 0]))
         return np.degrees(angle - angle[0])

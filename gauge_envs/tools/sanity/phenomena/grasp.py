@@ -9,7 +9,7 @@ from functools import partial
 from importlib import import_module
 from typing import Any
 
-from gauge_envs.runs.rollout import Rollout
+from gauge_envs.envs.recording import Recording
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Scene
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.bench.grasp import (
@@ -43,7 +43,7 @@ def _replaced(_: Scene, *, scene: Scene) -> Scene:
 def _row(
     name: str,
     scene: Scene,
-    value: Callable[[Rollout], float],
+    value: Callable[[Recording], float],
     *,
     wrenches: Mapping[str, FloatArray] = {},
     **texts: Any,
@@ -59,7 +59,7 @@ def _row(
     return Phenomenon(scenario=scenario, value=value, needs_friction=True, **texts)
 
 
-HANDS: Mapping[str, tuple[Scene, Callable[[Rollout], float]]] = {
+HANDS: Mapping[str, tuple[Scene, Callable[[Recording], float]]] = {
     "grasp-creep": (HELD, pad_creep_um_per_s),
     "grasp-sink": (HELD, pad_depth_um),
     "grasp-torsion": (TURNED, spin_torque_share),
@@ -98,7 +98,7 @@ def rolling() -> Phenomenon:
     law = Reality.law(0.0, tolerance=MOST_ROLLING_MM, source=source, rationale=reason)
     real = replace(law, limits=f"at most {MOST_ROLLING_MM:g}")
 
-    def arm_mm(rollout: Rollout) -> float:
+    def arm_mm(rollout: Recording) -> float:
         lost = ROLLS_M_PER_S**2 - rollout.states["ball"][-1, 7] ** 2
         return float(
             700.0 * RADIUS_M * lost / (G * rollout.displacement("ball")[-1, 0])

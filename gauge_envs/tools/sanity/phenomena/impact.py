@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from gauge_envs.references.published import published_baselines
-from gauge_envs.runs.rollout import Rollout
+from gauge_envs.envs.recording import Recording
 from gauge_envs.scene import Hinge, Scene, Sphere, Vector
 from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.scoring.estimators import first_bounce
@@ -84,12 +84,12 @@ def _gap_mm(scene: Scene, name: str, height_m: FloatArray | float) -> FloatArray
     )
 
 
-def _height_mm(rollout: Rollout, name: str) -> FloatArray:
+def _height_mm(rollout: Recording, name: str) -> FloatArray:
     """Return the gap between a ball and the ground [mm], shape [sample_count]."""
     return _gap_mm(rollout.scene, name, rollout.position(name)[:, 2])
 
 
-def _rebound_ratio(rollout: Rollout, name: str) -> float:
+def _rebound_ratio(rollout: Recording, name: str) -> float:
     """Return the speed after the first impact over that before; 0 for a ball that does not get clear of the ground."""
     heights_m = 1e-3 * _height_mm(rollout, name)
     drop_m = float(heights_m[0])
@@ -108,10 +108,10 @@ def rebound() -> Phenomenon:
     restitution = float(trials["rebound_ratio"]["mean"])
     names = [f"ball-{index}" for index in range(len(LIFTS_M))]
 
-    def ratios(rollout: Rollout) -> list[float]:
+    def ratios(rollout: Recording) -> list[float]:
         return [_rebound_ratio(rollout, name) for name in names]
 
-    def failure(rollout: Rollout) -> str:
+    def failure(rollout: Recording) -> str:
         stuck = ratios(rollout).count(0.0)
         return (
             f"{stuck} of {len(names)} drops do not leave the ground again"
@@ -231,10 +231,10 @@ def momentum() -> Phenomenon:
     real = published_baselines(scenario.variant)["mte"]
     assert real.std is not None, "MTE is published with its standard deviation"
 
-    def rise_mm(rollout: Rollout, name: str) -> FloatArray:
+    def rise_mm(rollout: Recording, name: str) -> FloatArray:
         return 1e3 * rollout.position(name)[:, 2] - rest[name]
 
-    def efficiency(rollout: Rollout) -> float:
+    def efficiency(rollout: Recording) -> float:
         found = momentum_transfer_efficiency(
             1e3 * rollout.position(names[-1])[:, 2],
             drop_height_mm=drop,
@@ -243,7 +243,7 @@ def momentum() -> Phenomenon:
         )
         return found if np.isfinite(found) else 0.0
 
-    def failure(rollout: Rollout) -> str:
+    def failure(rollout: Recording) -> str:
         after = rollout.times_s > PASSED_S
         leaving = [
             name for name in names if rise_mm(rollout, name)[after].max() > leaves_mm

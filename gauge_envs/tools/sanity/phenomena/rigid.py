@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from gauge_envs.references.published import published_baselines
-from gauge_envs.runs.rollout import Rollout
+from gauge_envs.envs.recording import Recording
 from gauge_envs.scene import ConvexUnion, Hinge, RigidBody, Scene, Sphere
 from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.scene.timing import FRAME_RATE_HZ
@@ -46,7 +46,7 @@ def seam() -> Phenomenon:
     )
     friction = next(c.friction for c in scenario.scene.contacts if "base" in c.second)
 
-    def slid_mm(rollout: Rollout) -> FloatArray:
+    def slid_mm(rollout: Recording) -> FloatArray:
         return 1e3 * rollout.displacement("teh") @ downwards
 
     return Phenomenon(
@@ -67,7 +67,7 @@ def seam() -> Phenomenon:
 def point() -> Phenomenon:
     """Return the depth of a falling tip in the base."""
 
-    def depth_mm(rollout: Rollout) -> FloatArray:
+    def depth_mm(rollout: Recording) -> FloatArray:
         return _depths_mm(rollout, "pyramid", "squarebase")
 
     return Phenomenon(
@@ -83,7 +83,7 @@ def point() -> Phenomenon:
     )
 
 
-def _depths_mm(rollout: Rollout, body: str, fixed: str) -> FloatArray:
+def _depths_mm(rollout: Recording, body: str, fixed: str) -> FloatArray:
     """Return the depth of a body's deepest vertex in a fixed body [mm], shape [sample_count]."""
     shape, solid = rollout.scene.body(body).shape, rollout.scene.body(fixed).shape
     assert isinstance(solid, ConvexUnion)
@@ -139,13 +139,13 @@ def _wall(
     )
     bricks = [body.name for body in scenario.scene.dynamic_bodies]
 
-    def moved_mm(rollout: Rollout) -> FloatArray:
+    def moved_mm(rollout: Recording) -> FloatArray:
         return 1e3 * np.array([rollout.displacement(name) for name in bricks])
 
-    def values(rollout: Rollout) -> FloatArray:
+    def values(rollout: Recording) -> FloatArray:
         return extreme_mm(moved_mm(rollout))
 
-    def fallen(rollout: Rollout) -> str:
+    def fallen(rollout: Recording) -> str:
         if np.linalg.norm(moved_mm(rollout)[:, -1], axis=-1).max() <= 1e3 * FALLEN_M:
             return ""
         end_s = f"{rollout.times_s[-1]:.2g} s"
@@ -214,10 +214,10 @@ def period() -> Phenomenon:
     assert isinstance(ball.shape, Sphere)
     length = length_of(arm)
 
-    def aside_mm(rollout: Rollout) -> FloatArray:
+    def aside_mm(rollout: Recording) -> FloatArray:
         return 1e3 * (rollout.position(ball.name)[:, 0] - hinge.anchor_m[0])
 
-    def measured_s(rollout: Rollout) -> float:
+    def measured_s(rollout: Recording) -> float:
         part = rollout.between(0.0, PERIOD_S)
         return mean_period_s(rollout.times_s[part], aside_mm(rollout)[part])
 
