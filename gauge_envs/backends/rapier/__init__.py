@@ -1,7 +1,7 @@
 """Rapier: rigid bodies in single precision, with a native restitution and snapshots. The first build imports it."""
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from types import MappingProxyType
 from typing import Any
 
@@ -16,8 +16,7 @@ from gauge_envs.backends.shared.bundled import (
     declined_compounds,
     first_of,
 )
-from gauge_envs.backends.world import Simulation
-from gauge_envs.backends.worlds import Worlds
+from gauge_envs.backends.simulation import Simulation
 from gauge_envs.scene import Cloth, Hinge, Rod, Rope, Scene
 
 __all__ = ["BackendRapier"]
@@ -26,7 +25,7 @@ __all__ = ["BackendRapier"]
 class BackendRapier(BundledBackend):
     """Rapier on the CPU, in single precision: rigid bodies, hinges and strings.
 
-    Trajectories are the same bit for bit in every run on one machine, and after each restored state.
+    Trajectories are the same bit for bit in every run on one machine.
     """
 
     name = "rapier"
@@ -43,7 +42,6 @@ class BackendRapier(BundledBackend):
         }
     )
     features = frozenset({Feature.STATED_INERTIA})
-    worlds_mix_constants = True
 
     def unsupported(self, scene: Scene) -> Iterator[str]:
         """Yield one sentence for each feature of a scene that this backend does not support."""
@@ -83,11 +81,3 @@ class BackendRapier(BundledBackend):
         from gauge_envs.backends.rapier.simulation import SimulationRapier
 
         return SimulationRapier(scene, settings_for(scene, settings))
-
-    def build_worlds(
-        self, scenes: Sequence[Scene], settings: Mapping[str, Any] | None = None
-    ) -> Worlds:
-        """Build scenes in shared Rapier worlds, as far as the bits stay those of single simulations."""
-        from gauge_envs.backends.rapier.simulation import WorldsRapier
-
-        return WorldsRapier(scenes, settings_for(scenes[0], settings))

@@ -5,7 +5,6 @@ contact that lists it. Both colliders of a pair then have the constants of the p
 groups belong to each contact, one for either side. A collider only meets the other side of its own contact.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 from gauge_envs.scene import Contact, ContactMode, Scene
@@ -40,33 +39,19 @@ def colliding_contacts(scene: Scene) -> list[Contact]:
     ]
 
 
-def collider_layers(
-    scene: Scene, first_contact: int = 0
-) -> dict[str, list[ColliderLayer]]:
-    """Return the layers of each body, by name; a body without contacts has none.
-
-    Args:
-        scene: The scene.
-        first_contact: Number of contacts of other scenes in the same world, whose groups come first.
-    """
+def collider_layers(scene: Scene) -> dict[str, list[ColliderLayer]]:
+    """Return the layers of each body, by name; a body without contacts has none."""
     layers: dict[str, list[ColliderLayer]] = {body.name: [] for body in scene.bodies}
-    for index, contact in enumerate(colliding_contacts(scene), start=first_contact):
+    for index, contact in enumerate(colliding_contacts(scene)):
+        first, second = 1 << 2 * index, 2 << 2 * index
         restitution = contact.restitution if contact.mode is ContactMode.IMPACT else 0.0
-        for name, memberships, filter_ in _sides(
-            contact, 1 << 2 * index, 2 << 2 * index
-        ):
-            layers[name].append(
-                ColliderLayer(contact.friction, restitution, memberships, filter_)
+        for name in dict.fromkeys((*contact.first, *contact.second)):
+            in_first, in_second = name in contact.first, name in contact.second
+            layer = ColliderLayer(
+                friction=contact.friction,
+                restitution=restitution,
+                memberships=first * in_first | second * in_second,
+                filter=second * in_first | first * in_second,
             )
+            layers[name].append(layer)
     return layers
-
-
-def _sides(contact: Contact, first: int, second: int) -> Iterator[tuple[str, int, int]]:
-    """Yield each body of a contact with the groups to which it belongs and the groups that it meets."""
-    for name in dict.fromkeys((*contact.first, *contact.second)):
-        in_first, in_second = name in contact.first, name in contact.second
-        yield (
-            name,
-            first * in_first | second * in_second,
-            second * in_first | first * in_second,
-        )

@@ -1,20 +1,15 @@
 """A Rapier world of a scene: bodies, colliders and joints."""
 
-from collections.abc import Iterator, Sequence
-from typing import Any
+from collections.abc import Iterator
+from typing import Any, NamedTuple
 
 import numpy as np
 import rapier3d as rapier
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.backends.rapier.contacts import (
-    ColliderLayer,
-    collider_layers,
-    colliding_contacts,
-)
+from gauge_envs.backends.rapier.contacts import ColliderLayer, collider_layers
 from gauge_envs.backends.rapier.settings import SettingsRapier
-from gauge_envs.backends.settings import put
-from gauge_envs.backends.shared.rigid import centre_velocity, hinge_frame
+from gauge_envs.backends.shared.rigid import hinge_frame
 from gauge_envs.errors import BackendError
 from gauge_envs.scene import (
     Box,
@@ -28,8 +23,9 @@ from gauge_envs.scene import (
     Scene,
     Shape,
     Sphere,
+    Tether,
 )
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import FloatArray, Vector, vector
 from gauge_envs.scene.meshes import body_mass_properties
 
 MASS_UNIT_KG = 1e-3
@@ -40,36 +36,26 @@ UP_TO_Y = Rotation.from_euler("x", 90, degrees=True)
 """Rotation that takes the axis y of Rapier's cylinders to the axis z of a scene's."""
 
 
-Layout = dict[str, tuple[rapier.RigidBodyHandle, FloatArray]]
-"""Rapier's handle of each dynamic or driven body of a scene, and its centre of mass in the body frame [m], by name."""
+class PlacedBody(NamedTuple):
+    """A body that moves.
+
+    Attributes:
+        handle: Rapier's handle of it.
+        centre_m: Centre of mass in the body frame [m].
+    """
+
+    handle: rapier.RigidBodyHandle
+    centre_m: Vector
 
 
 def build_world(
-    scenes: Sequence[Scene], settings: SettingsRapier
-) -> tuple[rapier.PhysicsWorld, list[Layout]]:
-    """Return one world with all scenes at their starts, which do not meet each other, and the layout of each scene.
-
-    Args:
-        scenes: Scenes that differ only in their starts, with at most 16 contacts in all.
-        settings: Numerical settings.
-    """
-    world = rapier.PhysicsWorld(gravity=(0.0, 0.0, -scenes[0].gravity_m_per_s2))
+    scene: Scene, settings: SettingsRapier
+) -> tuple[rapier.PhysicsWorld, dict[str, PlacedBody]]:
+    """Return a world with the bodies of a scene at rest at their poses, and those that move by name."""
+    world = rapier.PhysicsWorld(gravity=(0.0, 0.0, -scene.gravity_m_per_s2))
     _set_parameters(world.integration_parameters, settings)
-    count = len(colliding_contacts(scenes[0]))
-    return world, [
-        _add_scene(world, scene, index * count, settings)
-        for index, scene in enumerate(scenes)
-    ]
-
-
-def _add_scene(
-    world: rapier.PhysicsWorld,
-    scene: Scene,
-    first_contact: int,
-    settings: SettingsRapier,
-) -> Layout:
-    layers = collider_layers(scene, first_contact)
-    layout: Layout = {}
+    layers = collider_layers(scene)
+    moving: dict[str, PlacedBody] = {}
     for body in scene.bodies:
         builder, centre_m = _body_builder(body, settings)
         colliders = [
@@ -79,75 +65,66 @@ def _add_scene(
         ]
         handle = world.add_body(builder, colliders)
         if body.motion is not Motion.FIXED:
-            layout[body.name] = handle, centre_m
+            moving[body.name] = PlacedBody(handle, centre_m)
     for joint in scene.joints:
-        body, (handle, _) = scene.body(joint.body), layout[joint.body]
+        handle = moving[joint.body].handle
         if isinstance(joint, Hinge):
-            _add_hinge(world, joint, body, handle, settings)
+            _add_hinge(world, joint, scene.body(joint.body), handle, settings)
         else:
-            anchor = world.add_body(
-                rapier.RigidBody.fixed().translation(joint.anchor_m)
-            )
-            string = (
-                rapier.RopeJointBuilder(joint.length_m)
-                .local_anchor1((0, 0, 0))
-                .local_anchor2((0, 0, 0))
-            )
-            world.impulse_joints.insert(anchor, handle, string.build())
-    return layout
+            _add_string(world, joint, handle)
+    return world, moving
 
 
 def _set_parameters(parameters: Any, settings: SettingsRapier) -> None:
-    parameters.contact_softness = rapier.SpringCoefficients(
-        settings.contact_frequency_hz, settings.contact_damping_ratio
-    )
-    parameters.static_contact_softness = rapier.SpringCoefficients(
-        settings.static_contact_frequency_hz, settings.static_contact_damping_ratio
-    )
-    put(
-        "Rapier",
-        parameters,
-        dt=settings.timestep_s,
-        length_unit=1.0,
-        num_solver_iterations=settings.solver_iterations,
-        num_internal_pgs_iterations=settings.pgs_iterations,
-        num_internal_stabilization_iterations=settings.stabilization_iterations,
-        friction_model=getattr(rapier.FrictionModel, settings.friction_model.upper()),
-        normalized_allowed_linear_error=settings.allowed_linear_error_m,
-        normalized_max_corrective_velocity=settings.max_corrective_velocity_m_per_s,
-        normalized_prediction_distance=settings.prediction_distance_m,
-        contact_clustering=settings.contact_clustering,
-        contact_recycling=settings.contact_recycling,
-        normalized_contact_recycle_distance=settings.recycle_distance_m,
-        warmstart_coefficient=settings.warmstart_coefficient,
-        warmstart_joints=settings.warmstart_joints,
-        friction_in_bias_pass=settings.friction_in_bias_pass,
-        normalized_max_linear_velocity=settings.max_linear_velocity_m_per_s,
-    )
+    """Set the parameters of a world, in Rapier's names."""
+    friction_model = getattr(rapier.FrictionModel, settings.friction_model.upper())
+    values = {
+        "dt": settings.timestep_s,
+        "length_unit": 1.0,
+        "num_solver_iterations": settings.solver_iterations,
+        "num_internal_pgs_iterations": settings.pgs_iterations,
+        "num_internal_stabilization_iterations": settings.stabilization_iterations,
+        "friction_model": friction_model,
+        "contact_softness": rapier.SpringCoefficients(
+            settings.contact_frequency_hz, settings.contact_damping_ratio
+        ),
+        "static_contact_softness": rapier.SpringCoefficients(
+            settings.static_contact_frequency_hz, settings.static_contact_damping_ratio
+        ),
+        "normalized_allowed_linear_error": settings.allowed_linear_error_m,
+        "normalized_max_corrective_velocity": settings.max_corrective_velocity_m_per_s,
+        "normalized_prediction_distance": settings.prediction_distance_m,
+        "contact_clustering": settings.contact_clustering,
+        "contact_recycling": settings.contact_recycling,
+        "normalized_contact_recycle_distance": settings.recycle_distance_m,
+        "warmstart_coefficient": settings.warmstart_coefficient,
+        "warmstart_joints": settings.warmstart_joints,
+        "friction_in_bias_pass": settings.friction_in_bias_pass,
+        "normalized_max_linear_velocity": settings.max_linear_velocity_m_per_s,
+    }
+    for name, value in values.items():
+        setattr(parameters, name, value)
 
 
 def _body_builder(
     body: RigidBody, settings: SettingsRapier
-) -> tuple[rapier.RigidBodyBuilder, FloatArray]:
+) -> tuple[rapier.RigidBodyBuilder, Vector]:
     """Return the builder of a body without colliders, and its centre of mass in the body frame [m]."""
+    place, origin = isometry(body.pose), (0.0, 0.0, 0.0)
     if body.motion is Motion.FIXED:
-        return rapier.RigidBody.fixed().position(isometry(body.pose)), np.zeros(3)
+        return rapier.RigidBody.fixed().position(place), origin
     if body.motion is Motion.KINEMATIC:
-        return rapier.RigidBody.kinematic_velocity_based().position(
-            isometry(body.pose)
-        ), np.zeros(3)
+        return rapier.RigidBody.kinematic_velocity_based().position(place), origin
     centre_m, inertia = body_mass_properties(body)
     builder = (
         rapier.RigidBody.dynamic()
-        .position(isometry(body.pose))
+        .position(place)
         .additional_mass_properties(_rapier_mass(body.mass_kg, centre_m, inertia))
-        .linvel(tuple(centre_velocity(body, centre_m)))
-        .angvel(body.angular_velocity_rad_per_s)
         .gyroscopic_forces(True)
         .can_sleep(settings.sleep)
         .ccd_enabled(settings.ccd)
     )
-    return builder, centre_m
+    return builder, vector(centre_m)
 
 
 def _rapier_mass(
@@ -187,6 +164,7 @@ def _colliders(shape: Shape, layer: ColliderLayer) -> Iterator[rapier.ColliderBu
 
 
 def _shapes(shape: Shape) -> Iterator[rapier.ColliderBuilder]:
+    """Yield the colliders of a shape; a union has one for each piece."""
     if isinstance(shape, Box):
         yield rapier.Collider.cuboid(*(0.5 * edge for edge in shape.size_m))
     elif isinstance(shape, Sphere):
@@ -203,6 +181,17 @@ def _shapes(shape: Shape) -> Iterator[rapier.ColliderBuilder]:
             yield rapier.Collider.convex_hull(np.asarray(piece, dtype=np.float32))
 
 
+def _add_string(
+    world: rapier.PhysicsWorld, string: Tether, handle: rapier.RigidBodyHandle
+) -> None:
+    """Add a string from a fixed body of its own to the origin of a body."""
+    builder = rapier.RigidBody.fixed().translation(string.anchor_m)
+    anchor = world.add_body(builder)
+    joint = rapier.RopeJointBuilder(string.length_m)
+    joint = joint.local_anchor1((0, 0, 0)).local_anchor2((0, 0, 0))
+    world.impulse_joints.insert(anchor, handle, joint.build())
+
+
 def _add_hinge(
     world: rapier.PhysicsWorld,
     hinge: Hinge,
@@ -217,9 +206,8 @@ def _add_hinge(
     arm = back.apply(np.subtract(hinge.anchor_m, body.pose.position_m))
     in_body = rapier.Isometry3(tuple(arm), tuple((back * frame.rotation).as_quat()))
     revolute = rapier.GenericJointBuilder(rapier.JointAxesMask.LOCKED_REVOLUTE_AXES)
-    joint = (
-        revolute.local_frame1(rapier.Isometry3.identity()).local_frame2(in_body).build()
-    )
+    at_anchor = revolute.local_frame1(rapier.Isometry3.identity())
+    joint = at_anchor.local_frame2(in_body).build()
     if settings.hinge_joint == "impulse":
         world.impulse_joints.insert(anchor, handle, joint)
         return
@@ -230,7 +218,3 @@ def _add_hinge(
         )
     chain = world.multibody_joints.multibody(link)
     chain.set_damping([settings.hinge_damping_n_m_s / MASS_UNIT_KG] * chain.ndofs)
-    if not body.starts_at_rest:
-        speeds = np.zeros(chain.ndofs)
-        speeds[-1] = np.dot(body.angular_velocity_rad_per_s, hinge.axis)
-        chain.set_generalized_velocity(speeds.tolist())
