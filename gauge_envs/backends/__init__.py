@@ -50,7 +50,7 @@ def __getattr__(name: str) -> Any:
     """Say what replaces a class of the contract of 0.3."""
     if name in _LEFT:
         raise ImportError(
-            f"gauge_envs.backends.{name} belongs to the engine contract of gauge-envs 0.3. In 1.0 one class, Simulation, "
-            "holds N worlds, and nothing saves or restores states; docs/adding_an_engine.md lists the changes"
+            f"gauge_envs.backends.{name} belongs to the engine contract of gauge-envs 0.3. In 1.0 one class, "
+            "Simulation, holds N worlds, and nothing saves states; docs/adding_an_engine.md lists the changes"
         )
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

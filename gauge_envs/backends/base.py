@@ -9,9 +9,10 @@ A backend is one class with three methods. It receives a `Scene` and never the n
         def build(self, scene, settings): ...
         def versions(self): ...
 
-`build` returns a `Simulation` of one world at the scene's nominal start; `build_worlds` returns one of N worlds, which by
-default loops over N simulations. Every 1/180 s, the environment drives each kinematic body and advances the simulation. An entry point of the group
-`gauge_envs.backends` makes a backend available by name; docs/adding_an_engine.md gives a complete example.
+`build` returns a `Simulation` of one world at the scene's nominal start; `build_worlds` returns one of N worlds, which
+by default loops over N simulations. Every 1/180 s, the environment drives each kinematic body and advances the
+simulation. An entry point of the group `gauge_envs.backends` makes a backend available by name;
+docs/adding_an_engine.md gives a complete example.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """N worlds of one scene in a physics engine: what environments drive, advance and read.
 
-The first axis of every array is the world. All numbers are in SI units, in the world frame, float64. A state of a rigid
-body has 13 numbers: position of the body origin [m] (3), unit quaternion w x y z (4), linear velocity of the body origin
-[m/s] (3) and angular velocity [rad/s] (3).
+The first axis of every array is the world. All numbers are in SI units, in the world frame, float64. A state of a
+rigid body has 13 numbers: position of the body origin [m] (3), unit quaternion w x y z (4), linear velocity of the body
+origin [m/s] (3) and angular velocity [rad/s] (3).
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ MaterialPoints = Callable[[], FloatArray]
 class Simulation(ABC):
     """Worlds of one scene that advance together.
 
-    A new simulation is at the nominal start of its scene, at time 0, and can be read before its first reset. Environments
-    call `reset`; then, every 1/180 s, `drive` for each kinematic body, `advance`, and the readers.
+    A new simulation is at the nominal start of its scene, at time 0, and can be read before its first reset.
+    Environments call `reset`; then, every 1/180 s, `drive` for each kinematic body, `advance`, and the readers.
 
     Attributes:
         settings: Every numerical setting in force, as a flat, JSON-ready mapping. Each result records it.
@@ -48,9 +48,9 @@ class Simulation(ABC):
         for method, expected in (("reset", "starts"), ("drive", "targets")):
             if expected not in inspect.signature(getattr(cls, method)).parameters:
                 raise BackendError(
-                    f"{cls.__module__}.{cls.__name__}.{method} has no parameter {expected!r}: it follows the contract of "
-                    "gauge-envs 0.3. In 1.0 a Simulation holds N worlds: reset(starts, seed), drive(body, targets) and "
-                    "arrays whose first axis is the world; docs/adding_an_engine.md lists the changes"
+                    f"{cls.__module__}.{cls.__name__}.{method} has no parameter {expected!r}: it follows the contract "
+                    "of gauge-envs 0.3. In 1.0 a Simulation holds N worlds: reset(starts, seed), drive(body, targets) "
+                    "and arrays whose first axis is the world; docs/adding_an_engine.md lists the changes"
                 )
 
     @abstractmethod
@@ -74,9 +74,9 @@ class Simulation(ABC):
 
         Args:
             body: Name of a kinematic body. Environments drive each of them before every `advance`.
-            targets: Shape [N, 19]: pose at the start of the interval, position [m] (3) and quaternion w x y z (4); linear
-                [m/s] (3) and angular velocity [rad/s] (3) then; linear [m/s^2] (3) and angular acceleration [rad/s^2]
-                (3). It may be a read-only view.
+            targets: Shape [N, 19]: pose at the start of the interval, position [m] (3) and quaternion w x y z (4);
+                linear [m/s] (3) and angular velocity [rad/s] (3) then; linear [m/s^2] (3) and angular acceleration
+                [rad/s^2] (3). It may be a read-only view.
 
         Raises:
             BackendError: The engine drives no bodies.

@@ -29,7 +29,7 @@ from gauge_envs.observables.observer import (
 from gauge_envs.references.band import Band
 from gauge_envs.scene.geometry import BoolArray, FloatArray, IntArray
 from gauge_envs.scene.prescribed_motion import prescribed_motions
-from gauge_envs.scene.states import row_of
+from gauge_envs.scene.states import row_of, scene_at
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
 from gauge_envs.scoring.metrics import MAX_TIME_OFFSET_S
 
@@ -335,7 +335,7 @@ class Rollout:
         }
         if experiment.edited:
             info["edited"] = True
-        trial = self.experiment_of(world).trial
+        trial = self.starts[world].trial if self.starts else experiment.trial
         if trial is not None:
             info["trial"] = trial
         if world in self.diverged:
@@ -343,15 +343,14 @@ class Rollout:
         return info
 
     def experiment_of(self, world: int) -> Experiment:
-        """Return the experiment of a world, with the trial that it repeats."""
+        """Return the experiment of a world, with the start and the trial of its episode."""
         experiment = self._experiments[world]
-        if not self.starts or self.starts[world].trial is None:
+        if not self.starts or not self.starts[world].record:
             return experiment
         start = self.starts[world]
-        if start.drivers == experiment.scene.drivers:
-            return replace(experiment, trial=start.trial)
-        scene = replace(experiment.scene, drivers=start.drivers)
-        return replace(experiment, scene=scene, trial=start.trial)
+        scene = replace(scene_at(experiment.scene, start.states), drivers=start.drivers)
+        trial = experiment.trial if start.trial is None else start.trial
+        return replace(experiment, scene=scene, trial=trial)
 
     def trajectory(self, world: int = 0) -> Trajectory:
         """Return what the episode of a world has recorded so far.

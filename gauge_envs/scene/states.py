@@ -7,10 +7,13 @@ rest; its row has the pose of its frame.
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 
 from gauge_envs.scene.bodies import RigidBody
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import FloatArray, Pose
 from gauge_envs.scene.scene import Scene
 
 
@@ -24,6 +27,24 @@ def nominal_states(scene: Scene) -> FloatArray:
             row[7:10] = body.linear_velocity_m_per_s
             row[10:] = body.angular_velocity_rad_per_s
     return states
+
+
+def scene_at(scene: Scene, states: FloatArray) -> Scene:
+    """Return the scene whose nominal start is given by states, shape [body_count, 13]."""
+    bodies = []
+    for body, state in zip(scene.bodies, states.tolist(), strict=False):
+        changes: dict[str, Any] = {
+            "pose": Pose(position_m=tuple(state[:3]), quaternion=tuple(state[3:7])),
+            "linear_velocity_m_per_s": tuple(state[7:10]),
+            "angular_velocity_rad_per_s": tuple(state[10:]),
+        }
+        bodies.append(replace(body, **changes))
+    deformables = []
+    rows = states[len(bodies) :].tolist()
+    for deformable, state in zip(scene.deformables, rows, strict=True):
+        pose = Pose(position_m=tuple(state[:3]), quaternion=tuple(state[3:7]))
+        deformables.append(replace(deformable, pose=pose))
+    return replace(scene, bodies=tuple(bodies), deformables=tuple(deformables))
 
 
 def row_of(scene: Scene, name: str) -> int:

@@ -6,13 +6,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from gauge_envs.envs.driver_paths import DriverPaths
 from gauge_envs.envs.recording import (
     DeclinedError,
     NotFiniteError,
     Recording,
+    intervals,
     record,
-    states_now,
 )
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2 as G,
@@ -24,6 +23,7 @@ from gauge_envs.scene import (
     SoftBody,
 )
 from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.prescribed_motion import prescribed_motions
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 from gauge_envs.tools.bench.parts import (
     ball,
@@ -157,8 +157,8 @@ def _as_built(lab: Lab) -> _Built:
     with closing(lab.build(scene)) as simulation:
         return _Built(
             scene,
-            states_now(simulation, names),
-            states_now(simulation, names[::-1])[::-1],
+            np.array(simulation.body_states(names)[0]),
+            np.array(simulation.body_states(names[::-1])[0, ::-1]),
         )
 
 
@@ -283,7 +283,7 @@ def _time(lab: Lab) -> Measurement:
         with lab.running(scene) as simulation:
             for _ in range(count):
                 simulation.advance(interval)
-            fallen.append(3.0 - states_now(simulation, ["brick"])[0, 2])
+            fallen.append(3.0 - float(simulation.body_states(["brick"])[0, 0, 2]))
     if fallen[1] == 0.0:
         return Measurement(
             measured=float("nan"), expected=1.0, hint="the brick does not move"
@@ -299,32 +299,6 @@ def _time(lab: Lab) -> Measurement:
     return Measurement(
         measured=fallen[0] / fallen[1], expected=1.0, hint=hint if wrong else ""
     )
-
-
-@Check("sample-positions", tolerance=EXACT)
-def _sample_positions(lab: Lab) -> Measurement:
-    scene = Scene(
-        bodies=(
-            ball("ball", (0.1, 0.2, 2.0)),
-            box("brick", (0.0, 0.0, 3.0), (0.1, 0.06, 0.03)),
-        ),
-        duration_s=1.0,
-    )
-    names = ["brick", "ball"]
-    read = []
-    for in_one_call in (True, False):
-        with lab.running(scene) as simulation:
-            if in_one_call:
-                read.append(
-                    np.array(simulation.sample_positions(names, 12, SAMPLE_INTERVAL_S))
-                )
-                continue
-            rows = []
-            for _ in range(12):
-                simulation.advance(SAMPLE_INTERVAL_S)
-                rows.append(states_now(simulation, names)[:, :3])
-            read.append(np.array(rows))
-    return Measurement(measured=1e3 * float(np.abs(read[0] - read[1]).max()))
 
 
 # --- what is returned and reported ------------------------------------------------------------------------------------
@@ -386,17 +360,19 @@ def _two_at_once(lab: Lab) -> Measurement:
     scene = bounces(lab)
     other = replace(scene, gravity_m_per_s2=1.62)
     alone = lab.rollout(scene, 0.3)
-    paths = DriverPaths(scene, 0.3)
+    motions = prescribed_motions(scene, 0.3)
+    actions = [np.zeros((1, motion.motion_count)) for motion in motions]
     names = [one.name for one in scene.bodies]
     with closing(lab.build(scene)) as first, closing(lab.build(other)) as second:
-        first.reset(0)
-        second.reset(0)
+        first.reset(None, 0)
+        second.reset(None, 0)
         apart = 0.0
         for index in range(round(0.3 / SAMPLE_INTERVAL_S)):
             for simulation in (second, first):
-                paths.advance(simulation, index)
+                for _ in intervals(simulation, motions, index, 1, actions):
+                    pass
             expected = np.array([alone.states[name][index + 1] for name in names])
-            now = states_now(first, names)
+            now = first.body_states(names)[0]
             apart = max(apart, float(np.abs(one_sign(now) - one_sign(expected)).max()))
     hint = (
         "simulations share constants or state: gravity, contacts, or time"
@@ -447,11 +423,11 @@ def _again_after_reset(
     """
     with closing(lab.build(scene)) as simulation:
         built = record(simulation, scene, 0.0)
-        simulation.reset(0)
+        simulation.reset(None, 0)
         first = record(simulation, scene, seconds)
-        simulation.reset(1)
+        simulation.reset(None, 1)
         record(simulation, scene, 0.1)
-        simulation.reset(0)
+        simulation.reset(None, 0)
         for name, states in built.states.items():
             first.states[name][0] = states[0]
         for name, nodes in built.nodes_m.items():

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.envs.recording import DeclinedError, states_now
+from gauge_envs.envs.recording import DeclinedError
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2 as G,
     Box,
@@ -367,10 +367,10 @@ def _wrench_reset(lab: Lab) -> Measurement:
     with lab.running(_pushed_scene(SHAPES["box"])) as simulation:
         push(simulation, "body-0", [MASS_KG, 0.0, 0.0, 0.0, 0.0, 0.0])
         simulation.advance(SAMPLE_INTERVAL_S)
-        simulation.reset(0)
+        simulation.reset(None, 0)
         simulation.advance(PUSH_S)
         return Measurement(
-            measured=length_of(states_now(simulation, ["body-0"])[0, 7:10])
+            measured=length_of(simulation.body_states(["body-0"])[0, 0, 7:10])
         )
 
 
@@ -500,12 +500,12 @@ def _forces(lab: Lab) -> FloatArray:
         forces = simulation.contact_forces(pairs)
         if forces is None:
             raise DeclinedError(("contact forces are not read",))
-        before = simulation.body_states(["sliding"])[0, 7:10]
+        before = simulation.body_states(["sliding"])[0, 0, 7:10]
         for _ in range(80):
             simulation.advance(SAMPLE_INTERVAL_S)
-            after = simulation.body_states(["sliding"])[0, 7:10]
+            after = simulation.body_states(["sliding"])[0, 0, 7:10]
             gained = BRICK_KG * ((after - before) / SAMPLE_INTERVAL_S + [0.0, 0.0, G])
-            found.append([*forces(), gained])
+            found.append([*forces()[0], gained])
             before = after
     return np.array(found)
 

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.envs.driver_paths import DriverPaths
-from gauge_envs.envs.recording import Recording, states_now
+from gauge_envs.envs.recording import Recording, intervals
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Pose, Scene
 from gauge_envs.scene.geometry import vector
+from gauge_envs.scene.prescribed_motion import prescribed_motions
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 from gauge_envs.scoring.estimators import (
     acceleration_m_per_s2,
@@ -53,14 +53,13 @@ def _pushed(lab: Lab, scene: Scene, wrench: Callable[[float], Any]) -> Recording
     with lab.running(scene) as simulation:
         for name, pressing in grasp_wrenches(2.0 * WEIGHT_N).items():
             push(simulation, name, pressing)
-        paths, rows = (
-            DriverPaths(scene, scene.duration_s),
-            [states_now(simulation, names)],
-        )
+        motions = prescribed_motions(scene, scene.duration_s)
+        actions = [np.zeros((1, motion.motion_count)) for motion in motions]
+        rows = [np.array(simulation.body_states(names)[0])]
         for index in range(count):
             push(simulation, "object", wrench(index * SAMPLE_INTERVAL_S))
-            paths.advance(simulation, index)
-            rows.append(states_now(simulation, names))
+            for _ in intervals(simulation, motions, index, 1, actions):
+                rows.append(np.array(simulation.body_states(names)[0]))
     times_s = SAMPLE_INTERVAL_S * np.arange(count + 1, dtype=np.float64)
     return Recording(
         scene=scene,

@@ -11,17 +11,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.backends import Backend, ReplayedSimulation, Simulation
+from gauge_envs.backends import Backend, LoopedSimulation, Simulation
 from gauge_envs.backends.base import scene_support
 from gauge_envs.backends.settings import settings_record
 from gauge_envs.backends.shared.resampled import in_intervals
+from gauge_envs.envs.recording import DeclinedError, Recording, raised_at, record
 from gauge_envs.errors import (
     BackendError,
     GaugeError,
     ParameterError,
     UnsupportedSceneError,
 )
-from gauge_envs.envs.recording import DeclinedError, Recording, raised_at, record
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2,
     Attachment,
@@ -111,7 +111,7 @@ class Lab:
     def running(self, scene: Scene, **changes: Any) -> Iterator[Simulation]:
         """Build a scene, reset it, and close it after use; see `build`."""
         with closing(self.build(scene, **changes)) as simulation:
-            simulation.reset(0)
+            simulation.reset(None, 0)
             yield simulation
 
     def started(self, scene: Scene) -> Scene:
@@ -177,7 +177,7 @@ class Lab:
 
 
 class DisturbedLab(Lab):
-    """A lab in which no run repeats another one: each build, reset and restore starts a disturbed scene.
+    """A lab in which no run repeats another one: each build and reset starts a disturbed scene.
 
     Args:
         lab: The lab whose backend and settings it has.
@@ -215,28 +215,34 @@ class DisturbedLab(Lab):
         return self._start_error * signs
 
 
-class _DisturbedSimulation(ReplayedSimulation):
-    """A simulation that is built anew at each reset and restore.
+class _DisturbedSimulation(LoopedSimulation):
+    """A simulation that is built anew at each reset.
 
     Args:
         build: Function that builds the simulation.
     """
 
     def __init__(self, build: Callable[[], Simulation]) -> None:
-        super().__init__(build())
         self._build = build
+        super().__init__([build()])
 
-    def reset(self, seed: int) -> None:
+    def reset(self, starts: FloatArray | None = None, seed: int = 0) -> None:
         """Build the simulation anew and reset it."""
-        self.inner.close()
-        self.inner = self._build()
-        super().reset(seed)
+        self.close()
+        super().__init__([self._build()])
+        super().reset(starts, seed)
 
 
 def push(simulation: Simulation, body: str, wrench: ArrayLike) -> None:
-    """Apply a wrench to a body; raise `DeclinedError` if the engine applies none."""
+    """Apply a wrench to a body in all worlds; raise `DeclinedError` if the engine applies none.
+
+    Args:
+        simulation: The simulation.
+        body: Name of the body.
+        wrench: Force [N] and torque [N m], shape [6] or [N, 6].
+    """
     try:
-        simulation.apply_wrench(body, np.asarray(wrench))
+        simulation.apply_wrench(body, np.reshape(np.asarray(wrench, float), (-1, 6)))
     except BackendError as error:
         raise DeclinedError((str(error),)) from error
 

@@ -26,7 +26,6 @@ T = TypeVar("T")
 
 FAMILIES = (
     "contract",
-    "continuation",
     "rigid",
     "start",
     "forces",
@@ -70,7 +69,7 @@ class Tolerance:
         rationale: Reason for the width, from physics or from the benchmark, never from an engine.
         absolute: Part in the unit of the measured value.
         relative: Part as a share of the expected value.
-        again: What the check runs again: `simulation` after a reset or a restore, or `scene`, built anew. Runs may then
+        again: What the check runs again: `simulation` after a reset, or `scene`, built anew. Runs may then
             part as `Backend.repeatability` declares. Empty where nothing runs again.
     """
 

@@ -7,17 +7,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import closing
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends import Backend
-from gauge_envs.backends.shared.resampled import worlds_in_intervals
+from gauge_envs.backends.shared.resampled import in_intervals
 from gauge_envs.envs.recording import DeclinedError
-from gauge_envs.scene import GRAVITY_M_PER_S2, Box, Pose, RigidBody, Scene
-from gauge_envs.scene.geometry import FloatArray, vector
+from gauge_envs.scene import GRAVITY_M_PER_S2, Box, Scene
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 from gauge_envs.tools.bench.parts import box, contact, ground
 from gauge_envs.tools.conformance.lab import Lab
@@ -53,67 +52,56 @@ def _heap() -> Scene:
     return Scene(bodies=(*boxes, ground()), contacts=contacts, duration_s=1.0)
 
 
-def _visited(lab: Lab) -> tuple[list[Scene], FloatArray, Mapping[str, Any]]:
-    """Return scenes that start in the states of the motion, the states, and the settings in force."""
-    scene, scenes, states = _heap(), [], []
+def _visited(lab: Lab) -> tuple[FloatArray, Mapping[str, Any]]:
+    """Return states of the motion, shape [STATES, body_count, 13], and the settings in force."""
+    scene, states = _heap(), []
     with lab.running(scene) as simulation:
         for _ in range(STATES):
             simulation.advance(BETWEEN_S)
-            rows = np.array(simulation.body_states(NAMES))
-            started = [*map(_at, scene.dynamic_bodies, rows)]
-            scenes.append(replace(scene, bodies=(*started, ground())))
-            states.append(rows)
-        return scenes, np.array(states), dict(simulation.settings)
+            states.append(np.array(simulation.body_states([*NAMES, "ground"])[0]))
+        return np.array(states), dict(simulation.settings)
 
 
-def _at(body: RigidBody, row: FloatArray) -> RigidBody:
-    """Return a body that starts in a state, shape [13]."""
-    turned = Rotation.from_quat(row[3:7], scalar_first=True)
-    return replace(
-        body,
-        pose=Pose.from_rotation(vector(row[:3]), turned),
-        linear_velocity_m_per_s=vector(row[7:10]),
-        angular_velocity_rad_per_s=vector(row[10:]),
-    )
-
-
-def _after(lab: Lab, scenes: list[Scene], **changes: Any) -> FloatArray:
-    """Return the states 1/180 s after the start of each scene, shape [scene_count, 8, 13]."""
+def _after(lab: Lab, starts: FloatArray, **changes: Any) -> FloatArray:
+    """Return the states 1/180 s after each start, shape [start_count, 8, 13]."""
     found = []
-    for scene in scenes:
-        with lab.running(scene, **changes) as simulation:
+    with closing(lab.build(_heap(), **changes)) as simulation:
+        for start in starts:
+            simulation.reset(start[None], 0)
             simulation.advance(SAMPLE_INTERVAL_S)
-            found.append(np.array(simulation.body_states(NAMES)))
+            found.append(np.array(simulation.body_states(NAMES)[0]))
     return np.array(found)
 
 
-def _together(lab: Lab, scenes: list[Scene]) -> FloatArray:
-    """Return the same of all scenes as worlds of one batch."""
-    with closing(worlds_in_intervals(lab.backend, scenes, lab.settings)) as worlds:
-        worlds.reset(0)
-        worlds.advance(SAMPLE_INTERVAL_S)
-        return np.array(worlds.body_states([*NAMES]))
+def _together(lab: Lab, starts: FloatArray) -> FloatArray:
+    """Return the same of all starts as worlds of one batch."""
+    scene = _heap()
+    worlds = lab.backend.build_worlds(scene, len(starts), lab.settings)
+    with closing(in_intervals(worlds, scene)) as simulation:
+        simulation.reset(starts, 0)
+        simulation.advance(SAMPLE_INTERVAL_S)
+        return np.array(simulation.body_states(NAMES))
 
 
 def _others(
-    lab: Lab, scenes: list[Scene], settings: Mapping[str, Any]
+    lab: Lab, starts: FloatArray, settings: Mapping[str, Any]
 ) -> Iterator[tuple[str, FloatArray]]:
     """Yield what is changed, and the states after it, of all that an engine lets choose."""
     # The substeps of TGS are its iterations: more of them are another time integration.
     for name in LIMITS:
         if name in settings:
             count = int(settings[name])
-            more = _after(lab, scenes, **{name: MORE * count})
+            more = _after(lab, starts, **{name: MORE * count})
             yield f"{count} and {MORE * count} {name}", more
             break
     if settings.get("threads") == 1:
-        yield "one thread and two", _after(lab, scenes, threads=2)
+        yield "one thread and two", _after(lab, starts, threads=2)
     if settings.get("jacobian") == "auto":
-        layouts = [_after(lab, scenes, jacobian=one) for one in ("dense", "sparse")]
+        layouts = [_after(lab, starts, jacobian=one) for one in ("dense", "sparse")]
         yield "sparse and dense", layouts[0]
         yield "dense and sparse", layouts[1]
     if type(lab.backend).build_worlds is not Backend.build_worlds:
-        yield f"one world and {len(scenes)}", _together(lab, scenes)
+        yield f"one world and {len(starts)}", _together(lab, starts)
 
 
 def _corner_speed(states: FloatArray) -> float:
@@ -130,12 +118,13 @@ def _corner_speed(states: FloatArray) -> float:
 
 @Check("solver-heap")
 def _solutions_of_a_heap(lab: Lab) -> Measurement:
-    scenes, before, settings = _visited(lab)
+    starts, settings = _visited(lab)
+    before = starts[:, : len(NAMES)]
     if np.abs(before[:, :, :3]).max() > FAR_M:
         return Measurement(measured=float("inf"), hint="the heap flies apart")
-    given = _after(lab, scenes)
+    given = _after(lab, starts)
     parts, largest = [], 0.0
-    for words, other in _others(lab, scenes, settings):
+    for words, other in _others(lab, starts, settings):
         changes = [
             (after - before)[:, :, 7:].reshape(STATES, -1) / SAMPLE_INTERVAL_S
             for after in (given, other)

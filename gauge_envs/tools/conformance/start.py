@@ -234,8 +234,8 @@ def _spin_momentum(rollout: Recording) -> Measurement:
 def _start_velocity_reset(lab: Lab) -> Measurement:
     with lab.running(BALL) as simulation:
         simulation.advance(0.1)
-        simulation.reset(0)
-        reported = simulation.body_states(["thrown"])[0, 7:]
+        simulation.reset(None, 0)
+        reported = simulation.body_states(["thrown"])[0, 0, 7:]
         error = float(np.abs(reported - [*LINEAR_M_PER_S, *ANGULAR_RAD_PER_S]).max())
         hint = "" if reported.any() else "the ball is at rest after the reset"
         return Measurement(measured=error, hint=hint)

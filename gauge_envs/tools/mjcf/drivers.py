@@ -15,12 +15,12 @@ from gauge_envs.scene import Pose, Scene
 from gauge_envs.scene.driver_fit import sampled_motions
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.geometry import FloatArray, vector
-from gauge_envs.scene.timing import DRIVE_INTERVAL_S, FRAME_RATE_HZ
+from gauge_envs.scene.prescribed_motion import PrescribedMotion, prescribed_motions
+from gauge_envs.scene.timing import DRIVE_INTERVAL_S
 from gauge_envs.tools.mjcf.diff import format_value
 
 if TYPE_CHECKING:
     from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
-    from gauge_envs.scene.driver_path import DriverPath
 
 DRIVER_PREFIX = "driver/"
 """Prefix of the custom numeric with the motion of a driven body; the name of the body follows."""
@@ -45,25 +45,25 @@ def pose_of(position_m: FloatArray, quaternion: FloatArray) -> Pose:
 
 
 def driver_rows(
-    simulation: SimulationMuJoCo, path: DriverPath, count: int
+    simulation: SimulationMuJoCo, motion: PrescribedMotion, count: int
 ) -> FloatArray:
     """Return the numbers that the backend writes to drive a body, interval by interval.
 
     Args:
         simulation: A simulation of the scene; its driven body moves.
-        path: Motion of the driven body.
+        motion: Motion of the driven body.
         count: Number of intervals.
 
     Returns:
         qpos (7), qvel (6) and xfrc_applied (6) before each interval, shape [count, 19].
     """
     model, data = simulation.model, simulation.data
-    joint, body = model.joint(path.body), model.body(path.body)
+    joint, body = model.joint(motion.body), model.body(motion.body)
     position, speed = int(joint.qposadr[0]), int(joint.dofadr[0])
-    still = np.zeros(path.motion_count)
+    still = np.zeros((1, motion.motion_count))
     rows = np.empty((count, DRIVER_COLUMNS))
-    for sample, row in enumerate(rows):
-        simulation.drive(path.body, *path.interval(sample, still))
+    for interval, row in enumerate(rows):
+        simulation.drive(motion.body, motion.targets(interval, still)[0])
         row[:7] = data.qpos[position : position + 7]
         row[7:13] = data.qvel[speed : speed + 6]
         row[13:] = data.xfrc_applied[body.id]
@@ -78,8 +78,6 @@ def read_driver(
     simulation: SimulationMuJoCo,
 ) -> Driver:
     """Return the scene's driver if the file's rows equal its motion, otherwise a driver through the rows' poses."""
-    from gauge_envs.scene.driver_path import DriverPath
-
     name = f"{DRIVER_PREFIX}{driver.body}"
     numbers = numerics(model).get(name)
     if numbers is None:
@@ -97,8 +95,9 @@ def read_driver(
     rows = numbers.reshape(-1, DRIVER_COLUMNS)
     count = round(scene.duration_s / DRIVE_INTERVAL_S)
     rows = rows[np.minimum(np.arange(count), len(rows) - 1)]
-    frame_count = round(scene.duration_s * FRAME_RATE_HZ) + 1
-    expected = driver_rows(simulation, DriverPath(driver, scene, frame_count), count)
+    motions = prescribed_motions(scene, scene.duration_s)
+    (motion,) = (one for one in motions if one.body == driver.body)
+    expected = driver_rows(simulation, motion, count)
     expected[:, 13:] *= (
         model.body(driver.body).mass[0] / simulation.model.body(driver.body).mass[0]
     )

@@ -19,8 +19,8 @@ from gauge_envs.backends.mujoco.model import START_KEY
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import Scene
-from gauge_envs.scene.driver_path import DriverPath
 from gauge_envs.scene.geometry import FloatArray, IntArray
+from gauge_envs.scene.prescribed_motion import prescribed_motions
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 from gauge_envs.tools.mjcf.drivers import DRIVER_PREFIX, driver_rows
 
@@ -60,11 +60,10 @@ def scene_mjcf_text(
     lines = [*notes, *start_notes(simulation)]
     if scene.deformables:
         lines += add_stiffness_tables(simulation)
-    for driver in scene.drivers:
-        path = DriverPath(driver, scene, frame_count)
-        rows = driver_rows(
-            simulation, path, round(scene.duration_s / SAMPLE_INTERVAL_S)
-        )
+    motions = prescribed_motions(scene, scene.duration_s)
+    intervals = round(scene.duration_s / SAMPLE_INTERVAL_S)
+    for driver, motion in zip(scene.drivers, motions, strict=True):
+        rows = driver_rows(simulation, motion, intervals)
         moving = without_rest(rows)
         title = f"{DRIVER_PREFIX}{driver.body}"
         simulation.spec.add_numeric(

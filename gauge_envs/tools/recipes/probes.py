@@ -15,8 +15,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.base import Backend, scene_support
-from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.envs.recording import Recording, record
+from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2 as G,
     Box,
@@ -303,7 +303,7 @@ class Probe:
             "drive_interval_s": interval_s,
         }
         with closing(self.backend.build(scene, given)) as simulation:
-            simulation.reset(0)
+            simulation.reset(None, 0)
             limit = scene.speed_limit_m_per_s + G * seconds
             return record(
                 simulation,

@@ -10,12 +10,12 @@ from typing import Any
 from gauge_envs.backends import Backend, Simulation, backend, backend_names, is_bundled
 from gauge_envs.backends.base import scene_support
 from gauge_envs.backends.settings import with_drive_interval
+from gauge_envs.envs.recording import DeclinedError, Recording, record
 from gauge_envs.errors import GaugeError, ParameterError, TargetError
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.experiments.variants import find_variant
 from gauge_envs.runs.isolation import Worker
-from gauge_envs.envs.recording import DeclinedError, Recording, record
 from gauge_envs.scene import Scene
 from gauge_envs.scene.geometry import FloatArray, vector
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
@@ -115,7 +115,7 @@ def run_scenario(backend: Backend, scenario: Scenario, settings: Settings) -> Re
                     f"a step of {interval_s:g} s is too long for a scene of {scenario.seconds:g} s",
                 )
             )
-        simulation.reset(0)
+        simulation.reset(None, 0)
         for name, wrench in scenario.wrenches.items():
             simulation.apply_wrench(name, wrench)
         return record(

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
+from gauge_envs.envs.recording import Recording
 from gauge_envs.files import data_folder, toml_document
 from gauge_envs.references.published import published_baselines
-from gauge_envs.envs.recording import Recording
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scoring.estimators import acceleration_m_per_s2
 from gauge_envs.tools.sanity.model import Need, Reality

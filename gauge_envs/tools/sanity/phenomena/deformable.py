@@ -8,8 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from gauge_envs.observables.functions import face_areas_mm2
 from gauge_envs.envs.recording import Recording
+from gauge_envs.observables.functions import face_areas_mm2
 from gauge_envs.scene import Cloth, Scene
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scoring.estimators import hann_mean

@@ -10,8 +10,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.references.published import published_baselines
 from gauge_envs.envs.recording import Recording
+from gauge_envs.references.published import published_baselines
 from gauge_envs.scene import Box, Pose, Scene
 from gauge_envs.scene.geometry import FloatArray, vector
 from gauge_envs.scoring.estimators import steady_speed_m_per_s

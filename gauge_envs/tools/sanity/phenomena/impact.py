@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from gauge_envs.references.published import published_baselines
 from gauge_envs.envs.recording import Recording
+from gauge_envs.references.published import published_baselines
 from gauge_envs.scene import Hinge, Scene, Sphere, Vector
 from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.scoring.estimators import first_bounce

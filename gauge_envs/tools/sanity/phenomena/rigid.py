@@ -10,8 +10,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from gauge_envs.references.published import published_baselines
 from gauge_envs.envs.recording import Recording
+from gauge_envs.references.published import published_baselines
 from gauge_envs.scene import ConvexUnion, Hinge, RigidBody, Scene, Sphere
 from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.scene.timing import FRAME_RATE_HZ
