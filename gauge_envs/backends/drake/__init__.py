@@ -13,7 +13,7 @@ from gauge_envs.backends.shared.bundled import (
     declined_compounds,
     first_of,
 )
-from gauge_envs.backends.world import Simulation
+from gauge_envs.backends.simulation import Simulation
 from gauge_envs.scene import Scene
 
 __all__ = ["BackendDrake"]

@@ -33,7 +33,6 @@ from scipy.spatial import ConvexHull
 
 from gauge_envs.backends.drake.contacts import ContactConstants, contact_constants
 from gauge_envs.backends.drake.settings import SettingsDrake
-from gauge_envs.backends.settings import check_kept
 from gauge_envs.errors import ParameterError
 from gauge_envs.scene import (
     Box,
@@ -88,14 +87,12 @@ class Model:
         diagram: The diagram of plant and scene graph.
         plant: The multibody plant.
         bodies: Drake's body of each dynamic or driven body, by name.
-        start: Discrete state at the start: positions, then velocities.
         names: Name of the body of each geometry.
     """
 
     diagram: Any
     plant: Any
     bodies: dict[str, Any]
-    start: FloatArray
     names: dict[GeometryId, str]
 
 
@@ -105,7 +102,7 @@ def rigid_transform(pose: Pose) -> RigidTransform:
 
 
 def build_model(scene: Scene, settings: SettingsDrake) -> Model:
-    """Build a diagram with a discrete plant, whose state is that of the scene's start."""
+    """Build a diagram with a discrete plant."""
     # `AddMultibodyPlantSceneGraph` of pydrake 1.51 does the same, and never frees the plant.
     builder = DiagramBuilder()
     plant = builder.AddSystem(MultibodyPlant(settings.timestep_s))
@@ -128,20 +125,6 @@ def build_model(scene: Scene, settings: SettingsDrake) -> Model:
     plant.set_contact_surface_representation(SURFACES[settings.surface])
     plant.set_stiction_tolerance(settings.stiction_speed_m_per_s)
     plant.set_sap_near_rigid_threshold(settings.near_rigid_threshold)
-    asked = {
-        "timestep_s": settings.timestep_s,
-        "near_rigid_threshold": settings.near_rigid_threshold,
-    }
-    kept = {
-        "timestep_s": plant.time_step(),
-        "near_rigid_threshold": plant.get_sap_near_rigid_threshold(),
-    }
-    asked["approximation"] = _approximation(settings.approximation)
-    check_kept(
-        "Drake",
-        asked,
-        kept | {"approximation": plant.get_discrete_contact_approximation()},
-    )
     plant.mutable_gravity_field().set_gravity_vector(
         [0.0, 0.0, -scene.gravity_m_per_s2]
     )
@@ -177,7 +160,6 @@ def build_model(scene: Scene, settings: SettingsDrake) -> Model:
         diagram=diagram,
         plant=plant,
         bodies=bodies,
-        start=_start(plant, scene, bodies),
         names={
             one: name
             for _, shapes in geometries
@@ -289,28 +271,6 @@ def _filter(scene_graph: Any, scene: Scene, groups: Groups) -> None:
                     first_set, GeometrySet(others)
                 )
             )
-
-
-def _start(plant: Any, scene: Scene, bodies: dict[str, Any]) -> FloatArray:
-    state = np.zeros(plant.num_multibody_states())
-    offset = plant.num_positions()
-    for body in scene.bodies:
-        if body.motion is Motion.FIXED:
-            continue
-        if body.name in scene.hinges:
-            row = offset + plant.GetJointByName(body.name).velocity_start()
-            axis = scene.hinges[body.name].axis
-            state[row] = np.dot(body.angular_velocity_rad_per_s, axis)
-            continue
-        added = bodies[body.name]
-        first = added.floating_positions_start()
-        state[first : first + 7] = [*body.pose.quaternion, *body.pose.position_m]
-        first = offset + added.floating_velocities_start_in_v()
-        state[first : first + 6] = [
-            *body.angular_velocity_rad_per_s,
-            *body.linear_velocity_m_per_s,
-        ]
-    return state
 
 
 # --- collision geometry -----------------------------------------------------------------------------------------------

@@ -9,17 +9,13 @@ import rapier3d as rapier
 from gauge_envs.backends.rapier.model import MASS_UNIT_KG, build_world
 from gauge_envs.backends.rapier.settings import SettingsRapier
 from gauge_envs.backends.shared.rigid import (
-    CONJUGATE,
     DrivenMotion,
     PlacedSimulation,
+    hinge_angle,
     placed_states,
 )
 from gauge_envs.scene import Scene
-from gauge_envs.scene.geometry import (
-    FloatArray,
-    quaternion_products,
-    quaternion_vectors,
-)
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.states import nominal_states, row_of
 
 CALLING_THREAD_BODIES = 16
@@ -87,11 +83,11 @@ class SimulationRapier(PlacedSimulation):
             return
         chain = joints.get_multibody(link.multibody)
         axis = self._hinges[name].axis
-        back = self._nominal[self._rows[name], 3:7] * CONJUGATE
-        turn = quaternion_vectors(quaternion_products(state[3:7], back)[None])[0]
+        nominal = self._nominal[self._rows[name], 3:7]
+        angle_rad = hinge_angle(axis, nominal, state[3:7])
         # The coordinates of the anchor come first.
         still = [0.0] * (chain.ndofs - 1)
-        chain.apply_displacements([*still, float(turn @ axis)])
+        chain.apply_displacements([*still, angle_rad])
         chain.set_generalized_velocity([*still, float(state[10:] @ axis)])
 
     def _place(self, name: str, state: FloatArray) -> None:

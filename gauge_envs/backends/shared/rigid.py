@@ -137,6 +137,18 @@ def hinge_frame(hinge: Hinge) -> Pose:
     return Pose.from_rotation(hinge.anchor_m, turn)
 
 
+def hinge_angle(axis: ArrayLike, nominal: FloatArray, quaternion: FloatArray) -> float:
+    """Return the angle by which a body has turned about its hinge [rad], at most half a turn.
+
+    Args:
+        axis: Axis of the hinge, a unit vector, shape [3].
+        nominal: Quaternion w, x, y, z of the nominal start, shape [4].
+        quaternion: That of the state, shape [4].
+    """
+    turn = quaternion_products(quaternion, nominal * CONJUGATE)
+    return float(quaternion_vectors(turn[None])[0] @ np.asarray(axis))
+
+
 @dataclass(frozen=True)
 class TetherSpring:
     """A string for engines without strings: a stiff spring with critical damping, which only pulls.
