@@ -7,10 +7,12 @@ rest; its row has the pose of its frame.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from gauge_envs.scene.bodies import RigidBody
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.bodies import Motion, RigidBody
+from gauge_envs.scene.geometry import FloatArray, Pose
 from gauge_envs.scene.scene import Scene
 
 
@@ -30,3 +32,24 @@ def row_of(scene: Scene, name: str) -> int:
     """Return the row of a body in the states of a scene."""
     names = [body.name for body in (*scene.bodies, *scene.deformables)]
     return names.index(name)
+
+
+def bodies_at(scene: Scene, states: FloatArray) -> tuple[RigidBody, ...]:
+    """Return the rigid bodies of a scene at other initial states, for engines that build them anew at each reset.
+
+    Args:
+        scene: The scene, whose fixed bodies stay.
+        states: Initial states of one world, shape [body_count, 13].
+    """
+    rows = states[: len(scene.bodies)].tolist()
+    return tuple(
+        body
+        if body.motion is Motion.FIXED
+        else replace(
+            body,
+            pose=Pose(position_m=tuple(row[:3]), quaternion=tuple(row[3:7])),
+            linear_velocity_m_per_s=tuple(row[7:10]),
+            angular_velocity_rad_per_s=tuple(row[10:]),
+        )
+        for body, row in zip(scene.bodies, rows, strict=True)
+    )
