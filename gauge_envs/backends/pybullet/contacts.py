@@ -41,7 +41,7 @@ def surfaces(scene: Scene) -> dict[str, list[Surface]]:
     unmoved = {body.name for body in scene.bodies if body.motion is not Motion.DYNAMIC}
     friction: dict[Pair, float] = {}
     restitution: dict[Pair, float] = {}
-    for contact, pair in _pairs(scene):
+    for contact, pair in colliding_pairs(scene):
         friction[pair] = contact.friction
         # Restitution has no effect on a sustained pair.
         is_impact = contact.mode is ContactMode.IMPACT
@@ -76,7 +76,7 @@ def turning_shares(scene: Scene) -> dict[str, tuple[float, float]]:
     Bullet's value of a pair is that of each body times the friction of the other one, added.
     """
     shares: dict[str, tuple[float, float]] = {}
-    for contact, pair in _pairs(scene):
+    for contact, pair in colliding_pairs(scene):
         friction = contact.friction or 1.0
         for name in pair:
             share = (contact.torsion_m / friction, contact.rolling_m / friction)
@@ -88,7 +88,7 @@ def turning_shares(scene: Scene) -> dict[str, tuple[float, float]]:
     return shares
 
 
-def _pairs(scene: Scene) -> Iterator[tuple[Contact, Pair]]:
+def colliding_pairs(scene: Scene) -> Iterator[tuple[Contact, Pair]]:
     """Yield the colliding pairs of a scene."""
     for contact in scene.contacts:
         for pair in scene.colliding_pairs(contact):
@@ -172,7 +172,7 @@ def impact_bodies(scene: Scene) -> set[str]:
     """
     sustained: set[str] = set()
     impacts: list[Pair] = []
-    for contact, pair in _pairs(scene):
+    for contact, pair in colliding_pairs(scene):
         if contact.mode is ContactMode.IMPACT:
             impacts.append(pair)
         else:
@@ -195,7 +195,7 @@ def pushing_bodies(scene: Scene) -> set[str]:
     motions = {body.name: body.motion for body in scene.bodies}
     touched: dict[str, set[str]] = {}
     rebounding: set[str] = set()
-    for contact, pair in _pairs(scene):
+    for contact, pair in colliding_pairs(scene):
         if contact.mode is ContactMode.IMPACT:
             rebounding.update(pair)
             continue

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.pybullet.contacts import (
     Surface,
+    colliding_pairs,
     impact_bodies,
     pushing_bodies,
     surfaces,
@@ -62,6 +63,7 @@ class Model(World):
         self.soft: dict[str, int] = {}
         # Body and link with the surface of one body towards another.
         self._towards: dict[tuple[str, str], tuple[int, int]] = {}
+        self._pairs = [pair for _, pair in colliding_pairs(scene)]
         self._surfaces = surfaces(scene)
         self._late = impact_bodies(scene) if settings.late_impacts else set()
         self._coned = pushing_bodies(scene) if settings.cone_friction else set()
@@ -278,7 +280,7 @@ class Model(World):
             for link in range(BASE, self.client.getNumJoints(number)):
                 self.client.setCollisionFilterGroupMask(number, link, 0, 0)
         let_collide = self.client.setCollisionFilterPair
-        for (first, second), (body, link) in self._towards.items():
-            if first < second:
-                other, other_link = self._towards[second, first]
-                let_collide(body, other, link, other_link, 1)
+        for first, second in self._pairs:
+            body, link = self._towards[first, second]
+            other, other_link = self._towards[second, first]
+            let_collide(body, other, link, other_link, 1)
