@@ -108,13 +108,18 @@ def build_model(scene: Scene, settings: SettingsDrake) -> Model:
         _add_hinge(plant, scene.body(hinge.body), bodies[hinge.body], hinge)
     groups = _add_geometries(plant, scene, bodies, settings)
     plant.Finalize()
-    _filter(scene_graph, scene, groups)
     names = {
         one: name
         for _, geometries in groups
         for name, ids in geometries.items()
         for one in ids
     }
+    allowed = CollisionFilterDeclaration().ExcludeWithin(GeometrySet(list(names)))
+    for contacts, geometries in groups:
+        for first, others in _partners(scene, contacts).items():
+            met = [one for name in others for one in geometries[name]]
+            allowed.AllowBetween(GeometrySet(geometries[first]), GeometrySet(met))
+    scene_graph.collision_filter_manager().Apply(allowed)
     return Model(diagram=builder.Build(), plant=plant, bodies=bodies, names=names)
 
 
@@ -163,18 +168,13 @@ def _add_bodies(plant: Any, scene: Scene, settings: SettingsDrake) -> dict[str, 
 
 
 def _add_hinge(plant: Any, body: RigidBody, added: Any, hinge: Hinge) -> None:
-    """Add the hinge of a body, which is `added` in Drake, about the z axes of two frames at its anchor."""
-    axes = RotationMatrix.MakeFromOneVector(np.asarray(hinge.axis), 2)
-    anchor = RigidTransform(axes, np.asarray(hinge.anchor_m))
+    """Add the hinge of a body, which is `added` in Drake, between frames at its anchor with the axes of the world."""
+    anchor = RigidTransform(np.asarray(hinge.anchor_m))
     in_body = rigid_transform(body.pose).inverse() @ anchor
-    ends = (("", plant.world_body(), anchor), (body.name, added, in_body))
-    frames = [
-        plant.AddFrame(
-            FixedOffsetFrame(f"{body.name}/{end}", holder.body_frame(), place)
-        )
-        for end, holder, place in ends
-    ]
-    plant.AddJoint(RevoluteJoint(body.name, *frames, [0, 0, 1], -np.inf, np.inf, 0.0))
+    world, name = plant.world_frame(), body.name
+    parent = plant.AddFrame(FixedOffsetFrame(f"{name}/anchor", world, anchor))
+    child = plant.AddFrame(FixedOffsetFrame(f"{name}/pin", added.body_frame(), in_body))
+    plant.AddJoint(RevoluteJoint(name, parent, child, hinge.axis))
 
 
 Groups = list[tuple[list[Contact], dict[str, list[GeometryId]]]]
@@ -224,21 +224,13 @@ def _has_corners(body: RigidBody, settings: SettingsDrake) -> bool:
     )
 
 
-def _filter(scene_graph: Any, scene: Scene, groups: Groups) -> None:
-    """Let the pairs of each contact collide and no others."""
-    manager = scene_graph.collision_filter_manager()
-    everything = [
-        one for _, geometries in groups for ids in geometries.values() for one in ids
-    ]
-    manager.Apply(CollisionFilterDeclaration().ExcludeWithin(GeometrySet(everything)))
-    for contacts, geometries in groups:
-        partners: dict[str, list[GeometryId]] = defaultdict(list)
-        for contact in contacts:
-            for first, second in scene.colliding_pairs(contact):
-                partners[first].extend(geometries[second])
-        for first, others in partners.items():
-            pair = GeometrySet(geometries[first]), GeometrySet(others)
-            manager.Apply(CollisionFilterDeclaration().AllowBetween(*pair))
+def _partners(scene: Scene, contacts: list[Contact]) -> dict[str, list[str]]:
+    """Return the second bodies of all pairs of some contacts, by the first one."""
+    partners: dict[str, list[str]] = defaultdict(list)
+    for contact in contacts:
+        for first, second in scene.colliding_pairs(contact):
+            partners[first].append(second)
+    return partners
 
 
 # --- collision geometry -----------------------------------------------------------------------------------------------
@@ -308,11 +300,8 @@ def inner_radius_m(shape: Shape) -> float:
         return 0.5 * min(shape.size_m)
     if isinstance(shape, Cylinder):
         return min(shape.radius_m, 0.5 * shape.length_m)
-    if isinstance(shape, Sphere):
-        return shape.radius_m
-    if isinstance(shape, ConvexUnion):
-        return max(_piece_inner_radius_m(np.asarray(piece)) for piece in shape.pieces_m)
-    return float("inf")
+    assert isinstance(shape, ConvexUnion)
+    return max(_piece_inner_radius_m(np.asarray(piece)) for piece in shape.pieces_m)
 
 
 def _piece_inner_radius_m(points_m: FloatArray) -> float:

@@ -1,5 +1,6 @@
 """A scene in Drake, advanced step by step."""
 
+import logging
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -21,8 +22,10 @@ from gauge_envs.backends.shared.rigid import (
 from gauge_envs.backends.simulation import ContactForces
 from gauge_envs.scene import Motion, Scene
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.scene.meshes import body_mass_properties
-from gauge_envs.scene.states import nominal_states, row_of
+from gauge_envs.scene.states import nominal_states
+
+# Drake warns about half-spaces, which deformable bodies cannot touch. Its import resets the level.
+logging.getLogger("drake").setLevel(logging.ERROR)
 
 
 class SimulationDrake(PlacedSimulation):
@@ -47,18 +50,10 @@ class SimulationDrake(PlacedSimulation):
         self._state = np.zeros(plant.num_multibody_states())
         # Where the state has the position and the velocity of each body.
         self._places: dict[str, tuple[int, int]] = {}
-        for name, body in self._model.bodies.items():
-            if name in scene.hinges:
-                joint = plant.GetJointByName(name)
-                position, velocity = joint.position_start(), joint.velocity_start()
-            else:
-                position = body.floating_positions_start()
-                velocity = body.floating_velocities_start_in_v()
-            self._places[name] = position, plant.num_positions() + velocity
-        self._centres_m = {
-            body.name: np.asarray(body_mass_properties(body)[0])
-            for body in scene.dynamic_bodies
-        }
+        for name in self._model.bodies:
+            joint = plant.GetJointByName(name)
+            velocity = plant.num_positions() + joint.velocity_start()
+            self._places[name] = joint.position_start(), velocity
         self.reset()
 
     def reset(self, starts: FloatArray | None = None, seed: int = 0) -> None:
@@ -68,18 +63,16 @@ class SimulationDrake(PlacedSimulation):
         self._wrenches: dict[str, FloatArray] = {}
         for reader in self._force_readers:
             reader.clear()
-        for name, (position, velocity) in self._places.items():
-            row = row_of(self._scene, name)
-            state = states[row]
-            if name in self._scene.hinges:
-                axis = self._scene.hinges[name].axis
-                nominal = self._nominal[row, 3:7]
-                self._state[position] = hinge_angle(axis, nominal, state[3:7])
-                self._state[velocity] = state[10:] @ axis
-            else:
-                self._write(name, state)
-            if self._scene.body(name).motion is Motion.KINEMATIC:
-                self._motions[name] = DrivenMotion.of(np.append(state, np.zeros(6)))
+        for body, state in zip(self._scene.bodies, states, strict=False):
+            hinge = self._scene.hinges.get(body.name)
+            if hinge is not None:
+                position, velocity = self._places[body.name]
+                self._state[position] = hinge_angle(hinge, body.pose, state)
+                self._state[velocity] = state[10:] @ hinge.axis
+            elif body.motion is Motion.KINEMATIC:
+                self.drive(body.name, np.append(state, np.zeros(6))[None])
+            elif body.motion is Motion.DYNAMIC:
+                self._write(body.name, state)
         self._context.SetDiscreteState(self._state)
         self._apply_forces()
 
@@ -138,7 +131,7 @@ class SimulationDrake(PlacedSimulation):
     def _apply_forces(self) -> None:
         """Give the plant the wrenches, and the pulls of strings now."""
         forces = [
-            self._force(name, self._centres_m[name], wrench)
+            self._force(name, self._model.bodies[name].default_com(), wrench)
             for name, wrench in self._wrenches.items()
         ]
         for spring in self._tethers:
@@ -169,10 +162,10 @@ class SimulationDrake(PlacedSimulation):
 
     def _free_state(self, name: str) -> FloatArray:
         position, velocity = self._places[name]
-        quaternion, place_m = np.split(self._state[position : position + 7], [4])
-        angular, linear = np.split(self._state[velocity : velocity + 6], 2)
-        length = np.linalg.norm(quaternion)
-        return np.concatenate([place_m, quaternion / length, linear, angular])
+        pose = self._state[position : position + 7]
+        speed = self._state[velocity : velocity + 6]
+        quaternion = pose[:4] / np.linalg.norm(pose[:4])
+        return np.concatenate([pose[4:], quaternion, speed[3:], speed[:3]])
 
     def _hinged_state(self, name: str) -> FloatArray:
         plant, body = self._model.plant, self._model.bodies[name]

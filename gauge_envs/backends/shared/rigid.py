@@ -137,16 +137,17 @@ def hinge_frame(hinge: Hinge) -> Pose:
     return Pose.from_rotation(hinge.anchor_m, turn)
 
 
-def hinge_angle(axis: ArrayLike, nominal: FloatArray, quaternion: FloatArray) -> float:
+def hinge_angle(hinge: Hinge, nominal: Pose, state: FloatArray) -> float:
     """Return the angle by which a body has turned about its hinge [rad], at most half a turn.
 
     Args:
-        axis: Axis of the hinge, a unit vector, shape [3].
-        nominal: Quaternion w, x, y, z of the nominal start, shape [4].
-        quaternion: That of the state, shape [4].
+        hinge: The hinge.
+        nominal: Pose of the body at the nominal start.
+        state: State of the body, shape [13].
     """
-    turn = quaternion_products(quaternion, nominal * CONJUGATE)
-    return float(quaternion_vectors(turn[None])[0] @ np.asarray(axis))
+    back = CONJUGATE * np.asarray(nominal.quaternion)
+    turn = quaternion_products(state[3:7], back)
+    return float(quaternion_vectors(turn[None])[0] @ np.asarray(hinge.axis))
 
 
 @dataclass(frozen=True)
