@@ -8,11 +8,10 @@ rest; its row has the pose of its frame.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
-from gauge_envs.scene.bodies import RigidBody
+from gauge_envs.scene.bodies import Motion, RigidBody
 from gauge_envs.scene.geometry import FloatArray, Pose
 from gauge_envs.scene.scene import Scene
 
@@ -29,25 +28,39 @@ def nominal_states(scene: Scene) -> FloatArray:
     return states
 
 
-def scene_at(scene: Scene, states: FloatArray) -> Scene:
-    """Return the scene whose nominal start is given by states, shape [body_count, 13]."""
-    bodies = []
-    for body, state in zip(scene.bodies, states.tolist(), strict=False):
-        changes: dict[str, Any] = {
-            "pose": Pose(position_m=tuple(state[:3]), quaternion=tuple(state[3:7])),
-            "linear_velocity_m_per_s": tuple(state[7:10]),
-            "angular_velocity_rad_per_s": tuple(state[10:]),
-        }
-        bodies.append(replace(body, **changes))
-    deformables = []
-    rows = states[len(bodies) :].tolist()
-    for deformable, state in zip(scene.deformables, rows, strict=True):
-        pose = Pose(position_m=tuple(state[:3]), quaternion=tuple(state[3:7]))
-        deformables.append(replace(deformable, pose=pose))
-    return replace(scene, bodies=tuple(bodies), deformables=tuple(deformables))
-
-
 def row_of(scene: Scene, name: str) -> int:
     """Return the row of a body in the states of a scene."""
     names = [body.name for body in (*scene.bodies, *scene.deformables)]
     return names.index(name)
+
+
+def bodies_at(scene: Scene, states: FloatArray) -> tuple[RigidBody, ...]:
+    """Return the rigid bodies of a scene at other initial states.
+
+    Args:
+        scene: The scene, whose fixed bodies stay.
+        states: Initial states of one world, shape [body_count, 13].
+    """
+    rows = states[: len(scene.bodies)].tolist()
+    return tuple(
+        body
+        if body.motion is Motion.FIXED
+        else replace(
+            body,
+            pose=Pose(position_m=tuple(row[:3]), quaternion=tuple(row[3:7])),
+            linear_velocity_m_per_s=tuple(row[7:10]),
+            angular_velocity_rad_per_s=tuple(row[10:]),
+        )
+        for body, row in zip(scene.bodies, rows, strict=True)
+    )
+
+
+def scene_at(scene: Scene, states: FloatArray) -> Scene:
+    """Return the scene whose nominal start is given by states, shape [body_count, 13]."""
+    deformables = []
+    rows = states[len(scene.bodies) :].tolist()
+    for deformable, row in zip(scene.deformables, rows, strict=True):
+        pose = Pose(position_m=tuple(row[:3]), quaternion=tuple(row[3:7]))
+        deformables.append(replace(deformable, pose=pose))
+    bodies = bodies_at(scene, states)
+    return replace(scene, bodies=bodies, deformables=tuple(deformables))

@@ -1,8 +1,6 @@
 """Drake: rigid bodies with point and hydroelastic contact. The first build imports the engine, which takes a second."""
 
-import logging
 from collections.abc import Iterator, Mapping
-from functools import cache
 from types import MappingProxyType
 from typing import Any
 
@@ -13,7 +11,7 @@ from gauge_envs.backends.shared.bundled import (
     declined_compounds,
     first_of,
 )
-from gauge_envs.backends.world import Simulation
+from gauge_envs.backends.simulation import Simulation
 from gauge_envs.scene import Scene
 
 __all__ = ["BackendDrake"]
@@ -64,11 +62,4 @@ class BackendDrake(BundledBackend):
         """Build a scene; settings are the fields of `SettingsDrake`."""
         from gauge_envs.backends.drake.simulation import SimulationDrake
 
-        _start_quietly()
         return SimulationDrake(scene, settings_for(scene, settings))
-
-
-@cache
-def _start_quietly() -> None:
-    """Keep Drake from logging a warning about deformable bodies for half-spaces. Its import resets the level."""
-    logging.getLogger("drake").setLevel(logging.ERROR)

@@ -11,15 +11,15 @@ from pydrake.geometry import (
     CollisionFilterDeclaration,
     GeometryId,
     GeometrySet,
-    HydroelasticContactRepresentation,
     SceneGraph,
 )
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import (
-    ContactModel,
+    ApplyMultibodyPlantConfig,
     CoulombFriction,
     DiscreteContactApproximation,
     MultibodyPlant,
+    MultibodyPlantConfig,
 )
 from pydrake.multibody.tree import (
     FixedOffsetFrame,
@@ -33,7 +33,6 @@ from scipy.spatial import ConvexHull
 
 from gauge_envs.backends.drake.contacts import ContactConstants, contact_constants
 from gauge_envs.backends.drake.settings import SettingsDrake
-from gauge_envs.backends.settings import check_kept
 from gauge_envs.errors import ParameterError
 from gauge_envs.scene import (
     Box,
@@ -52,17 +51,6 @@ from gauge_envs.scene import (
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.meshes import body_mass_properties
 
-APPROXIMATIONS = {
-    "tamsi": "kTamsi",
-    "sap": "kSap",
-    "similar": "kSimilar",
-    "lagged": "kLagged",
-}
-SURFACES = {
-    "polygon": HydroelasticContactRepresentation.kPolygon,
-    "triangle": HydroelasticContactRepresentation.kTriangle,
-}
-
 CYLINDER_SIDES = 96
 """Number of sides of the hydroelastic mesh of a cylinder; its radius is exact within 0.06 %."""
 
@@ -76,10 +64,6 @@ UNMOVED_KG = 1e9
 """Mass that gives fixed and driven bodies a stiffness beside which that of a dynamic body counts alone [kg]."""
 
 
-Groups = list[tuple[list[Contact], dict[str, list[GeometryId]]]]
-"""Contacts with equal constants, and the geometries of each body in them by name, for each group."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class Model:
     """A scene in Drake.
@@ -88,14 +72,12 @@ class Model:
         diagram: The diagram of plant and scene graph.
         plant: The multibody plant.
         bodies: Drake's body of each dynamic or driven body, by name.
-        start: Discrete state at the start: positions, then velocities.
         names: Name of the body of each geometry.
     """
 
     diagram: Any
     plant: Any
     bodies: dict[str, Any]
-    start: FloatArray
     names: dict[GeometryId, str]
 
 
@@ -105,8 +87,8 @@ def rigid_transform(pose: Pose) -> RigidTransform:
 
 
 def build_model(scene: Scene, settings: SettingsDrake) -> Model:
-    """Build a diagram with a discrete plant, whose state is that of the scene's start."""
-    # `AddMultibodyPlantSceneGraph` of pydrake 1.51 does the same, and never frees the plant.
+    """Build a diagram with a discrete plant."""
+    # `AddMultibodyPlant` of pydrake 1.51 does the same, and never frees the plant.
     builder = DiagramBuilder()
     plant = builder.AddSystem(MultibodyPlant(settings.timestep_s))
     scene_graph = builder.AddSystem(SceneGraph())
@@ -118,113 +100,85 @@ def build_model(scene: Scene, settings: SettingsDrake) -> Model:
         plant.get_geometry_pose_output_port(),
         scene_graph.get_source_pose_port(plant.get_source_id()),
     )
-    plant.SetUseSampledOutputPorts(False)
-    plant.set_contact_model(
-        ContactModel.kPoint
-        if settings.contact_model == "point"
-        else ContactModel.kHydroelasticWithFallback
-    )
-    plant.set_discrete_contact_approximation(_approximation(settings.approximation))
-    plant.set_contact_surface_representation(SURFACES[settings.surface])
-    plant.set_stiction_tolerance(settings.stiction_speed_m_per_s)
-    plant.set_sap_near_rigid_threshold(settings.near_rigid_threshold)
-    asked = {
-        "timestep_s": settings.timestep_s,
-        "near_rigid_threshold": settings.near_rigid_threshold,
+    ApplyMultibodyPlantConfig(_config(settings), plant)
+    gravity = [0.0, 0.0, -scene.gravity_m_per_s2]
+    plant.mutable_gravity_field().set_gravity_vector(gravity)
+    bodies = _add_bodies(plant, scene, settings)
+    for hinge in scene.hinges.values():
+        _add_hinge(plant, scene.body(hinge.body), bodies[hinge.body], hinge)
+    groups = _add_geometries(plant, scene, bodies, settings)
+    plant.Finalize()
+    names = {
+        one: name
+        for _, geometries in groups
+        for name, ids in geometries.items()
+        for one in ids
     }
-    kept = {
-        "timestep_s": plant.time_step(),
-        "near_rigid_threshold": plant.get_sap_near_rigid_threshold(),
-    }
-    asked["approximation"] = _approximation(settings.approximation)
-    check_kept(
-        "Drake",
-        asked,
-        kept | {"approximation": plant.get_discrete_contact_approximation()},
+    allowed = CollisionFilterDeclaration().ExcludeWithin(GeometrySet(list(names)))
+    for contacts, geometries in groups:
+        for first, others in _partners(scene, contacts).items():
+            met = [one for name in others for one in geometries[name]]
+            allowed.AllowBetween(GeometrySet(geometries[first]), GeometrySet(met))
+    scene_graph.collision_filter_manager().Apply(allowed)
+    return Model(diagram=builder.Build(), plant=plant, bodies=bodies, names=names)
+
+
+def _config(settings: SettingsDrake) -> MultibodyPlantConfig:
+    """Return the settings of the plant, in Drake's names."""
+    name = settings.approximation
+    if not hasattr(DiscreteContactApproximation, f"k{name.title()}"):
+        raise ParameterError(
+            f"Drake setting 'approximation' is {name!r}, which Drake {version('drake')} does not have: choose sap, "
+            "similar, lagged, or install Drake 1.51"
+        )
+    is_point = settings.contact_model == "point"
+    return MultibodyPlantConfig(
+        time_step=settings.timestep_s,
+        use_sampled_output_ports=False,
+        contact_model="point" if is_point else "hydroelastic_with_fallback",
+        discrete_contact_approximation=name,
+        contact_surface_representation=settings.surface,
+        stiction_tolerance=settings.stiction_speed_m_per_s,
+        sap_near_rigid_threshold=settings.near_rigid_threshold,
     )
-    plant.mutable_gravity_field().set_gravity_vector(
-        [0.0, 0.0, -scene.gravity_m_per_s2]
-    )
+
+
+def _add_bodies(plant: Any, scene: Scene, settings: SettingsDrake) -> dict[str, Any]:
+    """Add the bodies that move, and return them by name. Driven bodies are heavy and have no weight."""
     free, driven = plant.AddModelInstance("free"), plant.AddModelInstance("driven")
     plant.set_gravity_enabled(driven, False)
-
-    driven_mass_kg = settings.driven_mass_ratio * sum(
-        body.mass_kg for body in scene.dynamic_bodies
-    )
+    dynamic_mass_kg = sum(body.mass_kg for body in scene.dynamic_bodies)
+    driven_mass_kg = settings.driven_mass_ratio * dynamic_mass_kg or 1.0
     bodies = {}
     for body in scene.bodies:
         if body.motion is Motion.DYNAMIC:
-            centre, tensor = body_mass_properties(body)
+            centre_m, tensor = body_mass_properties(body)
             (xx, xy, xz), (_, yy, yz), (_, _, zz) = tensor
             moments = RotationalInertia(Ixx=xx, Iyy=yy, Izz=zz, Ixy=xy, Ixz=xz, Iyz=yz)
             inertia = SpatialInertia.MakeFromCentralInertia(
-                body.mass_kg, centre, moments
+                body.mass_kg, centre_m, moments
             )
             bodies[body.name] = plant.AddRigidBody(body.name, free, inertia)
         elif body.motion is Motion.KINEMATIC:
             reach_m = np.linalg.norm(body.shape.corners_m, axis=1).max()
-            inertia = SpatialInertia.SolidSphereWithMass(
-                driven_mass_kg or 1.0, float(np.sqrt(2.5) * reach_m)
-            )
+            radius_m = float(np.sqrt(2.5) * reach_m)
+            inertia = SpatialInertia.SolidSphereWithMass(driven_mass_kg, radius_m)
             bodies[body.name] = plant.AddRigidBody(body.name, driven, inertia)
-    for hinge in scene.hinges.values():
-        _add_hinge(plant, scene.body(hinge.body), bodies[hinge.body], hinge)
-    geometries = _add_geometries(plant, scene, bodies, settings)
-    plant.Finalize()
-    _filter(scene_graph, scene, geometries)
-    diagram = builder.Build()
-    return Model(
-        diagram=diagram,
-        plant=plant,
-        bodies=bodies,
-        start=_start(plant, scene, bodies),
-        names={
-            one: name
-            for _, shapes in geometries
-            for name, ids in shapes.items()
-            for one in ids
-        },
-    )
-
-
-def _approximation(name: str) -> DiscreteContactApproximation:
-    known = {
-        key: value
-        for key, value in APPROXIMATIONS.items()
-        if hasattr(DiscreteContactApproximation, value)
-    }
-    if name not in known:
-        raise ParameterError(
-            f"Drake setting 'approximation' is {name!r}, which Drake {version('drake')} does not have: "
-            f"choose one of {', '.join(known)}, or install Drake 1.51"
-        )
-    return getattr(DiscreteContactApproximation, known[name])
+    return bodies
 
 
 def _add_hinge(plant: Any, body: RigidBody, added: Any, hinge: Hinge) -> None:
-    """Add the hinge of a body to the world, about the z axes of two frames at its anchor.
-
-    Args:
-        plant: Drake's plant.
-        body: The body.
-        added: Drake's body.
-        hinge: The hinge.
-    """
-    anchor = RigidTransform(
-        RotationMatrix.MakeFromOneVector(np.asarray(hinge.axis), 2),
-        np.asarray(hinge.anchor_m),
-    )
+    """Add the hinge of a body, which is `added` in Drake, between frames at its anchor with the axes of the world."""
+    anchor = RigidTransform(np.asarray(hinge.anchor_m))
     in_body = rigid_transform(body.pose).inverse() @ anchor
-    frames = [
-        plant.AddFrame(
-            FixedOffsetFrame(f"{body.name}/{end}", holder.body_frame(), place)
-        )
-        for end, holder, place in (
-            ("", plant.world_body(), anchor),
-            (body.name, added, in_body),
-        )
-    ]
-    plant.AddJoint(RevoluteJoint(body.name, *frames, [0, 0, 1], -np.inf, np.inf, 0.0))
+    world, name = plant.world_frame(), body.name
+    parent = plant.AddFrame(FixedOffsetFrame(f"{name}/anchor", world, anchor))
+    child = plant.AddFrame(FixedOffsetFrame(f"{name}/pin", added.body_frame(), in_body))
+    plant.AddJoint(RevoluteJoint(name, parent, child, hinge.axis))
+
+
+Groups = list[tuple[list[Contact], dict[str, list[GeometryId]]]]
+"""Contacts with equal constants, and the geometries of each body in them by name, for each group."""
 
 
 def _add_geometries(
@@ -236,28 +190,19 @@ def _add_geometries(
         contacts[contact_constants(scene, contact, settings)].append(contact)
     groups: Groups = []
     for index, (constants, members) in enumerate(contacts.items()):
+        sides = [name for one in members for name in (*one.first, *one.second)]
         geometries: dict[str, list[GeometryId]] = {}
-        for name in dict.fromkeys(
-            name for contact in members for name in (*contact.first, *contact.second)
-        ):
+        for name in dict.fromkeys(sides):
             body = scene.body(name)
-            frame = bodies.get(name, plant.world_body())
-            place = (
-                rigid_transform(body.pose)
-                if body.motion is Motion.FIXED
-                else RigidTransform()
-            )
-            parts = [(place @ RigidTransform(), shape) for shape in _shapes(body.shape)]
-            if settings.contact_model == "point" and body.motion is not Motion.FIXED:
-                # Tiny spheres at the vertices of a polyhedron are further contact points.
-                corners = (
-                    np.unique(body.shape.corners_m, axis=0)
-                    if isinstance(body.shape, Box | ConvexUnion)
-                    else ()
-                )
+            frame, place = bodies.get(name), RigidTransform()
+            if frame is None:
+                frame, place = plant.world_body(), rigid_transform(body.pose)
+            parts = [(place, shape) for shape in _shapes(body.shape)]
+            if _has_corners(body, settings):
+                corner = geometry.Sphere(CORNER_RADIUS_M)
                 parts += [
-                    (place @ RigidTransform(one), geometry.Sphere(CORNER_RADIUS_M))
-                    for one in corners
+                    (RigidTransform(corner_m), corner)
+                    for corner_m in np.unique(body.shape.corners_m, axis=0)
                 ]
             properties = _proximity_properties(body, constants, settings)
             geometries[name] = [
@@ -270,47 +215,22 @@ def _add_geometries(
     return groups
 
 
-def _filter(scene_graph: Any, scene: Scene, groups: Groups) -> None:
-    """Let the pairs of each contact collide and no others."""
-    manager = scene_graph.collision_filter_manager()
-    everything = [
-        one for _, geometries in groups for ids in geometries.values() for one in ids
-    ]
-    manager.Apply(CollisionFilterDeclaration().ExcludeWithin(GeometrySet(everything)))
-    for contacts, geometries in groups:
-        partners: dict[str, list[GeometryId]] = defaultdict(list)
-        for contact in contacts:
-            for first, second in scene.colliding_pairs(contact):
-                partners[first].extend(geometries[second])
-        for first, others in partners.items():
-            first_set = GeometrySet(geometries[first])
-            manager.Apply(
-                CollisionFilterDeclaration().AllowBetween(
-                    first_set, GeometrySet(others)
-                )
-            )
+def _has_corners(body: RigidBody, settings: SettingsDrake) -> bool:
+    """Return whether a body gets tiny spheres at the vertices of its polyhedra, as further contact points."""
+    return (
+        settings.contact_model == "point"
+        and body.motion is not Motion.FIXED
+        and isinstance(body.shape, Box | ConvexUnion)
+    )
 
 
-def _start(plant: Any, scene: Scene, bodies: dict[str, Any]) -> FloatArray:
-    state = np.zeros(plant.num_multibody_states())
-    offset = plant.num_positions()
-    for body in scene.bodies:
-        if body.motion is Motion.FIXED:
-            continue
-        if body.name in scene.hinges:
-            row = offset + plant.GetJointByName(body.name).velocity_start()
-            axis = scene.hinges[body.name].axis
-            state[row] = np.dot(body.angular_velocity_rad_per_s, axis)
-            continue
-        added = bodies[body.name]
-        first = added.floating_positions_start()
-        state[first : first + 7] = [*body.pose.quaternion, *body.pose.position_m]
-        first = offset + added.floating_velocities_start_in_v()
-        state[first : first + 6] = [
-            *body.angular_velocity_rad_per_s,
-            *body.linear_velocity_m_per_s,
-        ]
-    return state
+def _partners(scene: Scene, contacts: list[Contact]) -> dict[str, list[str]]:
+    """Return the second bodies of all pairs of some contacts, by the first one."""
+    partners: dict[str, list[str]] = defaultdict(list)
+    for contact in contacts:
+        for first, second in scene.colliding_pairs(contact):
+            partners[first].append(second)
+    return partners
 
 
 # --- collision geometry -----------------------------------------------------------------------------------------------
@@ -326,13 +246,10 @@ def _shapes(shape: Shape) -> list[geometry.Shape]:
         return [geometry.Cylinder(shape.radius_m, shape.length_m)]
     if isinstance(shape, Plane):
         return [geometry.HalfSpace()]
-    assert isinstance(shape, ConvexUnion), (
-        "compounds are declined by BackendDrake.unsupported"
-    )
-    pieces = (np.asarray(piece).T for piece in shape.pieces_m)
+    assert isinstance(shape, ConvexUnion)
     return [
-        geometry.Convex(points=points, label=f"piece-{number}")
-        for number, points in enumerate(pieces)
+        geometry.Convex(points=np.asarray(piece).T, label=f"piece-{number}")
+        for number, piece in enumerate(shape.pieces_m)
     ]
 
 
@@ -383,11 +300,8 @@ def inner_radius_m(shape: Shape) -> float:
         return 0.5 * min(shape.size_m)
     if isinstance(shape, Cylinder):
         return min(shape.radius_m, 0.5 * shape.length_m)
-    if isinstance(shape, Sphere):
-        return shape.radius_m
-    if isinstance(shape, ConvexUnion):
-        return max(_piece_inner_radius_m(np.asarray(piece)) for piece in shape.pieces_m)
-    return float("inf")
+    assert isinstance(shape, ConvexUnion)
+    return max(_piece_inner_radius_m(np.asarray(piece)) for piece in shape.pieces_m)
 
 
 def _piece_inner_radius_m(points_m: FloatArray) -> float:

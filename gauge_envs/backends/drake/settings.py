@@ -11,7 +11,12 @@ from typing import Any, Literal
 
 from pydantic import Field
 
-from gauge_envs.backends.settings import SteppedSettings, load_presets, resolve_settings
+from gauge_envs.backends.settings import (
+    STACK_BODY_COUNT,
+    SteppedSettings,
+    load_presets,
+    resolve_settings,
+)
 from gauge_envs.backends.shared.spring_damper import impact_speed_m_per_s
 from gauge_envs.scene import (
     Box,
@@ -73,9 +78,6 @@ class SettingsDrake(SteppedSettings):
 
 PRESETS = load_presets(SettingsDrake, __file__)
 
-LARGE_STACK = 20
-"""Number of dynamic bodies from which a scene gets the cheaper preset `stack`."""
-
 
 def settings_for(
     scene: Scene, changes: Mapping[str, Any] | None = None
@@ -94,17 +96,14 @@ def settings_for(
 def _preset_name(scene: Scene) -> str:
     if not scene.contacts:
         return "contact_free"
-    if len(scene.dynamic_bodies) >= LARGE_STACK:
+    if len(scene.dynamic_bodies) >= STACK_BODY_COUNT:
         return "stack"
     shapes = [body.shape for body in scene.dynamic_bodies]
     if all(isinstance(shape, Sphere) for shape in shapes):
+        modes = {contact.mode for contact in scene.contacts}
         if scene.has_impact_chain:
             return "impact_chain"
-        return (
-            "impact"
-            if any(contact.mode is ContactMode.IMPACT for contact in scene.contacts)
-            else "default"
-        )
+        return "impact" if ContactMode.IMPACT in modes else "default"
     if any(isinstance(shape, Cylinder) for shape in shapes):
         return "rolling"
     return "corners" if _strikes_planes_alone(scene) else "default"
@@ -114,16 +113,14 @@ def _strikes_planes_alone(scene: Scene) -> bool:
     """Return whether every contact is an impact of dynamic polyhedra on planes."""
     for contact in scene.contacts:
         for pair in scene.colliding_pairs(contact):
-            first, second = (scene.body(name) for name in pair)
-            body, other = (
-                (second, first) if isinstance(first.shape, Plane) else (first, second)
-            )
-            is_polyhedron = (
+            bodies = [scene.body(name) for name in pair]
+            has_plane = any(isinstance(body.shape, Plane) for body in bodies)
+            has_polyhedron = any(
                 isinstance(body.shape, Box | ConvexUnion)
                 and body.motion is Motion.DYNAMIC
+                for body in bodies
             )
-            if contact.mode is not ContactMode.IMPACT or not (
-                is_polyhedron and isinstance(other.shape, Plane)
-            ):
+            is_impact = contact.mode is ContactMode.IMPACT
+            if not (is_impact and has_plane and has_polyhedron):
                 return False
     return True

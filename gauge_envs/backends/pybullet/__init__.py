@@ -17,8 +17,7 @@ from gauge_envs.backends.shared.attachments import (
     rigid_attachments,
 )
 from gauge_envs.backends.shared.bundled import BundledBackend, declined_compounds
-from gauge_envs.backends.shared.states import ReplayedSimulation
-from gauge_envs.backends.world import Simulation
+from gauge_envs.backends.simulation import Simulation
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import (
     Cloth,
@@ -45,8 +44,6 @@ class BackendPyBullet(BundledBackend):
     """PyBullet on the CPU, in double precision: rigid bodies, joints, and ropes and soft bodies without contacts.
 
     A hanging bar of foam is 3 % too soft, and a swinging rope gains 2.5 % of its energy.
-
-    Bullet keeps contact forces between steps and cannot save them. A restore therefore repeats the episode.
     """
 
     name = "pybullet"
@@ -94,9 +91,7 @@ class BackendPyBullet(BundledBackend):
         """Build a scene; settings are the fields of `SettingsPyBullet`."""
         from gauge_envs.backends.pybullet.simulation import SimulationPyBullet
 
-        return ReplayedSimulation(
-            SimulationPyBullet(scene, settings_for(scene, settings))
-        )
+        return SimulationPyBullet(scene, settings_for(scene, settings))
 
 
 def _unsupported_joints(scene: Scene) -> Iterator[str]:

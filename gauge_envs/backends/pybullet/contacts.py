@@ -35,32 +35,39 @@ class Surface:
 def surfaces(scene: Scene) -> dict[str, list[Surface]]:
     """Return the surfaces of each colliding body, whose products are the values of all pairs.
 
-    A body has one surface if values of bodies have these products. If not, bodies that contacts do not move get several
-    surfaces, each towards other bodies. The engine has a copy of the body for each surface.
+    A body that contacts move has one surface. Another body has a surface for each pair of values that it needs, and the
+    engine has a copy of it for each surface.
     """
-    pairs = list(_pairs(scene))
-    friction = {pair: contact.friction for contact, pair in pairs}
-    # Restitution has no effect on a sustained pair.
-    restitution = {
-        pair: contact.restitution if contact.mode is ContactMode.IMPACT else 0.0
-        for contact, pair in pairs
-    }
-    partners: dict[str, set[str]] = {}
-    for one, other in friction:
-        partners.setdefault(one, set()).add(other)
-        partners.setdefault(other, set()).add(one)
-    try:
-        frictions = products(friction, "friction")
-        restitutions = products(restitution, "restitution")
-    except UnsupportedSceneError:
-        unmoved = {
-            body.name for body in scene.bodies if body.motion is not Motion.DYNAMIC
-        }
-        return _with_copies(friction, restitution, partners, unmoved)
+    unmoved = {body.name for body in scene.bodies if body.motion is not Motion.DYNAMIC}
+    friction: dict[Pair, float] = {}
+    restitution: dict[Pair, float] = {}
+    for contact, pair in colliding_pairs(scene):
+        friction[pair] = contact.friction
+        # Restitution has no effect on a sustained pair.
+        is_impact = contact.mode is ContactMode.IMPACT
+        restitution[pair] = contact.restitution if is_impact else 0.0
+    frictions = moved_values(friction, unmoved, "friction")
+    restitutions = moved_values(restitution, unmoved, "restitution")
+    groups: dict[str, dict[tuple[float, float], set[str]]] = {}
+    for pair in friction:
+        for name, other in (pair, pair[::-1]):
+            if name in unmoved:
+                constants = (
+                    _quotient(friction[pair], frictions[other]),
+                    _quotient(restitution[pair], restitutions[other]),
+                )
+            else:
+                constants = (frictions[name], restitutions[name])
+            groups.setdefault(name, {}).setdefault(constants, set()).add(other)
     return {
-        name: [Surface(frozenset(others), frictions[name], restitutions[name])]
-        for name, others in partners.items()
+        name: [Surface(frozenset(some), *values) for values, some in groups_of.items()]
+        for name, groups_of in groups.items()
     }
+
+
+def _quotient(product: float, factor: float) -> float:
+    """Return the other factor of a product. Equal factors of a body differ in the last digits, which are cut off."""
+    return float(f"{product / factor:.12g}") if factor else 0.0
 
 
 def turning_shares(scene: Scene) -> dict[str, tuple[float, float]]:
@@ -69,7 +76,7 @@ def turning_shares(scene: Scene) -> dict[str, tuple[float, float]]:
     Bullet's value of a pair is that of each body times the friction of the other one, added.
     """
     shares: dict[str, tuple[float, float]] = {}
-    for contact, pair in _pairs(scene):
+    for contact, pair in colliding_pairs(scene):
         friction = contact.friction or 1.0
         for name in pair:
             share = (contact.torsion_m / friction, contact.rolling_m / friction)
@@ -81,134 +88,81 @@ def turning_shares(scene: Scene) -> dict[str, tuple[float, float]]:
     return shares
 
 
-def _with_copies(
-    friction: Mapping[Pair, float],
-    restitution: Mapping[Pair, float],
-    partners: Mapping[str, set[str]],
-    unmoved: set[str],
-) -> dict[str, list[Surface]]:
-    """Return surfaces with several ones for bodies that contacts do not move."""
-
-    def solved(pairs: Mapping[Pair, float], noun: str) -> dict[str, float]:
-        movable = {
-            pair: value for pair, value in pairs.items() if not unmoved & set(pair)
-        }
-        # A pair with a partner of its own, of value 1, lets each body have any positive value.
-        free = {
-            (name, f"{name} alone"): 1.0 for name in partners if name not in unmoved
-        }
-        return products(movable | free, noun)
-
-    frictions = solved(friction, "friction")
-    restitutions = solved(restitution, "restitution")
-    found: dict[str, list[Surface]] = {}
-    for name, others in partners.items():
-        if name not in unmoved:
-            found[name] = [
-                Surface(frozenset(others), frictions[name], restitutions[name])
-            ]
-    for name in sorted(unmoved & set(partners)):
-        groups: dict[tuple[float, float], set[str]] = {}
-        for other in sorted(partners[name]):
-            pair = (name, other) if (name, other) in friction else (other, name)
-            # Values of equal bodies differ in the last digits.
-            own_friction = float(f"{friction[pair] / frictions[other]:.12g}")
-            own_restitution = float(f"{restitution[pair] / restitutions[other]:.12g}")
-            groups.setdefault((own_friction, own_restitution), set()).add(other)
-        found[name] = [
-            Surface(frozenset(others), *constants)
-            for constants, others in groups.items()
-        ]
-    return found
-
-
-def _pairs(scene: Scene) -> Iterator[tuple[Contact, Pair]]:
+def colliding_pairs(scene: Scene) -> Iterator[tuple[Contact, Pair]]:
     """Yield the colliding pairs of a scene."""
     for contact in scene.contacts:
         for pair in scene.colliding_pairs(contact):
             yield contact, pair
 
 
-def products(pairs: Mapping[Pair, float], noun: str) -> dict[str, float]:
-    """Return a value of each body, not negative, whose products are the values of pairs.
+def moved_values(
+    pairs: Mapping[Pair, float], unmoved: set[str], noun: str
+) -> dict[str, float]:
+    """Return a value of each body that contacts move, not negative, whose products are the values of pairs.
 
     A product of at most `SMALLEST_VALUE` stands for 0: two bricks that do not rebound from each other may rebound
-    from a ball. The logarithms of the values solve a linear program, which keeps them small.
+    from a ball. A body of which all pairs have the value 0 has the value 0.
 
     Args:
         pairs: Value of each pair, not negative.
+        unmoved: Other bodies, whose values follow from those of their partners.
         noun: What the values are, for messages.
     """
-    names = list(dict.fromkeys(name for pair in pairs for name in pair))
-    positive = {pair: value for pair, value in pairs.items() if value > 0.0}
-    active = list(dict.fromkeys(name for pair in positive for name in pair))
-    # A body of which all pairs have the value 0 has the value 0, and so satisfies them.
-    zero = [
-        pair
-        for pair, value in pairs.items()
-        if value == 0.0 and set(pair) <= set(active)
+    names = {name for pair in pairs for name in pair} - unmoved
+    positive = {name for pair, value in pairs.items() if value for name in pair}
+    active = sorted(names & positive)
+    rows = {name: row for row, name in enumerate(active)}
+    solved = [
+        (pair, value) for pair, value in pairs.items() if rows.keys() >= set(pair)
     ]
-    found = dict.fromkeys(names, 0.0)
-    if not active:
+    found = dict.fromkeys(names, 0.0) | dict.fromkeys(active, 1.0)
+    if not solved:
         return found
-    column = {name: index for index, name in enumerate(active)}
-    rows, zero_rows = (
-        tuple((column[first], column[second]) for first, second in some)
-        for some in (positive, zero)
+    logarithms = _logarithms(
+        tuple((rows[first], rows[second]) for (first, second), _ in solved),
+        tuple(value for _, value in solved),
+        len(active),
     )
-    logarithms = _logarithms(rows, tuple(positive.values()), zero_rows, len(active))
     if logarithms is None:
-        first, second = next(iter(positive))
+        (first, second), value = next(one for one in solved if one[1])
         raise UnsupportedSceneError(
-            f"pair {first!r} and {second!r} has the {noun} {positive[first, second]:.6g}: Bullet multiplies the values "
-            "of two bodies, and no values of bodies have the products of this scene"
+            f"pair {first!r} and {second!r} has the {noun} {value:.6g}: Bullet multiplies the values of two bodies, "
+            "and no values of bodies have the products of this scene"
         )
     return found | dict(zip(active, np.exp(logarithms).tolist(), strict=True))
 
 
-Rows = tuple[tuple[int, int], ...]
-
-
 @lru_cache(maxsize=256)
 def _logarithms(
-    pairs: Rows, values: tuple[float, ...], zero: Rows, count: int
+    pairs: tuple[tuple[int, int], ...], values: tuple[float, ...], count: int
 ) -> FloatArray | None:
-    """Return the logarithms of the least values of bodies with these products, shape [count]; None if there are none.
+    """Return the logarithms of the values of bodies with these products, shape [count]; None if there are none.
+
+    They solve a linear program, which keeps the sum of their sizes small.
 
     Args:
         pairs: Two bodies of each pair.
-        values: Product of each pair, positive.
-        zero: Pairs whose product stands for 0.
+        values: Product of each pair.
         count: Number of bodies.
     """
-    # Each logarithm has a bound on its size as a second unknown, and the sum of the bounds is least.
-    one = sparse.identity(count)
     # Few scenes need a solver, and the import takes a tenth of a second.
     from scipy.optimize import linprog
 
+    places = np.repeat(np.arange(len(pairs)), 2), np.ravel(pairs)
+    sums = sparse.csr_array((np.ones(2 * len(pairs)), places), (len(pairs), count))
+    # A logarithm is the difference of two unknowns, which are not negative.
+    matrix = sparse.hstack([sums, -sums], format="csr")
+    products = np.array(values)
+    is_zero = products == 0.0
     result = linprog(
-        np.repeat([0.0, 1.0], count),
-        A_ub=sparse.vstack(
-            [_sums(zero, count), sparse.bmat([[one, -one], [-one, -one]])]
-        ),
-        b_ub=np.concatenate(
-            [np.full(len(zero), np.log(SMALLEST_VALUE)), np.zeros(2 * count)]
-        ),
-        A_eq=_sums(pairs, count),
-        b_eq=np.log(values),
-        bounds=(None, None),
+        np.ones(2 * count),
+        A_ub=matrix[is_zero],
+        b_ub=np.full(np.count_nonzero(is_zero), np.log(SMALLEST_VALUE)),
+        A_eq=matrix[~is_zero],
+        b_eq=np.log(products[~is_zero]),
         method="highs",
     )
-    return None if result.x is None else result.x[:count]
-
-
-def _sums(pairs: Rows, count: int) -> sparse.csr_array:
-    """Return a row for each pair that adds its two values, beside columns of zeros, [pair_count, 2 count]."""
-    rows = np.repeat(np.arange(len(pairs)), 2)
-    columns = np.array(pairs, dtype=int).ravel()
-    return sparse.csr_array(
-        (np.ones(len(columns)), (rows, columns)), shape=(len(pairs), 2 * count)
-    )
+    return None if result.x is None else result.x[:count] - result.x[count:]
 
 
 def impact_bodies(scene: Scene) -> set[str]:
@@ -218,13 +172,12 @@ def impact_bodies(scene: Scene) -> set[str]:
     """
     sustained: set[str] = set()
     impacts: list[Pair] = []
-    for contact in scene.contacts:
-        pairs = list(scene.colliding_pairs(contact))
+    for contact, pair in colliding_pairs(scene):
         if contact.mode is ContactMode.IMPACT:
-            impacts += pairs
+            impacts.append(pair)
         else:
-            sustained.update(name for pair in pairs for name in pair)
-    found = {name for pair in impacts for name in pair if name not in sustained}
+            sustained.update(pair)
+    found = {name for pair in impacts for name in pair} - sustained
     for first, second in impacts:
         if not {first, second} & found:
             found.add(first)
@@ -242,11 +195,11 @@ def pushing_bodies(scene: Scene) -> set[str]:
     motions = {body.name: body.motion for body in scene.bodies}
     touched: dict[str, set[str]] = {}
     rebounding: set[str] = set()
-    for contact, (first, second) in _pairs(scene):
+    for contact, pair in colliding_pairs(scene):
         if contact.mode is ContactMode.IMPACT:
-            rebounding.update((first, second))
+            rebounding.update(pair)
             continue
-        for name, other in ((first, second), (second, first)):
+        for name, other in (pair, pair[::-1]):
             if motions.get(name) is Motion.DYNAMIC is not motions[other]:
                 touched.setdefault(name, set()).add(other)
     return {

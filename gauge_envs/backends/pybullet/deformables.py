@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from gauge_envs.backends.pybullet.contacts import Surface
 from gauge_envs.backends.pybullet.settings import SEGMENT_LIMIT, SOFT_CELL_M
-from gauge_envs.backends.pybullet.world import BulletWorld, Link, pybullet
+from gauge_envs.backends.pybullet.world import BASE, Link, World, pybullet, silent
 from gauge_envs.backends.shared.attachments import (
     attached_ends,
     points_on_axis,
@@ -22,8 +23,9 @@ from gauge_envs.backends.shared.attachments import (
 )
 from gauge_envs.backends.shared.cells import grid_points
 from gauge_envs.backends.shared.soft_rows import lame_constants
+from gauge_envs.backends.simulation import MaterialPoints
 from gauge_envs.errors import ShapeError
-from gauge_envs.scene import Cylinder, Motion, Region, RigidBody, Rope, Scene, SoftBody
+from gauge_envs.scene import Cylinder, Motion, Region, RigidBody, Rope, SoftBody
 from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.scene.meshes import mass_properties, nodes_in, tetrahedra
 
@@ -47,7 +49,7 @@ class RopePart:
     Attributes:
         name: Name of the rope.
         body: PyBullet's number of the chain.
-        links: Links of the segments, from the low to the high end; -1 is the base.
+        links: Links of the segments, from the low to the high end.
         half: Half the length of a segment [units], from its centre to its high end along z. It is negative if z points
             to the low end.
         rest_m: Nodes at the start, from the low to the high end [m], shape [segment_count + 1, 3].
@@ -65,112 +67,92 @@ class RopePart:
         arms = rotations.apply([0.0, 0.0, self.half])
         return np.concatenate([centres[:1] - arms[:1], centres + arms]) / scale
 
-    def track(
-        self, points_m: FloatArray, read: Read, scale: float
-    ) -> Callable[[], FloatArray]:
+    def track(self, points_m: FloatArray, read: Read, scale: float) -> MaterialPoints:
         """Return a reader of material points, each of which moves with its segment."""
         span = self.rest_m[-1] - self.rest_m[0]
-        length = length_of(span)
-        along = (points_m - self.rest_m[0]) @ span / length
-        if not np.all((along > -1e-5) & (along < length + 1e-5)):
+        length_m = length_of(span)
+        along_m = (points_m - self.rest_m[0]) @ span / length_m
+        if not np.all((along_m > -1e-5) & (along_m < length_m + 1e-5)):
             raise ShapeError(
                 f"a point lies beyond an end of {self.name!r}: track points within its length"
             )
         count = len(self.links)
-        segment = np.clip(np.floor(along / length * count).astype(int), 0, count - 1)
-        centres_m = 0.5 * (self.rest_m[segment] + self.rest_m[segment + 1])
-        start = self._segments(read)[1]
-        offsets = start[segment].apply(points_m - centres_m, inverse=True)
+        rows = np.clip((along_m / length_m * count).astype(int), 0, count - 1)
+        centres_m = 0.5 * (self.rest_m[rows] + self.rest_m[rows + 1])
+        # All segments have the same rotation at the start, along which z points.
+        rotation = _along(np.sign(self.half) * span)
+        offsets_m = rotation.apply(points_m - centres_m, inverse=True)
 
         def points() -> FloatArray:
             centres, rotations = self._segments(read)
-            return np.asarray(
-                centres[segment] / scale + rotations[segment].apply(offsets)
-            )
+            return (centres[rows] / scale + rotations[rows].apply(offsets_m))[None]
 
         return points
 
     def _segments(self, read: Read) -> tuple[FloatArray, Rotation]:
         """Return the centres [units], shape [segment_count, 3], and the rotations of the segments."""
         states = [read(self.body, link) for link in self.links]
-        return np.array([state[0] for state in states]), Rotation.from_quat(
-            [state[1] for state in states]
-        )
+        rotations = Rotation.from_quat([state[1] for state in states])
+        return np.array([state[0] for state in states]), rotations
 
 
-@dataclass(frozen=True)
-class RopeEnds:
-    """Bodies on the ends of a rope.
-
-    Attributes:
-        from_low: Whether the chain starts at the low end.
-        root: Body with which the chain starts, or None if its first segment is free.
-        tip: Dynamic body with which the chain ends, or None.
-    """
-
-    from_low: bool
-    root: RigidBody | None
-    tip: RigidBody | None
+def _along(direction: FloatArray) -> Rotation:
+    """Return the rotation of the segments of a straight rope, which turns z to a direction."""
+    return Rotation.align_vectors([direction / length_of(direction)], [[0, 0, 1]])[0]
 
 
-def rope_ends(scene: Scene, rope: Rope) -> RopeEnds:
-    """Return the bodies on the ends of a rope; the chain starts at a fixed body if there is one."""
-    bodies = {
-        side: scene.body(attachment.body)
-        for side, attachment in attached_ends(
-            rope, rigid_attachments(scene, rope.name)
-        ).items()
-    }
-    low, high = bodies.get("low"), bodies.get("high")
-    if low is None or (high is not None and high.motion is Motion.FIXED):
-        return RopeEnds(from_low=high is None, root=high, tip=low)
-    return RopeEnds(from_low=True, root=low, tip=high)
-
-
-def add_rope(world: BulletWorld, rope: Rope, *, cell_m: float | None) -> RopePart:
+def add_rope(world: World, rope: Rope, cell_m: float | None) -> RopePart:
     """Add a rope and the dynamic bodies on its ends, and enter these bodies in `world.handles`.
 
-    A segment has the moments of inertia of its cylinder across the rope about all axes. The spin of a thin cylinder
-    about its own axis has no effect on a limp rope, and its small inertia would only make the chain less stable.
+    The chain starts at a fixed body if the rope has one. A segment has the moments of inertia of its cylinder across
+    the rope about all axes. The spin of a thin cylinder about its own axis has no effect on a limp rope, and its small
+    inertia would only make the chain less stable.
 
     Args:
         world: The world.
         rope: The rope.
         cell_m: Desired length of a segment [m], or None for the default.
     """
-    ends = rope_ends(world.scene, rope)
+    attached = attached_ends(rope, rigid_attachments(world.scene, rope.name))
+    ends = {side: world.scene.body(one.body) for side, one in attached.items()}
+    root, tip = ends.get("low"), ends.get("high")
+    is_reversed = tip is not None and (root is None or tip.motion is Motion.FIXED)
     count = max(2, min(SEGMENT_LIMIT, round(rope.length_m / (cell_m or SEGMENT_M))))
+    nodes_m = points_on_axis(rope, np.linspace(-0.5, 0.5, count + 1) * rope.length_m)
+    start_m, end_m = nodes_m[0], nodes_m[-1]
+    if is_reversed:
+        root, tip = tip, root
+        start_m, end_m = end_m, start_m
+    rotation = _along(end_m - start_m)
     length_m = rope.length_m / count
     mass_kg = rope.mass_kg / count
-    nodes_m = points_on_axis(rope, np.linspace(-0.5, 0.5, count + 1) * rope.length_m)
-    start_m, end_m = (
-        (nodes_m[0], nodes_m[-1]) if ends.from_low else (nodes_m[-1], nodes_m[0])
-    )
-    # All segments have the same rotation at the start; z points from the first to the last one.
-    rotation = Rotation.align_vectors(
-        [(end_m - start_m) / rope.length_m], [[0.0, 0.0, 1.0]]
-    )[0]
-    across_kg_m2 = float(
-        mass_properties(Cylinder(radius_m=rope.radius_m, length_m=length_m), mass_kg)[
-            1
-        ][0, 0]
-    )
+    segment = Cylinder(radius_m=rope.radius_m, length_m=length_m)
+    across_kg_m2 = float(mass_properties(segment, mass_kg)[1][0, 0])
     moments = [world.scale**2 * across_kg_m2] * 3
     # In units along z of a segment whose joint is at its start.
     length = np.array([0.0, 0.0, world.scale * length_m])
     centre = 0.5 * length
 
-    if ends.root is not None:
-        base, base_moments, place = _root_of_rope(world, ends.root, start_m, rotation)
-        segments = range(count)
-    else:
-        # The first segment is the base, link -1.
-        base = _massless_base(
-            world, start_m + 0.5 / count * (end_m - start_m), rotation
-        ) | {"baseMass": mass_kg}
+    place = np.zeros(3), Rotation.identity()
+    first = 0
+    if root is None:
+        # The first segment is the base.
+        middle_m = start_m + 0.5 / count * (end_m - start_m)
+        base = _base(world, middle_m, rotation, mass_kg)
         base_moments = moments
         place = centre, Rotation.identity()
-        segments = range(-1, count - 1)
+        first = BASE
+    elif root.motion is Motion.DYNAMIC:
+        frame = world.frames[root.name]
+        base = world.base_arguments(root)
+        base_moments = frame.moments
+        to_base = (root.pose.rotation * frame.axes).inv()
+        arm_m = to_base.apply(start_m - root.pose.to_world(frame.centre_m))
+        place = world.scale * arm_m, to_base * rotation
+    else:
+        base = _base(world, start_m, rotation, 0.0)
+        base_moments = []
+    segments = range(first, first + count)
     links = []
     for _ in range(segments.stop):
         links.append(
@@ -183,47 +165,33 @@ def add_rope(world: BulletWorld, rope: Rope, *, cell_m: float | None) -> RopePar
             )
         )
         place = length, Rotation.identity()
-    if ends.tip is not None:
-        links.append(_tip_of_rope(world, ends.tip, place[0], rotation, end_m))
+    if tip is not None:
+        links.append(_tip_of_rope(world, tip, place[0], rotation, end_m))
     body = world.add_multibody(base, base_moments, links)
 
-    if ends.root is not None and ends.root.motion is Motion.DYNAMIC:
-        world.add_handle(ends.root, body, -1)
-    if ends.tip is not None:
-        world.add_handle(ends.tip, body, len(links) - 1)
-    from_low = tuple(segments) if ends.from_low else tuple(reversed(segments))
-    half = float(centre[2]) if ends.from_low else -float(centre[2])
-    return RopePart(rope.name, body, from_low, half, nodes_m)
+    if root is not None and root.motion is Motion.DYNAMIC:
+        world.add_handle(root.name, body, BASE)
+    if tip is not None:
+        world.add_handle(tip.name, body, len(links) - 1)
+    half = float(centre[2])
+    if is_reversed:
+        return RopePart(rope.name, body, tuple(reversed(segments)), -half, nodes_m)
+    return RopePart(rope.name, body, tuple(segments), half, nodes_m)
 
 
-def _root_of_rope(
-    world: BulletWorld,
-    root: RigidBody,
-    start_m: FloatArray,
-    rotation: Rotation,
-) -> tuple[dict[str, Any], list[float], tuple[FloatArray, Rotation]]:
-    """Return the base on which a rope hangs: its arguments, its moments of inertia, and the rope's start in its frame.
-
-    A body that does not move under forces is a base without mass at the start of the rope.
-    """
-    if root.motion is not Motion.DYNAMIC:
-        return (
-            _massless_base(world, start_m, rotation),
-            [],
-            (np.zeros(3), Rotation.identity()),
-        )
-    frame = world.frame(root)
-    to_base = (root.pose.rotation * frame.axes).inv()
-    arm_m = to_base.apply(start_m - root.pose.to_world(frame.centre_m))
-    return (
-        world.base_arguments(root, frame),
-        frame.moments,
-        (world.scale * arm_m, to_base * rotation),
-    )
+def _base(
+    world: World, place_m: FloatArray, rotation: Rotation, mass_kg: float
+) -> dict[str, Any]:
+    """Return the arguments of a base without shape."""
+    return {
+        "baseMass": mass_kg,
+        "basePosition": (world.scale * place_m).tolist(),
+        "baseOrientation": rotation.as_quat().tolist(),
+    }
 
 
 def _tip_of_rope(
-    world: BulletWorld,
+    world: World,
     tip: RigidBody,
     place: FloatArray,
     rotation: Rotation,
@@ -238,7 +206,7 @@ def _tip_of_rope(
         rotation: Rotation of the segments.
         end_m: End of the rope in the world [m].
     """
-    frame = world.frame(tip)
+    frame = world.frames[tip.name]
     turn = tip.pose.rotation * frame.axes
     centre_m = turn.inv().apply(tip.pose.to_world(frame.centre_m) - end_m)
     origin_m = turn.inv().apply(np.subtract(tip.pose.position_m, end_m))
@@ -248,32 +216,15 @@ def _tip_of_rope(
         mass_kg=tip.mass_kg,
         moments=frame.moments,
         centre=world.scale * centre_m,
-        shape=world.shape(tip.shape, origin_m, frame),
+        shape=world.shape(tip, origin_m),
     )
-
-
-def _massless_base(
-    world: BulletWorld, place_m: FloatArray, rotation: Rotation
-) -> dict[str, Any]:
-    """Return the arguments of a base without mass and shape."""
-    position = (world.scale * place_m).tolist()
-    return {
-        "baseMass": 0.0,
-        "basePosition": position,
-        "baseOrientation": rotation.as_quat().tolist(),
-    }
 
 
 # --- soft bodies ------------------------------------------------------------------------------------------------------
 
 
 def add_soft_body(
-    world: BulletWorld,
-    body: SoftBody,
-    file: Path,
-    *,
-    cell_m: float | None,
-    friction: float | None,
+    world: World, body: SoftBody, cell_m: float | None, surface: Surface
 ) -> int:
     """Add a soft body, attach its regions, and return PyBullet's number; rigid bodies exist already.
 
@@ -283,50 +234,44 @@ def add_soft_body(
     Args:
         world: The world.
         body: The soft body.
-        file: File to write its mesh to, the only form in which PyBullet takes tetrahedra.
         cell_m: Desired edge of the cells [m], or None for the default.
-        friction: Coefficient of its surface, by which Bullet multiplies that of a rigid body; None without contacts.
+        surface: Its surface, by whose friction Bullet multiplies that of a rigid body.
     """
     attachments = rigid_attachments(world.scene, body.name)
-    nodes_m = _write_mesh(
-        file,
-        body,
-        [one.region for one in attachments],
-        cell_m or SOFT_CELL_M,
-        world.scale,
-    )
-    shear, lame = lame_constants(body)
+    regions = [one.region for one in attachments]
+    file = world.folder / f"{body.name}.vtk"
+    nodes_m = _write_mesh(file, body, regions, cell_m or SOFT_CELL_M, world.scale)
+    shear_pa, lame_pa = lame_constants(body)
     contact: dict[str, float] = {}
-    if friction is not None:
+    if surface.partners:
         contact = {
             "useFaceContact": 1,
-            "frictionCoeff": friction,
+            "frictionCoeff": surface.friction,
             "collisionMargin": world.scale * SOFT_MARGIN_M,
         }
-    number = world.call(
-        "loadSoftBody",
-        str(file),
-        simFileName=str(file),
-        basePosition=(world.scale * np.asarray(body.pose.position_m)).tolist(),
-        baseOrientation=body.pose.rotation.as_quat().tolist(),
-        mass=body.mass_kg,
-        useNeoHookean=1,
-        # A pressure is a force over an area: its number falls with the unit of length.
-        NeoHookeanMu=4.0 / 3.0 * shear / world.scale,
-        NeoHookeanLambda=(lame + 5.0 / 6.0 * shear) / world.scale,
-        NeoHookeanDamping=0.0,
-        useSelfCollision=0,
-        **contact,
-    )
+    # Bullet prints the size of the mesh.
+    with silent():
+        number = world.client.loadSoftBody(
+            str(file),
+            simFileName=str(file),
+            basePosition=(world.scale * np.asarray(body.pose.position_m)).tolist(),
+            baseOrientation=body.pose.rotation.as_quat().tolist(),
+            mass=body.mass_kg,
+            useNeoHookean=1,
+            # A pressure is a force over an area: its number falls with the unit of length.
+            NeoHookeanMu=4.0 / 3.0 * shear_pa / world.scale,
+            NeoHookeanLambda=(lame_pa + 5.0 / 6.0 * shear_pa) / world.scale,
+            NeoHookeanDamping=0.0,
+            useSelfCollision=0,
+            **contact,
+        )
     for attachment in attachments:
         # An anchor keeps the node where it now is in the frame of the body.
-        holder = (
-            GROUND
-            if attachment.motion is Motion.FIXED
-            else world.handles[attachment.body].body
-        )
+        holder = GROUND
+        if attachment.motion is not Motion.FIXED:
+            holder = world.handles[attachment.body][0].body
         for node in nodes_in(nodes_m, attachment.region).tolist():
-            world.call("createSoftBodyAnchor", number, node, holder, -1)
+            world.client.createSoftBodyAnchor(number, node, holder, BASE)
     return int(number)
 
 
@@ -334,40 +279,42 @@ def _places_m(
     edge_m: float, axis: str, regions: Sequence[Region], cell_m: float
 ) -> FloatArray:
     """Return the places of nodes along an edge [m], with a layer of cells for each attached region of some depth."""
-    depth = {region.side: region.depth_m for region in regions if region.axis == axis}
-    low, high = (
-        -0.5 * edge_m + depth.get("low", 0.0),
-        0.5 * edge_m - depth.get("high", 0.0),
-    )
-    inner = np.linspace(low, high, max(1, round((high - low) / cell_m)) + 1)
-    return np.unique(np.concatenate([[-0.5 * edge_m], inner, [0.5 * edge_m]]))
+    depths = {region.side: region.depth_m for region in regions if region.axis == axis}
+    end_m = 0.5 * edge_m
+    low_m = depths.get("low", 0.0) - end_m
+    high_m = end_m - depths.get("high", 0.0)
+    count = max(1, round((high_m - low_m) / cell_m))
+    inner_m = np.linspace(low_m, high_m, count + 1)
+    return np.unique([-end_m, *inner_m, end_m])
 
 
 def _write_mesh(
     file: Path, body: SoftBody, regions: Sequence[Region], cell_m: float, scale: float
 ) -> FloatArray:
-    """Write a VTK file with the tetrahedra of a soft body and return its nodes in the body frame [m]."""
-    axes = [
-        _places_m(edge, axis, regions, cell_m)
-        for edge, axis in zip(body.shape.size_m, "xyz", strict=True)
-    ]
-    x, y, z = axes
+    """Write a VTK file with the tetrahedra of a soft body and return its nodes in the body frame [m].
+
+    PyBullet takes tetrahedra in no other form.
+    """
+    x, y, z = (
+        _places_m(edge_m, axis, regions, cell_m)
+        for edge_m, axis in zip(body.shape.size_m, "xyz", strict=True)
+    )
     nodes_m = grid_points(x, y, z)
     cells = tetrahedra((len(x), len(y), len(z)))
+    points = [" ".join(map(repr, point)) for point in (scale * nodes_m).tolist()]
+    corners = [f"4 {a} {b} {c} {d}" for a, b, c, d in cells.tolist()]
+    # 10 is VTK's number of a tetrahedron.
     lines = [
         "# vtk DataFile Version 2.0",
         "soft body",
         "ASCII",
         "DATASET UNSTRUCTURED_GRID",
+        f"POINTS {len(points)} double",
+        *points,
+        f"CELLS {len(corners)} {5 * len(corners)}",
+        *corners,
+        f"CELL_TYPES {len(corners)}",
+        *["10"] * len(corners),
     ]
-    lines.append(f"POINTS {len(nodes_m)} double")
-    for point in (scale * nodes_m).tolist():
-        lines.append(" ".join(map(repr, point)))
-    lines.append(f"CELLS {len(cells)} {5 * len(cells)}")
-    for corners in cells.tolist():
-        lines.append(" ".join(map(str, (4, *corners))))
-    lines.append(f"CELL_TYPES {len(cells)}")
-    # 10 is VTK's number of a tetrahedron.
-    lines += ["10"] * len(cells)
     file.write_text("\n".join(lines) + "\n")
     return nodes_m

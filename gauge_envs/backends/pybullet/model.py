@@ -1,6 +1,8 @@
 """A scene as bodies, joints and collision filters of one PyBullet world."""
 
 import tempfile
+from collections.abc import Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -9,24 +11,24 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.pybullet.contacts import (
     Surface,
+    colliding_pairs,
     impact_bodies,
     pushing_bodies,
     surfaces,
     turning_shares,
 )
-from gauge_envs.backends.pybullet.deformables import add_rope, add_soft_body
+from gauge_envs.backends.pybullet.deformables import RopePart, add_rope, add_soft_body
 from gauge_envs.backends.pybullet.settings import SettingsPyBullet
 from gauge_envs.backends.pybullet.world import (
+    BASE,
     DRIVEN_MASS_KG,
-    BulletWorld,
-    Handle,
     Link,
+    World,
     pybullet,
-    silent,
 )
-from gauge_envs.backends.settings import check_kept
 from gauge_envs.backends.shared.rigid import centre_velocity
 from gauge_envs.scene import (
+    ConvexUnion,
     Hinge,
     Motion,
     RigidBody,
@@ -43,9 +45,12 @@ EARLY_CONTACTS = 1e18
 STRING_MASS = 1e-6
 """Mass of the two links of a string, over that of the body that hangs on it."""
 
+UNTOUCHED = Surface(frozenset(), 0.0, 0.0)
+"""Surface of a body without contacts."""
 
-class WorldPyBullet(BulletWorld):
-    """A PyBullet world at the start of a scene.
+
+class Model(World):
+    """A PyBullet world with the bodies of a scene.
 
     Attributes:
         ropes: The ropes in PyBullet, by name.
@@ -54,61 +59,45 @@ class WorldPyBullet(BulletWorld):
 
     def __init__(self, scene: Scene, settings: SettingsPyBullet) -> None:
         super().__init__(scene, settings)
+        self.ropes: dict[str, RopePart] = {}
+        self.soft: dict[str, int] = {}
+        # Body and link with the surface of one body towards another.
+        self._towards: dict[tuple[str, str], tuple[int, int]] = {}
+        self._pairs = [pair for _, pair in colliding_pairs(scene)]
         self._surfaces = surfaces(scene)
+        self._late = impact_bodies(scene) if settings.late_impacts else set()
         self._coned = pushing_bodies(scene) if settings.cone_friction else set()
-        self.rebuild()
+        self._turning = turning_shares(scene)
 
-    def rebuild(self) -> None:
-        """Return to the start of the scene, as after construction."""
-        # PyBullet reads the files of convex pieces until all bodies exist.
-        with tempfile.TemporaryDirectory() as folder, silent():
-            self.folder = Path(folder)
-            self._add_all()
-
-    def _add_all(self) -> None:
-        soft = [body for body in self.scene.deformables if isinstance(body, SoftBody)]
-        self.call("resetSimulation", pybullet.RESET_USE_DEFORMABLE_WORLD if soft else 0)
+    def build(self, bodies: Sequence[RigidBody]) -> None:
+        """Remove everything from the world, and add the scene with its rigid bodies at given starts."""
+        is_soft = self.scene.has(SoftBody)
+        world = pybullet.RESET_USE_DEFORMABLE_WORLD if is_soft else 0
+        self.client.resetSimulation(world)
         self._set_parameters()
         self.handles.clear()
-        self.copies.clear()
-        self.ropes = {
-            rope.name: add_rope(self, rope, cell_m=self.settings.cell_m)
-            for rope in self.scene.deformables
-            if isinstance(rope, Rope)
-        }
-        joints = {joint.body: joint for joint in self.scene.joints}
-        for body in self.scene.bodies:
-            joint = joints.get(body.name)
-            if body.name in self.handles:
-                continue
-            if isinstance(joint, Hinge):
-                self._hinged(body, joint)
-            elif isinstance(joint, Tether):
-                self._tethered(body, joint)
-            else:
-                # Without a contact, a body still has a place.
-                for _ in self._surfaces.get(body.name, [None]):
-                    self._free(body)
-        self.soft = {
-            body.name: add_soft_body(
-                self,
-                body,
-                self.folder / f"{body.name}.vtk",
-                cell_m=self.settings.cell_m,
-                friction=self._surfaces[body.name][0].friction
-                if body.name in self._surfaces
-                else None,
-            )
-            for body in soft
-        }
-        self._set_contacts()
-        self._filter_collisions()
+        self.names.clear()
+        has_files = is_soft or any(
+            isinstance(body.shape, ConvexUnion) and len(body.shape.pieces_m) > 1
+            for body in bodies
+        )
+        # PyBullet reads the files of convex pieces until all bodies exist.
+        with tempfile.TemporaryDirectory() if has_files else nullcontext("") as folder:
+            self.folder = Path(folder)
+            self.ropes = {
+                rope.name: add_rope(self, rope, self.settings.cell_m)
+                for rope in self.scene.deformables
+                if isinstance(rope, Rope)
+            }
+            self._add_rigid(bodies)
+            self._add_soft()
+            self._set_contacts()
+            self._filter_collisions()
 
     def _set_parameters(self) -> None:
         settings = self.settings
-        self.call("setGravity", 0.0, 0.0, -self.scene.gravity_m_per_s2 * self.scale)
-        self.call(
-            "setPhysicsEngineParameter",
+        self.client.setGravity(0.0, 0.0, -self.scene.gravity_m_per_s2 * self.scale)
+        self.client.setPhysicsEngineParameter(
             fixedTimeStep=settings.timestep_s,
             numSubSteps=0,
             numSolverIterations=settings.solver_iterations,
@@ -128,96 +117,102 @@ class WorldPyBullet(BulletWorld):
             # The cache knows files by their names, for the whole process.
             enableFileCaching=0,
         )
-        asked = {
-            "fixedTimeStep": settings.timestep_s,
-            "numSolverIterations": settings.solver_iterations,
-        }
-        check_kept("PyBullet", asked, self.call("getPhysicsEngineParameters"))
         if settings.split_impulse == "all":
-            self.call("setPhysicsEngineParameter", splitImpulsePenetrationThreshold=0.0)
+            self.client.setPhysicsEngineParameter(splitImpulsePenetrationThreshold=0.0)
 
-    def _free(self, body: RigidBody) -> None:
+    def _add_rigid(self, bodies: Sequence[RigidBody]) -> None:
+        """Add the rigid bodies that no rope has added."""
+        joints = {joint.body: joint for joint in self.scene.joints}
+        for body in bodies:
+            joint = joints.get(body.name)
+            if body.name in self.handles:
+                continue
+            if isinstance(joint, Hinge):
+                self._add_hinged(body, joint)
+            elif isinstance(joint, Tether):
+                self._add_tethered(body, joint)
+            else:
+                for _ in self._surfaces.get(body.name, [UNTOUCHED]):
+                    self._add_free(body)
+
+    def _add_soft(self) -> None:
+        """Add the soft bodies, which are attached to rigid bodies that exist."""
+        for soft in self.scene.deformables:
+            if isinstance(soft, SoftBody):
+                surface, *_ = self._surfaces.get(soft.name, [UNTOUCHED])
+                number = add_soft_body(self, soft, self.settings.cell_m, surface)
+                self.soft[soft.name] = number
+                self._enter(soft.name, surface, number, BASE)
+
+    def _add_free(self, body: RigidBody) -> None:
         """Add a free, fixed or driven body."""
-        frame = self.frame(body)
-        base = self.base_arguments(body, frame)
+        frame = self.frames[body.name]
+        base = self.base_arguments(body)
         is_coned = body.name in self._coned
         maximal = int(not (self.settings.reduced_coordinates or is_coned))
-        handle = self.add_handle(
-            body,
-            int(self.call("createMultiBody", **base, useMaximalCoordinates=maximal)),
-            -1,
-        )
-        # A driven body has equal moments of inertia, so that it does not tumble within a step.
-        moments = (
-            frame.moments
-            if body.motion is Motion.DYNAMIC
-            else [self.scale**2 * DRIVEN_MASS_KG] * 3
-        )
-        if body.motion is not Motion.FIXED:
-            self.set_dynamics(
-                handle, mass=base["baseMass"], localInertiaDiagonal=moments
-            )
+        number = self.client.createMultiBody(**base, useMaximalCoordinates=maximal)
+        self.add_handle(body.name, number, BASE)
+        if body.motion is Motion.FIXED:
+            return
+        moments = frame.moments
+        if body.motion is Motion.KINEMATIC:
+            # Equal moments of inertia, so that it does not tumble within a step.
+            moments = [self.scale**2 * DRIVEN_MASS_KG] * 3
+        self.set_mass(number, BASE, base["baseMass"], moments)
         if is_coned:
             # The limit on the speed of joints holds for the base too.
-            self.free_joints(handle.body)
-        if body.motion is Motion.DYNAMIC:
-            speed = self.scale * centre_velocity(body, frame.centre_m)
-            self.call(
-                "resetBaseVelocity",
-                handle.body,
-                speed.tolist(),
-                list(body.angular_velocity_rad_per_s),
-            )
+            self.free_joints(number)
+        speed = self.scale * centre_velocity(body, frame.centre_m)
+        spin = list(body.angular_velocity_rad_per_s)
+        self.client.resetBaseVelocity(number, speed.tolist(), spin)
 
-    def _hinged(self, body: RigidBody, hinge: Hinge) -> None:
+    def _add_hinged(self, body: RigidBody, hinge: Hinge) -> None:
         """Add a body on a hinge as the link of a fixed base at its anchor.
 
         The frame of the link is at the hinge, along the principal axes of the body.
         """
-        frame = self.frame(body)
-        origin_m = np.asarray(hinge.anchor_m)
+        frame = self.frames[body.name]
+        anchor_m = np.asarray(hinge.anchor_m)
         turn = body.pose.rotation * frame.axes
         back = turn.inv()
-        centre_m = back.apply(body.pose.to_world(frame.centre_m) - origin_m)
-        body_origin_m = back.apply(np.subtract(body.pose.position_m, origin_m))
+        centre_m = back.apply(body.pose.to_world(frame.centre_m) - anchor_m)
+        origin_m = back.apply(np.subtract(body.pose.position_m, anchor_m))
         link = Link(
             joint=pybullet.JOINT_REVOLUTE,
             place=(np.zeros(3), turn),
             mass_kg=body.mass_kg,
             moments=frame.moments,
             centre=self.scale * centre_m,
-            shape=self.shape(body.shape, body_origin_m, frame),
+            shape=self.shape(body, origin_m),
             axis=back.apply(hinge.axis).tolist(),
         )
-        base = {"baseMass": 0.0, "basePosition": (self.scale * origin_m).tolist()}
-        number = self.add_handle(body, self.add_multibody(base, [], [link]), 0).body
+        base = {"baseMass": 0.0, "basePosition": (self.scale * anchor_m).tolist()}
+        number = self.add_multibody(base, [], [link])
+        self.add_handle(body.name, number, 0)
         rate = float(np.dot(body.angular_velocity_rad_per_s, hinge.axis))
-        self.call("resetJointState", number, 0, targetValue=0.0, targetVelocity=rate)
+        self.client.resetJointState(number, 0, targetValue=0.0, targetVelocity=rate)
 
-    def _tethered(self, body: RigidBody, joint: Tether) -> None:
+    def _add_tethered(self, body: RigidBody, tether: Tether) -> None:
         """Add a body on a string: a spherical joint, a sliding joint with an upper limit, and a spherical joint."""
-        frame = self.frame(body)
-        anchor = np.asarray(joint.anchor_m)
-        along = np.asarray(body.pose.position_m) - anchor
-        apart_m = length_of(along)
-        string = Rotation.align_vectors([along], [[0.0, 0.0, 1.0]])[0]
+        frame = self.frames[body.name]
+        anchor_m = np.asarray(tether.anchor_m)
+        arm_m = np.asarray(body.pose.position_m) - anchor_m
+        apart = self.scale * length_of(arm_m)
+        longest = self.scale * tether.length_m
+        string = Rotation.align_vectors([arm_m], [[0.0, 0.0, 1.0]])[0]
+        origin = np.zeros(3)
         mass_kg = STRING_MASS * body.mass_kg
         light: dict[str, Any] = {
             "mass_kg": mass_kg,
-            "moments": [mass_kg * (self.scale * joint.length_m) ** 2] * 3,
+            "moments": [mass_kg * longest**2] * 3,
+            "centre": origin,
         }
-        origin = np.zeros(3)
+        end = np.array([0.0, 0.0, apart])
         links = (
-            Link(
-                joint=pybullet.JOINT_SPHERICAL,
-                place=(origin, string),
-                centre=origin,
-                **light,
-            ),
+            Link(joint=pybullet.JOINT_SPHERICAL, place=(origin, string), **light),
             Link(
                 joint=pybullet.JOINT_PRISMATIC,
-                place=(np.array([0.0, 0.0, self.scale * apart_m]), Rotation.identity()),
-                centre=origin,
+                place=(end, Rotation.identity()),
                 **light,
             ),
             Link(
@@ -226,84 +221,66 @@ class WorldPyBullet(BulletWorld):
                 mass_kg=body.mass_kg,
                 moments=frame.moments,
                 centre=self.scale * frame.axes.inv().apply(frame.centre_m),
-                shape=self.shape(body.shape, origin, frame),
+                shape=self.shape(body, origin),
             ),
         )
-        base = {"baseMass": 0.0, "basePosition": (self.scale * anchor).tolist()}
-        handle = self.add_handle(body, self.add_multibody(base, [], links), 2)
-        upper = self.scale * (joint.length_m - apart_m)
+        base = {"baseMass": 0.0, "basePosition": (self.scale * anchor_m).tolist()}
+        number = self.add_multibody(base, [], links)
+        self.add_handle(body.name, number, 2)
         # Bullet ignores limits of which the lower one is above the upper one, and needs both.
-        limits = {"jointLowerLimit": -1e6, "jointUpperLimit": upper}
-        self.call("changeDynamics", handle.body, 1, **limits)
+        self.client.changeDynamics(
+            number, 1, jointLowerLimit=-1e6, jointUpperLimit=longest - apart
+        )
 
     def _set_contacts(self) -> None:
-        late = impact_bodies(self.scene) if self.settings.late_impacts else set()
         settings = self.settings
-        awake = pybullet.ACTIVATION_STATE_DISABLE_SLEEPING
-        springs = {
-            "contactStiffness": settings.contact_stiffness_n_per_m,
-            "contactDamping": settings.contact_damping_n_s_per_m,
-        }
-        shares = turning_shares(self.scene)
-        for name in self.handles:
-            torsion, rolling = shares.get(name, (0.0, 0.0))
+        activation = pybullet.ACTIVATION_STATE_DISABLE_SLEEPING
+        if settings.sleeping:
+            activation = pybullet.ACTIVATION_STATE_ENABLE_SLEEPING
+        for name, handles in self.handles.items():
+            torsion, rolling = self._turning.get(name, (0.0, 0.0))
             # Bullet applies torsional friction only where there is rolling friction.
             rolling = max(rolling, 1e-6 * torsion)
+            springs = {}
             is_dynamic = self.scene.body(name).motion is Motion.DYNAMIC
-            has_springs = is_dynamic and settings.contact_stiffness_n_per_m is not None
-            for surface, handle in self._surface_handles(name):
-                self.set_dynamics(
-                    handle,
+            if is_dynamic and settings.contact_stiffness_n_per_m is not None:
+                springs = {
+                    "contactStiffness": settings.contact_stiffness_n_per_m,
+                    "contactDamping": settings.contact_damping_n_s_per_m,
+                }
+            found = self._surfaces.get(name, [UNTOUCHED])
+            for surface, handle in zip(found, handles, strict=True):
+                self._enter(name, surface, handle.body, handle.link)
+                self.client.changeDynamics(
+                    handle.body,
+                    handle.link,
                     lateralFriction=surface.friction,
                     restitution=surface.restitution,
                     rollingFriction=0.5 * self.scale * rolling * surface.friction,
                     spinningFriction=0.5 * self.scale * torsion * surface.friction,
-                    linearDamping=self.settings.linear_damping,
-                    angularDamping=self.settings.angular_damping,
-                    frictionAnchor=int(self.settings.friction_anchors),
-                    contactProcessingThreshold=0.0 if name in late else EARLY_CONTACTS,
-                    activationState=pybullet.ACTIVATION_STATE_ENABLE_SLEEPING
-                    if self.settings.sleeping
-                    else awake,
-                    **(springs if has_springs else {}),
+                    linearDamping=settings.linear_damping,
+                    angularDamping=settings.angular_damping,
+                    frictionAnchor=int(settings.friction_anchors),
+                    contactProcessingThreshold=0.0
+                    if name in self._late
+                    else EARLY_CONTACTS,
+                    activationState=activation,
+                    **springs,
                 )
 
-    def _surface_handles(self, name: str) -> list[tuple[Surface, Handle]]:
-        """Return the surfaces of a rigid body, each with its copy of the body."""
-        found = self._surfaces.get(name, [Surface(frozenset(), 0.0, 0.0)])
-        return list(
-            zip(found, [self.handles[name], *self.copies.get(name, [])], strict=True)
-        )
-
-    def _towards(self, name: str, partner: str) -> Handle:
-        """Return a soft body, or the copy of a rigid body whose surface is that towards another body."""
-        if name in self.soft:
-            return Handle(self.soft[name], -1, np.zeros(3), Rotation.identity())
-        return next(
-            handle
-            for surface, handle in self._surface_handles(name)
-            if partner in surface.partners
-        )
+    def _enter(self, name: str, surface: Surface, body: int, link: int) -> None:
+        """Note which body and link have a surface."""
+        for partner in surface.partners:
+            self._towards[name, partner] = body, link
 
     def _filter_collisions(self) -> None:
         """Let only the pairs of the scene's contacts collide."""
-        for number in range(self.call("getNumBodies")):
-            for link in range(-1, self.call("getNumJoints", number)):
-                self.call(
-                    "setCollisionFilterGroupMask",
-                    self.call("getBodyUniqueId", number),
-                    link,
-                    0,
-                    0,
-                )
-        for contact in self.scene.contacts:
-            for first, second in self.scene.colliding_pairs(contact):
-                one, other = self._towards(first, second), self._towards(second, first)
-                self.call(
-                    "setCollisionFilterPair",
-                    one.body,
-                    other.body,
-                    one.link,
-                    other.link,
-                    1,
-                )
+        for row in range(self.client.getNumBodies()):
+            number = self.client.getBodyUniqueId(row)
+            for link in range(BASE, self.client.getNumJoints(number)):
+                self.client.setCollisionFilterGroupMask(number, link, 0, 0)
+        let_collide = self.client.setCollisionFilterPair
+        for first, second in self._pairs:
+            body, link = self._towards[first, second]
+            other, other_link = self._towards[second, first]
+            let_collide(body, other, link, other_link, 1)

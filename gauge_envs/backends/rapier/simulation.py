@@ -9,18 +9,14 @@ import rapier3d as rapier
 from gauge_envs.backends.rapier.model import MASS_UNIT_KG, build_world
 from gauge_envs.backends.rapier.settings import SettingsRapier
 from gauge_envs.backends.shared.rigid import (
-    CONJUGATE,
     DrivenMotion,
     PlacedSimulation,
+    hinge_angle,
     placed_states,
 )
-from gauge_envs.scene import Scene
-from gauge_envs.scene.geometry import (
-    FloatArray,
-    quaternion_products,
-    quaternion_vectors,
-)
-from gauge_envs.scene.states import nominal_states, row_of
+from gauge_envs.scene import RigidBody, Scene
+from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.states import nominal_states
 
 CALLING_THREAD_BODIES = 16
 """Bodies up to which Rapier steps on the thread that calls it, whatever the number of threads of its pool.
@@ -40,13 +36,10 @@ class SimulationRapier(PlacedSimulation):
         self.placed = placed_states(scene)
         self._timestep_s = settings.timestep_s
         self._threads = settings.threads
-        self._hinges = scene.hinges
-        self._nominal = nominal_states(scene)
-        world, layout = build_world(scene, settings)
-        self._layout = layout
-        self._rows = {name: row_of(scene, name) for name in layout}
+        self._scene = scene
+        world, self._layout = build_world(scene, settings)
         self._hold(world)
-        self._write(self._nominal)
+        self._write(nominal_states(scene))
         self._snapshot = world.snapshot()
         self.reset()
 
@@ -70,29 +63,30 @@ class SimulationRapier(PlacedSimulation):
 
     def _write(self, states: FloatArray) -> None:
         """Write states to a world without a step yet, shape [body_count, 13]."""
-        for name, row in self._rows.items():
-            state = states[row]
+        for body, state in zip(self._scene.bodies, states, strict=False):
+            name = body.name
+            if name not in self._layout:
+                continue
             self._place(name, state)
             velocity = state[7:].copy()
             velocity[:3] += self._centre_speed(name, velocity[3:])
             self._set_velocity(name, velocity)
-            if name in self._hinges:
-                self._turn_hinge(name, state)
+            if name in self._scene.hinges:
+                self._turn_hinge(body, state)
 
-    def _turn_hinge(self, name: str, state: FloatArray) -> None:
+    def _turn_hinge(self, body: RigidBody, state: FloatArray) -> None:
         """Write the state of a hinged body to the reduced coordinates of its joint, if it has some."""
         joints = self._world.multibody_joints
-        link = joints.rigid_body_link(self._layout[name].handle)
+        link = joints.rigid_body_link(self._layout[body.name].handle)
         if link is None:
             return
         chain = joints.get_multibody(link.multibody)
-        axis = self._hinges[name].axis
-        back = self._nominal[self._rows[name], 3:7] * CONJUGATE
-        turn = quaternion_vectors(quaternion_products(state[3:7], back)[None])[0]
+        hinge = self._scene.hinges[body.name]
+        angle_rad = hinge_angle(hinge, body.pose, state)
         # The coordinates of the anchor come first.
         still = [0.0] * (chain.ndofs - 1)
-        chain.apply_displacements([*still, float(turn @ axis)])
-        chain.set_generalized_velocity([*still, float(state[10:] @ axis)])
+        chain.apply_displacements([*still, angle_rad])
+        chain.set_generalized_velocity([*still, float(state[10:] @ hinge.axis)])
 
     def _place(self, name: str, state: FloatArray) -> None:
         """Move a body to the pose of a state, in which the quaternion is w, x, y, z."""

@@ -137,6 +137,19 @@ def hinge_frame(hinge: Hinge) -> Pose:
     return Pose.from_rotation(hinge.anchor_m, turn)
 
 
+def hinge_angle(hinge: Hinge, nominal: Pose, state: FloatArray) -> float:
+    """Return the angle by which a body has turned about its hinge [rad], at most half a turn.
+
+    Args:
+        hinge: The hinge.
+        nominal: Pose of the body at the nominal start.
+        state: State of the body, shape [13].
+    """
+    back = CONJUGATE * np.asarray(nominal.quaternion)
+    turn = quaternion_products(state[3:7], back)
+    return float(quaternion_vectors(turn[None])[0] @ np.asarray(hinge.axis))
+
+
 @dataclass(frozen=True)
 class TetherSpring:
     """A string for engines without strings: a stiff spring with critical damping, which only pulls.
