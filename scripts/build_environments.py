@@ -24,7 +24,7 @@ from gauge_envs.experiments.variants import Variant, beyond_variants, variants
 from gauge_envs.pages.document import as_markdown
 from gauge_envs.references.band import Band
 from gauge_envs.references.kind import Kind
-from gauge_envs.rendering.reference_path import reference_path, reference_text
+from gauge_envs.rendering.reference_path import reference_path, reference_words
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.scoring.reference import reference_kind
 from gauge_envs.tools.video import film_writer
@@ -140,15 +140,36 @@ def caption_of(entry: Entry, experiment: Experiment, band: Band | None) -> str:
     """Return what the picture of an entry shows."""
     last, stride = stride_of(entry, experiment.frame_count)
     end_s = last / FRAME_RATE_HZ
-    reference = reference_text(
-        band, reference_path(experiment, band), end_s=end_s, trial=experiment.trial
-    )
+    reference = reference_text(experiment, band, end_s=end_s)
     red = f"; red: {reference}" if reference else ""
     speed = stride * FPS / FRAME_RATE_HZ
     return (
         f"{entry.name} on MuJoCo with zero actions, {end_s:.2f} s, speed x {speed:.2g}. "
         f"Blue: what is tracked, and its path{red}."
     )
+
+
+def reference_text(experiment: Experiment, band: Band | None, *, end_s: float) -> str:
+    """Return what a picture shows of a reference; empty if nothing.
+
+    Args:
+        experiment: The experiment.
+        band: Its reference, or None.
+        end_s: Time of the last frame [s]. A reference that ends before it has its end in the text.
+    """
+    path = reference_path(experiment, band)
+    if band is None or path is None:
+        return ""
+    text = (
+        reference_words(band.kind, band.trial_count)
+        if experiment.trial is None
+        else f"real trial {experiment.trial}"
+    )
+    if not path.is_full:
+        text += ", in the measured directions"
+    if path.last_s < end_s - 0.5 / FRAME_RATE_HZ:
+        text += f", until {path.last_s:.2f} s"
+    return text
 
 
 def draw(entry: Entry, file: Path) -> str:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import select
 import signal
 import socket
 import subprocess
@@ -116,9 +117,11 @@ class Fork:
         self.stdin = None
         self.stdout = None
 
-    def wait(self):
+    def wait(self, timeout=None):
         with self._lock:
             if self.returncode is None:
+                if not select.select([self._replies], [], [], timeout)[0]:
+                    raise subprocess.TimeoutExpired("fork", timeout)
                 self.returncode = int(self._replies.readline())
                 self._replies.close()
         return self.returncode

@@ -36,6 +36,8 @@ class HereWorker:
     def close(self):
         pass
 
+    kill = close
+
 
 class Mortal:
     """A worker process that dies where one of some seeds runs."""
@@ -50,6 +52,8 @@ class Mortal:
 
     def close(self):
         pass
+
+    kill = close
 
 
 def mortal_worker(*seeds):
@@ -72,7 +76,8 @@ def swept(
         for name, one in earlier_episodes(folder, notify).items()
         if not (retry_failed and one.outcome is Outcome.FAILED)
     }
-    finished = run_sweep(remaining_tasks(plan, done), used or [HereWorker()], folder)
+    tasks = list(remaining_tasks(plan, done))
+    finished = run_sweep(tasks, used or [HereWorker()], folder)
     return [result for results in finished for result in results]
 
 

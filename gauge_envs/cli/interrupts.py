@@ -1,4 +1,4 @@
-"""Ctrl-C: an exception while a command runs, and the end of the process before and after.
+"""Ctrl-C: an exception while a command runs, and the end of the process before and after, and during an import.
 
 Libraries may turn the exception into another one, or drop it in a callback. So the signal is also remembered.
 """
@@ -9,10 +9,14 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
+from types import FrameType
 from typing import Any
 
 EXIT_INTERRUPTED = 130
 """Exit code after Ctrl-C."""
+
+IMPORT_FILE = "<frozen importlib._bootstrap>"
+"""File of the frames of Python's import system."""
 
 
 class _State:
@@ -55,13 +59,25 @@ def report_interrupt() -> None:
         os.write(2, b"interrupted\n")
 
 
-def _on_signal(*_: Any) -> None:
-    """Raise `KeyboardInterrupt` at the first signal; the second ends the process, as a library may drop the first."""
-    if _State.came or not _State.is_command:
+def _on_signal(_: int, frame: FrameType | None) -> None:
+    """Raise `KeyboardInterrupt`, or end the process where the exception may be dropped.
+
+    A library may drop the first exception, and Python may replace one that comes up during an import.
+    """
+    if _State.came or not _State.is_command or _is_importing(frame):
         report_interrupt()
         os._exit(EXIT_INTERRUPTED)
     _State.came = True
     raise KeyboardInterrupt
+
+
+def _is_importing(frame: FrameType | None) -> bool:
+    """Return whether a frame runs on behalf of an import."""
+    while frame is not None:
+        if frame.f_code.co_filename == IMPORT_FILE:
+            return True
+        frame = frame.f_back
+    return False
 
 
 def _on_dropped(report: Callable[[Any], None], dropped: Any) -> None:

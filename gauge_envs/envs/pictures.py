@@ -1,4 +1,4 @@
-"""The renderer of an environment: it starts with the first picture, and each copy of the environment starts its own."""
+"""The renderer of an environment."""
 
 from __future__ import annotations
 
@@ -10,14 +10,12 @@ from numpy.typing import NDArray
 
 from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.experiments.tables import Camera
 from gauge_envs.references.band import Band
 from gauge_envs.scene.geometry import FloatArray
 
 if TYPE_CHECKING:
     from gauge_envs.envs.rollout import Rollout
     from gauge_envs.rendering.overlay import Overlay
-    from gauge_envs.rendering.reference_path import ReferencePath
     from gauge_envs.rendering.renderer import SceneRenderer
     from gauge_envs.rendering.window import Window
 
@@ -33,26 +31,21 @@ Depth = NDArray[np.float32]
 Rendered = Picture | Depth | tuple[Picture, Depth]
 """What `render` returns with `rgb_array`, `depth_array` and `rgbd_tuple`."""
 
-DEFAULT_SIZE = (640, 480)
-"""Width and height of a picture [pixels] where none are given."""
-SIZE_LIMIT = 16_384
-"""Largest width and height of a picture [pixels], that of common graphics cards."""
-
 
 class Pictures:
-    """Renderer of the scene that an environment simulates.
+    """Renderer of the scene that an environment simulates; it starts with the first picture.
 
     Args:
         render_mode: None or one of the modes.
-        width: Picture width [pixels]; None is 640.
-        height: Picture height [pixels]; None is 480.
+        width: Picture width [pixels].
+        height: Picture height [pixels].
         camera: Entries that replace those of the scene's camera, as `{"azimuth_deg": 90.0}`: the fields of
             `gauge_envs.experiments.tables.Camera`.
         has_overlay: Whether the environment puts an overlay on its pictures.
         modes: Render modes of the environment.
 
     Raises:
-        ParameterError: An argument is wrong, or no picture of the render mode would show it.
+        ParameterError: The environment has no such render mode.
     """
 
     def __init__(
@@ -68,41 +61,11 @@ class Pictures:
         if render_mode not in (None, *modes):
             raise ParameterError(
                 f"render_mode {render_mode!r}: choose None or {', '.join(map(repr, modes))}"
-                + ("; a window shows one world" if render_mode == "human" else "")
-            )
-        for name, value in (("width", width), ("height", height)):
-            if value is not None and (
-                not isinstance(value, int | np.integer)
-                or isinstance(value, bool)
-                or not 1 <= value <= SIZE_LIMIT
-            ):
-                raise ParameterError(
-                    f"{name} is {value!r}, expected a whole number of pixels from 1 to {SIZE_LIMIT}"
-                )
-        if not isinstance(has_overlay, bool | np.bool_):
-            raise ParameterError(
-                f"render_overlay is {has_overlay!r}, expected True or False"
             )
         self.render_mode = render_mode
-        self.has_overlay = bool(has_overlay)
-        self._size = (width or DEFAULT_SIZE[0], height or DEFAULT_SIZE[1])
-        self._camera = _checked_camera(camera)
-        if render_mode is None:
-            given = {
-                "width": width is not None,
-                "height": height is not None,
-                "camera": camera is not None,
-                "render_overlay": has_overlay,
-            }
-            for name, is_given in given.items():
-                if is_given:
-                    raise ParameterError(
-                        f"{name} without render_mode would change nothing: give one, as render_mode='rgb_array'"
-                    )
-        if has_overlay and render_mode == "depth_array":
-            raise ParameterError(
-                "render_overlay with render_mode 'depth_array' would change nothing: the overlay has no depth"
-            )
+        self.has_overlay = has_overlay
+        self._size = (width or 640, height or 480)
+        self._camera = camera or {}
         self._renderer: SceneRenderer | None = None
         self._window: Window | None = None
 
@@ -112,7 +75,7 @@ class Pictures:
         rest_nodes_m: Mapping[str, FloatArray],
         *,
         band: Band | None = None,
-        reach: ReferencePath | None = None,
+        reach_m: FloatArray | None = None,
         poses: Mapping[str, FloatArray],
         nodes_m: Mapping[str, FloatArray],
         overlay: Overlay | None = None,
@@ -121,44 +84,20 @@ class Pictures:
 
         Args:
             experiment: The experiment; scene, materials and camera stay those of the first call until `close`.
-            rest_nodes_m: For each deformable body its nodes at the start [m], shape [node_count, 3].
-            band: Its band, whose places the camera frames too, or None.
-            reach: Places that actions bring bodies to, which the camera frames in place of those of the band, or None.
+            rest_nodes_m: Nodes of each deformable body at the start [m], shape [node_count, 3].
+            band: Its reference, whose places the camera frames too, or None.
+            reach_m: Places that actions bring bodies to [m], shape [..., 3], which the camera frames in place of the
+                reference, or None.
             poses: Position [m] and quaternion w x y z of each rigid body that moves, shape [7].
             nodes_m: Nodes of each deformable body now [m], shape [node_count, 3].
             overlay: What is drawn on top of the scene, or None.
         """
-        if self.render_mode == "human" and self._is_window_closed:
+        if self._window is not None and not self._window.is_open:
             return None
         if self._renderer is None:
-            from gauge_envs.rendering.camera import experiment_view, scene_view
-            from gauge_envs.rendering.reference_path import reference_path
-            from gauge_envs.rendering.renderer import SceneRenderer
-
-            width, height = self._size
-            if reach is None:
-                reference = reference_path(experiment, band)
-                view = experiment_view(
-                    experiment, aspect=width / height, reference=reference
-                )
-            else:
-                view = scene_view(experiment.scene, reference=reach)
-            view = type(view)(**{**view.model_dump(), **self._camera})
-            if self.render_mode == "human" and self._window is None:
-                from gauge_envs.rendering.window import Window
-
-                self._window = Window(width, height, experiment.id)
-            self._renderer = SceneRenderer(
-                experiment.scene,
-                rest_nodes_m,
-                width,
-                height,
-                view=view,
-                materials=experiment.materials,
-                window=self._window,
-            )
-        if self.render_mode == "human":
-            self._renderer.show(poses, nodes_m, overlay)
+            self._renderer = self._started(experiment, rest_nodes_m, band, reach_m)
+        if self._window is not None:
+            self._renderer.show(self._window, poses, nodes_m, overlay)
             return None
         if self.render_mode == "depth_array":
             return self._renderer.depth_m(poses, nodes_m)
@@ -167,10 +106,38 @@ class Pictures:
             return picture, self._renderer.depth_m(poses, nodes_m)
         return picture
 
-    @property
-    def _is_window_closed(self) -> bool:
-        """Whether a person has closed the window."""
-        return self._window is not None and not self._window.is_open
+    def _started(
+        self,
+        experiment: Experiment,
+        rest_nodes_m: Mapping[str, FloatArray],
+        band: Band | None,
+        reach_m: FloatArray | None,
+    ) -> SceneRenderer:
+        """Return a new renderer, with a window if the render mode is `human`."""
+        from gauge_envs.rendering.camera import View, experiment_view, scene_view
+        from gauge_envs.rendering.reference_path import reference_path
+        from gauge_envs.rendering.renderer import SceneRenderer
+        from gauge_envs.rendering.window import Window
+
+        width, height = self._size
+        if reach_m is None:
+            reference = reference_path(experiment, band)
+            places_m = None if reference is None else reference.places_m
+            view = experiment_view(experiment, aspect=width / height, places_m=places_m)
+        else:
+            view = scene_view(experiment.scene, reach_m)
+        view = View(**{**view.model_dump(), **self._camera})
+        if self.render_mode == "human" and self._window is None:
+            self._window = Window(width, height, experiment.id)
+        return SceneRenderer(
+            experiment.scene,
+            rest_nodes_m,
+            width,
+            height,
+            view=view,
+            materials=experiment.materials,
+            window=self._window,
+        )
 
     def free(self) -> None:
         """Free the renderer; the next picture starts another one, in the same window."""
@@ -186,34 +153,6 @@ class Pictures:
             self._window = None
 
 
-def _checked_camera(camera: Mapping[str, Any] | None) -> dict[str, Any]:
-    """Return the entries of a camera that replace others, or raise an error for what no camera has."""
-    if camera is None:
-        return {}
-    if not isinstance(camera, Mapping):
-        raise ParameterError(
-            f"camera is {camera!r}, expected a mapping, as {{'azimuth_deg': 90.0}}"
-        )
-    entries = {
-        name: tuple(value) if isinstance(value, list | np.ndarray) else value
-        for name, value in camera.items()
-    }
-    usual: dict[str, Any] = {
-        "target_m": (0.0, 0.0, 0.0),
-        "distance_m": 1.0,
-        "azimuth_deg": 0.0,
-        "elevation_deg": 0.0,
-    }
-    try:
-        Camera(**usual | entries)
-    except ValueError as error:
-        raise ParameterError(
-            f"camera {dict(camera)!r}: its entries are target_m (three numbers), distance_m (above 0), azimuth_deg and "
-            "elevation_deg"
-        ) from error
-    return entries
-
-
 def rollout_picture(
     pictures: Pictures, rollout: Rollout, world: int = 0
 ) -> Rendered | None:
@@ -221,31 +160,26 @@ def rollout_picture(
 
     Args:
         pictures: Renderer; camera and shapes stay those of the first call until it is closed.
-        rollout: The episode, which has begun.
+        rollout: The episodes, which have begun.
         world: Number of the world.
     """
+    overlay = None
+    if pictures.has_overlay:
+        from gauge_envs.rendering.overlay import tracked_overlay
+
+        trajectory = rollout.trajectory(world)
+        overlay = tracked_overlay(
+            rollout.experiment,
+            rollout.bands[world],
+            time_s=float(trajectory.times_s[-1]),
+            samples=trajectory.samples,
+            markers_m=trajectory.markers_m[-1],
+        )
     return pictures.draw(
         rollout.experiment,
         rollout.rest_nodes_m,
         band=rollout.bands[0],
         poses=rollout.poses(world),
         nodes_m=rollout.nodes_m(world),
-        overlay=rollout_overlay(rollout, world) if pictures.has_overlay else None,
-    )
-
-
-def rollout_overlay(rollout: Rollout, world: int = 0) -> Overlay:
-    """Return the overlay of a world."""
-    from gauge_envs.rendering.overlay import tracked_overlay
-    from gauge_envs.rendering.reference_path import reference_path
-
-    trajectory = rollout.trajectory(world)
-    experiment = rollout.experiment
-    return tracked_overlay(
-        experiment,
-        reference_path(experiment, rollout.bands[world]),
-        time_s=float(trajectory.times_s[-1]),
-        samples=trajectory.samples,
-        markers_m=trajectory.markers_m[-1],
-        poses=rollout.poses(world),
+        overlay=overlay,
     )

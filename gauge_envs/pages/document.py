@@ -20,7 +20,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any, Protocol
 
-from rich.console import Console, ConsoleOptions, RenderResult
+from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
 from rich.text import Text
 
 from gauge_envs.errors import ResultFileError
@@ -33,7 +33,7 @@ from gauge_envs.pages.text import markdown_text
 class Part(Protocol):
     """Part of a document, as a heading or a table."""
 
-    def lines(self, width: int, *, wide: bool) -> Iterator[Text]:
+    def renderables(self, width: int, *, wide: bool) -> Iterator[RenderableType]:
         """Yield what a terminal of a width [characters] shows; `wide` adds what is left out by default."""
 
     def markdown(self) -> str:
@@ -55,7 +55,7 @@ class Heading:
     text: str
     level: int = 2
 
-    def lines(self, width: int, *, wide: bool) -> Iterator[Text]:
+    def renderables(self, width: int, *, wide: bool) -> Iterator[RenderableType]:
         """Yield the line in bold, below an empty one."""
         yield Text(f"\n{self.text}", style="bold")
 
@@ -97,7 +97,7 @@ class Paragraph:
     text: str
     tone: Tone = Tone.PLAIN
 
-    def lines(self, width: int, *, wide: bool) -> Iterator[Text]:
+    def renderables(self, width: int, *, wide: bool) -> Iterator[RenderableType]:
         """Yield the text, which rich wraps."""
         yield Text(self.text, style=self.tone.value)
 
@@ -126,7 +126,7 @@ class Bullets:
     entries: Sequence[str]
     title: str = ""
 
-    def lines(self, width: int, *, wide: bool) -> Iterator[Text]:
+    def renderables(self, width: int, *, wide: bool) -> Iterator[RenderableType]:
         """Yield the title in bold, below an empty line, and the indented entries."""
         if self.title:
             yield Text("")
@@ -185,7 +185,7 @@ class Terminal:
     ) -> RenderResult:
         """Yield the lines of all parts."""
         for part in _parts(self.shown):
-            yield from part.lines(options.max_width, wide=self.wide)
+            yield from part.renderables(options.max_width, wide=self.wide)
 
 
 def as_markdown(shown: Shown) -> str:

@@ -24,7 +24,7 @@ class Html(str):
 
     __slots__ = ()
 
-    def lines(self, width: int, *, wide: bool) -> Iterator[Any]:
+    def renderables(self, width: int, *, wide: bool) -> Iterator[Any]:
         """Yield nothing: a terminal shows no markup."""
         yield from ()
 

@@ -1,33 +1,35 @@
 """Tables: columns and rows that print in a terminal, as Markdown, as HTML, or as JSON objects.
 
 A row is a JSON-ready mapping, a sequence, or an object with attributes. A column states which value of a row it shows
-and how to write it. In a terminal no cell is cut or wrapped. What does not fit beside the others is written below its
-row.
+and how to write it. In a terminal cells wrap between words, and columns that do not fit are written below their rows.
 """
 
 import csv
 import io
 import re
-import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass
 from enum import StrEnum
-from itertools import chain, repeat
-from typing import Any
+from textwrap import TextWrapper
+from typing import Any, Literal
 
+import rich.table
+from rich.cells import cell_len
+from rich.console import RenderableType
+from rich.padding import Padding
 from rich.text import Text
 
 from gauge_envs.pages.html import Html, element, join
 from gauge_envs.pages.text import markdown_row, markdown_text, value_text
 
-GAP = "  "
-"""Between two columns, and the indentation of rows below a heading."""
-
-MIN_FIRST_WIDTH = 12
-"""The first column gets at least this width; longer first cells have a line of their own [characters]."""
+GAP = 2
+"""Blanks between two columns, and before rows below a heading."""
 
 TITLE_WIDTH = 12
-"""Longer titles are wrapped [characters]."""
+"""Longer titles wrap where their cells are shorter [characters]."""
+
+MIN_NAME_WIDTH = 12
+"""The first column gets at least this width [characters]."""
 
 MAX_KEY_WIDTH = 22
 """Longer names of facts have a line of their own [characters]."""
@@ -130,18 +132,18 @@ class Table:
     narrow_only: bool = False
     look: str = "stack dense"
 
-    def lines(self, width: int, *, wide: bool) -> Iterator[Text]:
-        """Yield the lines of the table for a terminal, none longer than the width."""
+    def renderables(self, width: int, *, wide: bool) -> Iterator[RenderableType]:
+        """Yield what a terminal of a width [characters] shows."""
         if self.narrow_only if wide else self.wide_only:
             return
         if self.title:
             yield Text(f"\n{self.title}", style="bold")
         if self.rows:
-            yield from _lines(self, wide, width)
+            yield from _lines(self, width, wide=wide)
         else:
             yield Text("none", style="dim")
         for note in self.notes:
-            yield from _wrapped(note, width, style="dim")
+            yield Text(note, style="dim")
 
     def markdown(self) -> str:
         """Return the table as GitHub Markdown, with all columns."""
@@ -253,8 +255,8 @@ def grid(
     return Table(columns=tuple(columns), rows=list(rows), look=look)
 
 
-def _lines(table: Table, wide: bool, width: int) -> Iterator[Text]:
-    """Yield headings, rows and what stands below them, none longer than the width."""
+def _lines(table: Table, width: int, *, wide: bool) -> Iterator[RenderableType]:
+    """Yield titles, headings, and rows, each with its lines below."""
     chosen = [
         column
         for column in table.columns
@@ -263,90 +265,79 @@ def _lines(table: Table, wide: bool, width: int) -> Iterator[Text]:
     headings = [column for column in chosen if column.place is Place.HEADING]
     cells = [column for column in chosen if column.place is Place.CELL]
     below = [column for column in chosen if column.place is Place.BELOW]
-    indent = GAP if headings else ""
-    columns, widths = _fitted(cells, table.rows, width - len(indent))
-    spilled = cells[len(columns) :]
-
-    def line(texts: Sequence[str], styles: Sequence[str]) -> Text:
-        padded = Text(indent)
-        for column, size, text, style in zip(
-            columns, widths, texts, styles, strict=True
-        ):
-            padded.append(
-                text.rjust(size) if column.is_number else text.ljust(size), style=style
-            ).append(GAP)
-        padded.rstrip()
-        return padded
-
-    titles = [
-        _wrap(column.label, size) for column, size in zip(columns, widths, strict=True)
-    ]
-    height = max(map(len, titles))
-    # Short titles stand at the bottom.
-    padded_titles = [[""] * (height - len(title)) + title for title in titles]
-    for level in zip(*padded_titles, strict=True):
-        yield line(level, ["dim"] * len(columns))
-    last = ""
+    indent = GAP if headings else 0
+    widths = _widths(cells, table.rows, width - indent)
+    shown, spilled = cells[: len(widths)], cells[len(widths) :]
+    titles = [Text(column.label, style="dim") for column in shown]
+    yield Padding.indent(_line(shown, widths, titles, vertical="bottom"), indent)
+    last_heading = ""
     for row in table.rows:
-        parts = []
-        for number, column in enumerate(headings):
-            title = column.title if number else ""
-            parts.append(f"{title} {column.text(row)}".strip())
-        heading = GAP.join(parts)
-        if heading != last:
-            yield from _wrapped(heading, width, style="bold")
-        last = heading
-        texts = [column.text(row) for column in columns]
-        styles = [column.style_of(row) for column in columns]
-        if len(texts[0]) > widths[0]:
-            yield from _wrapped(texts[0], width, indent=indent, style=styles[0])
-            texts[0] = ""
+        heading = _heading(headings, row)
+        if heading != last_heading:
+            yield Text(heading, style="bold")
+            last_heading = heading
+        texts = [Text(column.text(row), column.style_of(row)) for column in shown]
+        if max(map(cell_len, texts[0].plain.split()), default=0) > widths[0]:
+            yield Padding.indent(texts[0], indent)
+            texts[0] = Text("")
         if any(texts):
-            yield line(texts, styles)
+            yield Padding.indent(_line(shown, widths, texts), indent)
         lines = [column.text(row) for column in below]
+        rest = [(column.label, column.text(row)) for column in spilled]
         lines.append(
             "; ".join(
-                f"{one.label}: {one.text(row)}"
-                for one in spilled
-                if one.value(row) is not None and one.text(row)
+                f"{title}: {text}" for title, text in rest if text not in ("", "-")
             )
         )
-        for text in filter(None, lines):
-            yield from _wrapped(text, width, indent=2 * GAP)
+        for line in filter(None, lines):
+            yield Padding.indent(Text(line), 2 * GAP)
 
 
-def _fitted(
-    columns: Sequence[Column], rows: Sequence[Any], width: int
-) -> tuple[list[Column], list[int]]:
-    """Return the columns that fit side by side, and their widths.
+def _heading(columns: Sequence[Column], row: Any) -> str:
+    """Return the line above rows: the first value alone, and the others with their titles."""
+    first, *others = [column.text(row) for column in columns] or [""]
+    titles = [column.title for column in columns[1:]]
+    texts = [f"{title} {text}" for title, text in zip(titles, others, strict=True)]
+    return "  ".join([first, *texts])
 
-    A first column that is too wide gets the width that the others leave, and its long cells have lines of their own.
-    If the others leave too little, it gets at most half of the width, and columns spill from the right.
-    """
-    widths = [
-        max(map(len, [*_wrap(c.label, TITLE_WIDTH), *(c.text(row) for row in rows)]))
-        for c in columns
+
+def _line(
+    columns: Sequence[Column],
+    widths: Sequence[int],
+    texts: Sequence[Text],
+    *,
+    vertical: Literal["top", "bottom"] = "top",
+) -> rich.table.Table:
+    """Return texts in columns of given widths [characters]."""
+    line = rich.table.Table.grid(padding=(0, GAP, 0, 0))
+    for column, width in zip(columns, widths, strict=True):
+        justify: Literal["left", "right"] = "right" if column.is_number else "left"
+        line.add_column(
+            justify=justify, width=width, overflow="fold", vertical=vertical
+        )
+    line.add_row(*texts)
+    return line
+
+
+def _widths(columns: Sequence[Column], rows: Sequence[Any], width: int) -> list[int]:
+    """Return the widths of the columns that fit side by side; cells wrap between words where they must."""
+    wrapper = TextWrapper(TITLE_WIDTH, break_long_words=False, break_on_hyphens=False)
+    lines = [
+        [*wrapper.wrap(column.label), *(column.text(row) for row in rows)]
+        for column in columns
     ]
-    room = width - sum(widths[1:]) - len(GAP) * (len(widths) - 1)
-    widths[0] = min(widths[0], room if room >= MIN_FIRST_WIDTH else width // 2)
-    count = len(columns)
-    while count > 1 and sum(widths[:count]) + len(GAP) * (count - 1) > width:
-        count -= 1
-    return list(columns[:count]), widths[:count]
-
-
-def _wrap(text: str, width: int) -> list[str]:
-    """Break a text at blanks alone, so that names and numbers stay whole."""
-    return textwrap.wrap(
-        text, max(width, 1), break_long_words=False, break_on_hyphens=False
-    ) or [""]
-
-
-def _wrapped(
-    text: str, width: int, *, indent: str = "", style: str = ""
-) -> Iterator[Text]:
-    for line in _wrap(text, width - len(indent)):
-        yield Text(f"{indent}{line}", style=style)
+    widths = [max(map(cell_len, texts)) for texts in lines]
+    least = [max(map(cell_len, " ".join(texts).split()), default=1) for texts in lines]
+    # A longer name of a row has a line of its own rather than that columns go below their rows.
+    least[0] = min(least[0], MIN_NAME_WIDTH)
+    while len(least) > 1 and sum(least) + GAP * (len(least) - 1) > width:
+        del least[-1], widths[-1]
+    while sum(widths) + GAP * (len(widths) - 1) > width:
+        spare = [size - word for size, word in zip(widths, least, strict=True)]
+        if max(spare) <= 0:
+            break
+        widths[spare.index(max(spare))] -= 1
+    return widths
 
 
 @dataclass(frozen=True)
@@ -355,19 +346,20 @@ class Facts:
 
     pairs: Mapping[str, str]
 
-    def lines(self, width: int, *, wide: bool = False) -> Iterator[Text]:
-        """Yield a line for each name; a long text goes on below its beginning."""
+    def renderables(self, width: int, *, wide: bool) -> Iterator[RenderableType]:
+        """Yield names beside their texts; a long name has a line of its own."""
         key_width = max(
             (len(key) for key in self.pairs if len(key) <= MAX_KEY_WIDTH), default=0
         )
         for key, text in self.pairs.items():
-            if len(key) > key_width:
-                yield from _wrapped(key, width, style="cyan")
-            names = chain(["" if len(key) > key_width else key], repeat(""))
-            for name, line in zip(
-                names, _wrap(text, width - key_width - len(GAP)), strict=False
-            ):
-                yield Text.assemble((name.ljust(key_width), "cyan"), GAP, line)
+            is_long = len(key) > key_width
+            if is_long:
+                yield Text(key, style="cyan")
+            fact = rich.table.Table.grid(padding=(0, GAP, 0, 0))
+            fact.add_column(style="cyan", width=key_width)
+            fact.add_column(overflow="fold")
+            fact.add_row("" if is_long else Text(key), Text(text))
+            yield fact
 
     def markdown(self) -> str:
         """Return a list."""

@@ -92,34 +92,3 @@ def reference_words(kind: Kind, trial_count: int | None) -> str:
         Kind.NUMERICAL: "the refined solution of the scene, not a real trial",
     }
     return names.get(kind, "the closed form of the scene")
-
-
-def reference_text(
-    band: Band | None,
-    path: ReferencePath | None,
-    *,
-    end_s: float,
-    trial: int | None = None,
-) -> str:
-    """Return what is drawn of a reference, in words; empty if nothing is.
-
-    Args:
-        band: The band, or None.
-        path: Its places in space, or None.
-        end_s: Time of the last picture [s]. A reference that ends before it has its end in the text.
-        trial: Number of the single trial that it is; None for others.
-    """
-    if band is None or path is None:
-        return ""
-    text = (
-        reference_words(band.kind, band.trial_count)
-        if trial is None
-        else f"real trial {trial}"
-    )
-    if not path.is_full:
-        text += ", in the measured directions"
-    return (
-        f"{text}, until {path.last_s:.2f} s"
-        if path.last_s < end_s - 0.5 / FRAME_RATE_HZ
-        else text
-    )

@@ -3,28 +3,24 @@
 The order of the nodes differs between engines, so the mesh follows from their rest positions.
 """
 
-from collections.abc import Iterator
-
 import mujoco
 import numpy as np
-from scipy.spatial import Delaunay, QhullError
+from scipy.spatial import ConvexHull, Delaunay, QhullError
 
-from gauge_envs.rendering.materials import Look
+from gauge_envs.rendering.materials import LOOKS
 from gauge_envs.scene import Cloth, SoftBody
 from gauge_envs.scene.geometry import FloatArray, IntArray
 
 ON_SIDE = 1e-4
 """Largest distance of a node from a side of the box around all nodes, relative to its longest edge."""
-CLOSED = 1e-6
-"""Largest deviation of the volume inside the sides from that of the box, relative."""
-SHEET_HALF_M = 0.0008
-"""Half of the thickness that cloth has in pictures at least [m]: a cloth on a table must not shine through it."""
+MIN_HALF_THICKNESS_M = 0.0008
+"""Smallest half thickness of cloth in pictures [m]: a cloth on a table must not shine through it."""
 
 
 class Skin:
-    """Two-sided mesh over the nodes of a sheet, or mesh over the sides of a solid.
+    """Mesh over the nodes of a sheet, with a front and a back, or over the sides of a block.
 
-    The sides of a block have sharp edges: each side has its own vertices, with its own normals.
+    Each side has its own vertices and normals, so that the edges between sides are sharp.
 
     Args:
         body: The deformable body.
@@ -32,150 +28,105 @@ class Skin:
 
     Attributes:
         name: Name of the body.
-        faces: Triangles of node indices on the front, shape [face_count, 3].
+        faces: Triangles of node indices, of a sheet on its front alone, shape [face_count, 3].
     """
 
     def __init__(self, body: Cloth | SoftBody, rest_m: FloatArray) -> None:
         self.name = body.name
-        local = body.pose.to_body(rest_m)
-        is_sheet = isinstance(body, Cloth)
-        sides = (
-            [Delaunay(local[:, :2]).simplices.astype(np.intp)]
-            if is_sheet
-            else _sides(local)
-        )
-        self.faces = np.concatenate(sides)
-        # A vertex has one normal, so that front and back of a sheet, and each side of a block, have their own.
-        patches = [(side, 1.0) for side in sides] + (
-            [(sides[0][:, ::-1], -1.0)] if is_sheet else []
-        )
-        self._half_m = (
-            max(0.5 * body.thickness_m, SHEET_HALF_M)
-            if isinstance(body, Cloth)
-            else 0.0
-        )
-        nodes, faces, first = [], [], 0
-        for patch, _ in patches:
-            used, renumbered = np.unique(patch, return_inverse=True)
-            nodes.append(used)
-            faces.append(renumbered.reshape(-1, 3) + first)
-            first += len(used)
-        self._nodes, self._faces = np.concatenate(nodes), np.concatenate(faces)
         self._rest_m = rest_m
+        self._half_m = 0.0
+        local_m = body.pose.to_body(rest_m)
+        if isinstance(body, Cloth):
+            self.faces = Delaunay(local_m[:, :2]).simplices.astype(np.intp)
+            self._half_m = max(0.5 * body.thickness_m, MIN_HALF_THICKNESS_M)
+            sides = [self.faces, self.faces[:, ::-1]]
+        else:
+            sides = _sides(local_m)
+            self.faces = np.concatenate(sides)
+        # Every side numbers its own copy of the nodes.
+        copies = [side + number * len(rest_m) for number, side in enumerate(sides)]
+        used, numbers = np.unique(np.concatenate(copies), return_inverse=True)
+        self._nodes = used % len(rest_m)
+        self._triangles = numbers.reshape(-1, 3)
 
-    def add(self, spec: mujoco.MjSpec, look: Look, material: str = "") -> None:
+    def add(self, spec: mujoco.MjSpec, material: str) -> None:
         """Add the mesh to a visual model."""
-        vertices, normals = self._surface(self._rest_m)
+        vertices_m, normals = self._surface(self._rest_m)
         mesh = spec.add_mesh(
             name=self._mesh_name,
-            uservert=vertices.ravel(),
+            uservert=vertices_m.ravel(),
             usernormal=normals.ravel(),
-            userface=self._faces.ravel(),
-            userfacenormal=self._faces.ravel(),
+            userface=self._triangles.ravel(),
+            userfacenormal=self._triangles.ravel(),
         )
         mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
-        geom = spec.worldbody.add_geom(
+        spec.worldbody.add_geom(
             type=mujoco.mjtGeom.mjGEOM_MESH,
             meshname=mesh.name,
             name=mesh.name,
-            rgba=look.color,
+            rgba=[*LOOKS[material].color, 1.0],
             material=material,
         )
-        geom.contype = geom.conaffinity = 0
 
     def place(self, model: mujoco.MjModel) -> None:
-        """Undo MuJoCo's centring of the mesh, so that vertices are in the world frame."""
-        self._mesh = model.mesh(self._mesh_name).id
+        """Undo MuJoCo's centring of the mesh, and its culling by the rest shape: vertices are in the world frame."""
         geom = model.geom(self._mesh_name).id
         model.geom_pos[geom] = 0.0
         model.geom_quat[geom] = (1.0, 0.0, 0.0, 0.0)
-        # Frustum culling uses the rest shape, which the body leaves.
         model.geom_rbound[geom] = 100.0
 
     def upload(
         self, model: mujoco.MjModel, device: mujoco.MjrContext, nodes_m: FloatArray
     ) -> None:
         """Move the mesh to the nodes [m], shape [node_count, 3]."""
-        vertices, normals = self._surface(nodes_m)
-        first, first_normal = (
-            model.mesh_vertadr[self._mesh],
-            model.mesh_normaladr[self._mesh],
-        )
-        model.mesh_vert[first : first + len(vertices)] = vertices
+        mesh = model.mesh(self._mesh_name).id
+        vertices_m, normals = self._surface(nodes_m)
+        first, first_normal = model.mesh_vertadr[mesh], model.mesh_normaladr[mesh]
+        model.mesh_vert[first : first + len(vertices_m)] = vertices_m
         model.mesh_normal[first_normal : first_normal + len(normals)] = normals
-        mujoco.mjr_uploadMesh(model, device, self._mesh)
+        mujoco.mjr_uploadMesh(model, device, mesh)
 
     @property
     def _mesh_name(self) -> str:
         return f"{self.name}/skin"
 
     def _surface(self, nodes_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return vertices [m] and their normals, each of shape [vertex_count, 3]; a sheet is thickened along them."""
-        vertices = nodes_m[self._nodes]
-        corners = vertices[self._faces]
-        across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        normals = np.zeros_like(vertices)
-        for corner in range(3):
-            np.add.at(normals, self._faces[:, corner], across)
+        """Return vertices [m] and their normals, shape [vertex_count, 3] each; a sheet is thickened along them."""
+        vertices_m = nodes_m[self._nodes]
+        across = _across(vertices_m, self._triangles)
+        normals = np.zeros_like(vertices_m)
+        for corner in self._triangles.T:
+            np.add.at(normals, corner, across)
         length = np.linalg.norm(normals, axis=1, keepdims=True)
-        normals = np.where(
-            length > 0.0, normals / np.maximum(length, 1e-30), [0.0, 0.0, 1.0]
-        )
-        return vertices + self._half_m * normals, normals
+        normals = np.where(length > 0.0, normals / np.maximum(length, 1e-30), [0, 0, 1])
+        return vertices_m + self._half_m * normals, normals
+
+
+def _across(points: FloatArray, faces: IntArray) -> FloatArray:
+    """Return the normal of each triangle, twice as long as its area, shape [face_count, 3]."""
+    first, second, third = points[faces].swapaxes(0, 1)
+    return np.cross(second - first, third - first)
 
 
 def _sides(local_m: FloatArray) -> list[IntArray]:
-    """Return the outward triangles of each side of a block.
-
-    Nodes on the six sides of the box around all nodes are joined side by side, so that a side is flat. Where such nodes
-    do not close the box, as in an irregular cloud, the surface of the whole cloud is one side.
-    """
-    low, high = local_m.min(axis=0), local_m.max(axis=0)
-    sides = list(_box_sides(local_m, low, high))
-    if len(sides) == 6:
-        corners = (local_m - low)[np.concatenate(sides)]
-        volume = (
-            np.einsum("ij,ij->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
-            / 6.0
-        )
-        if abs(volume - np.prod(high - low)) <= CLOSED * np.prod(high - low):
-            return sides
-    return [_boundary_faces(local_m)]
-
-
-def _box_sides(
-    local_m: FloatArray, low: FloatArray, high: FloatArray
-) -> Iterator[IntArray]:
-    within = ON_SIDE * float((high - low).max())
-    for axis in range(3):
-        for end, outward in ((low, -1.0), (high, 1.0)):
-            on_side = np.flatnonzero(np.abs(local_m[:, axis] - end[axis]) <= within)
-            plane = np.delete(local_m[on_side], axis, axis=1)
-            try:
-                faces = on_side[Delaunay(plane).simplices]
-            except (QhullError, ValueError):
-                return
-            corners = local_m[faces]
-            across = np.cross(
-                corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-            )[:, axis]
-            yield np.where(
-                (across * outward < 0.0)[:, None], faces[:, ::-1], faces
-            ).astype(np.intp)
-
-
-def _boundary_faces(local_m: FloatArray) -> IntArray:
-    """Return the faces that belong to one tetrahedron only, with outward normals."""
-    cells = Delaunay(local_m).simplices
-    faces = np.concatenate(
-        [cells[:, kept] for kept in ([0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3])]
-    )
-    _, first, count = np.unique(
-        np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True
-    )
-    outer: IntArray = faces[first[count == 1]].astype(np.intp)
-    corners = local_m[outer]
-    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    inward = (across * (corners.mean(axis=1) - local_m.mean(axis=0))).sum(axis=1) < 0.0
-    outer[inward] = outer[inward][:, ::-1]
-    return outer
+    """Return the outward triangles of each side of a block; an irregular cloud of nodes is one side, its hull."""
+    low_m, high_m = local_m.min(axis=0), local_m.max(axis=0)
+    tolerance_m = ON_SIDE * float((high_m - low_m).max())
+    sides = []
+    try:
+        for axis in range(3):
+            for end_m, outward in ((low_m, -1.0), (high_m, 1.0)):
+                distances_m = np.abs(local_m[:, axis] - end_m[axis])
+                on_side = np.flatnonzero(distances_m <= tolerance_m)
+                plane_m = np.delete(local_m[on_side], axis, axis=1)
+                faces = on_side[Delaunay(plane_m).simplices]
+                is_inward = _across(local_m, faces)[:, axis] * outward < 0.0
+                faces[is_inward] = faces[is_inward, ::-1]
+                sides.append(faces.astype(np.intp))
+    except (QhullError, ValueError):
+        hull = ConvexHull(local_m)
+        faces = hull.simplices.astype(np.intp)
+        is_inward = (_across(local_m, faces) * hull.equations[:, :3]).sum(axis=1) < 0.0
+        faces[is_inward] = faces[is_inward, ::-1]
+        return [faces]
+    return sides

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from gauge_envs.errors import RenderError
-from gauge_envs.rendering.camera import FIELD_OF_VIEW_DEG, View
+from gauge_envs.rendering.camera import View
 
 TURN_DEG = 180.0
 """Angle by which a drag over the height of the window turns the scene [deg]."""
@@ -36,17 +36,13 @@ class Window:
         camera: Camera that the mouse moves; None until a renderer sets it.
 
     Raises:
-        RenderError: There is no display, or no package for windows.
+        RenderError: There is no display.
     """
 
     def __init__(self, width: int, height: int, title: str) -> None:
-        try:
-            import glfw
-        except ImportError as error:
-            raise RenderError(
-                f"render_mode 'human' opens a window with the package glfw: {error}. Install it with pip install glfw, "
-                "or use render_mode='rgb_array'"
-            ) from error
+        # MuJoCo brings this package.
+        import glfw
+
         self._glfw: Any = glfw
         self.camera: mujoco.MjvCamera | None = None
         self._handle = None
@@ -82,9 +78,6 @@ class Window:
         """Let OpenGL draw here."""
         self._glfw.make_context_current(self._handle)
 
-    def free(self) -> None:
-        """Keep the window: a renderer that ends leaves it to the next one. `close` ends it."""
-
     def show(self, draw: Callable[[], None], *, interval_s: float) -> None:
         """Show a picture, and wait until it is time for the next one; the mouse turns it meanwhile.
 
@@ -117,16 +110,18 @@ class Window:
 
     def _on_cursor(self, handle: Any, x: float, y: float) -> None:
         glfw = self._glfw
-        moved = np.subtract((x, y), self._mouse)
+        height = max(glfw.get_window_size(handle)[1], 1)
+        right = (x - self._mouse[0]) / height
+        down = (y - self._mouse[1]) / height
         self._mouse = (x, y)
         camera = self.camera
         if camera is None:
             return
-        right, down = moved / max(glfw.get_window_size(handle)[1], 1)
         if glfw.get_mouse_button(handle, glfw.MOUSE_BUTTON_LEFT) == glfw.PRESS:
             camera.azimuth -= TURN_DEG * right
             elevation_deg = camera.elevation - TURN_DEG * down
             camera.elevation = np.clip(elevation_deg, -STEEPEST_DEG, STEEPEST_DEG)
+            self._is_turned = True
         elif glfw.get_mouse_button(handle, glfw.MOUSE_BUTTON_RIGHT) == glfw.PRESS:
             view = View(
                 target_m=tuple(camera.lookat.tolist()),
@@ -134,13 +129,9 @@ class Window:
                 azimuth_deg=camera.azimuth,
                 elevation_deg=camera.elevation,
             )
-            half_angle = np.radians(0.5 * FIELD_OF_VIEW_DEG)
-            height_m = 2.0 * camera.distance * np.tan(half_angle)
             to_right, up, _ = view.axes
-            camera.lookat += height_m * (down * up - right * to_right)
-        else:
-            return
-        self._is_turned = True
+            camera.lookat += view.height_m * (down * up - right * to_right)
+            self._is_turned = True
 
     def _on_wheel(self, _: Any, __: float, notches: float) -> None:
         if self.camera is not None:

@@ -5,10 +5,9 @@ from __future__ import annotations
 import logging
 import os
 import time
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Sequence
 from contextlib import closing, suppress
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import replace
 from pathlib import Path
 
 from gauge_envs.backends import backend_for, engine_call, is_bundled, support_of
@@ -16,9 +15,9 @@ from gauge_envs.envs.arguments import check_support
 from gauge_envs.errors import GaugeError, ParameterError, ResultFileError
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.files import os_errors
-from gauge_envs.runs.episodes import planned_results
+from gauge_envs.runs.episodes import results_without_run
 from gauge_envs.runs.isolation import TIME_LIMIT_S, CrashError, Worker
-from gauge_envs.runs.pool import Limits, LocalWorker, ProcessWorker, run_tasks
+from gauge_envs.runs.pool import Limits, ProcessWorker, run_tasks
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Result
 from gauge_envs.runs.result_file import load_result, result_file_name, write_result
@@ -86,7 +85,7 @@ def run_many(
     time_limit_s: float = TIME_LIMIT_S,
     memory_limit_gb: float | None = None,
     jobs: int = 1,
-) -> Iterator[Result]:
+) -> Generator[Result, None, None]:
     """Run episodes, repeats together; each result is written before it is yielded, in the order of the requests.
 
     An episode that is declined or fails is yielded with its `error` and is not written. The others continue.
@@ -95,102 +94,58 @@ def run_many(
         requests: The runs, in order. Repeats without a jitter have the default `Jitter`.
         out: Folder for the result files, created if it does not exist; None writes no files.
         resume: Take a result from `out` if it has the same request, task file, asset, imported trials and versions of
-            engine and gauge-envs. A damaged file is renamed to `*.damaged`, and its episode runs again.
+            engine and gauge-envs. The episode of a damaged file runs again.
         notify: Receives one sentence for each file that `resume` could not take.
         isolate: With True, each request runs in a process of its own. With None, requests of engines outside this
             package run in another process, which is replaced when it crashes. With False, all run in this process. The
             results have the same bits.
         time_limit_s: Time limit of a request that runs in another process, with all its repeats [s].
-        memory_limit_gb: Limit of the resident memory of another process [GB], on Linux; None: no limit.
+        memory_limit_gb: Limit of the memory of another process [GB], on Linux; None: no limit.
         jobs: Number of requests that run at once. More than one run in as many other processes, with the same bits.
 
     Returns:
         Iterator over the results. With one job it runs an episode when its result is asked for.
     """
     limits = Limits(time_limit_s, memory_limit_gb, isolate=bool(isolate))
-    workers: list[LocalWorker | ProcessWorker]
-    workers = (
-        [LocalWorker(limits, isolate=isolate)]
-        if jobs == 1
-        else [ProcessWorker(limits) for _ in range(jobs)]
-    )
-    tasks = [
-        _Task(number, replace(request, jitter=request.scatter))
-        for number, request in enumerate(requests)
+    workers = [
+        ProcessWorker(
+            limits, apart=isolate if jobs == 1 else True, single_thread=jobs > 1
+        )
+        for _ in range(jobs)
     ]
-    for task in tasks:
+    runs = [replace(request, jitter=request.scatter) for request in requests]
+    for run in runs:
         # An experiment that does not exist is an error of the caller.
-        task.request.calibrated_experiment()
+        run.calibrated_experiment()
     if out is not None:
         check_writable(out)
-    return _in_order(
-        run_tasks(
-            tasks,
-            workers,
-            partial(_results_of, out=out, notify=notify if resume else None),
-        )
-    )
+
+    def results_of(worker: ProcessWorker, request: RunRequest) -> list[Result]:
+        if out is None:
+            return worker.run(request)
+        planned = results_without_run(request)
+        files = [out / result_file_name(one) for one in planned]
+        if resume and all(file.exists() for file in files):
+            try:
+                return _earlier_results(files, planned, worker)
+            except ResultFileError as error:
+                notify(f"{error}; run again")
+        results = worker.run(request)
+        for result, file in zip(results, files, strict=True):
+            if result.error is None:
+                write_result(result, file)
+        return results
+
+    return _each(run_tasks(runs, workers, results_of))
 
 
-@dataclass(frozen=True)
-class _Task:
-    """A request and its number."""
-
-    number: int
-    request: RunRequest
-
-    @property
-    def backend(self) -> str:
-        """Name of the engine."""
-        return self.request.backend
-
-
-def _in_order(
-    done: Generator[tuple[int, list[Result]], None, None],
-) -> Iterator[Result]:
-    """Yield the results of requests in the order of their numbers."""
-    complete: dict[int, list[Result]] = {}
-    next_number = 0
+def _each(
+    done: Generator[list[Result], None, None],
+) -> Generator[Result, None, None]:
+    """Yield the results of lists, and close their iterator at the end."""
     with closing(done):
-        for number, results in done:
-            complete[number] = results
-            while next_number in complete:
-                yield from complete.pop(next_number)
-                next_number += 1
-
-
-def _results_of(
-    worker: LocalWorker | ProcessWorker,
-    task: _Task,
-    *,
-    out: Path | None,
-    notify: Notify | None,
-) -> tuple[int, list[Result]]:
-    """Return the results of a request: those in a folder if all of them are there, else new ones, which are written.
-
-    Args:
-        worker: Runs the request.
-        task: The request.
-        out: Folder of the result files, or None.
-        notify: Receives a sentence for each file that cannot be taken; None takes no files.
-    """
-    if out is None:
-        return task.number, worker.run(task.request)
-    planned = planned_results(task.request)
-    files = [out / result_file_name(one) for one in planned]
-    if notify is not None:
-        earlier = [
-            _earlier_result(file, one, worker, notify)
-            for file, one in zip(files, planned, strict=True)
-        ]
-        taken = [result for result in earlier if result is not None]
-        if len(taken) == len(files):
-            return task.number, taken
-    results = worker.run(task.request)
-    for result, file in zip(results, files, strict=True):
-        if result.error is None:
-            write_result(result, file)
-    return task.number, results
+        for results in done:
+            yield from results
 
 
 def check_writable(out: Path) -> None:
@@ -225,42 +180,29 @@ SAME_EPISODE = (
 """Fields of a result that identify its episode."""
 
 
-def _earlier_result(
-    file: Path, wanted: Result, worker: LocalWorker | ProcessWorker, notify: Notify
-) -> Result | None:
-    """Return the result in a file if it is of the same episode and versions, or None."""
-    if not file.exists():
-        return None
-    try:
+def _earlier_results(
+    files: Sequence[Path], planned: Sequence[Result], worker: ProcessWorker
+) -> list[Result]:
+    """Return the results in files.
+
+    Raises:
+        ResultFileError: A file is damaged, or is of another episode or of other versions.
+    """
+    results = []
+    for file, wanted in zip(files, planned, strict=True):
         found = load_result(file)
-    except ResultFileError as error:
-        notify(f"{error}; moved to {move_aside(file).name} and run again")
-        return None
-    for key in SAME_EPISODE:
-        if getattr(found, key) != getattr(wanted, key):
-            notify(f"{file}: {key} differs from the request; run again")
-            return None
-    try:
-        engine = {} if wanted.backend is None else worker.versions(wanted.backend)
-    except GaugeError as error:
-        notify(
-            f"{file}: the versions of {wanted.backend} are unknown: {error}; run again"
-        )
-        return None
-    for package, now in {**engine, "gauge-envs": wanted.versions["gauge-envs"]}.items():
-        if found.versions.get(package) != now:
-            notify(
-                f"{file}: made with {package} {found.versions.get(package)}, not {now}; run again"
-            )
-            return None
-    return found
-
-
-def move_aside(file: Path) -> Path:
-    """Rename a damaged file to a name that is free, and return that."""
-    aside = file.with_name(f"{file.name}.damaged")
-    count = 1
-    while aside.exists():
-        count += 1
-        aside = file.with_name(f"{file.name}.damaged-{count}")
-    return file.replace(aside)
+        for key in SAME_EPISODE:
+            if getattr(found, key) != getattr(wanted, key):
+                raise ResultFileError(f"{file}: {key} differs from the request")
+        try:
+            installed = worker.versions(str(wanted.backend))
+        except GaugeError as error:
+            raise ResultFileError(
+                f"{file}: the versions of {wanted.backend} are unknown: {error}"
+            ) from error
+        if difference := found.made_with_other_than(
+            installed | {"gauge-envs": wanted.versions["gauge-envs"]}
+        ):
+            raise ResultFileError(f"{file}: {difference}")
+        results.append(found)
+    return results

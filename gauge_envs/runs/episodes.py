@@ -4,7 +4,7 @@ import logging
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import gymnasium
 
@@ -17,7 +17,7 @@ from gauge_envs.envs.arguments import (
     start_of,
 )
 from gauge_envs.envs.at_once import episodes_in_lockstep
-from gauge_envs.envs.episode import Episode
+from gauge_envs.envs.episode import Trajectory
 from gauge_envs.errors import GaugeError, ParameterError, UnsupportedSceneError
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.files import json_ready, processor, versions
@@ -57,64 +57,75 @@ def run_episodes(request: RunRequest) -> list[Result]:
         against its own single-shot trial.
     """
     experiment = request.experiment()
-    seeds = range(request.seed, request.seed + request.repeats)
-    together = request.repeats > 1 or request.jitter is not None
     starts = [
         start_of(experiment, request.jitter, seed=seed)
-        or (Jitter() if together else None)
-        for seed in seeds
+        or (Jitter() if request.repeats > 1 else None)
+        for seed in request.seeds
     ]
     runs = [
         jittered_experiment(experiment, start, seed=seed)
-        for start, seed in zip(starts, seeds, strict=True)
+        for start, seed in zip(starts, request.seeds, strict=True)
     ]
+    engine_versions = versions_of(request.backend)
+    return [
+        _with_episode(
+            _without_run(request, experiment, seed=seed, start=start),
+            run,
+            episode,
+            engine_versions,
+        )
+        for seed, start, run, episode in zip(
+            request.seeds, starts, runs, _play(request, experiment, runs), strict=True
+        )
+    ]
+
+
+class _Played(NamedTuple):
+    """What an episode gave; `wall_s` and `cpu_s` are its shares of the times of all episodes, or None."""
+
+    trajectory: Trajectory
+    score: Score
+    fault: str | None
+    settings: Mapping[str, Any]
+    wall_s: float | None = None
+    cpu_s: float | None = None
+
+
+def _play(
+    request: RunRequest, experiment: Experiment, runs: Sequence[Experiment]
+) -> list[_Played]:
+    """Run episodes without actions.
+
+    Args:
+        request: Engine, settings and marker proxy.
+        experiment: The experiment with the calibrated start, whose band scores all episodes but single-shot trials.
+        runs: The experiment of each episode; they differ in their starts.
+    """
     lockstep = episodes_in_lockstep(
-        request, runs, [request.band(experiment)] * len(runs), together=together
+        request,
+        runs,
+        [request.band(experiment)] * len(runs),
+        together=request.repeats > 1 or request.jitter is not None,
     )
     try:
-        began_s = time.perf_counter(), time.process_time()
+        wall_s, cpu_s = time.perf_counter(), time.process_time()
         lockstep.play(request.seed)
-        wall_s, cpu_s = (
-            time.perf_counter() - began_s[0],
-            time.process_time() - began_s[1],
-        )
+        wall_s = (time.perf_counter() - wall_s) / len(runs)
+        cpu_s = (time.process_time() - cpu_s) / len(runs)
         return [
-            _finished(
-                planned_result(request, experiment, seed=seed, jitter=start),
-                episode,
-                episode.score(),
-                engine_versions=versions_of(request.backend),
-                times_s=(wall_s / len(starts), cpu_s / len(starts)),
+            _Played(
+                score=one.score(),
+                # The score may add later samples.
+                trajectory=one.trajectory(),
+                fault=one.fault,
+                settings=one.settings,
+                wall_s=wall_s,
+                cpu_s=cpu_s,
             )
-            for seed, start, episode in zip(
-                seeds, starts, lockstep.episodes, strict=True
-            )
+            for one in lockstep.episodes
         ]
     finally:
         lockstep.worlds.close()
-
-
-def planned_results(request: RunRequest) -> list[Result]:
-    """Return the results of a request that has not run, in the order of their seeds.
-
-    Args:
-        request: The request, with the jitter that applies.
-    """
-    calibrated = request.calibrated_experiment()
-    return [
-        planned_result(
-            request,
-            calibrated,
-            seed=seed,
-            jitter=start_of(calibrated, request.jitter, seed=seed),
-        )
-        for seed in range(request.seed, request.seed + request.repeats)
-    ]
-
-
-def not_run(planned: Sequence[Result], outcome: Outcome, reason: str) -> list[Result]:
-    """Return planned results with an outcome and its reason."""
-    return [replace(one, outcome=outcome, error=reason) for one in planned]
 
 
 def run_request(request: RunRequest) -> list[Result]:
@@ -126,35 +137,53 @@ def run_request(request: RunRequest) -> list[Result]:
     Returns:
         The results in the order of their seeds. Those of episodes that were declined or failed hold the reason.
     """
-    planned = planned_results(request)
+    # Wrong constants decline an episode; wrong settings of the engine fail it.
+    declines: type[GaugeError] = ParameterError
     try:
         experiment = request.experiment()
         if request.jitter is not None:
             scattered(experiment.scene, request.jitter, seed=0)
-    except GaugeError as error:
-        outcome = (
-            Outcome.DECLINED if isinstance(error, ParameterError) else Outcome.FAILED
-        )
-        return not_run(planned, outcome, str(error))
-    try:
+        declines = UnsupportedSceneError
         return run_episodes(request)
     except GaugeError as error:
-        outcome = (
-            Outcome.DECLINED
-            if isinstance(error, UnsupportedSceneError)
-            else Outcome.FAILED
-        )
-        return not_run(planned, outcome, str(error))
+        is_declined = isinstance(error, declines)
+        outcome = Outcome.DECLINED if is_declined else Outcome.FAILED
+        return results_without_run(request, outcome, str(error))
     except KeyboardInterrupt:
         raise
     # An engine may raise any error, SystemExit included, and the other episodes must still run.
     except BaseException as error:
-        _log.exception("%s on %s", planned[0].id, request.backend)
-        return not_run(
-            planned,
-            Outcome.FAILED,
-            f"{type(error).__name__}: {error}".removesuffix(": "),
+        _log.exception("%s on %s", request.variant, request.backend)
+        cause = f"{type(error).__name__}: {error}".removesuffix(": ")
+        return results_without_run(request, Outcome.FAILED, cause)
+
+
+def results_without_run(
+    request: RunRequest,
+    outcome: Outcome = Outcome.FAILED,
+    reason: str = "not run",
+) -> list[Result]:
+    """Return the results of episodes that have not run, in the order of their seeds.
+
+    Args:
+        request: The request, with the jitter that applies.
+        outcome: Outcome of the episodes.
+        reason: Why they have not run.
+    """
+    calibrated = request.calibrated_experiment()
+    return [
+        replace(
+            _without_run(
+                request,
+                calibrated,
+                seed=seed,
+                start=start_of(calibrated, request.jitter, seed=seed),
+            ),
+            outcome=outcome,
+            error=reason,
         )
+        for seed in request.seeds
+    ]
 
 
 def episode_result(env: gymnasium.Env[Any, Any], info: Mapping[str, Any]) -> Result:
@@ -168,24 +197,23 @@ def episode_result(env: gymnasium.Env[Any, Any], info: Mapping[str, Any]) -> Res
 
     inner = env.unwrapped
     assert isinstance(inner, GaugeEnv)
-    planned = planned_result(
-        inner.arguments, inner.experiment, seed=inner.seed_used, jitter=inner.jitter
-    )
-    return _finished(
-        planned,
-        inner.episode,
-        info["score"],
-        engine_versions=inner.versions,
-        times_s=(None, None),
+    episode = inner.episode
+    return _with_episode(
+        _without_run(
+            inner.arguments, inner.experiment, seed=inner.seed_used, start=inner.jitter
+        ),
+        episode.experiment,
+        _Played(episode.trajectory(), info["score"], episode.fault, episode.settings),
+        inner.versions,
     )
 
 
-def planned_result(
+def _without_run(
     arguments: EnvArguments,
     experiment: Experiment,
     *,
     seed: int | None,
-    jitter: Jitter | TrialStart | None,
+    start: Jitter | TrialStart | None,
 ) -> Result:
     """Return the result of an episode that has not run.
 
@@ -193,7 +221,7 @@ def planned_result(
         arguments: Arguments of its environment.
         experiment: Its experiment, or the calibrated one if the parameters are wrong.
         seed: Seed of the episode.
-        jitter: Standard deviations or trial of its start, or None.
+        start: Standard deviations or trial of its start, or None.
     """
     band = arguments.band(experiment)
     kind = Kind.NONE if band is None else band.kind
@@ -211,7 +239,7 @@ def planned_result(
         backend=arguments.backend,
         settings_given=json_ready(arguments.settings or {}),
         seed=seed,
-        jitter=jitter.to_dict() if jitter else {},
+        jitter=start.to_dict() if start else {},
         marker_proxy=arguments.proxy.value,
         driver_provenance=experiment.driver_provenance,
         dataset=dataset_record(
@@ -224,33 +252,36 @@ def planned_result(
     )
 
 
-def _finished(
-    planned: Result,
-    episode: Episode,
-    score: Score,
-    *,
+def _with_episode(
+    result: Result,
+    experiment: Experiment,
+    episode: _Played,
     engine_versions: Mapping[str, str],
-    times_s: tuple[float | None, float | None],
 ) -> Result:
-    """Return a planned result with what its episode gave; `times_s` are its wall and its CPU time."""
-    recorded = episode.trajectory()
+    """Return the result of an episode that has run.
+
+    Args:
+        result: The result without its run.
+        experiment: The experiment with the start of the episode.
+        episode: What the episode gave.
+        engine_versions: Versions of the engine's packages.
+    """
+    recorded = episode.trajectory
     return replace(
-        planned,
+        result,
         outcome=Outcome.DIVERGED if episode.fault else Outcome.FINISHED,
-        score=score,
+        score=episode.score,
         frames=len(recorded.frames),
         diverged=bool(episode.fault),
         diverged_reason=episode.fault,
-        wall_s=times_s[0],
-        cpu_s=times_s[1],
+        wall_s=episode.wall_s,
+        cpu_s=episode.cpu_s,
         sim_s=float(recorded.times_s[-1]),
-        settings=settings_record(planned.backend, episode.settings),
+        settings=settings_record(result.backend, episode.settings),
         versions={**engine_versions, **versions()},
         processor=processor(),
         error=None,
         trajectory=RecordedTrajectory.of(
-            episode.experiment,
-            *recorded.dense,
-            markers_m=recorded.markers_m,
+            experiment, *recorded.dense, markers_m=recorded.markers_m
         ),
     )

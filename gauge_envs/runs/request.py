@@ -47,6 +47,11 @@ class RunRequest(EnvArguments):
             object.__setattr__(self, "variant", find_subject(self.variant))
 
     @property
+    def seeds(self) -> range:
+        """Seeds of the episodes."""
+        return range(self.seed, self.seed + self.repeats)
+
+    @property
     def scatter(self) -> Jitter | None:
         """The jitter that applies: the default one for repeats, unless they are single-shot trials with own starts."""
         if self.jitter is not None or self.repeats == 1:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from enum import StrEnum
@@ -292,6 +293,13 @@ class Result:
     def has_experiment_file(self) -> bool:
         """Whether the experiment is that of a user's experiment file."""
         return self.asset.get("kind") == AssetKind.EXPERIMENT
+
+    def made_with_other_than(self, installed: Mapping[str, str]) -> str:
+        """Return which package of the result has another version than the installed one; empty if none has."""
+        for name, version in installed.items():
+            if self.versions.get(name) != version:
+                return f"made with {name} {self.versions.get(name)}, not {version}"
+        return ""
 
     def to_dict(self, *, trajectory: bool = True) -> dict[str, Any]:
         """Return a JSON-ready dictionary with every field.

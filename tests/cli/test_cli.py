@@ -66,7 +66,7 @@ def test_a_damaged_result_is_reported_on_resume(gauge, tmp_path):
     file.write_text("{")
     result = gauge("run", NAME, "--resume")
     assert result.exit_code == 0
-    assert f"{file.name}.damaged" in result.stderr
+    assert f"{file.name}: not a result file" in result.stderr
     assert json.loads(file.read_text())["outcome"] == "finished"
 
 

@@ -36,11 +36,21 @@ DROPPED = {
         "        pass\n"
         "os.write(2, b'it goes on')\n"
     ),
+    "an import": (
+        "class Finder:\n"
+        "    def find_spec(self, *_):\n"
+        "        os.kill(os.getpid(), signal.SIGINT)\n"
+        "sys.meta_path.insert(0, Finder())\n"
+        "try:\n"
+        "    import absent\n"
+        "except KeyboardInterrupt:\n"
+        "    os.write(2, b'it goes on')\n"
+    ),
 }
 """What a library does with Ctrl-C."""
 
 LISTED = """
-import os, signal
+import os, signal, sys
 from gauge_envs.tools.catalog import listing
 
 

@@ -23,10 +23,6 @@ SLIDE = "SlopeSlider-2-wood"
 MAKE = (gymnasium.make, gymnasium.make_vec)
 
 ARGUMENTS = [
-    {"width": 0},
-    {"height": -3},
-    {"width": "wide"},
-    {"width": 10**9},
     {"backend": None},
     {"backend": ["mujoco"]},
     {"backend": "mujocoo"},
@@ -40,11 +36,6 @@ ARGUMENTS = [
     {"asset": 3},
     {"marker_proxy": "nearest"},
     # What would change nothing.
-    {"width": 320},
-    {"height": 240},
-    {"camera": {"azimuth_deg": 90.0}},
-    {"render_overlay": True},
-    {"render_overlay": True, "render_mode": "depth_array"},
     {"marker_proxy": "node"},
     {"jitter": {"position_m": 0.0, "angle_rad": 0.0, "velocity_m_per_s": 1e-15}},
     {"parameters": {"air.density_kg_per_m3": 1.2, "air.normal_coefficient": 1.0}},
@@ -92,14 +83,12 @@ def test_calls_are_refused(approved):
         "variant 3": lambda: GaugeEnv(3),
         "no variant": lambda: GaugeEnv(None),
         "unknown render mode": lambda: GaugeEnv(SLIDE, render_mode="ansi"),
-        "camera": lambda: GaugeEnv(SLIDE, camera={"zoom": 2.0}),
         "another experiment": lambda: gymnasium.make(
             f"GAUGE/{SLIDE}", variant="SlopeSlider-3-metal"
         ),
         "another task": lambda: gymnasium.make(
             f"GAUGE/{push}", task="Throw-Limit-rubber"
         ),
-        "camera of no mapping": lambda: GaugeEnv(SLIDE, camera="top"),
         "window of worlds": lambda: GaugeVectorEnv(SLIDE, render_mode="human"),
         "fine cloth": lambda: GaugeEnv("Funnel-satin", **coarse),
         "reset option": lambda: GaugeEnv(SLIDE).reset(options={"jitterr": True}),
@@ -189,8 +178,6 @@ def test_impossible_overrides_are_named(overrides, place):
 @pytest.mark.parametrize(
     "arguments",
     [
-        {"width": 0},
-        {"width": 320},
         {"backend": None},
         {"settings": {"impratio": float("inf")}},
     ],

@@ -94,7 +94,7 @@ def test_jobs_at_once_give_the_same_bits_in_the_same_order(tmp_path):
     }
 
 
-def test_an_interrupted_run_of_several_jobs_ends_their_processes(tmp_path, monkeypatch):
+def test_a_closed_run_of_several_jobs_ends_their_processes(tmp_path, monkeypatch):
     workers = []
 
     class Counted(pool.Worker):
@@ -301,24 +301,18 @@ def damage(text, kind):
 @pytest.mark.parametrize(
     "kind", ["cut", "empty", "list", "no score", "uneven", "type", "id"]
 )
-def test_a_damaged_file_is_named_kept_aside_and_run_again(tmp_path, kind):
-    (result,) = run_many([RunRequest(NAME)], out=tmp_path)
-    (file,) = tmp_path.iterdir()
-    for count in (1, 2):
-        damaged = damage(json.dumps(result.to_dict()), kind)
-        file.write_text(damaged)
-        with pytest.raises(ResultFileError, match="not a result file"):
-            load_result(file)
-        notes = []
-        (again,) = run_many(
-            [RunRequest(NAME)], out=tmp_path, resume=True, notify=notes.append
-        )
-        assert again.score == result.score
-        assert load_result(file).score == result.score
-        aside = tmp_path / (file.name + (".damaged" if count == 1 else ".damaged-2"))
-        assert aside.read_text() == damaged
-        assert file.name in notes[0]
-        assert aside.name in notes[0]
+def test_a_damaged_file_is_named_and_its_episode_runs_again(tmp_path, kind, result):
+    file = tmp_path / result_file_name(result)
+    file.write_text(damage(json.dumps(result.to_dict()), kind))
+    with pytest.raises(ResultFileError, match="not a result file"):
+        load_result(file)
+    notes = []
+    (again,) = run_many(
+        [RunRequest(NAME)], out=tmp_path, resume=True, notify=notes.append
+    )
+    assert again.score == load_result(file).score == result.score
+    assert list(tmp_path.iterdir()) == [file]
+    assert len(notes) == 1 and file.name in notes[0] and "run again" in notes[0]
 
 
 # --- pictures ---

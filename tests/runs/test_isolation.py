@@ -106,7 +106,7 @@ def test_an_engine_that_hangs_costs_its_episode(installed):
         (
             "greedy",
             {"isolate": None, "time_limit_s": 30.0, "memory_limit_gb": 0.8},
-            "memory limit of 0.8 GB",
+            "MemoryError:  (memory limit: 0.8 GB)",
         ),
     ],
 )
@@ -210,10 +210,10 @@ def wait_for_the_end_of(process):
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
-def test_a_worker_in_a_call_ends_with_its_parent():
+def test_a_worker_ends_after_its_call_when_its_parent_is_gone():
     code = (
         "import os, time; from gauge_envs.runs.isolation import Worker; worker = Worker(); "
-        "print(worker.call(os.getpid), flush=True); worker.call(time.sleep, 600.0)"
+        "print(worker.call(os.getpid), flush=True); worker.call(time.sleep, 1.0)"
     )
     with subprocess.Popen(
         [sys.executable, "-c", code], stdout=subprocess.PIPE, text=True
@@ -246,18 +246,10 @@ def test_a_limit_is_positive_and_that_of_time_finite(name, limits):
             run_many([RunRequest(WOOD)], isolate=True, **{name: limit})
 
 
-def take_memory(gigabytes):
-    held = bytearray(int(gigabytes * 1e9))
-    time.sleep(600.0 + 0.0 * len(held))
-
-
 def test_a_memory_limit_ends_the_call_and_not_the_program():
-    # The message tells the memory limit from the time limit, so a slow machine needs no bound of its own.
     with Worker(120.0, memory_limit_gb=0.5) as worker:
-        with pytest.raises(
-            CrashError, match=r"the engine exceeded the memory limit of 0\.5 GB"
-        ):
-            worker.call(take_memory, 1.0)
+        with pytest.raises(GaugeError, match="MemoryError"):
+            worker.call(bytearray, 10**9)
         assert worker.call(os.getpid) > 0
 
 
@@ -270,7 +262,7 @@ def test_the_command_isolates_where_it_is_told_to(words, isolate, monkeypatch):
 
     def recorded(requests, **options):
         asked.append(options["isolate"])
-        return iter(())
+        return (nothing for nothing in ())
 
     monkeypatch.setattr(batch, "run_many", recorded)
     CliRunner().invoke(app, ["run", "SlopeSlider-2-wood", *words])

@@ -33,7 +33,6 @@ from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.experiments.variants import Variant, find_variant
 from gauge_envs.references.uncertainties import friction_std
-from gauge_envs.rendering.reference_path import ReferencePath
 from gauge_envs.scene import Scene
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.jitter import Jitter, jittered
@@ -416,13 +415,13 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
         return pictures.draw(
             self.experiment,
             self.rest_nodes_m,
-            reach=self.reach(),
+            reach_m=self.reach_m(),
             poses=self.moving_poses(),
             nodes_m=self.nodes_m(),
         )
 
-    def reach(self) -> ReferencePath | None:
-        """Return the places that actions bring bodies to, for the camera; None where the scene says enough."""
+    def reach_m(self) -> FloatArray | None:
+        """Return places that actions bring bodies to [m], shape [..., 3]; None where the camera shows all."""
         return None
 
     def moving_poses(self) -> dict[str, FloatArray]:

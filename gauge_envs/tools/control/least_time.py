@@ -7,7 +7,6 @@ from typing import ClassVar
 
 import numpy as np
 
-from gauge_envs.rendering.reference_path import ReferencePath
 from gauge_envs.scene import Scene
 from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
@@ -102,8 +101,8 @@ class LeastTimeLimit(ControlEnv):
     def _limit(self) -> Limit:
         return self._friction_limit((CUBE, self.FLOOR), "friction that the time needs")
 
-    def reach(self) -> ReferencePath:
-        """Return the goals, and the places of the driven body as far from the cube as at the start."""
+    def reach_m(self) -> FloatArray:
+        """Return goals, and places of the driven body as far from the cube as at the start [m], shape [n, 2, 3]."""
         angles = np.linspace(-self.WIDEST_RAD, self.WIDEST_RAD, GOALS_IN_VIEW)
         away = self.DISTANCE_M * np.column_stack(
             [np.cos(angles), np.sin(angles), np.zeros(GOALS_IN_VIEW)]
@@ -112,11 +111,7 @@ class LeastTimeLimit(ControlEnv):
             self.experiment.scene.body(name).pose.position_m
             for name in (CUBE, self.DRIVEN)
         ]
-        return ReferencePath(
-            names=(CUBE, self.DRIVEN),
-            places_m=away[:, None] + np.asarray(starts),
-            is_full=True,
-        )
+        return away[:, None] + np.asarray(starts)
 
     # --- what a subclass states ---
 

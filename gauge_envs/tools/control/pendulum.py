@@ -10,7 +10,6 @@ import numpy as np
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.experiments.variants import Variant
-from gauge_envs.rendering.reference_path import ReferencePath
 from gauge_envs.scene import Hinge, Scene, Sphere
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
@@ -116,15 +115,13 @@ class PendulumLimit(ControlEnv):
         sigma = value * math.hypot(LENGTH_SIGMA, MASS_SIGMA_KG / mass_kg)
         return self._limit_of("height over work", "m/J", value, sigma)
 
-    def reach(self) -> ReferencePath:
-        """Return the ball's places from the target on one side to that on the other."""
+    def reach_m(self) -> FloatArray:
+        """Return the ball's places from the target on one side to that on the other [m], shape [n, 3]."""
         angles = np.linspace(-TARGET_RAD, TARGET_RAD, PLACES_IN_VIEW)
         arms = np.outer(np.cos(angles), self._hanging) + np.outer(
             np.sin(angles), self._sideways
         )
-        return ReferencePath(
-            names=(BALL,), places_m=(self._anchor_m + arms)[:, None], is_full=True
-        )
+        return self._anchor_m + arms
 
     # --- physics ---
 

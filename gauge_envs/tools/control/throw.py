@@ -9,7 +9,6 @@ from scipy.optimize import minimize_scalar
 
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.references.uncertainties import RESTITUTION_SHARE
-from gauge_envs.rendering.reference_path import ReferencePath
 from gauge_envs.scene import Scene, Sphere
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.control.env import ControlEnv
@@ -184,8 +183,8 @@ class ThrowLimit(ControlEnv):
             math.hypot(by_restitution_m, by_start_m),
         )
 
-    def reach(self) -> ReferencePath:
-        """Return the largest height of the ball that the law allows, the plate below it, and the ends of its stroke."""
+    def reach_m(self) -> FloatArray:
+        """Return the ball at its largest height, the plate below, and the ends of its stroke [m], shape [4, 2, 3]."""
         scene = self.experiment.scene
         ball, plate = (
             np.asarray(scene.body(name).pose.position_m) for name in (BALL, PLATE)
@@ -199,9 +198,7 @@ class ThrowLimit(ControlEnv):
             [ball, below - stroke],
             [ball, below + stroke],
         ]
-        return ReferencePath(
-            names=(BALL, PLATE), places_m=np.array(places), is_full=True
-        )
+        return np.array(places)
 
     # --- physics ---
 

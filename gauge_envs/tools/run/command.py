@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -159,11 +160,14 @@ def run(
     )
     lost = LostOutput()
     try:
-        with Progress(
-            "episodes",
-            sum(request.repeats for request in requests),
-            line_interval_s=LINE_INTERVAL_S,
-        ) as progress:
+        with (
+            closing(episodes),
+            Progress(
+                "episodes",
+                sum(request.repeats for request in requests),
+                line_interval_s=LINE_INTERVAL_S,
+            ) as progress,
+        ):
             for result in episodes:
                 results.append(result)
                 with lost.tolerated():

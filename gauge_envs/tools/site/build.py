@@ -29,8 +29,7 @@ from gauge_envs.pages.table import Table, grid
 from gauge_envs.pages.text import shortened
 from gauge_envs.references.convergence import convergence_rows
 from gauge_envs.runs.replay import (
-    ReplayError,
-    load_or_replay,
+    replay,
     replayed_experiment,
 )
 from gauge_envs.runs.result import Result
@@ -64,7 +63,7 @@ SCRIPTS = ("replay.js", "three.min.js", "three.LICENSE.txt")
 
 HELP = (
     "Drag to turn, click and scroll to zoom. Keys in the picture: Space, left and right, Home, End, A, D. Poses of the "
-    "run, which was repeated and has the same g(t) as its result, bit for bit."
+    "run, which was repeated with the same versions."
 )
 
 
@@ -224,14 +223,11 @@ def _replays(
 
 
 def _replay(site: Site, index: int, result: Result) -> dict[str, Any]:
-    file = site.files.get(id(result))
-    if file is None:
-        raise ReplayError("its result file is not known")
-    replay = load_or_replay(result, file)
+    made = replay(result)
     experiment = replayed_experiment(result)
     band = judging_band(experiment, [result])
     return replay_data(
-        experiment, replay, band, label=site.labels[index], color=site.line(index)[0]
+        experiment, made, band, label=site.labels[index], color=site.line(index)[0]
     )
 
 

@@ -23,15 +23,15 @@ def report(
         bool,
         arguments.option(
             arguments.OUTPUT,
-            "3D replays; the poses are kept beside the results.",
+            "3D replays.",
             "--replay/--no-replay",
         ),
     ] = True,
 ) -> bool:
     """Write results as a static site: engines, phenomena, curves, errors and 3D replays.
 
-    It opens from the folder. For a replay the episode runs again; it is shown only if its g(t) is that of the result,
-    bit for bit. Exit code 1 when a file was skipped: a damaged one, or one of another revision of its experiment.
+    It opens from the folder. For a replay the episode runs again, with the versions of the result. Exit
+    code 1 when a file was skipped: a damaged one, or one of another revision of its experiment.
     """
     from gauge_envs.tools.site import save_site
     from gauge_envs.tools.site.build import check_replaceable

@@ -16,7 +16,7 @@ from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.band import Band
 from gauge_envs.references.kind import Kind
 from gauge_envs.rendering.camera import FIELD_OF_VIEW_DEG, experiment_view
-from gauge_envs.rendering.materials import STRING_RADIUS_M, USUAL
+from gauge_envs.rendering.materials import LOOKS, STRING_RADIUS_M
 from gauge_envs.rendering.reference_path import reference_path, reference_words
 from gauge_envs.rendering.skin import Skin
 from gauge_envs.runs.replay import (
@@ -93,7 +93,7 @@ def scene_data(experiment: Experiment) -> dict[str, Any]:
             {
                 "name": body.name,
                 "shape": known[body.shape],
-                "color": _color(USUAL[body.motion].color),
+                "color": _color(LOOKS[body.motion.value].color),
                 "pose": _pose(body.pose),
             }
         )
@@ -196,13 +196,13 @@ def _soft(
         return data | {
             "kind": "line",
             "radius": body.radius_m,
-            "color": _color(USUAL[Motion.DYNAMIC].color),
+            "color": _color(LOOKS[Motion.DYNAMIC.value].color),
         }
     faces = Skin(body, nodes_m[0].astype(np.float64)).faces
     return data | {
         "kind": "surface",
         "faces": _packed(faces.astype(np.uint16)),
-        "color": _color(USUAL[Motion.DYNAMIC].color),
+        "color": _color(LOOKS[Motion.DYNAMIC.value].color),
     }
 
 

@@ -31,7 +31,7 @@ from gauge_envs.files import processors
 from gauge_envs.pages.text import counted, short_id
 
 if TYPE_CHECKING:
-    from gauge_envs.runs.pool import Limits, TaskWorker
+    from gauge_envs.runs.pool import Limits, RequestWorker
     from gauge_envs.runs.result import Outcome
     from gauge_envs.tools.sweep.folder import EarlierEpisode
     from gauge_envs.tools.sweep.plan import SweepPlan, SweepTask
@@ -302,7 +302,7 @@ def _show_plan(
 
 def _workers(
     ray: str | None, count: int | None, limits: Limits, task_count: int
-) -> Sequence[TaskWorker]:
+) -> Sequence[RequestWorker]:
     """Return the workers, at most as many as there are tasks."""
     if ray is not None:
         from gauge_envs.tools.sweep.machines import ray_workers
@@ -318,7 +318,7 @@ def _workers(
 def _run(
     plan: SweepPlan,
     tasks: Sequence[SweepTask],
-    workers: Sequence[TaskWorker],
+    workers: Sequence[RequestWorker],
     out: Path,
     form: Format,
 ) -> Counter[tuple[str, Outcome]]:

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from gauge_envs.pages.text import short_id
-from gauge_envs.runs.batch import check_writable, move_aside
+from gauge_envs.runs.batch import check_writable
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.runs.result_file import write_result
 from gauge_envs.tools.sweep.plan import SweepTask
@@ -84,7 +84,7 @@ def earlier_episodes(
 
     Args:
         path: The folder; without one there are none.
-        notify: Receives a sentence for each damaged file, which is moved aside; with None it is left out.
+        notify: Receives a sentence for each damaged file, whose episode is left out; None for no sentence.
     """
     found = {}
     for file in result_files(path):
@@ -95,9 +95,7 @@ def earlier_episodes(
             continue
         except (ValueError, LookupError, TypeError, AttributeError) as error:
             if notify is not None:
-                notify(
-                    f"{file}: not a result file: {error}; moved to {move_aside(file).name}"
-                )
+                notify(f"{file}: not a result file: {error}; run again")
     return found
 
 

@@ -1,11 +1,12 @@
 """Workers on the machines of a Ray cluster."""
 
 import os
+from concurrent.futures import CancelledError
 from typing import Any
 
 from gauge_envs.errors import GaugeError, ParameterError, needs_extra
-from gauge_envs.runs.episodes import not_run, planned_results
-from gauge_envs.runs.pool import Limits, ProcessWorker, WorkerClosedError
+from gauge_envs.runs.episodes import results_without_run
+from gauge_envs.runs.pool import Limits, ProcessWorker
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Outcome, Result
 
@@ -31,14 +32,14 @@ class RayWorker:
         self._limits = limits
         self._class = ray.remote(num_cpus=1, max_restarts=0)(ProcessWorker)
         self._actor: Any = None
-        self._is_closed = False
+        self._is_killed = False
 
     def run(self, request: RunRequest) -> list[Result]:
         """Return the results of a request."""
         cause = ""
         for _ in range(MAX_LOSSES):
-            if self._is_closed:
-                raise WorkerClosedError("the worker is closed")
+            if self._is_killed:
+                raise CancelledError
             if self._actor is None:
                 self._actor = self._class.remote(self._limits)
             try:
@@ -51,11 +52,15 @@ class RayWorker:
             else:
                 return results
         reason = f"the Ray actor of the episode ended: {cause}, {MAX_LOSSES} times"
-        return not_run(planned_results(request), Outcome.FAILED, reason)
+        return results_without_run(request, Outcome.FAILED, reason)
+
+    def kill(self) -> None:
+        """End the actor at once and for good."""
+        self._is_killed = True
+        self.close()
 
     def close(self) -> None:
-        """End the actor for good."""
-        self._is_closed = True
+        """End the actor."""
         actor, self._actor = self._actor, None
         if actor is not None:
             self._ray.kill(actor)

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterable, Sequence
+from collections.abc import Generator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from gauge_envs.runs.pool import TaskWorker, run_tasks
+from gauge_envs.runs.pool import RequestWorker, run_tasks
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.tools.sweep.folder import create_folder, write_episode
 from gauge_envs.tools.sweep.plan import SweepTask
 
 
 def run_sweep(
-    tasks: Iterable[SweepTask], workers: Sequence[TaskWorker], folder: Path
+    tasks: Sequence[SweepTask], workers: Sequence[RequestWorker], folder: Path
 ) -> Generator[list[Result], None, None]:
-    """Run tasks on workers at once, and yield the results of each after they are written.
+    """Run tasks on workers at once, and yield the results of each in their order, after they are written.
 
     Args:
         tasks: The tasks.
@@ -30,7 +30,7 @@ def run_sweep(
         >>> from gauge_envs.tools.sweep.spec import sweep_spec
         >>> plan = plan_sweep(sweep_spec({"variants": ["SlopeSlider-2-*"], "settings": {"timestep_s": [1 / 1800]}}))
         >>> with TemporaryDirectory() as folder:
-        ...     done = list(run_sweep(remaining_tasks(plan, ()), [ProcessWorker(Limits())], Path(folder)))
+        ...     done = list(run_sweep(list(remaining_tasks(plan, ())), [ProcessWorker(Limits())], Path(folder)))
         >>> [result.outcome.value for results in done for result in results]
         ['finished', 'finished', 'finished']
     """
@@ -38,7 +38,7 @@ def run_sweep(
     return run_tasks(tasks, workers, partial(_perform, folder=folder))
 
 
-def _perform(worker: TaskWorker, task: SweepTask, *, folder: Path) -> list[Result]:
+def _perform(worker: RequestWorker, task: SweepTask, *, folder: Path) -> list[Result]:
     """Run a task and write its results."""
     results = [_verified(task, result) for result in worker.run(task.request)]
     for result, name in zip(results, task.file_names, strict=True):

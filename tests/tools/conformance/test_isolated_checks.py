@@ -63,10 +63,7 @@ def test_a_memory_limit_costs_one_check(installed):
     installed("contact-greedy")
     rows, _ = checked("contact-greedy", "--timeout", "60s", "--memory", "0.8GB")
     assert [row["status"] for row in rows] == ["pass", "error", "pass"]
-    assert (
-        rows[1]["diagnosis"]
-        == "the engine exceeded the memory limit of 0.8 GB and was stopped"
-    )
+    assert "MemoryError" in rows[1]["diagnosis"]
 
 
 def test_checks_measure_the_same_bits_in_another_process():
