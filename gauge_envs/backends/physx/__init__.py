@@ -12,8 +12,7 @@ from gauge_envs.backends.features import Feature
 from gauge_envs.backends.physx.contacts import unsupported_contacts
 from gauge_envs.backends.physx.settings import settings_for
 from gauge_envs.backends.shared.bundled import BundledBackend, declined_hinges, first_of
-from gauge_envs.backends.shared.states import ReplayedSimulation
-from gauge_envs.backends.world import Simulation
+from gauge_envs.backends.simulation import Simulation
 from gauge_envs.scene import Compound, ConvexUnion, Ellipsoid, Hinge, Motion, Scene
 
 __all__ = ["BackendPhysX"]
@@ -23,10 +22,7 @@ HULL_LIMIT = 128
 
 
 class BackendPhysX(BundledBackend):
-    """NVIDIA PhysX 5 on the CPU, in single precision, as SAPIEN ships it: rigid bodies, hinges, strings, driven bodies.
-
-    `restore` repeats all calls since the reset, since PhysX keeps contact caches that cannot be saved.
-    """
+    """NVIDIA PhysX 5 on the CPU, in single precision, as SAPIEN ships it: rigid bodies, hinges and strings."""
 
     name = "physx"
     title = "PhysX"
@@ -79,7 +75,7 @@ class BackendPhysX(BundledBackend):
         chosen = settings_for(scene, settings)
         from gauge_envs.backends.physx.simulation import SimulationPhysX
 
-        return ReplayedSimulation(SimulationPhysX(scene, chosen))
+        return SimulationPhysX(scene, chosen)
 
 
 def _unsupported_hulls(scene: Scene) -> Iterator[str]:

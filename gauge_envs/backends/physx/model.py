@@ -4,19 +4,22 @@ from __future__ import annotations
 
 import gc
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from weakref import WeakSet
+from weakref import WeakValueDictionary
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.backends.physx.contacts import Constants, Groups, groups_of_bodies
+from gauge_envs.backends.physx.contacts import groups_of_bodies
 from gauge_envs.backends.physx.settings import SettingsPhysX
-from gauge_envs.backends.settings import check_kept, put
-from gauge_envs.backends.shared.rigid import centre_velocity, hinge_frame
+from gauge_envs.backends.shared.rigid import (
+    centre_velocity,
+    hinge_frame,
+    principal_axes,
+)
 from gauge_envs.errors import BackendError, UnsupportedSceneError
 from gauge_envs.scene import (
     Box,
@@ -74,37 +77,33 @@ def physx_version() -> str:
     return str(physx.version())
 
 
-class EngineLease:
-    """A claim on the engine of the process, whose tolerances are fixed while a simulation exists.
+_ENGINES: WeakValueDictionary[tuple[float, float], physx.PhysxEngine] = (
+    WeakValueDictionary()
+)
+"""The engine of the process while a simulation exists, by its tolerances of length [m] and speed [m/s]."""
 
-    Args:
-        settings: Settings with the tolerances.
+
+def engine_of(settings: SettingsPhysX) -> physx.PhysxEngine:
+    """Return the engine of the process, whose tolerances are fixed while a simulation exists.
 
     Raises:
-        BackendError: Another simulation exists that needs other tolerances.
+        BackendError: A simulation exists that needs other tolerances.
     """
-
-    def __init__(self, settings: SettingsPhysX) -> None:
-        self.tolerances = (
-            settings.tolerance_length_m,
-            settings.tolerance_speed_m_per_s,
+    asked = (settings.tolerance_length_m, settings.tolerance_speed_m_per_s)
+    if asked in _ENGINES:
+        return _ENGINES[asked]
+    if _ENGINES:
+        # A cycle of references may still hold a simulation that nothing uses.
+        gc.collect()
+    for tolerances in list(_ENGINES):
+        raise BackendError(
+            f"PhysX has one engine per process, and a simulation with tolerances of {tolerances} (m, m/s) exists. A "
+            f"simulation with {asked} cannot start beside it. Close the other one first, set tolerance_length_m and "
+            "tolerance_speed_m_per_s to the same values, or use another process."
         )
-        if any(lease.tolerances != self.tolerances for lease in _LEASES):
-            # A cycle of references may still hold a simulation that nothing uses.
-            gc.collect()
-        for lease in _LEASES:
-            if lease.tolerances != self.tolerances:
-                raise BackendError(
-                    "PhysX has one engine per process, and a simulation with tolerances of "
-                    f"{lease.tolerances} (m, m/s) exists. A simulation with {self.tolerances} cannot start beside it. "
-                    "Close the other one first, set tolerance_length_m and tolerance_speed_m_per_s to the same values, "
-                    "or use another process."
-                )
-        self._engine = physx.PhysxEngine(*self.tolerances)
-        _LEASES.add(self)
-
-
-_LEASES: WeakSet[EngineLease] = WeakSet()
+    engine = physx.PhysxEngine(*asked)
+    _ENGINES[asked] = engine
+    return engine
 
 
 def new_system(
@@ -112,23 +111,21 @@ def new_system(
 ) -> physx.PhysxCpuSystem:
     """Return an empty PhysX scene. The defaults of other users of SAPIEN in this process do not change."""
     before = physx.get_scene_config()
-    asked = {
-        "bounce_threshold": settings.bounce_threshold_m_per_s,
-        "enable_pcm": settings.persistent_manifolds,
-        "enable_tgs": settings.solver == "TGS",
-        "enable_ccd": settings.continuous_detection,
-        "enable_enhanced_determinism": settings.enhanced_determinism,
-        "enable_friction_every_iteration": settings.friction_every_iteration,
-    }
     physx.set_scene_config(
-        gravity=[0.0, 0.0, -gravity_m_per_s2], cpu_workers=0, **asked
+        gravity=[0.0, 0.0, -gravity_m_per_s2],
+        cpu_workers=0,
+        bounce_threshold=settings.bounce_threshold_m_per_s,
+        enable_pcm=settings.persistent_manifolds,
+        enable_tgs=settings.solver == "TGS",
+        enable_ccd=settings.continuous_detection,
+        enable_enhanced_determinism=settings.enhanced_determinism,
+        enable_friction_every_iteration=settings.friction_every_iteration,
     )
     try:
         system = physx.PhysxCpuSystem()
     finally:
         physx.set_scene_config(before)
-    check_kept("PhysX", asked, system.config)
-    put("PhysX", system, timestep=settings.timestep_s)
+    system.timestep = settings.timestep_s
     return system
 
 
@@ -145,96 +142,133 @@ class Part:
     centre_m: FloatArray
 
 
-@dataclass(frozen=True, eq=False)
-class Model:
-    """A scene in PhysX.
-
-    Attributes:
-        lease: Claim on the engine.
-        system: PhysX's scene.
-        world: SAPIEN's scene, which keeps all bodies alive.
-        parts: Bodies by name.
-    """
-
-    lease: EngineLease
-    system: physx.PhysxCpuSystem
-    world: pysapien.Scene
-    parts: dict[str, Part]
-
-
 def physx_pose(pose: Pose) -> pysapien.Pose:
     """Return a pose in SAPIEN's type, in single precision."""
     return pysapien.Pose(pose.position_m, pose.quaternion)
 
 
-def build_model(scene: Scene, settings: SettingsPhysX) -> Model:
-    """Build a scene at its start."""
-    lease = EngineLease(settings)
-    system = new_system(settings, scene.gravity_m_per_s2)
-    world = pysapien.Scene([system])
-    groups = groups_of_bodies(
-        scene, sustained_restitution=settings.sustained_restitution
-    )
-    materials = {
-        c: physx.PhysxMaterial(c.friction, c.friction, c.restitution)
-        for each in groups.values()
-        for c in each
-    }
-    parts: dict[str, Part] = {}
-    for body in scene.bodies:
-        hinge = scene.hinges.get(body.name)
-        component = (
-            _component(body)
-            if hinge is None or settings.hinges == "joint"
-            else _link(world, body, hinge)
+class Model:
+    """A scene in PhysX.
+
+    Args:
+        scene: The scene.
+        bodies: Its rigid bodies, at their starts.
+        settings: Numerical settings.
+
+    Attributes:
+        system: PhysX's scene.
+        parts: Bodies by name.
+    """
+
+    def __init__(
+        self, scene: Scene, bodies: Sequence[RigidBody], settings: SettingsPhysX
+    ) -> None:
+        self._settings = settings
+        self._engine = engine_of(settings)
+        self.system = new_system(settings, scene.gravity_m_per_s2)
+        # SAPIEN's scene keeps all bodies alive.
+        self._world = pysapien.Scene([self.system])
+        self._groups = groups_of_bodies(
+            scene, sustained_restitution=settings.sustained_restitution
         )
-        for shape in _shapes(body.shape, groups.get(body.name, {}), materials):
-            put(
-                "PhysX",
-                shape,
-                contact_offset=settings.contact_offset_m,
-                rest_offset=settings.rest_offset_m,
-            )
-            put(
-                "PhysX",
-                shape,
-                patch_radius=settings.patch_radius_m,
-                min_patch_radius=settings.min_patch_radius_m,
-            )
-            component.attach(shape)
-        centre_m, inertia = body_mass_properties(body)
-        parts[body.name] = Part(component, centre_m)
+        self.parts = {
+            body.name: self._add_body(body, scene.hinges.get(body.name))
+            for body in bodies
+        }
+        for joint in scene.joints:
+            if isinstance(joint, Tether):
+                _add_tether(self.parts[joint.body].component, joint)
+
+    def _add_body(self, body: RigidBody, hinge: Hinge | None) -> Part:
+        is_link = self._settings.hinges == "articulation"
+        component = _component(body)
+        if hinge is not None and is_link:
+            component = self._link(body, hinge)
+        self._attach_shapes(component, body)
+        centre_m, inertia_kg_m2 = body_mass_properties(body)
         if body.motion is not Motion.FIXED:
-            _set_mass(component, body.mass_kg, centre_m, inertia)
-            _set_limits(component, settings)
-        _add(
-            world,
-            component,
-            _turned(body.pose) if isinstance(body.shape, Plane) else body.pose,
+            moments, axes = principal_axes(inertia_kg_m2)
+            quaternion = Rotation.from_matrix(axes).as_quat(scalar_first=True)
+            component.mass = body.mass_kg
+            component.inertia = moments
+            component.cmass_local_pose = pysapien.Pose(centre_m, quaternion)
+            self._set_limits(component)
+        pose = body.pose
+        if isinstance(body.shape, Plane):
+            pose = Pose.from_rotation(pose.position_m, pose.rotation * PLANE_TURN)
+        self._add(component, pose)
+        spin = np.array(body.angular_velocity_rad_per_s)
+        if hinge is not None and is_link:
+            self._set_solver(component.articulation)
+            component.articulation.set_qvel(np.array([spin @ hinge.axis]))
+        elif body.motion is Motion.DYNAMIC:
+            component.angular_velocity = spin
+            # PhysX's linear velocity is that of the centre of mass.
+            component.linear_velocity = centre_velocity(body, centre_m)
+            if hinge is not None:
+                _add_hinge(component, body, hinge)
+        return Part(component, centre_m)
+
+    def _add(self, component: physx.PhysxRigidBaseComponent, pose: Pose) -> None:
+        entity = pysapien.Entity()
+        entity.add_component(component)
+        entity.set_pose(physx_pose(pose))
+        self._world.add_entity(entity)
+
+    def _link(
+        self, body: RigidBody, hinge: Hinge
+    ) -> physx.PhysxArticulationLinkComponent:
+        """Return a link without shapes, which a joint connects to a fixed base."""
+        frame = hinge_frame(hinge)
+        base = physx.PhysxArticulationLinkComponent()
+        base.mass = ROOT_MASS_KG
+        base.inertia = np.ones(3)
+        self._add(base, frame)
+        link = physx.PhysxArticulationLinkComponent(base)
+        base.joint.type = "fixed"
+        link.joint.type = "revolute_unwrapped"
+        link.joint.pose_in_parent = pysapien.Pose()
+        link.joint.pose_in_child = physx_pose(frame.relative_to(body.pose))
+        link.joint.limit = np.array([[-np.inf, np.inf]])
+        link.joint.friction = 0.0
+        link.joint.set_drive_properties(0.0, 0.0)
+        return link
+
+    def _attach_shapes(
+        self, component: physx.PhysxRigidBaseComponent, body: RigidBody
+    ) -> None:
+        """Attach a copy of the shape of a body for each pair of its contact constants."""
+        settings = self._settings
+        for (friction, restitution), words in self._groups[body.name].items():
+            material = physx.PhysxMaterial(friction, friction, restitution)
+            for shape in _solids(body.shape, material):
+                shape.set_collision_groups(words)
+                shape.contact_offset = settings.contact_offset_m
+                shape.rest_offset = settings.rest_offset_m
+                shape.patch_radius = settings.patch_radius_m
+                shape.min_patch_radius = settings.min_patch_radius_m
+                component.attach(shape)
+
+    def _set_limits(self, component: physx.PhysxRigidBodyComponent) -> None:
+        settings = self._settings
+        component.linear_damping = settings.linear_damping_per_s
+        component.angular_damping = settings.angular_damping_per_s
+        component.max_linear_velocity = settings.max_linear_velocity_m_per_s
+        component.max_angular_velocity = settings.max_angular_velocity_rad_per_s
+        component.max_depenetration_velocity = (
+            settings.max_depenetration_velocity_m_per_s
         )
         if isinstance(component, physx.PhysxArticulationLinkComponent):
-            _set_solver(component.articulation, settings)
-        elif hinge is not None:
-            _add_hinge(component, body, hinge)
-        if body.motion is Motion.DYNAMIC and not body.starts_at_rest:
-            _set_velocity(component, body, centre_m, hinge)
-    for joint in scene.joints:
-        if isinstance(joint, Tether):
-            _add_tether(parts[joint.body].component, joint)
-    return Model(lease, system, world, parts)
+            component.linear_damping += settings.link_linear_damping_per_s
+        else:
+            self._set_solver(component)
 
-
-def _turned(pose: Pose) -> Pose:
-    return Pose.from_rotation(pose.position_m, pose.rotation * PLANE_TURN)
-
-
-def _add(
-    world: pysapien.Scene, component: physx.PhysxRigidBaseComponent, pose: Pose
-) -> None:
-    entity = pysapien.Entity()
-    entity.add_component(component)
-    entity.set_pose(physx_pose(pose))
-    world.add_entity(entity)
+    def _set_solver(
+        self, place: physx.PhysxRigidDynamicComponent | physx.PhysxArticulation
+    ) -> None:
+        place.solver_position_iterations = self._settings.position_iterations
+        place.solver_velocity_iterations = self._settings.velocity_iterations
+        place.sleep_threshold = self._settings.sleep_threshold_m2_per_s2
 
 
 def _component(body: RigidBody) -> physx.PhysxRigidBaseComponent:
@@ -246,48 +280,40 @@ def _component(body: RigidBody) -> physx.PhysxRigidBaseComponent:
     return component
 
 
-def _link(
-    world: pysapien.Scene, body: RigidBody, hinge: Hinge
-) -> physx.PhysxArticulationLinkComponent:
-    """Return a link without shapes, which a joint connects to a fixed base."""
+def _add_hinge(
+    component: physx.PhysxRigidDynamicComponent, body: RigidBody, hinge: Hinge
+) -> None:
+    """Connect a body to the world with a constraint that leaves one rotation free."""
     frame = hinge_frame(hinge)
-    base = physx.PhysxArticulationLinkComponent()
-    base.mass, base.inertia = ROOT_MASS_KG, np.ones(3)
-    _add(world, base, frame)
-    link = physx.PhysxArticulationLinkComponent(base)
-    base.joint.type = "fixed"
-    link.joint.type = "revolute_unwrapped"
-    link.joint.pose_in_parent = pysapien.Pose()
-    link.joint.pose_in_child = physx_pose(frame.relative_to(body.pose))
-    link.joint.limit = np.array([[-np.inf, np.inf]])
-    link.joint.friction = 0.0
-    link.joint.set_drive_properties(0.0, 0.0)
-    return link
+    joint = physx.PhysxDriveComponent(component)
+    joint.pose_in_parent = physx_pose(frame)
+    joint.pose_in_child = physx_pose(frame.relative_to(body.pose))
+    joint.set_limit_x(0.0, 0.0)
+    joint.set_limit_y(0.0, 0.0)
+    joint.set_limit_z(0.0, 0.0)
+    joint.set_limit_pyramid(0.0, 0.0, 0.0, 0.0)
+    component.entity.add_component(joint)
 
 
-def _shapes(
-    shape: Shape,
-    groups: dict[Constants, Groups],
-    materials: dict[Constants, physx.PhysxMaterial],
-) -> Iterator[physx.PhysxCollisionShape]:
-    """Yield the copies of a shape, one for each pair of contact constants."""
-    for constants, group in groups.items():
-        for copy in _solids(shape, materials[constants]):
-            copy.set_collision_groups(group.words)
-            yield copy
+def _add_tether(component: physx.PhysxRigidBodyComponent, tether: Tether) -> None:
+    joint = physx.PhysxDistanceJointComponent(component)
+    joint.pose_in_parent = pysapien.Pose(tether.anchor_m)
+    joint.pose_in_child = pysapien.Pose()
+    joint.set_limit(0.0, tether.length_m)
+    component.entity.add_component(joint)
 
 
 def _solids(
     shape: Shape | Capsule, material: physx.PhysxMaterial
 ) -> Iterator[physx.PhysxCollisionShape]:
+    """Yield the solids of a shape."""
     if isinstance(shape, Compound):
         yield from _parts(shape, material)
     elif isinstance(shape, Capsule):
         yield _capsule(shape.radius_m, 0.5 * shape.length_m, material)
     elif isinstance(shape, Box):
-        yield physx.PhysxCollisionShapeBox(
-            half_size=0.5 * np.asarray(shape.size_m), material=material
-        )
+        half_m = 0.5 * np.asarray(shape.size_m)
+        yield physx.PhysxCollisionShapeBox(half_size=half_m, material=material)
     elif isinstance(shape, Sphere):
         yield physx.PhysxCollisionShapeSphere(radius=shape.radius_m, material=material)
     elif isinstance(shape, Plane):
@@ -303,7 +329,7 @@ def _parts(
     compound: Compound, material: physx.PhysxMaterial
 ) -> Iterator[physx.PhysxCollisionShape]:
     for part in compound.parts:
-        assert not isinstance(part.shape, Ellipsoid), "declined by unsupported_features"
+        assert not isinstance(part.shape, Ellipsoid), "ellipsoids are declined"
         for solid in _solids(part.shape, material):
             solid.local_pose = physx_pose(part.pose) * solid.local_pose
             yield solid
@@ -359,92 +385,3 @@ def _cylinder(
         yield _capsule(shape.radius_m, straight_m, material)
     else:
         yield physx.PhysxCollisionShapeSphere(radius=shape.radius_m, material=material)
-
-
-def _set_mass(
-    component: physx.PhysxRigidBodyComponent,
-    mass_kg: float,
-    centre_m: ArrayLike,
-    inertia_kg_m2: FloatArray,
-) -> None:
-    """Write mass, centre of mass and inertia, which PhysX takes along principal axes."""
-    moments, axes = np.linalg.eigh(inertia_kg_m2)
-    if np.count_nonzero(inertia_kg_m2 - np.diag(np.diagonal(inertia_kg_m2))) == 0:
-        moments, axes = np.diagonal(inertia_kg_m2), np.eye(3)
-    elif np.linalg.det(axes) < 0.0:
-        axes[:, 2] *= -1.0
-    x, y, z, w = Rotation.from_matrix(axes).as_quat()
-    component.mass = mass_kg
-    component.inertia = moments
-    component.cmass_local_pose = pysapien.Pose(centre_m, [w, x, y, z])
-
-
-def _set_limits(
-    component: physx.PhysxRigidBodyComponent, settings: SettingsPhysX
-) -> None:
-    is_link = isinstance(component, physx.PhysxArticulationLinkComponent)
-    component.linear_damping = (
-        settings.linear_damping_per_s + is_link * settings.link_linear_damping_per_s
-    )
-    put(
-        "PhysX",
-        component,
-        angular_damping=settings.angular_damping_per_s,
-        max_linear_velocity=settings.max_linear_velocity_m_per_s,
-        max_angular_velocity=settings.max_angular_velocity_rad_per_s,
-        max_depenetration_velocity=settings.max_depenetration_velocity_m_per_s,
-    )
-    if isinstance(component, physx.PhysxRigidDynamicComponent):
-        _set_solver(component, settings)
-
-
-def _set_solver(
-    place: physx.PhysxRigidDynamicComponent | physx.PhysxArticulation,
-    settings: SettingsPhysX,
-) -> None:
-    put(
-        "PhysX",
-        place,
-        solver_position_iterations=settings.position_iterations,
-        solver_velocity_iterations=settings.velocity_iterations,
-        sleep_threshold=settings.sleep_threshold_m2_per_s2,
-    )
-
-
-def _add_hinge(
-    component: physx.PhysxRigidDynamicComponent, body: RigidBody, hinge: Hinge
-) -> None:
-    """Connect a body to the world with a constraint that leaves one rotation free."""
-    frame = hinge_frame(hinge)
-    joint = physx.PhysxDriveComponent(component)
-    joint.pose_in_parent = physx_pose(frame)
-    joint.pose_in_child = physx_pose(frame.relative_to(body.pose))
-    joint.set_limit_x(0.0, 0.0)
-    joint.set_limit_y(0.0, 0.0)
-    joint.set_limit_z(0.0, 0.0)
-    joint.set_limit_pyramid(0.0, 0.0, 0.0, 0.0)
-    component.entity.add_component(joint)
-
-
-def _add_tether(component: physx.PhysxRigidBodyComponent, tether: Tether) -> None:
-    joint = physx.PhysxDistanceJointComponent(component)
-    joint.pose_in_parent = pysapien.Pose(tether.anchor_m)
-    joint.pose_in_child = pysapien.Pose()
-    joint.set_limit(0.0, tether.length_m)
-    component.entity.add_component(joint)
-
-
-def _set_velocity(
-    component: physx.PhysxRigidBodyComponent,
-    body: RigidBody,
-    centre_m: ArrayLike,
-    hinge: Hinge | None,
-) -> None:
-    """Write the start velocity; PhysX's linear velocity is that of the centre of mass."""
-    angular = np.array(body.angular_velocity_rad_per_s)
-    if isinstance(component, physx.PhysxArticulationLinkComponent):
-        assert hinge is not None, "links are hinged bodies"
-        component.articulation.set_qvel(np.array([angular @ hinge.axis]))
-    else:
-        component.angular_velocity = angular
-        component.linear_velocity = centre_velocity(body, centre_m)

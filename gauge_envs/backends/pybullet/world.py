@@ -17,6 +17,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.pybullet.settings import SettingsPyBullet
+from gauge_envs.backends.shared.rigid import principal_axes
 from gauge_envs.errors import BackendError
 from gauge_envs.scene import (
     Box,
@@ -94,10 +95,7 @@ class Frame:
     def of(cls, body: RigidBody, scale: float) -> "Frame":
         """Return the mass properties of a body in a world with some units per metre."""
         centre_m, inertia = body_mass_properties(body)
-        moments, axes = np.diag(inertia), np.eye(3)
-        if np.abs(inertia - np.diag(moments)).max() > 1e-12 * np.abs(inertia).max():
-            moments, axes = np.linalg.eigh(inertia)
-            axes[:, 2] *= np.linalg.det(axes)
+        moments, axes = principal_axes(inertia)
         rotation = Rotation.from_matrix(axes)
         return cls(centre_m, rotation, (scale**2 * moments).tolist())
 

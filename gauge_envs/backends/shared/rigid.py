@@ -116,6 +116,21 @@ class PlacedSimulation(Simulation):
         return states
 
 
+def principal_axes(inertia_kg_m2: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the principal moments of inertia [kg m^2], shape [3], and a rotation matrix whose columns are their axes.
+
+    Args:
+        inertia_kg_m2: Inertia in the body frame [kg m^2], shape [3, 3]. A diagonal one has the axes of the body.
+    """
+    moments = np.diag(inertia_kg_m2)
+    mixed = inertia_kg_m2 - np.diag(moments)
+    if np.abs(mixed).max() <= 1e-12 * np.abs(moments).max():
+        return moments, np.eye(3)
+    moments, axes = np.linalg.eigh(inertia_kg_m2)
+    axes[:, 2] *= np.linalg.det(axes)
+    return moments, axes
+
+
 def centre_velocity(body: RigidBody, centre_m: ArrayLike) -> FloatArray:
     """Return the start velocity of a body's centre of mass [m/s], shape [3], which many engines take as the body's.
 
