@@ -2,22 +2,17 @@
 
 import logging
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import gymnasium
 
 from gauge_envs.backends.registry import versions_of
 from gauge_envs.backends.settings import settings_record
-from gauge_envs.envs.arguments import (
-    EnvArguments,
-    TrialStart,
-    jittered_experiment,
-    start_of,
-)
-from gauge_envs.envs.at_once import episodes_in_lockstep
-from gauge_envs.envs.episode import Trajectory
+from gauge_envs.envs.arguments import EnvArguments
+from gauge_envs.envs.initial_states import InitialState, InitialStates
+from gauge_envs.envs.rollout import Rollout
 from gauge_envs.errors import GaugeError, ParameterError, UnsupportedSceneError
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.files import json_ready, processor, versions
@@ -26,7 +21,6 @@ from gauge_envs.references.kind import Kind
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result
 from gauge_envs.runs.result_file import asset_record
-from gauge_envs.scene.jitter import Jitter, scattered
 from gauge_envs.scoring.score import Score
 
 _log = logging.getLogger(__name__)
@@ -57,75 +51,41 @@ def run_episodes(request: RunRequest) -> list[Result]:
         against its own single-shot trial.
     """
     experiment = request.experiment()
-    starts = [
-        start_of(experiment, request.jitter, seed=seed)
-        or (Jitter() if request.repeats > 1 else None)
-        for seed in request.seeds
-    ]
-    runs = [
-        jittered_experiment(experiment, start, seed=seed)
-        for start, seed in zip(starts, request.seeds, strict=True)
-    ]
+    starts = _starts(request, experiment)
     engine_versions = versions_of(request.backend)
-    return [
-        _with_episode(
-            _without_run(request, experiment, seed=seed, start=start),
-            run,
-            episode,
-            engine_versions,
-        )
-        for seed, start, run, episode in zip(
-            request.seeds, starts, runs, _play(request, experiment, runs), strict=True
-        )
-    ]
-
-
-class _Played(NamedTuple):
-    """What an episode gave; `wall_s` and `cpu_s` are its shares of the times of all episodes, or None."""
-
-    trajectory: Trajectory
-    score: Score
-    fault: str | None
-    settings: Mapping[str, Any]
-    wall_s: float | None = None
-    cpu_s: float | None = None
-
-
-def _play(
-    request: RunRequest, experiment: Experiment, runs: Sequence[Experiment]
-) -> list[_Played]:
-    """Run episodes without actions.
-
-    Args:
-        request: Engine, settings and marker proxy.
-        experiment: The experiment with the calibrated start, whose band scores all episodes but single-shot trials.
-        runs: The experiment of each episode; they differ in their starts.
-    """
-    lockstep = episodes_in_lockstep(
-        request,
-        runs,
-        [request.band(experiment)] * len(runs),
-        together=request.repeats > 1 or request.jitter is not None,
+    rollout = request.rollout(
+        [experiment] * request.repeats, [request.band(experiment)] * request.repeats
     )
     try:
         wall_s, cpu_s = time.perf_counter(), time.process_time()
-        lockstep.play(request.seed)
-        wall_s = (time.perf_counter() - wall_s) / len(runs)
-        cpu_s = (time.process_time() - cpu_s) / len(runs)
+        rollout.reset(starts, request.seed)
+        rollout.play()
+        wall_s = (time.perf_counter() - wall_s) / request.repeats
+        cpu_s = (time.process_time() - cpu_s) / request.repeats
+        # The score adds later samples to the trajectory.
+        scores = [rollout.score(world) for world in range(request.repeats)]
         return [
-            _Played(
-                score=one.score(),
-                # The score may add later samples.
-                trajectory=one.trajectory(),
-                fault=one.fault,
-                settings=one.settings,
-                wall_s=wall_s,
-                cpu_s=cpu_s,
+            _with_episode(
+                _without_run(request, experiment, seed=seed, start=start),
+                rollout,
+                world,
+                scores[world],
+                versions_of_engine=engine_versions,
+                times_s=(wall_s, cpu_s),
             )
-            for one in lockstep.episodes
+            for world, (seed, start) in enumerate(
+                zip(request.seeds, starts, strict=True)
+            )
         ]
     finally:
-        lockstep.worlds.close()
+        rollout.simulation.close()
+
+
+def _starts(request: RunRequest, experiment: Experiment) -> list[InitialState]:
+    """Return the start of each episode of a request."""
+    sampler = InitialStates(experiment, request.jitter)
+    draw = sampler.of_reset(None, seeded=True)
+    return [sampler.sample(draw, seed) for seed in request.seeds]
 
 
 def run_request(request: RunRequest) -> list[Result]:
@@ -141,8 +101,7 @@ def run_request(request: RunRequest) -> list[Result]:
     declines: type[GaugeError] = ParameterError
     try:
         experiment = request.experiment()
-        if request.jitter is not None:
-            scattered(experiment.scene, request.jitter, seed=0)
+        InitialStates(experiment, request.jitter)
         declines = UnsupportedSceneError
         return run_episodes(request)
     except GaugeError as error:
@@ -173,16 +132,11 @@ def results_without_run(
     calibrated = request.calibrated_experiment()
     return [
         replace(
-            _without_run(
-                request,
-                calibrated,
-                seed=seed,
-                start=start_of(calibrated, request.jitter, seed=seed),
-            ),
+            _without_run(request, calibrated, seed=seed, start=start),
             outcome=outcome,
             error=reason,
         )
-        for seed in request.seeds
+        for seed, start in zip(request.seeds, _starts(request, calibrated), strict=True)
     ]
 
 
@@ -197,14 +151,15 @@ def episode_result(env: gymnasium.Env[Any, Any], info: Mapping[str, Any]) -> Res
 
     inner = env.unwrapped
     assert isinstance(inner, GaugeEnv)
-    episode = inner.episode
+    (start,) = inner.rollout.starts
     return _with_episode(
         _without_run(
-            inner.arguments, inner.experiment, seed=inner.seed_used, start=inner.jitter
+            inner.arguments, inner.experiment, seed=inner.seed_used, start=start
         ),
-        episode.experiment,
-        _Played(episode.trajectory(), info["score"], episode.fault, episode.settings),
-        inner.versions,
+        inner.rollout,
+        0,
+        info["score"],
+        versions_of_engine=inner.versions,
     )
 
 
@@ -213,7 +168,7 @@ def _without_run(
     experiment: Experiment,
     *,
     seed: int | None,
-    start: Jitter | TrialStart | None,
+    start: InitialState,
 ) -> Result:
     """Return the result of an episode that has not run.
 
@@ -221,7 +176,7 @@ def _without_run(
         arguments: Arguments of its environment.
         experiment: Its experiment, or the calibrated one if the parameters are wrong.
         seed: Seed of the episode.
-        start: Standard deviations or trial of its start, or None.
+        start: Its start.
     """
     band = arguments.band(experiment)
     kind = Kind.NONE if band is None else band.kind
@@ -239,7 +194,7 @@ def _without_run(
         backend=arguments.backend,
         settings_given=json_ready(arguments.settings or {}),
         seed=seed,
-        jitter=start.to_dict() if start else {},
+        jitter=start.record,
         marker_proxy=arguments.proxy.value,
         driver_provenance=experiment.driver_provenance,
         dataset=dataset_record(
@@ -254,34 +209,42 @@ def _without_run(
 
 def _with_episode(
     result: Result,
-    experiment: Experiment,
-    episode: _Played,
-    engine_versions: Mapping[str, str],
+    rollout: Rollout,
+    world: int,
+    score: Score,
+    *,
+    versions_of_engine: Mapping[str, str],
+    times_s: tuple[float | None, float | None] = (None, None),
 ) -> Result:
     """Return the result of an episode that has run.
 
     Args:
         result: The result without its run.
-        experiment: The experiment with the start of the episode.
-        episode: What the episode gave.
-        engine_versions: Versions of the engine's packages.
+        rollout: Episodes that have ended.
+        world: Number of the world of this one.
+        score: Its score.
+        versions_of_engine: Versions of the engine's packages.
+        times_s: Wall and CPU time of the episode [s], if they were measured.
     """
-    recorded = episode.trajectory
+    recorded = rollout.trajectory(world)
+    reason = rollout.diverged.get(world)
     return replace(
         result,
-        outcome=Outcome.DIVERGED if episode.fault else Outcome.FINISHED,
-        score=episode.score,
+        outcome=Outcome.DIVERGED if reason else Outcome.FINISHED,
+        score=score,
         frames=len(recorded.frames),
-        diverged=bool(episode.fault),
-        diverged_reason=episode.fault,
-        wall_s=episode.wall_s,
-        cpu_s=episode.cpu_s,
+        diverged=bool(reason),
+        diverged_reason=reason,
+        wall_s=times_s[0],
+        cpu_s=times_s[1],
         sim_s=float(recorded.times_s[-1]),
-        settings=settings_record(result.backend, episode.settings),
-        versions={**engine_versions, **versions()},
+        settings=settings_record(result.backend, rollout.simulation.settings),
+        versions={**versions_of_engine, **versions()},
         processor=processor(),
         error=None,
         trajectory=RecordedTrajectory.of(
-            experiment, *recorded.dense, markers_m=recorded.markers_m
+            rollout.experiment_of(world),
+            *recorded.dense,
+            markers_m=recorded.markers_m,
         ),
     )

@@ -6,22 +6,21 @@ parameters, start and seed.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.backends import backend_for, engine_call, is_bundled, versions_of
 from gauge_envs.backends.shared.resampled import in_intervals
-from gauge_envs.envs.arguments import TrialStart, check_support, jittered_experiment
-from gauge_envs.envs.episode import Episode
+from gauge_envs.envs.arguments import check_support
+from gauge_envs.envs.initial_states import Draw, InitialStates
+from gauge_envs.envs.rollout import Rollout
 from gauge_envs.errors import GaugeError, chosen
-from gauge_envs.experiments.experiment import AssetKind, Experiment
+from gauge_envs.experiments.experiment import AssetKind
 from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.runs.isolation import Worker
 from gauge_envs.runs.result import Result
 from gauge_envs.runs.result_file import recorded_experiment
-from gauge_envs.scene import Scene
 from gauge_envs.scene.jitter import Jitter
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLES_PER_FRAME
 
@@ -55,16 +54,6 @@ class Replay:
     markers_m: PoseArray
 
 
-def replayed_experiment(result: Result) -> Experiment:
-    """Return the experiment of a result with the scene and the start of its episode."""
-    experiment = recorded_experiment(result)
-    if result.asset.get("kind") == AssetKind.MODEL:
-        raise ReplayError(
-            f"the scene is in the file {result.asset['file']}, which is no part of the result"
-        )
-    return jittered_experiment(experiment, _start(result), seed=result.seed or 0)
-
-
 def replay(result: Result) -> Replay:
     """Run the episode of a result again and return where its bodies are.
 
@@ -91,7 +80,11 @@ def _run_again(result: Result, backend: str) -> Replay:
     """Run the episode of a result on its engine and return where its bodies are."""
     if difference := result.made_with_other_than(versions_of(backend)):
         raise ReplayError(difference)
-    experiment = replayed_experiment(result)
+    experiment = recorded_experiment(result)
+    if result.asset.get("kind") == AssetKind.MODEL:
+        raise ReplayError(
+            f"the scene is in the file {result.asset['file']}, which is no part of the result"
+        )
     check_support(experiment, backend)
     with engine_call(backend, "build"):
         built = backend_for(backend, None).build(
@@ -100,46 +93,44 @@ def _run_again(result: Result, backend: str) -> Replay:
         simulation = in_intervals(built, experiment.scene)
     try:
         with engine_call(backend, "advance"):
-            simulation.reset(result.seed or 0)
-            episode = Episode(
-                experiment,
+            rollout = Rollout(
+                [experiment],
                 simulation,
-                band=None,
+                bands=[None],
                 marker_proxy=chosen(MarkerProxy, result.marker_proxy, "marker_proxy"),
             )
-            return _recorded(episode, experiment.scene)
+            start = InitialStates(experiment).sample(_draw(result), result.seed or 0)
+            rollout.reset([start], result.seed or 0)
+            return _recorded(rollout)
     finally:
         simulation.close()
 
 
-def _start(result: Result) -> Jitter | TrialStart | None:
+def _draw(result: Result) -> Draw:
+    """Return what drew the start of a result."""
     if not result.jitter:
         return None
     if "trial" in result.jitter:
-        return TrialStart(int(result.jitter["trial"]))
+        return int(result.jitter["trial"])
     # A result leaves out the standard deviations of velocities that are zero, which are the defaults.
     return Jitter(**result.jitter)
 
 
-def _recorded(episode: Episode, scene: Scene) -> Replay:
+def _recorded(rollout: Rollout) -> Replay:
     """Run an episode to its end with zero actions, and return its views."""
+    scene = rollout.experiment.scene
     views = 1 if scene.deformables else RIGID_VIEWS_PER_FRAME
     samples_per_view = SAMPLES_PER_FRAME // views
-    names = tuple(episode.poses())
-    poses: list[Any] = []
-    nodes: dict[str, list[Any]] = {body.name: [] for body in scene.deformables}
-
-    def look(sample: int) -> None:
-        if (sample + 1) % samples_per_view:
-            return
-        now = episode.poses()
-        poses.append([now[name] for name in names])
-        for name, points in episode.nodes_m().items():
-            nodes[name].append(points.astype(np.float32))
-
-    # The start is a view too; the world is there.
-    look(-1)
-    episode.play(after_sample=look)
+    names = tuple(rollout.poses())
+    # The start is a view too.
+    poses = [[*rollout.poses().values()]]
+    nodes = {name: [points] for name, points in rollout.nodes_m().items()}
+    while not rollout.is_over[0]:
+        for sample in rollout.substeps():
+            if (sample + 1) % samples_per_view == 0:
+                poses.append([*rollout.poses().values()])
+                for name, points in rollout.nodes_m().items():
+                    nodes[name].append(points)
     return Replay(
         rate_hz=FRAME_RATE_HZ * views,
         bodies=names,
@@ -147,5 +138,5 @@ def _recorded(episode: Episode, scene: Scene) -> Replay:
         nodes_m={
             name: np.array(points, dtype=np.float32) for name, points in nodes.items()
         },
-        markers_m=episode.trajectory().markers_m.astype(np.float32),
+        markers_m=rollout.trajectory().markers_m.astype(np.float32),
     )

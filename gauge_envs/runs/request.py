@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 from gauge_envs.envs.arguments import EnvArguments
 from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.experiments.variants import Variant, find_subject
-from gauge_envs.references.single_shot import single_shots
-from gauge_envs.scene.jitter import Jitter
+from gauge_envs.experiments.resolve import shots_of
+from gauge_envs.experiments.variants import find_subject
+from gauge_envs.scene.jitter import Jitter, can_scatter
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,14 +53,15 @@ class RunRequest(EnvArguments):
 
     @property
     def scatter(self) -> Jitter | None:
-        """The jitter that applies: the default one for repeats, unless they are single-shot trials with own starts."""
+        """The jitter that applies: the default one for repeats.
+
+        Repeats of single-shot trials have recorded starts, and those of clamped bodies start all alike.
+        """
         if self.jitter is not None or self.repeats == 1:
             return self.jitter
-        has_starts = (
-            isinstance(self.variant, Variant)
-            and single_shots(self.variant.name) is not None
-        )
-        return None if has_starts else Jitter()
+        experiment = self.calibrated_experiment()
+        is_nominal = shots_of(experiment) or not can_scatter(experiment.scene)
+        return None if is_nominal else Jitter()
 
     def calibrated_experiment(self) -> Experiment:
         """Load the experiment with calibrated parameters, which exists also if the parameters are wrong."""

@@ -133,7 +133,6 @@ def run(
             subject for found in subjects.values() for subject in found
         )
     ]
-    _check_read(requests)
     is_apart = isolate or timeout is not None or memory is not None
     check_requests(requests, isolate=is_apart or None)
     named = {
@@ -233,17 +232,6 @@ def score(
         note(f"{counted(interpolated, 'frame')} between samples: interpolated linearly")
     document = summary_document([result], details=details or form is Format.WIDE)
     print_document(replace(document, rows=[result.to_dict(trajectory=False)]), form)
-
-
-def _check_read(requests: Sequence[RunRequest]) -> None:
-    """Raise an error for a marker proxy that would change nothing in any of the runs."""
-    if requests[0].marker_proxy == "material":
-        return
-    reasons = {one.unread(one.experiment()).get("marker_proxy") for one in requests}
-    if None not in reasons:
-        raise ParameterError(
-            f"--marker-proxy node would change nothing: {reasons.pop()}"
-        )
 
 
 def _default_jobs(requests: Sequence[RunRequest]) -> int:

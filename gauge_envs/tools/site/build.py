@@ -4,7 +4,7 @@ import json
 import shutil
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
 from secrets import token_hex
@@ -30,9 +30,9 @@ from gauge_envs.pages.text import shortened
 from gauge_envs.references.convergence import convergence_rows
 from gauge_envs.runs.replay import (
     replay,
-    replayed_experiment,
 )
 from gauge_envs.runs.result import Result
+from gauge_envs.runs.result_file import recorded_experiment
 from gauge_envs.tools.compare import (
     ExperimentComparison,
     compare,
@@ -224,7 +224,9 @@ def _replays(
 
 def _replay(site: Site, index: int, result: Result) -> dict[str, Any]:
     made = replay(result)
-    experiment = replayed_experiment(result)
+    experiment = recorded_experiment(result)
+    if "trial" in result.jitter:
+        experiment = replace(experiment, trial=int(result.jitter["trial"]))
     band = judging_band(experiment, [result])
     return replay_data(
         experiment, made, band, label=site.labels[index], color=site.line(index)[0]
