@@ -15,6 +15,7 @@ import typer
 import typer.core
 
 from gauge_envs.cli import arguments
+from gauge_envs.cli.arguments import PER_ENGINE, split_values
 from gauge_envs.cli.commands import commands, help_lines
 from gauge_envs.cli.interrupts import (
     EXIT_INTERRUPTED,
@@ -23,10 +24,9 @@ from gauge_envs.cli.interrupts import (
     report_interrupt,
     was_interrupted,
 )
-from gauge_envs.cli.output import EXIT_USAGE, echo, message, quieted
+from gauge_envs.cli.output import EXIT_USAGE, Format, echo, message, quieted
 from gauge_envs.cli.streams import open_closed_streams, reserved_stdout
-from gauge_envs.cli.values import checked_values
-from gauge_envs.errors import GaugeError, ParameterError, UnknownNameError
+from gauge_envs.errors import GaugeError, UnknownNameError
 
 UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 """Errors of a full or broken disk."""
@@ -73,7 +73,7 @@ def _with_common_options(function: Any) -> Any:
 
     @functools.wraps(function)
     def command(**values: Any) -> Any:
-        # The parser has turned --json into --format json.
+        # It has become --format json.
         values.pop("json", None)
         with quieted(values.pop("quiet")):
             return function(**values)
@@ -95,31 +95,39 @@ def _below(name: str) -> list[str]:
     return [other for other in help_lines() if other.rpartition(" ")[0] == name]
 
 
-TYPE_WORDS = {"<int range>": "integer", "<int>": "integer", "<float>": "number"}
-"""What the help shows for types of Python."""
+LISTED = ("ID", "KIND or PATTERN", "NAME", "PATTERN")
+"""Metavars of arguments that are lists of names, not of paths."""
 
 
-def _shown_type(parameter: Any, ctx: Any) -> str | None:
-    """Return the type of a parameter for the help; None for a flag, and for an argument, whose name says it."""
-    if parameter.param_type_name == "argument" or parameter.is_flag:
-        return None
-    if parameter.metavar is not None:
-        return str(parameter.metavar)
-    shown = str(parameter.display_type(ctx))
-    return TYPE_WORDS.get(shown, shown)
+def read_values(command: Any, values: dict[str, Any]) -> dict[str, Any]:
+    """Return the values of a command with lists apart at their commas, and `--json` as `--format json`.
 
-
-def _name_types(command: Any, ctx: Any) -> None:
-    """Let the help of a command show the types that `_shown_type` returns; versions of typer below 0.26 show theirs.
-
-    Defaults in words end the line of help, as `[default: all]`, where typer writes `[default: (all)]`.
+    Args:
+        command: The command.
+        values: Values of arguments and options by the names of their parameters.
     """
-    for one in command.get_params(ctx):
-        one.display_type_rich = functools.partial(_shown_type, one)
-        shown = getattr(one, "show_default", None)
-        if isinstance(shown, str):
-            one.help = rf"{one.help} [dim]\[default: {shown}][/dim]"
-            one.show_default = False
+    found = dict(values)
+    if found.get("json"):
+        found["form"] = Format.JSON
+    for one in command.params:
+        given = values.get(one.name)
+        if one.param_type_name == "argument":
+            # Settings behind an engine belong to it.
+            metavar = PER_ENGINE if one.metavar in LISTED else None
+        else:
+            metavar = (one.metavar or "") if one.multiple else None
+        if metavar is not None and isinstance(given, list | tuple):
+            found[one.name] = [
+                part for value in given for part in _separated(value, metavar)
+            ]
+    return found
+
+
+def _separated(value: str | Path, metavar: str) -> list[str | Path]:
+    """Return the parts of a value between commas; the name of a file that exists is whole."""
+    if Path(value).exists():
+        return [value]
+    return [type(value)(part) for part in split_values(str(value), metavar)]
 
 
 class _Command(typer.core.TyperCommand):
@@ -128,30 +136,8 @@ class _Command(typer.core.TyperCommand):
     Its stdout holds its results only, whatever engines print.
     """
 
-    def format_help(self, ctx: Any, formatter: Any) -> None:
-        _name_types(self, ctx)
-        super().format_help(ctx, formatter)
-
-    def make_parser(self, ctx: Any) -> Any:
-        parser: Any = super().make_parser(ctx)
-        parse = parser.parse_args
-
-        def checked(args: list[str]) -> Any:
-            values, rest, order = parse(args)
-            if not ctx.resilient_parsing:
-                values = checked_values(self.params, values, order)
-                if values.get("json"):
-                    if "form" in values:
-                        raise ParameterError(
-                            "--json is --format json: give one of them"
-                        )
-                    values["form"] = "json"
-            return values, rest, order
-
-        parser.parse_args = checked
-        return parser
-
     def invoke(self, ctx: Any) -> Any:
+        ctx.params = read_values(self, ctx.params)
         with reserved_stdout():
             try:
                 has_failed = super().invoke(ctx)
@@ -180,10 +166,6 @@ class _Named(typer.core.TyperCommand):
 class _Group(typer.core.TyperGroup):
     """Commands by their names; the name of one may have two words, as `sanity probe` beside `sanity TARGET`."""
 
-    def format_help(self, ctx: Any, formatter: Any) -> None:
-        _name_types(self, ctx)
-        super().format_help(ctx, formatter)
-
     def list_commands(self, ctx: Any) -> list[str]:
         name = self.name if self.name in help_lines() else ""
         return [other.removeprefix(f"{name} ") for other in _below(name)]
@@ -211,17 +193,6 @@ class _Group(typer.core.TyperGroup):
 
 class _Root(_Group):
     """The command line, which prints errors of gauge-envs without a traceback; no other place catches them."""
-
-    def parse_args(self, ctx: Any, args: list[str]) -> Any:
-        first = args[0].partition("=")[0] if args else ""
-        known = {option for one in self.get_params(ctx) for option in one.opts}
-        if first.startswith("-") and first not in known and not ctx.resilient_parsing:
-            ctx.fail(
-                f"There is no gauge {first}: write gauge --version"
-                if first in ("-V", "-v")
-                else f"No such option: {first}; options of a command come behind it, as in gauge run ID --seed 1"
-            )
-        return super().parse_args(ctx, args)
 
     def invoke(self, ctx: Any) -> Any:
         try:

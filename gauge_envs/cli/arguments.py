@@ -67,10 +67,10 @@ def measured(
     """
 
     def value(given: str | float) -> float:
+        # Typer also reads the default.
         if isinstance(given, float):
             return given
-        found = re.fullmatch(rf"\s*(.*?)\s*(?:{re.escape(unit)})?\s*", given, re.DOTALL)
-        number = _number(found[1] if found else given)
+        number = _number(given.strip().removesuffix(unit).strip())
         if number is None:
             form = f" in {unit}, as 2 or 2{unit}" if unit else ", as 2"
             raise typer.BadParameter(f"{given!r}: expected a number{form}")
@@ -90,9 +90,11 @@ def measured(
 
 
 def _number(text: str) -> float | None:
-    """Return the finite number of a text in decimal notation; None if it is none."""
-    is_number = re.fullmatch(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?", text)
-    number = float(text) if is_number and len(text) < 100 else math.nan
+    """Return the finite number of a text; None if it is none."""
+    try:
+        number = float(text)
+    except ValueError:
+        return None
     return number if math.isfinite(number) else None
 
 
@@ -317,26 +319,9 @@ def target(text: str, *, metavar: str = "FILE", show_default: bool | str = True)
     )
 
 
-FOLDER = "DIR"
-"""Metavar of an option that takes a folder."""
-
-FILE_SUFFIXES = (
-    ".csv",
-    ".gif",
-    ".html",
-    ".json",
-    ".md",
-    ".mp4",
-    ".pdf",
-    ".png",
-    ".svg",
-)
-"""Suffixes of files, which no name of a new folder of output has."""
-
-
 def folder(text: str, *, show_default: bool | str = True) -> Any:
     """Return the option `--out` of a command that writes a folder."""
-    return target(text, metavar=FOLDER, show_default=show_default)
+    return target(text, metavar="DIR", show_default=show_default)
 
 
 USES = {
@@ -350,27 +335,15 @@ USES = {
 # --- values ----------------------------------------------------------------------------------------------------------
 
 
-def split_list(text: str) -> list[str]:
-    """Split at the commas that are outside brackets."""
-    parts, depth = [""], 0
-    for character in text:
-        depth += (character == "[") - (character == "]")
-        if character == "," and depth == 0:
-            parts.append("")
-        else:
-            parts[-1] += character
-    return parts
-
-
 def split_values(text: str, metavar: str = "") -> list[str]:
-    """Return the values of a list, which commas separate.
+    """Return the values of a list, which commas outside brackets separate.
 
     Args:
         text: Values with commas. A value NAME=VALUE may have commas too, as may settings behind an engine.
         metavar: That of the option.
     """
     values: list[str] = []
-    for part in map(str.strip, split_list(text)):
+    for part in map(str.strip, re.split(r",(?![^\[]*\])", text)):
         if metavar == PER_ENGINE:
             goes_on = "=" in part and ":" not in part
         else:
@@ -457,6 +430,10 @@ def parsed_use(words: Sequence[str] | None, *names: str) -> dict[str, Any]:
     }
 
 
+JITTER_UNITS = {"mm": ("position_m", 1.0e-3), "deg": ("angle_rad", math.radians(1.0))}
+"""Standard deviation that a unit of `--jitter` is of, and the unit in SI."""
+
+
 def parsed_jitter(texts: Sequence[str] | None) -> Jitter | None:
     """Return the scatter of `--jitter`: `1mm` and `0.5deg`, `real`, or `off`; None where nothing is given."""
     from gauge_envs.scene.jitter import Jitter
@@ -465,46 +442,44 @@ def parsed_jitter(texts: Sequence[str] | None) -> Jitter | None:
         return None
     if list(texts) == ["real"]:
         return Jitter()
-    scales = {"mm": ("position_m", 1.0e-3), "deg": ("angle_rad", math.radians(1.0))}
-    found = {"position_m": 0.0, "angle_rad": 0.0}
-    seen = set()
+    found: dict[str, float] = {}
     for part in [] if list(texts) == ["off"] else texts:
-        value = re.fullmatch(r"\s*(\S+?)\s*(mm|deg)\s*", part)
+        value = re.fullmatch(r"(.*?)\s*(mm|deg)", part)
         number = None if value is None else _number(value[1])
-        if value is None or number is None or number < 0.0 or value[2] in seen:
+        name, unit = JITTER_UNITS[value[2]] if value is not None else ("", 0.0)
+        if number is None or number < 0.0 or name in found:
             raise ParameterError(
                 f"--jitter {','.join(texts)}: expected numbers in mm and in degrees of 0 or more, each once, as "
                 "1mm,0.5deg; or real; or off"
             )
-        seen.add(value[2])
-        name, scale = scales[value[2]]
-        found[name] = scale * number
-    return Jitter(**found)
+        found[name] = unit * number
+    return Jitter(**{"position_m": 0.0, "angle_rad": 0.0, **found})
 
 
 def matching(
     tables: Sequence[Table], patterns: Sequence[str], *, kind: str
 ) -> list[Table]:
     """Return tables with the rows whose first column matches a name or a pattern; all rows without patterns."""
-    named = [
-        [(str(table.columns[0].value(row)), row) for row in table.rows]
-        for table in tables
-    ]
-    names = [name for rows in named for name, _ in rows]
+    if not patterns:
+        return [table for table in tables if table.rows]
+
+    def name(table: Table, row: Any) -> str:
+        return str(table.columns[0].value(row))
+
+    names = [name(table, row) for table in tables for row in table.rows]
     for pattern in patterns:
-        if not any(fnmatchcase(name, pattern) for name in names):
+        if not any(fnmatchcase(known, pattern) for known in names):
             raise UnknownNameError(kind, pattern, names)
-    chosen = {
-        name
-        for name in names
-        if not patterns or any(fnmatchcase(name, pattern) for pattern in patterns)
-    }
-    kept = [[row for name, row in rows if name in chosen] for rows in named]
-    return [
-        replace(table, rows=rows)
-        for table, rows in zip(tables, kept, strict=True)
-        if rows
-    ]
+    kept = []
+    for table in tables:
+        rows = [
+            row
+            for row in table.rows
+            if any(fnmatchcase(name(table, row), pattern) for pattern in patterns)
+        ]
+        if rows:
+            kept.append(replace(table, rows=rows))
+    return kept
 
 
 def by_suffix(files: Sequence[Path] | None, *suffixes: str) -> dict[str, Path]:

@@ -7,35 +7,23 @@ from __future__ import annotations
 
 import json
 import os
-import re
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 import typer
-from rich.console import (
-    Console,
-    ConsoleOptions,
-    ConsoleRenderable,
-    RenderHook,
-    RenderResult,
-)
-from rich.control import Control
-from rich.segment import Segment
+from rich.console import Console
+from rich.markup import escape
 
 from gauge_envs.cli.streams import result_stream
-from gauge_envs.files import json_ready, printable
+from gauge_envs.files import json_ready
 
 if TYPE_CHECKING:
     from gauge_envs.pages.document import Shown
-
-UNSAFE = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\ud800-\udfff]")
-"""Control characters but tabs and ends of lines, and lone surrogates."""
 
 PIPE_WIDTH = 140
 """Width of tables where there is no terminal [characters]; rich would take 80."""
@@ -55,60 +43,19 @@ EXIT_USAGE = 2
 
 def stdout_console() -> Console:
     """Return the console of results."""
-    return _prepared(Console(file=result_stream(), emoji=False))
+    return _with_width(Console(file=result_stream(), emoji=False))
 
 
 def stderr_console() -> Console:
     """Return the console of messages and progress."""
-    return _prepared(Console(stderr=True, highlight=False, emoji=False))
+    return _with_width(Console(stderr=True, highlight=False, emoji=False))
 
 
-def _prepared(console: Console) -> Console:
-    """Show control characters as escapes; give a console without a terminal a fixed width unless `COLUMNS` states one.
-
-    Names in files of strangers may hold escape sequences, which a terminal would execute.
-    """
-    console.push_render_hook(_PrintableHook())
+def _with_width(console: Console) -> Console:
+    """Give a console without a terminal a fixed width unless `COLUMNS` states one."""
     if not console.is_terminal and "COLUMNS" not in os.environ:
         console.width = PIPE_WIDTH
     return console
-
-
-class _PrintableHook(RenderHook):
-    """Hook of a console that makes all texts printable; styles and the control codes of rich stay."""
-
-    def process_renderables(
-        self, renderables: list[ConsoleRenderable]
-    ) -> list[ConsoleRenderable]:
-        """Return renderables whose texts are printable."""
-        return [
-            one if isinstance(one, Control) else _Printable(one) for one in renderables
-        ]
-
-
-@dataclass(frozen=True)
-class _Printable:
-    """A renderable whose texts hold no control characters but ends of lines."""
-
-    inner: ConsoleRenderable
-
-    def __rich_console__(
-        self, console: Console, options: ConsoleOptions
-    ) -> RenderResult:
-        """Yield the segments of the renderable."""
-        for segment in console.render(self.inner, options):
-            if segment.control or segment.text.isprintable():
-                yield segment
-            else:
-                text = "\n".join(map(printable, segment.text.split("\n")))
-                yield Segment(text, segment.style)
-
-
-def plain_text(text: str) -> str:
-    """Return a text in which rich interprets no brackets."""
-    from rich.markup import escape
-
-    return escape(text)
 
 
 _quiet = [False]
@@ -134,7 +81,7 @@ def message(text: object, label: str = "") -> None:
         return
     color = "red" if label in ("error", "stale") else "yellow"
     start = f"[{color}]{label}:[/] " if label else ""
-    stderr_console().print(f"{start}{plain_text(str(text))}", soft_wrap=True)
+    stderr_console().print(f"{start}{escape(str(text))}", soft_wrap=True)
 
 
 def note(text: str) -> None:
@@ -169,15 +116,12 @@ class Progress:
         )
 
         console = stderr_console()
-        columns = (
+        self._is_terminal = console.is_terminal
+        self._bar = Progress(
             BarColumn(),
             MofNCompleteColumn(),
             TimeElapsedColumn(),
             TextColumn("{task.description}"),
-        )
-        self._is_terminal = console.is_terminal
-        self._bar = Progress(
-            *columns,
             console=console,
             transient=True,
             disable=_quiet[-1] or not self._is_terminal,
@@ -191,12 +135,7 @@ class Progress:
         self._bar.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        at: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._bar.stop()
 
     def advance(self, text: object = "") -> None:
@@ -208,17 +147,16 @@ class Progress:
             self._start_s = now_s  # The first step also loads the engine.
         if self._interval_s is not None and now_s - self._line_s >= self._interval_s:
             self._line_s = now_s
-            left_s = (
-                ((self._total or 0) - self._done)
-                * (now_s - self._start_s)
-                / max(self._done - self._first - 1, 1)
-            )
-            left = (
-                f", about {left_s / 60.0:.1f} min left"
-                if self._interval_s and left_s
-                else ""
-            )
-            self.line(f"{self._done}/{self._total} {text}{left}")
+            self.line(f"{self._done}/{self._total} {text}{self._left(now_s)}")
+
+    def _left(self, now_s: float) -> str:
+        """Return the time that is left, at the pace since the end of the first step; empty if it is not known."""
+        counted = self._done - self._first - 1
+        if not self._total or counted < 1:
+            return ""
+        step_s = (now_s - self._start_s) / counted
+        left_s = (self._total - self._done) * step_s
+        return f", about {left_s / 60.0:.1f} min left" if left_s > 0.0 else ""
 
     def line(self, text: str) -> None:
         """Print a line where there is no terminal."""
@@ -230,7 +168,7 @@ class Progress:
     ) -> None:
         """Show what is done at the moment, and how many steps of all."""
         self._bar.update(
-            self._task, completed=done, total=total, description=plain_text(str(text))
+            self._task, completed=done, total=total, description=escape(str(text))
         )
 
 
@@ -255,19 +193,8 @@ class LostOutput:
 
 
 def echo(text: object, *, nl: bool = True) -> None:
-    """Print a text on stdout as a result of the command, with control characters and lone surrogates as escapes.
-
-    Names of files may hold them: a terminal would execute the first, and no encoding has the second.
-
-    Args:
-        text: The text.
-        nl: Whether to end the line.
-    """
-    typer.echo(
-        UNSAFE.sub(lambda found: printable(found[0]), str(text)),
-        file=result_stream(),
-        nl=nl,
-    )
+    """Print a text on stdout as a result of the command."""
+    typer.echo(str(text), file=result_stream(), nl=nl)
 
 
 class Format(StrEnum):
@@ -284,7 +211,6 @@ def print_document(
     form: Format,
     *,
     files: Mapping[str, Path] | None = None,
-    writers: Mapping[str, Callable[[Path], object]] | None = None,
 ) -> None:
     """Print a document on stdout, and write it to files, whose paths go to stderr.
 
@@ -292,7 +218,6 @@ def print_document(
         shown: What to print.
         form: The format.
         files: Files by suffix, of `arguments.by_suffix`; `.json` and `.md` are as on stdout.
-        writers: What writes the files of other suffixes, and returns their paths.
     """
     from gauge_envs.pages.document import Terminal, as_markdown, as_rows, save_file
 
@@ -303,17 +228,9 @@ def print_document(
     else:
         stdout_console().print(Terminal(shown, form is Format.WIDE))
     for suffix, file in (files or {}).items():
-        if suffix in (others := writers or {}):
-            message(others[suffix](file))
-        else:
-            message(
-                save_file(
-                    file,
-                    json_text(as_rows(shown))
-                    if suffix == ".json"
-                    else as_markdown(shown),
-                )
-            )
+        is_json = suffix == ".json"
+        text = json_text(as_rows(shown)) if is_json else as_markdown(shown)
+        message(save_file(file, text))
 
 
 def print_json_lines(rows: Iterable[Mapping[str, Any]]) -> None:

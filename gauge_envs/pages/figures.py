@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gauge_envs.errors import needs_extra
-from gauge_envs.files import printable
 from gauge_envs.pages.document import save_file
 
 if TYPE_CHECKING:
@@ -47,10 +46,6 @@ def save_png(figure: Figure, path: Path) -> Path:
     for text in figure.findobj(Text):
         if not isinstance(text, Text):
             continue
-        # A name of a user may hold what no font has, as an escape character.
-        lines = text.get_text().split("\n")
-        if not all(line.isprintable() for line in lines):
-            text.set_text("\n".join(map(printable, lines)))
         # A dollar sign in the name or title of an experiment starts no formula; ticks get their formulas later.
         if "$" in text.get_text():
             text.set_parse_math(False)

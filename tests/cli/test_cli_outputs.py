@@ -1,11 +1,10 @@
 """Outputs that cannot be written, and requests that cannot be met, are errors before anything runs."""
 
 import os
-from pathlib import Path
 
 import pytest
 
-from gauge_envs.cli.output import Progress, echo
+from gauge_envs.cli.output import Progress
 
 
 @pytest.fixture
@@ -39,12 +38,6 @@ def test_a_matrix_has_its_place_before_its_checks_run(gauge, suffix, tmp_path):
         )
         assert result.exit_code == 2, result.output
         assert reason in result.stderr
-
-
-def test_a_name_of_a_file_reaches_the_terminal_as_text(capsys):
-    for text in (Path("a\x1b[2J") / os.fsdecode(b"\xff"), "two\nlines\tä"):
-        echo(text)
-    assert capsys.readouterr().out == "a\\x1b[2J/\\udcff\ntwo\nlines\tä\n"
 
 
 def test_the_time_left_is_told_without_the_step_that_loads_the_engine(

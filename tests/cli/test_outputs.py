@@ -61,7 +61,6 @@ list X*
 list phenomena slde-wood
 list backends mujoko
 list materials satn
-list --json --format wide
 show SlopeSlider
 run
 run SlopeSlider-2-gold

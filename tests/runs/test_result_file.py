@@ -6,10 +6,8 @@ import json
 import re
 
 import pytest
-from rich.console import Console
 from typer.testing import CliRunner
 
-from gauge_envs.cli import output
 from gauge_envs.cli.app import app
 from gauge_envs.errors import ResultFileError
 from gauge_envs.runs.episodes import run_episode
@@ -167,31 +165,6 @@ def test_markdown_gets_no_heading_picture_or_code(hostile, gauge):
         ]
         assert len({row.count("|") for row in rows}) <= 1
     assert r"\`:smile:\`" in result.stdout
-
-
-def test_a_terminal_gets_no_escapes_of_a_file(hostile):
-    result = CliRunner(env={"COLUMNS": "400"}).invoke(
-        app, ["compare", str(hostile), "--format", "wide"]
-    )
-    assert result.exit_code == 0
-    assert (
-        "\x1b" not in result.stdout
-        and r"\x1b[2J" in result.stdout
-        and ":smile:" in result.stdout
-    )
-
-
-def test_styles_of_a_terminal_stay(monkeypatch, capsys):
-    original = Console
-    monkeypatch.setattr(
-        output,
-        "Console",
-        lambda **options: original(
-            force_terminal=True, color_system="standard", **options
-        ),
-    )
-    output.stdout_console().print("[red]error:[/] a\x1b[2Jb :smile:", highlight=False)
-    assert capsys.readouterr().out == "\x1b[31merror:\x1b[0m a\\x1b[2Jb :smile:\n"
 
 
 def test_a_dollar_sign_starts_no_formula(hostile, gauge, tmp_path):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +12,6 @@ from places import one_of_a_kind
 from gauge_envs import load_experiment, reference_band
 from gauge_envs.experiments.task_files import task_sha256
 from gauge_envs.experiments.variants import find_variant, variants
-from gauge_envs.pages.figures import new_figure, save_png
 from gauge_envs.pages.text import QUESTIONS
 from gauge_envs.references.kind import Kind
 from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result
@@ -199,12 +197,3 @@ def test_the_first_curve_of_a_release_is_aligned_and_so_are_the_trials_below_it(
     reach = reference_band(load_experiment(BALL)).trial_rmse_aligned.mean()
     shade = figure.axes[0].collections[0].get_paths()[0].vertices[:, 1].max()
     assert shade == pytest.approx(reach)
-
-
-def test_a_name_with_a_control_character_is_escaped(tmp_path):
-    figure = new_figure(4.0, 2.0)
-    figure.suptitle("a\x1b[31mred\nsecond line")
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        save_png(figure, tmp_path / "name.png")
-    assert texts_of(figure) == ["a\\x1b[31mred\nsecond line"]
