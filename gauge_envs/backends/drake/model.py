@@ -11,14 +11,12 @@ from pydrake.geometry import (
     CollisionFilterDeclaration,
     GeometryId,
     GeometrySet,
-    SceneGraph,
 )
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import (
-    ApplyMultibodyPlantConfig,
+    AddMultibodyPlant,
     CoulombFriction,
     DiscreteContactApproximation,
-    MultibodyPlant,
     MultibodyPlantConfig,
 )
 from pydrake.multibody.tree import (
@@ -88,19 +86,9 @@ def rigid_transform(pose: Pose) -> RigidTransform:
 
 def build_model(scene: Scene, settings: SettingsDrake) -> Model:
     """Build a diagram with a discrete plant."""
-    # `AddMultibodyPlant` of pydrake 1.51 does the same, and never frees the plant.
+    # Unlike `AddMultibodyPlantSceneGraph` of pydrake 1.51, this frees the plant with the diagram.
     builder = DiagramBuilder()
-    plant = builder.AddSystem(MultibodyPlant(settings.timestep_s))
-    scene_graph = builder.AddSystem(SceneGraph())
-    plant.RegisterAsSourceForSceneGraph(scene_graph)
-    builder.Connect(
-        scene_graph.get_query_output_port(), plant.get_geometry_query_input_port()
-    )
-    builder.Connect(
-        plant.get_geometry_pose_output_port(),
-        scene_graph.get_source_pose_port(plant.get_source_id()),
-    )
-    ApplyMultibodyPlantConfig(_config(settings), plant)
+    plant, scene_graph = AddMultibodyPlant(_config(settings), builder)
     gravity = [0.0, 0.0, -scene.gravity_m_per_s2]
     plant.mutable_gravity_field().set_gravity_vector(gravity)
     bodies = _add_bodies(plant, scene, settings)
@@ -152,19 +140,20 @@ def _add_bodies(plant: Any, scene: Scene, settings: SettingsDrake) -> dict[str, 
     bodies = {}
     for body in scene.bodies:
         if body.motion is Motion.DYNAMIC:
-            centre_m, tensor = body_mass_properties(body)
-            (xx, xy, xz), (_, yy, yz), (_, _, zz) = tensor
-            moments = RotationalInertia(Ixx=xx, Iyy=yy, Izz=zz, Ixy=xy, Ixz=xz, Iyz=yz)
-            inertia = SpatialInertia.MakeFromCentralInertia(
-                body.mass_kg, centre_m, moments
-            )
-            bodies[body.name] = plant.AddRigidBody(body.name, free, inertia)
+            bodies[body.name] = plant.AddRigidBody(body.name, free, _inertia(body))
         elif body.motion is Motion.KINEMATIC:
             reach_m = np.linalg.norm(body.shape.corners_m, axis=1).max()
             radius_m = float(np.sqrt(2.5) * reach_m)
             inertia = SpatialInertia.SolidSphereWithMass(driven_mass_kg, radius_m)
             bodies[body.name] = plant.AddRigidBody(body.name, driven, inertia)
     return bodies
+
+
+def _inertia(body: RigidBody) -> SpatialInertia:
+    centre_m, tensor = body_mass_properties(body)
+    (xx, xy, xz), (_, yy, yz), (_, _, zz) = tensor
+    moments = RotationalInertia(xx, yy, zz, xy, xz, yz)
+    return SpatialInertia.MakeFromCentralInertia(body.mass_kg, centre_m, moments)
 
 
 def _add_hinge(plant: Any, body: RigidBody, added: Any, hinge: Hinge) -> None:
@@ -194,34 +183,16 @@ def _add_geometries(
         geometries: dict[str, list[GeometryId]] = {}
         for name in dict.fromkeys(sides):
             body = scene.body(name)
-            frame, place = bodies.get(name), RigidTransform()
-            if frame is None:
-                frame, place = plant.world_body(), rigid_transform(body.pose)
-            parts = [(place, shape) for shape in _shapes(body.shape)]
-            if _has_corners(body, settings):
-                corner = geometry.Sphere(CORNER_RADIUS_M)
-                parts += [
-                    (RigidTransform(corner_m), corner)
-                    for corner_m in np.unique(body.shape.corners_m, axis=0)
-                ]
+            frame = bodies.get(name, plant.world_body())
             properties = _proximity_properties(body, constants, settings)
             geometries[name] = [
                 plant.RegisterCollisionGeometry(
-                    frame, pose, shape, f"{name}/{index}/{number}", properties
+                    frame, place, shape, f"{name}/{index}/{number}", properties
                 )
-                for number, (pose, shape) in enumerate(parts)
+                for number, (place, shape) in enumerate(_parts(body, settings))
             ]
         groups.append((members, geometries))
     return groups
-
-
-def _has_corners(body: RigidBody, settings: SettingsDrake) -> bool:
-    """Return whether a body gets tiny spheres at the vertices of its polyhedra, as further contact points."""
-    return (
-        settings.contact_model == "point"
-        and body.motion is not Motion.FIXED
-        and isinstance(body.shape, Box | ConvexUnion)
-    )
 
 
 def _partners(scene: Scene, contacts: list[Contact]) -> dict[str, list[str]]:
@@ -234,6 +205,21 @@ def _partners(scene: Scene, contacts: list[Contact]) -> dict[str, list[str]]:
 
 
 # --- collision geometry -----------------------------------------------------------------------------------------------
+
+
+def _parts(
+    body: RigidBody, settings: SettingsDrake
+) -> list[tuple[RigidTransform, geometry.Shape]]:
+    """Return the shapes of a body, and their places in it or, if it is fixed, in the world."""
+    if body.motion is Motion.FIXED:
+        return [(rigid_transform(body.pose), shape) for shape in _shapes(body.shape)]
+    parts = [(RigidTransform(), shape) for shape in _shapes(body.shape)]
+    if settings.contact_model == "point" and isinstance(body.shape, Box | ConvexUnion):
+        # Tiny spheres at the vertices are further contact points.
+        for corner_m in np.unique(body.shape.corners_m, axis=0):
+            sphere = geometry.Sphere(CORNER_RADIUS_M)
+            parts.append((RigidTransform(corner_m), sphere))
+    return parts
 
 
 def _shapes(shape: Shape) -> list[geometry.Shape]:
@@ -311,6 +297,6 @@ def _piece_inner_radius_m(points_m: FloatArray) -> float:
         [0.0, 0.0, 0.0, -1.0],
         A_ub=np.column_stack([planes[:, :3], np.ones(len(planes))]),
         b_ub=-planes[:, 3],
-        bounds=[(None, None)] * 3 + [(0.0, None)],
+        bounds=(None, None),
     )
     return float(found.x[3])

@@ -24,6 +24,12 @@ from gauge_envs.scene import Motion, Scene
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.states import nominal_states
 
+POSE_ORDER = np.array([4, 5, 6, 0, 1, 2, 3])
+"""Places of x, y, z and the quaternion w, x, y, z in the positions of a free body; Drake has the quaternion first."""
+
+VELOCITY_ORDER = np.array([3, 4, 5, 0, 1, 2])
+"""Places of the linear and the angular velocity in the velocities of a free body."""
+
 # Drake warns about half-spaces, which deformable bodies cannot touch. Its import resets the level.
 logging.getLogger("drake").setLevel(logging.ERROR)
 
@@ -48,12 +54,17 @@ class SimulationDrake(PlacedSimulation):
         self._nominal = nominal_states(scene)
         # Positions, then velocities.
         self._state = np.zeros(plant.num_multibody_states())
-        # Where the state has the position and the velocity of each body.
-        self._places: dict[str, tuple[int, int]] = {}
+        # Where the state has the numbers of each body; of a hinged one, the angle and its rate.
+        self._places: dict[str, FloatArray] = {}
         for name in self._model.bodies:
             joint = plant.GetJointByName(name)
+            position = joint.position_start()
             velocity = plant.num_positions() + joint.velocity_start()
-            self._places[name] = joint.position_start(), velocity
+            places = (position + POSE_ORDER, velocity + VELOCITY_ORDER)
+            is_hinged = name in scene.hinges
+            self._places[name] = np.hstack(
+                (position, velocity) if is_hinged else places
+            )
         self.reset()
 
     def reset(self, starts: FloatArray | None = None, seed: int = 0) -> None:
@@ -66,26 +77,22 @@ class SimulationDrake(PlacedSimulation):
         for body, state in zip(self._scene.bodies, states, strict=False):
             hinge = self._scene.hinges.get(body.name)
             if hinge is not None:
-                position, velocity = self._places[body.name]
-                self._state[position] = hinge_angle(hinge, body.pose, state)
-                self._state[velocity] = state[10:] @ hinge.axis
+                angle_rad = hinge_angle(hinge, body.pose, state)
+                self._state[self._places[body.name]] = (
+                    angle_rad,
+                    state[10:] @ hinge.axis,
+                )
             elif body.motion is Motion.KINEMATIC:
                 self.drive(body.name, np.append(state, np.zeros(6))[None])
             elif body.motion is Motion.DYNAMIC:
-                self._write(body.name, state)
+                self._state[self._places[body.name]] = state
         self._context.SetDiscreteState(self._state)
         self._apply_forces()
-
-    def _write(self, name: str, state: FloatArray) -> None:
-        """Write the state of a body without a hinge to the state of the plant, which has rotations first."""
-        position, velocity = self._places[name]
-        self._state[position : position + 7] = [*state[3:7], *state[:3]]
-        self._state[velocity : velocity + 6] = [*state[10:], *state[7:10]]
 
     def drive(self, body: str, targets: FloatArray) -> None:
         """Prescribe a kinematic body; each step starts at its pose with the mean velocity of the step."""
         self._motions[body] = DrivenMotion.of(targets[0])
-        self._write(body, targets[0, :13])
+        self._state[self._places[body]] = targets[0, :13]
 
     def apply_wrench(self, body: str, wrenches: FloatArray) -> None:
         """Apply a force through the centre of mass [N] and a torque [N m] to a dynamic body."""
@@ -116,7 +123,7 @@ class SimulationDrake(PlacedSimulation):
         }
         for step in range(count):
             for name, states in paths.items():
-                self._write(name, states[step])
+                self._state[self._places[name]] = states[step]
             if paths:
                 self._context.SetDiscreteState(self._state)
             if self._tethers:
@@ -161,16 +168,14 @@ class SimulationDrake(PlacedSimulation):
         return np.array([states])
 
     def _free_state(self, name: str) -> FloatArray:
-        position, velocity = self._places[name]
-        pose = self._state[position : position + 7]
-        speed = self._state[velocity : velocity + 6]
-        quaternion = pose[:4] / np.linalg.norm(pose[:4])
-        return np.concatenate([pose[4:], quaternion, speed[3:], speed[:3]])
+        state = self._state[self._places[name]]
+        state[3:7] /= np.linalg.norm(state[3:7])
+        return state
 
     def _hinged_state(self, name: str) -> FloatArray:
-        plant, body = self._model.plant, self._model.bodies[name]
-        pose = plant.EvalBodyPoseInWorld(self._plant_context, body)
-        velocity = plant.EvalBodySpatialVelocityInWorld(self._plant_context, body)
+        body = self._model.bodies[name]
+        pose = body.EvalPoseInWorld(self._plant_context)
+        velocity = body.EvalSpatialVelocityInWorld(self._plant_context)
         quaternion = pose.rotation().ToQuaternion().wxyz()
         linear, angular = velocity.translational(), velocity.rotational()
         return np.concatenate([pose.translation(), quaternion, linear, angular])
