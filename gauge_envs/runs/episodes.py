@@ -83,7 +83,7 @@ def run_episodes(request: RunRequest) -> list[Result]:
 
 def _starts(request: RunRequest, experiment: Experiment) -> list[InitialState]:
     """Return the start of each episode of a request."""
-    sampler = InitialStates(experiment, request.jitter)
+    sampler = InitialStates(experiment, request.scatter)
     draw = sampler.of_reset(None, seeded=True)
     return [sampler.sample(draw, seed) for seed in request.seeds]
 

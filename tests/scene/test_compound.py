@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs import load_experiment
 from gauge_envs.backends import backend
+from gauge_envs.envs.recording import record
 from gauge_envs.backends.mujoco.model import build_model
 from gauge_envs.backends.mujoco.settings import settings_for
 from gauge_envs.errors import ParameterError
@@ -155,10 +156,7 @@ def test_feet_slide_by_coulombs_law_and_stay_on_the_ground(engine, kind):
         return
     simulation = backend(engine).build(scene, {})
     try:
-        simulation.reset(0)
-        places = np.vstack(
-            [np.zeros(3), simulation.sample_positions(["foot"], 54, 1 / 180)[:, 0]]
-        )
+        places = record(simulation, scene, 0.3).displacement("foot")
     finally:
         simulation.close()
     along = scene.body("ground").pose.rotation.apply(places, inverse=True)

@@ -1,31 +1,17 @@
 """Prescribed motions against their closed forms."""
 
-from types import SimpleNamespace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.scene import Box, Motion, Pose, RigidBody, Scene
-from gauge_envs.scene.driver_path import (
-    SAMPLE_INTERVAL_S,
-    DriverPath,
-    DriverPathInArrays,
-    DriverPathOfWorlds,
-)
+from gauge_envs.scene import Pose
 from gauge_envs.scene.drivers import Driver, DriverMotion
+from gauge_envs.scene.prescribed_motion import PrescribedMotion
 from gauge_envs.scene.profiles import CosineProfile, SampledProfile, TrapezoidProfile
-
-ARRAYS = SimpleNamespace(
-    atan2=np.arctan2,
-    concat=np.concatenate,
-    **{
-        name: getattr(np, name)
-        for name in ("cos", "matmul", "sin", "sqrt", "square", "stack", "where")
-    },
-)
-"""Functions of NumPy, under the names that versions before 2 lack too."""
+from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 
 
 def profiles():
@@ -140,43 +126,78 @@ def test_samples_may_be_subnormal_numbers():
     assert profile.value(2.5) == pytest.approx(0.0, abs=1e-300)
 
 
-def test_worlds_are_driven_as_one_alone_also_after_an_action_of_one_motion():
-    """Actions move one motion of the first world, both of the second, and none of the third."""
-    plate = RigidBody(
-        name="plate",
-        shape=Box(size_m=(0.2, 0.1, 0.02)),
-        motion=Motion.KINEMATIC,
-        mass_kg=1.0,
-        pose=Pose(position_m=(0.1, 0.2, 0.3)),
-    )
+START = np.array([0.1, 0.2, 0.3, 0.5, 0.5, -0.5, 0.5])
+"""Position [m] and quaternion of a driven body before anything moves."""
+
+
+def two_motions():
+    """A translation and a rotation that actions change by 0.3 m/s and 0.3 rad/s."""
     shift, turn = (
         DriverMotion(
             kind=kind,
             axis=(0.0, 0.6, 0.8),
-            point_m=point_m,
+            point_m=(0.1, 0.2, 0.4),
             profiles=(CosineProfile(start_s=0.0, duration_s=0.5, amount=amount),),
             residual_rate=0.3,
         )
-        for kind, amount, point_m in (
-            ("translate", 0.2, None),
-            ("rotate", 0.7, (0.1, 0.2, 0.4)),
-        )
+        for kind, amount in (("translate", 0.2), ("rotate", 0.7))
     )
-    driver = Driver(body="plate", motions=(shift, turn), provenance="nominal")
-    scene = Scene(bodies=(plate,), drivers=(driver,), duration_s=0.5)
-    together = DriverPathOfWorlds(driver, [scene] * 3, 6)
-    alone = [DriverPath(driver, scene, 6) for _ in range(3)]
+    return Driver(body="plate", motions=(shift, turn), provenance="nominal")
+
+
+def ends_of(targets):
+    """Return pose and velocity at the end of uniformly accelerated intervals, shape [..., 13]."""
+    velocity, acceleration = targets[..., 7:13], targets[..., 13:]
+    travel = SAMPLE_INTERVAL_S * velocity + 0.5 * SAMPLE_INTERVAL_S**2 * acceleration
+    turned = Rotation.from_rotvec(travel[..., 3:].reshape(-1, 3)) * Rotation.from_quat(
+        targets[..., 3:7].reshape(-1, 4), scalar_first=True
+    )
+    quaternions = turned.as_quat(scalar_first=True).reshape(targets[..., 3:7].shape)
+    places = targets[..., :3] + travel[..., :3]
+    return np.concatenate([places, quaternions], axis=-1)
+
+
+@pytest.mark.parametrize("action", [0.0, 0.7])
+def test_each_interval_ends_where_the_next_one_begins(action):
+    motion = PrescribedMotion(two_motions(), START, 60)
+    rows = [
+        motion.targets(6 * frame, np.full((1, 2), action), 6)[:, 0]
+        for frame in range(10)
+    ]
+    targets = np.concatenate(rows)
+    assert ends_of(targets[:-1]) == pytest.approx(targets[1:, :7], abs=1e-12)
+    assert targets[0, :7] == pytest.approx(START)
+
+
+def test_worlds_are_driven_as_one_alone_also_after_an_action_of_one_motion():
+    """Actions move one motion of the first world, both of the second, and none of the third."""
+    together = PrescribedMotion(two_motions(), START, 48, world_count=3)
+    alone = [PrescribedMotion(two_motions(), START, 48) for _ in range(3)]
     acted = np.array([[1.0, 0.0], [0.5, -1.0], [0.0, 0.0]])
-    for sample in range(8):
-        actions = acted if sample in (1, 2) else np.zeros((3, 2))
-        rows = together.interval(sample, actions)
-        for path, row, action in zip(alone, rows, actions, strict=True):
-            pose, velocity, acceleration = path.interval(sample, action)
-            assert row == pytest.approx(
-                [*pose.position_m, *pose.quaternion, *velocity, *acceleration], abs=1e-9
-            )
-    rates_m_or_rad = 0.3 * 2 / 180
-    assert together.offsets == pytest.approx(rates_m_or_rad * acted)
+    for interval in range(8):
+        actions = acted if interval in (1, 2) else np.zeros((3, 2))
+        rows = together.targets(interval, actions)[0]
+        expected = [
+            motion.targets(interval, action[None])[0, 0]
+            for motion, action in zip(alone, actions, strict=True)
+        ]
+        assert rows == pytest.approx(np.array(expected), abs=1e-9)
+
+
+def test_a_reset_gives_worlds_other_places_and_other_drivers():
+    motion = PrescribedMotion(two_motions(), START, 12, world_count=2)
+    motion.targets(0, np.ones((2, 2)), 6)
+    elsewhere = START + np.eye(7)[0]
+    later = two_motions()
+    slower = replace(later.motions[0], residual_rate=0.1)
+    other = replace(later, motions=(slower, later.motions[1]), provenance="mocap")
+    motion.reset([later, other], np.array([START, elsewhere]))
+    expected = [
+        PrescribedMotion(driver, start, 12).targets(0, np.zeros((1, 2)), 12)
+        for driver, start in ((later, START), (other, elsewhere))
+    ]
+    found = motion.targets(0, np.zeros((2, 2)), 12)
+    assert found == pytest.approx(np.concatenate(expected, axis=1))
 
 
 @pytest.mark.parametrize("angle_rad", [0.3, 3.0, 3.3, 6.0, -3.5])
@@ -192,16 +213,8 @@ def test_mean_rate_of_an_interval_is_the_shorter_rotation(angle_rad):
         ),
         residual_rate=1.0,
     )
-    path = DriverPathInArrays(
-        Driver(body="plate", motions=(spin,), provenance="nominal"),
-        Pose(position_m=(0.0, 0.0, 0.0), quaternion=(0.5, 0.5, -0.5, 0.5)),
-        2,
-        1,
-        arrays=ARRAYS,
-        put=np.asarray,
-    )
-    path.begin_frame(0, np.zeros((1, 1)))
-    row = path.interval(0)[0]
+    driver = Driver(body="plate", motions=(spin,), provenance="nominal")
+    row = PrescribedMotion(driver, START, 1).targets(0, np.zeros((1, 1)))[0, 0]
     mean_rate_rad_s = row[10:13] + 0.5 * SAMPLE_INTERVAL_S * row[16:19]
     expected_rad = Rotation.from_rotvec(angle_rad * np.array(axis)).as_rotvec()
     assert mean_rate_rad_s * SAMPLE_INTERVAL_S == pytest.approx(expected_rad, abs=1e-9)
