@@ -14,8 +14,8 @@ from gauge_envs.scene import (
     Box,
     ConvexUnion,
     Cylinder,
+    Hinge,
     Motion,
-    Pose,
     Scene,
     Sphere,
 )
@@ -26,22 +26,20 @@ from pydrake.multibody.plant import DiscreteContactApproximation
 
 from gauge_envs.backends import backend
 from gauge_envs.backends.drake.contacts import PHASES, impact_constants, rebound
-from gauge_envs.backends.drake.model import (
-    APPROXIMATIONS as DRAKE_NAMES,
-    inner_radius_m,
-)
+from gauge_envs.backends.drake.model import inner_radius_m
 from gauge_envs.backends.drake.settings import (
     impact_speed_m_per_s,
     settings_for,
 )
 from gauge_envs.scene.meshes import hull_faces
+from gauge_envs.scene.states import nominal_states, row_of
 from gauge_envs.tools.bench.parts import contact
 
 DRAKE = backend("drake")
 APPROXIMATIONS = [
     name
-    for name, member in DRAKE_NAMES.items()
-    if hasattr(DiscreteContactApproximation, member)
+    for name in ("tamsi", "sap", "similar", "lagged")
+    if hasattr(DiscreteContactApproximation, f"k{name.title()}")
 ]
 """Approximations that the installed Drake has; 1.58 has no TAMSI."""
 G = GRAVITY_M_PER_S2
@@ -72,7 +70,7 @@ def rebounded(restitution, speed, gap_m, settings, *, mass_kg=0.1, gravity_m_per
     simulation = DRAKE.build(scene, settings)
     for _ in range(36):
         simulation.advance(1 / 180)
-        height, outgoing = simulation.body_states(["ball"])[0, [2, 9]]
+        height, outgoing = simulation.body_states(["ball"])[0, 0, [2, 9]]
         if outgoing > 0.0 and height > 0.03:
             fallen = 2.0 * gravity_m_per_s2 * (height - 0.03)
             return float(np.sqrt(outgoing**2 + fallen)) / speed, simulation
@@ -270,24 +268,55 @@ def carried(**settings):
     touch = contact("cube", "plate", friction=0.4)
     scene = Scene(bodies=(plate, cube), contacts=(touch,), duration_s=1.0)
     simulation = DRAKE.build(scene, settings)
+    targets = np.zeros((1, 19))
+    targets[0, 2:4] = 0.5, 1.0
+    targets[0, 13] = 2.0
     for number in range(45):
         start_s = number / 180
-        pose = Pose(position_m=(start_s**2, 0.0, 0.5))
-        simulation.drive(
-            "plate",
-            pose,
-            np.array([2.0 * start_s, 0, 0, 0, 0, 0]),
-            np.array([2.0, 0, 0, 0, 0, 0]),
-        )
+        targets[0, [0, 7]] = start_s**2, 2.0 * start_s
+        simulation.drive("plate", targets)
         simulation.advance(1 / 180)
-    state = simulation.body_states(["plate", "cube"])
-    assert state[0, 0] == pytest.approx(0.0625, abs=1e-9)
-    return float(state[1, 0] - state[0, 0])
+    ((plate, cube),) = simulation.body_states(["plate", "cube"])
+    assert plate[0] == pytest.approx(0.0625, abs=1e-9)
+    return float(cube[0] - plate[0])
 
 
 def test_a_driven_plate_of_huge_mass_carries_nothing():
     # Drake's solver stops at an error relative to the momentum of all bodies, beside which the cube's is none.
     assert carried(driven_mass_ratio=1e9, timestep_s=1 / 9000) < -0.03
+
+
+# --- starts ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_pendulum_starts_where_and_as_fast_as_its_state_says():
+    hinge = Hinge(body="bob", anchor_m=(0.0, 0.0, 0.0), axis=(0.0, 1.0, 0.0))
+    bob = solid("bob", Sphere(radius_m=0.02), (0.2, 0.0, 0.0))
+    simulation = DRAKE.build(scene_of(bob, joints=(hinge,)))
+    turn = Rotation.from_rotvec([0.0, 0.4, 0.0])
+    place_m, spin = turn.apply([0.2, 0.0, 0.0]), np.array([0.0, -1.5, 0.0])
+    quaternion = turn.as_quat(scalar_first=True)
+    start = np.concatenate([place_m, quaternion, np.cross(spin, place_m), spin])
+    simulation.reset(start[None, None])
+    assert simulation.body_states(["bob"])[0, 0] == pytest.approx(start, abs=1e-12)
+
+
+def test_a_start_repeats_bit_for_bit_after_other_starts_and_wrenches():
+    scene = load_experiment("NonsmoothContact-2-wood").scene
+    (name,) = (body.name for body in scene.dynamic_bodies)
+    other = nominal_states(scene)[None].copy()
+    other[0, row_of(scene, name), 2] += 0.01
+    simulation = DRAKE.build(scene)
+
+    def run(starts):
+        simulation.reset(starts)
+        simulation.advance(0.2)
+        return simulation.body_states([name])
+
+    first, elsewhere = run(None), run(other)
+    simulation.apply_wrench(name, np.full((1, 6), 0.1))
+    assert (run(nominal_states(scene)[None]) == first).all()
+    assert (run(other) == elsewhere).all()
 
 
 # --- settings and support --------------------------------------------------------------------------------------------
@@ -315,11 +344,10 @@ def sinking_corner_mm(preset):
         "CubeToss-acrylic", {"cube.restitution": 0.5, **start}
     ).scene
     simulation = DRAKE.build(scene, {"preset": preset})
-    simulation.reset(0)
     corners, lowest_m = scene.body("cube").shape.corners_m, 0.0
     for _ in range(108):
         simulation.advance(1 / 540)
-        state = simulation.body_states(("cube",))[0]
+        state = simulation.body_states(("cube",))[0, 0]
         turned = Rotation.from_quat(state[3:7], scalar_first=True).apply(corners)
         lowest_m = min(lowest_m, float(turned[:, 2].min() + state[2]))
     return -1e3 * lowest_m
