@@ -14,7 +14,6 @@ from gauge_envs.scene import (
     Box,
     ConvexUnion,
     Cylinder,
-    Hinge,
     Motion,
     Scene,
     Sphere,
@@ -32,7 +31,6 @@ from gauge_envs.backends.drake.settings import (
     settings_for,
 )
 from gauge_envs.scene.meshes import hull_faces
-from gauge_envs.scene.states import nominal_states, row_of
 from gauge_envs.tools.bench.parts import contact
 
 DRAKE = backend("drake")
@@ -284,39 +282,6 @@ def carried(**settings):
 def test_a_driven_plate_of_huge_mass_carries_nothing():
     # Drake's solver stops at an error relative to the momentum of all bodies, beside which the cube's is none.
     assert carried(driven_mass_ratio=1e9, timestep_s=1 / 9000) < -0.03
-
-
-# --- starts ----------------------------------------------------------------------------------------------------------
-
-
-def test_a_pendulum_starts_where_and_as_fast_as_its_state_says():
-    hinge = Hinge(body="bob", anchor_m=(0.0, 0.0, 0.0), axis=(0.0, 1.0, 0.0))
-    bob = solid("bob", Sphere(radius_m=0.02), (0.2, 0.0, 0.0))
-    simulation = DRAKE.build(scene_of(bob, joints=(hinge,)))
-    turn = Rotation.from_rotvec([0.0, 0.4, 0.0])
-    place_m, spin = turn.apply([0.2, 0.0, 0.0]), np.array([0.0, -1.5, 0.0])
-    quaternion = turn.as_quat(scalar_first=True)
-    start = np.concatenate([place_m, quaternion, np.cross(spin, place_m), spin])
-    simulation.reset(start[None, None])
-    assert simulation.body_states(["bob"])[0, 0] == pytest.approx(start, abs=1e-12)
-
-
-def test_a_start_repeats_bit_for_bit_after_other_starts_and_wrenches():
-    scene = load_experiment("NonsmoothContact-2-wood").scene
-    (name,) = (body.name for body in scene.dynamic_bodies)
-    other = nominal_states(scene)[None].copy()
-    other[0, row_of(scene, name), 2] += 0.01
-    simulation = DRAKE.build(scene)
-
-    def run(starts):
-        simulation.reset(starts)
-        simulation.advance(0.2)
-        return simulation.body_states([name])
-
-    first, elsewhere = run(None), run(other)
-    simulation.apply_wrench(name, np.full((1, 6), 0.1))
-    assert (run(nominal_states(scene)[None]) == first).all()
-    assert (run(other) == elsewhere).all()
 
 
 # --- settings and support --------------------------------------------------------------------------------------------

@@ -7,7 +7,6 @@ from itertools import permutations, product
 import numpy as np
 import pytest
 from rigid import plane_deg, scene_of, solid, states
-from scipy.spatial.transform import Rotation
 
 from gauge_envs import load_experiment
 from gauge_envs.scene import (
@@ -16,7 +15,6 @@ from gauge_envs.scene import (
     Hinge,
     Pose,
 )
-from gauge_envs.scene.states import nominal_states, row_of
 
 pytest.importorskip("rapier3d")
 
@@ -27,7 +25,6 @@ from gauge_envs.tools.conformance import run_checks
 
 RAPIER = backend("rapier")
 G = GRAVITY_M_PER_S2
-Y = np.array([0.0, 1.0, 0.0])
 
 GROUND = plane_deg()
 
@@ -197,16 +194,11 @@ def test_as_many_contacts_as_there_are_groups_work():
 # --- joints -----------------------------------------------------------------------------------------------------------
 
 
-def pendulum():
-    """A pendulum of 0.2 m at 90 degrees, and its hinge."""
-    hinge = Hinge(body="bob", anchor_m=(0.0, 0.0, 0.0), axis=tuple(Y))
-    bob = ball("bob", (0.2, 0.0, 0.0), radius_m=0.02)
-    return scene_of(bob, joints=(hinge,)), hinge
-
-
 def pendulum_energy_j_per_kg(seconds, **settings):
     """Kinetic and potential energy of a swing from 90 degrees, 0 at its start and 1.96 J/kg in its motion."""
-    _, rows = course(pendulum()[0], "bob", seconds, **settings)
+    hinge = Hinge(body="bob", anchor_m=(0.0, 0.0, 0.0), axis=(0.0, 1.0, 0.0))
+    bob = ball("bob", (0.2, 0.0, 0.0), radius_m=0.02)
+    _, rows = course(scene_of(bob, joints=(hinge,)), "bob", seconds, **settings)
     speeds, spins = (
         np.square(rows[:, a:b]).sum(axis=1) for a, b in ((7, 10), (10, 13))
     )
@@ -226,61 +218,7 @@ def test_impulse_hinges_lose_energy_in_the_stabilization():
     )
 
 
-# --- starts -----------------------------------------------------------------------------------------------------------
-
-
-def turned(scene, hinge, angle_rad, rate_rad_per_s):
-    """Starts in which the body of a hinge has turned by an angle and moves, and the scene that starts so."""
-    body, turn = scene.body(hinge.body), Rotation.from_rotvec(angle_rad * Y)
-    arm_m = turn.apply(np.subtract(body.pose.position_m, hinge.anchor_m))
-    place_m = hinge.anchor_m + arm_m
-    moved = replace(
-        body,
-        pose=Pose.from_rotation(tuple(place_m), turn * body.pose.rotation),
-        linear_velocity_m_per_s=tuple(np.cross(rate_rad_per_s * Y, arm_m)),
-        angular_velocity_rad_per_s=tuple(rate_rad_per_s * Y),
-    )
-    there = replace(scene, bodies=(moved,))
-    return nominal_states(there)[None], there
-
-
-@pytest.mark.parametrize("joint", ["multibody", "impulse"])
-def test_a_pendulum_starts_where_and_as_fast_as_its_state_says(joint):
-    scene, hinge = pendulum()
-    starts, there = turned(scene, hinge, 0.4, -1.5)
-    settings = {"hinge_joint": joint}
-    simulation, expected = RAPIER.build(scene, settings), RAPIER.build(there, settings)
-    simulation.reset(starts)
-    for _ in range(20):
-        found = simulation.body_states(["bob"])
-        assert found == pytest.approx(expected.body_states(["bob"]), abs=1e-5)
-        simulation.advance(1 / 180)
-        expected.advance(1 / 180)
-
-
-def test_a_start_repeats_bit_for_bit_after_other_starts_and_wrenches():
-    """Planted: a start that is written to a world after steps keeps its contacts."""
-    scene = load_experiment("NonsmoothContact-2-wood").scene
-    (name,) = (body.name for body in scene.dynamic_bodies)
-    nominal = nominal_states(scene)[None]
-    other = nominal.copy()
-    other[0, row_of(scene, name), 2] += 0.01
-    simulation = RAPIER.build(scene)
-
-    def run(starts):
-        simulation.reset(starts)
-        rows = []
-        for _ in range(30):
-            simulation.advance(1 / 180)
-            rows.append(simulation.body_states([name]))
-        return np.array(rows)
-
-    first = run(None)
-    elsewhere = run(other)
-    simulation.apply_wrench(name, np.full((1, 6), 0.1))
-    assert (run(None) == first).all()
-    assert (run(nominal) == first).all()
-    assert (run(other) == elsewhere).all()
+# --- resets -----------------------------------------------------------------------------------------------------------
 
 
 def test_a_body_whose_state_is_not_finite_has_diverged_until_a_reset():
