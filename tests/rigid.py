@@ -33,11 +33,10 @@ def scene_of(*bodies, seconds=1.0, **parts):
 def states(engine, scene, names, seconds, *, interval_s=1 / 180, **settings):
     """States at the start and after each interval, shape [interval_count + 1, len(names), 13]."""
     with closing(engine.build(scene, settings)) as simulation:
-        simulation.reset(0)
-        rows = [simulation.body_states(names)]
+        rows = [simulation.body_states(names)[0]]
         for _ in range(round(seconds / interval_s)):
             simulation.advance(interval_s)
-            rows.append(simulation.body_states(names))
+            rows.append(simulation.body_states(names)[0])
     return np.array(rows)
 
 

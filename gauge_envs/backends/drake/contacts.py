@@ -63,28 +63,27 @@ def contact_constants(
     dissipation is reduced to make up for it.
     """
     step_s = settings.timestep_s
-    if contact.mode is ContactMode.SUSTAINED:
-        return ContactConstants(
-            friction=contact.friction,
-            frequency_rad_per_s=settings.sustained_rate / step_s,
-            relaxation_s=settings.sustained_relaxation_steps * step_s,
-            dissipation_s_per_m=settings.sustained_dissipation_s_per_m,
+    rate, relaxation_steps = (
+        settings.sustained_rate,
+        settings.sustained_relaxation_steps,
+    )
+    dissipation = settings.sustained_dissipation_s_per_m
+    if contact.mode is ContactMode.IMPACT:
+        speed = settings.impact_speed_m_per_s or impact_speed_m_per_s(scene)
+        dynamic = {body.name for body in scene.dynamic_bodies}
+        has_support = not dynamic.issuperset({*contact.first, *contact.second})
+        weight = scene.gravity_m_per_s2 * step_s / speed if has_support else 0.0
+        is_linear = settings.approximation == "sap"
+        law: ImpactLaw = "relaxation" if is_linear else "hunt_crossley"
+        rate, relaxation_steps = impact_constants(
+            law, contact.restitution, settings.impact_rate, weight
         )
-    speed = settings.impact_speed_m_per_s or impact_speed_m_per_s(scene)
-    dynamic = {body.name for body in scene.dynamic_bodies}
-    has_support = not dynamic.issuperset({*contact.first, *contact.second})
-    weight = scene.gravity_m_per_s2 * step_s / speed if has_support else 0.0
-    law: ImpactLaw = (
-        "relaxation" if settings.approximation == "sap" else "hunt_crossley"
-    )
-    rate, dissipation = impact_constants(
-        law, contact.restitution, settings.impact_rate, weight
-    )
+        dissipation = relaxation_steps / speed
     return ContactConstants(
         friction=contact.friction,
         frequency_rad_per_s=rate / step_s,
-        relaxation_s=dissipation * step_s,
-        dissipation_s_per_m=dissipation / speed,
+        relaxation_s=relaxation_steps * step_s,
+        dissipation_s_per_m=dissipation,
     )
 
 

@@ -104,9 +104,9 @@ def build_model(scene: Scene, settings: SettingsDrake) -> Model:
     }
     allowed = CollisionFilterDeclaration().ExcludeWithin(GeometrySet(list(names)))
     for contacts, geometries in groups:
-        for first, others in _partners(scene, contacts).items():
-            met = [one for name in others for one in geometries[name]]
-            allowed.AllowBetween(GeometrySet(geometries[first]), GeometrySet(met))
+        for contact in contacts:
+            for pair in scene.colliding_pairs(contact):
+                allowed.AllowBetween(*(GeometrySet(geometries[name]) for name in pair))
     scene_graph.collision_filter_manager().Apply(allowed)
     return Model(diagram=builder.Build(), plant=plant, bodies=bodies, names=names)
 
@@ -193,15 +193,6 @@ def _add_geometries(
             ]
         groups.append((members, geometries))
     return groups
-
-
-def _partners(scene: Scene, contacts: list[Contact]) -> dict[str, list[str]]:
-    """Return the second bodies of all pairs of some contacts, by the first one."""
-    partners: dict[str, list[str]] = defaultdict(list)
-    for contact in contacts:
-        for first, second in scene.colliding_pairs(contact):
-            partners[first].append(second)
-    return partners
 
 
 # --- collision geometry -----------------------------------------------------------------------------------------------

@@ -55,16 +55,15 @@ class SimulationDrake(PlacedSimulation):
         # Positions, then velocities.
         self._state = np.zeros(plant.num_multibody_states())
         # Where the state has the numbers of each body; of a hinged one, the angle and its rate.
-        self._places: dict[str, FloatArray] = {}
+        self._places: dict[str, Any] = {}
         for name in self._model.bodies:
             joint = plant.GetJointByName(name)
             position = joint.position_start()
             velocity = plant.num_positions() + joint.velocity_start()
-            places = (position + POSE_ORDER, velocity + VELOCITY_ORDER)
-            is_hinged = name in scene.hinges
-            self._places[name] = np.hstack(
-                (position, velocity) if is_hinged else places
-            )
+            self._places[name] = [position, velocity]
+            if name not in scene.hinges:
+                places = position + POSE_ORDER, velocity + VELOCITY_ORDER
+                self._places[name] = np.hstack(places)
         self.reset()
 
     def reset(self, starts: FloatArray | None = None, seed: int = 0) -> None:
@@ -77,11 +76,8 @@ class SimulationDrake(PlacedSimulation):
         for body, state in zip(self._scene.bodies, states, strict=False):
             hinge = self._scene.hinges.get(body.name)
             if hinge is not None:
-                angle_rad = hinge_angle(hinge, body.pose, state)
-                self._state[self._places[body.name]] = (
-                    angle_rad,
-                    state[10:] @ hinge.axis,
-                )
+                turned = hinge_angle(hinge, body.pose, state), state[10:] @ hinge.axis
+                self._state[self._places[body.name]] = turned
             elif body.motion is Motion.KINEMATIC:
                 self.drive(body.name, np.append(state, np.zeros(6))[None])
             elif body.motion is Motion.DYNAMIC:

@@ -5,7 +5,7 @@ The first build imports the engine, which takes seconds.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from functools import cache
 from types import MappingProxyType
 from typing import Any
@@ -29,8 +29,7 @@ from gauge_envs.backends.shared.attachments import (
 )
 from gauge_envs.backends.shared.bundled import BundledBackend, check_settings
 from gauge_envs.backends.shared.soft_rows import soft_row_problems
-from gauge_envs.backends.world import Simulation
-from gauge_envs.backends.worlds import Worlds
+from gauge_envs.backends.simulation import Simulation
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import Cloth, ContactMode, Rod, Rope, Scene, Tether
 
@@ -60,8 +59,6 @@ class BackendNewton(BundledBackend):
     )
     features = frozenset(Feature) - {Feature.AIR}
     own_defaults = frozenset({"out_of_box", "paper"})
-    worlds_mix_constants = True
-    worlds_restart_alone = True
 
     def unsupported(self, scene: Scene) -> Iterator[str]:
         """Yield one sentence for each feature of a scene that Newton's solvers do not support."""
@@ -77,19 +74,21 @@ class BackendNewton(BundledBackend):
         self, scene: Scene, settings: Mapping[str, Any] | None = None
     ) -> Simulation:
         """Build a scene; settings are the fields of the settings class of the preset's solver."""
-        chosen = _checked(scene, settings)
-        from gauge_envs.backends.newton.simulation import SimulationNewton
-
-        return SimulationNewton(scene, chosen)
+        return self.build_worlds(scene, 1, settings)
 
     def build_worlds(
-        self, scenes: Sequence[Scene], settings: Mapping[str, Any] | None = None
-    ) -> Worlds:
-        """Build scenes as worlds of one model, which advance in the same step."""
-        chosen = _checked(scenes[0], settings)
-        from gauge_envs.backends.newton.simulation import WorldsNewton
+        self,
+        scene: Scene,
+        world_count: int,
+        settings: Mapping[str, Any] | None = None,
+    ) -> Simulation:
+        """Build a scene as worlds of one model, which advance in the same step; material points need a model each."""
+        chosen = _checked(scene, settings)
+        if world_count > 1 and isinstance(chosen, SettingsMPM):
+            return super().build_worlds(scene, world_count, settings)
+        from gauge_envs.backends.newton.simulation import SimulationNewton
 
-        return WorldsNewton(scenes, chosen)
+        return SimulationNewton(scene, world_count, chosen)
 
 
 def _checked(scene: Scene, changes: Mapping[str, Any] | None) -> SettingsNewton:

@@ -6,38 +6,9 @@ import warp as wp
 
 
 @wp.kernel(enable_backward=False)
-def begin_drives(
-    sent: wp.array2d[wp.float32],
-    start: wp.array[wp.transform],
-    velocity: wp.array[wp.spatial_vector],
-    acceleration: wp.array[wp.spatial_vector],
-    elapsed: wp.array[wp.int32],
-):
-    """Begin the new drives of rows of `Worlds.drive`; a last column is 1 for those that are new."""
-    i = wp.tid()
-    if sent[i, 19] == 0.0:
-        return
-    # Warp's quaternions are x, y, z, w.
-    start[i] = wp.transform(
-        wp.vec3(sent[i, 0], sent[i, 1], sent[i, 2]),
-        wp.quat(sent[i, 4], sent[i, 5], sent[i, 6], sent[i, 3]),
-    )
-    v = wp.spatial_vector()
-    a = wp.spatial_vector()
-    for k in range(6):
-        v[k] = sent[i, 7 + k]
-        a[k] = sent[i, 13 + k]
-    velocity[i] = v
-    acceleration[i] = a
-    elapsed[i] = 0
-
-
-@wp.kernel
 def prescribe(
     body: wp.array[wp.int32],
-    start: wp.array[wp.transform],
-    velocity: wp.array[wp.spatial_vector],
-    acceleration: wp.array[wp.spatial_vector],
+    targets: wp.array2d[wp.float32],
     elapsed: wp.array[wp.int32],
     steps_ahead: int,
     counts: int,
@@ -45,25 +16,31 @@ def prescribe(
     body_q: wp.array[wp.transform],
     body_qd: wp.array[wp.spatial_vector],
 ):
-    """Write poses and velocities of uniformly accelerated driven bodies, some steps after their drive."""
-    # Spatial vectors hold the linear part first.
+    """Write poses and velocities of driven bodies, some steps after the start of their motion in rows of `drive`."""
     i = wp.tid()
     t = float(elapsed[i] + steps_ahead) * timestep_s
     elapsed[i] = elapsed[i] + counts
-    displacement = t * velocity[i] + 0.5 * t * t * acceleration[i]
+    velocity = wp.spatial_vector()
+    acceleration = wp.spatial_vector()
+    for k in range(6):
+        velocity[k] = targets[i, 7 + k]
+        acceleration[k] = targets[i, 13 + k]
+    # Spatial vectors hold the linear part first.
+    displacement = t * velocity + 0.5 * t * t * acceleration
     rotation_vector = wp.spatial_bottom(displacement)
     angle = wp.length(rotation_vector)
     rotation = wp.quat_identity()
     if angle > 0.0:
         rotation = wp.quat_from_axis_angle(rotation_vector / angle, angle)
-    position = wp.transform_get_translation(start[i]) + wp.spatial_top(displacement)
-    body_q[body[i]] = wp.transform(
-        position, rotation * wp.transform_get_rotation(start[i])
-    )
-    body_qd[body[i]] = velocity[i] + t * acceleration[i]
+    start_m = wp.vec3(targets[i, 0], targets[i, 1], targets[i, 2])
+    # Warp's quaternions are x, y, z, w.
+    start = wp.quat(targets[i, 4], targets[i, 5], targets[i, 6], targets[i, 3])
+    position = start_m + wp.spatial_top(displacement)
+    body_q[body[i]] = wp.transform(position, rotation * start)
+    body_qd[body[i]] = velocity + t * acceleration
 
 
-@wp.kernel
+@wp.kernel(enable_backward=False)
 def bodies_to_joints(
     body: wp.array[wp.int32],
     coordinate: wp.array[wp.int32],
@@ -81,7 +58,7 @@ def bodies_to_joints(
         joint_qd[freedom[i] + k] = body_qd[body[i]][k]
 
 
-@wp.kernel
+@wp.kernel(enable_backward=False)
 def predict(
     timestep_s: float,
     velocity: wp.array[wp.vec3],
@@ -96,7 +73,7 @@ def predict(
         last_velocity[i] = velocity[i]
 
 
-@wp.kernel
+@wp.kernel(enable_backward=False)
 def hold(
     particle: wp.array[wp.int32],
     body: wp.array[wp.int32],
@@ -109,7 +86,7 @@ def hold(
     particle_q[particle[i]] = wp.transform_point(body_q[body[i]], place[i])
 
 
-@wp.kernel
+@wp.kernel(enable_backward=False)
 def carry(
     particle: wp.array[wp.int32],
     body: wp.array[wp.int32],

@@ -16,13 +16,16 @@ from math import pi
 import newton
 import numpy as np
 import warp as wp
-from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.newton.parts import Part, Reader
 from gauge_envs.backends.newton.rigid import WORLD
 from gauge_envs.backends.newton.settings import ROD_SEGMENTS, ROPE_CELL_M, SettingsLines
-from gauge_envs.backends.newton.stepper import warp_transform
+from gauge_envs.backends.newton.stepper import (
+    Stepper,
+    rotated,
+    warp_transform,
+)
 from gauge_envs.backends.shared.attachments import (
     LINE_AXIS,
     RigidAttachment,
@@ -31,7 +34,7 @@ from gauge_envs.backends.shared.attachments import (
 )
 from gauge_envs.errors import ShapeError
 from gauge_envs.scene import Cylinder, Pose, Rod, Rope
-from gauge_envs.scene.geometry import vector
+from gauge_envs.scene.geometry import FloatArray, vector
 from gauge_envs.scene.meshes import mass_properties
 
 ROTATION_TO_AXIS = {
@@ -79,72 +82,72 @@ class LinePartNewton(Part):
 
     Attributes:
         name: Name of the line.
-        rest_m: World positions of the nodes at the start, along the line's axis [m], shape [node_count, 3].
+        rest_m: Positions of the nodes at the start, along the line's axis [m], shape [node_count, 3].
         anchors: Two points for each node, whose midpoint is the node: ends of neighbours, or one point twice.
         keeps_direction: Whether attached ends keep their direction, as those of a rod do.
-        segments: Bodies of the segments, along the line's axis.
         shapes: Capsules of the segments.
     """
 
     name: str
-    rest_m: NDArray[np.float64]
+    rest_m: FloatArray
     anchors: tuple[tuple[_Anchor, _Anchor], ...]
     keeps_direction: bool
-    segments: tuple[int, ...]
     shapes: tuple[int, ...]
 
-    def nodes(self, state: newton.State) -> NDArray[np.float64]:
-        """Return the midpoints of the anchors; see `Part.nodes`."""
-        return self._nodes(_poses(state))
+    def nodes(self, stepper: Stepper) -> FloatArray:
+        """Return the midpoints of the anchors."""
+        return self._nodes(_poses(stepper))
 
-    def track(self, points_m: ArrayLike) -> Reader:
+    def track(self, points_m: FloatArray) -> Reader:
         """Return a reader of material points in or on the line, which move with their cross-section."""
-        points = np.asarray(points_m, dtype=np.float64)
         span = self.rest_m[-1] - self.rest_m[0]
         axis = span / np.linalg.norm(span)
         places = (self.rest_m - self.rest_m[0]) @ axis
-        along = (points - self.rest_m[0]) @ axis
+        along = (points_m - self.rest_m[0]) @ axis
         if not np.all((along > -1e-5) & (along < places[-1] + 1e-5)):
             raise ShapeError(
                 f"a point lies beyond an end of {self.name!r}: track points within its length"
             )
         low = np.clip(np.searchsorted(places, along) - 1, 0, len(places) - 2)
         share = ((along - places[low]) / (places[low + 1] - places[low]))[:, None]
-        offsets = points - self.rest_m[0] - along[:, None] * axis
+        offsets = points_m - self.rest_m[0] - along[:, None] * axis
 
-        def read(state: newton.State) -> NDArray[np.float64]:
-            poses = _poses(state)
-            nodes = self._nodes(poses)
-            rotations = self._rotations(poses)
-            centres = (1.0 - share) * nodes[low] + share * nodes[low + 1]
-            rotation = (1.0 - share) * rotations[low] + share * rotations[low + 1]
-            return np.asarray(centres + Rotation.from_quat(rotation).apply(offsets))
+        def read(stepper: Stepper) -> FloatArray:
+            poses = _poses(stepper)
+            nodes, rotations = self._nodes(poses), self._rotations(poses)
+            centres = (1.0 - share) * nodes[:, low] + share * nodes[:, low + 1]
+            mean = (1.0 - share) * rotations[:, low] + share * rotations[:, low + 1]
+            return centres + rotated(_unit(mean), offsets)
 
         return read
 
-    def _nodes(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _nodes(self, poses: FloatArray) -> FloatArray:
         anchors = [anchor for pair in self.anchors for anchor in pair]
-        at = poses[[anchor.body for anchor in anchors]]
-        points = at[:, :3] + Rotation.from_quat(at[:, 3:]).apply(
-            [anchor.place_m for anchor in anchors]
-        )
-        return np.asarray(points.reshape(-1, 2, 3).mean(axis=1))
+        at = poses[:, [anchor.body for anchor in anchors]]
+        places_m = np.array([anchor.place_m for anchor in anchors])
+        points = at[..., :3] + rotated(at[..., 3:], places_m)
+        return np.asarray(points.reshape(len(poses), -1, 2, 3).mean(axis=2))
 
-    def _rotations(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the rotation of the line at each node since the start, as unit quaternions, shape [node_count, 4]."""
+    def _rotations(self, poses: FloatArray) -> FloatArray:
+        """Return the rotation of the line at each node since the start, x, y, z, w, shape [N, node_count, 4]."""
         anchors: list[_Anchor] = []
         for first, second in self.anchors:
             # The holder of a rope's end rotates independently. The second anchor is a segment, except at a tip.
             anchors += [first if self.keeps_direction else second, second]
-        now = Rotation.from_quat(poses[[anchor.body for anchor in anchors], 3:])
-        start = Rotation.concatenate([anchor.start for anchor in anchors])
-        quaternions = (now * start.inv()).as_quat()
+        bodies = [anchor.body for anchor in anchors]
+        now = Rotation.from_quat(poses[:, bodies, 3:].reshape(-1, 4))
+        back = [anchor.start.inv() for anchor in anchors]
+        since = now * Rotation.concatenate(back * len(poses))
+        quaternions = since.as_quat().reshape(len(poses), -1, 4)
         # A quaternion and its negative are one rotation. The nearer one of both along the line has a meaningful mean.
-        cosines = np.sum(quaternions[1:] * quaternions[:-1], axis=1)
+        cosines = np.sum(quaternions[:, 1:] * quaternions[:, :-1], axis=2)
         signs = np.where(cosines < 0.0, -1.0, 1.0)
-        quaternions[1:] *= np.cumprod(signs)[:, None]
-        means = quaternions.reshape(-1, 2, 4).mean(axis=1)
-        return np.asarray(means / np.linalg.norm(means, axis=1, keepdims=True))
+        quaternions[:, 1:] *= np.cumprod(signs, axis=1)[..., None]
+        return _unit(quaternions.reshape(len(poses), -1, 2, 4).mean(axis=2))
+
+
+def _unit(quaternions: FloatArray) -> FloatArray:
+    return np.asarray(quaternions / np.linalg.norm(quaternions, axis=-1, keepdims=True))
 
 
 def add_line(
@@ -226,7 +229,6 @@ def add_line(
         rest_m=np.vstack([tips["low"][0], nodes_m, tips["high"][0]]),
         anchors=(*tips["low"][1], *anchors, *tips["high"][1]),
         keeps_direction=isinstance(line, Rod),
-        segments=tuple(links),
         shapes=shapes,
     )
 
@@ -283,7 +285,7 @@ def _gripped_tip(
     side: str,
     ends: Mapping[str, RigidAttachment],
     bodies: Mapping[str, int],
-) -> tuple[NDArray[np.float64], list[tuple[_Anchor, _Anchor]]]:
+) -> tuple[FloatArray, list[tuple[_Anchor, _Anchor]]]:
     """Return the node at a gripped end of the line: its position [m], shape [0 or 1, 3], and its anchors.
 
     Both are empty if the end is not in a grip.
@@ -297,15 +299,15 @@ def _gripped_tip(
     return place_m, [(tip, tip)]
 
 
-def _poses(state: newton.State) -> NDArray[np.float64]:
-    """Return the poses of all bodies, shape [body_count + 1, 7]; the last row, index -1, is the world."""
-    return np.vstack(
-        [state.body_q.numpy().astype(np.float64), [[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]]]
-    )
+def _poses(stepper: Stepper) -> FloatArray:
+    """Return the poses of all bodies, shape [N, body_count + 1, 7]; the last row, index -1, is the world."""
+    poses = np.pad(stepper.poses(), ((0, 0), (0, 1), (0, 0)))
+    poses[:, -1, 6] = 1.0
+    return poses
 
 
 def _anchor_on(
-    attachment: RigidAttachment, bodies: Mapping[str, int], point_m: NDArray[np.float64]
+    attachment: RigidAttachment, bodies: Mapping[str, int], point_m: FloatArray
 ) -> _Anchor:
     """Return the point of the rigid body that holds an end."""
     index = bodies[attachment.body]
@@ -321,7 +323,7 @@ def _anchor_on(
 def _add_segments(
     builder: newton.ModelBuilder,
     line: Rope | Rod,
-    nodes_m: NDArray[np.float64],
+    nodes_m: FloatArray,
     rotation: Rotation,
     length_m: float,
     fixed: set[int],

@@ -9,12 +9,12 @@ cheaper.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import newton
 import numpy as np
 import warp as wp
 from newton.solvers import SolverImplicitMPM
-from numpy.typing import ArrayLike, NDArray
 
 from gauge_envs.backends.newton.parts import (
     Pin,
@@ -31,6 +31,7 @@ from gauge_envs.backends.shared.soft_rows import (
     points_in_box_m,
 )
 from gauge_envs.scene import SoftBody
+from gauge_envs.scene.geometry import FloatArray
 
 GRIPPED_SIZE = 0.3
 """Size of a gripped point relative to its cell; a gripped point has no volume to fill."""
@@ -75,8 +76,8 @@ class SoftPartMPM(SoftRowPart):
     def __init__(
         self,
         soft_row: SoftRow,
-        free_m: NDArray[np.float64],
-        gripped_m: NDArray[np.float64],
+        free_m: FloatArray,
+        gripped_m: FloatArray,
         *,
         start: int,
         pins: Sequence[Pin],
@@ -86,16 +87,16 @@ class SoftPartMPM(SoftRowPart):
         )
         self._points_m = np.concatenate([free_m, gripped_m])
 
-    def nodes(self, state: newton.State) -> NDArray[np.float64]:
-        """Return the positions of the free points; see `Part.nodes`."""
-        return self.positions(state)[: len(self.rest_m)]
+    def nodes(self, stepper: Stepper) -> FloatArray:
+        """Return the positions of the free points."""
+        return self.positions(stepper)[:, : len(self.rest_m)]
 
-    def track(self, points_m: ArrayLike) -> Reader:
+    def track(self, points_m: FloatArray) -> Reader:
         """Return a reader of material points: weighted means of the nearest particles, exact for linear deformation."""
-        points = self._soft_row.checked(np.asarray(points_m, dtype=np.float64))
+        points = self._soft_row.checked(points_m)
         nearest, weights = linear_weights(self._points_m, points)
-        return lambda state: np.asarray(
-            np.einsum("pk,pki->pi", weights, self.positions(state)[nearest])
+        return lambda stepper: np.asarray(
+            np.einsum("pk,npki->npi", weights, self.positions(stepper)[:, nearest])
         )
 
 
@@ -120,14 +121,14 @@ def add_soft_mpm(
         damping_s: Relaxation time of the elastic stress, Newton's `mpm:damping` [s].
     """
     start = builder.particle_count
-    free: list[NDArray[np.float64]] = []
+    free: list[FloatArray] = []
     for block in soft_row.blocks:
         points, cell_m = points_in_box_m(block.low_m, block.high_m, spacing_m)
         _add_points(
             builder, points, cell_m, block.body, block.density_kg_per_m3, damping_s
         )
         free.append(points)
-    gripped: list[NDArray[np.float64]] = [np.zeros((0, 3))]
+    gripped: list[FloatArray] = [np.zeros((0, 3))]
     pins: list[Pin] = []
     for side, attachment in soft_row.ends.items():
         block = soft_row.blocks[0] if side == "low" else soft_row.blocks[-1]
@@ -149,8 +150,8 @@ def add_soft_mpm(
 
 def _add_points(
     builder: newton.ModelBuilder,
-    points_m: NDArray[np.float64],
-    cell_m: NDArray[np.float64],
+    points_m: FloatArray,
+    cell_m: FloatArray,
     body: SoftBody,
     density_kg_per_m3: float,
     damping_s: float,
@@ -210,50 +211,33 @@ class StepperMPM(Stepper):
             tolerance=settings.tolerance,
             # Otherwise the residual strain of an unconverged solve is lost, and the stress is half the correct value.
             carry_residual_strain="unconverged",
-            # Keeps the warm start in the state, so that snapshots contain it.
+            # Keeps the warm start in the state, which a reset writes.
             warmstart_mode="particles",
             integration_scheme=settings.integration_scheme,
             # Contact at the points. With contact at the grid nodes, the default, a driven cube sinks 16 mm into foam.
             collider_basis="pic27",
             air_drag=0.0,
-            separate_worlds=model.world_count > 1,
         )
-        super().__init__(
-            model,
-            SolverImplicitMPM(model, config),
-            driven=driven,
-            timestep_s=settings.timestep_s,
-        )
-        self._pinned = PinnedParticles(pins, model.device)
+        solver = SolverImplicitMPM(model, config)
+        super().__init__(model, solver, driven=driven, timestep_s=settings.timestep_s)
+        self._pinned = PinnedParticles(pins, self)
 
     def record(self) -> None:
-        """Keep the start; no graph is recorded."""
-        self._first = [wp.clone(array) for array in self._arrays()]
+        """Record no graph."""
+        self.reset()
 
-    def advance(self, seconds: float) -> None:
-        """Run the steps one by one, without a graph."""
-        self._send_drives()
-        for _ in range(round(seconds / self.timestep_s)):
-            self._step(self.states[self.current], self.states[1 - self.current])
-            self.current = 1 - self.current
+    def reset(self, *args: Any, **given: Any) -> None:
+        """Start all worlds in new states, as the solver adds fields to those of its steps; see `Stepper.reset`."""
+        self.states = (self.model.state(), self.model.state())
+        super().reset(*args, **given)
+
+    def _run_step(self) -> None:
+        self._step(self.states[self.current], self.states[1 - self.current])
 
     def _step(self, state: newton.State, after: newton.State) -> None:
         self._prescribe(after.body_q, after.body_qd, steps_ahead=1)
         self._pinned.carry(state, after, self.timestep_s)
-        # Snapshots do not contain the solver's contact impulses of the last step, so each step starts without them.
+        # Each step starts without the contact impulses of the last one.
         self.solver.reset(state, flags=0)
         self.solver.step(state, after, self.control, None, self.timestep_s)
         self._pinned.hold(after.body_q, after.particle_q)
-
-    def _arrays(self) -> list[wp.array]:
-        """Return the arrays of both states and of the drives; the solver's own arrays live for one step only."""
-        found: list[wp.array] = []
-        for state in self.states:
-            found += [state.particle_q, state.particle_qd]
-            found += [
-                array
-                for array in vars(state.mpm).values()
-                if isinstance(array, wp.array)
-            ]
-            found += [state.body_q, state.body_qd] if self.model.body_count else []
-        return [*found, self._elapsed, self._start, self._velocity, self._acceleration]

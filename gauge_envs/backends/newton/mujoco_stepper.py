@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator, Sequence
-from functools import cache
-from importlib import metadata
 from typing import Any
 
 import newton
@@ -13,13 +11,11 @@ import numpy as np
 import warp as wp
 from mujoco_warp import contact_force
 from newton.solvers import SolverMuJoCo
-from numpy.typing import NDArray
 
 from gauge_envs.backends.newton.kernels import bodies_to_joints
 from gauge_envs.backends.newton.settings import SettingsMuJoCoWarp
-from gauge_envs.backends.newton.stepper import Stepper, collision_pipeline
-from gauge_envs.backends.settings import check_kept
-from gauge_envs.backends.shared.bundled import replaced
+from gauge_envs.backends.newton.stepper import Stepper
+from gauge_envs.scene.geometry import FloatArray
 
 CONTACT_POINTS_PER_PAIR = 8
 """Reserved contact points per pair of shapes; Newton reduces two faces in contact to four or five points."""
@@ -29,9 +25,6 @@ ROWS_PER_POINT = 4
 
 ROWS_PER_WELD = 6
 """Constraints of a driven body."""
-
-installed = cache(metadata.version)
-"""Version of an installed package, which MuJoCo Warp reads from its files five times for each model."""
 
 
 class StepperMuJoCo(Stepper):
@@ -50,11 +43,11 @@ class StepperMuJoCo(Stepper):
         driven: Sequence[int],
         settings: SettingsMuJoCoWarp,
     ) -> None:
-        pair_count = model.shape_contact_pair_count // model.world_count
-        strings = (
-            model.custom_frequency_counts.get("mujoco:tendon", 0) // model.world_count
-        )
-        with warnings.catch_warnings(), replaced(metadata, version=installed):
+        pairs = model.shape_contact_pair_count // model.world_count
+        tendons = model.custom_frequency_counts.get("mujoco:tendon", 0)
+        rows = ROWS_PER_POINT * CONTACT_POINTS_PER_PAIR * pairs
+        rows += ROWS_PER_WELD * len(driven) + tendons // model.world_count
+        with warnings.catch_warnings():
             # Newton 1.8 asks for MuJoCo 3.17, but this package needs 4.0; tests/backends/newton verify the combination.
             warnings.filterwarnings(
                 "ignore", message="MuJoCo dependency version mismatch"
@@ -71,69 +64,55 @@ class StepperMuJoCo(Stepper):
                 tolerance=settings.tolerance,
                 # Otherwise Newton adds a weld for each body that could become kinematic, and many constraints.
                 kinematic_switchable_roots=False,
-                use_mujoco_contacts=settings.mujoco_contacts or not pair_count,
-                disable_contacts=not pair_count,
-                nconmax=CONTACT_POINTS_PER_PAIR * pair_count or None,
-                njmax=ROWS_PER_POINT * CONTACT_POINTS_PER_PAIR * pair_count
-                + ROWS_PER_WELD * len(driven)
-                + strings
-                or None,
+                use_mujoco_contacts=settings.mujoco_contacts or not pairs,
+                disable_contacts=not pairs,
+                nconmax=CONTACT_POINTS_PER_PAIR * pairs or None,
+                njmax=rows or None,
             )
-        option = solver.mjw_model.opt
-        kept = {
-            "iterations": option.iterations,
-            "line_search_iterations": option.ls_iterations,
-        }
-        kept |= {
-            "tolerance": float(option.tolerance.numpy()[0]),
-            "impratio": float(option.impratio_invsqrt.numpy()[0]) ** -2,
-        }
-        check_kept("Newton", settings.model_dump(), kept)
-        has_pipeline = pair_count and not settings.mujoco_contacts
-        self._pipeline = collision_pipeline(model) if has_pipeline else None
+        has_pipeline = pairs and not settings.mujoco_contacts
+        self._pipeline = newton.CollisionPipeline(model) if has_pipeline else None
         self._contacts = self._pipeline.contacts() if self._pipeline else None
         super().__init__(model, solver, driven=driven, timestep_s=settings.timestep_s)
         # This solver reads joint coordinates, so driven bodies are written to both bodies and joints.
+        joint_of = {b: joint for joint, b in enumerate(model.joint_child.numpy())}
+        joints = [joint_of[body] for body in self._driven.numpy()]
         with wp.ScopedDevice(model.device):
             self._coordinates, self._freedoms = (
-                wp.array(one, dtype=wp.int32) for one in self.free_joints(driven)[1:]
+                wp.array(first.numpy()[joints], dtype=wp.int32)
+                for first in (model.joint_q_start, model.joint_qd_start)
             )
 
-    def free_joints(self, bodies: Sequence[int]) -> list[NDArray[np.int32]]:
-        """Return indices of bodies, and of the first coordinate and the first velocity of their joints."""
-        model = self.model
-        joints = {
-            body: joint for joint, body in enumerate(model.joint_child.numpy().tolist())
-        }
-        chosen = [joints[body] for body in bodies]
-        found = [
-            np.array(bodies, dtype=np.int32),
-            model.joint_q_start.numpy()[chosen],
-            model.joint_qd_start.numpy()[chosen],
-        ]
-        return [one.astype(np.int32) for one in found]
+    def reset(self, *args: Any, **given: Any) -> None:
+        """Start all worlds, with the coordinates of joints that belong to the bodies; see `Stepper.reset`."""
+        super().reset(*args, **given)
+        for state in self.states:
+            newton.eval_ik(self.model, state, state.joint_q, state.joint_qd)
 
-    def apply_wrench(self, body: int, wrench: NDArray[np.float64]) -> None:
-        """Apply a force and a torque to a body; see `World.apply_wrench`."""
+    def apply_wrench(self, body: int, wrenches: FloatArray) -> None:
+        """Apply a force and a torque to a body; see `Simulation.apply_wrench`."""
+        forces = self.states[0].body_f.numpy()
+        forces.reshape(self.world_count, -1, 6)[:, body] = wrenches
         # Steps alternate between the two states, and each step reads the wrenches of its start state.
         for state in self.states:
-            given = wp.array(wrench[None], dtype=wp.spatial_vector, device="cpu")
-            wp.copy(state.body_f, given, dest_offset=body)
+            state.body_f.assign(forces)
 
-    def touches(self) -> Iterator[tuple[int, int, NDArray[np.float64]]]:
-        """Yield the contacts of the last step: two shapes, and the force on the first [N], shape [3]."""
+    def touches(self) -> Iterator[tuple[int, int, int, FloatArray]]:
+        """Yield the contacts of the last step: world, two shapes, and the force on the first [N], shape [3]."""
         data = self.solver.mjw_data
         count = int(data.nacon.numpy()[0])
         with wp.ScopedDevice(self.model.device):
             numbers = wp.array(np.arange(count), dtype=wp.int32)
             wrenches: Any = wp.zeros(count, dtype=wp.spatial_vector)
             contact_force(self.solver.mjw_model, data, numbers, True, wrenches)
+        worlds = data.contact.worldid.numpy()[:count]
         geoms = data.contact.geom.numpy()[:count]
-        shapes = self.solver.mjc_geom_to_newton_shape.numpy()[0][geoms]
-        for (first, second), wrench in zip(
-            shapes.tolist(), wrenches.numpy(), strict=True
+        shapes = self.solver.mjc_geom_to_newton_shape.numpy()[worlds[:, None], geoms]
+        shapes %= self.model.shape_count // self.world_count
+        forces_n = -wrenches.numpy()[:, :3].astype(np.float64)
+        for world, (first, second), force_n in zip(
+            worlds.tolist(), shapes.tolist(), forces_n, strict=True
         ):
-            yield first, second, -wrench[:3].astype(np.float64)
+            yield world, first, second, force_n
 
     def _step(self, state: newton.State, after: newton.State) -> None:
         self._prescribe(state.body_q, state.body_qd, counts=False)

@@ -19,12 +19,11 @@ from typing import Any
 import newton
 import numpy as np
 import warp as wp
-from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.newton.fabrics import vbd_constants
 from gauge_envs.backends.newton.kernels import carry, hold
 from gauge_envs.backends.newton.settings import CLOTH_CELL_M, SOFT_CELL_M, SettingsVBD
+from gauge_envs.backends.newton.stepper import TO_WARP, Stepper, rotated
 from gauge_envs.backends.shared.attachments import RigidAttachment
 from gauge_envs.backends.shared.cells import grid_points
 from gauge_envs.backends.shared.cloth_grid import ClothGrid, attached_vertices
@@ -38,11 +37,11 @@ from gauge_envs.backends.shared.soft_rows import (
 )
 from gauge_envs.scene import Box, Cloth, Motion
 from gauge_envs.scene.fabrics import Fabric
-from gauge_envs.scene.geometry import vector
+from gauge_envs.scene.geometry import FloatArray, IntArray, vector
 from gauge_envs.scene.meshes import mass_properties
 
-Reader = Callable[[newton.State], NDArray[np.float64]]
-"""Function of a state that returns the positions of material points [m], shape [point_count, 3]."""
+Reader = Callable[[Stepper], FloatArray]
+"""Function of a stepper that returns the current positions of points in all worlds [m], shape [N, point_count, 3]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,8 +49,8 @@ class Pin:
     """A massless particle that a kinematic body holds.
 
     Attributes:
-        particle: Index of the particle in the model.
-        body: Index of the kinematic body in the model.
+        particle: Index of the particle in its world.
+        body: Index of the kinematic body in its world.
         place_m: Position of the particle in the body's frame [m].
     """
 
@@ -64,14 +63,14 @@ def pins_of(
     attachment: RigidAttachment,
     bodies: Mapping[str, int],
     particles: Iterable[int],
-    points_m: NDArray[np.float64],
+    points_m: FloatArray,
 ) -> Iterator[Pin]:
     """Yield the pins of attached particles, if the body that holds them is kinematic.
 
     Args:
         attachment: The attachment.
-        bodies: Model index of each kinematic body, by name.
-        particles: Indices of the particles in the model.
+        bodies: Index of each kinematic body, by name.
+        particles: Indices of the particles.
         points_m: Their positions at the start [m], shape [particle_count, 3].
     """
     if attachment.motion is Motion.KINEMATIC:
@@ -84,21 +83,31 @@ def pins_of(
 
 
 class PinnedParticles:
-    """Pins of a model on its device.
+    """Pins in all worlds of a model on its device.
 
     Args:
-        pins: The pins.
-        device: Device of the model.
+        pins: The pins of a world.
+        stepper: Stepper of the model.
     """
 
-    def __init__(self, pins: Sequence[Pin], device: wp.Device) -> None:
-        self._device = device
-        self._count = len(pins)
-        with wp.ScopedDevice(device):
+    def __init__(self, pins: Sequence[Pin], stepper: Stepper) -> None:
+        model, world_count = stepper.model, stepper.world_count
+        self._device = model.device
+        self._count = world_count * len(pins)
+        particles = [pin.particle for pin in pins]
+        bodies = [pin.body for pin in pins]
+        places_m = [pin.place_m for pin in pins] * world_count
+        with wp.ScopedDevice(model.device):
             self._inputs = [
-                wp.array([pin.particle for pin in pins], dtype=wp.int32),
-                wp.array([pin.body for pin in pins], dtype=wp.int32),
-                wp.array([pin.place_m for pin in pins], dtype=wp.vec3),
+                wp.array(
+                    stepper.in_worlds(particles, model.particle_count // world_count),
+                    dtype=wp.int32,
+                ),
+                wp.array(
+                    stepper.in_worlds(bodies, model.body_count // world_count),
+                    dtype=wp.int32,
+                ),
+                wp.array(places_m, dtype=wp.vec3),
             ]
 
     def hold(self, body_q: wp.array, particle_q: wp.array) -> None:
@@ -131,20 +140,20 @@ class Part(ABC):
     """A deformable body or a soft row in a model.
 
     Attributes:
-        rest_m: World positions of the nodes at the start [m], shape [node_count, 3].
+        rest_m: Positions of the nodes at the nominal start [m], shape [node_count, 3].
         pins: Particles that kinematic bodies hold.
         node_indices: Indices of each body's nodes among those of a soft row, by name; empty for a single body.
     """
 
-    rest_m: NDArray[np.float64]
+    rest_m: FloatArray
     pins: tuple[Pin, ...] = ()
-    node_indices: Mapping[str, NDArray[np.intp]] = MappingProxyType({})
+    node_indices: Mapping[str, IntArray] = MappingProxyType({})
 
     @abstractmethod
-    def nodes(self, state: newton.State) -> NDArray[np.float64]:
-        """Return the world positions of the nodes in a state [m], shape [node_count, 3], in single precision."""
+    def nodes(self, stepper: Stepper) -> FloatArray:
+        """Return the current positions of the nodes in all worlds [m], shape [N, node_count, 3]."""
 
-    def track(self, points_m: ArrayLike) -> Reader | None:
+    def track(self, points_m: FloatArray) -> Reader | None:
         """Return a reader of material points, given by their start positions [m], or None to interpolate the nodes."""
         return None
 
@@ -152,19 +161,26 @@ class Part(ABC):
 class ParticlePart(Part):
     """A deformable body or a soft row that consists of particles.
 
-    Attributes:
-        particles: Its particles in the model.
+    Args:
+        rest_m: Positions of the nodes at the nominal start [m], shape [node_count, 3].
+        particles: Its particles in a world.
+        pins: Those that kinematic bodies hold.
     """
 
-    particles: slice
+    def __init__(
+        self, rest_m: FloatArray, particles: slice, pins: Sequence[Pin]
+    ) -> None:
+        self.rest_m = rest_m
+        self.particles = particles
+        self.pins = tuple(pins)
 
-    def positions(self, state: newton.State) -> NDArray[np.float64]:
-        """Return the positions of its particles in a state [m], shape [particle_count, 3], in single precision."""
-        return state.particle_q.numpy()[self.particles].astype(np.float64)
+    def positions(self, stepper: Stepper) -> FloatArray:
+        """Return the current positions of its particles [m], shape [N, particle_count, 3], in single precision."""
+        return stepper.particles_m()[:, self.particles]
 
-    def nodes(self, state: newton.State) -> NDArray[np.float64]:
-        """Return the positions of the particles, which are the nodes; see `Part.nodes`."""
-        return self.positions(state)
+    def nodes(self, stepper: Stepper) -> FloatArray:
+        """Return the positions of the particles, which are the nodes."""
+        return self.positions(stepper)
 
 
 class SoftRowPart(ParticlePart):
@@ -172,28 +188,24 @@ class SoftRowPart(ParticlePart):
 
     Args:
         soft_row: The soft row.
-        rest_m: World positions of the nodes at the start [m], shape [node_count, 3].
-        particles: Its particles in the model.
-        pins: Particles that kinematic bodies hold.
+        rest_m: Positions of the nodes at the nominal start [m], shape [node_count, 3].
+        particles: Its particles in a world.
+        pins: Those that kinematic bodies hold.
 
     Attributes:
         names: Names of the bodies, in their order along the row.
     """
 
-    names: tuple[str, ...]
-
     def __init__(
         self,
         soft_row: SoftRow,
-        rest_m: NDArray[np.float64],
+        rest_m: FloatArray,
         particles: slice,
         pins: Sequence[Pin],
     ) -> None:
+        super().__init__(rest_m, particles, pins)
         self._soft_row = soft_row
         self.names = soft_row.names
-        self.rest_m = rest_m
-        self.particles = particles
-        self.pins = tuple(pins)
         self.node_indices = soft_row.nodes_of(rest_m)
 
 
@@ -205,15 +217,22 @@ class ClothPartNewton(ParticlePart):
 
     Args:
         grid: Its mesh.
-        start: Its first particle.
+        start: Its first particle in a world.
         pins: Vertices that kinematic bodies hold.
     """
 
     def __init__(self, grid: ClothGrid, start: int, pins: Sequence[Pin]) -> None:
+        super().__init__(grid.rest_m, slice(start, start + len(grid.rest_m)), pins)
         self.grid = grid
-        self.rest_m = grid.rest_m
-        self.particles = slice(start, start + len(grid.rest_m))
-        self.pins = tuple(pins)
+
+    def at(self, states: FloatArray) -> FloatArray:
+        """Return the positions of the vertices with given states of its frame [m], shape [N, vertex_count, 3].
+
+        Args:
+            states: States of the frame, shape [N, 13].
+        """
+        flat_m = np.pad(self.grid.plane_m, ((0, 0), (0, 1)))
+        return states[:, None, :3] + rotated(states[:, None, TO_WARP], flat_m)
 
 
 def add_cloth(
@@ -287,15 +306,11 @@ class _Solid:
         self.block, self.body = block, body
         self.grid_m = grid_points(*grid_lines_m([block], 0, cell_m))
 
-    def moved(
-        self, state: newton.State, points_m: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """Return the positions in a state of points given at the start [m], both of shape [point_count, 3]."""
-        pose = state.body_q.numpy()[self.body].astype(np.float64)
-        return (
-            Rotation.from_quat(pose[3:]).apply(points_m - self.block.centre_m)
-            + pose[:3]
-        )
+    def moved(self, stepper: Stepper, points_m: FloatArray) -> FloatArray:
+        """Return the current positions of points in all worlds [m], given by their start, shape [N, point_count, 3]."""
+        poses = stepper.poses()[:, self.body, None]
+        from_centre_m = points_m - self.block.centre_m
+        return poses[..., :3] + rotated(poses[..., 3:], from_centre_m)
 
 
 class SoftPartNewton(SoftRowPart):
@@ -327,16 +342,12 @@ class SoftPartNewton(SoftRowPart):
         )
         self._mesh, self._solids = mesh, solids
 
-    def nodes(self, state: newton.State) -> NDArray[np.float64]:
-        """Return the positions of the particles and of the points in rigid blocks; see `Part.nodes`."""
-        return np.concatenate(
-            [
-                self.positions(state),
-                *(solid.moved(state, solid.grid_m) for solid in self._solids),
-            ]
-        )
+    def nodes(self, stepper: Stepper) -> FloatArray:
+        """Return the positions of the particles and of the points in rigid blocks."""
+        solids_m = [solid.moved(stepper, solid.grid_m) for solid in self._solids]
+        return np.concatenate([self.positions(stepper), *solids_m], axis=1)
 
-    def block_particles(self, name: str) -> NDArray[np.intp]:
+    def block_particles(self, name: str) -> IntArray:
         """Return the model's particles of a body; bonded faces belong to both, and a rigid block has only these."""
         nodes = self.node_indices[name]
         return (
@@ -367,16 +378,17 @@ class SoftPartNewton(SoftRowPart):
             ]
         return shapes
 
-    def track(self, points_m: ArrayLike) -> Reader:
+    def track(self, points_m: FloatArray) -> Reader:
         """Return a reader of material points, which interpolates linearly in each tetrahedron, as the elements do."""
-        points = self._soft_row.checked(np.asarray(points_m, dtype=np.float64))
+        points = self._soft_row.checked(points_m)
         inside = [(solid, solid.block.holds(points)) for solid in self._solids]
         corners, weights = self._mesh.weights(points)
 
-        def read(state: newton.State) -> NDArray[np.float64]:
-            positions = np.einsum("pk,pki->pi", weights, self.positions(state)[corners])
+        def read(stepper: Stepper) -> FloatArray:
+            particles_m = self.positions(stepper)[:, corners]
+            positions = np.einsum("pk,npki->npi", weights, particles_m)
             for solid, rows in inside:
-                positions[rows] = solid.moved(state, points[rows])
+                positions[:, rows] = solid.moved(stepper, points[rows])
             return positions
 
         return read
@@ -456,7 +468,7 @@ def _add_rigid(
     block: Block,
     axis: int,
     start: int,
-    points_m: NDArray[np.float64],
+    points_m: FloatArray,
 ) -> int:
     """Add a block as a rigid body, bond the nodes on its two faces to it, and return its index."""
     size_m = block.high_m - block.low_m

@@ -30,10 +30,7 @@ from gauge_envs.backends.newton.contacts import (
     pair_constants,
 )
 from gauge_envs.backends.newton.settings import SettingsMuJoCoWarp
-from gauge_envs.backends.newton.stepper import (
-    warp_transform,
-)
-from gauge_envs.backends.shared.rigid import centre_velocity
+from gauge_envs.backends.newton.stepper import warp_transform
 from gauge_envs.scene import (
     Box,
     Capsule,
@@ -102,7 +99,7 @@ def add_bodies(
     config: newton.ModelBuilder.ShapeConfig,
     solids: Solids = "exact",
 ) -> RigidIndex:
-    """Add the rigid bodies of a scene; hinges become revolute joints and driven bodies kinematic bodies.
+    """Add the rigid bodies of a scene at rest; hinges become revolute joints and driven bodies kinematic bodies.
 
     Args:
         builder: Model builder.
@@ -123,9 +120,6 @@ def add_bodies(
             place = builder.add_body(
                 is_kinematic=body.motion is Motion.KINEMATIC, **_link_arguments(body)
             )
-            if not body.starts_at_rest:
-                _set_velocity(builder, place, body)
-                builder.joint_qd[-6:] = list(builder.body_qd[place])
         index.bodies[name] = place
         index.shapes[name] = _add_shapes(
             builder, body, {"body": place, "cfg": config}, solids
@@ -149,7 +143,6 @@ def _link_arguments(body: RigidBody) -> dict[str, Any]:
 def _add_hinged(builder: newton.ModelBuilder, body: RigidBody, hinge: Hinge) -> int:
     """Add a body on a hinge as an articulation, and return its index."""
     place = builder.add_link(**_link_arguments(body))
-    _set_velocity(builder, place, body)
     anchor = wp.transform(wp.vec3(*hinge.anchor_m), wp.quat_identity())
     joint = builder.add_joint_revolute(
         WORLD,
@@ -159,18 +152,8 @@ def _add_hinged(builder: newton.ModelBuilder, body: RigidBody, hinge: Hinge) -> 
         axis=wp.vec3(*hinge.axis),
         label=body.name,
     )
-    builder.joint_qd[-1] = float(np.dot(body.angular_velocity_rad_per_s, hinge.axis))
     builder.add_articulation([joint], label=body.name)
     return place
-
-
-def _set_velocity(builder: newton.ModelBuilder, index: int, body: RigidBody) -> None:
-    """Write the start velocity of a body; Newton's linear velocity is that of the centre of mass."""
-    velocity = [
-        *centre_velocity(body, body_mass_properties(body)[0]).tolist(),
-        *body.angular_velocity_rad_per_s,
-    ]
-    builder.body_qd[index] = wp.spatial_vector(*velocity)
 
 
 def _add_shapes(

@@ -1,37 +1,31 @@
-"""Stepper of a Newton model: prescribed motion, the recorded step of the solver, and snapshots of the state.
+"""Stepper of a Newton model: prescribed motion, the recorded step of the solver, and the states of all worlds.
 
 Warp launches each kernel from Python, which costs more than the kernel itself in such small scenes. A step is therefore
 recorded once as a graph, on the CPU or a GPU, and replayed. That is 20 to 100 times faster and bitwise identical.
+
+All worlds of a model are equal, and its arrays hold them one after another. Bodies and particles are therefore given by
+their index in a world. Positions are those of the model.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
-from functools import cache, cached_property
+from collections.abc import Sequence
 from typing import Any
 
 import newton
-import newton._src.geometry.narrow_phase as narrow_phase
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
+from numpy.typing import ArrayLike
 
-from gauge_envs.backends.newton.kernels import begin_drives, prescribe
-from gauge_envs.backends.shared.bundled import replaced
+from gauge_envs.backends.newton.kernels import prescribe
 from gauge_envs.backends.shared.rigid import MeanForces
 from gauge_envs.errors import BackendError
 from gauge_envs.scene import Pose
+from gauge_envs.scene.geometry import FloatArray, IntArray
 
-_shared = {
-    name: cache(factory)
-    for name, factory in vars(narrow_phase).items()
-    if name.startswith("create_narrow_phase_")
-}
-"""Newton's factories of kernels, which depend on their arguments alone, with one kernel for all pipelines."""
-
-Snapshot = list[NDArray[Any]]
+TO_WARP = [4, 5, 6, 3]
+"""Columns of a state's quaternion w x y z in Warp's order x y z w."""
 
 
 def warp_transform(pose: Pose) -> wp.transform:
@@ -40,22 +34,15 @@ def warp_transform(pose: Pose) -> wp.transform:
     return wp.transform(wp.vec3(*pose.position_m), wp.quat(x, y, z, w))
 
 
-def collision_pipeline(model: newton.Model, **options: Any) -> newton.CollisionPipeline:
-    """Return Newton's collision pipeline of a model.
-
-    Newton makes the kernels of each pipeline anew, and Warp reads the source of each new kernel to find its binary;
-    this takes most of the time in which a rigid scene is built.
-
-    Args:
-        model: The finalized model.
-        **options: Arguments of the pipeline.
-    """
-    with replaced(narrow_phase, **_shared):
-        return newton.CollisionPipeline(model, **options)
+def rotated(quaternions: FloatArray, vectors: FloatArray) -> FloatArray:
+    """Return vectors rotated by unit quaternions x, y, z, w; the shapes but for the last axis are broadcast."""
+    axes = quaternions[..., :3]
+    twice = 2.0 * np.cross(axes, vectors)
+    return np.asarray(vectors + quaternions[..., 3:] * twice + np.cross(axes, twice))
 
 
 class Stepper(ABC):
-    """Stepper of one model with one solver.
+    """Stepper of the worlds of one model with one solver.
 
     Args:
         model: The finalized model.
@@ -68,7 +55,6 @@ class Stepper(ABC):
         current: Number of the state that the last step wrote.
         control: Forces on joints, none here.
         force_readers: Readers of contact forces.
-        sent: Drives on the device, shape [driven_count, 20]: rows of `Worlds.drive`, and 1 for those that are new.
     """
 
     def __init__(
@@ -82,182 +68,150 @@ class Stepper(ABC):
         self.model = model
         self.solver = solver
         self.timestep_s = timestep_s
+        self.world_count = model.world_count
         self.states = (model.state(), model.state())
-        self.control = model.control()
-        self._centres_m = (
-            model.body_com.numpy() if model.body_count else np.zeros((0, 3))
-        )
-        count = len(driven)
-        self._rows = np.full(model.body_count, -1, dtype=np.intp)
-        self._rows[list(driven)] = np.arange(count)
-        with wp.ScopedDevice(model.device):
-            self._driven = wp.array(list(driven), dtype=wp.int32)
-            self.sent = wp.zeros((count, 20), dtype=wp.float32)
-            self._elapsed = wp.zeros(count, dtype=wp.int32)
-            self._velocity = wp.zeros(count, dtype=wp.spatial_vector)
-            self._acceleration = wp.zeros(count, dtype=wp.spatial_vector)
-            body_q = model.body_q.numpy() if model.body_count else np.zeros((0, 7))
-            self._start = wp.array(
-                body_q[list(driven)].reshape(count, 7), dtype=wp.transform
-            )
-        # The next `advance` sends all collected drives to the device in one copy: rows of `Worlds.drive`, and 1 in a
-        # last column for those that are new.
-        self._drives = np.zeros((count, 20), dtype=np.float32)
         self.current = 0
+        self.control = model.control()
         self.force_readers: list[MeanForces] = []
+        self._first = model.state()
+        self._first_poses = self.poses()
+        body_count = model.body_count // self.world_count
+        self._centres_m = np.zeros((body_count, 3))
+        if body_count:
+            self._centres_m[:] = model.body_com.numpy()[:body_count]
+        self._driven_rows = {body: row for row, body in enumerate(driven)}
+        shape = (self.world_count, len(driven))
+        self._targets = np.zeros((*shape, 19), dtype=np.float32)
+        self._elapsed = np.zeros(shape, dtype=np.int32)
+        with wp.ScopedDevice(model.device):
+            self._driven = wp.array(self.in_worlds(driven, body_count), dtype=wp.int32)
+            self._device_targets = wp.zeros((self._elapsed.size, 19), dtype=wp.float32)
+            self._device_elapsed = wp.zeros(self._elapsed.size, dtype=wp.int32)
         self._graphs: list[Any] = []
-        self._first: Snapshot = []
+
+    def in_worlds(self, indices: ArrayLike, count: int) -> IntArray:
+        """Return the indices in the model of entities of all worlds, which have a number of them each."""
+        first = count * np.arange(self.world_count)[:, None]
+        return (first + np.asarray(indices, dtype=np.intp)).ravel()
 
     @abstractmethod
     def _step(self, state: newton.State, after: newton.State) -> None:
         """Move the driven bodies and step from one state to the other; `record` records this method."""
 
     def record(self) -> None:
-        """Record the step in both directions between the two states, then return to the start."""
-        states = self.states
-        first = {id(array): array.numpy().copy() for array in self._arrays()}
+        """Record the step in both directions between the two states, and return to the start."""
         # Solvers allocate their arrays in the first step.
-        self._step(*states)
-        for state, after in (states, states[::-1]):
+        self._step(*self.states)
+        self._graphs = []
+        for state, after in (self.states, self.states[::-1]):
             with wp.ScopedCapture(device=self.model.device) as capture:
                 self._step(state, after)
             self._graphs.append(capture.graph)
-        # Arrays that the solver allocated during the warm-up are zero at the start.
-        self._first = [
-            first.get(id(array), np.zeros_like(array.numpy()))
-            for array in self._arrays()
-        ]
         self.reset()
-        # The start stays on the device: 4096 worlds of a sliding cube have 55 MB, which a reset need not send.
-        self._first = [wp.clone(array) for array in self._arrays()]
 
-    def reset(self) -> None:
-        """Return to the start."""
-        self._restore_arrays(self._first)
-        self._drives[:, -1] = 0.0
+    def reset(
+        self,
+        bodies: Sequence[int] = (),
+        starts: FloatArray | None = None,
+        particles_m: FloatArray | None = None,
+    ) -> None:
+        """Start all worlds; what is not given starts as in the model.
+
+        Args:
+            bodies: Indices of bodies.
+            starts: Their states, shape [N, len(bodies), 13].
+            particles_m: Positions of all particles [m], shape [N, particle_count, 3].
+        """
+        state, other = self.states
+        state.assign(self._first)
+        self._targets[:] = 0.0
+        self._elapsed[:] = 0
+        poses = self._first_poses.copy()
+        if starts is not None:
+            poses[:, bodies] = starts[:, :, [0, 1, 2, *TO_WARP]]
+            velocities = np.zeros((*poses.shape[:2], 6))
+            spins = starts[:, :, 10:]
+            # Newton's linear velocity is that of the centre of mass.
+            arms_m = rotated(poses[:, bodies, 3:], self._centres_m[bodies])
+            velocities[:, bodies, :3] = starts[:, :, 7:10] + np.cross(spins, arms_m)
+            velocities[:, bodies, 3:] = spins
+            if poses.size:
+                state.body_q.assign(poses.reshape(-1, 7))
+                state.body_qd.assign(velocities.reshape(-1, 6))
+        for body, row in self._driven_rows.items():
+            self._targets[:, row, [0, 1, 2, *TO_WARP]] = poses[:, body]
+        if particles_m is not None:
+            state.particle_q.assign(particles_m.reshape(-1, 3))
+        other.assign(state)
+        self.solver.reset(state, flags=0)
         self.current = 0
 
-    def restart(self, world: int, world_count: int) -> None:
-        """Return one of several equal worlds to its start.
-
-        The arrays of a model hold the worlds one after another. Those of contacts mix them, and are written anew in
-        each step before they are read.
+    def drive(self, body: int, targets: FloatArray) -> None:
+        """Prescribe a kinematic body from the next step on.
 
         Args:
-            world: Number of the world.
-            world_count: Number of worlds in the model.
+            body: Its index.
+            targets: As in `Simulation.drive`, shape [N, 19].
         """
-        for array, first in zip(self._arrays(), self._first, strict=True):
-            size, rest = divmod(len(first), world_count)
-            if size and not rest:
-                count = array.size // world_count
-                offset = world * count
-                wp.copy(array, first, offset, offset, count)
+        row = self._driven_rows[body]
+        self._targets[:, row] = targets
+        self._elapsed[:, row] = 0
 
-    def drive(self, bodies: NDArray[np.intp], motions: NDArray[np.float64]) -> None:
-        """Prescribe kinematic bodies from the next step on.
-
-        Args:
-            bodies: Their indices in the model.
-            motions: Their motions in the model's coordinates; see `Worlds.drive`.
-        """
-        rows = self.rows_of(bodies)
-        if (rows < 0).any():
-            raise KeyError(f"body {bodies[rows < 0][0]} of the model is not driven")
-        self._drives[rows, :-1] = motions
-        self._drives[rows, -1] = 1.0
-
-    def rows_of(self, bodies: NDArray[np.intp]) -> NDArray[np.intp]:
-        """Return the rows of bodies in `sent`; -1 for those that are not driven."""
-        return self._rows[bodies]
-
-    def apply_wrench(self, body: int, wrench: NDArray[np.float64]) -> None:
-        """Apply a force and a torque to a body from the next step on; see `World.apply_wrench`."""
+    def apply_wrench(self, body: int, wrenches: FloatArray) -> None:
+        """Apply a force and a torque to a body from the next step on; see `Simulation.apply_wrench`."""
         raise BackendError(
             f"{type(self.solver).__name__} applies no force or torque here: choose a preset with SolverMuJoCo"
         )
 
     def advance(self, seconds: float) -> None:
-        """Replay the recorded step."""
-        self._send_drives()
+        """Run the steps of an interval [s]."""
+        if self._driven_rows:
+            self._device_targets.assign(self._targets.reshape(-1, 19))
+            self._device_elapsed.assign(self._elapsed.ravel())
         for reader in self.force_readers:
             reader.clear()
-        for _ in range(round(seconds / self.timestep_s)):
-            wp.capture_launch(self._graphs[self.current])
+        count = round(seconds / self.timestep_s)
+        for _ in range(count):
+            self._run_step()
             self.current = 1 - self.current
             for reader in self.force_readers:
                 reader.add()
+        self._elapsed += count
 
-    def _send_drives(self) -> None:
-        """Copy the collected drives to the device, if there are any."""
-        if not self._drives[:, -1].any():
-            return
-        self.sent.assign(self._drives)
-        self.begin_drives()
-        self._drives[:, -1] = 0.0
-
-    def begin_drives(self) -> None:
-        """Begin the drives that `sent` marks as new."""
-        wp.launch(
-            begin_drives,
-            dim=len(self._drives),
-            inputs=[self.sent],
-            outputs=[self._start, self._velocity, self._acceleration, self._elapsed],
-            device=self.model.device,
-        )
+    def _run_step(self) -> None:
+        """Replay the recorded step from the current state."""
+        wp.capture_launch(self._graphs[self.current])
 
     @property
     def now(self) -> newton.State:
         """The state that the last step wrote."""
         return self.states[self.current]
 
-    def body_states(
-        self, bodies: Sequence[int] | NDArray[np.intp]
-    ) -> NDArray[np.float64]:
-        """Return poses and velocities of bodies by index, shape [len(bodies), 13]; see `World.body_states`."""
-        poses = self.now.body_q.numpy()[bodies].astype(np.float64)
-        velocities = self.now.body_qd.numpy()[bodies].astype(np.float64)
-        # Newton's linear velocity is that of the centre of mass.
-        arms = Rotation.from_quat(poses[:, 3:]).apply(self._centres_m[bodies])
-        linear = velocities[:, :3] - np.cross(velocities[:, 3:], arms)
-        return np.column_stack(
-            [poses[:, :3], poses[:, 6], poses[:, 3:6], linear, velocities[:, 3:]]
-        )
+    def poses(self) -> FloatArray:
+        """Return the poses of all bodies with quaternions x, y, z, w, shape [N, body_count, 7]."""
+        return self._copied(self.now.body_q, 7)
 
-    def body_positions(
-        self, bodies: Sequence[int] | NDArray[np.intp]
-    ) -> NDArray[np.float64]:
-        """Return positions of body origins by index [m], shape [len(bodies), 3]."""
-        return self.now.body_q.numpy()[bodies, :3].astype(np.float64)
+    def first_particles_m(self) -> FloatArray:
+        """Return the positions of all particles in the model [m], shape [N, particle_count, 3]."""
+        return self._copied(self._first.particle_q, 3)
 
-    def state(self) -> tuple[int, NDArray[np.float32], Snapshot]:
-        """Return a snapshot for `restore`."""
-        arrays = [array.numpy().copy() for array in self._arrays()]
-        return self.current, self._drives.copy(), arrays
+    def particles_m(self) -> FloatArray:
+        """Return the positions of all particles [m], shape [N, particle_count, 3]."""
+        return self._copied(self.now.particle_q, 3)
 
-    def restore(self, state: tuple[int, NDArray[np.float32], Snapshot]) -> None:
-        """Restore a snapshot that `state` returned."""
-        self.current, self._drives[:], snapshot = state
-        self._restore_arrays(snapshot)
+    def _copied(self, array: wp.array | None, columns: int) -> FloatArray:
+        values = np.zeros(0) if array is None else array.numpy().astype(np.float64)
+        return np.asarray(values.reshape(self.world_count, -1, columns))
 
-    # --- snapshots ---
-
-    def _arrays(self) -> list[wp.array]:
-        """Return every array that a step may change: those of both states, of the solver and of the drives."""
-        found: dict[int, wp.array] = {}
-        for root in (*self.states, self.solver):
-            found |= {id(array): array for array in _arrays_in(root, depth=3)}
-        return [
-            *found.values(),
-            self._elapsed,
-            self._start,
-            self._velocity,
-            self._acceleration,
-        ]
-
-    def _restore_arrays(self, snapshot: Snapshot) -> None:
-        for array, values in zip(self._arrays(), snapshot, strict=True):
-            array.assign(values)
+    def body_states(self, bodies: Sequence[int]) -> FloatArray:
+        """Return the states of bodies, shape [N, len(bodies), 13]."""
+        poses = self.poses()[:, bodies]
+        velocities = self._copied(self.now.body_qd, 6)[:, bodies]
+        spins = velocities[:, :, 3:]
+        arms_m = rotated(poses[:, :, 3:], self._centres_m[bodies])
+        speeds = velocities[:, :, :3] - np.cross(spins, arms_m)
+        parts = [poses[:, :, :3], poses[:, :, 6:], poses[:, :, 3:6], speeds, spins]
+        return np.concatenate(parts, axis=2)
 
     def _prescribe(
         self,
@@ -275,16 +229,14 @@ class Stepper(ABC):
             steps_ahead: 0 for the start of the current step, 1 for its end.
             counts: Whether this is the last call in the step, so that the elapsed time advances by one step.
         """
-        if len(self._driven):
+        if self._driven_rows:
             wp.launch(
                 prescribe,
                 dim=len(self._driven),
                 inputs=[
                     self._driven,
-                    self._start,
-                    self._velocity,
-                    self._acceleration,
-                    self._elapsed,
+                    self._device_targets,
+                    self._device_elapsed,
                     steps_ahead,
                     int(counts),
                     self.timestep_s,
@@ -292,50 +244,3 @@ class Stepper(ABC):
                 outputs=[body_q, body_qd],
                 device=self.model.device,
             )
-
-
-class HostState:
-    """A state whose arrays are copied from the device once, whoever reads them."""
-
-    def __init__(self, state: newton.State) -> None:
-        self._state = state
-
-    @cached_property
-    def particle_q(self) -> HostArray:
-        """Positions of the particles."""
-        return HostArray(self._state.particle_q.numpy())
-
-    @cached_property
-    def body_q(self) -> HostArray:
-        """Poses of the rigid bodies."""
-        return HostArray(self._state.body_q.numpy())
-
-
-class HostArray:
-    """An array with the method of Warp's arrays that copies them.
-
-    Args:
-        values: The values on the host, which nobody changes.
-    """
-
-    def __init__(self, values: NDArray[Any]) -> None:
-        self._values = values
-
-    def numpy(self) -> NDArray[Any]:
-        """Return the values."""
-        return self._values
-
-
-def _arrays_in(root: Any, *, depth: int) -> Iterator[wp.array]:
-    """Yield the Warp arrays among the attributes of an object and of its attributes, down to a depth."""
-    for value in vars(root).values():
-        for entry in value if isinstance(value, list | tuple) else (value,):
-            if isinstance(entry, wp.array):
-                if entry.size and entry.is_contiguous:
-                    yield entry
-            elif (
-                depth
-                and hasattr(entry, "__dict__")
-                and not isinstance(entry, newton.Model | type)
-            ):
-                yield from _arrays_in(entry, depth=depth - 1)

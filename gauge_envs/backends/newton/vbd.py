@@ -14,13 +14,13 @@ from typing import Any
 import newton
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
 
 from gauge_envs.backends.newton.contacts import SurfaceContacts
 from gauge_envs.backends.newton.kernels import predict
 from gauge_envs.backends.newton.parts import Pin, PinnedParticles
 from gauge_envs.backends.newton.settings import SettingsLines, SettingsVBD
-from gauge_envs.backends.newton.stepper import Stepper, collision_pipeline
+from gauge_envs.backends.newton.stepper import Stepper
+from gauge_envs.scene.geometry import IntArray
 
 SPEED_HEADROOM = 1.5
 """Assumed largest growth of the fastest particle's speed within an interval, in addition to free fall."""
@@ -56,6 +56,11 @@ class _Solver(newton.solvers.SolverVBD):
         self._last_qd = wp.zeros(
             model.particle_count, dtype=wp.vec3, device=model.device
         )
+
+    def reset(self, state: newton.State, **given: Any) -> None:
+        """Forget the history of the last steps; see `newton.solvers.SolverVBD.reset`."""
+        super().reset(state, **given)
+        self._last_qd.zero_()
 
     def _initialize_particles(
         self,
@@ -96,8 +101,8 @@ class StepperVBD(Stepper):
         contacts: Collision partners and friction of particles.
         contact_stiffness_n_per_m: Contact stiffness of a particle against a rigid shape or another surface of
             particles. Newton averages it with that of the shape, which is set to the same value.
-        passing: Pairs of a particle and a shape that do not collide, shape [pair_count, 2]. The
-            model then needs an inactive particle, which replaces those of the pairs in the solver's list.
+        passing: Pairs of a particle and a shape that do not collide, shape [pair_count, 2]. The model then needs an
+            inactive particle, and only vertices may collide.
     """
 
     def __init__(
@@ -109,42 +114,22 @@ class StepperVBD(Stepper):
         pins: Sequence[Pin] = (),
         contacts: SurfaceContacts | None = None,
         contact_stiffness_n_per_m: float = 1e3,
-        passing: NDArray[np.intp] | None = None,
+        passing: IntArray | None = None,
     ) -> None:
         surfaces = settings if isinstance(settings, SettingsVBD) else None
-        predict = surfaces is not None and surfaces.starts_from_acceleration
         contacts = contacts or SurfaceContacts()
         model.soft_contact_mu = contacts.friction
         model.soft_contact_ke = contact_stiffness_n_per_m
         model.soft_contact_kd = settings.contact_damping_n_s_per_m
-        kinematic = (
-            model.body_flags.numpy() & int(newton.BodyFlags.KINEMATIC)
-            if model.body_count
-            else np.ones(0)
-        )
-        self._integrates_bodies = bool((kinematic == 0).any())
         if model.shape_count:
             model.shape_material_ke.fill_(contact_stiffness_n_per_m)
             model.shape_material_kd.fill_(settings.contact_damping_n_s_per_m)
-        self._pipeline = None
-        if contacts.touched or self._integrates_bodies:
-            full_surface = surfaces is not None and surfaces.full_surface
-            self._pipeline = collision_pipeline(
-                model,
-                soft_contact_gap=LINE_GAP_M
-                if surfaces is None
-                else surfaces.contact_gap_m,
-                enable_rigid_soft_full_surface_contact=full_surface,
-            )
-            if passing is not None and len(passing):
-                assert not full_surface
-                _let_pass(self._pipeline, passing)
-        self._contacts = self._pipeline.contacts() if self._pipeline else None
+        self._integrates_bodies = model.body_count > model.world_count * len(driven)
         self._self_contact = surfaces if contacts.itself else None
         solver = _Solver(
             model,
             iterations=settings.iterations,
-            predict=predict,
+            predict=surfaces is not None and surfaces.starts_from_acceleration,
             friction_epsilon=settings.friction_speed_m_per_s,
             integrate_with_external_rigid_solver=not self._integrates_bodies,
             deterministic=wp.DeterministicMode.RUN_TO_RUN
@@ -153,9 +138,37 @@ class StepperVBD(Stepper):
             **_self_contact_arguments(self._self_contact),
         )
         super().__init__(model, solver, driven=driven, timestep_s=settings.timestep_s)
-        self._pinned = PinnedParticles(pins, model.device)
+        self._pipeline = None
+        if contacts.touched or self._integrates_bodies:
+            self._pipeline = newton.CollisionPipeline(
+                model,
+                soft_contact_gap=surfaces.contact_gap_m if surfaces else LINE_GAP_M,
+                enable_rigid_soft_full_surface_contact=surfaces is not None
+                and surfaces.full_surface,
+            )
+            self._let_pass(self._pipeline, passing)
+        self._contacts = self._pipeline.contacts() if self._pipeline else None
+        self._pinned = PinnedParticles(pins, self)
         self._open_graphs: list[Any] = []
         self._closed_graphs: list[Any] = []
+
+    def _let_pass(
+        self, pipeline: newton.CollisionPipeline, passing: IntArray | None
+    ) -> None:
+        """Exclude pairs of a particle and a shape from Newton's collision detection."""
+        if passing is None or not len(passing):
+            return
+        # The number of pairs is fixed, so an inactive particle, which has no contacts, replaces that of each pair.
+        model, count = self.model, self.world_count
+        active = model.particle_flags.numpy() & int(newton.ParticleFlags.ACTIVE)
+        idle = int(np.flatnonzero(active == 0)[0])
+        particles = self.in_worlds(passing[:, 0], model.particle_count // count)
+        shapes = self.in_worlds(passing[:, 1], model.shape_count // count)
+        number_of = (model.shape_count, 1)
+        excluded = np.column_stack([particles, shapes]) @ number_of
+        pairs = pipeline.soft_rigid_contact_pairs.numpy()
+        pairs[np.isin(pairs @ number_of, excluded), 0] = idle
+        pipeline.soft_rigid_contact_pairs.assign(pairs)
 
     def _step(self, state: newton.State, after: newton.State) -> None:
         # Without dynamic bodies, the solver reads the poses at both ends of the step from the two states.
@@ -180,7 +193,7 @@ class StepperVBD(Stepper):
         self.solver.particle_enable_self_contact = True
 
     def advance(self, seconds: float) -> None:
-        """Replay the recorded step, without self-contact if no surfaces can touch in this interval."""
+        """Run the steps of an interval, without self-contact if no surfaces can touch in this interval."""
         if self._self_contact is not None:
             self._graphs = (
                 self._closed_graphs if self._may_meet(seconds) else self._open_graphs
@@ -206,22 +219,6 @@ class StepperVBD(Stepper):
             info.vertex_colliding_triangles_count.numpy().any()
             or info.edge_colliding_edges_count.numpy().any()
         )
-
-
-def _let_pass(pipeline: newton.CollisionPipeline, passing: NDArray[np.intp]) -> None:
-    """Exclude pairs of a particle and a shape from Newton's collision detection."""
-    # The number of pairs is fixed, so an inactive particle, which has no contacts, replaces that of each pair.
-    model = pipeline.model
-    idle = int(
-        np.flatnonzero(
-            (model.particle_flags.numpy() & int(newton.ParticleFlags.ACTIVE)) == 0
-        )[0]
-    )
-    pairs = pipeline.soft_rigid_contact_pairs.numpy()
-    pairs[
-        np.isin(pairs @ (model.shape_count, 1), passing @ (model.shape_count, 1)), 0
-    ] = idle
-    pipeline.soft_rigid_contact_pairs.assign(pairs)
 
 
 def _self_contact_arguments(settings: SettingsVBD | None) -> dict[str, Any]:

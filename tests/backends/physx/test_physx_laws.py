@@ -110,7 +110,7 @@ def test_thin_and_round_pieces_keep_their_vertices():
         PHYSX.build(scene_of(*bodies, plane_deg(), contacts=(touch,)))
     ) as simulation:
         for one in bodies:
-            component = simulation.inner._model.parts[one.name].component
+            component = simulation._model.parts[one.name].component
             (shape,) = component.collision_shapes
             apart = (
                 np.asarray(one.shape.pieces_m[0])[:, None]
@@ -126,14 +126,17 @@ def turned_deg(plate, *, acceleration, **settings):
     support = solid("plate", plate, (0, 0, -0.01), motion=Motion.KINEMATIC)
     touch = contact("cube", "plate", friction=0.38)
     scene = scene_of(cube, support, contacts=(touch,))
-    change = np.array([acceleration, 0.0, 0.0, 0.0, 0.0, 0.0])
+    target = np.zeros((1, 19))
+    target[0, 2:4] = -0.01, 1.0
+    target[0, 13] = acceleration
     with closing(PHYSX.build(scene, settings)) as simulation:
         for sample in range(18):
             time_s = sample / 180
-            place = Pose(position_m=(0.5 * acceleration * time_s**2, 0.0, -0.01))
-            simulation.drive("plate", place, change * time_s, change)
+            target[0, 0] = 0.5 * acceleration * time_s**2
+            target[0, 7] = acceleration * time_s
+            simulation.drive("plate", target)
             simulation.advance(1 / 180)
-        quaternion = simulation.body_states(["cube"])[0, 3:7]
+        quaternion = simulation.body_states(["cube"])[0, 0, 3:7]
     turn = Rotation.from_quat(quaternion, scalar_first=True).as_rotvec()
     return abs(float(np.degrees(turn[2])))
 

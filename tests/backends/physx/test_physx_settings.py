@@ -88,7 +88,7 @@ def test_settings_reach_the_engine():
         "patch_radius_m": 0.002,
     }
     simulation = PHYSX.build(BALL, settings)
-    model = simulation.inner._model
+    model = simulation._model
     body = model.parts["ball"].component
     (shape,) = body.collision_shapes
     assert (body.solver_position_iterations, body.solver_velocity_iterations) == (7, 1)

@@ -8,29 +8,23 @@ import numpy as np
 import pytest
 from rigid import plane_deg, scene_of, solid, states
 
-from gauge_envs import Jitter, load_experiment
-from gauge_envs.runs.episodes import run_episode
-from gauge_envs.runs.request import RunRequest
+from gauge_envs import load_experiment
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2,
     Cylinder,
     Hinge,
     Pose,
 )
-from gauge_envs.scene.jitter import jittered
 
 pytest.importorskip("rapier3d")
 
 from gauge_envs.backends import backend
 from gauge_envs.backends.rapier.contacts import LARGEST_CONTACT_COUNT, collider_layers
-from gauge_envs.backends.rapier.simulation import _mean_velocities
-from gauge_envs.backends.shared.rigid import DrivenMotion
 from gauge_envs.tools.bench.parts import ball, box, contact, fixed_box
 from gauge_envs.tools.conformance import run_checks
 
 RAPIER = backend("rapier")
 G = GRAVITY_M_PER_S2
-
 
 GROUND = plane_deg()
 
@@ -224,48 +218,16 @@ def test_impulse_hinges_lose_energy_in_the_stabilization():
     )
 
 
-# --- states -----------------------------------------------------------------------------------------------------------
+# --- resets -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "acceleration", [(0.0, 0.0, 4.0), (3.0, -2.0, 5.0), (0.0, 0.0, 0.0)]
-)
-def test_velocities_of_steps_are_those_of_the_motion(acceleration):
-    motion = DrivenMotion(
-        Pose(position_m=(0.0, 0.0, 0.0)),
-        np.array([0.1, 0.2, 0.3, 0.0, 0.0, 2.0]),
-        np.array([1.0, -1.0, 2.0, *acceleration]),
-    )
-    seconds = 1 / 180
-    _, expected = motion.steps(seconds / 10, 10)
-    assert _mean_velocities(motion, seconds, 10) == pytest.approx(expected, abs=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("name", "seed"),
-    [("NonsmoothContact-1-wood", 11), ("NonsmoothContact-2-wood", 136)],
-)
-def test_a_body_that_touches_with_two_pieces_at_once_moves_as_alone(name, seed):
-    # In a shared world these two starts part from their single runs, where two pieces touch in the same step.
-    experiment = load_experiment(name)
-    scene = jittered(experiment.scene, Jitter(), seed=seed)
-    names = [body.name for body in scene.dynamic_bodies]
-    worlds, single = RAPIER.build_worlds([scene, scene]), RAPIER.build(scene)
-    for _ in range(6 * (experiment.frame_count - 1)):
-        worlds.advance(1 / 180)
-        single.advance(1 / 180)
-    for world in worlds.worlds:
-        assert (world.body_states(names) == single.body_states(names)).all()
-
-
-def test_a_world_that_fails_leaves_its_neighbours_alone():
-    worlds = RAPIER.build_worlds([dropped(0.5)] * 3)
-    alone = RAPIER.build(dropped(0.5))
-    worlds.worlds[1].apply_wrench("ball", np.array([np.nan, 0, 0, 0, 0, 0]))
-    for one in (worlds, alone):
-        one.advance(0.5)
-    assert [world.fault() is None for world in worlds.worlds] == [True, False, True]
-    assert (worlds.worlds[2].body_states(["ball"]) == alone.body_states(["ball"])).all()
+def test_a_body_whose_state_is_not_finite_has_diverged_until_a_reset():
+    simulation = RAPIER.build(dropped(0.5))
+    simulation.apply_wrench("ball", np.array([[np.nan, 0, 0, 0, 0, 0]]))
+    simulation.advance(0.1)
+    assert "'ball' is not finite" in simulation.diverged()[0]
+    simulation.reset()
+    assert simulation.diverged() == {}
 
 
 # --- settings and installation ----------------------------------------------------------------------------------------
@@ -300,8 +262,8 @@ def test_every_setting_reaches_the_engine():
     plain = PRESETS["default"]
 
     def held(settings):
-        world, (layouts,) = model.build_world([scene], settings)
-        body = world.rigid_bodies[layouts["cube"][0]]
+        world, layout = model.build_world(scene, settings)
+        body = world.rigid_bodies[layout["cube"].handle]
         return (
             world.integration_parameters.to_bytes(),
             body.ccd_enabled,
@@ -317,13 +279,13 @@ def test_every_setting_reaches_the_engine():
 
 def test_the_engine_has_the_threads_of_the_settings():
     simulation = RAPIER.build(dropped(0.5), {"threads": 2})
-    simulation.reset(0)
+    simulation.reset()
     assert simulation._world.num_threads == 2
 
 
 def _falls():
     simulation = RAPIER.build(dropped(0.5))
-    simulation.reset(0)
+    simulation.reset()
     simulation.advance(0.1)
 
 
@@ -336,15 +298,3 @@ def test_a_forked_process_builds_and_steps_worlds_after_its_parent_did():
     ended = child.exitcode
     child.kill()
     assert ended == 0
-
-
-@pytest.mark.parametrize("preset", ["default", "out_of_box"])
-@pytest.mark.parametrize(
-    "name", ["BouncingBall-rubber", "Turntable-2-wood", "NonsmoothContact-2-wood"]
-)
-def test_episodes_end(name, preset):
-    settings = {"preset": preset}
-    result = run_episode(RunRequest(name, backend="rapier", settings=settings))
-    assert result.outcome == "finished"
-    assert result.settings["preset"] == preset
-    assert "rapier3d" in result.versions
