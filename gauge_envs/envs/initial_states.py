@@ -17,6 +17,9 @@ from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.jitter import Jitter, can_scatter, perturbed_states
 from gauge_envs.scene.states import nominal_states, row_of
 
+ROUNDING = 1e-12
+"""Largest change of a state that comes from rounding [m, 1, m/s, rad/s]."""
+
 SEEDS = 2**31
 """Number of seeds that an environment draws from."""
 
@@ -36,12 +39,14 @@ class InitialState:
         drivers: Drivers of the episode.
         trial: Number of the trial that it repeats, or None.
         noise: Standard deviations of the noise; empty without.
+        is_scattered: Whether noise has moved a body.
     """
 
     states: FloatArray
     drivers: tuple[Driver, ...]
     trial: int | None = None
     noise: Mapping[str, float] = field(default_factory=dict)
+    is_scattered: bool = False
 
     @property
     def record(self) -> dict[str, float]:
@@ -158,7 +163,13 @@ class InitialStates:
             return self._nominal
         if isinstance(draw, Jitter):
             states = perturbed_states(experiment.scene, draw, seed=seed)
-            return InitialState(states, experiment.scene.drivers, noise=draw.to_dict())
+            moved = np.abs(states - self._nominal.states).max()
+            return InitialState(
+                states,
+                experiment.scene.drivers,
+                noise=draw.to_dict(),
+                is_scattered=bool(moved > ROUNDING),
+            )
         shots = shots_of(experiment)
         if draw == "real":
             assert shots is not None, "only single-shot trials have recorded starts"

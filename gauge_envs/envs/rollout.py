@@ -411,7 +411,7 @@ class Rollout:
             values=values,
             markers_m=trajectory.markers_m,
             is_checked=True,
-            is_moved=bool(self.starts and self.starts[world].noise),
+            is_moved=bool(self.starts) and self.starts[world].is_scattered,
         )
 
     # --- places for pictures ---

@@ -284,7 +284,7 @@ class GaugeVectorEnv(VectorEnv[Observation, Any, NDArray[Any]]):
                 and refusal(
                     rollout.experiment_of(world),
                     band,
-                    is_moved=bool(rollout.starts[world].noise),
+                    is_moved=rollout.starts[world].is_scattered,
                 )
                 is None
             ]

@@ -66,7 +66,7 @@ def run_episodes(request: RunRequest) -> list[Result]:
         scores = [rollout.score(world) for world in range(request.repeats)]
         return [
             _with_episode(
-                _without_run(request, experiment, seed=seed, start=start),
+                _without_run(request, experiment, seed=seed, start=start.record),
                 rollout,
                 world,
                 scores[world],
@@ -86,6 +86,16 @@ def _starts(request: RunRequest, experiment: Experiment) -> list[InitialState]:
     sampler = InitialStates(experiment, request.scatter)
     draw = sampler.of_reset(None, seeded=True)
     return [sampler.sample(draw, seed) for seed in request.seeds]
+
+
+def _start_record(
+    request: RunRequest, experiment: Experiment, seed: int
+) -> dict[str, float]:
+    """Return what a result states of a start, which may not exist."""
+    if request.scatter is not None:
+        return request.scatter.to_dict()
+    sampler = InitialStates(experiment)
+    return sampler.sample(sampler.of_reset(None, seeded=True), seed).record
 
 
 def run_request(request: RunRequest) -> list[Result]:
@@ -132,11 +142,16 @@ def results_without_run(
     calibrated = request.calibrated_experiment()
     return [
         replace(
-            _without_run(request, calibrated, seed=seed, start=start),
+            _without_run(
+                request,
+                calibrated,
+                seed=seed,
+                start=_start_record(request, calibrated, seed),
+            ),
             outcome=outcome,
             error=reason,
         )
-        for seed, start in zip(request.seeds, _starts(request, calibrated), strict=True)
+        for seed in request.seeds
     ]
 
 
@@ -154,7 +169,10 @@ def episode_result(env: gymnasium.Env[Any, Any], info: Mapping[str, Any]) -> Res
     (start,) = inner.rollout.starts
     return _with_episode(
         _without_run(
-            inner.arguments, inner.experiment, seed=inner.seed_used, start=start
+            inner.arguments,
+            inner.experiment,
+            seed=inner.seed_used,
+            start=start.record,
         ),
         inner.rollout,
         0,
@@ -168,7 +186,7 @@ def _without_run(
     experiment: Experiment,
     *,
     seed: int | None,
-    start: InitialState,
+    start: dict[str, float],
 ) -> Result:
     """Return the result of an episode that has not run.
 
@@ -176,7 +194,7 @@ def _without_run(
         arguments: Arguments of its environment.
         experiment: Its experiment, or the calibrated one if the parameters are wrong.
         seed: Seed of the episode.
-        start: Its start.
+        start: Standard deviations or trial of its start.
     """
     band = arguments.band(experiment)
     kind = Kind.NONE if band is None else band.kind
@@ -194,7 +212,7 @@ def _without_run(
         backend=arguments.backend,
         settings_given=json_ready(arguments.settings or {}),
         seed=seed,
-        jitter=start.record,
+        jitter=start,
         marker_proxy=arguments.proxy.value,
         driver_provenance=experiment.driver_provenance,
         dataset=dataset_record(

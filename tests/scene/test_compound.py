@@ -8,9 +8,9 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs import load_experiment
 from gauge_envs.backends import backend
-from gauge_envs.envs.recording import record
 from gauge_envs.backends.mujoco.model import build_model
 from gauge_envs.backends.mujoco.settings import settings_for
+from gauge_envs.envs.recording import record
 from gauge_envs.errors import ParameterError
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2,

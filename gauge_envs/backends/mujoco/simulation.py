@@ -151,17 +151,13 @@ class SimulationMuJoCo(Simulation):
     def advance(self, seconds: float) -> None:
         """Step the model in all worlds."""
         count = round(seconds / self.timestep_s)
-        if self._threads is not None:
-            # The results of the map raise the errors of its calls.
-            worlds = range(self.world_count)
-            list(self._threads.map(lambda world: self._step(world, count), worlds))
-            return
-        if self._folds is None or not self._folds.stays_apart(count * self.timestep_s):
-            self._step(0, count)
-            return
         flags = self.model.opt.disableflags
-        self.model.opt.disableflags = flags | mujoco.mjtDisableBit.mjDSBL_CONTACT
-        self._step(0, count)
+        if self._folds is not None and self._folds.stays_apart(count * self.timestep_s):
+            no_contact = mujoco.mjtDisableBit.mjDSBL_CONTACT
+            self.model.opt.disableflags = flags | no_contact
+        apply = map if self._threads is None else self._threads.map
+        # The results of the map raise the errors of its calls.
+        list(apply(lambda world: self._step(world, count), range(self.world_count)))
         self.model.opt.disableflags = flags
 
     def _step(self, world: int, count: int) -> None:
