@@ -27,7 +27,7 @@ Scatter = Jitter | bool | str | Mapping[str, float] | None
 """Noise of starts: `real`, True or a `Jitter`, or its fields as a mapping; None or False for none."""
 
 Draw = Jitter | int | Literal["real"] | None
-"""What draws a start: noise, the number of a trial, `real` for the trial that the seed selects, or None for nominal."""
+"""What draws a start: noise, the number of a trial, `real` for recorded starts in random order, or None."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +116,7 @@ class InitialStates:
         """Return the noise that an argument or an option asks for."""
         experiment = self._experiment
         if value is None or value is False:
-            return None if shots_of(experiment) is None else "real"
+            return None
         if value == "real" and shots_of(experiment) is not None:
             return "real"
         if value is True or value == "real":
@@ -159,7 +159,8 @@ class InitialStates:
             ParameterError: There is no such trial, or the experiment cannot start from trials.
         """
         experiment = self._experiment
-        if draw is None:
+        shots = shots_of(experiment)
+        if draw is None and shots is None:
             return self._nominal
         if isinstance(draw, Jitter):
             states = perturbed_states(experiment.scene, draw, seed=seed)
@@ -170,19 +171,17 @@ class InitialStates:
                 noise=draw.to_dict(),
                 is_scattered=bool(moved > ROUNDING),
             )
-        shots = shots_of(experiment)
-        if draw == "real":
-            assert shots is not None, "only single-shot trials have recorded starts"
-            trials = shots.trials()
-            draw = trials[seed % len(trials)]
         if shots is not None:
-            shot = shots.shot(draw)
+            trials = shots.trials()
+            trial = draw if isinstance(draw, int) else trials[seed % len(trials)]
+            shot = shots.shot(trial)
             states = self._nominal.states.copy()
             state = states[row_of(experiment.scene, shot.body)]
             state[:3], state[3:7] = shot.positions_m[0], shot.quaternions[0]
             state[7:10] = shot.velocity_m_per_s
             state[10:] = shot.angular_velocity_rad_per_s
-            return InitialState(states, experiment.scene.drivers, trial=draw)
+            return InitialState(states, experiment.scene.drivers, trial=trial)
+        assert isinstance(draw, int), "only single-shot trials have recorded starts"
         driven: DrivenTrial | None = driven_trial(experiment, draw)
         if driven is not None:
             return InitialState(driven.states, driven.drivers, trial=draw)

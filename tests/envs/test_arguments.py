@@ -1,4 +1,4 @@
-"""Arguments that no environment can use, environments used after `close`, and environments in threads."""
+"""Environments in threads, and their memory."""
 
 import gc
 from concurrent.futures import ThreadPoolExecutor
@@ -12,24 +12,6 @@ import gauge_envs
 from gauge_envs import GaugeEnv
 
 NAME = "SlopeSlider-2-wood"
-ID = f"GAUGE/{NAME}"
-
-
-# --- after close ---
-
-
-def test_jitter_builds_the_scene_anew_without_closing_the_environment():
-    env = gymnasium.make(ID)
-    for options in ({"jitter": True}, {"jitter": True}, {}):
-        env.reset(seed=1, options=options)
-        env.step(0)
-    envs = gymnasium.make_vec(ID, num_envs=2)
-    for options in ({"jitter": True}, {}):
-        envs.reset(seed=1, options=options)
-        envs.step([0, 0])
-
-
-# --- threads and memory ---
 
 
 def rollout(name):

@@ -21,13 +21,13 @@ def test_between_steps_a_fall_is_off_by_the_stated_error(step_s):
     fall = in_intervals(backend("mujoco").build(scene, settings), scene)
     assert fall.settings["timestep_s"] == step_s
     assert fall.settings["drive_interval_s"] == INTERVAL_S
-    start_m = fall.body_states(["ball"])[0, 2]
+    start_m = fall.body_states(["ball"])[0, 0, 2]
     errors_m = []
     for sample in range(1, 37):
         fall.advance(INTERVAL_S)
         time_s = sample * INTERVAL_S
         expected_m = start_m - 0.5 * G * time_s * (time_s + step_s)
-        errors_m.append(fall.body_states(["ball"])[0, 2] - expected_m)
+        errors_m.append(fall.body_states(["ball"])[0, 0, 2] - expected_m)
     limit_m = G * step_s**2 / 8.0
     assert 0.8 * limit_m < max(np.abs(errors_m)) < limit_m + 1e-9
     # 18 intervals are 0.1 s, a whole number of steps.
@@ -49,29 +49,11 @@ def test_a_driven_plate_is_where_its_driver_says():
 
 
 @pytest.mark.parametrize("name", ["SlopeSlider-2-wood", "TextileStretching-satin"])
-def test_an_engine_as_delivered_runs_and_continues(name):
-    """Also where another state of the episode is restored, and in worlds beside one another."""
+def test_an_engine_as_delivered_runs_in_worlds_beside_one_another(name):
     settings = AS_DELIVERED | {"integrator": "discrete"}
-    variant = f"GAUGE/{name}"
-    env = gymnasium.make(variant, settings=settings, disable_env_checker=True).unwrapped
-    action = np.zeros(env.action_space.shape, dtype=env.action_space.dtype)
-    env.reset(seed=0)
-    env.step(action)
-    state = env.simulation.state()
-    after = []
-    for _ in range(2):
-        env.simulation.restore(state)
-        env.simulation.advance(INTERVAL_S)
-        read = [
-            env.simulation.body_states(
-                [body.name for body in env.experiment.scene.bodies]
-            )
-        ]
-        read += [
-            env.simulation.nodes(one.name) for one in env.experiment.scene.deformables
-        ]
-        after.append(read)
-    assert all(map(np.array_equal, *after))
-    worlds = gymnasium.make_vec(variant, num_envs=2, settings=settings)
-    worlds.reset(seed=0)
-    assert np.isfinite(worlds.step(np.stack([action] * 2))[0]["observable"]).all()
+    envs = gymnasium.make_vec(f"GAUGE/{name}", num_envs=2, settings=settings)
+    envs.reset(seed=0)
+    action = np.zeros(envs.action_space.shape, dtype=envs.action_space.dtype)
+    first, second = envs.step(action)[0]["observable"]
+    assert np.isfinite(first).all()
+    assert first == pytest.approx(second, abs=1e-9)

@@ -10,7 +10,8 @@ from places import one_of_a_kind
 from gauge_envs import GaugeEnv, Jitter, load_experiment
 from gauge_envs.errors import ParameterError
 from gauge_envs.references.single_shot import single_shots
-from gauge_envs.scene.jitter import jittered, scattered
+from gauge_envs.scene.jitter import perturbed_states
+from gauge_envs.scene.states import nominal_states
 from gauge_envs.tools.control.tasks import control_tasks
 
 SLIDE = "GAUGE/SlopeSlider-2-wood"
@@ -65,8 +66,8 @@ def test_starts_scatter_before_and_after_autoreset(arguments, options, mode):
     # No two starts are alike, and the first ones are those of the seeds 4, 5 and 6.
     assert len(np.unique(found.reshape(-1, 3).round(6), axis=0)) == 9
     for seed, one in zip((4, 5, 6), found[0], strict=True):
-        scene = jittered(load_experiment(SLIDE).scene, Jitter(), seed=seed)
-        assert one == pytest.approx(1e3 * np.array(scene.body("cube").pose.position_m))
+        states = perturbed_states(load_experiment(SLIDE).scene, Jitter(), seed=seed)
+        assert one == pytest.approx(1e3 * states[0, :3])
     again = starts_of_episodes(envs, 3, reset, observable)
     assert np.array_equal(again, found)
     # A reset with a seed and no options takes the option back, and not the argument.
@@ -89,40 +90,33 @@ def test_worlds_start_as_single_environments_do():
     "name",
     [
         "SlopeSlider-2-wood",
-        "NonsmoothContact-1-wood",
         "BouncingBall-rubber",
         "Turntable-1-wood",
-        pytest.param("WallBreaking-wood", marks=pytest.mark.slow),
         "Pendulum-metal",
-        "StickStack-soft",
-        pytest.param("TableclothPulling-wood", marks=pytest.mark.slow),
-        "TextileFlinging-rayon",
         "RotatingBall-rayon",
+        pytest.param("WallBreaking-wood", marks=pytest.mark.slow),
+        pytest.param("TableclothPulling-wood", marks=pytest.mark.slow),
         pytest.param("Funnel-rayon", marks=pytest.mark.slow),
     ],
 )
-@pytest.mark.parametrize("speed", [0.0, 0.01], ids=["still", "pushed"])
-def test_a_world_that_starts_elsewhere_has_the_bits_of_a_new_one(name, speed):
-    scatter = Jitter(velocity_m_per_s=speed, angular_velocity_rad_per_s=speed)
-    env = GaugeEnv(name, jitter=scatter)
-    # Of a scene at rest the first push is built anew.
+def test_a_start_elsewhere_does_not_depend_on_episodes_before(name):
+    scatter = Jitter(velocity_m_per_s=0.01, angular_velocity_rad_per_s=0.01)
+    env, anew = GaugeEnv(name, jitter=scatter), GaugeEnv(name, jitter=scatter)
     env.reset(seed=5)
-    first = env.simulation
-    anew = GaugeEnv(name, jitter=scatter)
+    env.step(env.action_space.sample())
     for one in (env, anew):
         one.reset(seed=6)
         action = np.full(one.action_space.shape, 0.3, one.action_space.dtype)
         for _ in range(4):
             one.step(action)
-    assert env.simulation is first
-    assert env.trajectory().samples.tobytes() == anew.trajectory().samples.tobytes()
-    assert np.array_equal(env.trajectory().bodies, anew.trajectory().bodies)
-    # So are the bounds of divergence.
-    scene = anew.episode.experiment.scene
-    places = np.zeros((2, len(scene.dynamic_bodies), 13))
-    places[:, :1, 0] = scene.distance_limit_m * np.array([[1 - 1e-9], [1 + 1e-9]])
-    faults = [env.episode.fault_of(one) is not None for one in places]
-    assert faults == [False, places.any()]
+    first, second = env.trajectory(), anew.trajectory()
+    np.testing.assert_allclose(first.samples, second.samples, rtol=0.0, atol=1e-9)
+    # The engine starts where the sampler says.
+    states = perturbed_states(env.experiment.scene, scatter, seed=6)
+    rows = [body.name for body in env.experiment.scene.bodies]
+    recorded = [rows.index(body) for body in env.experiment.recorded]
+    np.testing.assert_allclose(first.bodies[0], states[recorded], atol=1e-9)
+    assert np.abs(states - nominal_states(env.experiment.scene)).max() > 1e-5
 
 
 def test_starts_stay_without_scatter():
@@ -143,20 +137,6 @@ def test_seeds_mean_what_gymnasium_says():
     assert np.array_equal(first, again)
     other = gym.make(SLIDE, jitter="real")
     assert not np.allclose(start_mm(other), start_mm(gym.make(SLIDE, jitter="real")))
-
-
-def test_what_is_held_is_misplaced_as_repeats_of_a_trial():
-    name = "StickStack-soft"
-    (driver,) = scattered(load_experiment(name).scene, Jitter(), seed=3).drivers
-    start = load_experiment(name).scene.body(driver.body).pose
-    for env in (gym.make(f"GAUGE/{name}", jitter="real"), gym.make(f"GAUGE/{name}")):
-        is_real = env.unwrapped.spec.kwargs.get("jitter") is not None
-        env.reset(seed=3, options=None if is_real else {"jitter": True})
-        observation, *_ = env.step(np.zeros(env.action_space.shape))
-        place_m = driver.pose(start, 1 / 30).position_m
-        assert observation["driver"][0, :3] == pytest.approx(place_m, abs=5e-5)
-        assert observation in env.observation_space
-    assert max(abs(value) for value in driver.shift_m) > 1e-4
 
 
 def test_an_option_takes_the_argument_back_until_the_next_seed():

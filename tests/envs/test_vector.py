@@ -1,4 +1,4 @@
-"""Vector environments: worlds are single environments to the bit, and scores arrive in every mode."""
+"""Vector environments: seeds, pictures, specs, and scores in every mode of autoreset."""
 
 import warnings
 
@@ -37,7 +37,7 @@ def run_to_end(envs, actions=None):
 
 def blow_up(envs, number):
     """Give a world's body a speed that nothing in the scene can give it."""
-    envs.unwrapped.worlds.worlds[number].data.qvel[0] = 900.0
+    envs.unwrapped.rollout.simulation.datas[number].qvel[0] = 900.0
 
 
 # --- native ---
@@ -118,7 +118,7 @@ def test_pictures_are_those_of_single_environments(name):
 
 def test_spec_of_a_vector_environment_rebuilds_it():
     envs = gymnasium.make_vec(
-        f"GAUGE/{RIGID}", num_envs=3, parameters={"cube.friction": np.float64(0.2)}
+        f"GAUGE/{RIGID}", num_envs=3, parameters={"cube.friction": 0.2}
     )
     again = gymnasium.make_vec(EnvSpec.from_json(envs.unwrapped.spec.to_json()))
     assert again.num_envs == 3
