@@ -10,9 +10,9 @@ from gauge_envs.backends.genesis.model import build_model, deformable_part
 from gauge_envs.backends.genesis.parts import DeformablePart
 from gauge_envs.backends.genesis.settings import SettingsGenesis
 from gauge_envs.backends.shared.rigid import (
-    CONJUGATE,
     PlacedSimulation,
     TetherSpring,
+    hinge_angle,
     later_targets,
     placed_states,
 )
@@ -20,8 +20,6 @@ from gauge_envs.backends.simulation import MaterialPoints
 from gauge_envs.scene import Motion, Scene
 from gauge_envs.scene.geometry import (
     FloatArray,
-    quaternion_products,
-    quaternion_vectors,
     rotation_matrices,
 )
 from gauge_envs.scene.states import nominal_states
@@ -79,12 +77,11 @@ class SimulationGenesis(PlacedSimulation):
             if link is None:
                 continue
             if body.name in hinges:
-                axis = np.asarray(hinges[body.name].axis)
-                turns = quaternion_products(
-                    states[:, 3:7], self._nominal[row, 3:7] * CONJUGATE
-                )
-                coordinates[:, link.q_start] = quaternion_vectors(turns) @ axis
-                velocities[:, link.dof_start] = states[:, 10:] @ axis
+                hinge = hinges[body.name]
+                coordinates[:, link.q_start] = [
+                    hinge_angle(hinge, body.pose, state) for state in states
+                ]
+                velocities[:, link.dof_start] = states[:, 10:] @ hinge.axis
                 continue
             coordinates[:, link.q_start : link.q_start + 7] = states[:, :7]
             velocities[:, link.dof_start : link.dof_start + 6] = _twists(
