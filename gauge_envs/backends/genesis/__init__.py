@@ -3,17 +3,15 @@
 The first build imports the engine and compiles its kernels, which takes up to two minutes.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from types import MappingProxyType
 from typing import Any
 
 from gauge_envs.backends.features import Feature
 from gauge_envs.backends.genesis.fabrics import pbd_constants
 from gauge_envs.backends.genesis.presets import settings_for, unsupported_features
-from gauge_envs.backends.genesis.settings import SettingsGenesis
 from gauge_envs.backends.shared.bundled import BundledBackend, check_settings
-from gauge_envs.backends.world import Simulation
-from gauge_envs.backends.worlds import Worlds
+from gauge_envs.backends.simulation import Simulation
 from gauge_envs.scene import Scene
 
 __all__ = ["BackendGenesis"]
@@ -55,29 +53,22 @@ class BackendGenesis(BundledBackend):
         self, scene: Scene, settings: Mapping[str, Any] | None = None
     ) -> Simulation:
         """Build a scene; settings are the fields of `SettingsGenesis`, or of the class of the preset's solver."""
-        chosen = _checked(scene, settings)
-        from gauge_envs.backends.genesis.simulation import SimulationGenesis
-
-        return SimulationGenesis(scene, chosen)
+        return self.build_worlds(scene, 1, settings)
 
     def build_worlds(
-        self, scenes: Sequence[Scene], settings: Mapping[str, Any] | None = None
-    ) -> Worlds:
-        """Build scenes as environments of one Genesis scene, which advance in the same step.
+        self,
+        scene: Scene,
+        world_count: int,
+        settings: Mapping[str, Any] | None = None,
+    ) -> Simulation:
+        """Build a scene in N worlds, which are environments of one Genesis scene.
 
-        Scenes with deformable bodies, and scenes that differ in more than start poses, advance one after another.
+        Worlds with deformable bodies are Genesis scenes of their own.
         """
-        chosen = _checked(scenes[0], settings)
-        from gauge_envs.backends.genesis.model import model_key
-        from gauge_envs.backends.genesis.simulation import WorldsGenesis
+        if scene.deformables and world_count > 1:
+            return super().build_worlds(scene, world_count, settings)
+        chosen = settings_for(scene, settings)
+        check_settings("Genesis", chosen, unsupported_features(scene, chosen))
+        from gauge_envs.backends.genesis.simulation import SimulationGenesis
 
-        is_rigid = not any(scene.deformables for scene in scenes)
-        if is_rigid and len({model_key(scene, chosen) for scene in scenes}) == 1:
-            return WorldsGenesis(scenes, chosen)
-        return super().build_worlds(scenes, settings)
-
-
-def _checked(scene: Scene, changes: Mapping[str, Any] | None) -> SettingsGenesis:
-    settings = settings_for(scene, changes)
-    check_settings("Genesis", settings, unsupported_features(scene, settings))
-    return settings
+        return SimulationGenesis(scene, chosen, world_count)

@@ -19,7 +19,12 @@ from numpy.typing import NDArray
 
 from gauge_envs.backends.genesis.engine import engine
 from gauge_envs.backends.genesis.fabrics import pbd_constants
-from gauge_envs.backends.genesis.parts import DeformablePart, contiguous, coupled_geoms
+from gauge_envs.backends.genesis.parts import (
+    DeformablePart,
+    Pin,
+    coupled_geoms,
+    particle_positions_m,
+)
 from gauge_envs.backends.genesis.settings import (
     CLOTH_CELL_M,
     SettingsPBD,
@@ -30,18 +35,20 @@ from gauge_envs.backends.genesis.settings import (
 )
 from gauge_envs.backends.shared.attachments import RigidAttachment, rigid_attachments
 from gauge_envs.backends.shared.bundled import replaced
-from gauge_envs.backends.shared.cloth_grid import ClothGrid, attached_vertices
-from gauge_envs.backends.shared.rigid import DrivenMotion
+from gauge_envs.backends.shared.cloth_grid import ClothGrid
 from gauge_envs.errors import ParameterError
-from gauge_envs.scene import Cloth, Motion, Scene
+from gauge_envs.scene import Cloth, Motion, Pose, Scene
 from gauge_envs.scene.fabrics import Fabric
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import FloatArray, IntArray
 
 ROOM_M = 20.0
 """Distance from the cloth to the walls of the domain, which every Genesis particle has [m]."""
 
 HASH_CELLS = 16
 """Cells of the hash grid along each axis. The grid repeats itself, and its clearing would dominate the cost."""
+
+EDGE_SHARE = 1e-4
+"""Distance from an attached region at which a particle belongs to it, over the size of the cloth."""
 
 
 class _Sheet:
@@ -52,8 +59,7 @@ class _Sheet:
         grid: Its regular mesh.
         rest_m: World positions of the particles at the start [m], shape [particle_count, 3].
         entity: Its entity in the Genesis scene.
-        attachments: Its attached regions.
-        attached: Attachment of each held particle, by index.
+        clamped: Particles of each attached region, a partition of all attached ones.
     """
 
     def __init__(
@@ -67,19 +73,16 @@ class _Sheet:
         self.grid = ClothGrid(cloth, cell_m)
         self.rest_m = self.grid.rest_m
         self.entity: Any = None
-        self.attached: dict[int, RigidAttachment] = {}
-        self.attachments = attachments
+        self.clamped: list[tuple[RigidAttachment, IntArray]] = []
+        self._attachments = attachments
         self._settings = settings
 
     @property
-    def particles(self) -> slice:
-        """Its particles in the solver."""
-        return slice(
-            self.entity._particle_start,
-            self.entity._particle_start + self.entity.n_particles,
-        )
+    def fixed(self) -> list[int]:
+        """All attached particles."""
+        return [particle for _, rows in self.clamped for particle in rows.tolist()]
 
-    def add(self, scene: Any, folder: Path) -> None:
+    def add(self, model: Any, folder: Path) -> None:
         """Add the entity to a scene that is not built."""
         gs, settings = engine(), self._settings
         nominal = pbd_constants(Fabric.of(self.cloth)).constants
@@ -94,65 +97,65 @@ class _Sheet:
             air_resistance=settings.air_resistance,
         )
         path = folder / f"{self.cloth.name}.obj"
-        trimesh.Trimesh(self.rest_m, self.grid.triangles, process=False).export(
-            path, digits=17
-        )
+        mesh = trimesh.Trimesh(self.rest_m, self.grid.triangles, process=False)
+        mesh.export(path, digits=17)
         is_grid = settings.mesh == "grid"
         from genesis.engine.mesh import Mesh
 
         with replaced(Mesh, remesh=(lambda *_, **__: None) if is_grid else Mesh.remesh):
-            self.entity = scene.add_entity(
+            self.entity = model.add_entity(
                 material=material, morph=gs.morphs.Mesh(file=str(path))
             )
-        if not is_grid:
+        if is_grid:
+            springs = grid_springs(self.grid)
+            ends = self.grid.plane_m[springs]
+            lengths_m = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+            self.entity._edges = springs.astype(gs.np_int)
+            self.entity._edges_len_rest = lengths_m.astype(gs.np_float)
+            self.entity._particles = self.rest_m.astype(gs.np_float)
+        else:
             self.rest_m = np.asarray(self.entity._particles, dtype=np.float64)
-            self.attached = self._held_by_place()
-            return
-        springs = grid_springs(self.grid)
-        ends = self.grid.plane_m[springs]
-        self.entity._edges = springs.astype(gs.np_int)
-        self.entity._edges_len_rest = np.linalg.norm(
-            ends[:, 1] - ends[:, 0], axis=1
-        ).astype(gs.np_float)
-        self.entity._particles = self.rest_m.astype(gs.np_float)
-        self.attached = attached_vertices(self.grid, self.cloth, self.attachments)
+        self._clamp()
 
-    def _held_by_place(self) -> dict[int, RigidAttachment]:
-        """Return the attachment of each particle of a mesh of any shape that lies in an attached region."""
-        attached: dict[int, RigidAttachment] = {}
-        local = self.cloth.pose.to_body(self.rest_m)
-        for attachment in reversed(self.attachments):
+    def _clamp(self) -> None:
+        """Find the particles of each attached region; the first region of several counts."""
+        local_m = self.cloth.pose.to_body(self.rest_m)
+        is_free = np.ones(len(local_m), dtype=bool)
+        for attachment in self._attachments:
             axis = "xy".index(attachment.region.axis)
-            size = self.cloth.size_m[axis]
-            low = local[:, axis] + 0.5 * size
-            inward = low if attachment.region.side == "low" else size - low
-            inside = np.flatnonzero(inward <= attachment.region.depth_m + 1e-4 * size)
-            attached |= dict.fromkeys(inside.tolist(), attachment)
-        return attached
+            size_m = self.cloth.size_m[axis]
+            from_low_m = local_m[:, axis] + 0.5 * size_m
+            is_low = attachment.region.side == "low"
+            inward_m = from_low_m if is_low else size_m - from_low_m
+            inside = inward_m <= attachment.region.depth_m + EDGE_SHARE * size_m
+            self.clamped.append((attachment, np.flatnonzero(inside & is_free)))
+            is_free &= ~inside
 
     def masses_kg(self) -> FloatArray:
         """Return the masses of the particles [kg]: the area around each on a grid, equal ones otherwise."""
         if self._settings.mesh == "remeshed":
             count = len(self.rest_m)
-            area = self.cloth.size_m[0] * self.cloth.size_m[1]
-            return np.full(count, self.cloth.areal_density_kg_per_m2 * area / count)
-        return self.cloth.areal_density_kg_per_m2 * self.grid.vertex_areas_m2()
+            areas_m2 = np.full(
+                count, self.cloth.size_m[0] * self.cloth.size_m[1] / count
+            )
+        else:
+            areas_m2 = self.grid.vertex_areas_m2()
+        return self.cloth.areal_density_kg_per_m2 * areas_m2
 
     def spring_compliances(self) -> FloatArray:
         """Return the compliance of each spring [m/N], shape [spring_count]."""
         springs = np.asarray(self.entity._edges, dtype=np.intp)
         if self._settings.stiffness == "nominal":
             return np.full(len(springs), 1.0 / self.cloth.stretch_stiffness_n_per_m)
-        lag = (
-            inverse_masses(self.masses_kg(), self.attached)[springs].sum(axis=1)
-            * self._settings.timestep_s**2
-        )
-        compliances = 1.0 / grid_stiffnesses(self.cloth, self.grid, springs) - lag
+        step_s = self._settings.timestep_s
+        inverse = inverse_masses(self.masses_kg(), self.fixed)[springs].sum(axis=1)
+        stiffnesses = grid_stiffnesses(self.cloth, self.grid, springs)
+        compliances = 1.0 / stiffnesses - inverse * step_s**2
         if np.any(compliances <= 0.0):
             raise ParameterError(
-                f"Genesis setting 'timestep_s' is {self._settings.timestep_s:.4g} s, and a spring of cloth "
-                f"{self.cloth.name!r} with cells of {1e3 * max(self.grid.cell_m):.4g} mm would close in less than one "
-                "step: choose a smaller timestep_s or a larger cell_m"
+                f"Genesis setting 'timestep_s' is {step_s:.4g} s, and a spring of cloth {self.cloth.name!r} with cells "
+                f"of {1e3 * max(self.grid.cell_m):.4g} mm would close in less than one step: choose a smaller "
+                "timestep_s or a larger cell_m"
             )
         return compliances
 
@@ -162,7 +165,7 @@ class ClothPart(DeformablePart):
 
     def __init__(self, scene: Scene, settings: SettingsPBD) -> None:
         cloths = [body for body in scene.deformables if isinstance(body, Cloth)]
-        super().__init__(scene, settings, [cloth.name for cloth in cloths])
+        super().__init__(scene, [cloth.name for cloth in cloths])
         self._settings = settings
         self._cell_m = settings.cell_m or (
             cloth_cell_m(scene) if settings.mesh == "grid" else CLOTH_CELL_M
@@ -182,11 +185,10 @@ class ClothPart(DeformablePart):
         gs, settings = engine(), self._settings
         points = np.concatenate([sheet.rest_m for sheet in self._sheets.values()])
         hash_cell_m = max(1.25 * self._size_m, self._cell_m)
+        is_remeshed = settings.mesh == "remeshed"
         return {
             "pbd_options": gs.options.PBDOptions(
-                particle_size=settings.cell_m
-                if settings.mesh == "remeshed"
-                else self._size_m,
+                particle_size=settings.cell_m if is_remeshed else self._size_m,
                 hash_grid_cell_size=hash_cell_m,
                 hash_grid_res=(HASH_CELLS * hash_cell_m,) * 3,
                 max_stretch_solver_iterations=settings.stretch_iterations,
@@ -200,63 +202,56 @@ class ClothPart(DeformablePart):
             ),
         }
 
-    def add(self, scene: Any) -> None:
+    def add(self, model: Any) -> None:
         """Add the entities."""
-        super().add(scene)
+        super().add(model)
         with tempfile.TemporaryDirectory() as folder:
             for sheet in self._sheets.values():
-                sheet.add(scene, Path(folder))
+                sheet.add(model, Path(folder))
 
-    def finish(self, scene: Any) -> None:
+    def finish(self, model: Any) -> None:
         """Set masses, compliances and held particles, and place the kernels around those of the solver."""
         from gauge_envs.backends.genesis.kernels import PBDKernels
 
         gs, settings = engine(), self._settings
-        solver = scene.sim.pbd_solver
+        solver = model.sim.pbd_solver
         sheets = list(self._sheets.values())
         masses = np.concatenate([sheet.masses_kg() for sheet in sheets])
         solver.particles_info.mass.from_numpy(masses.astype(gs.np_float))
         compliances = np.concatenate([sheet.spring_compliances() for sheet in sheets])
         solver.edges_info.stretch_compliance.from_numpy(compliances.astype(gs.np_float))
-        self._kernels = kernels = PBDKernels(scene)
+        kernels = PBDKernels(model)
         if settings.exact_hinges and solver.n_inner_edges:
-            bend = [
-                np.full(
-                    s.entity.n_inner_edges, 1.0 / s.cloth.bend_stiffness_n_m_per_rad
-                )
-                for s in sheets
-            ]
-            kernels.set_compliance(np.concatenate(bend))
+            counts = [sheet.entity.n_inner_edges for sheet in sheets]
+            bend = [1.0 / sheet.cloth.bend_stiffness_n_m_per_rad for sheet in sheets]
+            kernels.set_compliance(np.repeat(bend, counts))
             _call_before(solver, "_kernel_solve_bending", kernels.exact_hinges)
         if settings.body_friction and self.touches():
-            self._add_friction(scene)
-        cloths = set(self.names)
-        touch = any(
-            cloths & {*contact.first} and cloths & {*contact.second}
-            for contact in self._scene.contacts
-        )
-        if settings.self_contact == "scene" and not touch:
+            self._add_friction(model, kernels)
+        if settings.self_contact == "scene" and not self._touches_itself():
             # Genesis always collides particles, which takes more than a third of a step.
             solver._kernel_solve_collision = lambda _: None
         for sheet in sheets:
-            if sheet.attached:
-                sheet.entity.fix_particles(np.array(list(sheet.attached)))
-            for attachment in sheet.attachments:
-                rows = np.array(
-                    [index for index, by in sheet.attached.items() if by is attachment],
-                    dtype=np.intp,
-                )
-                if attachment.motion is Motion.KINEMATIC:
-                    self.pin(
-                        attachment, sheet.particles.start + rows, sheet.rest_m[rows]
-                    )
-        self._start = self.state()
+            if sheet.fixed:
+                sheet.entity.fix_particles(sheet.fixed)
+            for attachment, rows in sheet.clamped:
+                if attachment.motion is Motion.KINEMATIC and len(rows):
+                    places_m = attachment.pose.to_body(sheet.rest_m[rows])
+                    self._pins.append(Pin(sheet.entity, rows, attachment, places_m))
 
-    def _add_friction(self, scene: Any) -> None:
+    def _touches_itself(self) -> bool:
+        """Return whether a contact of the scene is between cloth and cloth."""
+        cloths = set(self.names)
+        return any(
+            cloths & {*contact.first} and cloths & {*contact.second}
+            for contact in self._scene.contacts
+        )
+
+    def _add_friction(self, model: Any, kernels: Any) -> None:
         """Apply friction after the kernel that moves particles out of rigid bodies."""
-        kernels, coupler = self._kernels, scene.sim.coupler
-        friction = np.zeros(scene.sim.rigid_solver.n_geoms)
-        for geom, value in coupled_geoms(scene, self._scene, self.touches()):
+        coupler = model.sim.coupler
+        friction = np.zeros(model.sim.rigid_solver.n_geoms)
+        for geom, value in coupled_geoms(model, self._scene, self.touches()):
             friction[geom.idx] = value
         kernels.set_friction(friction)
         collide = coupler.kernel_pbd_rigid_collide
@@ -273,20 +268,29 @@ class ClothPart(DeformablePart):
 
         coupler.kernel_pbd_rigid_collide = collide_and_rub
 
-    def plan(
-        self,
-        rows: NDArray[np.int32],
-        motion: DrivenMotion,
-        path_m: NDArray[Any],
-        times_s: NDArray[Any],
-    ) -> tuple[NDArray[Any], ...]:
+    def reset(self, starts: FloatArray) -> None:
+        """Place the cloths that nothing clamps."""
+        for sheet, start in zip(self._sheets.values(), starts, strict=True):
+            if not sheet.fixed:
+                x, y, z, qw, qx, qy, qz = start[:7].tolist()
+                pose = Pose(position_m=(x, y, z), quaternion=(qw, qx, qy, qz))
+                local_m = sheet.cloth.pose.to_body(sheet.rest_m)
+                sheet.entity.set_particles_pos(pose.to_world(local_m))
+
+    def pin_motion(
+        self, pin: Pin, path_m: FloatArray, spin: FloatArray
+    ) -> tuple[FloatArray, ...]:
         """Place the particles, and return the velocities that take them along with their body in each step."""
-        self._kernels.place(rows, contiguous(path_m[0]))
+        pin.entity.set_particles_pos(path_m[0], pin.nodes)
         return (np.diff(path_m, axis=0) / self._settings.timestep_s,)
+
+    def hold_pin(self, pin: Pin, *arrays: NDArray[Any]) -> None:
+        """Give the particles their velocities."""
+        pin.entity.set_particles_vel(*arrays, pin.nodes)
 
     def nodes(self, name: str) -> FloatArray:
         """Return the positions of a cloth's particles [m], shape [particle_count, 3]."""
-        return self._positions(self._sheets[name].particles)
+        return particle_positions_m(self._sheets[name].entity)
 
 
 def _call_before(owner: Any, method: str, function: Any) -> None:

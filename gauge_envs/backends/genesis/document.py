@@ -6,8 +6,8 @@ constants in its contacts. Both geoms of a pair have the same constants, so both
 bits let each pair collide with its own.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from functools import cache
 from math import pi
 from typing import Any
@@ -254,7 +254,10 @@ def document(
         if body.motion is not Motion.FIXED:
             hinge = scene.hinges.get(body.name)
             parent, pose = _add_body(world, index, body, hinge, settings), ORIGIN
-        copies = list(layers.get(body.name, {}).items())
+        copies = [
+            (body.shape, constants, layer)
+            for constants, layer in layers.get(body.name, {}).items()
+        ]
         friction = (coupled or {}).get(body.name)
         if friction is not None:
             inert = Constants(
@@ -262,34 +265,28 @@ def document(
                 (settings.sustained_timeconst_s, 1.0),
                 (0.9, 0.95, 0.001),
             )
-            coupling = (inert, Layer(accepts=COUPLED_BIT))
-            if margin_m > 0.0 and isinstance(body.shape, Box | Sphere | Cylinder):
-                _add_geoms(
-                    parent,
-                    asset,
-                    index,
-                    replace(body, shape=_enlarged(body.shape, margin_m)),
-                    pose,
-                    [coupling],
-                )
-            else:
-                copies.insert(0, coupling)
-        _add_geoms(parent, asset, index, body, pose, copies)
+            shape = _enlarged(body.shape, margin_m)
+            copies.insert(0, (shape, inert, Layer(accepts=COUPLED_BIT)))
+        label = body_label(index)
+        if isinstance(body.shape, ConvexUnion):
+            for number, piece in enumerate(body.shape.pieces_m):
+                _add(asset, "mesh", name=f"{label}/{number}", vertex=piece)
+        for number, (shape, constants, layer) in enumerate(copies):
+            _add_geoms(parent, f"{label}/{number}", shape, pose, constants, layer)
     return ElementTree.tostring(root, encoding="unicode")
 
 
-def _enlarged(
-    shape: Box | Sphere | Cylinder, margin_m: float
-) -> Box | Sphere | Cylinder:
-    """Return a shape whose surface is farther outside [m]."""
+def _enlarged(shape: Shape, margin_m: float) -> Shape:
+    """Return a box, sphere or cylinder whose surface is farther outside [m], and other shapes as they are."""
     if isinstance(shape, Box):
         x, y, z = (edge + 2.0 * margin_m for edge in shape.size_m)
         return Box(size_m=(x, y, z))
     if isinstance(shape, Sphere):
         return Sphere(radius_m=shape.radius_m + margin_m)
-    return Cylinder(
-        radius_m=shape.radius_m + margin_m, length_m=shape.length_m + 2.0 * margin_m
-    )
+    if isinstance(shape, Cylinder):
+        length_m = shape.length_m + 2.0 * margin_m
+        return Cylinder(radius_m=shape.radius_m + margin_m, length_m=length_m)
+    return shape
 
 
 def _add(
@@ -364,45 +361,42 @@ def reach_m(body: RigidBody) -> float:
 
 def _add_geoms(
     parent: ElementTree.Element,
-    asset: ElementTree.Element,
-    index: int,
-    body: RigidBody,
+    name: str,
+    shape: Shape,
     pose: Pose,
-    copies: Iterable[tuple[Constants, Layer]],
+    constants: Constants,
+    layer: Layer,
 ) -> None:
-    shapes = [_primitive(body.shape)]
-    if isinstance(body.shape, ConvexUnion):
-        labels = [
-            f"{body_label(index)}/{number}"
-            for number in range(len(body.shape.pieces_m))
-        ]
-        shapes = [{"type": "mesh", "mesh": label} for label in labels]
-        for label, piece in zip(labels, body.shape.pieces_m, strict=True):
-            _add(asset, "mesh", name=label, vertex=piece)
-    for constants, layer in copies:
-        for shape in shapes:
-            _add(
-                parent,
-                "geom",
-                **shape,
-                pos=pose.position_m,
-                quat=pose.quaternion,
-                contype=layer.offers,
-                conaffinity=layer.accepts,
-                friction=(constants.friction, *constants.turning),
-                condim=6 if constants.turning[1] else 4 if constants.turning[0] else 3,
-                solref=constants.solref,
-                solimp=constants.solimp,
-                # Geoms of this group are not rendered.
-                group="3",
-            )
+    """Add a geom for each piece of a shape; their names begin with that of the body."""
+    for number, geometry in enumerate(_geometries(name.partition("/")[0], shape)):
+        _add(
+            parent,
+            "geom",
+            name=f"{name}/{number}",
+            **geometry,
+            pos=pose.position_m,
+            quat=pose.quaternion,
+            contype=layer.offers,
+            conaffinity=layer.accepts,
+            friction=(constants.friction, *constants.turning),
+            condim=6 if constants.turning[1] else 4 if constants.turning[0] else 3,
+            solref=constants.solref,
+            solimp=constants.solimp,
+            # Geoms of this group are not rendered.
+            group="3",
+        )
 
 
-def _primitive(shape: Shape) -> dict[str, Any]:
+def _geometries(label: str, shape: Shape) -> list[dict[str, Any]]:
+    """Return the attributes of geoms for the pieces of a shape of a body, most of which are one piece."""
+    if isinstance(shape, ConvexUnion):
+        pieces = range(len(shape.pieces_m))
+        return [{"type": "mesh", "mesh": f"{label}/{number}"} for number in pieces]
     if isinstance(shape, Box):
-        return {"type": "box", "size": [0.5 * edge for edge in shape.size_m]}
+        return [{"type": "box", "size": [0.5 * edge for edge in shape.size_m]}]
     if isinstance(shape, Sphere):
-        return {"type": "sphere", "size": shape.radius_m}
+        return [{"type": "sphere", "size": shape.radius_m}]
     if isinstance(shape, Cylinder):
-        return {"type": "cylinder", "size": [shape.radius_m, 0.5 * shape.length_m]}
-    return {"type": "plane", "size": "0 0 1"}
+        size_m = [shape.radius_m, 0.5 * shape.length_m]
+        return [{"type": "cylinder", "size": size_m}]
+    return [{"type": "plane", "size": "0 0 1"}]

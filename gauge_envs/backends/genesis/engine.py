@@ -6,12 +6,11 @@ import logging
 import os
 import sys
 import threading
-import time
 import warnings
 from collections.abc import Iterator
 from functools import cache
 from typing import Any
-from weakref import WeakSet
+from weakref import WeakKeyDictionary
 
 from gauge_envs.errors import BackendError
 
@@ -19,6 +18,9 @@ LOGGER = logging.getLogger("gauge_envs.genesis")
 
 PATIENCE_S = 5.0
 """Duration of a build after which a note says what it waits for [s]."""
+
+_PRECISIONS: WeakKeyDictionary[Any, int] = WeakKeyDictionary()
+"""Precision of each simulation that exists [bits]."""
 
 
 @cache
@@ -36,43 +38,42 @@ def engine() -> Any:
     return genesis
 
 
-class EngineLease:
-    """A claim on Genesis, which has one precision per process while a scene exists.
+def claim(owner: object, precision: int) -> None:
+    """Start Genesis for a simulation, which keeps it from starting in another precision.
 
     Args:
+        owner: The simulation. Its claim ends with `release`, or when nothing uses it.
         precision: Bits of floating-point numbers, 32 or 64.
+
+    Raises:
+        BackendError: A simulation with the other precision exists.
     """
-
-    def __init__(self, precision: int) -> None:
-        self.precision = precision
-        if any(lease.precision != precision for lease in _LEASES):
-            # A cycle of references may still hold a simulation that nothing uses.
-            gc.collect()
-        if any(lease.precision != precision for lease in _LEASES):
-            raise BackendError(
-                f"Genesis has one precision per process, and a simulation with {96 - precision} bits exists. A "
-                f"simulation with {precision} bits cannot start beside it. Close the other one first, set precision to "
-                "the same value, or use another process."
-            )
-        _start(precision)
-        _LEASES.add(self)
-
-    def release(self) -> None:
-        """Give up the claim."""
-        _LEASES.discard(self)
-
-
-_LEASES: WeakSet[EngineLease] = WeakSet()
-
-
-def _start(precision: int) -> None:
+    if set(_PRECISIONS.values()) - {precision}:
+        # A cycle of references may still hold a simulation that nothing uses.
+        gc.collect()
+    if set(_PRECISIONS.values()) - {precision}:
+        raise BackendError(
+            f"Genesis has one precision per process, and a simulation with {96 - precision} bits exists. A "
+            f"simulation with {precision} bits cannot start beside it. Close the other one first, set precision to "
+            "the same value, or use another process."
+        )
     gs = engine()
-    if gs.backend is not None:
-        if gs.np_float().itemsize * 8 == precision:
-            return
+    if gs.backend is not None and gs.np_float().itemsize * 8 != precision:
         gs.destroy()
-    with _quiet():
-        gs.init(backend=gs.cpu, precision=str(precision), logging_level="error", seed=0)
+    if gs.backend is None:
+        with _quiet():
+            gs.init(
+                backend=gs.cpu,
+                precision=str(precision),
+                logging_level="error",
+                seed=0,
+            )
+    _PRECISIONS[owner] = precision
+
+
+def release(owner: object) -> None:
+    """End the claim of a simulation."""
+    _PRECISIONS.pop(owner, None)
 
 
 @contextlib.contextmanager
@@ -84,29 +85,18 @@ def _quiet() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def patient(work: str) -> Iterator[None]:
-    """Say on stderr what a long step waits for, unless it is over within `PATIENCE_S`.
-
-    Args:
-        work: What happens, as `building a scene`.
-    """
-
-    def say() -> None:
-        folder = os.environ.get("QD_OFFLINE_CACHE_FILE_PATH", "~/.cache/quadrants")
-        LOGGER.warning(
-            "Genesis is %s: it compiles kernels, which takes up to two minutes the first time. It keeps them in %s.",
-            work,
-            folder,
-        )
-
-    timer = threading.Timer(PATIENCE_S, say)
+def patient_build() -> Iterator[None]:
+    """Build a scene quietly, but say on stderr what it waits for if it takes more than `PATIENCE_S`."""
+    folder = os.environ.get("QD_OFFLINE_CACHE_FILE_PATH", "~/.cache/quadrants")
+    note = (
+        "Genesis is building a scene: it compiles kernels, which takes up to two minutes the first time. It keeps them "
+        f"in {folder}."
+    )
+    timer = threading.Timer(PATIENCE_S, LOGGER.warning, [note])
     timer.daemon = True
-    start = time.monotonic()
     timer.start()
     try:
         with _quiet():
             yield
     finally:
         timer.cancel()
-        if time.monotonic() - start > PATIENCE_S:
-            LOGGER.warning("Genesis was %s for %.0f s", work, time.monotonic() - start)

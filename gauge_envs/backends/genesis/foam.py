@@ -8,7 +8,7 @@ last one that they move.
 
 import tempfile
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from math import ceil
 from pathlib import Path
 from typing import Any
@@ -16,10 +16,14 @@ from typing import Any
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
-from scipy.sparse import csr_matrix
 
 from gauge_envs.backends.genesis.engine import engine
-from gauge_envs.backends.genesis.parts import DeformablePart, coupled_geoms
+from gauge_envs.backends.genesis.parts import (
+    DeformablePart,
+    Pin,
+    coupled_geoms,
+    particle_positions_m,
+)
 from gauge_envs.backends.genesis.settings import (
     COURANT_LIMIT,
     SOFT_CELL_M,
@@ -30,7 +34,6 @@ from gauge_envs.backends.genesis.settings import (
 )
 from gauge_envs.backends.shared.bundled import replaced
 from gauge_envs.backends.shared.cells import grid_points
-from gauge_envs.backends.shared.rigid import DrivenMotion
 from gauge_envs.backends.shared.soft_rows import (
     SoftRow,
     TetrahedralMesh,
@@ -40,6 +43,7 @@ from gauge_envs.backends.shared.soft_rows import (
     points_in_box_m,
     soft_rows,
 )
+from gauge_envs.backends.simulation import MaterialPoints
 from gauge_envs.scene import Motion, Scene, SoftBody
 from gauge_envs.scene.geometry import FloatArray, IntArray
 
@@ -62,28 +66,40 @@ WALL_SLACK = 1e-3
 """Distance from a wall at which a point counts as stopped by it, in voxels."""
 
 
+Weights = tuple[IntArray, FloatArray]
+"""Nodes or points around each place and their weights in it, both of shape [place_count, weight_count]."""
+
+
 class _Row(ABC):
     """One soft row among the nodes or points of a solver.
 
     Attributes:
         soft_row: The soft row.
         nodes_of: Indices of each body's nodes among those of `nodes_m`, by name.
-        start: Its first node or point in the solver.
-        count: Number of its nodes or points.
+        entities: Its entities in the Genesis scene.
     """
 
-    soft_row: SoftRow
-    nodes_of: dict[str, IntArray]
-    start: int
-    count: int
+    def __init__(self, soft_row: SoftRow, nodes_m: FloatArray) -> None:
+        self.soft_row = soft_row
+        self.nodes_of = soft_row.nodes_of(nodes_m)
+        self.entities: list[Any] = []
 
     @abstractmethod
-    def nodes_m(self, positions_m: FloatArray) -> FloatArray:
-        """Return the nodes [m], shape [node_count, 3], given what the solver moves [m], shape [count, 3]."""
+    def positions_m(self) -> FloatArray:
+        """Return the current positions of what the solver moves [m], shape [count, 3]."""
 
     @abstractmethod
-    def reader(self, points_m: FloatArray) -> Callable[[FloatArray], Any]:
-        """Return a function of what the solver moves that returns the positions of material points [m]."""
+    def nodes_m(self) -> FloatArray:
+        """Return the current positions of the nodes [m], shape [node_count, 3]."""
+
+    @abstractmethod
+    def weights(self, places_m: FloatArray) -> Weights:
+        """Return the weights of `positions_m` in places at the start [m], shape [place_count, 3]."""
+
+    def places_m(self, weights: Weights) -> FloatArray:
+        """Return the current positions of places with some weights [m], shape [place_count, 3]."""
+        indices, shares = weights
+        return np.asarray(np.einsum("pk,pki->pi", shares, self.positions_m()[indices]))
 
 
 class SoftPart(DeformablePart):
@@ -95,78 +111,74 @@ class SoftPart(DeformablePart):
     def __init__(
         self, scene: Scene, settings: SettingsFEM | SettingsMPM, rows: Sequence[_Row]
     ) -> None:
-        self._rows = {name: row for row in rows for name in row.soft_row.names}
+        self._row_of = {name: row for row in rows for name in row.soft_row.names}
         self._softness_m = settings.contact_softness_m
-        super().__init__(scene, settings, list(self._rows))
+        super().__init__(scene, list(self._row_of))
 
-    def add(self, scene: Any) -> None:
+    def add(self, model: Any) -> None:
         """Set how rigid bodies act on the velocities of nodes and of a grid; they have no restitution."""
-        super().add(scene)
-        for geom, friction in coupled_geoms(scene, self._scene, self.touches()):
-            geom._coup_friction, geom._coup_restitution, geom._coup_softness = (
-                friction,
-                0.0,
-                self._softness_m,
-            )
+        super().add(model)
+        for geom, friction in coupled_geoms(model, self._scene, self.touches()):
+            geom._coup_friction = friction
+            geom._coup_restitution = 0.0
+            geom._coup_softness = self._softness_m
 
     def nodes(self, name: str) -> FloatArray:
         """Return the positions of a body's nodes [m], shape [node_count, 3]; bonded faces belong to both bodies."""
-        row = self._rows[name]
-        return row.nodes_m(self._moved(row))[row.nodes_of[name]]
+        row = self._row_of[name]
+        return row.nodes_m()[row.nodes_of[name]]
 
-    def track(self, name: str, points_m: FloatArray) -> Callable[[], FloatArray] | None:
-        """Return a reader of material points; see `World.track`."""
-        row = self._rows[name]
-        read = row.reader(row.soft_row.checked(np.asarray(points_m, dtype=np.float64)))
-        return lambda: np.asarray(read(self._moved(row)))
-
-    def _moved(self, row: _Row) -> FloatArray:
-        return self._positions(slice(row.start, row.start + row.count))
+    def track(self, name: str, points_m: FloatArray) -> MaterialPoints | None:
+        """Return a reader of material points; see `Simulation.track`."""
+        row = self._row_of[name]
+        weights = row.weights(row.soft_row.checked(np.asarray(points_m, np.float64)))
+        return lambda: row.places_m(weights)[None]
 
 
 # --- finite elements -------------------------------------------------------------------------------------------------
 
 
 class _FEMRow(_Row):
-    """One soft row among the nodes.
+    """One soft row among the nodes, which is one entity.
 
     Attributes:
         mesh: Its tetrahedra.
     """
 
     def __init__(self, soft_row: SoftRow, cell_m: float) -> None:
-        self.soft_row = soft_row
         self.mesh = TetrahedralMesh.of(soft_row, [], cell_m)
-        self.nodes_of = soft_row.nodes_of(self.mesh.points_m)
-        self.count = len(self.mesh.points_m)
+        super().__init__(soft_row, self.mesh.points_m)
 
-    def nodes_m(self, positions_m: FloatArray) -> FloatArray:
-        """Return the nodes of the mesh."""
-        return positions_m
+    def positions_m(self) -> FloatArray:
+        """Return the positions of the nodes of the mesh."""
+        positions: FloatArray = self.entities[0].get_state().pos[0].numpy()
+        return positions.astype(np.float64)
 
-    def reader(self, points_m: FloatArray) -> Callable[[FloatArray], Any]:
-        """Return a function that interpolates linearly in each tetrahedron, as the elements do."""
-        corners, weights = self.mesh.weights(points_m)
-        return lambda positions: np.einsum("pk,pki->pi", weights, positions[corners])
+    def nodes_m(self) -> FloatArray:
+        """Return the positions of the nodes of the mesh."""
+        return self.positions_m()
 
-    def add(self, scene: Any, folder: Path) -> Any:
-        """Add the entity to a scene that is not built, and return it; `finish` writes the constants of each block."""
+    def weights(self, places_m: FloatArray) -> Weights:
+        """Return the weights of linear interpolation in each tetrahedron, as in the elements."""
+        return self.mesh.weights(places_m)
+
+    def add(self, model: Any, folder: Path) -> None:
+        """Add the entity to a scene that is not built; `finish` writes the constants of each block."""
         gs = engine()
         block = self.soft_row.blocks[0]
+        points_m, tetrahedra = self.mesh.points_m, self.mesh.tetrahedra
         path = folder / f"{block.body.name}.obj"
-        trimesh.Trimesh(self.mesh.points_m, self.mesh.surface(), process=False).export(
-            path, digits=17
-        )
+        surface = trimesh.Trimesh(points_m, self.mesh.surface(), process=False)
+        surface.export(path, digits=17)
         from genesis.utils import element
 
         # Genesis takes the elements of the mesh instead of making its own.
-        made = (self.mesh.points_m.copy(), self.mesh.tetrahedra.copy())
         given = {
-            "mesh_to_elements": lambda *_, **__: made,
+            "mesh_to_elements": lambda *_, **__: (points_m.copy(), tetrahedra.copy()),
             "split_all_surface_tets": lambda *mesh: mesh,
         }
         with replaced(element, **given):
-            return scene.add_entity(
+            entity = model.add_entity(
                 material=gs.materials.FEM.Elastic(
                     E=block.body.young_modulus_pa,
                     nu=block.body.poisson_ratio,
@@ -175,6 +187,7 @@ class _FEMRow(_Row):
                 ),
                 morph=gs.morphs.Mesh(file=str(path)),
             )
+        self.entities.append(entity)
 
 
 class FEMPart(SoftPart):
@@ -182,10 +195,10 @@ class FEMPart(SoftPart):
 
     def __init__(self, scene: Scene, settings: SettingsFEM) -> None:
         self._settings = settings
-        self._unique = [
+        self._rows = [
             _FEMRow(row, settings.cell_m or SOFT_CELL_M) for row in soft_rows(scene)
         ]
-        super().__init__(scene, settings, self._unique)
+        super().__init__(scene, settings, self._rows)
 
     def scene_options(self) -> dict[str, Any]:
         """Return the options of the FEM solver and of the coupling."""
@@ -210,36 +223,31 @@ class FEMPart(SoftPart):
         """Return by how much the geoms that touch the nodes exceed their bodies [m]."""
         return self._settings.contact_margin_m
 
-    def add(self, scene: Any) -> None:
+    def add(self, model: Any) -> None:
         """Add the entities."""
-        super().add(scene)
+        super().add(model)
         with tempfile.TemporaryDirectory() as folder:
-            self._entities = [row.add(scene, Path(folder)) for row in self._unique]
+            for row in self._rows:
+                row.add(model, Path(folder))
 
-    def finish(self, scene: Any) -> None:
+    def finish(self, model: Any) -> None:
         """Set the constants of the elements, the masses and the held nodes."""
-        from gauge_envs.backends.genesis.kernels import FEMKernels
-
         gs = engine()
-        solver = scene.sim.fem_solver
-        self._kernels = FEMKernels(scene)
+        solver = model.sim.fem_solver
         materials, masses = [], []
-        for row, entity in zip(self._unique, self._entities, strict=True):
-            row.start = entity.v_start
+        for row in self._rows:
             blocks = row.soft_row.blocks
-            materials.append(
-                np.array([lame_constants(block.body) for block in blocks])[
-                    row.mesh.blocks
-                ]
-            )
-            masses.append(
-                row.mesh.masses_kg([block.density_kg_per_m3 for block in blocks])
-            )
+            constants = np.array([lame_constants(block.body) for block in blocks])
+            materials.append(constants[row.mesh.blocks])
+            densities = [block.density_kg_per_m3 for block in blocks]
+            masses.append(row.mesh.masses_kg(densities))
+            (entity,) = row.entities
             for attachment, nodes in row.soft_row.gripped(row.mesh.points_m):
-                places_m = row.mesh.points_m[nodes]
-                entity.set_vertex_constraints(nodes, places_m.astype(gs.np_float))
+                points_m = row.mesh.points_m[nodes]
+                entity.set_vertex_constraints(nodes, points_m.astype(gs.np_float))
                 if attachment.motion is Motion.KINEMATIC:
-                    self.pin(attachment, row.start + nodes, places_m)
+                    places_m = attachment.pose.to_body(points_m)
+                    self._pins.append(Pin(entity, nodes, attachment, places_m))
         mass, step_s = np.concatenate(masses), self._settings.timestep_s
         mu, lam = np.concatenate(materials).T
         elements, nodes = solver.elements_i, solver.elements_v_info
@@ -251,20 +259,16 @@ class FEMPart(SoftPart):
             (nodes.mass_over_dt2, mass / step_s**2),
         ):
             field.from_numpy(values.astype(gs.np_float))
-        points = np.concatenate([row.mesh.points_m for row in self._unique]).astype(
-            gs.np_float
-        )
-        self._start = points, np.zeros_like(points)
 
-    def plan(
-        self,
-        rows: NDArray[np.int32],
-        motion: DrivenMotion,
-        path_m: NDArray[Any],
-        times_s: NDArray[Any],
-    ) -> tuple[NDArray[Any], ...]:
+    def pin_motion(
+        self, pin: Pin, path_m: FloatArray, spin: FloatArray
+    ) -> tuple[FloatArray, ...]:
         """Return where held nodes are at the end of each step."""
         return (path_m[1:],)
+
+    def hold_pin(self, pin: Pin, *arrays: NDArray[Any]) -> None:
+        """Set where the nodes are at the end of the step."""
+        pin.entity.update_constraint_targets(pin.nodes, *arrays)
 
 
 # --- material points -------------------------------------------------------------------------------------------------
@@ -287,78 +291,63 @@ def fitted_voxel_m(rows: Sequence[SoftRow], voxel_m: float) -> float:
 
 
 class _MPMRow(_Row):
-    """One soft row among the points.
+    """One soft row among the points. Its entities are one for each block, then one for each grip.
 
     Attributes:
         points_m: Free points at the start [m], shape [free_count, 3].
         blocks: Block of each free point, shape [free_count].
+        volumes_m3: Volume of each free point [m^3], shape [free_count].
         grips: Attachment of each end, and its gripped points at the start [m].
+        all_m: Free points, then gripped ones, at the start [m].
     """
 
     def __init__(
         self, soft_row: SoftRow, voxel_m: float, points_per_edge: float
     ) -> None:
-        self.soft_row = soft_row
+        # A grid of places in the free material, its surface included.
+        nodes_m = grid_points(*grid_lines_m(soft_row.blocks, soft_row.axis, voxel_m))
+        super().__init__(soft_row, nodes_m)
         spacing_m = voxel_m / points_per_edge
         clouds = [
             points_in_box_m(block.low_m, block.high_m, spacing_m)
             for block in soft_row.blocks
         ]
+        counts = [len(points) for points, _ in clouds]
+        volumes_m3 = [float(np.prod(cell_m)) for _, cell_m in clouds]
         self.points_m = np.concatenate([points for points, _ in clouds])
-        self.blocks = np.concatenate(
-            [np.full(len(points), index) for index, (points, _) in enumerate(clouds)]
-        )
-        self.volumes_m3 = np.array([float(np.prod(cell_m)) for _, cell_m in clouds])[
-            self.blocks
-        ]
+        self.blocks = np.repeat(np.arange(len(clouds)), counts)
+        self.volumes_m3 = np.repeat(volumes_m3, counts)
         self.grips = [
             (attachment, self._grip_m(side, voxel_m, spacing_m))
             for side, attachment in soft_row.ends.items()
         ]
-        # Free points come first.
         self.all_m = np.concatenate(
             [self.points_m, *(points for _, points in self.grips)]
         )
-        self.count = len(self.all_m)
-        # A grid of places in the free material, its surface included.
-        nodes_m = grid_points(*grid_lines_m(soft_row.blocks, soft_row.axis, voxel_m))
         self._node_weights = self._weights_of_nodes(nodes_m)
-        self.nodes_of = soft_row.nodes_of(nodes_m)
 
-    def nodes_m(self, positions_m: FloatArray) -> FloatArray:
+    def positions_m(self) -> FloatArray:
+        """Return the positions of all points."""
+        return np.concatenate([particle_positions_m(one) for one in self.entities])
+
+    def nodes_m(self) -> FloatArray:
         """Return the nodes, interpolated between the points."""
-        return np.asarray(self._node_weights @ positions_m)
+        return self.places_m(self._node_weights)
 
-    def reader(self, points_m: FloatArray) -> Callable[[FloatArray], Any]:
-        """Return a function that takes a weighted mean of the nearest points, exact for linear deformation."""
-        weights = self._weights(points_m)
-        return lambda positions: weights @ positions
+    def weights(self, places_m: FloatArray) -> Weights:
+        """Return the weights of the nearest points, exact for linear deformation."""
+        return linear_weights(self.all_m, places_m)
 
-    def _weights_of_nodes(self, nodes_m: FloatArray) -> csr_matrix:
-        """Return the weights of all points in each node; nodes at a grip follow its points alone."""
-        weights = self._weights(nodes_m).tolil()
-        first = len(self.points_m)
-        gripped = {
-            id(attachment): nodes
-            for attachment, nodes in self.soft_row.gripped(nodes_m)
-        }
-        for attachment, points in self.grips:
-            nodes = gripped[id(attachment)]
-            rows = _affine(nodes_m[nodes]) @ np.linalg.pinv(_affine(points))
-            for node, row in zip(nodes, rows, strict=True):
-                weights[node] = 0.0
-                weights[node, first : first + len(points)] = row
-            first += len(points)
-        return weights.tocsr()
-
-    def _weights(self, points_m: FloatArray) -> csr_matrix:
-        """Return the weights of the row's points at some places [m], shape [place_count, count]."""
-        nearest, weights = linear_weights(self.all_m, points_m)
-        rows = np.repeat(np.arange(len(points_m)), weights.shape[1])
-        return csr_matrix(
-            (weights.ravel(), (rows, nearest.ravel())),
-            shape=(len(points_m), self.count),
-        )
+    def _weights_of_nodes(self, nodes_m: FloatArray) -> Weights:
+        """Return the weights of the nearest points in each node; nodes at a grip follow its points alone."""
+        indices, shares = self.weights(nodes_m)
+        gripped = self.soft_row.gripped(nodes_m)
+        start = len(self.points_m)
+        for (_, points_m), (_, nodes) in zip(self.grips, gripped, strict=True):
+            nearest, shares[nodes] = linear_weights(points_m, nodes_m[nodes])
+            indices[nodes] = start + nearest
+            start += len(points_m)
+        return indices, shares
 
     def _grip_m(self, side: str, voxel_m: float, spacing_m: float) -> FloatArray:
         """Return the points of a grip [m], shape [count, 3]: layers of the cross-section behind the grid plane."""
@@ -369,17 +358,10 @@ class _MPMRow(_Row):
         low_m, high_m = block.low_m.copy(), block.high_m.copy()
         low_m[row.axis], high_m[row.axis] = 0.0, spacing_m
         section = points_in_box_m(low_m, high_m, spacing_m)[0]
-        layers = []
-        for layer in GRIP_LAYERS:
-            section[:, row.axis] = (
-                plane + (-layer if side == "low" else layer) * voxel_m
-            )
-            layers.append(section.copy())
-        return np.concatenate(layers)
-
-
-def _affine(points_m: FloatArray) -> FloatArray:
-    return np.column_stack([np.ones(len(points_m)), points_m])
+        outward_m = -voxel_m if side == "low" else voxel_m
+        points = np.tile(section, (len(GRIP_LAYERS), 1))
+        points[:, row.axis] = plane + np.repeat(GRIP_LAYERS, len(section)) * outward_m
+        return points
 
 
 class MPMPart(SoftPart):
@@ -389,21 +371,17 @@ class MPMPart(SoftPart):
         self._settings = settings
         rows = soft_rows(scene)
         self.voxel_m = fitted_voxel_m(rows, settings.cell_m or VOXEL_M)
-        self._unique = [
+        self._rows = [
             _MPMRow(row, self.voxel_m, settings.points_per_voxel_edge) for row in rows
         ]
-        super().__init__(scene, settings, self._unique)
+        super().__init__(scene, settings, self._rows)
         # Genesis has one volume for all points; masses and moduli are scaled to that of each.
-        self._volume_m3 = float(self._unique[0].volumes_m3[0])
-        self._walls_m: tuple[NDArray[Any], NDArray[Any]] = (
-            np.full(3, -np.inf),
-            np.full(3, np.inf),
-        )
+        self._volume_m3 = float(self._rows[0].volumes_m3[0])
 
     def scene_options(self) -> dict[str, Any]:
         """Return the options of the MPM solver and of the coupling."""
         gs = engine()
-        points = np.concatenate([row.points_m for row in self._unique])
+        points = np.concatenate([row.points_m for row in self._rows])
         return {
             "mpm_options": gs.options.MPMOptions(
                 particle_size=self._volume_m3 ** (1.0 / 3.0),
@@ -416,36 +394,30 @@ class MPMPart(SoftPart):
             ),
         }
 
-    def add(self, scene: Any) -> None:
+    def add(self, model: Any) -> None:
         """Add one entity for each block and one for each grip."""
-        super().add(scene)
-        for row in self._unique:
-            for index, block in enumerate(row.soft_row.blocks):
-                chosen = row.blocks == index
-                share = float(row.volumes_m3[chosen][0]) / self._volume_m3
-                self._add_points(
-                    scene,
-                    block.body,
-                    int(chosen.sum()),
-                    block.density_kg_per_m3 * share,
-                    share,
+        super().add(model)
+        for row in self._rows:
+            blocks = row.soft_row.blocks
+            for index, block in enumerate(blocks):
+                volumes_m3 = row.volumes_m3[row.blocks == index]
+                share = float(volumes_m3[0]) / self._volume_m3
+                density = block.density_kg_per_m3 * share
+                row.entities.append(
+                    self._entity(model, block.body, len(volumes_m3), density, share)
                 )
+            density = GRIP_MASS_RATIO * blocks[0].density_kg_per_m3
             for _, points in row.grips:
-                block = row.soft_row.blocks[0]
-                self._add_points(
-                    scene,
-                    block.body,
-                    len(points),
-                    GRIP_MASS_RATIO * block.density_kg_per_m3,
-                    1.0,
+                row.entities.append(
+                    self._entity(model, blocks[0].body, len(points), density, 1.0)
                 )
 
-    def _add_points(
-        self, scene: Any, body: SoftBody, count: int, density: float, share: float
-    ) -> None:
+    def _entity(
+        self, model: Any, body: SoftBody, count: int, density: float, share: float
+    ) -> Any:
         gs = engine()
         mu, lame = lame_constants(body)
-        scene.add_entity(
+        return model.add_entity(
             material=gs.materials.MPM.Elastic(
                 E=body.young_modulus_pa,
                 nu=body.poisson_ratio,
@@ -458,56 +430,47 @@ class MPMPart(SoftPart):
             surface=gs.surfaces.Default(vis_mode="particle"),
         )
 
-    def finish(self, scene: Any) -> None:
+    def finish(self, model: Any) -> None:
         """Place the points, and find those in grips."""
         from gauge_envs.backends.genesis.kernels import MPMKernels
 
-        gs = engine()
-        self._kernels = MPMKernels(scene)
-        boundary = scene.sim.mpm_solver.boundary
+        self._kernels = MPMKernels(model)
+        boundary = model.sim.mpm_solver.boundary
         self._walls_m = boundary.lower, boundary.upper
-        start = 0
-        for row in self._unique:
-            row.start = start
-            first = start + len(row.points_m)
-            for attachment, points in row.grips:
-                self.pin(attachment, np.arange(first, first + len(points)), points)
-                first += len(points)
-            start += row.count
-        positions = np.concatenate([row.all_m for row in self._unique]).astype(
-            gs.np_float
-        )
-        matrices = np.zeros((len(positions), 3, 3), dtype=gs.np_float)
-        self._start = (
-            positions,
-            np.zeros_like(positions),
-            matrices,
-            matrices + np.eye(3, dtype=gs.np_float),
-        )
+        for row in self._rows:
+            start = 0
+            for entity in row.entities:
+                points_m = row.all_m[start : start + entity.n_particles]
+                entity.set_particles_pos(points_m)
+                entity.set_particles_active(True)
+                start += entity.n_particles
+            grips = row.entities[len(row.soft_row.blocks) :]
+            for entity, (attachment, points_m) in zip(grips, row.grips, strict=True):
+                places_m = attachment.pose.to_body(points_m)
+                self._pins.append(
+                    Pin(entity, np.arange(len(points_m)), attachment, places_m)
+                )
 
-    def plan(
-        self,
-        rows: NDArray[np.int32],
-        motion: DrivenMotion,
-        path_m: NDArray[Any],
-        times_s: NDArray[Any],
-    ) -> tuple[NDArray[Any], ...]:
+    def pin_motion(
+        self, pin: Pin, path_m: FloatArray, spin: FloatArray
+    ) -> tuple[FloatArray, ...]:
         """Return where gripped points are, and the velocity and spin that take them along with their body."""
         step_s = self._settings.timestep_s
         # Genesis adds the weight to the velocity of the grid, grips included.
         weight = np.array([0.0, 0.0, self._scene.gravity_m_per_s2 * step_s])
-        spin = motion.velocity[3:] + motion.acceleration[3:] * (
-            times_s[:-1, None] + 0.5 * step_s
-        )
-        return path_m[:-1], np.diff(path_m, axis=0) / step_s + weight, spin
+        velocities = np.diff(path_m, axis=0) / step_s + weight
+        return path_m[:-1], velocities, 0.5 * (spin[:-1] + spin[1:])
 
-    def fault(self) -> str | None:
+    def hold_pin(self, pin: Pin, *arrays: NDArray[Any]) -> None:
+        """Place the points, and give them the motion of their body."""
+        self._kernels.hold(pin.entity.particle_start, *arrays)
+
+    def diverged(self) -> str | None:
         """Return that material points stand at a wall of the grid, where Genesis stops them, or are not finite."""
         low, high = self._walls_m
         slack = WALL_SLACK * self.voxel_m
-        positions = self.state()[0]
-        for row in self._unique:
-            points = positions[row.start : row.start + len(row.points_m)]
+        for row in self._rows:
+            points = row.positions_m()[: len(row.points_m)]
             # A point that is not finite is not inside either.
             inside = ((points > low + slack) & (points < high - slack)).all(axis=1)
             if not inside.all():

@@ -1,7 +1,4 @@
-"""Kernels beside Genesis's deformable solvers, for one environment and one substep per step.
-
-Each class reads and writes the arrays of a state, whose shapes are `shapes`, and holds nodes.
-"""
+"""Kernels beside Genesis's deformable solvers, for one environment and one substep per step."""
 
 from typing import Any
 
@@ -16,110 +13,34 @@ SINE_FLOOR = 1e-8
 
 
 @qd.data_oriented
-class FEMKernels:
-    """Kernels for one FEM solver with one environment and one substep per step.
-
-    Args:
-        scene: The built `gs.Scene`.
-    """
-
-    def __init__(self, scene: Any) -> None:
-        self.fem = scene.sim.fem_solver
-        self.node_count = self.fem.n_vertices
-        self.shapes = ((self.node_count, 3),) * 2
-
-    @qd.kernel
-    def read(self, positions: qd.types.ndarray(), velocities: qd.types.ndarray()):
-        """Copy positions [m] and velocities [m/s] of all nodes, both of shape [node_count, 3]."""
-        for v in range(self.node_count):
-            for i in qd.static(range(3)):
-                positions[v, i] = self.fem.elements_v[0, v, 0].pos[i]
-                velocities[v, i] = self.fem.elements_v[0, v, 0].vel[i]
-
-    @qd.kernel
-    def write(self, positions: qd.types.ndarray(), velocities: qd.types.ndarray()):
-        """Set positions [m] and velocities [m/s] of all nodes, both of shape [node_count, 3]."""
-        for v in range(self.node_count):
-            for i in qd.static(range(3)):
-                self.fem.elements_v[0, v, 0].pos[i] = positions[v, i]
-                self.fem.elements_v[0, v, 0].vel[i] = velocities[v, i]
-
-    @qd.kernel
-    def hold(self, nodes: qd.types.ndarray(), targets: qd.types.ndarray()):
-        """Set where held nodes are at the end of the next step [m], shapes [count] and [count, 3]."""
-        for row in range(nodes.shape[0]):
-            for i in qd.static(range(3)):
-                self.fem.vertex_constraints[nodes[row], 0].target_pos[i] = targets[
-                    row, i
-                ]
-
-
-@qd.data_oriented
 class MPMKernels:
     """Kernels for one MPM solver with one environment and one substep per step.
 
     Args:
-        scene: The built `gs.Scene`.
+        model: The built `gs.Scene`.
     """
 
-    def __init__(self, scene: Any) -> None:
-        self.mpm = scene.sim.mpm_solver
-        self.point_count = self.mpm.n_particles
-        self.shapes = ((self.point_count, 3),) * 2 + ((self.point_count, 3, 3),) * 2
-
-    @qd.kernel
-    def read(
-        self,
-        positions: qd.types.ndarray(),
-        velocities: qd.types.ndarray(),
-        gradients: qd.types.ndarray(),
-        deformations: qd.types.ndarray(),
-    ):
-        """Copy the state of all points: shapes [point_count, 3] twice and [point_count, 3, 3] twice."""
-        for p in range(self.point_count):
-            for i in qd.static(range(3)):
-                positions[p, i] = self.mpm.particles[0, p, 0].pos[i]
-                velocities[p, i] = self.mpm.particles[0, p, 0].vel[i]
-                for j in qd.static(range(3)):
-                    gradients[p, i, j] = self.mpm.particles[0, p, 0].C[i, j]
-                    deformations[p, i, j] = self.mpm.particles[0, p, 0].F[i, j]
-
-    @qd.kernel
-    def write(
-        self,
-        positions: qd.types.ndarray(),
-        velocities: qd.types.ndarray(),
-        gradients: qd.types.ndarray(),
-        deformations: qd.types.ndarray(),
-    ):
-        """Set the state of all points: shapes [point_count, 3] twice and [point_count, 3, 3] twice."""
-        for p in range(self.point_count):
-            self.mpm.particles_ng[0, p, 0].active = True
-            for i in qd.static(range(3)):
-                self.mpm.particles[0, p, 0].pos[i] = positions[p, i]
-                self.mpm.particles[0, p, 0].vel[i] = velocities[p, i]
-                for j in qd.static(range(3)):
-                    self.mpm.particles[0, p, 0].C[i, j] = gradients[p, i, j]
-                    self.mpm.particles[0, p, 0].F[i, j] = deformations[p, i, j]
+    def __init__(self, model: Any) -> None:
+        self.mpm = model.sim.mpm_solver
 
     @qd.kernel
     def hold(
         self,
-        points: qd.types.ndarray(),
+        start: qd.i32,
         positions: qd.types.ndarray(),
         velocities: qd.types.ndarray(),
         spin: qd.types.ndarray(),
     ):
-        """Place gripped points and give them the motion of their body.
+        """Place consecutive points and give them the motion of their body.
 
         Args:
-            points: Indices, shape [count].
+            start: Index of the first point.
             positions: Positions [m], shape [count, 3].
             velocities: Velocities [m/s], shape [count, 3].
             spin: Angular velocity of the body [rad/s], shape [3].
         """
-        for row in range(points.shape[0]):
-            p = points[row]
+        for row in range(positions.shape[0]):
+            p = start + row
             for i in qd.static(range(3)):
                 self.mpm.particles[0, p, 0].pos[i] = positions[row, i]
                 self.mpm.particles[0, p, 0].vel[i] = velocities[row, i]
@@ -139,15 +60,14 @@ class PBDKernels:
     """Kernels for one PBD solver with one environment.
 
     Args:
-        scene: The built `gs.Scene`.
+        model: The built `gs.Scene`.
     """
 
-    def __init__(self, scene: Any) -> None:
-        self.pbd = scene.sim.pbd_solver
-        self.rigid = scene.sim.rigid_solver
+    def __init__(self, model: Any) -> None:
+        self.pbd = model.sim.pbd_solver
+        self.rigid = model.sim.rigid_solver
         self.hinge_count = self.pbd.n_inner_edges
         self.particle_count = self.pbd.n_particles
-        self.shapes = ((self.particle_count, 3),) * 2
         self.compliance = qd.field(dtype=gs.qd_float, shape=(max(1, self.hinge_count),))
         self.before = qd.Vector.field(
             3, dtype=gs.qd_float, shape=(self.particle_count,)
@@ -161,36 +81,6 @@ class PBDKernels:
     def set_friction(self, values: NDArray[np.float64]) -> None:
         """Set Coulomb's coefficient of each geom, shape [geom_count]."""
         self.friction.from_numpy(values.astype(gs.np_float))
-
-    @qd.kernel
-    def read(self, positions: qd.types.ndarray(), velocities: qd.types.ndarray()):
-        """Copy positions [m] and velocities [m/s] of all particles, both of shape [particle_count, 3]."""
-        for p in range(self.particle_count):
-            for i in qd.static(range(3)):
-                positions[p, i] = self.pbd.particles[p, 0].pos[i]
-                velocities[p, i] = self.pbd.particles[p, 0].vel[i]
-
-    @qd.kernel
-    def write(self, positions: qd.types.ndarray(), velocities: qd.types.ndarray()):
-        """Set positions [m] and velocities [m/s] of all particles, both of shape [particle_count, 3]."""
-        for p in range(self.particle_count):
-            for i in qd.static(range(3)):
-                self.pbd.particles[p, 0].pos[i] = positions[p, i]
-                self.pbd.particles[p, 0].vel[i] = velocities[p, i]
-
-    @qd.kernel
-    def place(self, particles: qd.types.ndarray(), positions: qd.types.ndarray()):
-        """Set the positions [m] of some particles, shapes [count] and [count, 3]."""
-        for row in range(particles.shape[0]):
-            for i in qd.static(range(3)):
-                self.pbd.particles[particles[row], 0].pos[i] = positions[row, i]
-
-    @qd.kernel
-    def hold(self, particles: qd.types.ndarray(), velocities: qd.types.ndarray()):
-        """Set the velocities [m/s] of some particles, shapes [count] and [count, 3]."""
-        for row in range(particles.shape[0]):
-            for i in qd.static(range(3)):
-                self.pbd.particles[particles[row], 0].vel[i] = velocities[row, i]
 
     @qd.kernel
     def exact_hinges(self):

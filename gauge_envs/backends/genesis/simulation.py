@@ -1,303 +1,215 @@
-"""Genesis simulations and batched worlds: driving, forces, stepping and reading."""
+"""Worlds of a scene in Genesis: driving, forces, stepping and reading."""
 
-import copy
-from collections.abc import Callable, Sequence
-from importlib.metadata import version
-from typing import Any
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from gauge_envs.backends.genesis.document import reach_m
-from gauge_envs.backends.genesis.engine import engine
-from gauge_envs.backends.genesis.model import (
-    Model,
-    borrow_model,
-    return_model,
-    start_coordinates,
-)
+from gauge_envs.backends.genesis.engine import claim, engine, release
+from gauge_envs.backends.genesis.model import build_model, deformable_part
 from gauge_envs.backends.genesis.parts import DeformablePart
 from gauge_envs.backends.genesis.settings import SettingsGenesis
 from gauge_envs.backends.shared.rigid import (
-    DrivenMotion,
-    PlacedWorld,
+    PlacedSimulation,
     TetherSpring,
-    body_state,
+    hinge_angle,
+    later_targets,
     placed_states,
 )
-from gauge_envs.backends.shared.states import Snapshot, StateOrigin
-from gauge_envs.backends.world import Simulation
-from gauge_envs.backends.worlds import Worlds
-from gauge_envs.errors import BackendError
-from gauge_envs.scene import Motion, Pose, Scene
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.backends.simulation import MaterialPoints
+from gauge_envs.scene import Motion, Scene
+from gauge_envs.scene.geometry import (
+    FloatArray,
+    rotation_matrices,
+)
+from gauge_envs.scene.states import nominal_states
 
 
-class _Lent:
-    """A model while it is in use.
+class SimulationGenesis(PlacedSimulation):
+    """Worlds of a scene as environments of one Genesis scene, which advance in the same step.
 
     Args:
-        scenes: The instances of a scene in the model.
+        scene: The scene. With deformable bodies, it has one world.
         settings: Numerical settings.
+        world_count: Number of worlds N.
     """
 
-    def __init__(self, scenes: Sequence[Scene], settings: SettingsGenesis) -> None:
-        self.settings = settings
-        self._model: Model | None = borrow_model(scenes[0], settings, len(scenes))
-
-    @property
-    def model(self) -> Model:
-        """The model, until it is returned."""
-        if self._model is None:
-            raise BackendError("the Genesis simulation is closed: build another one")
-        return self._model
-
-    def close(self) -> None:
-        """Free the model, or keep it for the next simulation of the same bodies."""
-        if self._model is not None:
-            return_model(self._model)
-            self._model = None
-
-
-class _WorldGenesis(PlacedWorld):
-    """One environment of a Genesis scene.
-
-    Args:
-        scene: The instance.
-        lent: The Genesis scene.
-        index: Number of the environment.
-    """
-
-    def __init__(self, scene: Scene, lent: _Lent, index: int) -> None:
-        self.settings = lent.settings.model_dump(mode="json")
-        self._scene, self._lent, self._index = scene, lent, index
-        self.start = start_coordinates(scene, lent.model)
-        self._tethers = TetherSpring.of(scene)
-
-    def begin(self) -> None:
-        """Put driven bodies to their starts, without wrenches."""
-        self.driven: dict[str, DrivenMotion] = {}
-        self.wrenches: dict[str, FloatArray] = {}
-        self.placed = placed_states(self._scene, Motion.FIXED, Motion.KINEMATIC)
-        for body in self._scene.bodies:
-            if body.motion is Motion.KINEMATIC:
-                self.driven[body.name] = DrivenMotion(body.pose)
-                self._prescribe(body.name)
-
-    def drive(
-        self,
-        body: str,
-        pose: Pose,
-        velocity: FloatArray,
-        acceleration: FloatArray,
+    def __init__(
+        self, scene: Scene, settings: SettingsGenesis, world_count: int = 1
     ) -> None:
+        self.settings = settings.model_dump(mode="json")
+        self.world_count = world_count
+        self._scene, self._options = scene, settings
+        self._step_s = settings.timestep_s
+        self._nominal = nominal_states(scene)
+        self._tethers = TetherSpring.of(scene)
+        claim(self, settings.precision)
+        self._part = deformable_part(scene, settings)
+        self._model, self._links = build_model(scene, settings, world_count, self._part)
+        self._solver = self._model.sim.rigid_solver
+        self.reset()
+
+    def reset(self, starts: FloatArray | None = None, seed: int = 0) -> None:
+        """Start all worlds. Genesis draws no random numbers here, so the seed has no effect."""
+        if starts is None:
+            starts = np.tile(self._nominal, (self.world_count, 1, 1))
+        self._model.reset()
+        self._diverged: dict[int, str] = {}
+        self._wrenches: dict[str, FloatArray] = {}
+        self._driven: dict[str, FloatArray] = {}
+        self.placed = placed_states(self._scene)
+        if self._links:
+            self._set_starts(starts)
+        for row, body in enumerate(self._scene.bodies):
+            if body.motion is Motion.KINEMATIC:
+                no_acceleration = np.zeros((self.world_count, 6))
+                self.drive(body.name, np.hstack([starts[:, row], no_acceleration]))
+        if self._part is not None:
+            self._part.reset(starts[0, len(self._scene.bodies) :])
+
+    def _set_starts(self, starts: FloatArray) -> None:
+        """Write initial states of moving bodies into the rigid solver."""
+        coordinates = np.zeros((self.world_count, self._solver.n_qs))
+        velocities = np.zeros((self.world_count, self._solver.n_dofs))
+        hinges = self._scene.hinges
+        for row, body in enumerate(self._scene.bodies):
+            link, states = self._links.get(body.name), starts[:, row]
+            if link is None:
+                continue
+            if body.name in hinges:
+                hinge = hinges[body.name]
+                coordinates[:, link.q_start] = [
+                    hinge_angle(hinge, body.pose, state) for state in states
+                ]
+                velocities[:, link.dof_start] = states[:, 10:] @ hinge.axis
+                continue
+            coordinates[:, link.q_start : link.q_start + 7] = states[:, :7]
+            velocities[:, link.dof_start : link.dof_start + 6] = _twists(
+                states[:, 3:7], states[:, 7:]
+            )
+        self._solver.set_dofs_velocity(velocities, skip_forward=True)
+        self._solver.set_qpos(coordinates)
+
+    def drive(self, body: str, targets: FloatArray) -> None:
         """Put a driven body where its interval starts, and give it the force that accelerates it."""
-        self.driven[body] = DrivenMotion.copied(pose, velocity, acceleration)
-        self.placed[body] = body_state(pose, velocity)
-        self._prescribe(body)
-
-    def _prescribe(self, name: str) -> None:
-        motion, solver, settings = (
-            self.driven[name],
-            self._lent.model.solver,
-            self._lent.settings,
-        )
-        link = self._lent.model.links[name]
+        self._driven[body] = targets = targets.copy()
+        self.placed[body] = targets[:, :13]
+        link, solver, settings = self._links[body], self._solver, self._options
+        quaternions, acceleration = targets[:, 3:7], targets[:, 13:]
         # Genesis moves a body by its new velocity times the step: half a step earlier, the mean is exact.
-        twist = motion.velocity - 0.5 * motion.acceleration * settings.timestep_s
-        to_body = motion.start.rotation.inv()
-        mass = settings.kinematic_mass_kg
-        force = mass * (
-            motion.acceleration[:3] + np.array([0.0, 0.0, self._scene.gravity_m_per_s2])
-        )
+        earlier = targets[:, 7:13] - 0.5 * acceleration * self._step_s
+        weightless = acceleration.copy()
+        weightless[:, 2] += self._scene.gravity_m_per_s2
+        forces = settings.kinematic_mass_kg * _twists(quaternions, weightless)
         # The inertia is that of a sphere, so the torque has the direction of the acceleration.
-        torque = (
-            mass
-            * reach_m(self._scene.body(name)) ** 2
-            * to_body.apply(motion.acceleration[3:])
-        )
-        coordinates = range(link.q_start, link.q_start + 7)
+        forces[:, 3:] *= reach_m(self._scene.body(body)) ** 2
         freedoms = range(link.dof_start, link.dof_start + 6)
-        world = [self._index]
         solver.set_qpos(
-            np.array([[*motion.start.position_m, *motion.start.quaternion]]),
-            coordinates,
-            world,
-            skip_forward=True,
+            targets[:, :7], range(link.q_start, link.q_start + 7), skip_forward=True
         )
-        solver.set_dofs_velocity(
-            np.array([[*twist[:3], *to_body.apply(twist[3:])]]), freedoms, world
-        )
-        solver.control_dofs_force(np.array([[*force, *torque]]), freedoms, world)
+        solver.set_dofs_velocity(_twists(quaternions, earlier), freedoms)
+        solver.control_dofs_force(forces, freedoms)
 
-    def apply_wrench(self, body: str, wrench: FloatArray) -> None:
-        """Apply a force and a torque to a dynamic body; see `World.apply_wrench`."""
-        self.wrenches[body] = np.array(wrench, dtype=float)
+    def apply_wrench(self, body: str, wrenches: FloatArray) -> None:
+        """Apply a force and a torque to a dynamic body; see `Simulation.apply_wrench`."""
+        self._wrenches[body] = np.array(wrenches, dtype=np.float64)
 
-    def apply_forces(self) -> None:
+    def advance(self, seconds: float) -> None:
+        """Step all worlds, and leave driven bodies at the end of their interval."""
+        step_count = round(seconds / self._step_s)
+        if self._part is not None:
+            motions = {name: rows[0] for name, rows in self._driven.items()}
+            steps = np.arange(step_count + 1, dtype=np.float64)
+            self._part.plan(motions, self._step_s * steps)
+        for step in range(step_count):
+            self._apply_forces()
+            if self._part is not None:
+                self._part.hold(step)
+            self._step()
+        for name, targets in self._driven.items():
+            self.placed[name] = later_targets(targets, seconds)[:, :13]
+
+    def _apply_forces(self) -> None:
         """Apply wrenches and the pulls of strings during the next step; Genesis forgets them after it."""
-        solver, links, world = (
-            self._lent.model.solver,
-            self._lent.model.links,
-            [self._index],
-        )
-        frequency = self._lent.settings.tether_rate / self._lent.settings.timestep_s
-        for name, wrench in self.wrenches.items():
-            solver.apply_links_external_wrench(
-                wrench[None, None, :3],
-                wrench[None, None, 3:],
-                [links[name].idx],
-                world,
+        for name, wrenches in self._wrenches.items():
+            self._solver.apply_links_external_wrench(
+                wrenches[:, None, :3],
+                wrenches[:, None, 3:],
+                [self._links[name].idx],
                 ref=engine().link_ref_frame.link_COM,
             )
+        frequency = self._options.tether_rate / self._step_s
         for spring in self._tethers:
             body = spring.tether.body
-            force = spring.pull_n(self.body_states([body])[0], frequency)
-            if force is not None:
-                solver.apply_links_external_wrench(
-                    force[None, None, :], None, [links[body].idx], world
+            states = self.body_states([body])[:, 0]
+            pulls = [spring.pull_n(state, frequency) for state in states]
+            if any(pull is not None for pull in pulls):
+                forces = [np.zeros(3) if pull is None else pull for pull in pulls]
+                self._solver.apply_links_external_wrench(
+                    np.array(forces)[:, None], None, [self._links[body].idx]
                 )
 
+    def _step(self) -> None:
+        """Step all worlds. A world that Genesis gives up returns to a start, so that the others go on."""
+        try:
+            self._model.sim.step()
+        except engine().GenesisException as error:
+            worlds = np.flatnonzero(self._solver.get_error_envs_mask().numpy())
+            for world in worlds.tolist():
+                self._diverged.setdefault(world, f"Genesis stopped: {error}")
+            self._model.reset(envs_idx=worlds)
+            self._model.sim.step()
+
     def moving_states(self, names: Sequence[str]) -> FloatArray:
-        """Return poses and velocities of dynamic bodies, shape [len(names), 13]."""
-        solver, links = (
-            self._lent.model.solver,
-            [self._lent.model.links[name].idx for name in names],
+        """Return poses and velocities of dynamic bodies, shape [N, len(names), 13]."""
+        solver, links = self._solver, [self._links[name].idx for name in names]
+        columns = (
+            solver.get_links_pos(links),
+            solver.get_links_quat(links),
+            solver.get_links_vel(links),
+            solver.get_links_ang(links),
         )
-        read = (
-            solver.get_links_pos,
-            solver.get_links_quat,
-            solver.get_links_vel,
-            solver.get_links_ang,
+        states: FloatArray = np.concatenate(
+            [column.numpy() for column in columns], axis=-1, dtype=np.float64
         )
-        columns = [one(links, [self._index]).numpy()[0] for one in read]
-        states: FloatArray = np.concatenate(columns, axis=-1).astype(np.float64)
-        states[:, 3:7] /= np.linalg.norm(states[:, 3:7], axis=1, keepdims=True)
+        states[..., 3:7] /= np.linalg.norm(states[..., 3:7], axis=-1, keepdims=True)
         return states
 
-
-def _reset(lent: _Lent, worlds: Sequence[_WorldGenesis]) -> None:
-    """Return all environments of a model to their starts."""
-    model = lent.model
-    if model.fresh is not None:
-        model.solver.__setstate__(model.fresh)
-        if model.links:
-            model.solver.set_qpos(np.array([world.start[0] for world in worlds]))
-            model.solver.set_dofs_velocity(
-                np.array([world.start[1] for world in worlds])
-            )
-    for world in worlds:
-        world.begin()
-    if model.part is not None:
-        model.part.reset()
-
-
-def _advance(lent: _Lent, worlds: Sequence[_WorldGenesis], seconds: float) -> None:
-    """Step the environments of a model, and leave driven bodies at the end of their interval."""
-    model, step_s = lent.model, lent.settings.timestep_s
-    for step in range(round(seconds / step_s)):
-        for world in worlds:
-            world.apply_forces()
-        if model.part is not None:
-            model.part.prescribe(worlds[0].driven, step * step_s, step_s)
-        try:
-            model.scene.sim.step()
-        except engine().GenesisException as error:
-            raise BackendError(f"Genesis stopped: {error}") from error
-    for world in worlds:
-        world.placed |= {
-            name: motion.state_at(seconds) for name, motion in world.driven.items()
-        }
-
-
-class SimulationGenesis(_WorldGenesis, Simulation):
-    """A scene in Genesis."""
-
-    def __init__(self, scene: Scene, settings: SettingsGenesis) -> None:
-        super().__init__(scene, _Lent([scene], settings), 0)
-        self._origin = StateOrigin(
-            f"genesis {version('genesis-world')}", self.settings, scene
-        )
-        self.reset(0)
-
-    def _part(self, name: str) -> DeformablePart:
-        part = self._lent.model.part
-        if part is None or name not in part.names:
-            raise KeyError(name)
-        return part
-
-    def reset(self, seed: int) -> None:
-        """Return to the scene's start. Genesis draws no random numbers here, so the seed has no effect."""
-        _reset(self._lent, [self])
-
-    def advance(self, seconds: float) -> None:
-        """Step the scene."""
-        _advance(self._lent, [self], seconds)
-
-    def fault(self) -> str | None:
-        """Return why Genesis gave up the state, or None."""
-        part = self._lent.model.part
-        return None if part is None else part.fault()
+    def diverged(self) -> Mapping[int, str]:
+        """Return the worlds that Genesis gave up, or whose material left its grid."""
+        reason = self._part.diverged() if self._part is not None else None
+        return {**self._diverged, **({0: reason} if reason else {})}
 
     def nodes(self, name: str) -> FloatArray:
-        """Return the positions of a deformable body's nodes [m], shape [node_count, 3]."""
-        return self._part(name).nodes(name)
+        """Return the positions of a deformable body's nodes [m], shape [1, node_count, 3]."""
+        return self._part_of(name).nodes(name)[None]
 
-    def track(self, name: str, points_m: FloatArray) -> Callable[[], FloatArray] | None:
-        """Return a reader of material points; see `World.track`."""
-        return self._part(name).track(name, points_m)
+    def track(self, name: str, points_m: FloatArray) -> MaterialPoints | None:
+        """Return a reader of material points; see `Simulation.track`."""
+        return self._part_of(name).track(name, points_m)
 
-    def state(self) -> Snapshot:
-        """Return every array that a step reads, with its origin."""
-        model = self._lent.model
-        rigid = None if model.fresh is None else model.solver.__getstate__()
-        inputs = (self.driven, self.placed, self.wrenches)
-        return self._origin.state(
-            (
-                *copy.deepcopy((rigid, inputs)),
-                model.part.state() if model.part else None,
-            )
-        )
-
-    def restore(self, state: Snapshot) -> None:
-        """Restore a state."""
-        model = self._lent.model
-        values: tuple[Any, ...] = self._origin.values(state)
-        rigid, inputs = copy.deepcopy(values[:2])
-        self.driven, self.placed, self.wrenches = inputs
-        if rigid is not None:
-            model.solver.__setstate__(rigid)
-        if model.part is not None:
-            model.part.restore(values[2])
+    def _part_of(self, name: str) -> DeformablePart:
+        if self._part is None or name not in self._part.names:
+            raise KeyError(name)
+        return self._part
 
     def close(self) -> None:
-        """Free the scene, or keep it for the next simulation of the same bodies."""
-        self._lent.close()
+        """Free the Genesis scene."""
+        if self._model is not None:
+            self._model.destroy()
+            self._model = self._solver = self._part = None
+            release(self)
 
 
-class WorldsGenesis(Worlds):
-    """Instances of a rigid scene as environments of one Genesis scene.
+def _twists(quaternions: FloatArray, twists: FloatArray) -> FloatArray:
+    """Return linear and angular parts as Genesis's free joints have them, the angular one in the body frame.
 
     Args:
-        scenes: The instances.
-        settings: Numerical settings.
+        quaternions: Orientations of bodies, shape [N, 4].
+        twists: Velocities, accelerations or alike in the world frame, shape [N, 6].
+
+    Returns:
+        Shape [N, 6].
     """
-
-    def __init__(self, scenes: Sequence[Scene], settings: SettingsGenesis) -> None:
-        self._lent = _Lent(scenes, settings)
-        self.worlds: Sequence[_WorldGenesis] = [
-            _WorldGenesis(scene, self._lent, index)
-            for index, scene in enumerate(scenes)
-        ]
-        self.reset(0)
-
-    def reset(self, seed: int) -> None:
-        """Return all environments to their starts. Genesis draws no random numbers here, so the seed has no effect."""
-        _reset(self._lent, self.worlds)
-
-    def advance(self, seconds: float) -> None:
-        """Step the Genesis scene, which contains all environments."""
-        _advance(self._lent, self.worlds, seconds)
-
-    def close(self) -> None:
-        """Free the scene, or keep it for the next worlds of the same bodies."""
-        self._lent.close()
+    in_body = np.einsum("nij,ni->nj", rotation_matrices(quaternions), twists[:, 3:])
+    return np.hstack([twists[:, :3], in_body])

@@ -6,14 +6,10 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
+from gauge_envs.backends.shared.rigid import later_targets
 from gauge_envs.backends.simulation import ContactForces, MaterialPoints, Simulation
 from gauge_envs.scene import Scene
-from gauge_envs.scene.geometry import (
-    FloatArray,
-    quaternion_products,
-    unit_quaternions,
-    vector_quaternions,
-)
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import DRIVE_INTERVAL_S
 
 ROUNDING_S = 1e-9
@@ -75,7 +71,7 @@ class ResampledSimulation(Simulation):
             self._before = self._read()
             since_s = self._step_count * self._step_s - self._driven_s
             for body, targets in self._targets.items():
-                self._inner.drive(body, _later(targets, since_s))
+                self._inner.drive(body, later_targets(targets, since_s))
             self._inner.advance(self._step_s)
             self._step_count += 1
 
@@ -140,15 +136,3 @@ class ResampledSimulation(Simulation):
     def close(self) -> None:
         """Free the engine's resources."""
         self._inner.close()
-
-
-def _later(targets: FloatArray, seconds: float) -> FloatArray:
-    """Return uniformly accelerated motions some time later, shape [N, 19]."""
-    moved = targets.copy()
-    velocity, acceleration = targets[:, 7:13], targets[:, 13:]
-    travel = seconds * velocity + 0.5 * seconds**2 * acceleration
-    moved[:, :3] += travel[:, :3]
-    turns = vector_quaternions(travel[:, 3:])
-    moved[:, 3:7] = unit_quaternions(quaternion_products(turns, targets[:, 3:7]))
-    moved[:, 7:13] += seconds * acceleration
-    return moved

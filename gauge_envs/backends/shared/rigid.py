@@ -309,3 +309,20 @@ class DrivenMotion:
         steps = np.diff(travel, axis=0)
         steps[:, 3:] = quaternion_vectors(quaternion_products(turned[1:], back))
         return np.hstack([positions_m, quaternions]), steps / step_s
+
+
+def later_targets(targets: FloatArray, seconds: float | FloatArray) -> FloatArray:
+    """Return rows of `Simulation.drive` some seconds later, shape [N, 19].
+
+    Args:
+        targets: The rows, shape [N, 19].
+        seconds: The time, or one for each row, shape [N, 1].
+    """
+    moved = targets.copy()
+    velocity, acceleration = targets[:, 7:13], targets[:, 13:]
+    travel = seconds * velocity + 0.5 * seconds**2 * acceleration
+    moved[:, :3] += travel[:, :3]
+    turns = vector_quaternions(travel[:, 3:])
+    moved[:, 3:7] = unit_quaternions(quaternion_products(turns, targets[:, 3:7]))
+    moved[:, 7:13] += seconds * acceleration
+    return moved

@@ -1,17 +1,15 @@
 """Rigid scenes on Newton's MuJoCo solver."""
 
-import importlib
-from collections import Counter
-
-import gymnasium
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from gauge_envs import load_experiment
 from gauge_envs.references.published import published_baselines
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.scene import GRAVITY_M_PER_S2, Scene
+from gauge_envs.scene.states import nominal_states
 from gauge_envs.tools.bench.parts import box, contact, ground
 
 pytest.importorskip("newton")
@@ -36,20 +34,6 @@ def test_the_same_scene_in_two_engines_moves_alike(rollout):
         )
 
 
-def test_models_share_the_kernels_of_their_collision_pipelines():
-    """Newton would make them for each model, which takes longer than all the rest of it; outside, Newton still does."""
-    narrow_phase = importlib.import_module("newton._src.geometry.narrow_phase")
-    own = narrow_phase.create_narrow_phase_primitive_kernel
-    kernels = [
-        NEWTON.build(
-            load_experiment(f"SlopeSlider-2-{material}").scene
-        )._stepper._pipeline.narrow_phase.primitive_kernel
-        for material in ("wood", "metal")
-    ]
-    assert kernels[0] is kernels[1]
-    assert narrow_phase.create_narrow_phase_primitive_kernel is own
-
-
 def test_a_tower_sinks_by_the_compliance_of_its_contacts():
     """Depth of a contact: (1 - impedance) T^2 of its load over the mass that it moves, of MuJoCo's documentation."""
     size_m = (0.1, 0.1, 0.05)
@@ -61,9 +45,8 @@ def test_a_tower_sinks_by_the_compliance_of_its_contacts():
         touch = [contact(names, other, friction=0.4) for other in (names, "ground")]
         scene = Scene(bodies=(*boxes, ground()), contacts=tuple(touch), duration_s=0.3)
         simulation = NEWTON.build(scene)
-        simulation.reset(0)
         simulation.advance(scene.duration_s)
-        top_m = simulation.body_states(names)[-1, 2]
+        top_m = simulation.body_states(names)[0, -1, 2]
         sink_m = boxes[-1].pose.position_m[2] - top_m
         time_constant_s = simulation.settings["sustained_solref"][0]
         law_m = (1.0 - impedance) * time_constant_s**2 * GRAVITY_M_PER_S2 * count**2 / 4
@@ -120,28 +103,65 @@ def test_meshes_that_touch_in_one_point_creep_as_published():
     assert scores["out_of_box"] < 0.5
 
 
-@pytest.mark.slow
-def test_a_frame_of_driven_worlds_is_copied_as_often_with_more_worlds(monkeypatch):
-    """Six drives are sent, and six positions, and states of free and driven bodies read; a restart copies nothing."""
-    warp_array = importlib.import_module("warp").array
-    counts = Counter()
-    for name in ("numpy", "assign"):
-        call = getattr(warp_array, name)
+def test_worlds_start_and_move_on_their_own():
+    """One of two worlds starts and is pushed as a single world is; a reset forgets both."""
+    scene = load_experiment("SlopeSlider-2-wood").scene
+    names = [body.name for body in scene.bodies]
+    cube = scene.dynamic_bodies[0].name
+    nominal = nominal_states(scene)
+    moved = nominal.copy()
+    moved[names.index(cube)] += [0.01, 0.02, 0.03, *np.zeros(4), 0.1, 0.2, 0.3, 1, 2, 3]
+    push = np.array([[0.0, 0.0, 0.2, 0.0, 0.001, 0.0]])
+    worlds, single = NEWTON.build_worlds(scene, 2), NEWTON.build(scene)
+    worlds.reset(np.stack([nominal, moved]))
+    single.reset(moved[None])
+    assert worlds.body_states(names)[1] == pytest.approx(moved, abs=1e-7)
+    worlds.apply_wrench(cube, np.vstack([np.zeros((1, 6)), push]))
+    single.apply_wrench(cube, push)
+    for simulation in (worlds, single):
+        simulation.advance(0.1)
+    ends = worlds.body_states(names)
+    assert (ends[1] == single.body_states(names)[0]).all()
+    worlds.reset()
+    worlds.advance(0.1)
+    assert (worlds.body_states(names) == ends[0]).all()
 
-        def counted(array, *values, name=name, call=call):
-            counts[name] += 1
-            return call(array, *values)
 
-        monkeypatch.setattr(warp_array, name, counted)
-    for world_count in (2, 5):
-        envs = gymnasium.make_vec(
-            "GAUGE/Turntable-1-wood", num_envs=world_count, backend="newton"
-        )
-        envs.reset(seed=0)
-        counts.clear()
-        envs.step(np.zeros(envs.action_space.shape))
-        assert counts == {"numpy": 10, "assign": 6}
-        counts.clear()
-        envs.unwrapped.worlds.restart(1)
-        assert not counts
-        envs.close()
+def test_a_body_on_a_hinge_starts_where_the_array_says():
+    scene = load_experiment("Pendulum-metal").scene
+    hinge = scene.joints[0]
+    row = [body.name for body in scene.bodies].index(hinge.body)
+    starts = nominal_states(scene)[None]
+    turn = Rotation.from_rotvec(0.3 * np.array(hinge.axis))
+    arm_m = turn.apply(starts[0, row, :3] - hinge.anchor_m)
+    spin = 1.5 * np.array(hinge.axis)
+    orientation = turn * Rotation.from_quat(starts[0, row, 3:7], scalar_first=True)
+    starts[0, row, :3] = hinge.anchor_m + arm_m
+    starts[0, row, 3:7] = orientation.as_quat(scalar_first=True)
+    starts[0, row, 7:] = [*np.cross(spin, arm_m), *spin]
+    simulation = NEWTON.build(scene)
+    simulation.reset(starts)
+    simulation.advance(1 / 1800)
+    state = simulation.body_states([hinge.body])[0, 0]
+    assert state[:3] == pytest.approx(starts[0, row, :3], abs=2e-3)
+    assert state[10:] == pytest.approx(spin, abs=0.02)
+
+
+def test_contact_forces_are_those_of_each_world():
+    """A box at rest weighs on the ground in one world, and flies in the other."""
+    scene = Scene(
+        bodies=(box("box", (0.0, 0.0, 0.05), (0.1, 0.1, 0.1)), ground()),
+        contacts=(contact("box", "ground", friction=0.4),),
+        duration_s=0.3,
+    )
+    simulation = NEWTON.build_worlds(scene, 2)
+    read = simulation.contact_forces([("box", "ground"), ("ground", "box")])
+    starts = np.stack([nominal_states(scene)] * 2)
+    starts[1, 0, 2] += 0.5
+    simulation.reset(starts)
+    for _ in range(36):
+        simulation.advance(1 / 180)
+    weight_n = scene.bodies[0].mass_kg * GRAVITY_M_PER_S2
+    forces_n = read()
+    assert forces_n[0, :, 2] == pytest.approx([weight_n, -weight_n], rel=0.02)
+    assert (forces_n[1] == 0.0).all()
