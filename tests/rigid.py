@@ -19,6 +19,11 @@ def solid(name, shape, position_m=(0.0, 0.0, 0.0), **changes):
     return replace(body(name, shape, Pose(position_m=position_m)), **changes)
 
 
+def target(pose, velocity, acceleration=(0.0,) * 6):
+    """Return the motion of a driven body in one world, as `Simulation.drive` takes it, shape [1, 19]."""
+    return np.array([[*pose.position_m, *pose.quaternion, *velocity, *acceleration]])
+
+
 def plane_deg(lean_deg=0.0, name="ground"):
     """A fixed plane through the origin that leans about y."""
     pose = Pose.from_euler_deg((0.0, 0.0, 0.0), (0.0, lean_deg, 0.0))

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from gauge_envs.envs.driver_paths import DriverPaths
 from programs import run_python
 from scipy.spatial.transform import Rotation
 
@@ -15,7 +16,6 @@ from gauge_envs.backends import backend, backend_names
 from gauge_envs.backends.base import worlds_of
 from gauge_envs.backends.registry import backend_class
 from gauge_envs.backends.shared import bundled
-from gauge_envs.envs.driver_paths import DriverPaths
 from gauge_envs.errors import BackendError, MissingExtraError
 from gauge_envs.registry import is_installed
 from gauge_envs.scene import Box, Pose, Scene

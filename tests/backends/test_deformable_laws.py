@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 from cloths import FABRICS, heavy_elastica_sag_m
 from foam import AREA_M2, EDGE_M, block
+from rigid import target
 from scipy.integrate import solve_bvp, solve_ivp
 from scipy.spatial.transform import Rotation
 
 from gauge_envs import load_experiment
-from gauge_envs.errors import ShapeError
 from gauge_envs.envs.recording import record
+from gauge_envs.errors import ShapeError
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2,
     Attachment,
@@ -37,7 +38,7 @@ slow_on_newton = pytest.mark.parametrize(
 def built(engine, scene, **settings):
     """Return a simulation at its start, with settings by name of the engine."""
     simulation = engine.build(scene, settings.get(engine.name))
-    simulation.reset(0)
+    simulation.reset()
     return simulation
 
 
@@ -114,7 +115,7 @@ def test_a_rope_carries_a_ball_and_follows_a_driven_body(engine):
     """
     scene = ball_on_rope((0.0, 0.0, -1.0))
     simulation = built(engine, scene, newton=QUICK)
-    nodes, strains = simulation.nodes("rope"), []
+    nodes, strains = simulation.nodes("rope")[0], []
     cells = np.linalg.norm(np.diff(nodes, axis=0), axis=1)
     assert cells == pytest.approx(np.full(len(cells), cells[0]), abs=1e-6)
     acceleration = 1.8
@@ -122,9 +123,9 @@ def test_a_rope_carries_a_ball_and_follows_a_driven_body(engine):
         place = Pose(position_m=(0.0, 0.0, 0.5 * acceleration * start_s**2))
         speed = acceleration * (start_s + 0.5 * INTERVAL_S)
         velocity = np.array([0.0, 0.0, speed, 0.0, 0.0, 0.0])
-        simulation.drive("top", place, velocity, np.zeros(6))
+        simulation.drive("top", target(place, velocity))
         simulation.advance(INTERVAL_S)
-        strains.append(strain(simulation.nodes("rope")))
+        strains.append(strain(simulation.nodes("rope")[0]))
     assert min(strains) > 0.0
     if engine.name == "newton":
         loaded = QUICK["rope_strain"] * (1.0 + acceleration / GRAVITY_M_PER_S2)
@@ -132,10 +133,10 @@ def test_a_rope_carries_a_ball_and_follows_a_driven_body(engine):
         assert np.mean(strains) == pytest.approx(loaded, rel=0.05)
     else:
         assert max(strains) < 1e-4
-    assert simulation.nodes("rope")[0] == pytest.approx([0.0, 0.0, 0.036], abs=3e-5)
-    low = simulation.body_states(["ball"])[0, :3]
+    assert simulation.nodes("rope")[0, 0] == pytest.approx([0.0, 0.0, 0.036], abs=3e-5)
+    low = simulation.body_states(["ball"])[0, 0, :3]
     assert low[2] == pytest.approx(0.036 - ROPE_M - BALL_M, abs=2e-3)
-    end = simulation.nodes("rope")[-1]
+    end = simulation.nodes("rope")[0][-1]
     assert end == pytest.approx(low + np.array([0.0, 0.0, BALL_M]), abs=1e-4)
 
 
@@ -252,7 +253,7 @@ def test_foot_that_slides_stays_behind_as_friction_and_elasticity_say(engine, na
     assert lag[-45:].std() < 0.005 * expected + 1e-6
     place = rod.pose.position_m[1]
     assert np.abs(nodes[:, :, 1] - place).max() < 1e-6
-    marker = simulation.track("rod", np.array(scene.markers.positions_m))()
+    marker = simulation.track("rod", np.array(scene.markers.positions_m))()[0]
     assert np.abs(marker[:, 1] - (place - rod.radius_m)).max() < 1e-6
 
 
@@ -288,20 +289,20 @@ def test_a_heavy_rod_hangs_like_an_elastica(engine):
     )
     damped = {"mujoco": {"timestep_s": 1 / 180}, "newton": {"rod_damping_s": 0.02}}
     simulation = built(engine, scene, **damped)
-    start = simulation.nodes("rod")
+    start = simulation.nodes("rod")[0]
     tip = start[-1]
     on_axis = tip - np.array([0.01, 0.0, 0.0])
     sides = on_axis + RADIUS_M * np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
     read = simulation.track("rod", np.array([on_axis, *sides]))
-    assert read() == pytest.approx(np.array([on_axis, *sides]), abs=1e-7)
+    assert read()[0] == pytest.approx(np.array([on_axis, *sides]), abs=1e-7)
     seconds = 3.0 if engine.name == "mujoco" else 1.5
     nodes = record(simulation, scene, seconds).nodes_m["rod"]
     sag = heavy_elastica_sag_m(slackness / FREE_M**3, FREE_M)
     found = tip[2] - nodes[-90:, -1, 2].mean()
     assert found > 0.5 * FREE_M
     assert found == pytest.approx(sag, rel=0.01)
-    centre, aside, above = read()
-    tangent = simulation.nodes("rod")[-1] - simulation.nodes("rod")[-2]
+    centre, aside, above = read()[0]
+    tangent = simulation.nodes("rod")[0][-1] - simulation.nodes("rod")[0][-2]
     for point in (aside, above):
         assert np.linalg.norm(point - centre) == pytest.approx(RADIUS_M, rel=1e-4)
         assert (point - centre) @ tangent == pytest.approx(0.0, abs=1e-5)
@@ -348,7 +349,7 @@ def move(
     name,
     seconds,
     path,
-    read=lambda: np.empty(0),
+    read=lambda: np.empty((1, 0)),
 ):
     """Drive a body along a path, which gives its place and rotation at a time; return what is read on the way."""
     found = []
@@ -360,9 +361,9 @@ def move(
             [np.subtract(there, place), (turned * turn.inv()).as_rotvec()]
         )
         pose = Pose.from_rotation(tuple(place), turn)
-        simulation.drive(name, pose, 180.0 * rates, np.zeros(6))
+        simulation.drive(name, target(pose, 180.0 * rates))
         simulation.advance(INTERVAL_S)
-        found.append(read())
+        found.append(read()[0])
     return np.array(found)
 
 
@@ -381,7 +382,7 @@ def test_a_turned_bar_lies_where_its_pose_says(engine, axis):
     low = replace(scene.attachments[0].region, depth_m=DEPTH_M)
     held = replace(scene.attachments[0], region=low)
     scene = replace(scene, attachments=(held, *scene.attachments[1:]))
-    nodes = built(engine, scene).nodes("foam") - centre
+    nodes = built(engine, scene).nodes("foam")[0] - centre
     half = np.full(3, 0.5 * EDGE_M)
     along = 1 if axis == "x" else 0
     half[along] = 0.1
@@ -413,7 +414,7 @@ def test_large_motions_leave_the_middle_half_way(engine, moved_m, turned_deg):
         return share * target, Rotation.from_rotvec(share * turn)
 
     move(simulation, "high", 0.6, path)
-    centre, aside = read()
+    centre, aside = read()[0]
     assert centre == pytest.approx(0.5 * target, abs=2e-4)
     across = aside - centre
     limit_deg = 0.3 if engine.name == "mujoco" else 0.7
@@ -431,7 +432,7 @@ def test_bonded_blocks_of_unlike_stiffness_in_series(engine):
         in_grips(stiff, soft, depth_m=0.0),
         newton={"cell_m": 0.025, "timestep_s": 1 / 360, "iterations": 60},
     )
-    assert simulation.nodes("soft")[:, 2].min() == pytest.approx(0.0, abs=1e-7)
+    assert simulation.nodes("soft")[0][:, 2].min() == pytest.approx(0.0, abs=1e-7)
     target = np.array([0.0, 0.0, 1e-3])
     read = simulation.track("stiff", np.zeros((1, 3)))
     middle = move(
@@ -455,7 +456,7 @@ def test_a_block_touches_what_it_lies_on_and_is_not_thrown_off(engine):
     simulation = built(engine, scene)
     fall_s = np.sqrt(2.0 * gap_m / GRAVITY_M_PER_S2)
     simulation.advance(round((fall_s + 0.1) / INTERVAL_S) * INTERVAL_S)
-    heights_m = simulation.nodes("foam")[:, 2]
+    heights_m = simulation.nodes("foam")[0][:, 2]
     assert -2e-5 < heights_m.min() < 1.2e-4
     assert heights_m.max() < EDGE_M + gap_m
 
@@ -473,7 +474,7 @@ def test_pressed_cube_does_not_sink_in(engine):
         contacts=(contact("foam", "cube", friction=0.0),),
     )
     simulation = built(engine, scene)
-    rest = simulation.nodes("foam")
+    rest = simulation.nodes("foam")[0]
     deepest = np.array([0.0, 0.0, -0.03])
     start = np.array(cube.pose.position_m)
     move(
@@ -484,7 +485,7 @@ def test_pressed_cube_does_not_sink_in(engine):
     )
     under = (rest[:, 2] > 0.0249) & (np.abs(rest[:, 1]) < 0.0249)
     lower_m = start[2] - 0.03 - 0.025
-    gap_m = lower_m - simulation.nodes("foam")[under, 2]
+    gap_m = lower_m - simulation.nodes("foam")[0][under, 2]
     assert under.sum() > 4
     assert gap_m.min() > -2e-4
     assert gap_m.max() < 2.5e-3
@@ -541,7 +542,7 @@ def test_droop_of_a_row_of_four(engine):
     droops = [0.0]
     for _ in range(120):
         simulation.advance(INTERVAL_S)
-        droops.append(-read()[0, 2])
+        droops.append(-read()[0, 0, 2])
     lowest = int(np.argmax(droops[:60]))
     period = lowest + int(np.argmin(droops[lowest:]))
     ratio = np.mean(droops[:period]) / timoshenko_droop_m(end_m, gravity)

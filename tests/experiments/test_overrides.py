@@ -165,10 +165,10 @@ def test_engines_fall_with_the_gravity_of_the_scene(name):
         "BouncingBall-rubber", {"scene.gravity_m_per_s2": 1.6}
     ).scene
     simulation = engine.build(scene)
-    simulation.reset(0)
-    start = simulation.body_states(["ball"])[0, 2]
+    simulation.reset()
+    start = simulation.body_states(["ball"])[0, 0, 2]
     for _ in range(36):
         simulation.advance(1 / 180)
-    fallen = start - simulation.body_states(["ball"])[0, 2]
+    fallen = start - simulation.body_states(["ball"])[0, 0, 2]
     simulation.close()
     assert fallen == pytest.approx(0.5 * 1.6 * 0.2**2, rel=0.03)

@@ -202,7 +202,10 @@ def test_edited_samples_drive_the_body(edited, rollout):
     path = edited(TILTED, higher)
     before, _, _ = rollout(TILTED)
     after, _, _ = rollout(TILTED, asset=path)
-    driven = [env.simulation.body_states(["board"])[0, :3] for env in (before, after)]
+    driven = [
+        env.rollout.simulation.body_states(["board"])[0, 0, :3]
+        for env in (before, after)
+    ]
     np.testing.assert_allclose(driven[1] - driven[0], [0.0, 0.0, 0.02], atol=1e-6)
     assert after.experiment.asset.edited
 

@@ -175,7 +175,10 @@ def test_other_rows_become_a_sampled_driver(edited, rollout):
     path = edited(TILTED, rows_text(lift))
     before, _, _ = rollout(TILTED)
     after, _, _ = rollout(TILTED, asset=path)
-    moved = [env.simulation.body_states(["board"])[0, :3] for env in (before, after)]
+    moved = [
+        env.rollout.simulation.body_states(["board"])[0, 0, :3]
+        for env in (before, after)
+    ]
     np.testing.assert_allclose(moved[1] - moved[0], [0.0, 0.0, 1e-3], atol=1e-6)
     assert (
         "driver of board: its motion is sampled from other rows"
@@ -416,10 +419,10 @@ def test_a_start_velocity_of_a_file_is_the_scenes(name, body, start, tmp_path):
     )
     simulation = backend_for("mujoco", found.model_file).build(found.scene)
     for _ in range(2):
-        now = simulation.body_states([body])[0, 7:]
+        now = simulation.body_states([body])[0, 0, 7:]
         assert now == pytest.approx(rates, abs=1e-9)
         simulation.advance(0.1)
-        simulation.reset(0)
+        simulation.reset()
 
 
 @pytest.mark.parametrize(

@@ -6,25 +6,25 @@ import pytest
 
 from gauge_envs import load_experiment
 from gauge_envs.backends.mujoco import BackendMuJoCo
-from gauge_envs.scene.driver_path import DriverPath
+from gauge_envs.scene.prescribed_motion import prescribed_motions
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 
 FLING = "TextileFlinging-satin"
-ZERO = np.zeros(1)
+ZERO = np.zeros((1, 1))
 
 
 def fling(parameters="air"):
     experiment = load_experiment(FLING, parameters)
     scene = experiment.scene
     simulation = BackendMuJoCo().build(scene)
-    simulation.reset(0)
-    return scene, simulation, DriverPath(scene.drivers[0], scene, 11)
+    simulation.reset()
+    (motion,) = prescribed_motions(scene, scene.duration_s)
+    return scene, simulation, motion
 
 
-def advance(simulation, path, first, last):
+def advance(simulation, motion, first, last):
     for index in range(first, last):
-        state = path.interval(index, ZERO)
-        simulation.drive(path.body, *state)
+        simulation.drive(motion.body, motion.targets(index, ZERO)[0])
         simulation.advance(SAMPLE_INTERVAL_S)
 
 
@@ -79,12 +79,12 @@ def test_vertex_velocities_are_those_of_mujoco():
 
 
 def test_without_air_the_model_steps_as_mujoco_alone():
-    _, simulation, path = fling("calibrated")
+    _, simulation, motion = fling("calibrated")
     _, other, _ = fling("calibrated")
     steps = round(SAMPLE_INTERVAL_S / other.settings["timestep_s"])
-    advance(simulation, path, 0, 20)
+    advance(simulation, motion, 0, 20)
     for index in range(20):
-        other.drive(path.body, *path.interval(index, ZERO))
+        other.drive(motion.body, motion.targets(index, ZERO)[0])
         mujoco.mj_step(other.model, other.data, nstep=steps)
-    assert np.array_equal(simulation.nodes("textile"), other.nodes("textile"))
+    assert np.array_equal(simulation.nodes("textile")[0], other.nodes("textile")[0])
     assert not simulation.data.qfrc_applied.any()

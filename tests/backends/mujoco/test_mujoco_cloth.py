@@ -18,7 +18,6 @@ from gauge_envs.scene import (
     Region,
     Scene,
 )
-from gauge_envs.scene.driver_path import DriverPath
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 from gauge_envs.tools.bench.parts import box, contact, fixed_box
@@ -113,7 +112,7 @@ def test_every_pair_gets_its_own_friction():
     """A flex has one friction only; a cube on the cloth has another than the cloth on the table."""
     scene = load_experiment("TableclothPulling-metal").scene
     simulation = BackendMuJoCo().build(scene)
-    simulation.reset(0)
+    simulation.reset()
     simulation.advance(SAMPLE_INTERVAL_S)
     model, data = simulation.model, simulation.data
     wanted = {c.first + c.second: c.friction for c in scene.contacts}
@@ -171,11 +170,11 @@ STRIPS = [
 def test_a_cube_on_cloth_holds_while_the_slope_is_less_than_friction(cloth):
     scene = on_a_slope(cloth)
     simulation = BackendMuJoCo().build(scene)
-    simulation.reset(0)
+    simulation.reset()
     ways_m, start = [], np.asarray(scene.body("cube").pose.position_m)
     for _ in range(6):
         simulation.advance(0.1)
-        way = simulation.body_states(["cube"])[0, :3] - start
+        way = simulation.body_states(["cube"])[0, 0, :3] - start
         ways_m.append(scene.body("slab").pose.rotation.apply(way, inverse=True))
     downhill, _, off = np.transpose(ways_m)
     # On a rigid slope the best known real cubes leave room for 1.4 to 2.5 mm/s.
@@ -233,12 +232,7 @@ def swung(settings, duration_s=0.3):
         deformables=(replace(experiment.scene.deformables[0], size_m=(0.5, 0.1)),),
     )
     simulation = BackendMuJoCo().build(scene, settings)
-    simulation.reset(0)
-    path = DriverPath(scene.drivers[0], scene, experiment.frame_count)
-    for sample in range(round(duration_s / SAMPLE_INTERVAL_S)):
-        simulation.drive("rod", *path.interval(sample, np.zeros(path.motion_count)))
-        simulation.advance(SAMPLE_INTERVAL_S)
-    return simulation.nodes("textile")
+    return record(simulation, scene, duration_s).nodes_m["textile"][-1]
 
 
 def test_conjugate_gradients_move_cloth_like_newtons_method():
@@ -264,26 +258,26 @@ def folded(monkeypatch, watch, answer):
         cloth = replace(scene.deformables[0], size_m=(0.3, 0.1))
         scene = replace(scene, deformables=(cloth,), gravity_m_per_s2=0.0)
         simulation = BackendMuJoCo().build(scene, {})
-        simulation.reset(0)
-        nodes = simulation.nodes("textile")
+        simulation.reset()
+        nodes = simulation.nodes("textile")[0]
         part = simulation._parts["textile"]
         low = (nodes[:, 2].max() - nodes[:, 2])[part.points.free]
         simulation.data.qvel[part.points.dofs[:, 2]] = 7.0 * low
         simulation.data.qvel[part.points.dofs[:, 0]] = np.sin(np.pi * low / 0.3)
         frames, searched = [], []
-        original = SimulationMuJoCo._steps
+        original = SimulationMuJoCo._step
 
-        def steps(self, count):
-            original(self, count)
+        def steps(self, world, count):
+            original(self, world, count)
             has_search = (
                 not self.model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_CONTACT
             )
             searched.append((has_search, int(self.data.ncon)))
 
-        patch.setattr(SimulationMuJoCo, "_steps", steps)
+        patch.setattr(SimulationMuJoCo, "_step", steps)
         for _ in range(90):
             simulation.advance(SAMPLE_INTERVAL_S)
-            frames.append(simulation.nodes("textile"))
+            frames.append(simulation.nodes("textile")[0])
         assert (
             not simulation.model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_CONTACT
         )

@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 from gauge_envs import load_experiment
 from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.backends.mujoco.cloth import BENDING_PER_EDGE, STIFFNESS_PER_TRIANGLE
-from gauge_envs.scene.driver_path import DriverPath
+from gauge_envs.scene.prescribed_motion import prescribed_motions
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
 
 SHARE = 0.02
 """Energy from nowhere that is allowed, as a share of the work done."""
 
-NO_ACTION = np.zeros(1)
+NO_ACTION = np.zeros((1, 1))
 
 
 class Energies:
@@ -165,9 +165,9 @@ def ledger(name, frame_count, *, parameters=None, settings=None, clock_s=0.0):
     """
     experiment = load_experiment(name, parameters or {})
     simulation = BackendMuJoCo().build(experiment.scene, settings)
-    simulation.reset(0)
+    simulation.reset()
     (driver,) = experiment.scene.drivers
-    path = DriverPath(driver, experiment.scene, experiment.frame_count)
+    (motion,) = prescribed_motions(experiment.scene, experiment.scene.duration_s)
     energies = Energies(simulation, driver.body)
     mass, timestep = (
         simulation.settings["kinematic_mass_kg"],
@@ -176,12 +176,13 @@ def ledger(name, frame_count, *, parameters=None, settings=None, clock_s=0.0):
     first = round(clock_s / SAMPLE_INTERVAL_S)
     parts, works, work = [energies.now()], [0.0], 0.0
     for sample in range((frame_count - 1) * SAMPLES_PER_FRAME):
-        pose, velocity, acceleration = path.interval(first + sample, NO_ACTION)
-        simulation.drive(driver.body, pose, velocity, acceleration)
-        before = simulation.body_states([driver.body])[0, 7:]
+        target = motion.targets(first + sample, NO_ACTION)[0]
+        acceleration = target[0, 13:]
+        simulation.drive(driver.body, target)
+        before = simulation.body_states([driver.body])[0, 0, 7:]
         for _ in range(round(SAMPLE_INTERVAL_S / timestep)):
             mujoco.mj_step(simulation.model, simulation.data)
-            after = simulation.body_states([driver.body])[0, 7:]
+            after = simulation.body_states([driver.body])[0, 0, 7:]
             impulse = mass * (after - before - timestep * acceleration)
             work -= 0.5 * float(impulse @ (before + after))
             before = after

@@ -10,7 +10,7 @@ def sideways_mm(**settings):
     """Return how far a cube leaves the plane of symmetry of the board that a motor tilts [mm]."""
     env = GaugeEnv("SlopeSlider-3-wood", settings=settings)
     env.reset(seed=0)
-    env.episode.play()
+    env.rollout.play()
     frames_mm = env.trajectory().frames
     env.close()
     return float(np.ptp(frames_mm[:, 1]))
