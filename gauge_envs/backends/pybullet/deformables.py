@@ -25,7 +25,7 @@ from gauge_envs.backends.shared.cells import grid_points
 from gauge_envs.backends.shared.soft_rows import lame_constants
 from gauge_envs.backends.simulation import MaterialPoints
 from gauge_envs.errors import ShapeError
-from gauge_envs.scene import Cylinder, Motion, Region, RigidBody, Rope, SoftBody
+from gauge_envs.scene import Cylinder, Motion, Region, Rope, SoftBody
 from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.scene.meshes import mass_properties, nodes_in, tetrahedra
 
@@ -166,7 +166,8 @@ def add_rope(world: World, rope: Rope, cell_m: float | None) -> RopePart:
         )
         place = length, Rotation.identity()
     if tip is not None:
-        links.append(_tip_of_rope(world, tip, place[0], rotation, end_m))
+        ball = pybullet.JOINT_SPHERICAL
+        links.append(world.link(tip, ball, end_m, place[0], rotation))
     body = world.add_multibody(base, base_moments, links)
 
     if root is not None and root.motion is Motion.DYNAMIC:
@@ -188,36 +189,6 @@ def _base(
         "basePosition": (world.scale * place_m).tolist(),
         "baseOrientation": rotation.as_quat().tolist(),
     }
-
-
-def _tip_of_rope(
-    world: World,
-    tip: RigidBody,
-    place: FloatArray,
-    rotation: Rotation,
-    end_m: FloatArray,
-) -> Link:
-    """Return the body at the end of a rope as a link.
-
-    Args:
-        world: The world.
-        tip: The body.
-        place: End of the last segment in its frame [units], where the joint is.
-        rotation: Rotation of the segments.
-        end_m: End of the rope in the world [m].
-    """
-    frame = world.frames[tip.name]
-    turn = tip.pose.rotation * frame.axes
-    centre_m = turn.inv().apply(tip.pose.to_world(frame.centre_m) - end_m)
-    origin_m = turn.inv().apply(np.subtract(tip.pose.position_m, end_m))
-    return Link(
-        joint=pybullet.JOINT_SPHERICAL,
-        place=(place, rotation.inv() * turn),
-        mass_kg=tip.mass_kg,
-        moments=frame.moments,
-        centre=world.scale * centre_m,
-        shape=world.shape(tip, origin_m),
-    )
 
 
 # --- soft bodies ------------------------------------------------------------------------------------------------------
@@ -269,7 +240,7 @@ def add_soft_body(
         # An anchor keeps the node where it now is in the frame of the body.
         holder = GROUND
         if attachment.motion is not Motion.FIXED:
-            holder = world.handles[attachment.body][0].body
+            holder, _ = world.handles[attachment.body][0]
         for node in nodes_in(nodes_m, attachment.region).tolist():
             world.client.createSoftBodyAnchor(number, node, holder, BASE)
     return int(number)

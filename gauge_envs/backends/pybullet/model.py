@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.pybullet.contacts import (
+    Pair,
     Surface,
     colliding_pairs,
     impact_bodies,
@@ -22,6 +23,7 @@ from gauge_envs.backends.pybullet.settings import SettingsPyBullet
 from gauge_envs.backends.pybullet.world import (
     BASE,
     DRIVEN_MASS_KG,
+    Handle,
     Link,
     World,
     pybullet,
@@ -45,6 +47,9 @@ EARLY_CONTACTS = 1e18
 STRING_MASS = 1e-6
 """Mass of the two links of a string, over that of the body that hangs on it."""
 
+ORIGIN = np.zeros(3)
+NO_TURN = Rotation.identity()
+
 UNTOUCHED = Surface(frozenset(), 0.0, 0.0)
 """Surface of a body without contacts."""
 
@@ -62,7 +67,7 @@ class Model(World):
         self.ropes: dict[str, RopePart] = {}
         self.soft: dict[str, int] = {}
         # Body and link with the surface of one body towards another.
-        self._towards: dict[tuple[str, str], tuple[int, int]] = {}
+        self._towards: dict[Pair, Handle] = {}
         self._pairs = [pair for _, pair in colliding_pairs(scene)]
         self._surfaces = surfaces(scene)
         self._late = impact_bodies(scene) if settings.late_impacts else set()
@@ -142,7 +147,7 @@ class Model(World):
                 surface, *_ = self._surfaces.get(soft.name, [UNTOUCHED])
                 number = add_soft_body(self, soft, self.settings.cell_m, surface)
                 self.soft[soft.name] = number
-                self._enter(soft.name, surface, number, BASE)
+                self._enter(soft.name, surface, (number, BASE))
 
     def _add_free(self, body: RigidBody) -> None:
         """Add a free, fixed or driven body."""
@@ -167,26 +172,12 @@ class Model(World):
         self.client.resetBaseVelocity(number, speed.tolist(), spin)
 
     def _add_hinged(self, body: RigidBody, hinge: Hinge) -> None:
-        """Add a body on a hinge as the link of a fixed base at its anchor.
-
-        The frame of the link is at the hinge, along the principal axes of the body.
-        """
-        frame = self.frames[body.name]
+        """Add a body on a hinge as the link of a fixed base at its anchor."""
         anchor_m = np.asarray(hinge.anchor_m)
-        turn = body.pose.rotation * frame.axes
-        back = turn.inv()
-        centre_m = back.apply(body.pose.to_world(frame.centre_m) - anchor_m)
-        origin_m = back.apply(np.subtract(body.pose.position_m, anchor_m))
-        link = Link(
-            joint=pybullet.JOINT_REVOLUTE,
-            place=(np.zeros(3), turn),
-            mass_kg=body.mass_kg,
-            moments=frame.moments,
-            centre=self.scale * centre_m,
-            shape=self.shape(body, origin_m),
-            axis=back.apply(hinge.axis).tolist(),
-        )
         base = {"baseMass": 0.0, "basePosition": (self.scale * anchor_m).tolist()}
+        link = self.link(
+            body, pybullet.JOINT_REVOLUTE, anchor_m, ORIGIN, NO_TURN, hinge.axis
+        )
         number = self.add_multibody(base, [], [link])
         self.add_handle(body.name, number, 0)
         rate = float(np.dot(body.angular_velocity_rad_per_s, hinge.axis))
@@ -194,37 +185,26 @@ class Model(World):
 
     def _add_tethered(self, body: RigidBody, tether: Tether) -> None:
         """Add a body on a string: a spherical joint, a sliding joint with an upper limit, and a spherical joint."""
-        frame = self.frames[body.name]
         anchor_m = np.asarray(tether.anchor_m)
-        arm_m = np.asarray(body.pose.position_m) - anchor_m
+        base = {"baseMass": 0.0, "basePosition": (self.scale * anchor_m).tolist()}
+        origin_m = np.asarray(body.pose.position_m)
+        arm_m = origin_m - anchor_m
         apart = self.scale * length_of(arm_m)
         longest = self.scale * tether.length_m
         string = Rotation.align_vectors([arm_m], [[0.0, 0.0, 1.0]])[0]
-        origin = np.zeros(3)
         mass_kg = STRING_MASS * body.mass_kg
         light: dict[str, Any] = {
             "mass_kg": mass_kg,
             "moments": [mass_kg * longest**2] * 3,
-            "centre": origin,
+            "centre": ORIGIN,
         }
         end = np.array([0.0, 0.0, apart])
+        ball = pybullet.JOINT_SPHERICAL
         links = (
-            Link(joint=pybullet.JOINT_SPHERICAL, place=(origin, string), **light),
-            Link(
-                joint=pybullet.JOINT_PRISMATIC,
-                place=(end, Rotation.identity()),
-                **light,
-            ),
-            Link(
-                joint=pybullet.JOINT_SPHERICAL,
-                place=(origin, string.inv() * (body.pose.rotation * frame.axes)),
-                mass_kg=body.mass_kg,
-                moments=frame.moments,
-                centre=self.scale * frame.axes.inv().apply(frame.centre_m),
-                shape=self.shape(body, origin),
-            ),
+            Link(joint=ball, place=(ORIGIN, string), **light),
+            Link(joint=pybullet.JOINT_PRISMATIC, place=(end, NO_TURN), **light),
+            self.link(body, ball, origin_m, ORIGIN, string),
         )
-        base = {"baseMass": 0.0, "basePosition": (self.scale * anchor_m).tolist()}
         number = self.add_multibody(base, [], links)
         self.add_handle(body.name, number, 2)
         # Bullet ignores limits of which the lower one is above the upper one, and needs both.
@@ -250,10 +230,9 @@ class Model(World):
                 }
             found = self._surfaces.get(name, [UNTOUCHED])
             for surface, handle in zip(found, handles, strict=True):
-                self._enter(name, surface, handle.body, handle.link)
+                self._enter(name, surface, handle)
                 self.client.changeDynamics(
-                    handle.body,
-                    handle.link,
+                    *handle,
                     lateralFriction=surface.friction,
                     restitution=surface.restitution,
                     rollingFriction=0.5 * self.scale * rolling * surface.friction,
@@ -268,10 +247,10 @@ class Model(World):
                     **springs,
                 )
 
-    def _enter(self, name: str, surface: Surface, body: int, link: int) -> None:
+    def _enter(self, name: str, surface: Surface, handle: Handle) -> None:
         """Note which body and link have a surface."""
         for partner in surface.partners:
-            self._towards[name, partner] = body, link
+            self._towards[name, partner] = handle
 
     def _filter_collisions(self) -> None:
         """Let only the pairs of the scene's contacts collide."""
