@@ -69,6 +69,8 @@ DRIVEN_MASS_KG = 1e6
 NO_SHAPE = -1
 """Number of the shape of links that touch nothing."""
 
+NO_TURN = Rotation.identity()
+
 BASE = -1
 """Number of the link that is the base of a body."""
 
@@ -202,19 +204,31 @@ class World:
         path.write_text(text)
         return {"fileName": str(path), **mesh}
 
-    def base_arguments(self, body: RigidBody) -> dict[str, Any]:
+    def base(
+        self, place_m: FloatArray, rotation: Rotation = NO_TURN, mass_kg: float = 0.0
+    ) -> dict[str, Any]:
+        """Return the arguments of `createMultiBody` for a base without shape at a place in the world [m]."""
+        return {
+            "baseMass": mass_kg,
+            "basePosition": (self.scale * place_m).tolist(),
+            "baseOrientation": rotation.as_quat().tolist(),
+        }
+
+    def base_of(self, body: RigidBody) -> dict[str, Any]:
         """Return the arguments of `createMultiBody` for a body as base, whose frame is that of its centre of mass."""
         frame = self.frames[body.name]
         mass_kg = 0.0 if body.motion is Motion.FIXED else body.mass_kg
         if body.motion is Motion.KINEMATIC:
             mass_kg = DRIVEN_MASS_KG
+        centre_m = body.pose.to_world(frame.centre_m)
+        base = self.base(centre_m, body.pose.rotation * frame.axes, mass_kg)
         origin_m = frame.axes.inv().apply(-frame.centre_m)
-        return {
-            "baseMass": mass_kg,
-            "baseCollisionShapeIndex": self.shape(body, origin_m),
-            "basePosition": (self.scale * body.pose.to_world(frame.centre_m)).tolist(),
-            "baseOrientation": (body.pose.rotation * frame.axes).as_quat().tolist(),
-        }
+        return {"baseCollisionShapeIndex": self.shape(body, origin_m), **base}
+
+    def add_handle(self, name: str, number: int, link: int) -> None:
+        """Enter a body as a link of a multibody, or as a copy of a body that is entered already."""
+        self.handles.setdefault(name, []).append((number, link))
+        self.names[number, link] = name
 
     def link(
         self,
@@ -249,11 +263,6 @@ class World:
             shape=self.shape(body, origin_m),
             axis=back.apply(axis).tolist(),
         )
-
-    def add_handle(self, name: str, number: int, link: int) -> None:
-        """Enter a body as a link of a multibody, or as a copy of a body that is entered already."""
-        self.handles.setdefault(name, []).append((number, link))
-        self.names[number, link] = name
 
     def add_multibody(
         self, base: dict[str, Any], moments: list[float], links: Sequence[Link]
