@@ -80,25 +80,6 @@ def test_an_option_that_does_not_reach_mujoco_is_an_error(monkeypatch):
         backend("mujoco").build(_ball())
 
 
-def test_a_parameter_that_does_not_reach_pybullet_is_an_error(monkeypatch):
-    pytest.importorskip("pybullet")
-    from gauge_envs.backends.pybullet.world import BulletWorld
-
-    call = BulletWorld.call
-
-    def faulty(self, name, *arguments, **named):
-        return call(
-            self,
-            name,
-            *arguments,
-            **{key: value for key, value in named.items() if key != "rollingFriction"},
-        )
-
-    monkeypatch.setattr(BulletWorld, "call", faulty)
-    with pytest.raises(BackendError, match="PyBullet setting 'rollingFriction'"):
-        backend("pybullet").build(_ball(rolling_m=0.001)).close()
-
-
 @pytest.mark.parametrize(
     ("field", "words"),
     [("torsion_m", "torsional friction"), ("rolling_m", "rolling friction")],

@@ -13,7 +13,15 @@ from gauge_envs.backends.physx.contacts import unsupported_contacts
 from gauge_envs.backends.physx.settings import settings_for
 from gauge_envs.backends.shared.bundled import BundledBackend, declined_hinges, first_of
 from gauge_envs.backends.simulation import Simulation
-from gauge_envs.scene import Compound, ConvexUnion, Ellipsoid, Hinge, Motion, Scene
+from gauge_envs.scene import (
+    Compound,
+    ConvexUnion,
+    Ellipsoid,
+    Hinge,
+    Motion,
+    RigidBody,
+    Scene,
+)
 
 __all__ = ["BackendPhysX"]
 
@@ -62,10 +70,7 @@ class BackendPhysX(BundledBackend):
                 yield f"{name!r} hangs on a hinge and is {motion.value}: only dynamic bodies have hinges"
                 break
         for body in scene.bodies:
-            parts = body.shape.parts if isinstance(body.shape, Compound) else ()
-            if any(isinstance(part.shape, Ellipsoid) for part in parts):
-                yield f"{body.name!r} contains an ellipsoid, and PhysX has no ellipsoids"
-        yield from _unsupported_hulls(scene)
+            yield from _unsupported_shape(body)
         yield from unsupported_contacts(scene)
 
     def build(
@@ -78,28 +83,20 @@ class BackendPhysX(BundledBackend):
         return SimulationPhysX(scene, chosen)
 
 
-def _unsupported_hulls(scene: Scene) -> Iterator[str]:
-    for body in scene.bodies:
-        solids = (
-            [part.shape for part in body.shape.parts]
-            if isinstance(body.shape, Compound)
-            else [body.shape]
-        )
-        pieces = [
-            piece
-            for solid in solids
-            if isinstance(solid, ConvexUnion)
-            for piece in solid.pieces_m
-        ]
-        for number, piece in enumerate(pieces):
-            vertices = (
-                len(ConvexHull(np.asarray(piece)).vertices)
-                if len(piece) > HULL_LIMIT
-                else 0
+def _unsupported_shape(body: RigidBody) -> Iterator[str]:
+    solids: list[object] = [body.shape]
+    if isinstance(body.shape, Compound):
+        solids = [part.shape for part in body.shape.parts]
+    if any(isinstance(solid, Ellipsoid) for solid in solids):
+        yield f"{body.name!r} contains an ellipsoid, and PhysX has no ellipsoids"
+    unions = [solid for solid in solids if isinstance(solid, ConvexUnion)]
+    pieces = [piece for union in unions for piece in union.pieces_m]
+    for number, piece in enumerate(pieces):
+        count = len(piece)
+        if count > HULL_LIMIT:
+            count = len(ConvexHull(np.asarray(piece)).vertices)
+        if count > HULL_LIMIT:
+            yield (
+                f"piece {number} of {body.name!r} has {count} vertices: PhysX simplifies pieces with more than "
+                f"{HULL_LIMIT}; divide it"
             )
-            if vertices > HULL_LIMIT:
-                yield (
-                    f"piece {number} of {body.name!r} has {vertices} vertices: PhysX simplifies pieces with more than "
-                    f"{HULL_LIMIT}; divide it"
-                )
-                return

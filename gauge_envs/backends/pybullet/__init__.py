@@ -9,7 +9,7 @@ from types import MappingProxyType
 from typing import Any
 
 from gauge_envs.backends.features import Feature
-from gauge_envs.backends.pybullet.contacts import turning_shares
+from gauge_envs.backends.pybullet.contacts import colliding_pairs, turning_shares
 from gauge_envs.backends.pybullet.settings import settings_for
 from gauge_envs.backends.shared.attachments import (
     attached_ends,
@@ -97,93 +97,76 @@ class BackendPyBullet(BundledBackend):
 def _unsupported_joints(scene: Scene) -> Iterator[str]:
     jointed: set[str] = set()
     for joint in scene.joints:
-        if joint.body in jointed:
-            yield f"{joint.body!r} has two joints: this backend builds one joint for each body"
-        jointed.add(joint.body)
-        body = scene.body(joint.body)
+        name = joint.body
+        body = scene.body(name)
+        if name in jointed:
+            yield f"{name!r} has two joints: this backend builds one joint for each body"
+        jointed.add(name)
         if body.motion is not Motion.DYNAMIC:
-            yield f"{joint.body!r} has a joint and is not dynamic"
+            yield f"{name!r} has a joint and is not dynamic"
         if isinstance(joint, Tether) and body.pose.position_m == joint.anchor_m:
-            yield f"{joint.body!r} starts at the anchor of its string, which then has no direction"
+            yield f"{name!r} starts at the anchor of its string, which then has no direction"
         if isinstance(joint, Tether) and not body.starts_at_rest:
-            yield f"{joint.body!r} hangs on a string and has a start velocity: this backend starts strings at rest"
+            yield f"{name!r} hangs on a string and has a start velocity: this backend starts strings at rest"
 
 
 def _unsupported_rope(scene: Scene, rope: Rope) -> Iterator[str]:
     """Yield what PyBullet's chains do not support of a rope: contacts, and ends outside one tree of joints."""
-    if any(
-        rope.name in (*contact.first, *contact.second) for contact in scene.contacts
-    ):
-        yield f"{rope.name!r} touches other bodies or itself: chains of light segments in contact diverge in Bullet"
+    name = rope.name
+    if any(name in pair for _, pair in colliding_pairs(scene)):
+        yield f"{name!r} touches other bodies or itself: chains of light segments in contact diverge in Bullet"
+    deformable = {body.name for body in scene.deformables}
     for attachment in scene.attachments:
-        if attachment.deformable == rope.name and attachment.to in {
-            body.name for body in scene.deformables
-        }:
-            yield f"{rope.name!r} is attached to {attachment.to!r}, which is not a rigid body"
+        if attachment.deformable == name and attachment.to in deformable:
+            yield f"{name!r} is attached to {attachment.to!r}, which is not a rigid body"
     try:
-        ends = attached_ends(rope, rigid_attachments(scene, rope.name))
+        ends = attached_ends(rope, rigid_attachments(scene, name))
     except UnsupportedSceneError as error:
         yield str(error)
         return
-    bodies = [scene.body(attachment.body) for attachment in ends.values()]
-    driven = [body.name for body in bodies if body.motion is Motion.KINEMATIC]
-    if driven:
-        yield f"{rope.name!r} is attached to {driven[0]!r}, which is driven: chains start at fixed or dynamic bodies"
-    if len(bodies) == 2 and (
-        bodies[0].motion is Motion.FIXED is bodies[1].motion or bodies[0] is bodies[1]
-    ):
-        yield f"{rope.name!r} is held at both ends, so that its chain is a loop, which this backend does not build"
-    jointed = {joint.body for joint in scene.joints}
-    others = {one.to for one in scene.attachments if one.deformable != rope.name}
-    for body in bodies:
-        if body.motion is Motion.DYNAMIC and body.name in jointed | others:
-            yield f"{body.name!r} is attached to {rope.name!r} and has another joint or rope"
+    others = {joint.body for joint in scene.joints}
+    others |= {one.to for one in scene.attachments if one.deformable != name}
+    for end in ends.values():
+        if end.motion is Motion.KINEMATIC:
+            yield f"{name!r} is attached to {end.body!r}, which is driven: chains start at fixed or dynamic bodies"
+        if end.motion is Motion.DYNAMIC and end.body in others:
+            yield f"{end.body!r} is attached to {name!r} and has another joint or rope"
+    bodies = {end.body for end in ends.values()}
+    motions = {end.motion for end in ends.values()}
+    if len(ends) == 2 and (len(bodies) == 1 or motions == {Motion.FIXED}):
+        yield f"{name!r} is held at both ends, so that its chain is a loop, which this backend does not build"
 
 
 def _unsupported_soft_bodies(scene: Scene) -> Iterator[str]:
     """Yield what this backend does not build of soft bodies: contacts of two, bonds, and moving rigid bodies beside."""
-    soft = {body.name for body in scene.deformables if isinstance(body, SoftBody)}
+    soft = {body.name: body for body in scene.deformables if isinstance(body, SoftBody)}
     if not soft:
         return
     deformable = {body.name for body in scene.deformables}
-    for contact in scene.contacts:
-        pairs = [
-            pair
-            for one in contact.first
-            for other in contact.second
-            if soft & set(pair := (one, other))
-        ]
-        if any(deformable.issuperset(pair) for pair in pairs):
-            yield f"{pairs[0][0]!r} and {pairs[0][1]!r} are deformable and touch: this backend builds no such contacts"
-        elif pairs and contact.mode is ContactMode.IMPACT and contact.restitution > 0.0:
-            yield f"{pairs[0][0]!r} rebounds from {pairs[0][1]!r}: contacts of Bullet's soft bodies have no restitution"
+    touching = (
+        (contact, pair)
+        for contact, pair in colliding_pairs(scene)
+        if soft.keys() & set(pair)
+    )
+    for contact, (first, second) in touching:
+        if deformable >= {first, second}:
+            yield f"{first!r} and {second!r} are deformable and touch: this backend builds no such contacts"
+        elif contact.mode is ContactMode.IMPACT and contact.restitution > 0.0:
+            yield f"{first!r} rebounds from {second!r}: contacts of Bullet's soft bodies have no restitution"
     yield from attachment_problems(scene, not_to_dynamic=SoftBody)
-    bonded = [
-        attachment
-        for attachment in scene.attachments
-        if attachment.deformable in soft and attachment.to in soft
-    ]
-    if bonded:
-        yield f"{bonded[0].deformable!r} is attached to {bonded[0].to!r}: this backend builds no bonds of soft bodies"
-    for body in scene.deformables:
-        if isinstance(body, SoftBody):
-            yield from _unsupported_solid(scene, body)
-    others = [
-        body.name
-        for body in (*scene.dynamic_bodies, *scene.deformables)
-        if body.name not in soft
-    ]
-    if others:
-        yield f"{others[0]!r} moves beside {min(soft)!r}: this backend builds soft bodies alone"
+    for bond in scene.attachments:
+        if soft.keys() >= {bond.deformable, bond.to}:
+            yield f"{bond.deformable!r} is attached to {bond.to!r}: this backend builds no bonds of soft bodies"
+    for body in soft.values():
+        yield from _unsupported_solid(scene, body)
+    for other in (*scene.dynamic_bodies, *scene.deformables):
+        if other.name not in soft:
+            yield f"{other.name!r} moves beside {min(soft)!r}: this backend builds soft bodies alone"
 
 
 def _unsupported_solid(scene: Scene, body: SoftBody) -> Iterator[str]:
     """Yield what the mesh of a soft body cannot represent."""
+    regions = [one.region for one in rigid_attachments(scene, body.name)]
     for axis, edge_m in zip("xyz", body.shape.size_m, strict=True):
-        depths = [
-            one.region.depth_m
-            for one in rigid_attachments(scene, body.name)
-            if one.region.axis == axis
-        ]
-        if sum(depths) >= edge_m:
+        if sum(one.depth_m for one in regions if one.axis == axis) >= edge_m:
             yield f"{body.name!r} is attached over all of its length: reduce the regions' depth_m"

@@ -1,7 +1,6 @@
 """Contact constants of bodies from those of pairs. Bullet multiplies the values of the two bodies."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -17,22 +16,11 @@ SMALLEST_VALUE = 1e-6
 """Largest product that stands for a value of 0. A ball then rebounds with a millionth of its speed."""
 
 
-@dataclass(frozen=True)
-class Surface:
-    """Contact constants of a body towards some of the bodies with which it collides.
-
-    Attributes:
-        partners: Names of these bodies.
-        friction: Coefficient of friction of the body.
-        restitution: Coefficient of restitution of the body.
-    """
-
-    partners: frozenset[str]
-    friction: float
-    restitution: float
+Surfaces = dict[tuple[float, float], set[str]]
+"""Bodies that touch a surface of a body, by its coefficients of friction and of restitution."""
 
 
-def surfaces(scene: Scene) -> dict[str, list[Surface]]:
+def surfaces(scene: Scene) -> dict[str, Surfaces]:
     """Return the surfaces of each colliding body, whose products are the values of all pairs.
 
     A body that contacts move has one surface. Another body has a surface for each pair of values that it needs, and the
@@ -48,21 +36,17 @@ def surfaces(scene: Scene) -> dict[str, list[Surface]]:
         restitution[pair] = contact.restitution if is_impact else 0.0
     frictions = moved_values(friction, unmoved, "friction")
     restitutions = moved_values(restitution, unmoved, "restitution")
-    groups: dict[str, dict[tuple[float, float], set[str]]] = {}
+    found: dict[str, Surfaces] = {}
     for pair in friction:
         for name, other in (pair, pair[::-1]):
             if name in unmoved:
-                constants = (
-                    _quotient(friction[pair], frictions[other]),
-                    _quotient(restitution[pair], restitutions[other]),
-                )
+                own_friction = _quotient(friction[pair], frictions[other])
+                own_restitution = _quotient(restitution[pair], restitutions[other])
             else:
-                constants = (frictions[name], restitutions[name])
-            groups.setdefault(name, {}).setdefault(constants, set()).add(other)
-    return {
-        name: [Surface(frozenset(some), *values) for values, some in groups_of.items()]
-        for name, groups_of in groups.items()
-    }
+                own_friction, own_restitution = frictions[name], restitutions[name]
+            of_body = found.setdefault(name, {})
+            of_body.setdefault((own_friction, own_restitution), set()).add(other)
+    return found
 
 
 def _quotient(product: float, factor: float) -> float:

@@ -13,9 +13,15 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.backends.pybullet.contacts import Surface
 from gauge_envs.backends.pybullet.settings import SEGMENT_LIMIT, SOFT_CELL_M
-from gauge_envs.backends.pybullet.world import BASE, Link, World, pybullet, silent
+from gauge_envs.backends.pybullet.world import (
+    BASE,
+    NO_TURN,
+    Link,
+    World,
+    pybullet,
+    silent,
+)
 from gauge_envs.backends.shared.attachments import (
     attached_ends,
     points_on_axis,
@@ -25,7 +31,7 @@ from gauge_envs.backends.shared.cells import grid_points
 from gauge_envs.backends.shared.soft_rows import lame_constants
 from gauge_envs.backends.simulation import MaterialPoints
 from gauge_envs.errors import ShapeError
-from gauge_envs.scene import Cylinder, Motion, Region, RigidBody, Rope, SoftBody
+from gauge_envs.scene import Cylinder, Motion, Region, Rope, SoftBody
 from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.scene.meshes import mass_properties, nodes_in, tetrahedra
 
@@ -133,24 +139,24 @@ def add_rope(world: World, rope: Rope, cell_m: float | None) -> RopePart:
     length = np.array([0.0, 0.0, world.scale * length_m])
     centre = 0.5 * length
 
-    place = np.zeros(3), Rotation.identity()
+    place = np.zeros(3), NO_TURN
     first = 0
     if root is None:
         # The first segment is the base.
         middle_m = start_m + 0.5 / count * (end_m - start_m)
-        base = _base(world, middle_m, rotation, mass_kg)
+        base = world.base(middle_m, rotation, mass_kg)
         base_moments = moments
-        place = centre, Rotation.identity()
+        place = centre, NO_TURN
         first = BASE
     elif root.motion is Motion.DYNAMIC:
         frame = world.frames[root.name]
-        base = world.base_arguments(root)
+        base = world.base_of(root)
         base_moments = frame.moments
         to_base = (root.pose.rotation * frame.axes).inv()
         arm_m = to_base.apply(start_m - root.pose.to_world(frame.centre_m))
         place = world.scale * arm_m, to_base * rotation
     else:
-        base = _base(world, start_m, rotation, 0.0)
+        base = world.base(start_m, rotation)
         base_moments = []
     segments = range(first, first + count)
     links = []
@@ -164,9 +170,10 @@ def add_rope(world: World, rope: Rope, cell_m: float | None) -> RopePart:
                 centre=centre,
             )
         )
-        place = length, Rotation.identity()
+        place = length, NO_TURN
     if tip is not None:
-        links.append(_tip_of_rope(world, tip, place[0], rotation, end_m))
+        ball = pybullet.JOINT_SPHERICAL
+        links.append(world.link(tip, ball, end_m, place[0], rotation))
     body = world.add_multibody(base, base_moments, links)
 
     if root is not None and root.motion is Motion.DYNAMIC:
@@ -179,52 +186,11 @@ def add_rope(world: World, rope: Rope, cell_m: float | None) -> RopePart:
     return RopePart(rope.name, body, tuple(segments), half, nodes_m)
 
 
-def _base(
-    world: World, place_m: FloatArray, rotation: Rotation, mass_kg: float
-) -> dict[str, Any]:
-    """Return the arguments of a base without shape."""
-    return {
-        "baseMass": mass_kg,
-        "basePosition": (world.scale * place_m).tolist(),
-        "baseOrientation": rotation.as_quat().tolist(),
-    }
-
-
-def _tip_of_rope(
-    world: World,
-    tip: RigidBody,
-    place: FloatArray,
-    rotation: Rotation,
-    end_m: FloatArray,
-) -> Link:
-    """Return the body at the end of a rope as a link.
-
-    Args:
-        world: The world.
-        tip: The body.
-        place: End of the last segment in its frame [units], where the joint is.
-        rotation: Rotation of the segments.
-        end_m: End of the rope in the world [m].
-    """
-    frame = world.frames[tip.name]
-    turn = tip.pose.rotation * frame.axes
-    centre_m = turn.inv().apply(tip.pose.to_world(frame.centre_m) - end_m)
-    origin_m = turn.inv().apply(np.subtract(tip.pose.position_m, end_m))
-    return Link(
-        joint=pybullet.JOINT_SPHERICAL,
-        place=(place, rotation.inv() * turn),
-        mass_kg=tip.mass_kg,
-        moments=frame.moments,
-        centre=world.scale * centre_m,
-        shape=world.shape(tip, origin_m),
-    )
-
-
 # --- soft bodies ------------------------------------------------------------------------------------------------------
 
 
 def add_soft_body(
-    world: World, body: SoftBody, cell_m: float | None, surface: Surface
+    world: World, body: SoftBody, cell_m: float | None, friction: float | None
 ) -> int:
     """Add a soft body, attach its regions, and return PyBullet's number; rigid bodies exist already.
 
@@ -235,7 +201,7 @@ def add_soft_body(
         world: The world.
         body: The soft body.
         cell_m: Desired edge of the cells [m], or None for the default.
-        surface: Its surface, by whose friction Bullet multiplies that of a rigid body.
+        friction: Coefficient of its surface, by which Bullet multiplies that of a rigid body; None without contacts.
     """
     attachments = rigid_attachments(world.scene, body.name)
     regions = [one.region for one in attachments]
@@ -243,10 +209,10 @@ def add_soft_body(
     nodes_m = _write_mesh(file, body, regions, cell_m or SOFT_CELL_M, world.scale)
     shear_pa, lame_pa = lame_constants(body)
     contact: dict[str, float] = {}
-    if surface.partners:
+    if friction is not None:
         contact = {
             "useFaceContact": 1,
-            "frictionCoeff": surface.friction,
+            "frictionCoeff": friction,
             "collisionMargin": world.scale * SOFT_MARGIN_M,
         }
     # Bullet prints the size of the mesh.
@@ -269,7 +235,7 @@ def add_soft_body(
         # An anchor keeps the node where it now is in the frame of the body.
         holder = GROUND
         if attachment.motion is not Motion.FIXED:
-            holder = world.handles[attachment.body][0].body
+            holder, _ = world.handles[attachment.body][0]
         for node in nodes_in(nodes_m, attachment.region).tolist():
             world.client.createSoftBodyAnchor(number, node, holder, BASE)
     return int(number)

@@ -10,7 +10,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.pybullet.contacts import (
-    Surface,
+    Pair,
+    Surfaces,
     colliding_pairs,
     impact_bodies,
     pushing_bodies,
@@ -22,6 +23,8 @@ from gauge_envs.backends.pybullet.settings import SettingsPyBullet
 from gauge_envs.backends.pybullet.world import (
     BASE,
     DRIVEN_MASS_KG,
+    NO_TURN,
+    Handle,
     Link,
     World,
     pybullet,
@@ -45,8 +48,10 @@ EARLY_CONTACTS = 1e18
 STRING_MASS = 1e-6
 """Mass of the two links of a string, over that of the body that hangs on it."""
 
-UNTOUCHED = Surface(frozenset(), 0.0, 0.0)
-"""Surface of a body without contacts."""
+ORIGIN = np.zeros(3)
+
+UNTOUCHED: Surfaces = {(0.0, 0.0): set()}
+"""Surfaces of a body without contacts."""
 
 
 class Model(World):
@@ -62,7 +67,7 @@ class Model(World):
         self.ropes: dict[str, RopePart] = {}
         self.soft: dict[str, int] = {}
         # Body and link with the surface of one body towards another.
-        self._towards: dict[tuple[str, str], tuple[int, int]] = {}
+        self._towards: dict[Pair, Handle] = {}
         self._pairs = [pair for _, pair in colliding_pairs(scene)]
         self._surfaces = surfaces(scene)
         self._late = impact_bodies(scene) if settings.late_impacts else set()
@@ -132,22 +137,25 @@ class Model(World):
             elif isinstance(joint, Tether):
                 self._add_tethered(body, joint)
             else:
-                for _ in self._surfaces.get(body.name, [UNTOUCHED]):
+                for _ in self._surfaces.get(body.name, UNTOUCHED):
                     self._add_free(body)
 
     def _add_soft(self) -> None:
         """Add the soft bodies, which are attached to rigid bodies that exist."""
         for soft in self.scene.deformables:
             if isinstance(soft, SoftBody):
-                surface, *_ = self._surfaces.get(soft.name, [UNTOUCHED])
-                number = add_soft_body(self, soft, self.settings.cell_m, surface)
+                surfaces_of = self._surfaces.get(soft.name, {})
+                friction = next((friction for friction, _ in surfaces_of), None)
+                number = add_soft_body(self, soft, self.settings.cell_m, friction)
                 self.soft[soft.name] = number
-                self._enter(soft.name, surface, number, BASE)
+                for partners in surfaces_of.values():
+                    for partner in partners:
+                        self._towards[soft.name, partner] = number, BASE
 
     def _add_free(self, body: RigidBody) -> None:
         """Add a free, fixed or driven body."""
         frame = self.frames[body.name]
-        base = self.base_arguments(body)
+        base = self.base_of(body)
         is_coned = body.name in self._coned
         maximal = int(not (self.settings.reduced_coordinates or is_coned))
         number = self.client.createMultiBody(**base, useMaximalCoordinates=maximal)
@@ -167,65 +175,38 @@ class Model(World):
         self.client.resetBaseVelocity(number, speed.tolist(), spin)
 
     def _add_hinged(self, body: RigidBody, hinge: Hinge) -> None:
-        """Add a body on a hinge as the link of a fixed base at its anchor.
-
-        The frame of the link is at the hinge, along the principal axes of the body.
-        """
-        frame = self.frames[body.name]
+        """Add a body on a hinge as the link of a fixed base at its anchor."""
         anchor_m = np.asarray(hinge.anchor_m)
-        turn = body.pose.rotation * frame.axes
-        back = turn.inv()
-        centre_m = back.apply(body.pose.to_world(frame.centre_m) - anchor_m)
-        origin_m = back.apply(np.subtract(body.pose.position_m, anchor_m))
-        link = Link(
-            joint=pybullet.JOINT_REVOLUTE,
-            place=(np.zeros(3), turn),
-            mass_kg=body.mass_kg,
-            moments=frame.moments,
-            centre=self.scale * centre_m,
-            shape=self.shape(body, origin_m),
-            axis=back.apply(hinge.axis).tolist(),
+        link = self.link(
+            body, pybullet.JOINT_REVOLUTE, anchor_m, ORIGIN, NO_TURN, hinge.axis
         )
-        base = {"baseMass": 0.0, "basePosition": (self.scale * anchor_m).tolist()}
-        number = self.add_multibody(base, [], [link])
+        number = self.add_multibody(self.base(anchor_m), [], [link])
         self.add_handle(body.name, number, 0)
         rate = float(np.dot(body.angular_velocity_rad_per_s, hinge.axis))
         self.client.resetJointState(number, 0, targetValue=0.0, targetVelocity=rate)
 
     def _add_tethered(self, body: RigidBody, tether: Tether) -> None:
         """Add a body on a string: a spherical joint, a sliding joint with an upper limit, and a spherical joint."""
-        frame = self.frames[body.name]
         anchor_m = np.asarray(tether.anchor_m)
-        arm_m = np.asarray(body.pose.position_m) - anchor_m
+        origin_m = np.asarray(body.pose.position_m)
+        arm_m = origin_m - anchor_m
         apart = self.scale * length_of(arm_m)
         longest = self.scale * tether.length_m
         string = Rotation.align_vectors([arm_m], [[0.0, 0.0, 1.0]])[0]
-        origin = np.zeros(3)
         mass_kg = STRING_MASS * body.mass_kg
         light: dict[str, Any] = {
             "mass_kg": mass_kg,
             "moments": [mass_kg * longest**2] * 3,
-            "centre": origin,
+            "centre": ORIGIN,
         }
         end = np.array([0.0, 0.0, apart])
+        ball = pybullet.JOINT_SPHERICAL
         links = (
-            Link(joint=pybullet.JOINT_SPHERICAL, place=(origin, string), **light),
-            Link(
-                joint=pybullet.JOINT_PRISMATIC,
-                place=(end, Rotation.identity()),
-                **light,
-            ),
-            Link(
-                joint=pybullet.JOINT_SPHERICAL,
-                place=(origin, string.inv() * (body.pose.rotation * frame.axes)),
-                mass_kg=body.mass_kg,
-                moments=frame.moments,
-                centre=self.scale * frame.axes.inv().apply(frame.centre_m),
-                shape=self.shape(body, origin),
-            ),
+            Link(joint=ball, place=(ORIGIN, string), **light),
+            Link(joint=pybullet.JOINT_PRISMATIC, place=(end, NO_TURN), **light),
+            self.link(body, ball, origin_m, ORIGIN, string),
         )
-        base = {"baseMass": 0.0, "basePosition": (self.scale * anchor_m).tolist()}
-        number = self.add_multibody(base, [], links)
+        number = self.add_multibody(self.base(anchor_m), [], links)
         self.add_handle(body.name, number, 2)
         # Bullet ignores limits of which the lower one is above the upper one, and needs both.
         self.client.changeDynamics(
@@ -248,16 +229,16 @@ class Model(World):
                     "contactStiffness": settings.contact_stiffness_n_per_m,
                     "contactDamping": settings.contact_damping_n_s_per_m,
                 }
-            found = self._surfaces.get(name, [UNTOUCHED])
-            for surface, handle in zip(found, handles, strict=True):
-                self._enter(name, surface, handle.body, handle.link)
+            found = self._surfaces.get(name, UNTOUCHED)
+            for surface, handle in zip(found.items(), handles, strict=True):
+                (friction, restitution), partners = surface
+                self._towards |= {(name, partner): handle for partner in partners}
                 self.client.changeDynamics(
-                    handle.body,
-                    handle.link,
-                    lateralFriction=surface.friction,
-                    restitution=surface.restitution,
-                    rollingFriction=0.5 * self.scale * rolling * surface.friction,
-                    spinningFriction=0.5 * self.scale * torsion * surface.friction,
+                    *handle,
+                    lateralFriction=friction,
+                    restitution=restitution,
+                    rollingFriction=0.5 * self.scale * rolling * friction,
+                    spinningFriction=0.5 * self.scale * torsion * friction,
                     linearDamping=settings.linear_damping,
                     angularDamping=settings.angular_damping,
                     frictionAnchor=int(settings.friction_anchors),
@@ -267,11 +248,6 @@ class Model(World):
                     activationState=activation,
                     **springs,
                 )
-
-    def _enter(self, name: str, surface: Surface, body: int, link: int) -> None:
-        """Note which body and link have a surface."""
-        for partner in surface.partners:
-            self._towards[name, partner] = body, link
 
     def _filter_collisions(self) -> None:
         """Let only the pairs of the scene's contacts collide."""

@@ -20,6 +20,7 @@ from gauge_envs.backends.settings import (
     resolve_settings,
 )
 from gauge_envs.backends.shared.cells import CellSize, check_cells
+from gauge_envs.backends.shared.soft_rows import lame_constants
 from gauge_envs.scene import ContactMode, Scene, SoftBody
 
 SOFT_CELL_M = 1.0 / 60.0
@@ -182,11 +183,7 @@ def _wave_time_s(scene: Scene, cell_m: float) -> float:
     speeds = []
     for body in scene.deformables:
         if isinstance(body, SoftBody):
-            poisson = body.poisson_ratio
-            modulus = (
-                body.young_modulus_pa
-                * (1.0 - poisson)
-                / ((1.0 + poisson) * (1.0 - 2.0 * poisson))
-            )
-            speeds.append(sqrt(modulus * body.shape.volume_m3 / body.mass_kg))
+            shear_pa, lame_pa = lame_constants(body)
+            modulus_pa = lame_pa + 2.0 * shear_pa
+            speeds.append(sqrt(modulus_pa * body.shape.volume_m3 / body.mass_kg))
     return cell_m / (sqrt(2.0) * max(speeds, default=1.0))

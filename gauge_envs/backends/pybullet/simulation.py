@@ -7,7 +7,7 @@ import numpy as np
 
 from gauge_envs.backends.pybullet.model import Model
 from gauge_envs.backends.pybullet.settings import SettingsPyBullet
-from gauge_envs.backends.pybullet.world import BASE, PLANE_REACH_M, Handle, pybullet
+from gauge_envs.backends.pybullet.world import BASE, PLANE_REACH_M, pybullet
 from gauge_envs.backends.shared.rigid import (
     CONJUGATE,
     DrivenMotion,
@@ -25,9 +25,8 @@ from gauge_envs.scene.geometry import (
 )
 from gauge_envs.scene.states import bodies_at
 
-Rows = list[list[float]]
-Path = tuple[int, Rows, Rows, Rows, Rows]
-"""What Bullet gets of a driven body before each of some steps; see `SimulationPyBullet._path`."""
+Target = tuple[list[float], list[float], list[float], list[float]]
+"""What Bullet gets of a driven body before a step; see `SimulationPyBullet._targets`."""
 
 
 class SimulationPyBullet(PlacedSimulation):
@@ -79,20 +78,18 @@ class SimulationPyBullet(PlacedSimulation):
     def advance(self, seconds: float) -> None:
         """Step the world. A driven body that was not driven since the last call stays where it is."""
         count = round(seconds / self._timestep_s)
-        paths = [
-            self._path(handle, self._motion(name), count)
-            for name in self._kinematic
-            for handle in self._model.handles[name]
-        ]
+        targets = {name: self._targets(name, count) for name in self._kinematic}
         for reader in self._force_readers:
             reader.clear()
         take_step = self._client.stepSimulation
         place = self._client.resetBasePositionAndOrientation
         move = self._client.resetBaseVelocity
         for step in range(count):
-            for body, positions, quaternions, speeds, spins in paths:
-                place(body, positions[step], quaternions[step])
-                move(body, speeds[step], spins[step])
+            for name, rows in targets.items():
+                position, quaternion, speed, spin = rows[step]
+                for body, _ in self._model.handles[name]:
+                    place(body, position, quaternion)
+                    move(body, speed, spin)
             for name, wrench in self._wrenches.items():
                 self._push(name, wrench)
             take_step()
@@ -102,46 +99,45 @@ class SimulationPyBullet(PlacedSimulation):
             self.placed.pop(name, None)
         self._driven.clear()
 
-    def _motion(self, name: str) -> DrivenMotion:
-        """Return the motion of a driven body; without a call of `drive`, it stays where it is."""
-        if name in self._driven:
-            return self._driven[name]
-        pose = self.body_states([name])[0, 0, :7]
-        return DrivenMotion.of(np.concatenate([pose, np.zeros(12)]))
-
-    def _path(self, handle: Handle, motion: DrivenMotion, count: int) -> Path:
+    def _targets(self, name: str, count: int) -> list[Target]:
         """Return what Bullet gets of a driven body before each of the next steps.
 
+        Without a call of `drive`, the body stays where it is.
+
         Returns:
-            Number of the body, its positions [units], quaternions x y z w, and the mean velocities [units/s] and
-            angular velocities [rad/s] of the steps, one row for each step.
+            Position [units], quaternion x y z w, and the mean velocity [units/s] and angular velocity [rad/s] of each
+            step.
         """
         step_s = self._timestep_s
+        frame = self._model.frames[name]
+        motion = self._driven.get(name)
+        if motion is None:
+            pose = self.body_states([name])[0, 0, :7]
+            motion = DrivenMotion.of(np.concatenate([pose, np.zeros(12)]))
         poses, velocities = motion.steps(step_s, count)
         quaternions = poses[:, 3:]
-        arms_m = rotation_matrices(quaternions) @ handle.offset_m
+        arms_m = rotation_matrices(quaternions) @ frame.centre_m
         spins = velocities[:, 3:]
         speeds = velocities[:, :3] + np.cross(spins, arms_m)
         # Bullet adds gravity to the velocity of every body that can move.
         speeds[:, 2] += self._scene.gravity_m_per_s2 * step_s
-        frames = quaternion_products(quaternions, CONJUGATE * handle.quaternion)
-        return (
-            handle.body,
-            (self._scale * (poses[:, :3] + arms_m)).tolist(),
-            frames[:, [1, 2, 3, 0]].tolist(),
-            (self._scale * speeds).tolist(),
-            spins.tolist(),
+        frames = quaternion_products(quaternions, CONJUGATE * frame.quaternion)
+        columns = (
+            self._scale * (poses[:, :3] + arms_m),
+            frames[:, [1, 2, 3, 0]],
+            self._scale * speeds,
+            spins,
         )
+        return list(zip(*(column.tolist() for column in columns), strict=True))
 
     def _push(self, name: str, wrench: FloatArray) -> None:
         """Apply a wrench for one step, after which Bullet forgets it."""
         handle = self._model.handles[name][0]
-        centre = self._read(handle.body, handle.link)[0]
+        centre = self._read(*handle)[0]
         force = (self._scale * wrench[:3]).tolist()
         torque = (self._scale**2 * wrench[3:]).tolist()
-        place = handle.body, handle.link
-        self._client.applyExternalForce(*place, force, centre, pybullet.WORLD_FRAME)
-        self._client.applyExternalTorque(*place, torque, pybullet.WORLD_FRAME)
+        self._client.applyExternalForce(*handle, force, centre, pybullet.WORLD_FRAME)
+        self._client.applyExternalTorque(*handle, torque, pybullet.WORLD_FRAME)
 
     def _read(self, body: int, link: int) -> tuple[Any, ...]:
         """Return position, quaternion x y z w, velocity and angular velocity of a centre of mass, in units."""
@@ -155,13 +151,13 @@ class SimulationPyBullet(PlacedSimulation):
 
     def moving_states(self, names: Sequence[str]) -> FloatArray:
         """Return poses and velocities of dynamic and driven bodies in Bullet, shape [1, len(names), 13]."""
-        handles = [self._model.handles[name][0] for name in names]
-        read = (self._read(handle.body, handle.link) for handle in handles)
-        places, frames, speeds, spins = map(np.array, zip(*read, strict=True))
-        turns = np.array([handle.quaternion for handle in handles])
-        offsets_m = np.array([handle.offset_m for handle in handles])
-        quaternions = unit_quaternions(frames[:, [3, 0, 1, 2]])
-        quaternions = quaternion_products(quaternions, turns)
+        read = (self._read(*self._model.handles[name][0]) for name in names)
+        places, turns, speeds, spins = map(np.array, zip(*read, strict=True))
+        frames = [self._model.frames[name] for name in names]
+        axes = np.array([frame.quaternion for frame in frames])
+        offsets_m = np.array([frame.centre_m for frame in frames])
+        quaternions = unit_quaternions(turns[:, [3, 0, 1, 2]])
+        quaternions = quaternion_products(quaternions, axes)
         # Bullet's frame is at the centre of mass.
         arms_m = np.einsum("nij,nj->ni", rotation_matrices(quaternions), offsets_m)
         positions_m = places / self._scale - arms_m

@@ -5,7 +5,6 @@ The import of PyBullet discards its messages, which would mix with the output of
 
 import ctypes
 import os
-import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -30,30 +29,27 @@ from gauge_envs.scene import (
     Shape,
     Sphere,
 )
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import FloatArray, Vector
 from gauge_envs.scene.meshes import body_mass_properties, hull_faces
 
 
 @contextmanager
 def silent() -> Iterator[None]:
     """Discard what C++ code of this process writes to the standard streams."""
-    sys.stdout.flush()
-    sys.stderr.flush()
     libc = ctypes.CDLL(None) if os.name == "posix" else ctypes.cdll.msvcrt
-    saved = [os.dup(1), os.dup(2)]
-    null = os.open(os.devnull, os.O_WRONLY)
     # What the C library still holds was written before, and belongs to the user.
     libc.fflush(None)
+    saved = {stream: os.dup(stream) for stream in (1, 2)}
     try:
-        for stream in (1, 2):
-            os.dup2(null, stream)
+        with Path(os.devnull).open("wb") as null:
+            for stream in saved:
+                os.dup2(null.fileno(), stream)
         yield
     finally:
         libc.fflush(None)
-        for stream, descriptor in zip((1, 2), saved, strict=True):
+        for stream, descriptor in saved.items():
             os.dup2(descriptor, stream)
             os.close(descriptor)
-        os.close(null)
 
 
 with silent():
@@ -73,8 +69,14 @@ DRIVEN_MASS_KG = 1e6
 NO_SHAPE = -1
 """Number of the shape of links that touch nothing."""
 
+NO_TURN = Rotation.identity()
+
 BASE = -1
 """Number of the link that is the base of a body."""
+
+
+Handle = tuple[int, int]
+"""PyBullet's numbers of a body and of its link, which is `BASE` for most bodies."""
 
 
 @dataclass(frozen=True)
@@ -85,36 +87,22 @@ class Frame:
         centre_m: Centre of mass in the body frame [m].
         axes: Rotation from the principal axes to the body frame.
         moments: Principal moments of inertia [kg units^2].
+        quaternion: Rotation w, x, y, z from the body frame to the principal axes, shape [4].
     """
 
     centre_m: FloatArray
     axes: Rotation
     moments: list[float]
+    quaternion: FloatArray
 
     @classmethod
     def of(cls, body: RigidBody, scale: float) -> "Frame":
         """Return the mass properties of a body in a world with some units per metre."""
         centre_m, inertia = body_mass_properties(body)
-        moments, axes = principal_axes(inertia)
-        rotation = Rotation.from_matrix(axes)
-        return cls(centre_m, rotation, (scale**2 * moments).tolist())
-
-
-@dataclass(frozen=True)
-class Handle:
-    """A body in PyBullet.
-
-    Attributes:
-        body: PyBullet's number of the body.
-        link: Number of its link, or `BASE`.
-        offset_m: Position of Bullet's frame, which is that of the centre of mass, in the body frame [m].
-        quaternion: Rotation w, x, y, z from Bullet's frame to the body frame, shape [4].
-    """
-
-    body: int
-    link: int
-    offset_m: FloatArray
-    quaternion: FloatArray
+        moments, matrix = principal_axes(inertia)
+        axes = Rotation.from_matrix(matrix)
+        quaternion = axes.inv().as_quat(scalar_first=True)
+        return cls(centre_m, axes, (scale**2 * moments).tolist(), quaternion)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -151,7 +139,7 @@ class World:
         folder: Folder of files that exist while bodies are added.
         frames: Mass properties of the rigid bodies, by name.
         handles: The rigid bodies in PyBullet, by name; a body with several surfaces has as many copies.
-        names: Names of the rigid bodies by PyBullet's numbers of body and link.
+        names: Names of the rigid bodies by their handles.
     """
 
     def __init__(self, scene: Scene, settings: SettingsPyBullet) -> None:
@@ -167,7 +155,7 @@ class World:
         self.folder = Path()
         self.frames = {body.name: Frame.of(body, self.scale) for body in scene.bodies}
         self.handles: dict[str, list[Handle]] = {}
-        self.names: dict[tuple[int, int], str] = {}
+        self.names: dict[Handle, str] = {}
 
     def close(self) -> None:
         """Free the world. A second call does nothing."""
@@ -189,6 +177,7 @@ class World:
         flags = 0
         if self.settings.polyhedral_features:
             flags = pybullet.URDF_INITIALIZE_SAT_FEATURES
+        box = {"shapeType": pybullet.GEOM_BOX, "flags": flags}
         if isinstance(shape, Sphere):
             return {"shapeType": pybullet.GEOM_SPHERE, "radius": scale * shape.radius_m}
         if isinstance(shape, Cylinder):
@@ -198,13 +187,11 @@ class World:
             return {"shapeType": pybullet.GEOM_PLANE, "planeNormal": [0.0, 0.0, 1.0]}
         if isinstance(shape, Plane):
             # A box below the plane.
-            half = [scale * PLANE_REACH_M] * 3
-            below = [0.0, 0.0, -half[2]]
-            box = {"shapeType": pybullet.GEOM_BOX, "halfExtents": half, "flags": flags}
-            return {"collisionFramePosition": below, **box}
+            reach = scale * PLANE_REACH_M
+            place = {"collisionFramePosition": [0.0, 0.0, -reach]}
+            return {"halfExtents": [reach] * 3, **place, **box}
         if isinstance(shape, Box):
-            half = [0.5 * scale * edge for edge in shape.size_m]
-            return {"shapeType": pybullet.GEOM_BOX, "halfExtents": half, "flags": flags}
+            return {"halfExtents": [0.5 * scale * edge for edge in shape.size_m], **box}
         assert isinstance(shape, ConvexUnion), "compounds are declined"
         mesh = {"shapeType": pybullet.GEOM_MESH, "flags": flags}
         if len(shape.pieces_m) == 1:
@@ -217,29 +204,65 @@ class World:
         path.write_text(text)
         return {"fileName": str(path), **mesh}
 
-    def base_arguments(self, body: RigidBody) -> dict[str, Any]:
+    def base(
+        self, place_m: FloatArray, rotation: Rotation = NO_TURN, mass_kg: float = 0.0
+    ) -> dict[str, Any]:
+        """Return the arguments of `createMultiBody` for a base without shape at a place in the world [m]."""
+        return {
+            "baseMass": mass_kg,
+            "basePosition": (self.scale * place_m).tolist(),
+            "baseOrientation": rotation.as_quat().tolist(),
+        }
+
+    def base_of(self, body: RigidBody) -> dict[str, Any]:
         """Return the arguments of `createMultiBody` for a body as base, whose frame is that of its centre of mass."""
         frame = self.frames[body.name]
-        masses = {
-            Motion.DYNAMIC: body.mass_kg,
-            Motion.FIXED: 0.0,
-            Motion.KINEMATIC: DRIVEN_MASS_KG,
-        }
+        mass_kg = 0.0 if body.motion is Motion.FIXED else body.mass_kg
+        if body.motion is Motion.KINEMATIC:
+            mass_kg = DRIVEN_MASS_KG
+        centre_m = body.pose.to_world(frame.centre_m)
+        base = self.base(centre_m, body.pose.rotation * frame.axes, mass_kg)
         origin_m = frame.axes.inv().apply(-frame.centre_m)
-        return {
-            "baseMass": masses[body.motion],
-            "baseCollisionShapeIndex": self.shape(body, origin_m),
-            "basePosition": (self.scale * body.pose.to_world(frame.centre_m)).tolist(),
-            "baseOrientation": (body.pose.rotation * frame.axes).as_quat().tolist(),
-        }
+        return {"baseCollisionShapeIndex": self.shape(body, origin_m), **base}
 
     def add_handle(self, name: str, number: int, link: int) -> None:
         """Enter a body as a link of a multibody, or as a copy of a body that is entered already."""
-        frame = self.frames[name]
-        quaternion = frame.axes.inv().as_quat(scalar_first=True)
-        handle = Handle(number, link, frame.centre_m, quaternion)
-        self.handles.setdefault(name, []).append(handle)
+        self.handles.setdefault(name, []).append((number, link))
         self.names[number, link] = name
+
+    def link(
+        self,
+        body: RigidBody,
+        joint: int,
+        joint_m: FloatArray,
+        place: FloatArray,
+        parent: Rotation,
+        axis: Vector = (0.0, 0.0, 1.0),
+    ) -> Link:
+        """Return a body as a link, whose frame is at its joint, along its principal axes.
+
+        Args:
+            body: The body.
+            joint: PyBullet's type of the joint.
+            joint_m: Position of the joint in the world [m].
+            place: Position of the joint in the frame of the link before [units].
+            parent: Rotation of the link before, in the world.
+            axis: Axis of the joint in the world.
+        """
+        frame = self.frames[body.name]
+        turn = body.pose.rotation * frame.axes
+        back = turn.inv()
+        centre_m = back.apply(body.pose.to_world(frame.centre_m) - joint_m)
+        origin_m = back.apply(body.pose.position_m - joint_m)
+        return Link(
+            joint=joint,
+            place=(place, parent.inv() * turn),
+            mass_kg=body.mass_kg,
+            moments=frame.moments,
+            centre=self.scale * centre_m,
+            shape=self.shape(body, origin_m),
+            axis=back.apply(axis).tolist(),
+        )
 
     def add_multibody(
         self, base: dict[str, Any], moments: list[float], links: Sequence[Link]

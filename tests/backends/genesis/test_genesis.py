@@ -1,4 +1,4 @@
-"""The Genesis backend against closed forms, its repeatability, and what it declines."""
+"""The Genesis backend against closed forms, its starts and worlds, and what it declines."""
 
 from dataclasses import replace
 
@@ -7,10 +7,7 @@ import pytest
 from rigid import plane_deg, slide, sliding_scene, solid
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.errors import (
-    BackendError,
-    UnsupportedSceneError,
-)
+from gauge_envs.errors import BackendError, UnsupportedSceneError
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2,
     Box,
@@ -26,9 +23,9 @@ pytest.importorskip("genesis", reason="extra 'genesis' is not installed")
 
 from gauge_envs.backends import backend
 from gauge_envs.backends.genesis.document import CONTACT_LIMIT, damping_ratio
-from gauge_envs.backends.genesis.engine import EngineLease, engine
-from gauge_envs.backends.genesis.model import forget_models
+from gauge_envs.backends.genesis.engine import claim, engine, release
 from gauge_envs.backends.genesis.settings import PRESETS
+from gauge_envs.scene.states import nominal_states, row_of
 
 GENESIS = backend("genesis")
 G = GRAVITY_M_PER_S2
@@ -79,7 +76,7 @@ def test_torsional_friction_does_not_depend_on_earlier_scenes():
             Scene(bodies=(GROUND, ball), contacts=(touch,), duration_s=1.0), FAST
         )
         simulation.advance(36 / 180)
-        lost = 20.0 - simulation.body_states(["ball"])[0, 12]
+        lost = 20.0 - simulation.body_states(["ball"])[0, 0, 12]
         simulation.close()
         assert lost == pytest.approx(0.2 * 2.5 * G * arm_m / 0.03**2, rel=0.01)
 
@@ -99,9 +96,9 @@ def test_a_scene_whose_contacts_all_lack_friction_has_none():
     scene = replace(sliding_scene(), contacts=(touching("cube", "board", 0.0),))
     simulation = GENESIS.build(scene, FAST)
     assert simulation.settings["impratio"] == 1e-9
-    start = simulation.body_states(["cube"])[0, :3]
+    start = simulation.body_states(["cube"])[0, 0, :3]
     simulation.advance(0.2)
-    travelled = np.linalg.norm(simulation.body_states(["cube"])[0, :3] - start)
+    travelled = np.linalg.norm(simulation.body_states(["cube"])[0, 0, :3] - start)
     simulation.close()
     assert 2.0 * travelled / 0.2**2 == pytest.approx(G / 2.0, rel=5e-3)
     assert not GENESIS.supports(scene).missing
@@ -111,37 +108,21 @@ def test_a_scene_whose_contacts_all_lack_friction_has_none():
 
 def test_out_of_box_has_the_values_of_a_genesis_scene_that_states_nothing():
     simulation = GENESIS.build(sliding_scene(), {"preset": "out_of_box"})
-    ours, step_s = (
-        simulation._lent.model.solver._options,
-        simulation.settings["timestep_s"],
-    )
+    ours, step_s = simulation._solver._options, simulation.settings["timestep_s"]
     simulation.close()
-    forget_models()
     gs = engine()
-    lease = EngineLease(32)
+    claim(gs, 32)
     plain = gs.Scene(show_viewer=False, sim_options=gs.options.SimOptions(dt=step_s))
     plain.add_entity(gs.morphs.Plane())
     plain.add_entity(gs.morphs.Box(size=(0.05, 0.05, 0.05), pos=(0.0, 0.0, 0.025)))
     plain.build()
     default = plain.sim.rigid_solver._options
-    names = (
-        *(
-            "integrator",
-            "constraint_solver",
-            "iterations",
-            "tolerance",
-            "ls_iterations",
-            "ls_tolerance",
-        ),
-        *(
-            "noslip_iterations",
-            "friction_cone",
-            "contact_resolution",
-            "impratio",
-            "contact_pruning_tolerance",
-        ),
+    names = [
+        *("integrator", "constraint_solver", "iterations", "tolerance"),
+        *("ls_iterations", "ls_tolerance", "noslip_iterations", "friction_cone"),
+        *("contact_resolution", "impratio", "contact_pruning_tolerance"),
         *("enable_multi_contact", "box_box_detection", "use_gjk_collision"),
-    )
+    ]
     both = {name: (getattr(ours, name), getattr(default, name)) for name in names}
     # Genesis computes its tolerance, which rounds.
     wrong = {
@@ -151,7 +132,7 @@ def test_out_of_box_has_the_values_of_a_genesis_scene_that_states_nothing():
     }
     constants = plain.sim.rigid_solver.geoms[-1].get_sol_params().cpu().numpy().ravel()
     plain.destroy()
-    lease.release()
+    release(gs)
     assert wrong == {}
     preset = PRESETS["out_of_box"]
     solref = (
@@ -185,7 +166,7 @@ def test_impacts_without_the_recipe_have_no_restitution():
     scene = Scene(bodies=(GROUND, ball), contacts=(contact,), duration_s=0.2)
     simulation = GENESIS.build(scene, {"impact_steps": None})
     simulation.advance(18 / 180)
-    outgoing = simulation.body_states(["ball"])[0, 9]
+    outgoing = simulation.body_states(["ball"])[0, 0, 9]
     simulation.close()
     assert outgoing < 0.3
 
@@ -202,11 +183,12 @@ def test_the_engine_takes_a_driven_body_to_the_end_of_its_interval():
         np.array([0.1, 0, 0, 0, 0, 1.0]),
         np.array([2.0, 0, -1.0, 0, 0, 3.0]),
     )
-    simulation.drive("plate", plate.pose, velocity, acceleration)
+    start = nominal_states(Scene(bodies=(plate,), duration_s=1.0))[0, :7]
+    simulation.drive("plate", np.hstack([start, velocity, acceleration])[None])
     simulation.advance(1 / 180)
-    place = simulation._lent.model.links["plate"]
-    coordinates = simulation._lent.model.solver.get_qpos().numpy()[0]
-    end = simulation.body_states(["plate"])[0]
+    place = simulation._links["plate"]
+    coordinates = simulation._solver.get_qpos().numpy()[0]
+    end = simulation.body_states(["plate"])[0, 0]
     simulation.close()
     reached = coordinates[place.q_start : place.q_start + 7]
     assert reached[:3] == pytest.approx(end[:3], abs=1e-9)
@@ -218,77 +200,69 @@ def test_the_engine_takes_a_driven_body_to_the_end_of_its_interval():
     assert end[0] == pytest.approx(0.1 / 180 + 1 / 180**2)
 
 
-# --- repeatability ---------------------------------------------------------------------------------------------------
+# --- starts and worlds -----------------------------------------------------------------------------------------------
 
 
-def rollout(simulation, seconds=0.1):
+def rollout(simulation, count=18):
+    """States of the cube in each world, shape [count, N, 13]."""
     states = []
-    for _ in range(round(seconds * 180)):
+    for _ in range(count):
         simulation.advance(1 / 180)
-        states.append(simulation.body_states(["cube"])[0])
+        states.append(simulation.body_states(["cube"])[:, 0])
     return np.array(states)
 
 
-def test_a_model_that_is_used_again_gives_the_same_bits_as_a_new_one():
+def lifted_starts(scene, world_count):
+    """Starts of worlds whose cube is 3 mm higher in each than in the one before."""
+    starts = np.tile(nominal_states(scene), (world_count, 1, 1))
+    starts[:, row_of(scene, "cube"), 2] += 0.003 * np.arange(world_count)
+    return starts
+
+
+def test_a_reset_forgets_contacts_wrenches_and_other_starts():
     scene = sliding_scene()
-    moved = replace(
-        scene,
-        bodies=(
-            scene.bodies[0],
-            replace(scene.bodies[1], pose=lifted(scene.bodies[1].pose)),
-        ),
-    )
-    forget_models()
-    first = GENESIS.build(moved, FAST)
-    new = rollout(first)
-    built = first._lent.model.scene
-    first.close()
-    other = GENESIS.build(scene, FAST)
-    rollout(other)
-    other.close()
-    again = GENESIS.build(moved, FAST)
-    assert again._lent.model.scene is built
-    assert (rollout(again) == new).all()
-    again.reset(0)
-    assert (rollout(again) == new).all()
-    again.close()
-    forget_models()
+    simulation = GENESIS.build(scene, FAST)
+    new = rollout(simulation)
+    simulation.reset(lifted_starts(scene, 2)[1:])
+    simulation.apply_wrench("cube", np.full((1, 6), 0.1))
+    assert np.abs(rollout(simulation) - new).max() > 1e-3
+    simulation.reset()
+    again = rollout(simulation)
+    simulation.close()
+    assert (again == new).all()
 
 
-def lifted(pose):
-    return replace(
-        pose,
-        position_m=(pose.position_m[0], pose.position_m[1], pose.position_m[2] + 0.003),
-    )
-
-
-def test_environments_of_one_genesis_scene_have_their_own_starts():
+def test_worlds_have_their_own_starts_and_wrenches():
     scene = sliding_scene()
-    moved = replace(
-        scene,
-        bodies=(
-            scene.bodies[0],
-            replace(scene.bodies[1], pose=lifted(scene.bodies[1].pose)),
-        ),
-    )
-    worlds = GENESIS.build_worlds([scene, moved], FAST)
-    assert type(worlds).__name__ == "WorldsGenesis"
-    for _ in range(18):
-        worlds.advance(1 / 180)
-    states = [world.body_states(["cube"])[0] for world in worlds.worlds]
-    worlds.close()
-    for one, state in zip((scene, moved), states, strict=True):
-        simulation = GENESIS.build(one, FAST)
-        assert rollout(simulation)[-1].tolist() == state.tolist()
-        simulation.close()
+    starts, wrenches = lifted_starts(scene, 3), np.zeros((3, 6))
+    wrenches[2, 1] = 0.1
+    together = GENESIS.build_worlds(scene, 3, FAST)
+    together.reset(starts)
+    together.apply_wrench("cube", wrenches)
+    states = rollout(together)
+    together.close()
+    alone = GENESIS.build(scene, FAST)
+    for world in range(3):
+        alone.reset(starts[world : world + 1])
+        alone.apply_wrench("cube", wrenches[world : world + 1])
+        assert rollout(alone)[:, 0] == pytest.approx(states[:, world], abs=1e-9)
+    alone.close()
 
 
-def test_a_closed_simulation_is_an_error():
-    simulation = GENESIS.build(sliding_scene(), FAST)
+def test_a_world_that_genesis_gives_up_leaves_the_others():
+    scene = sliding_scene()
+    simulation = GENESIS.build_worlds(scene, 2, FAST)
+    expected = rollout(simulation)[:, 0]
+    simulation.reset()
+    simulation.apply_wrench("cube", np.array([[0.0] * 6, [np.nan] * 6]))
+    found = rollout(simulation)[:, 0]
+    diverged = simulation.diverged()
+    simulation.reset()
+    assert simulation.diverged() == {}
     simulation.close()
-    simulation.close()
-    with pytest.raises(BackendError, match="closed"):
-        simulation.advance(1 / 180)
+    assert found == pytest.approx(expected, abs=1e-9)
+    assert set(diverged) == {1}
+    assert "Genesis stopped" in diverged[1]
 
 
 # --- settings and support --------------------------------------------------------------------------------------------

@@ -24,6 +24,7 @@ from gauge_envs.backends.genesis.settings import (
     spring_stiffnesses,
 )
 from gauge_envs.backends.shared.cloth_grid import ClothGrid
+from gauge_envs.scene.states import nominal_states
 from gauge_envs.tools.bench.parts import contact
 from gauge_envs.tools.conformance import Status, run_checks
 from gauge_envs.tools.conformance.lab import clamped, fabric, sheet
@@ -133,6 +134,24 @@ def test_the_longest_step_is_stable_for_the_fastest_vibration(fabric):
     assert share < 4.0 / 3.0
 
 
+def test_a_cloth_that_nothing_clamps_starts_elsewhere():
+    cloth = replace(cloth_of("leather"), name="free", pose=Pose(position_m=(0, 0, 1)))
+    scene = Scene(bodies=(), deformables=(cloth,), duration_s=0.2)
+    pose = Pose.from_euler_deg((0.1, 0.0, 1.2), (0.0, 10.0, 30.0))
+    starts = nominal_states(scene)[None]
+    starts[0, 0, :7] = [*pose.position_m, *pose.quaternion]
+    simulation = backend("genesis").build(scene)
+    rest = simulation.nodes("free")[0]
+    simulation.reset(starts)
+    moved = simulation.nodes("free")[0]
+    simulation.advance(1 / 180)
+    simulation.reset()
+    again = simulation.nodes("free")[0]
+    simulation.close()
+    assert moved == pytest.approx(pose.to_world(cloth.pose.to_body(rest)), abs=1e-9)
+    assert (again == rest).all()
+
+
 def test_cells_are_small_enough_for_narrow_bodies():
     assert cloth_cell_m(load_experiment("TextileFlinging-satin").scene) == 0.025
     assert cloth_cell_m(
@@ -169,7 +188,7 @@ def test_a_vibration_decays_as_the_step_says(rate_hz):
     heights = []
     for _ in range(144):
         simulation.advance(1 / 180)
-        heights.append(simulation.nodes("cloth")[:, 2].mean())
+        heights.append(simulation.nodes("cloth")[0, :, 2].mean())
     simulation.close()
     times = np.arange(1, 145) / 180
 
@@ -203,12 +222,10 @@ def test_sheets_collide_only_in_the_contacts_of_the_scene():
             bodies=(), deformables=(lower, upper), contacts=contacts, duration_s=0.2
         )
         simulation = backend("genesis").build(scene)
-        positions, velocities = simulation._lent.model.part.state()
-        velocities[len(positions) // 2 :, 2] = -0.2
-        simulation._lent.model.part.restore((positions, velocities))
+        simulation._part._sheets["upper"].entity.set_particles_vel((0.0, 0.0, -0.2))
         for _ in range(18):
             simulation.advance(1 / 180)
-        gaps.append((simulation.nodes("upper") - simulation.nodes("lower"))[:, 2])
+        gaps.append((simulation.nodes("upper") - simulation.nodes("lower"))[0, :, 2])
         simulation.close()
     assert gaps[0].min() > 3.5e-3
     # 10 mm less 0.1 s at 0.2 m/s.

@@ -5,7 +5,7 @@ import pytest
 
 pytest.importorskip("genesis", reason="extra 'genesis' is not installed")
 
-from gauge_envs.backends.genesis import cloth
+from gauge_envs.backends.genesis import cloth, parts
 from gauge_envs.backends.genesis.kernels import PBDKernels
 from gauge_envs.tools.conformance import Status, run_checks
 
@@ -40,11 +40,11 @@ def border_springs_whole(patch):
 
 def held_edge_late(patch):
     """Held particles are where their body was one step earlier."""
-    healthy = cloth.driven_places
+    healthy = parts.later_targets
     patch.setattr(
-        cloth,
-        "driven_places",
-        lambda motion, places, times: healthy(motion, places, times - times[1]),
+        parts,
+        "later_targets",
+        lambda targets, times: healthy(targets, times - times[1]),
     )
 
 

@@ -27,14 +27,11 @@ def saved(folder, **rigid):
 
 @pytest.fixture
 def engine():
-    from gauge_envs.backends.genesis.engine import EngineLease
-    from gauge_envs.backends.genesis.model import forget_models
+    from gauge_envs.backends.genesis.engine import claim, release
 
-    forget_models()
-    lease = EngineLease(32)
+    claim(gs, 32)
     yield
-    lease.release()
-    forget_models()
+    release(gs)
 
 
 def test_saved_options_are_those_of_the_scene(engine, tmp_path):
