@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.errors import RenderError
-from gauge_envs.rendering.camera import View
+from gauge_envs.rendering.camera import View, free_camera
 from gauge_envs.rendering.materials import LOOKS, STRING_COLOR, Color, material_of
 from gauge_envs.rendering.overlay import Overlay
 from gauge_envs.rendering.skin import Skin
@@ -116,22 +116,14 @@ class SceneRenderer:
         max_shapes = self._model.ngeom + MAX_EXTRA_SHAPES
         self._drawing = mujoco.MjvScene(self._model, maxgeom=max_shapes)
         self._pixel_m = view.height_m / height
-        self._camera = mujoco.MjvCamera()
-        self._camera.lookat[:] = view.target_m
-        self._camera.distance = view.distance_m
-        self._camera.azimuth = view.azimuth_deg
-        self._camera.elevation = view.elevation_deg
+        self._camera = free_camera(view) if window is None else window.camera
         self._device = mujoco.MjrContext(
             self._model, mujoco.mjtFontScale.mjFONTSCALE_100
         )
         # The nearest depth is stored as 1 and the farthest as 0, where floating point numbers are densest.
         self._device.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
-        if window is None:
-            buffer = mujoco.mjtFramebuffer.mjFB_OFFSCREEN
-        else:
-            buffer = mujoco.mjtFramebuffer.mjFB_WINDOW
-            # The next renderer of a window keeps what the mouse has done.
-            window.camera = self._camera = window.camera or self._camera
+        buffers = mujoco.mjtFramebuffer
+        buffer = buffers.mjFB_OFFSCREEN if window is None else buffers.mjFB_WINDOW
         mujoco.mjr_setBuffer(buffer, self._device)
 
     def picture(
@@ -215,7 +207,7 @@ class SceneRenderer:
         mujoco.mj_camlight(self._model, self._data)
         self._context.make_current()
         for skin in self._skins:
-            skin.upload(self._model, self._device, nodes_m[skin.name])
+            skin.move(self._model, nodes_m[skin.name])
         drawing = self._drawing
         mujoco.mjv_updateScene(
             self._model,

@@ -67,10 +67,7 @@ def visual_model(
         if isinstance(block, SoftBody):
             material = material_of(block, materials.get(block.name))
             _add_gripped(spec, scene, attachment, block, rest_nodes_m, material)
-    model = spec.compile()
-    for skin in skins:
-        skin.place(model)
-    return model
+    return spec.compile()
 
 
 def _add_body(spec: mujoco.MjSpec, body: RigidBody, material: str) -> None:
