@@ -230,7 +230,7 @@ def test_a_crash_while_writing_leaves_no_result_file(tmp_path, monkeypatch, resu
     def crash(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("gauge_envs.files.os.fsync", crash)
+    monkeypatch.setattr("gauge_envs.files.Path.write_bytes", crash)
     with pytest.raises(ResultFileError, match="No space left"):
         write_result(result, tmp_path / "a.json")
     assert list(tmp_path.iterdir()) == []
