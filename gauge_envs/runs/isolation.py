@@ -19,6 +19,7 @@ from concurrent.futures import CancelledError, ThreadPoolExecutor
 from contextlib import suppress
 from typing import Any, ParamSpec, Self, TypeVar
 
+from gauge_envs.backends.registry import is_bundled
 from gauge_envs.errors import GaugeError, ParameterError
 
 TIME_LIMIT_S = 3600.0
@@ -173,6 +174,28 @@ class Worker:
             name = (signal.strsignal(-returncode) or "unknown").lower()
             return f"the engine's process died with signal {-returncode} ({name})"
         return f"the engine ended its process with exit code {returncode}"
+
+
+def call_engine(
+    backend: str,
+    function: Callable[..., Value],
+    *args: Any,
+    time_limit_s: float = TIME_LIMIT_S,
+    isolate: bool | None = None,
+) -> Value:
+    """Return what a function returns where an engine runs.
+
+    Args:
+        backend: Name of the engine.
+        function: The function.
+        *args: Its arguments.
+        time_limit_s: Time limit in another process [s].
+        isolate: Whether it runs in another process; None: for engines outside this package.
+    """
+    if not (not is_bundled(backend) if isolate is None else isolate):
+        return function(*args)
+    with Worker(time_limit_s) as worker:
+        return worker.call(function, *args)
 
 
 def _reply_of(process: subprocess.Popen[bytes], task: bytes) -> tuple[str | None, Any]:

@@ -34,6 +34,7 @@ from gauge_envs.files import (
     write_whole,
 )
 from gauge_envs.observables.observer import MarkerProxy
+from gauge_envs.references.imported import dataset_record
 from gauge_envs.references.kind import Kind
 from gauge_envs.references.user_data import BUNDLED_DATA, DataSource
 from gauge_envs.registry import scene_files
@@ -93,6 +94,17 @@ def load_result(file: Path) -> Result:
     return parse_result(text, str(file))
 
 
+OLDER_DEFAULTS: dict[str, Any] = {
+    "revision": 1,
+    "jitter": {},
+    "marker_proxy": MarkerProxy.NODE.value,
+    "asset": {},
+    "cpu_s": None,
+    "processor": "",
+}
+"""Values of keys that files of older versions lack."""
+
+
 def parse_result(text: bytes, name: str) -> Result:
     """Return the result that the content of a result file states.
 
@@ -104,24 +116,17 @@ def parse_result(text: bytes, name: str) -> Result:
         content = json_document(text)
         if not isinstance(content, dict):
             raise ValueError(f"expected a JSON object, got a {type(content).__name__}")
-        # Files of older versions lack these keys; they have the defaults of that time.
-        content.setdefault("revision", 1)
-        content.setdefault("jitter", {})
-        content.setdefault("marker_proxy", MarkerProxy.NODE.value)
-        dataset = content.get("dataset") or {}
-        content["dataset"] = (
-            BUNDLED_DATA | dataset if isinstance(dataset, dict) else dataset
-        )
-        content.setdefault("asset", {})
+        content = OLDER_DEFAULTS | content
+        if isinstance(content.setdefault("dataset", {}), dict):
+            content["dataset"] = BUNDLED_DATA | content["dataset"]
         if isinstance(content.get("score"), dict) and "kind" not in content["score"]:
             raise ValueError(OLD_SCORE)
-        content.setdefault("cpu_s", None)
-        content.setdefault("processor", "")
-        missing = [key.name for key in fields(Result) if key.name not in content]
-        if missing:
-            raise ValueError(f"no {missing[0]!r}")
+        for key in fields(Result):
+            if key.name not in content:
+                raise ValueError(f"no {key.name!r}")
         result = _result_adapter().validate_python(content)
         _check(result)
+        _check_trajectory(result)
     except ValidationError as error:
         place, reason = first_fault(error)
         raise ResultFileError(
@@ -166,20 +171,18 @@ def _check(result: Result) -> None:
             raise ValueError(
                 f"{error}. If a task file of yours states it, set {OWN_TASKS} to that file or its folder"
             ) from None
-    choices = {
-        "score.kind": (result.score.kind, Kind),
-        "marker_proxy": (result.marker_proxy, MarkerProxy),
-    }
-    choices |= {
-        f"dataset.{key}": (result.dataset[key], DataSource) for key in BUNDLED_DATA
-    }
-    for key, (value, known) in choices.items():
+    choices = [
+        ("score.kind", result.score.kind, Kind),
+        ("marker_proxy", result.marker_proxy, MarkerProxy),
+        *((f"dataset.{key}", result.dataset[key], DataSource) for key in BUNDLED_DATA),
+    ]
+    for key, value, known in choices:
         if value not in tuple(known):
             raise ValueError(f"{key} is {value!r}, expected one of {', '.join(known)}")
-    _check_trajectory(result)
 
 
 def _check_trajectory(result: Result) -> None:
+    """Check what the types of a trajectory alone do not state."""
     trajectory = result.trajectory
     if trajectory is None:
         raise ValueError("it has no trajectory")
@@ -198,7 +201,29 @@ def _check_trajectory(result: Result) -> None:
 # --- the scene of a result ---
 
 
-def asset_record(experiment: Experiment) -> dict[str, Any]:
+def result_of(experiment: Experiment, **values: Any) -> Result:
+    """Return a result that states its experiment.
+
+    Args:
+        experiment: The experiment.
+        **values: The other fields of the result.
+    """
+    return Result(
+        id=experiment.id,
+        task_sha256=experiment.file_sha256,
+        revision=experiment.revision,
+        driver_provenance=experiment.driver_provenance,
+        dataset=dataset_record(
+            experiment.name,
+            drivers=experiment.drivers,
+            reference=experiment.reference_source,
+        ),
+        asset=_asset_record(experiment),
+        **values,
+    )
+
+
+def _asset_record(experiment: Experiment) -> dict[str, Any]:
     """Return the record of an experiment's asset for its result; empty without an asset."""
     asset = experiment.asset
     if asset is None:
@@ -225,15 +250,13 @@ def recorded_experiment(result: Result) -> Experiment:
     If an engine's model file stated the scene, the scene is that of the variant.
     """
     record = result.asset
-    installed = (
-        1
-        if result.has_experiment_file
-        else task_spec(find_variant(result.id).family).revision
-    )
-    if result.revision != installed:
-        reason = f"has revision {result.revision}, and the installed package revision {installed}"
+    revision = 1
+    if not result.has_experiment_file:
+        revision = task_spec(find_variant(result.id).family).revision
+    if result.revision != revision:
         raise ResultFileError(
-            f"{result.id}: it {reason}: use gauge-envs {result.versions.get('gauge-envs')} for it"
+            f"{result.id}: it has revision {result.revision}, and the installed package revision {revision}: "
+            f"use gauge-envs {result.versions.get('gauge-envs')} for it"
         )
     if not record or "scene" not in record:
         return load_experiment(
@@ -243,7 +266,6 @@ def recorded_experiment(result: Result) -> Experiment:
             reference=result.dataset["reference"],
         )
     files = scene_files(RECORDED_SUFFIX)
-
     try:
         with TemporaryDirectory() as folder:
             path = Path(folder) / "scene.usda"

@@ -168,7 +168,7 @@ def test_one_process_asks_broken_engines_too(installed, monkeypatch):
         "supports-exit": "SystemExit: 4",
     }
     installed("well", *causes)
-    monkeypatch.setattr(listing, "is_bundled", lambda name: True)
+    monkeypatch.setattr(isolation, "is_bundled", lambda name: True)
     notes = []
     backends = list_rows([find_variant(WOOD)], notify=notes.append)[0]["backends"]
     assert backends["mujoco"] == backends["well"] == []

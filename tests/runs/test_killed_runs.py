@@ -11,9 +11,6 @@ from dataclasses import replace
 import pytest
 
 from gauge_envs.cli.app import app
-from gauge_envs.runs import batch
-from gauge_envs.runs.batch import run_many
-from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result_file import load_result
 
 KILL_COUNT = 100
@@ -81,21 +78,3 @@ def test_kills_at_random_moments_lose_double_and_cut_nothing(tmp_path):
         f"{kills} kills in {rounds} runs of {duration_s:.1f} s, {partial} of them between results"
     )
     assert partial > KILL_COUNT // 10
-
-
-def test_files_that_a_killed_run_left_are_removed_later(tmp_path):
-    old, new, other = (
-        tmp_path / name
-        for name in (
-            ".a.json.0123456789abcdef.tmp",
-            ".b.json.0123456789abcdef.tmp",
-            "c",
-        )
-    )
-    for file in (old, new, other):
-        file.write_text("{")
-    for file in (old, other):
-        long_ago = time.time() - 2.0 * batch.LEFTOVER_AGE_S
-        os.utime(file, (long_ago, long_ago))
-    run_many([RunRequest("SlopeSlider-2-wood")], out=tmp_path)
-    assert sorted(tmp_path.iterdir()) == sorted([new, other])

@@ -12,7 +12,7 @@ from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import Variant
 from gauge_envs.references.kind import Kind
 from gauge_envs.references.user_data import has_import
-from gauge_envs.runs.isolation import Worker
+from gauge_envs.runs.isolation import call_engine
 from gauge_envs.scoring.reference import reference_kind
 
 QUERY_LIMIT_S = 60.0
@@ -113,11 +113,9 @@ def lacking_features(
         notify: Receives a sentence if the backend does not work.
     """
     try:
-        if is_bundled(name):
-            lacks, fault = _lacks(name, experiments)
-        else:
-            with Worker(QUERY_LIMIT_S) as worker:
-                lacks, fault = worker.call(_lacks, name, experiments)
+        lacks, fault = call_engine(
+            name, _lacks, name, experiments, time_limit_s=QUERY_LIMIT_S
+        )
     except GaugeError as error:
         fault = f"backend {name!r}: {error}"
         lacks = [[fault]] * len(experiments)

@@ -17,7 +17,6 @@ from gauge_envs.backends import (
     backend_for,
     backend_names,
     engine_call,
-    is_bundled,
     support_of,
     versions_of,
 )
@@ -27,7 +26,7 @@ from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.experiments.variants import Variant
 from gauge_envs.files import json_ready, versions
 from gauge_envs.references.imported import dataset_record
-from gauge_envs.runs.isolation import Worker
+from gauge_envs.runs.isolation import call_engine
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.scene.jitter import JITTER_FORMAT
 from gauge_envs.tools.sweep.spec import MAX_EPISODES, SweepSpec
@@ -155,11 +154,15 @@ def plan_sweep(spec: SweepSpec, *, isolate: bool = False) -> SweepPlan:
         if backend not in backend_names():
             raise UnknownNameError("backend", backend, backend_names())
         choices = list(spec.setting_choices(backend))
-        if is_bundled(backend) and not isolate:
-            found = _engine_runs(backend, subjects, choices)
-        else:
-            with Worker(PLAN_LIMIT_S) as worker:
-                found = worker.call(_engine_runs, backend, subjects, choices)
+        found = call_engine(
+            backend,
+            _engine_runs,
+            backend,
+            subjects,
+            choices,
+            time_limit_s=PLAN_LIMIT_S,
+            isolate=isolate or None,
+        )
         for run in found:
             runs.setdefault(run.sha256, run)
     plan = SweepPlan(tuple(runs.values()))
