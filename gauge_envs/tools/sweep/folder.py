@@ -129,9 +129,8 @@ class EarlierCosts:
         times_s: dict[tuple[str, str], dict[int, list[float]]] = {}
         for one in episodes:
             if one.outcome is Outcome.FINISHED and one.wall_s and one.steps:
-                times_s.setdefault(one.group, {}).setdefault(
-                    round(one.steps), []
-                ).append(one.wall_s)
+                of_group = times_s.setdefault(one.group, {})
+                of_group.setdefault(round(one.steps), []).append(one.wall_s)
         self._medians = {
             group: {steps: median(values) for steps, values in sorted(by_steps.items())}
             for group, by_steps in times_s.items()
