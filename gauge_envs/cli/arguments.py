@@ -308,6 +308,15 @@ Form = Annotated[
 ]
 
 
+Details = Annotated[
+    bool,
+    option(
+        OUTPUT,
+        "Also all numbers of each score, and the published ones.",
+        "--details",
+    ),
+]
+
 STDOUT = "-"
 """Path that stands for stdout, in the metavar of an option that takes it."""
 

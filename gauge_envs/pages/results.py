@@ -113,12 +113,6 @@ def versions_text(configuration: RunConfiguration) -> str:
     )
 
 
-def result_label(result: Result) -> str:
-    """Return the label of a result among others of its experiment: `mujoco, calibrated, timestep_s=0.001, seed 3`."""
-    parts = [text for _, text in configuration_parts(RunConfiguration.of(result))]
-    return ", ".join([*parts, f"seed {result.seed}"] if result.seed else parts)
-
-
 # --- scores ---
 
 ALIGNED = Metric(key="rmse_aligned", title="RMSE aligned", unit=None, ideal=0.0)

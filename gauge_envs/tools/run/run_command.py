@@ -1,4 +1,4 @@
-"""`gauge run` and `gauge score`."""
+"""`gauge run`."""
 
 from __future__ import annotations
 
@@ -25,7 +25,6 @@ from gauge_envs.cli.output import (
 )
 from gauge_envs.errors import ParameterError, ResultFileError
 from gauge_envs.files import processors
-from gauge_envs.pages.text import counted
 
 if TYPE_CHECKING:
     from gauge_envs.runs.request import RunRequest
@@ -33,15 +32,6 @@ if TYPE_CHECKING:
 
 FEW_EPISODES = 20
 """Most episodes of rigid bodies that run in this process by default."""
-
-Details = Annotated[
-    bool,
-    arguments.option(
-        arguments.OUTPUT,
-        "Also all numbers of each score, and the published ones.",
-        "--details",
-    ),
-]
 
 
 def run(
@@ -84,7 +74,7 @@ def run(
     out: Annotated[Path, arguments.folder("Folder for the result files.")] = Path(
         "results"
     ),
-    details: Details = False,
+    details: arguments.Details = False,
     form: arguments.Form = Format.TEXT,
 ) -> bool:
     """Run experiments, score each against its reference, and write a result file for each.
@@ -133,7 +123,6 @@ def run(
             subject for found in subjects.values() for subject in found
         )
     ]
-    _check_read(requests)
     is_apart = isolate or timeout is not None or memory is not None
     check_requests(requests, isolate=is_apart or None)
     named = {
@@ -199,51 +188,6 @@ def run(
         one.outcome in bad or (one.outcome is Outcome.DECLINED and one.id in by_name)
         for one in results
     )
-
-
-def score(
-    file: Annotated[
-        Path,
-        typer.Argument(metavar="FILE", help="CSV, NPZ or JSON; also a result file."),
-    ],
-    name: Annotated[
-        str | None,
-        arguments.experiment("Experiment, if the file does not state it."),
-    ] = None,
-    parameters: arguments.Parameters = None,
-    use: arguments.Use = None,
-    details: Details = False,
-    form: arguments.Form = Format.TEXT,
-) -> None:
-    """Score a trajectory from your own simulator; no engine is needed.
-
-    It is g(t) in the observable's unit, mm for positions. Columns are the coordinates that `gauge show ID` lists.
-    Without a `time_s` column, rows are 30 Hz frames. The id may be an experiment file.
-    """
-    from dataclasses import replace
-
-    from gauge_envs.runs.score_file import score_file
-    from gauge_envs.tools.run.words import summary_document
-
-    used = arguments.parsed_use(use, "reference")
-    result, interpolated = score_file(
-        file, variant=name, parameters=arguments.parsed_parameters(parameters), **used
-    )
-    if interpolated:
-        note(f"{counted(interpolated, 'frame')} between samples: interpolated linearly")
-    document = summary_document([result], details=details or form is Format.WIDE)
-    print_document(replace(document, rows=[result.to_dict(trajectory=False)]), form)
-
-
-def _check_read(requests: Sequence[RunRequest]) -> None:
-    """Raise an error for a marker proxy that would change nothing in any of the runs."""
-    if requests[0].marker_proxy == "material":
-        return
-    reasons = {one.unread(one.experiment()).get("marker_proxy") for one in requests}
-    if None not in reasons:
-        raise ParameterError(
-            f"--marker-proxy node would change nothing: {reasons.pop()}"
-        )
 
 
 def _default_jobs(requests: Sequence[RunRequest]) -> int:
