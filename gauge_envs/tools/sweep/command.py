@@ -248,7 +248,8 @@ def _with_changes(
                 f"--set {text!r}: expected NAME=VALUE,VALUE or ENGINE.NAME=VALUE,VALUE"
             )
         listed = [
-            arguments.value_of(value.strip()) for value in arguments.split_list(values)
+            arguments.value_of(value.strip())
+            for value in arguments.split_values(values)
         ]
         backend, dot, name = key.partition(".")
         if not dot:
