@@ -118,7 +118,7 @@ Ids = Annotated[
     typer.Argument(
         metavar="ID",
         autocompletion=_ids,
-        help="Ids, patterns as 'SlopeSlider-*', experiment files or task files.",
+        help="Ids, patterns as 'SlopeSlider-*', or task files.",
     ),
 ]
 

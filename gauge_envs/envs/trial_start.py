@@ -7,7 +7,6 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.experiments.resolve import AnyExperiment
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.imported import START_FRAMES, ImportedVariant, load_imported
 from gauge_envs.references.tables import FileModel, read_toml, scoring_folder
@@ -32,7 +31,7 @@ class _DrivenTrials(FileModel):
     motions: dict[str, tuple[tuple[tuple[float, ...], ...], ...]]
 
 
-def driven_trial(experiment: AnyExperiment, trial: int) -> AnyExperiment | None:
+def driven_trial(experiment: Experiment, trial: int) -> Experiment | None:
     """Return an experiment with the start and driven path of a bundled trial, which scores it; None without such."""
     file = scoring_folder("trials") / f"{experiment.name}.toml"
     is_imported = DataSource.IMPORTED in (

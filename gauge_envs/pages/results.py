@@ -262,12 +262,7 @@ def discretization_text(
         result: The result.
         rows: Rows of `references.convergence.convergence_rows` for its engine and its variant.
     """
-    if (
-        result.backend is None
-        or result.settings_given
-        or result.is_edited
-        or result.has_experiment_file
-    ):
+    if result.backend is None or result.settings_given or result.is_edited:
         return None
     has_cells = bool(load_experiment(short_id(result.id)).scene.deformables)
     is_verified = Kind(result.score.kind).is_solution

@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gauge_envs.experiments.experiment import AssetKind, Experiment
+from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.files import json_ready, versions
 from gauge_envs.references.user_data import BUNDLED_DATA
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.scoring.score import Score
 
-BULKY = ("scene", "experiment")
+BULKY = ("scene",)
 """Keys of `Result.asset` with long values, which are only needed to build the scene again."""
 
 MARKER_DECIMALS = 4
@@ -199,7 +199,7 @@ class Result:
         backend: Name of the physics engine.
         parameters: Name of the parameter set, or the overrides.
         score: Distance to reality; a metric that does not apply is None.
-        task_sha256: Hash of the task file; for an experiment file, hash of it and of all files that it names.
+        task_sha256: Hash of the task file.
         revision: Revision of the experiment; results of different ones are not compared.
         frames: Number of recorded frames, the first included.
         diverged: Whether the simulation left the physical bounds of the scene.
@@ -221,8 +221,8 @@ class Result:
         dataset: Source of driven motion (`drivers`) and band (`reference`), `bundled` or `imported`. If one of them is
             imported, also `revision` of the dataset and `sha256` over the imported trials.
         asset: File that stated the scene: its name `file`, `kind`, `sha256`, whether it is `edited`, and its `changes`.
-            A scene that the package does not have is in `scene`, as text of a USD layer; the experiment of an
-            experiment file is in `experiment`. Empty if the task file stated the scene.
+            A scene that the package does not have is in `scene`, as text of a USD layer. Empty if the task file stated
+            the scene.
         created: Time of creation, ISO 8601, UTC.
         error: Why the episode was declined or failed; None otherwise.
         trajectory: Its trajectory; None if it did not run.
@@ -261,11 +261,6 @@ class Result:
     def is_edited(self) -> bool:
         """Whether an asset stated the scene and differs from the calibrated scene."""
         return bool(self.asset.get("edited"))
-
-    @property
-    def has_experiment_file(self) -> bool:
-        """Whether the experiment is that of a user's experiment file."""
-        return self.asset.get("kind") == AssetKind.EXPERIMENT
 
     def made_with_other_than(self, installed: Mapping[str, str]) -> str:
         """Return which package of the result has another version than the installed one; empty if none has."""

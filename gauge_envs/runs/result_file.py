@@ -17,17 +17,14 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from gauge_envs.errors import GaugeError, ResultFileError, UnknownNameError, first_fault
 from gauge_envs.experiments.experiment import (
-    ASSET_NAME,
-    EXPERIMENT_NAME,
     Asset,
     AssetKind,
     Experiment,
-    driver_provenance,
 )
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.scene_source import RECORDED_SUFFIX
 from gauge_envs.experiments.task_files import task_spec
-from gauge_envs.experiments.variants import OWN_TASKS, find_variant
+from gauge_envs.experiments.variants import find_variant
 from gauge_envs.files import (
     json_document,
     os_errors,
@@ -36,7 +33,7 @@ from gauge_envs.files import (
 from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.references.imported import dataset_record
 from gauge_envs.references.kind import Kind
-from gauge_envs.references.user_data import BUNDLED_DATA, DataSource
+from gauge_envs.references.user_data import BUNDLED_DATA, OWN_TASKS, DataSource
 from gauge_envs.registry import scene_files
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.scoring.score import OLD_SCORE
@@ -144,7 +141,7 @@ def _result_adapter() -> TypeAdapter[Result]:
 
 
 class _AssetRecord(BaseModel):
-    """The asset of a result; `scene` and `experiment` are checked when the scene is built again."""
+    """The asset of a result; `scene` is checked when it is built again."""
 
     model_config = ConfigDict(strict=True, extra="ignore")
 
@@ -159,18 +156,12 @@ def _check(result: Result) -> None:
     """Check what types alone do not state."""
     if result.asset:
         _AssetRecord.model_validate(result.asset)
-    if result.has_experiment_file:
-        if not re.fullmatch(f"GAUGE/{ASSET_NAME}-{EXPERIMENT_NAME}", result.id):
-            raise ValueError(
-                f"id is {result.id!r}, expected 'GAUGE/{ASSET_NAME}-' and a name of letters and digits"
-            )
-    else:
-        try:
-            find_variant(result.id)
-        except UnknownNameError as error:
-            raise ValueError(
-                f"{error}. If a task file of yours states it, set {OWN_TASKS} to that file or its folder"
-            ) from None
+    try:
+        find_variant(result.id)
+    except UnknownNameError as error:
+        raise ValueError(
+            f"{error}. If a task file of yours states it, set {OWN_TASKS} to that file or its folder"
+        ) from None
     choices = [
         ("score.kind", result.score.kind, Kind),
         ("marker_proxy", result.marker_proxy, MarkerProxy),
@@ -230,17 +221,11 @@ def _asset_record(experiment: Experiment) -> dict[str, Any]:
         return {}
     record = asset.to_dict()
     # The scene of a model file is that of the variant; only its engine could read the file back.
-    if asset.kind is AssetKind.EXPERIMENT or (
-        asset.kind is AssetKind.USD and asset.edited
-    ):
+    if asset.kind is AssetKind.USD and asset.edited:
         with TemporaryDirectory() as folder:
             path = Path(folder) / "scene.usda"
             scene_files(RECORDED_SUFFIX).write_scene(experiment.scene, path)
             record["scene"] = path.read_text(encoding="utf-8")
-    if asset.kind is AssetKind.EXPERIMENT:
-        record["experiment"] = scene_files(RECORDED_SUFFIX).experiment_record(
-            experiment
-        )
     return record
 
 
@@ -250,9 +235,7 @@ def recorded_experiment(result: Result) -> Experiment:
     If an engine's model file stated the scene, the scene is that of the variant.
     """
     record = result.asset
-    revision = 1
-    if not result.has_experiment_file:
-        revision = task_spec(find_variant(result.id).family).revision
+    revision = task_spec(find_variant(result.id).family).revision
     if result.revision != revision:
         raise ResultFileError(
             f"{result.id}: it has revision {result.revision}, and the installed package revision {revision}: "
@@ -278,10 +261,6 @@ def recorded_experiment(result: Result) -> Experiment:
             edited=record["edited"],
             changes=tuple(record["changes"]),
         )
-        if result.has_experiment_file:
-            return files.recorded_experiment_file(
-                record["experiment"], scene, asset=asset, file_sha256=result.task_sha256
-            )
     except (KeyError, TypeError, ValueError) as error:
         if isinstance(error, GaugeError):
             raise
@@ -289,6 +268,4 @@ def recorded_experiment(result: Result) -> Experiment:
             f"{result.id}: the asset in the result is damaged: {error}"
         ) from error
     experiment = load_experiment(result.id, reference=result.dataset["reference"])
-    return replace(
-        experiment, scene=scene, asset=asset, driver_provenance=driver_provenance(scene)
-    )
+    return replace(experiment, scene=scene, asset=asset)

@@ -47,7 +47,7 @@ def score_file(
 
     Args:
         file: CSV, NPZ or JSON file.
-        variant: Name or id of the experiment, or an experiment file; None takes that of a JSON file.
+        variant: Name or id of the experiment, or a task file; None takes that of a JSON file.
         parameters: Parameters of the scene, for bands that follow from it; None takes those of the file, or
             `calibrated`.
         reference: `bundled` scores against the package's references, `imported` against the imported trials.

@@ -62,10 +62,10 @@ def list_(
 
 def _list_experiments(patterns: Sequence[str], scored: bool, form: Format) -> bool:
     """Print the experiments of patterns, and return whether a task file was skipped."""
-    from gauge_envs.experiments.task_files import task_file_faults
     from gauge_envs.experiments.variants import (
         beyond_variants,
         matching_variants,
+        unreadable_task_files,
         user_variants,
     )
     from gauge_envs.pages.document import Document, Paragraph
@@ -74,14 +74,13 @@ def _list_experiments(patterns: Sequence[str], scored: bool, form: Format) -> bo
     from gauge_envs.tools.catalog.listing import list_rows
     from gauge_envs.tools.catalog.words import list_table
 
-    faults = task_file_faults()
-    for fault in faults.values():
+    faults = unreadable_task_files()
+    for fault in faults:
         message(fault, "skipped")
     variants = dict.fromkeys(
         variant
         for pattern in patterns or ["*"]
         for variant in matching_variants(pattern)
-        if variant.family not in faults
     )
     found = list_rows(variants, notify=note)
     rows = [row for row in found if not scored or row["kind"] != Kind.NONE]

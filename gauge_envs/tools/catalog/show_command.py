@@ -17,7 +17,7 @@ def show(
         str,
         typer.Argument(
             metavar="ID",
-            help="Id, with or without GAUGE/; or an experiment file or a task file.",
+            help="Id, with or without GAUGE/; or a task file.",
         ),
     ],
     schema: Annotated[

@@ -83,7 +83,7 @@ def run(
     episode failed or diverged, or when an experiment given by its id was declined. Experiments of a pattern may be
     declined.
     """
-    from gauge_envs.experiments.variants import is_glob, matching_subjects
+    from gauge_envs.experiments.variants import is_glob, matching_variants
     from gauge_envs.pages.document import Terminal
     from gauge_envs.runs.batch import check_requests, run_many
     from gauge_envs.runs.isolation import TIME_LIMIT_S
@@ -104,7 +104,7 @@ def run(
         )
     constants = arguments.parsed_parameters(parameters) or "calibrated"
     settings = arguments.parsed_settings(changes)
-    subjects = {pattern: matching_subjects(pattern) for pattern in ids}
+    subjects = {pattern: matching_variants(pattern) for pattern in ids}
     requests = [
         RunRequest(
             subject,

@@ -30,7 +30,7 @@ def score(
     """Score a trajectory from your own simulator; no engine is needed.
 
     It is g(t) in the observable's unit, mm for positions. Columns are the coordinates that `gauge show ID` lists.
-    Without a `time_s` column, rows are 30 Hz frames. The id may be an experiment file.
+    Without a `time_s` column, rows are 30 Hz frames. The id may be a task file.
     """
     from gauge_envs.runs.score_file import score_file
     from gauge_envs.tools.run.words import summary_document

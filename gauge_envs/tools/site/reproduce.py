@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from gauge_envs.backends import is_bundled
-from gauge_envs.experiments.experiment import AssetKind
 from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.pages.document import Heading, Paragraph, Part, Tone
 from gauge_envs.pages.html import below, code, element, folded, join
@@ -30,11 +29,7 @@ def run_command(results: Sequence[Result]) -> str | None:
     first = results[0]
     if first.backend is None:
         return None
-    kind = first.asset.get("kind")
-    subject = (
-        first.asset["file"] if kind == AssetKind.EXPERIMENT else short_id(first.id)
-    )
-    words = ["gauge", "run", subject, "--backend", first.backend]
+    words = ["gauge", "run", short_id(first.id), "--backend", first.backend]
     if isinstance(first.parameters, str):
         words += (
             []
@@ -54,7 +49,7 @@ def run_command(results: Sequence[Result]) -> str | None:
     ]
     if used:
         words += ["--use", ",".join(used)]
-    if first.asset and kind != AssetKind.EXPERIMENT:
+    if first.asset:
         words += ["--asset", first.asset["file"]]
     return shlex.join([*words, *_start_words(results)])
 

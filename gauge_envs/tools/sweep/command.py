@@ -129,7 +129,7 @@ def sweep(
         _option(
             "--only",
             arguments.SELECTION,
-            "Ids, patterns or experiment files.",
+            "Ids, patterns or task files.",
             "those of the file",
             metavar="ID",
         ),
