@@ -1,14 +1,19 @@
-"""`gauge run`, killed at random moments and resumed: no result is lost, doubled or half-written."""
+"""`gauge run`, killed at random moments and resumed, or ended by Ctrl-C: no result is lost, doubled or half-written."""
 
 import json
 import multiprocessing
 import os
 import random
 import signal
+import subprocess
+import sys
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
+from places import ROOT
+from sweep_workers import children
 
 from gauge_envs.cli.app import app
 from gauge_envs.runs.result_file import load_result
@@ -78,3 +83,27 @@ def test_kills_at_random_moments_lose_double_and_cut_nothing(tmp_path):
         f"{kills} kills in {rounds} runs of {duration_s:.1f} s, {partial} of them between results"
     )
     assert partial > KILL_COUNT // 10
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="it finds workers in /proc")
+def test_ctrl_c_ends_several_jobs_at_once_and_leaves_no_process(tmp_path):
+    command = "from gauge_command import main; main()"
+    words = ("run", "*", "--jobs=2", "--repeats=20", "--out", str(tmp_path))
+    with subprocess.Popen(
+        [sys.executable, "-c", command, *words],
+        cwd=ROOT,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    ) as run:
+        while not (workers := children(run.pid)) and run.poll() is None:
+            time.sleep(0.05)
+        time.sleep(1.0)
+        start_s = time.monotonic()
+        os.killpg(run.pid, signal.SIGINT)
+        _, errors = run.communicate()
+    assert workers
+    assert time.monotonic() - start_s < 10.0, "a busy machine takes a second"
+    assert run.returncode == 130
+    assert "--resume continues from there" in errors and "Traceback" not in errors
+    assert not [pid for pid in workers if Path(f"/proc/{pid}").exists()]
