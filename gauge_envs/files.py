@@ -146,14 +146,12 @@ def processor() -> str:
     return platform.machine() + (f", {name[1].strip()}" if name else "")
 
 
-def versions() -> dict[str, str]:
-    """Return the versions of gauge-envs, gymnasium, numpy and python."""
-    return dict(_versions())
-
-
 @cache
-def _versions() -> dict[str, str]:
-    """Return the versions, read once: reading the metadata of packages takes as long as a short episode."""
+def versions() -> dict[str, str]:
+    """Return the versions of gauge-envs, gymnasium, numpy and python; no caller may change the dictionary.
+
+    They are read once: reading the metadata of packages takes as long as a short episode.
+    """
     from importlib.metadata import version
 
     packages = {name: version(name) for name in ("gauge-envs", "gymnasium", "numpy")}
