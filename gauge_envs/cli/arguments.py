@@ -204,8 +204,6 @@ def backend(
 
 Backends = Annotated[list[str], backend("Engines.")]
 
-Backend = Annotated[str, backend("Engine.")]
-
 Settings = Annotated[
     list[str] | None,
     option(

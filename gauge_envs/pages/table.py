@@ -280,9 +280,14 @@ def _line(
     """Return texts in columns of given widths [characters]."""
     line = rich.table.Table.grid(padding=(0, GAP, 0, 0))
     for column, width in zip(columns, widths, strict=True):
-        justify: Literal["left", "right"] = "right" if column.is_number else "left"
+        # Blanks would follow the texts of a last column.
+        is_last = column is columns[-1] and not column.is_number
         line.add_column(
-            justify=justify, width=width, overflow="fold", vertical=vertical
+            justify="right" if column.is_number else "left",
+            width=None if is_last else width,
+            max_width=width,
+            overflow="fold",
+            vertical=vertical,
         )
     line.add_row(*texts)
     return line
