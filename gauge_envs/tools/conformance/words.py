@@ -10,7 +10,7 @@ from gauge_envs.backends import backend_names, versions_of
 from gauge_envs.errors import GaugeError
 from gauge_envs.files import versions
 from gauge_envs.pages.document import Bullets, Document, Heading, Paragraph, Part, page
-from gauge_envs.pages.html import Html, below, code, element, folded, join, listed
+from gauge_envs.pages.html import Html, below, element, folded, join, listed
 from gauge_envs.pages.table import Column, Place, Table
 from gauge_envs.pages.text import Markdown, markdown_text, pairs_text, with_unit
 from gauge_envs.runs.isolation import call_engine
@@ -567,7 +567,7 @@ def _section(check: Check, columns: Sequence[MatrixColumn]) -> Html:
         )
 
     def command(row: tuple[MatrixColumn, CheckResult | None]) -> Html | str:
-        return "" if row[1] is None else code(row[0].command(check.id))
+        return "" if row[1] is None else element("code", row[0].command(check.id))
 
     def note(row: tuple[MatrixColumn, CheckResult | None]) -> str:
         column, one = row

@@ -11,7 +11,7 @@ from typing import Any
 from gauge_envs.backends import is_bundled
 from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.pages.document import Heading, Paragraph, Part, Tone
-from gauge_envs.pages.html import below, code, element, folded, join
+from gauge_envs.pages.html import below, element, folded, join
 from gauge_envs.pages.table import grid
 from gauge_envs.pages.text import short_id
 from gauge_envs.references.user_data import DataSource
@@ -104,7 +104,7 @@ def run_commands(site: Site, one: ExperimentComparison) -> list[Part]:
             element(
                 "div",
                 element("p", site.swatch(index), site.labels[index]),
-                element("pre", code(command)),
+                element("pre", element("code", command)),
             ),
             Paragraph(f"Versions: {versions}.", Tone.NOTE),
             folded("settings in force", element("pre", element("code", settings))),
@@ -131,7 +131,7 @@ def reproduce_page(site: Site, command: str) -> str:
                     (
                         site.experiment_link(one, result.task_sha256[:16]),
                         site.links[index],
-                        code(run_command([result]) or "trajectory file"),
+                        element("code", run_command([result]) or "trajectory file"),
                         "-"
                         if file is None
                         else join([file.name, below(_digest(file)[:16])]),
@@ -147,12 +147,12 @@ def reproduce_page(site: Site, command: str) -> str:
         f"pip install 'gauge-envs[{extras}]'" if extras else "pip install gauge-envs"
     )
     steps = (
-        join([code(install), " with the versions that each page states."]),
+        join([element("code", install), " with the versions that each page states."]),
         "Run the command of a row. The file it writes into results/ has the same numbers, bit for bit, with the "
         "same versions on the same kind of processor. Wall times differ.",
         join(
             [
-                code("gauge compare results/"),
+                element("code", "gauge compare results/"),
                 " prints the scores, intervals and ranks of these pages.",
             ]
         ),
@@ -163,7 +163,7 @@ def reproduce_page(site: Site, command: str) -> str:
         ),
         element("ol", *(element("li", step) for step in steps)),
         Heading("This site"),
-        element("pre", code(command)),
+        element("pre", element("code", command)),
         Heading("Results"),
         Paragraph(
             "Below an experiment: SHA-256 of its task file. Below a result file: that of the file.",
