@@ -237,7 +237,7 @@ def serve(time_limit_s: float, memory_limit_gb: float | None) -> None:
         memory_limit_gb: Limit of the memory for data [GB], or None.
     """
     tasks = os.fdopen(os.dup(0), "rb")
-    replies = os.fdopen(os.dup(1), "wb", closefd=False)
+    replies = os.fdopen(os.dup(1), "wb")
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     os.dup2(2, 1)
     sys.stdout = sys.stderr

@@ -164,6 +164,9 @@ def run_tasks(
         futures = deque(threads.submit(done, task) for task in tasks)
         while futures:
             yield futures.popleft().result()
+        # The ends of processes take time, and go on at once.
+        for worker in workers:
+            threads.submit(worker.close)
     except BaseException:
         threads.shutdown(wait=False, cancel_futures=True)
         for worker in workers:
