@@ -25,7 +25,6 @@ from gauge_envs.experiments.variants import (
     episode_steps,
     find_variant as find_variant,
     unreadable_task_files,
-    user_task_files,
     variants as variants,
 )
 from gauge_envs.registry import id_modules, lazy_names
@@ -42,15 +41,12 @@ if TYPE_CHECKING:
         load_experiment as load_experiment,
         load_experiment_from_asset as load_experiment_from_asset,
     )
-    from gauge_envs.experiments.task_files import load_task as load_task
+    from gauge_envs.experiments.task_reader import load_task as load_task
     from gauge_envs.scene.jitter import Jitter as Jitter
     from gauge_envs.scoring.reference import reference_band as reference_band
     from gauge_envs.scoring.score import (
         Score as Score,
         score_trajectory as score_trajectory,
-    )
-    from gauge_envs.tools.usd.experiment_file import (
-        load_experiment_file as load_experiment_file,
     )
 else:
     __getattr__, _LAZY = lazy_names(
@@ -61,11 +57,10 @@ else:
             ".envs.wrappers": ["LogScore", "ScoreEpisode"],
             ".experiments.experiment": ["Experiment"],
             ".experiments.resolve": ["load_experiment", "load_experiment_from_asset"],
-            ".experiments.task_files": ["load_task"],
+            ".experiments.task_reader": ["load_task"],
             ".scene.jitter": ["Jitter"],
             ".scoring.reference": ["reference_band"],
             ".scoring.score": ["Score", "score_trajectory"],
-            ".tools.usd": ["load_experiment_file"],
         },
     )
     __all__ = sorted(
@@ -86,31 +81,23 @@ else:
 
 
 def register_all() -> None:
-    """Register every variant, `GAUGE/Asset` and control task with Gymnasium; `import gauge_envs` calls this.
+    """Register every variant and control task with Gymnasium; `import gauge_envs` calls this.
 
     Variants of task files that the environment variable `GAUGE_TASKS` names are among them.
 
     Warns:
         UserWarning: `GAUGE_TASKS` names a file that cannot be used; the message says why.
     """
-    user_files = user_task_files()
     for fault in unreadable_task_files():
-        if fault.file in user_files:
-            warnings.warn(str(fault), stacklevel=2)
-    steps: dict[str, int | None] = {
-        variant.name: episode_steps(variant)
-        for variant in (*variants(), *beyond_variants())
-    }
-    # The file states the episode of an asset.
-    steps["Asset"] = None
-    for name, count in steps.items():
-        if f"GAUGE/{name}" not in registration.registry:
+        warnings.warn(str(fault), stacklevel=2)
+    for variant in (*variants(), *beyond_variants()):
+        if variant.id not in registration.registry:
             registration.register(
-                id=f"GAUGE/{name}",
+                id=variant.id,
                 entry_point="gauge_envs.envs.wrappers:scored_env",
                 vector_entry_point="gauge_envs.envs.vector:scored_vector_env",
-                max_episode_steps=count,
-                kwargs={"variant": name},
+                max_episode_steps=episode_steps(variant),
+                kwargs={"variant": variant.name},
             )
     for ids in id_modules():
         ids.register()

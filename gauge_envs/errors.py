@@ -51,7 +51,7 @@ class FileError(GaugeError, ValueError):
 
 
 class AssetError(FileError):
-    """A USD layer, an MJCF file or an experiment file cannot be used."""
+    """A USD layer or an MJCF file cannot be used."""
 
 
 class BackendError(GaugeError, RuntimeError):
@@ -132,7 +132,7 @@ class TargetError(GaugeError, ValueError):
 
 
 class TaskFileError(FileError):
-    """A task file or an experiment file is wrong."""
+    """A task file is wrong."""
 
 
 class SweepFileError(FileError):

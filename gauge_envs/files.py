@@ -1,8 +1,8 @@
 """Find data folders, read and write files, and prepare values for JSON."""
 
-import codecs
 import errno
 import io
+import json
 import os
 import platform
 import re
@@ -64,29 +64,16 @@ def json_document(content: bytes) -> Any:
     Raises:
         ValueError: The content is no JSON.
     """
-    from pydantic import ValidationError
-
-    try:
-        return _json_reader()(content.removeprefix(codecs.BOM_UTF8))
-    except ValidationError as error:
-        raise ValueError(error.errors()[0]["msg"]) from None
-
-
-@cache
-def _json_reader() -> Callable[[bytes], Any]:
-    """Return pydantic's parser: it takes a quarter of the time of `json`, and its import longer than most files."""
-    from pydantic import TypeAdapter
-
-    return TypeAdapter(Any).validate_json
+    return json.loads(content.decode("utf-8-sig"))
 
 
 def csv_text(content: bytes) -> io.StringIO:
     """Return CSV in UTF-8 with commas; spreadsheets write a byte-order mark, or semicolons and decimal commas."""
     text = content.decode("utf-8-sig")
     header = next((line for line in text.splitlines() if not line.startswith("#")), "")
-    return io.StringIO(
-        text.replace(",", ".").replace(";", ",") if ";" in header else text, newline=""
-    )
+    if ";" in header:
+        text = text.replace(",", ".").replace(";", ",")
+    return io.StringIO(text, newline="")
 
 
 def toml_document(content: bytes) -> dict[str, Any]:
@@ -110,18 +97,11 @@ def npz_arrays(
     Raises:
         ValueError: The content is no NPZ file, or an array holds no numbers.
     """
-    # NumPy takes any other content for a pickle, and says so.
     if not zipfile.is_zipfile(io.BytesIO(content)):
         raise ValueError("it is not a whole ZIP archive, as NPZ files are")
-    arrays: dict[str, NDArray[Any]] = {}
-    try:
-        with np.load(io.BytesIO(content), allow_pickle=False) as archive:
-            for name in archive.files if names is None else names:
-                if name in archive.files:
-                    arrays[name] = archive[name]
-    # NumPy, zipfile and zlib raise errors of many types for a damaged archive.
-    except Exception as error:
-        raise ValueError(str(error) or type(error).__name__) from error
+    with np.load(io.BytesIO(content), allow_pickle=False) as archive:
+        wanted = archive.files if names is None else names
+        arrays = {name: archive[name] for name in wanted if name in archive.files}
     for name, array in arrays.items():
         if array.dtype.kind not in NUMBERS:
             raise ValueError(f"{name}: holds {array.dtype} values, expected numbers")
@@ -138,7 +118,7 @@ def json_ready(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [json_ready(entry) for entry in value]
     if isinstance(value, np.ndarray | np.generic):
-        is_number = value.dtype.kind in "biuf"
+        is_number = value.dtype.kind in NUMBERS
         plain = value.tolist()
         return plain if is_number and np.isfinite(value).all() else json_ready(plain)
     return None if isinstance(value, float) and not np.isfinite(value) else value
@@ -153,13 +133,9 @@ def processors() -> int:
     return min(count, int(given)) if given.isdecimal() and int(given) else count
 
 
-VECTORS = ("avx512f", "avx2", "avx", "asimd")
-"""Vector instructions that libraries choose between, by their names in Linux, the widest first."""
-
-
 @cache
 def processor() -> str:
-    """Return the machine's architecture, and on Linux its processor and widest vectors, as `x86_64, AMD EPYC, avx512f`.
+    """Return the machine's architecture, and on Linux its processor, as `x86_64, AMD EPYC`.
 
     Equal versions may give other last bits on another one: libraries choose their functions by its instructions.
     """
@@ -167,21 +143,15 @@ def processor() -> str:
     with suppress(OSError):
         stated = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace")
     name = re.search(r"^model name\s*: (.*)", stated, re.MULTILINE)
-    flags = re.search(r"^(?:flags|Features)\s*: (.*)", stated, re.MULTILINE)
-    known = flags[1].split() if flags else []
-    vectors = next((one for one in VECTORS if one in known), "")
-    parts = (platform.machine(), name[1].strip() if name else "", vectors)
-    return ", ".join(filter(None, parts))
-
-
-def versions() -> dict[str, str]:
-    """Return the versions of gauge-envs, gymnasium, numpy and python."""
-    return dict(_versions())
+    return platform.machine() + (f", {name[1].strip()}" if name else "")
 
 
 @cache
-def _versions() -> dict[str, str]:
-    """Return the versions, read once: reading the metadata of packages takes as long as a short episode."""
+def versions() -> dict[str, str]:
+    """Return the versions of gauge-envs, gymnasium, numpy and python; no caller may change the dictionary.
+
+    They are read once: reading the metadata of packages takes as long as a short episode.
+    """
     from importlib.metadata import version
 
     packages = {name: version(name) for name in ("gauge-envs", "gymnasium", "numpy")}
@@ -191,17 +161,13 @@ def _versions() -> dict[str, str]:
 def check_replaceable(file: Path) -> None:
     """Check that a new file may take the place of what is there."""
     if file.is_dir():
-        raise OSError(errno.EISDIR, os.strerror(errno.EISDIR), str(file))
-    if file.exists() and not file.is_file():
-        raise OSError(errno.EINVAL, "it is not a regular file", str(file))
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(file))
 
 
 def write_whole(file: Path, content: bytes) -> None:
     """Write a file whole or not at all: a reader finds the old content or the new one."""
-    with replaced_whole(file) as part, part.open("xb") as stream:
-        stream.write(content)
-        stream.flush()
-        os.fsync(stream.fileno())
+    with replaced_whole(file) as part:
+        part.write_bytes(content)
 
 
 def write_texts(folder: Path, texts: Iterable[tuple[str, str]]) -> list[Path]:
@@ -219,13 +185,10 @@ def write_texts(folder: Path, texts: Iterable[tuple[str, str]]) -> list[Path]:
 def replaced_whole(file: Path) -> Iterator[Path]:
     """Yield a path beside a file for its new content, which takes the place of the file at the end.
 
-    After an error the new content is removed, and an older file is unchanged. A device or a FIFO is never replaced:
-    root could otherwise put a file in the place of `/dev/null`.
+    After an error the new content is removed, and an older file is unchanged.
     """
-    from secrets import token_hex
-
     check_replaceable(file)
-    part = file.with_name(f".{file.name}.{token_hex(8)}.tmp")
+    part = file.with_name(f".{file.name}.{os.getpid()}.tmp")
     try:
         yield part
         part.replace(file)

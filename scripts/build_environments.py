@@ -167,8 +167,10 @@ def reference_text(experiment: Experiment, band: Band | None, *, end_s: float) -
     )
     if not path.is_full:
         text += ", in the measured directions"
-    if path.last_s < end_s - 0.5 / FRAME_RATE_HZ:
-        text += f", until {path.last_s:.2f} s"
+    known = np.isfinite(path.places_m).all(axis=2)
+    last_s = np.nonzero(known)[0].max(initial=0) / FRAME_RATE_HZ
+    if last_s < end_s - 0.5 / FRAME_RATE_HZ:
+        text += f", until {last_s:.2f} s"
     return text
 
 

@@ -110,9 +110,10 @@ def unused_folders(tmp_path_factory):
 
 @pytest.fixture(autouse=True)
 def gauge_data_dir(unused_folders, monkeypatch):
-    """The user's data folder, empty for each test."""
+    """The user's data folder, empty for each test, in which no task file of the user is known."""
     folder = next(unused_folders)
     monkeypatch.setenv("GAUGE_DATA_DIR", str(folder))
+    monkeypatch.setenv("GAUGE_TASKS", "")
     return folder
 
 

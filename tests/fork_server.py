@@ -1,6 +1,6 @@
 """Children of the package as forks of a process that has their imports behind it: an import takes a second for each.
 
-`popen` and `run` stand in for those of `subprocess` where the command is Python with `-c`. A fork has streams,
+`popen` stands in for that of `subprocess` where the command is Python with `-c`. A fork has streams,
 variables, limits and an exit code of its own, as a process that starts from nothing; only the imports are shared.
 """
 
@@ -9,11 +9,9 @@ from __future__ import annotations
 import json
 import os
 import select
-import signal
 import socket
 import subprocess
 import sys
-import tempfile
 import threading
 from functools import cache
 from pathlib import Path
@@ -193,37 +191,5 @@ def popen(
     return fork
 
 
-def run(
-    command,
-    *,
-    input,
-    stdout,
-    stderr,
-    timeout,
-    env,
-    check,
-):
-    """Run a child to its end, and return its exit code; its errors go to a file, or nowhere."""
-    assert not check
-    with tempfile.TemporaryFile() as given, Path(os.devnull).open("wb") as nowhere:
-        given.write(input)
-        given.seek(0)
-        errors = nowhere if stderr == subprocess.DEVNULL else stderr
-        fork = _forked(command, (given.fileno(), stdout.fileno(), errors.fileno()), env)
-        is_late = threading.Event()
-
-        def end():
-            is_late.set()
-            os.killpg(fork.pid, signal.SIGKILL)
-
-        watch = threading.Timer(timeout, end)
-        watch.start()
-        code = fork.wait()
-        watch.cancel()
-        if is_late.is_set():
-            raise subprocess.TimeoutExpired(command, timeout)
-        return subprocess.CompletedProcess(command, code)
-
-
-STAND_IN = SimpleNamespace(**{**vars(subprocess), "Popen": popen, "run": run})
+STAND_IN = SimpleNamespace(**{**vars(subprocess), "Popen": popen})
 """What takes the place of the module `subprocess` in a module that starts children."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from importlib.util import find_spec
+from pathlib import Path
 
 import pytest
 
@@ -94,3 +95,9 @@ def contents(folder):
 def outcomes(folder):
     """The outcomes that the files of a folder state."""
     return sorted(one.outcome.value for one in earlier_episodes(folder).values())
+
+
+def children(pid):
+    """Processes that any thread of a process has started."""
+    files = Path(f"/proc/{pid}/task").glob("*/children")
+    return [int(word) for file in files for word in file.read_text().split()]

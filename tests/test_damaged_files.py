@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from places import ROOT
 
-from gauge_envs import load_experiment
+from gauge_envs import load_experiment, reference_band
 from gauge_envs.errors import AssetError, GaugeError
 from gauge_envs.experiments.resolve import load_experiment_from_asset
-from gauge_envs.experiments.task_files import load_task
+from gauge_envs.experiments.task_reader import load_task
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result_file import load_result
@@ -24,12 +24,12 @@ from gauge_envs.tools.conformance.matrix import read_columns
 from gauge_envs.tools.sanity import configuration
 from gauge_envs.tools.sanity.run import read_baseline
 from gauge_envs.tools.sweep.spec import load_sweep_file
-from gauge_envs.tools.usd.experiment_file import load_experiment_file
 from gauge_envs.tools.usd.reader import from_usd
 from gauge_envs.tools.versions.subject import check_states
 from gauge_envs.tools.video.track import read_track
 
 ID = "SlopeSlider-2-wood"
+OWN = ROOT / "examples" / "own_experiment"
 DAMAGES = {
     "empty": lambda content: b"",
     "noise": lambda content: np.random.default_rng(0).bytes(2000),
@@ -55,11 +55,12 @@ def trajectory(file):
     return read_trajectory(file, load_experiment(ID))
 
 
-def experiment(file):
-    for source in (ROOT / "examples" / "usd_experiment").iterdir():
-        if source.is_file() and source.name != "crate.toml":
+def band(file):
+    """Read the reference of an experiment of one's own, of which the file has one part."""
+    for source in OWN.iterdir():
+        if source.name != file.name:
             shutil.copy(source, file.parent)
-    return load_experiment_file(file)
+    return reference_band(load_experiment(str(file.parent / "crate.toml")))
 
 
 BASELINE = {
@@ -76,7 +77,12 @@ READERS = {
     "g.csv": (lambda: b"0,0,0\n" * 19, trajectory),
     "g.npz": (lambda: arrays(g=np.zeros((19, 3))), trajectory),
     "task.toml": (content_of("tasks", "pendulum.toml"), load_task),
-    "own.toml": (content_of("examples", "usd_experiment", "crate.toml"), experiment),
+    "crate.toml": ((OWN / "crate.toml").read_bytes, band),
+    "CrateSlide-pine.band.toml": (
+        (OWN / "CrateSlide-pine.band.toml").read_bytes,
+        band,
+    ),
+    "CrateSlide-pine.band.npz": ((OWN / "CrateSlide-pine.band.npz").read_bytes, band),
     "settings.toml": (content_of("examples", "sanity", "good.toml"), configuration),
     "settings.yaml": (lambda: b"sim:\n  dt: 0.01\n  physx: {a: 1}\n", configuration),
     "states.npz": (lambda: arrays(qpos=np.zeros((20, 7))), check_states),
@@ -89,7 +95,7 @@ READERS = {
     "sweep.toml": (content_of("examples", "sweep.toml"), load_sweep_file),
     "baseline.json": (json.dumps(BASELINE).encode, read_baseline),
     "scene.usda": (
-        content_of("examples", "usd_experiment", "crate.usda"),
+        (assets_folder() / "usd" / f"{ID}.usda").read_bytes,
         lambda file: from_usd(file, duration_s=1.0),
     ),
     "scene.xml": (

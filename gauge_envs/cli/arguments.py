@@ -118,7 +118,7 @@ Ids = Annotated[
     typer.Argument(
         metavar="ID",
         autocompletion=_ids,
-        help="Ids, patterns as 'SlopeSlider-*', experiment files or task files.",
+        help="Ids, patterns as 'SlopeSlider-*', or task files.",
     ),
 ]
 
@@ -203,8 +203,6 @@ def backend(
 
 
 Backends = Annotated[list[str], backend("Engines.")]
-
-Backend = Annotated[str, backend("Engine.")]
 
 Settings = Annotated[
     list[str] | None,
@@ -307,6 +305,15 @@ Form = Annotated[
     ),
 ]
 
+
+Details = Annotated[
+    bool,
+    option(
+        OUTPUT,
+        "Also all numbers of each score, and the published ones.",
+        "--details",
+    ),
+]
 
 STDOUT = "-"
 """Path that stands for stdout, in the metavar of an option that takes it."""

@@ -23,7 +23,7 @@ class Command:
 
     Attributes:
         name: Its words.
-        place: Module and function, as `catalog.command:show`.
+        place: Module and function, as `catalog.show_command:show`.
         help: Line in the help of `gauge`; a kind of `gauge list` has none.
         line: Module and type of a line of `--json`, as `catalog.lines:Show`; empty where there is no such line.
         version: Version of the schema of the line.
@@ -66,31 +66,33 @@ GROUPS = {
 BUNDLED = (
     Command(
         "list",
-        "catalog.command:list_",
+        "catalog.list_command:list_",
         "List experiments; or backends, checks, phenomena, materials, scenes, ...",
         line="catalog.lines:ListLine",
         version=5,
     ),
     Command(
         "show",
-        "catalog.command:show",
+        "catalog.show_command:show",
         "Show one experiment or control task: reference, reward, spaces, engines, constants.",
         line="catalog.lines:Show",
         version=6,
     ),
     Command(
-        "list schemas", "catalog.command:list_schemas", line="catalog.lines:SchemaLine"
+        "list schemas",
+        "catalog.list_command:list_schemas",
+        line="catalog.lines:SchemaLine",
     ),
     Command(
         "run",
-        "run.command:run",
+        "run.run_command:run",
         "Run experiments, score each against its reference, and write a result file for each.",
         line="run.lines:RunLine",
         version=7,
     ),
     Command(
         "score",
-        "run.command:score",
+        "run.score_command:score",
         "Score a trajectory from your own simulator; no engine is needed.",
         line="run.lines:RunLine",
         version=7,

@@ -9,7 +9,7 @@ import inspect
 import re
 import types
 import typing
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from enum import Enum
 from pathlib import Path
@@ -28,7 +28,7 @@ DESCRIPTION = (
 )
 
 RESULT_FILE = Command(
-    "result-file", "run.command:run", line="run.lines:ResultFile", version=7
+    "result-file", "run.run_command:run", line="run.lines:ResultFile", version=7
 )
 """What `gauge run` writes."""
 
@@ -101,103 +101,75 @@ def output_schema(name: str) -> Schema:
     } | schema_of(output.line_type())
 
 
-def schema_of(line: Any) -> Schema:
-    """Return the JSON Schema of a type, with those of the classes in it below `$defs`."""
-    walk = _Walk()
-    whole = walk.schema(line)
-    return whole | ({"$defs": walk.definitions} if walk.definitions else {})
+def schema_of(hint: Any) -> Schema:
+    """Return the JSON Schema of a type.
+
+    Raises:
+        TypeError: The type has none.
+    """
+    if hint in PLAIN:
+        return dict(PLAIN[hint])
+    origin, parts = get_origin(hint), get_args(hint)
+    if origin is typing.Annotated:
+        one, form = _formed(hint)
+        # Limits of pydantic say nothing of the keys.
+        return schema_of(one) if form is WHOLE else _object(one, form)
+    if origin is not None:
+        return _of_parts(origin, parts)
+    if isinstance(hint, type) and issubclass(hint, Enum):
+        return {"enum": [one.value for one in hint]}
+    if is_dataclass(hint) or typing.is_typeddict(hint) or hasattr(hint, "model_fields"):
+        return _object(hint, WHOLE)
+    raise TypeError(f"{hint}: a type that has no JSON Schema")
 
 
-class _Walk:
-    """Schemas of a type and of all types in it."""
+def _of_parts(origin: Any, parts: tuple[Any, ...]) -> Schema:
+    """Return the schema of a type with parts, as `Mapping[str, float]`."""
+    if origin in (typing.NotRequired, typing.Required):
+        return schema_of(parts[0])
+    if origin is Literal:
+        return {"enum": list(parts)}
+    if origin in (typing.Union, types.UnionType):
+        return _any_of(map(schema_of, parts))
+    if origin is np.ndarray:
+        return {"type": "array"}
+    if origin is tuple and Ellipsis not in parts:
+        count = {"minItems": len(parts), "maxItems": len(parts)}
+        return {"type": "array", "prefixItems": [*map(schema_of, parts)]} | count
+    if issubclass(origin, Mapping):
+        return {"type": "object", "additionalProperties": schema_of(parts[1])}
+    return {"type": "array", "items": schema_of(parts[0])}
 
-    def __init__(self) -> None:
-        self.definitions: dict[str, Schema] = {}
-        self._names: dict[Any, str] = {}
 
-    def schema(self, hint: Any) -> Schema:
-        """Return the schema of a type; that of a class is a reference."""
-        if hint in PLAIN:
-            return dict(PLAIN[hint])
-        origin, parts = get_origin(hint), get_args(hint)
-        if origin is typing.Annotated:
-            one, form = _formed(hint)
-            # Limits of pydantic say nothing of the keys.
-            return self.schema(one) if form is WHOLE else self._reference(one, form)
-        if origin is not None:
-            return self._of_parts(origin, parts)
-        if isinstance(hint, type) and issubclass(hint, Enum):
-            return {"enum": [one.value for one in hint]}
-        return self._reference(hint, WHOLE)
-
-    def _of_parts(self, origin: Any, parts: tuple[Any, ...]) -> Schema:
-        """Return the schema of a type with parts, as `Mapping[str, float]`."""
-        if origin in (typing.NotRequired, typing.Required):
-            return self.schema(parts[0])
-        if origin is Literal:
-            return {"enum": list(parts)}
-        if origin in (typing.Union, types.UnionType):
-            return _any_of(self.schema(part) for part in parts)
-        if origin is np.ndarray:
-            return {"type": "array"}
-        if origin is tuple and Ellipsis not in parts:
-            items = [self.schema(part) for part in parts]
-            count = {"minItems": len(items), "maxItems": len(items)}
-            return {"type": "array", "prefixItems": items} | count
-        if issubclass(origin, Mapping):
-            return {"type": "object", "additionalProperties": self.schema(parts[1])}
-        if issubclass(origin, Iterable):
-            return {"type": "array", "items": self.schema(parts[0])}
-        raise TypeError(f"{origin}: a type that has no JSON Schema")
-
-    def _reference(self, one: Any, form: Form) -> Schema:
-        """Return a reference to the schema of a class, which is made at its first use."""
-        if not (
-            is_dataclass(one)
-            or typing.is_typeddict(one)
-            or hasattr(one, "model_fields")
-        ):
-            raise TypeError(f"{one}: a type that has no JSON Schema")
-        key = (one, form)
-        if key not in self._names:
-            name, number = one.__name__, 2
-            while name in self.definitions:
-                name, number = f"{one.__name__}{number}", number + 1
-            self._names[key] = name
-            self.definitions[name] = {}
-            self.definitions[name] = self._object(one, form)
-        return {"$ref": f"#/$defs/{self._names[key]}"}
-
-    def _object(self, one: Any, form: Form) -> Schema:
-        hints = get_type_hints(one, include_extras=True)
-        names = [field.name for field in fields(one)] if is_dataclass(one) else [*hints]
-        described = _descriptions(one)
-        properties: dict[str, Schema] = {}
-        for name in names:
-            if name not in form.without and not name.startswith(("_", "model_")):
-                properties[name] = self.schema(hints[name])
-        for name in (*form.properties, *getattr(one, "PRINTED", ())):
-            getter = getattr(one, name).fget
-            properties[name] = self.schema(get_type_hints(getter)["return"])
-            described[name] = (inspect.getdoc(getter) or "").partition("\n")[0]
-        optional: Collection[str] = getattr(one, "__optional_keys__", ())
-        text = (inspect.getdoc(one) or "").partition("\n\n")[0]
-        made: Schema = {
-            "type": "object",
-            "description": " ".join(text.split()),
-            "properties": {
-                name: schema
-                | ({"description": described[name]} if name in described else {})
-                for name, schema in properties.items()
-            },
-            "required": [name for name in properties if name not in optional],
-            "additionalProperties": False,
-        }
-        if form.more is not None:
-            more = self._object(*_formed(form.more))
-            made["properties"] |= more["properties"]
-            made["required"] += more["required"]
-        return made
+def _object(one: Any, form: Form) -> Schema:
+    """Return the schema of a class, whose attributes its docstring describes."""
+    hints = get_type_hints(one, include_extras=True)
+    names = [field.name for field in fields(one)] if is_dataclass(one) else [*hints]
+    described = _descriptions(one)
+    properties: dict[str, Schema] = {}
+    for name in names:
+        if name not in form.without and not name.startswith(("_", "model_")):
+            properties[name] = schema_of(hints[name])
+    for name in (*form.properties, *getattr(one, "PRINTED", ())):
+        getter = getattr(one, name).fget
+        properties[name] = schema_of(get_type_hints(getter)["return"])
+        described[name] = (inspect.getdoc(getter) or "").partition("\n")[0]
+    for name in properties.keys() & described.keys():
+        properties[name]["description"] = described[name]
+    optional = getattr(one, "__optional_keys__", ())
+    required = [name for name in properties if name not in optional]
+    if form.more is not None:
+        more = _object(*_formed(form.more))
+        properties |= more["properties"]
+        required += more["required"]
+    text = (inspect.getdoc(one) or "").partition("\n\n")[0]
+    return {
+        "type": "object",
+        "description": " ".join(text.split()),
+        "properties": properties,
+        "required": required,
+        "additionalProperties": False,
+    }
 
 
 def _formed(hint: Any) -> tuple[Any, Form]:

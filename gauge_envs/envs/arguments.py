@@ -29,7 +29,7 @@ from gauge_envs.errors import (
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import resolve_experiment
 from gauge_envs.experiments.scene_builder import Parameters
-from gauge_envs.experiments.variants import Variant
+from gauge_envs.experiments.variants import Variant, user_variants
 from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.references.band import Band
 from gauge_envs.references.user_data import DataSource, has_import
@@ -43,7 +43,7 @@ class EnvArguments:
     """Arguments of `gymnasium.make`: which experiment runs, on which engine, and what scores it.
 
     Attributes:
-        variant: Variant, its name, or its Gymnasium id, as `SlopeSlider-2-wood`; or the path of an experiment file, as
+        variant: Variant, its name, or its Gymnasium id, as `SlopeSlider-2-wood`; or the path of a task file, as
             `crate.toml`.
         backend: Name of an installed physics engine.
         parameters: `calibrated`, another parameter set of the task file, or overrides such as
@@ -55,8 +55,7 @@ class EnvArguments:
             `action` they rest until actions move them, see `gauge_envs.experiments.resolve.moved_by_actions`.
         reference: `bundled` scores against the package's references, `imported` against the imported trials.
         asset: File that states the scene in place of the task file: a USD layer for any engine, an MJCF file for
-            `mujoco`. It states constants and driven motion; observation and score stay the variant's. With the id
-            `GAUGE/Asset` it is an experiment file.
+            `mujoco`. It states constants and driven motion; observation and score stay the variant's.
     """
 
     variant: str | Variant
@@ -254,10 +253,12 @@ def warn_without_reward(experiment: Experiment, band: Band | None) -> None:
 
 
 def _no_reward_message(experiment: Experiment) -> str:
-    """Return what is missing and what to do; an experiment file states its own reference."""
+    """Return what is missing and what to do."""
     missing = f"{experiment.id} has no reference in use, so every reward is 0."
-    if experiment.asset is not None and experiment.reference is not None:
-        return f"{missing} Add a table 'band' to {experiment.asset.path.name}."
+    if experiment.variant in user_variants():
+        return (
+            f"{missing} Put {experiment.name}.band.toml and .npz beside its task file."
+        )
     remedies = [
         "import its real trials with 'gauge data import', then pass reference='imported'"
     ]

@@ -128,7 +128,7 @@ class Pictures:
             view = scene_view(experiment.scene, reach_m)
         view = View(**{**view.model_dump(), **self._camera})
         if self.render_mode == "human" and self._window is None:
-            self._window = Window(width, height, experiment.id)
+            self._window = Window(width, height, experiment.id, view)
         return SceneRenderer(
             experiment.scene,
             rest_nodes_m,

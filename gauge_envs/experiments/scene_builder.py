@@ -1,22 +1,26 @@
-"""Build the scene of one variant from its task file."""
+"""Build the scene of one variant from its task file, with overrides of constants and starts."""
 
-from collections.abc import Iterator, Mapping, Sequence
+import json
+from collections.abc import Iterator, Mapping
 from dataclasses import fields
 from fnmatch import fnmatchcase
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
-from gauge_envs.errors import ParameterError, TaskFileError, first_fault, nearest
+from gauge_envs.errors import ParameterError, first_fault, nearest
+from gauge_envs.experiments.names import Variant
 from gauge_envs.experiments.task_format import (
+    BodySpec,
+    ClothSpec,
     ContactSpec,
     JointSpec,
+    LineSpec,
     Placement,
+    SoftBodySpec,
     TaskSpec,
 )
-from gauge_envs.experiments.variants import Variant
 from gauge_envs.scene import (
     Air,
     Box,
@@ -26,6 +30,7 @@ from gauge_envs.scene import (
     Hinge,
     Markers,
     Motion,
+    Plane,
     Pose,
     RigidBody,
     Rod,
@@ -45,25 +50,8 @@ AIR = "air"
 GRAVITY = "scene.gravity_m_per_s2"
 """Override of the gravity of a scene [m/s^2]."""
 
-NUMBERS = {
-    "position_m": 1,
-    "positions_m": 2,
-    "hangs_from_m": 1,
-    "euler_deg": 1,
-    "velocity_m_per_s": 1,
-    "angular_velocity_deg_per_s": 1,
-    "wind_m_per_s": 1,
-}
-"""Dimensions of the overrides that are not one number."""
-
-EXPECTED = ("a number", "three numbers", "three numbers for each body")
-"""What an override of 0, 1 or 2 dimensions must be."""
-
-OF_CONTACTS = ("friction", "restitution")
-"""Constants that contacts read."""
-
-NOT_OF_DEFORMABLES = (*OF_CONTACTS, "density_kg_per_m3")
-"""Constants of a task file that are those of contacts, or follow from others."""
+OF_NO_FABRIC = ("friction", "restitution", "density_kg_per_m3")
+"""Constants of a deformable body that contacts read, or that follow from others."""
 
 Parameters = str | Mapping[str, Any]
 """`calibrated`, another parameter set of the task file, or overrides such as `{"cube.friction": 0.3}`."""
@@ -73,13 +61,13 @@ def parameter_overrides(
     spec: TaskSpec, variant: Variant, parameters: Parameters
 ) -> tuple[str, dict[str, Any]]:
     """Return the name of the parameters, `custom` for overrides, and the overrides that they are."""
-    if not isinstance(parameters, str | Mapping):
+    if isinstance(parameters, Mapping):
+        return ("custom" if parameters else "calibrated"), dict(parameters)
+    if not isinstance(parameters, str):
         raise ParameterError(
             f"parameters is {parameters!r}: expected the name of a parameter set, as 'calibrated', or overrides, as "
             "{'cube.friction': 0.3}"
         )
-    if isinstance(parameters, Mapping):
-        return ("custom" if parameters else "calibrated"), dict(parameters)
     if parameters == "calibrated":
         return parameters, {}
     if parameters not in spec.parameters:
@@ -89,186 +77,123 @@ def parameter_overrides(
         )
     values = spec.parameters[parameters].values
     return parameters, {
-        k: v[variant.material] if isinstance(v, dict) else v for k, v in values.items()
+        key: value[variant.material] if isinstance(value, dict) else value
+        for key, value in values.items()
     }
 
 
 class SceneBuilder:
     """Builder of the scene of one variant.
 
+    Attributes:
+        placements: Start of each body, by its name in the task file.
+        constants: Constants of each body, by its name in the task file.
+        read: Keys `body.constant` of the constants that the motion depends on; complete after `build`.
+
     Args:
-        path: Task file, for messages.
         spec: Content of the task file.
         variant: The variant.
-        overrides: Values that replace calibrated ones, keyed `body.constant`; `air.<field>` adds air to a scene with
-            cloth, by the fields of `scene.Air`.
+        overrides: Values that replace those of the file, keyed `body.constant`.
+
+    Raises:
+        ParameterError: An override names nothing of the scene, or its value is out of range.
+        ValueError: The file lacks a start or a material.
     """
 
     def __init__(
-        self, path: Path, spec: TaskSpec, variant: Variant, overrides: Mapping[str, Any]
+        self, spec: TaskSpec, variant: Variant, overrides: Mapping[str, Any]
     ) -> None:
-        self.path = path
         self.spec = spec
         self.variant = variant
-        self.is_overridden = bool(overrides)
-        self.subtask = subtask = (
-            spec.subtasks[variant.subtask] if variant.subtask else None
-        )
-        self.present = subtask.bodies if subtask and subtask.bodies else spec.names
-        self.contacts = (
-            spec.contacts
-            if subtask is None or subtask.contacts is None
-            else subtask.contacts
-        )
-        self.drivers = (
-            spec.drivers
-            if subtask is None or subtask.drivers is None
-            else subtask.drivers
-        )
-        self.placements = self._placements()
-        self.constants = {
-            name: spec.constants_of(
-                name, spec.owner(name).material or variant.material, variant.subtask
-            )
-            for name in self.present
-            if name in spec.constants
+        subtask = spec.subtask_of(variant)
+        self._motions = {} if subtask is None else subtask.motion
+        present = (subtask.bodies if subtask else ()) or spec.names
+        stated = {name: spec.owner(name) for name in present}
+        self._bodies = {
+            name: table for name, table in stated.items() if table is not None
         }
-        self.air: dict[str, Any] = {}
-        self.gravity_m_per_s2 = GRAVITY_M_PER_S2
+        self.placements = spec.placements_of(variant)
+        for name in self._bodies:
+            if name not in self.placements:
+                raise ValueError(f"initial: no start of {name!r} for {variant.name}")
+        self.constants = {
+            name: self._stated_constants(name)
+            for name, table in self._bodies.items()
+            if name in spec.constants or not _is_plane(table)
+        }
+        self.read: set[str] = set()
+        self._air: dict[str, Any] = {}
+        self._gravity_m_per_s2 = GRAVITY_M_PER_S2
         for key, value in overrides.items():
-            self._override(key, self._numbers(key, value))
-        frames = subtask.frames if subtask else spec.frames
+            try:
+                self._override(key, value)
+            except ValidationError as error:
+                fault = ": ".join(filter(None, first_fault(error)))
+                raise ParameterError(f"override {key!r}: {fault}") from error
+            except ParameterError as error:
+                raise ParameterError(f"override {key!r} {error}") from error
+
+    def _stated_constants(self, name: str) -> dict[str, float | None]:
+        material = self._bodies[name].material or self.variant.material
+        if material not in self.spec.constants.get(name, {}):
+            raise ValueError(f"constants.{name}: no material {material!r}")
+        values = self.spec.constants_of(name, material, self.variant.subtask)
         try:
-            self.frame_count = frames.get(variant.material) or frames["all"]
-        except KeyError:
-            raise TaskFileError(
-                path, "frames", f"no frame count for {variant.name}"
-            ) from None
+            self.spec.constants_model(name).model_validate(values)
+        except ValidationError as error:
+            key, reason = first_fault(error)
+            raise ValueError(f"constants.{name}.{material}.{key}: {reason}") from error
+        return values
 
-    def _placements(self) -> dict[str, Placement]:
-        merged: dict[str, Placement] = {}
-        for table in (self.spec, self.subtask):
-            for material in ("all", self.variant.material):
-                merged.update(table.initial.get(material, {}) if table else {})
-        for name in self.present:
-            if name not in merged:
-                raise TaskFileError(
-                    self.path,
-                    "initial",
-                    f"no start of {name!r} for {self.variant.name}",
-                )
-        return merged
-
-    def _numbers(self, key: str, value: Any) -> Any:
-        """Return an override as a number, or as tuples of numbers; a text is none, also that of a number."""
-        if isinstance(value, np.ndarray | np.generic):
-            value = value.tolist()
-        dimensions = NUMBERS.get(key.rpartition(".")[2], 0)
-        if not _has_dimensions(value, dimensions):
-            kind = "text" if isinstance(value, str) else type(value).__name__
-            raise ParameterError(
-                f"{self.variant.name}: override {key!r} is {value!r} ({kind}): expected {EXPECTED[dimensions]}"
-            )
-        return value
+    # --- overrides ---------------------------------------------------------------------------------------------------
 
     def _override(self, key: str, value: Any) -> None:
+        """Replace one value; raise an error that continues "override KEY"."""
         name, _, constant = key.rpartition(".")
+        if value is None:
+            raise ParameterError("is None: expected numbers")
         if key == GRAVITY:
-            if not 0.0 < value < np.inf:
-                raise ParameterError(
-                    f"{self.variant.name}: override {key!r} is {value!r}: expected a number above 0, downwards"
-                )
-            self.gravity_m_per_s2 = float(value)
-            return
-        if name == AIR:
-            if not any(one in self.spec.cloths for one in self.present):
-                raise ParameterError(
-                    f"{self.variant.name}: override {key!r} would change nothing: air acts on cloth, "
-                    "and the scene has none"
-                )
-            air = [one.name for one in fields(Air)]
-            if constant not in air:
-                raise ParameterError(
-                    f"{self.variant.name}: air has no constant {constant!r}; {nearest(constant, air)}"
-                )
-            self.air[constant] = value
-            return
-        if name not in self.present:
-            hint = nearest(name, self.present)
-            raise ParameterError(
-                f"{self.variant.name}: override {key!r} names no body of the scene "
-                f"({AIR!r} for cloth, {GRAVITY!r}); {hint}"
+            self._gravity_m_per_s2 = TypeAdapter(float).validate_json(
+                _json(value), strict=True
             )
-        try:
-            if constant in Placement.model_fields:
-                placed = self.placements[name].model_dump(exclude_none=True) | {
-                    constant: value
-                }
-                self.placements[name] = Placement.model_validate(placed)
-            elif constant in self.constants.get(name, {}):
-                self.constants[name] = self.constants[name] | {constant: value}
-                self.spec.constants_model(name).model_validate(self.constants[name])
-            else:
-                hint = nearest(
-                    constant, [*self.constants.get(name, {}), *Placement.model_fields]
-                )
+            if not 0.0 < self._gravity_m_per_s2 < np.inf:
                 raise ParameterError(
-                    f"{self.variant.name}: {name!r} has no constant {constant!r}; {hint}"
+                    f"is {value}: expected a number above 0, downwards"
                 )
-        except ValidationError as error:
+        elif name == AIR:
+            self._override_air(constant, value)
+        elif name not in self._bodies:
             raise ParameterError(
-                f"{self.variant.name}: override {key!r}: {first_fault(error)[1]}"
-            ) from error
-
-    @property
-    def constants_read(self) -> set[str]:
-        """Keys `body.constant` of the constants that a contact, a mass or a fabric of the scene reads."""
-        read = set()
-        for name, constants in self.constants.items():
-            if name not in self.spec.bodies:
-                unread = {*NOT_OF_DEFORMABLES}
-                if name in self.spec.cloths:
-                    unread.add("mass_kg")
-            elif self._motion(name) is Motion.DYNAMIC:
-                unread = {*NOT_OF_DEFORMABLES}
-            else:
-                unread = {*constants}
-            read |= {f"{name}.{one}" for one in constants.keys() - unread}
-        for contact, movable in self._pairs():
-            if movable and contact.constants_of is not None:
-                read |= {
-                    f"{contact.constants_of}.{constant}"
-                    for constant in OF_CONTACTS
-                    if getattr(contact, constant) is None
-                }
-        return read
-
-    def _motion(self, name: str) -> Motion:
-        stated = self.spec.bodies[name].motion
-        return self.subtask.motion.get(name, stated) if self.subtask else stated
-
-    def _pairs(self) -> Iterator[tuple[ContactSpec, tuple[str, ...]]]:
-        """Yield each contact with the bodies of the scene that it is of; none where nothing of it can move."""
-        for contact in self.contacts:
-            sides = [
-                {
-                    name
-                    for name in self.present
-                    for scene_name in self._scene_names(name)
-                    if fnmatchcase(scene_name, pattern)
-                }
-                for pattern in contact.bodies
-            ]
-            moves = any(
-                name not in self.spec.bodies or self._motion(name) is Motion.DYNAMIC
-                for name in sides[0] | sides[1]
+                f"names no body of the scene ({AIR!r} for cloth, {GRAVITY!r}); {nearest(name, self._bodies)}"
             )
-            both = all(sides) and moves
-            yield contact, tuple(sorted(sides[0] | sides[1])) if both else ()
+        elif constant in Placement.model_fields:
+            placed = self.placements[name].model_dump(exclude_none=True)
+            self.placements[name] = Placement.model_validate_json(
+                _json(placed | {constant: value}), strict=True
+            )
+        elif constant in self.constants.get(name, {}):
+            constants = self.constants[name] | {constant: value}
+            model = self.spec.constants_model(name)
+            self.constants[name] = model.model_validate_json(
+                _json(constants), strict=True
+            ).model_dump(exclude_unset=True)
+        else:
+            known = [*self.constants.get(name, {}), *Placement.model_fields]
+            raise ParameterError(
+                f"names no constant of {name!r}; {nearest(constant, known)}"
+            )
 
-    def _scene_names(self, name: str) -> list[str]:
-        count = self.spec.bodies[name].count if name in self.spec.bodies else None
-        return [name] if count is None else [f"{name}-{i + 1}" for i in range(count)]
+    def _override_air(self, constant: str, value: Any) -> None:
+        known = [field.name for field in fields(Air)]
+        if not any(isinstance(body, ClothSpec) for body in self._bodies.values()):
+            raise ParameterError(
+                "would change nothing: air acts on cloth, and the scene has none"
+            )
+        if constant not in known:
+            raise ParameterError(
+                f"names no constant of air; {nearest(constant, known)}"
+            )
+        self._air[constant] = value
 
     def is_constant(self, key: str) -> bool:
         """Return whether the key of an override is that of a constant of a body."""
@@ -276,130 +201,91 @@ class SceneBuilder:
         return constant in self.constants.get(name, {})
 
     def check_read(self, overrides: Mapping[str, Any]) -> None:
-        """Raise an error for an override of a constant that nothing in the scene reads; it names what is read."""
-        read = self.constants_read
+        """Raise an error for an override of a constant that no motion depends on; it lists those that do."""
         for key in overrides:
+            if not self.is_constant(key) or key in self.read:
+                continue
             name, _, constant = key.rpartition(".")
-            if self.is_constant(key) and key not in read:
-                raise ParameterError(
-                    f"{self.variant.name}: override {key!r} would change nothing: {self._reader(name, constant, read)}"
-                )
+            near = [
+                one
+                for one in sorted(self.read)
+                if one.startswith(f"{name}.") or one.endswith(f".{constant}")
+            ]
+            raise ParameterError(
+                f"override {key!r} would change nothing: no motion depends on it. "
+                f"Those that change the scene: {', '.join(near or sorted(self.read))}"
+            )
 
-    def _reader(self, name: str, constant: str, read: set[str]) -> str:
-        """Return why nothing reads a constant of a body, and which override does what it seems to."""
-        if constant in OF_CONTACTS:
-            for contact, bodies in self._pairs():
-                if name not in bodies:
-                    continue
-                pair = " and ".join(contact.bodies)
-                if getattr(contact, constant) is not None:
-                    return f"the contact of {pair} states its own {constant} in the task file"
-                return (
-                    f"the contact of {pair} has the {constant} of {contact.constants_of}. "
-                    f"Override '{contact.constants_of}.{constant}'"
-                )
-            known = sorted(key for key in read if key.endswith(f".{constant}"))
-            if not known:
-                return f"no contact of the scene has {constant}"
-            return f"no contact of the scene has the {constant} of {name}. Overrides of others: {', '.join(known)}"
-        if name in self.spec.bodies and self._motion(name) is not Motion.DYNAMIC:
-            return f"{name} is {self._motion(name)}, so no motion depends on its {constant}"
-        if name in self.spec.cloths:
-            return f"the mass follows from the size. Override '{name}.areal_density_kg_per_m2'"
-        return f"the mass is stated. Override '{name}.mass_kg'"
+    def _read(self, name: str, constant: str) -> float | None:
+        """Return a constant, or None, and note that the motion depends on it."""
+        constants = self.constants.get(name, {})
+        if constant in constants:
+            self.read.add(f"{name}.{constant}")
+        return constants.get(constant)
 
-    def _air(self) -> Air | None:
-        """Return the air that the overrides state; None without such overrides."""
-        if not self.air:
-            return None
-        try:
-            return TypeAdapter(Air).validate_python(self.air)
-        except ValidationError as error:
-            place, reason = first_fault(error)
-            raise ParameterError(f"override 'air.{place}': {reason}") from error
-
-    def spec_name(self, body: str) -> str:
-        """Return the name in the task file of a scene body; counted bodies share one entry."""
-        return body if body in self.spec.bodies else body.rpartition("-")[0]
+    # --- scene -------------------------------------------------------------------------------------------------------
 
     def build(self) -> Scene:
-        """Return the scene."""
-        try:
-            return self._scene()
-        except ParameterError as error:
-            if self.is_overridden:
-                raise ParameterError(f"{self.variant.name}: {error}") from None
-            raise TaskFileError(self.path, None, str(error)) from None
+        """Return the scene.
 
-    def _scene(self) -> Scene:
+        Raises:
+            ValueError: The tables do not fit one another.
+        """
+        spec, variant = self.spec, self.variant
         bodies = tuple(
             body
-            for name in self.present
-            if name in self.spec.bodies
-            for body in self._bodies(name)
+            for name, table in self._bodies.items()
+            if isinstance(table, BodySpec)
+            for body in self._rigid_bodies(name, table)
         )
-        names = [
-            *(body.name for body in bodies),
-            *(n for n in self.present if n not in self.spec.bodies),
-        ]
-        drivers = []
-        for stated in self.drivers:
-            driven = next(body for body in bodies if body.name == stated.body)
-            if driven.motion is not Motion.KINEMATIC:
-                raise TaskFileError(
-                    self.path,
-                    "drivers",
-                    f"{driven.name!r} is driven but {driven.motion}, not kinematic",
-                )
-            origin = stated.provenance
-            provenance = (
-                origin if isinstance(origin, str) else origin[self.variant.material]
-            )
-            drivers.append(stated.build(driven.name, driven.pose, provenance))
-        markers = self.spec.markers
-        carriers = (
-            tuple(name for name in markers.bodies if name in self.present)
-            if markers
-            else ()
+        deformables = tuple(
+            self._deformable(name, table)
+            for name, table in self._bodies.items()
+            if not isinstance(table, BodySpec)
         )
+        found = {body.name: body for body in bodies}
+        kinematic = [one.name for one in bodies if one.motion is Motion.KINEMATIC]
+        for stated in spec.drivers_of(variant):
+            if stated.body not in kinematic:
+                raise ValueError(f"drivers: {stated.body!r} is not kinematic")
+        names = [*found, *(body.name for body in deformables)]
         return Scene(
             bodies=bodies,
-            deformables=tuple(
-                self._deformable(name)
-                for name in self.present
-                if name not in self.spec.bodies
-            ),
-            joints=tuple(self._joint(joint) for joint in self.spec.joints),
+            deformables=deformables,
+            joints=tuple(map(self._joint, spec.joints)),
             attachments=tuple(
-                one
-                for one in self.spec.attachments
-                if self._is_present(one.deformable) and self._is_present(one.to)
+                attachment
+                for attachment in spec.attachments
+                if attachment.deformable in names and attachment.to in names
             ),
-            contacts=tuple(self._contacts(names)),
-            drivers=tuple(drivers),
-            markers=None
-            if markers is None
-            else Markers(**(markers.model_dump() | {"bodies": carriers})),
-            duration_s=(self.frame_count - 1) / FRAME_RATE_HZ,
-            gravity_m_per_s2=self.gravity_m_per_s2,
-            air=self._air(),
+            contacts=tuple(
+                self._contact(contact, names) for contact in spec.contacts_of(variant)
+            ),
+            drivers=tuple(
+                stated.build(found[stated.body].pose, variant.material)
+                for stated in spec.drivers_of(variant)
+            ),
+            markers=self._markers(),
+            duration_s=(spec.frame_count(variant) - 1) / FRAME_RATE_HZ,
+            gravity_m_per_s2=self._gravity_m_per_s2,
+            air=self._scene_air(),
         )
 
-    def _is_present(self, body: str) -> bool:
-        """Return whether a body of the scene is part of the subtask. Counted bodies share one entry of the file."""
-        return body in self.present or self.spec_name(body) in self.present
+    def _motion(self, name: str, body: BodySpec) -> Motion:
+        return self._motions.get(name, body.motion)
 
-    def _bodies(self, name: str) -> Iterator[RigidBody]:
-        body = self.spec.bodies[name]
-        motion = self._motion(name)
+    def _rigid_bodies(self, name: str, body: BodySpec) -> Iterator[RigidBody]:
+        motion = self._motion(name, body)
+        mass_kg = self.constants.get(name, {}).get("mass_kg")
+        inertia_kg_m2 = self.constants.get(name, {}).get("inertia_kg_m2")
+        if motion is Motion.DYNAMIC:
+            mass_kg = self._read(name, "mass_kg")
+            inertia_kg_m2 = self._read(name, "inertia_kg_m2")
         poses = self.placements[name].poses()
         if len(poses) != (body.count or 1):
-            raise TaskFileError(
-                self.path,
-                f"initial.{name}",
-                f"{len(poses)} positions for {body.count or 1} bodies",
+            raise ValueError(
+                f"initial.{name}: {len(poses)} positions for {body.count or 1} bodies"
             )
-        mass = self.constants.get(name, {}).get("mass_kg") or 0.0
         linear, angular = self._velocities(name, poses[0])
         for index, pose in enumerate(poses):
             yield RigidBody(
@@ -407,10 +293,10 @@ class SceneBuilder:
                 shape=body.shape,
                 motion=motion,
                 pose=pose,
-                mass_kg=mass,
+                mass_kg=mass_kg or 0.0,
                 linear_velocity_m_per_s=linear,
                 angular_velocity_rad_per_s=angular,
-                inertia_kg_m2=self.constants.get(name, {}).get("inertia_kg_m2"),
+                inertia_kg_m2=inertia_kg_m2,
             )
 
     def _velocities(self, name: str, pose: Pose) -> tuple[Vector, Vector]:
@@ -420,102 +306,120 @@ class SceneBuilder:
         if placement.angular_velocity_deg_per_s is None:
             return linear or rest, rest
         angular = np.radians(placement.angular_velocity_deg_per_s)
-        hinge = next(
-            (
-                joint
-                for joint in self.spec.joints
-                if joint.body == name and joint.kind == "hinge"
-            ),
-            None,
+        is_hinged = any(
+            joint.body == name and joint.kind == "hinge" for joint in self.spec.joints
         )
-        if linear is None and hinge is not None:
-            linear = vector(
-                np.cross(
-                    angular, np.subtract(pose.position_m, self._joint(hinge).anchor_m)
-                )
-            )
+        if linear is None and is_hinged and placement.hangs_from_m is not None:
+            arm_m = np.subtract(pose.position_m, placement.hangs_from_m)
+            linear = vector(np.cross(angular, arm_m))
         return linear or rest, vector(angular)
 
-    def _deformable(self, name: str) -> Deformable:
+    def _deformable(
+        self, name: str, body: ClothSpec | SoftBodySpec | LineSpec
+    ) -> Deformable:
         placement = self.placements[name]
-        values: dict[str, Any] = {"name": name, "pose": placement.poses()[0]}
-        values |= {
-            key: value
-            for key, value in self.constants[name].items()
-            if key not in NOT_OF_DEFORMABLES
-        }
-        if any(
-            (
-                *(placement.velocity_m_per_s or ()),
-                *(placement.angular_velocity_deg_per_s or ()),
-            )
-        ):
+        speeds = (
+            *(placement.velocity_m_per_s or ()),
+            *(placement.angular_velocity_deg_per_s or ()),
+        )
+        if any(speeds):
             raise ParameterError(
                 f"{name!r} is deformable and starts at rest: remove its start velocity"
             )
-        if name in self.spec.cloths:
-            return Cloth(size_m=self.spec.cloths[name].size_m, **values)
-        if name in self.spec.soft_bodies:
-            return SoftBody(
-                shape=Box(size_m=self.spec.soft_bodies[name].size_m), **values
-            )
-        line, kind = (
-            (self.spec.ropes[name], Rope)
-            if name in self.spec.ropes
-            else (self.spec.rods[name], Rod)
-        )
-        return kind(length_m=line.length_m, radius_m=line.radius_m, **values)
+        values: dict[str, Any] = {"name": name, "pose": placement.poses()[0]}
+        # The mass of cloth follows from its size.
+        kept = {"mass_kg"} if isinstance(body, ClothSpec) else set()
+        for constant, value in self.constants[name].items():
+            if constant in kept:
+                values[constant] = value
+            elif constant not in OF_NO_FABRIC:
+                values[constant] = self._read(name, constant)
+        if isinstance(body, ClothSpec):
+            return Cloth(size_m=body.size_m, **values)
+        if isinstance(body, SoftBodySpec):
+            return SoftBody(shape=Box(size_m=body.size_m), **values)
+        kind = Rope if name in self.spec.ropes else Rod
+        return kind(length_m=body.length_m, radius_m=body.radius_m, **values)
 
     def _joint(self, joint: JointSpec) -> Hinge | Tether:
-        placement = self.placements[joint.body]
-        anchor_m = placement.hangs_from_m
-        if anchor_m is None:
-            raise TaskFileError(
-                self.path, "joints", f"the start of {joint.body!r} needs hangs_from_m"
-            )
+        placement = self.placements.get(joint.body)
+        if (
+            placement is None
+            or placement.hangs_from_m is None
+            or placement.length_m is None
+        ):
+            raise ValueError(f"joints: the start of {joint.body!r} needs hangs_from_m")
         if joint.axis is not None:
-            return Hinge(body=joint.body, anchor_m=anchor_m, axis=joint.axis)
-        assert placement.length_m is not None
-        return Tether(body=joint.body, anchor_m=anchor_m, length_m=placement.length_m)
+            return Hinge(
+                body=joint.body, anchor_m=placement.hangs_from_m, axis=joint.axis
+            )
+        return Tether(
+            body=joint.body,
+            anchor_m=placement.hangs_from_m,
+            length_m=placement.length_m,
+        )
 
-    def _contacts(self, names: Sequence[str]) -> Iterator[Contact]:
-        for contact in self.contacts:
-            first, second = (
-                tuple(n for n in names if fnmatchcase(n, pattern))
-                for pattern in contact.bodies
-            )
-            constants = (
-                self.constants.get(contact.constants_of, {})
-                if contact.constants_of
-                else {}
-            )
-            friction, restitution = (
-                stated
-                if (stated := getattr(contact, name)) is not None
-                else constants.get(name)
-                for name in ("friction", "restitution")
-            )
-            if friction is None or restitution is None:
-                raise TaskFileError(
-                    self.path,
-                    "contacts",
-                    f"{contact.constants_of!r} has no friction or restitution",
-                )
-            yield Contact(
-                first=first,
-                second=second,
-                friction=friction,
-                restitution=restitution,
-                mode=contact.mode,
-            )
+    def _contact(self, stated: ContactSpec, names: list[str]) -> Contact:
+        first, second = (
+            tuple(name for name in names if fnmatchcase(name, pattern))
+            for pattern in stated.bodies
+        )
+        touching = {self.spec.entry(name) for name in (*first, *second)}
+        moves = any(
+            not isinstance(body := self._bodies[name], BodySpec)
+            or self._motion(name, body) is Motion.DYNAMIC
+            for name in touching
+        )
+        counts = bool(first and second) and moves
+        return Contact(
+            first=first,
+            second=second,
+            friction=self._contact_constant(stated, "friction", counts),
+            restitution=self._contact_constant(stated, "restitution", counts),
+            mode=stated.mode,
+        )
+
+    def _contact_constant(
+        self, stated: ContactSpec, constant: str, counts: bool
+    ) -> float:
+        """Return friction or restitution of a contact: its own, else that of the body that it names."""
+        number: float | None = getattr(stated, constant)
+        if number is not None:
+            return number
+        owner = str(stated.constants_of)
+        number = self.constants.get(owner, {}).get(constant)
+        if number is None:
+            raise ValueError(f"contacts: {owner!r} has no {constant}")
+        if counts:
+            self.read.add(f"{owner}.{constant}")
+        return number
+
+    def _markers(self) -> Markers | None:
+        stated = self.spec.markers
+        if stated is None:
+            return None
+        carriers = tuple(name for name in stated.bodies if name in self._bodies)
+        return Markers(**(stated.model_dump() | {"bodies": carriers}))
+
+    def _scene_air(self) -> Air | None:
+        """Return the air that the overrides state; None without such overrides."""
+        if not self._air:
+            return None
+        try:
+            return TypeAdapter(Air).validate_json(_json(self._air), strict=True)
+        except ValidationError as error:
+            place, reason = first_fault(error)
+            raise ParameterError(f"override 'air.{place}': {reason}") from error
 
 
-def _has_dimensions(value: Any, dimensions: int) -> bool:
-    """Return whether a value is a number, three of them, or a list of three of them each, for 0, 1 or 2 dimensions."""
-    if dimensions == 0:
-        return isinstance(value, int | float) and not isinstance(value, bool)
-    return (
-        isinstance(value, list | tuple)
-        and (dimensions > 1 or len(value) == 3)
-        and all(_has_dimensions(one, dimensions - 1) for one in value)
-    )
+def _is_plane(body: BodySpec | ClothSpec | SoftBodySpec | LineSpec) -> bool:
+    return isinstance(body, BodySpec) and isinstance(body.shape, Plane)
+
+
+def _json(value: Any) -> str:
+    """Return JSON of an override, of which pydantic reads lists as tuples, and no text as a number."""
+    return json.dumps(value, default=_plain)
+
+
+def _plain(value: Any) -> Any:
+    return value.tolist() if isinstance(value, np.ndarray | np.generic) else repr(value)

@@ -11,54 +11,34 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from gauge_envs.backends.registry import backend_of_suffix
 from gauge_envs.errors import AssetError, first_names
-from gauge_envs.experiments.experiment import Asset, AssetKind
+from gauge_envs.experiments.experiment import Asset, AssetKind, Experiment
 from gauge_envs.files import os_errors
 from gauge_envs.references.metrics import EVENT_METRICS
 from gauge_envs.registry import SCENE_SUFFIXES, scene_files
 from gauge_envs.scene import Hinge, Motion
 from gauge_envs.scene.diff import scene_changes
 
-if TYPE_CHECKING:
-    from gauge_envs.experiments.experiment import Experiment, TaskExperiment
-
 RECORDED_SUFFIX = ".usda"
-"""Suffix of the scene file in a result; its instrument also reads experiment files, which name a scene file."""
+"""Suffix of the scene file in a result."""
 
 
-def read_bytes(path: Path) -> bytes:
-    """Return the content of an asset."""
-    with os_errors(lambda cause: AssetError(path, "", f"cannot be read: {cause}")):
-        return path.read_bytes()
-
-
-def contents_sha256(contents: Sequence[bytes]) -> str:
-    """Return the hash of one file, or of the hashes of several files in the given order."""
-    if len(contents) == 1:
-        return hashlib.sha256(contents[0]).hexdigest()
-    return hashlib.sha256(
-        b"".join(hashlib.sha256(content).digest() for content in contents)
-    ).hexdigest()
-
-
-def with_asset(experiment: TaskExperiment, path: Path) -> TaskExperiment:
+def with_asset(experiment: Experiment, path: Path) -> Experiment:
     """Return an experiment with the scene of a file.
 
     Args:
         experiment: Experiment with its calibrated scene and bundled drivers.
         path: USD layer, or model file of an installed engine.
     """
-    from gauge_envs.backends.registry import backend_of_suffix
-    from gauge_envs.experiments.experiment import driver_provenance
-
-    contents = [read_bytes(path)]
+    digests = [_digest(path)]
     changes: tuple[str, ...]
     if path.suffix in SCENE_SUFFIXES:
         layer = _scene_of_file(experiment, path)
         kind, scene = AssetKind.USD, layer.scene
-        contents += map(read_bytes, layer.used_files)
+        digests += map(_digest, layer.used_files)
         changes = tuple(scene_changes(experiment.scene, scene))
     elif (engine := backend_of_suffix(path.suffix)) is not None:
         kind, file = AssetKind.MODEL, engine.read_file(path, experiment.scene)
@@ -73,20 +53,29 @@ def with_asset(experiment: TaskExperiment, path: Path) -> TaskExperiment:
     found = replace(
         experiment,
         scene=scene,
-        driver_provenance=driver_provenance(scene),
         asset=Asset(
             path=path,
             kind=kind,
-            sha256=contents_sha256(contents),
+            sha256=digests[0].hex() if len(digests) == 1 else _joint_digest(digests),
             edited=bool(changes),
             changes=changes,
         ),
     )
-    check_fit(found, experiment)
+    _check_fit(found, experiment)
     return found
 
 
-def _scene_of_file(experiment: TaskExperiment, path: Path) -> Any:
+def _digest(path: Path) -> bytes:
+    with os_errors(lambda cause: AssetError(path, "", f"cannot be read: {cause}")):
+        return hashlib.sha256(path.read_bytes()).digest()
+
+
+def _joint_digest(digests: Sequence[bytes]) -> str:
+    """Return the hash of the hashes of a file and of those that it refers to, in the given order."""
+    return hashlib.sha256(b"".join(digests)).hexdigest()
+
+
+def _scene_of_file(experiment: Experiment, path: Path) -> Any:
     duration_s = experiment.scene.duration_s
     found = scene_files(path.suffix).read_scene(path, duration_s=duration_s)
     of = found.metadata.get("variant", experiment.name)
@@ -105,13 +94,8 @@ def _scene_of_file(experiment: TaskExperiment, path: Path) -> Any:
     return found
 
 
-def check_fit(found: Experiment, wanted: Experiment) -> None:
-    """Raise an error if the scene of an asset lacks what the experiment observes.
-
-    Args:
-        found: Experiment with the scene of its asset.
-        wanted: Experiment with the scene that states what is observed.
-    """
+def _check_fit(found: Experiment, wanted: Experiment) -> None:
+    """Raise an error if an experiment with the scene of its asset lacks what the wanted one observes."""
     assert found.asset is not None
     path, scene = found.asset.path, found.scene
     names = [body.name for body in scene.bodies]

@@ -1,13 +1,9 @@
-"""Tables that task files and experiment files share: shapes and drivers.
-
-A shape is read as the scene's own class. A profile of a driver has a class here, as files state angles in degrees.
-"""
+"""Tables of shapes, drivers and cameras. A shape and a profile are read as the scene's own classes."""
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from fnmatch import fnmatchcase
-from typing import Annotated, Any, ClassVar, Literal, Self, get_args
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import (
@@ -33,10 +29,9 @@ from gauge_envs.scene import (
     Sphere,
 )
 from gauge_envs.scene.drivers import Driver, DriverMotion
-from gauge_envs.scene.geometry import NonNegative, Positive, Vector
+from gauge_envs.scene.geometry import NonNegative, Positive, Vector, vector
 from gauge_envs.scene.profiles import (
     CosineProfile,
-    Profile,
     SampledProfile,
     TrapezoidProfile,
 )
@@ -44,9 +39,7 @@ from gauge_envs.scene.profiles import (
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 
 Provenance = Literal["metadata", "paper", "video", "mocap", "derived", "nominal"]
-
-PROVENANCES: tuple[str, ...] = get_args(Provenance)
-"""Possible origins of a number; docs/coverage.md explains each."""
+"""Origin of a number; docs/coverage.md explains each."""
 
 
 def _solid(union: ConvexUnion) -> ConvexUnion:
@@ -157,80 +150,10 @@ ShapeTable = Annotated[
 """Table of a shape, read as the shape itself."""
 
 
-class _ProfileSpec(FileModel):
-    """Table of a profile; the table of its motion checks the units."""
-
-    @model_validator(mode="after")
-    def _builds(self) -> Self:
-        self.build()
-        return self
-
-    @abstractmethod
-    def build(self) -> Profile:
-        """Return the profile in m or rad."""
-
-
-class _MoveSpec(_ProfileSpec):
-    profile: ClassVar[type[TrapezoidProfile | CosineProfile]]
-
-    start_s: NonNegative
-    duration_s: Positive
-    amount_m: float | None = None
-    amount_deg: float | None = None
-
-    def build(self) -> Profile:
-        """Return the profile in m or rad."""
-        amount = (
-            self.amount_m
-            if self.amount_m is not None
-            else float(np.radians(self.amount_deg or 0.0))
-        )
-        return self.profile(
-            **self.model_dump(exclude={"amount_m", "amount_deg"}), amount=amount
-        )
-
-
-class TrapezoidSpec(_MoveSpec):
-    """`kind = "trapezoid"`: constant acceleration, cruise, braking."""
-
-    profile = TrapezoidProfile
-
-    kind: Literal["trapezoid"]
-    accelerate_s: NonNegative
-    brake_s: NonNegative
-
-
-class CosineSpec(_MoveSpec):
-    """`kind = "cosine"`: half a cosine from rest to rest."""
-
-    profile = CosineProfile
-
-    kind: Literal["cosine"]
-
-
-class SampledSpec(_ProfileSpec):
-    """`kind = "sampled"`: values measured at times."""
-
-    kind: Literal["sampled"]
-    times_s: tuple[float, ...]
-    values_m: tuple[float, ...] | None = None
-    values_deg: tuple[float, ...] | None = None
-
-    def build(self) -> Profile:
-        """Return the profile in m or rad."""
-        if self.values_m is None and self.values_deg is None:
-            raise ValueError("give values_m or values_deg")
-        values = (
-            self.values_m
-            if self.values_m is not None
-            else tuple(np.radians(self.values_deg or ()).tolist())
-        )
-        return SampledProfile(times_s=self.times_s, values=values)
-
-
-ProfileSpec = Annotated[
-    TrapezoidSpec | CosineSpec | SampledSpec, Field(discriminator="kind")
+ProfileTable = Annotated[
+    TrapezoidProfile | CosineProfile | SampledProfile, Field(discriminator="kind")
 ]
+"""Table of a profile, read as the profile itself, in m or rad."""
 
 
 class MotionSpec(FileModel):
@@ -240,7 +163,8 @@ class MotionSpec(FileModel):
         kind: Translation or rotation.
         axis: Unit vector in the world.
         point_in_body_m: Point of the rotation axis in the body's start frame.
-        profile: Profiles whose sum is the coordinate over time.
+        profile: Profiles whose sum is the coordinate over time, see `gauge_envs.scene.profiles`. In place of `amount`
+            and `values`, a file states `amount_m` and `values_m`, or `amount_deg` and `values_deg` of a rotation.
         residual_rate_m_per_s: Rate that an action of 1 adds to a translation.
         residual_rate_deg_per_s: Rate that an action of 1 adds to a rotation.
     """
@@ -248,37 +172,45 @@ class MotionSpec(FileModel):
     kind: Literal["translate", "rotate"]
     axis: UnitVector
     point_in_body_m: Vector = (0.0, 0.0, 0.0)
-    profile: tuple[ProfileSpec, ...] = ()
+    profile: tuple[ProfileTable, ...] = ()
     residual_rate_m_per_s: NonNegative = 0.0
     residual_rate_deg_per_s: NonNegative = 0.0
 
+    @model_validator(mode="before")
+    @classmethod
+    def _profiles_in_si(cls, table: dict[str, Any]) -> dict[str, Any]:
+        """Return the table with the profiles in m or rad."""
+        is_rotation = table.get("kind") == "rotate"
+        unit = "deg" if is_rotation else "m"
+        profiles = []
+        for index, stated in enumerate(table.get("profile", ())):
+            name = "values" if stated.get("kind") == "sampled" else "amount"
+            key = f"{name}_{unit}"
+            if key not in stated:
+                raise ValueError(f"profile.{index}: {key} is missing")
+            value = np.radians(stated[key]).tolist() if is_rotation else stated[key]
+            others = {k: v for k, v in stated.items() if k != key}
+            profiles.append(others | {name: value})
+        return table | {"profile": profiles}
+
     @model_validator(mode="after")
-    def _units(self) -> MotionSpec:
-        unit, other = ("m", "deg") if self.kind == "translate" else ("deg", "m")
-        for index, profile in enumerate(self.profile):
-            stem = "values" if profile.kind == "sampled" else "amount"
-            if (
-                getattr(profile, f"{stem}_{unit}") is None
-                or getattr(profile, f"{stem}_{other}") is not None
-            ):
-                raise ValueError(
-                    f"profile.{index}: a {self.kind} motion needs {stem}_{unit} and no {stem}_{other}"
-                )
-        if getattr(self, f"residual_rate_{other}_per_s"):
+    def _rate_unit(self) -> MotionSpec:
+        is_rotation = self.kind == "rotate"
+        if self.residual_rate_m_per_s if is_rotation else self.residual_rate_deg_per_s:
+            unit = "deg" if is_rotation else "m"
             raise ValueError(f"a {self.kind} motion takes residual_rate_{unit}_per_s")
         return self
 
     def build(self, start: Pose) -> DriverMotion:
         """Return the motion of a body that starts at a pose."""
-        x, y, z = start.to_world(np.asarray(self.point_in_body_m)).tolist()
         rate = self.residual_rate_m_per_s or float(
             np.radians(self.residual_rate_deg_per_s)
         )
         return DriverMotion(
             kind=self.kind,
             axis=self.axis,
-            point_m=(x, y, z),
-            profiles=tuple(profile.build() for profile in self.profile),
+            point_m=vector(start.to_world(np.asarray(self.point_in_body_m))),
+            profiles=self.profile,
             residual_rate=rate,
         )
 
@@ -298,10 +230,12 @@ class DriverSpec(FileModel):
     note: str
     motions: tuple[MotionSpec, ...] = Field(min_length=1)
 
-    def build(self, body: str, start: Pose, provenance: str) -> Driver:
-        """Return the driver of a body that starts at a pose."""
-        return Driver(
-            body=body,
-            motions=tuple(one.build(start) for one in self.motions),
-            provenance=provenance,
-        )
+    def build(self, start: Pose, material: str) -> Driver:
+        """Return the driver of a body that starts at a pose, in the variant of a material."""
+        origin = self.provenance
+        if not isinstance(origin, str):
+            if material not in origin:
+                raise ValueError(f"drivers: no provenance of {material!r}")
+            origin = origin[material]
+        motions = tuple(motion.build(start) for motion in self.motions)
+        return Driver(body=self.body, motions=motions, provenance=origin)

@@ -2,26 +2,32 @@
 
 from __future__ import annotations
 
+import fnmatch
+from collections.abc import Iterator
 from enum import StrEnum
-from fnmatch import fnmatchcase
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
-from gauge_envs.errors import UnknownNameError
+from gauge_envs.experiments.names import Collection, Variant
 from gauge_envs.experiments.tables import (
     DriverSpec,
     Fraction,
     ShapeTable,
 )
-from gauge_envs.experiments.variants import Collection, Variant
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.metrics import MetricKey
 from gauge_envs.references.tables import FileModel, UnitVector
 from gauge_envs.scene import Attachment, ContactMode, Motion, Pose
 from gauge_envs.scene.geometry import NonNegative, Positive, Vector
 from gauge_envs.scene.timing import MOST_FRAMES
+
+Name = Annotated[str, Field(pattern="^[A-Za-z0-9_]+$")]
+"""Part of an id, and so of the names of files."""
+
+NOT_STATED = "not stated"
+"""Origin of a number that `[provenance]` does not cover."""
 
 
 class Group(StrEnum):
@@ -278,14 +284,14 @@ class TaskSpec(FileModel):
         revision: Raised by one when a change of this file or its references changes scores.
     """
 
-    family: str
+    family: Name
     collection: Collection = Collection.GAUGE
     revision: int = Field(1, ge=1)
     title: str
     group: Group
     summary: str
     evaluates: tuple[str, ...]
-    materials: tuple[str, ...] = Field(min_length=1)
+    materials: tuple[Name, ...] = Field(min_length=1)
     metadata_materials: dict[str, str] = Field(default_factory=dict)
     decisions: tuple[str, ...] = ()
     source: SourceSpec
@@ -306,26 +312,97 @@ class TaskSpec(FileModel):
     drivers: tuple[DriverSpec, ...] = ()
     markers: MarkersSpec | None = None
     parameters: dict[str, ParameterSetSpec] = Field(default_factory=dict)
-    subtasks: dict[str, SubtaskSpec] = Field(default_factory=dict)
-    provenance: dict[str, str]
+    subtasks: dict[Name, SubtaskSpec] = Field(default_factory=dict)
+    provenance: dict[str, str] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _names_are_defined(self) -> TaskSpec:
+        """Raise an error for the name of a body that no table defines; contacts may name several by a pattern."""
+        counts = {name: body.count or 0 for name, body in self.bodies.items()}
+        numbered = [
+            f"{name}-{index + 1}"
+            for name, count in counts.items()
+            for index in range(count)
+        ]
+        known = [*self.names, *numbered]
+        for name in self._used_names():
+            if not fnmatch.filter(known, name):
+                raise ValueError(
+                    f"{name!r} is not defined; known: {', '.join(self.names)}"
+                )
+        return self
+
+    def _used_names(self) -> Iterator[str]:
+        tables: tuple[TaskSpec | SubtaskSpec, ...] = (self, *self.subtasks.values())
+        for table in tables:
+            for placements in table.initial.values():
+                yield from placements
+            for contact in table.contacts or ():
+                yield from contact.bodies
+                yield from filter(None, [contact.constants_of])
+            yield from (driver.body for driver in table.drivers or ())
+        for subtask in self.subtasks.values():
+            yield from (*subtask.bodies, *subtask.motion)
+        yield from self.constants
+        yield from (joint.body for joint in self.joints)
+        for attachment in self.attachments:
+            yield from (attachment.deformable, attachment.to)
+        yield from self.markers.bodies if self.markers is not None else ()
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of all bodies, rigid and deformable, as the file spells them."""
         return (*self.bodies, *self.cloths, *self.soft_bodies, *self.ropes, *self.rods)
 
-    def owner(self, name: str) -> BodySpec | ClothSpec | SoftBodySpec | LineSpec:
-        """Return the table that defines a body; KeyError for an unknown body."""
-        for table in (
-            self.bodies,
-            self.cloths,
-            self.soft_bodies,
-            self.ropes,
-            self.rods,
-        ):
-            if name in table:
-                return table[name]
-        raise KeyError(name)
+    def entry(self, body: str) -> str:
+        """Return the name in the file of a body of the scene; `count` equal bodies share one entry."""
+        return body if body in self.names else body.rpartition("-")[0]
+
+    def owner(self, body: str) -> BodySpec | ClothSpec | SoftBodySpec | LineSpec | None:
+        """Return the table that defines a body of the scene; None for a body that the file does not have."""
+        tables = self.bodies | self.cloths | self.soft_bodies | self.ropes | self.rods
+        return tables.get(self.entry(body))
+
+    def variants(self) -> tuple[Variant, ...]:
+        """Return the variants of the family, by subtask, then by material, in the file's order."""
+        return tuple(
+            Variant(self.family, subtask, material)
+            for subtask in (self.subtasks or [None])
+            for material in self.materials
+        )
+
+    def subtask_of(self, variant: Variant) -> SubtaskSpec | None:
+        """Return the table of the subtask of a variant, or None."""
+        return self.subtasks[variant.subtask] if variant.subtask else None
+
+    def frame_count(self, variant: Variant) -> int:
+        """Return the number of frames of an episode, the first included."""
+        frames = (self.subtask_of(variant) or self).frames
+        count = frames.get(variant.material) or frames.get("all")
+        if count is None:
+            raise ValueError(f"frames: no frame count for {variant.name}")
+        return count
+
+    def contacts_of(self, variant: Variant) -> tuple[ContactSpec, ...]:
+        """Return the contacts of a variant."""
+        subtask = self.subtask_of(variant)
+        replaced = None if subtask is None else subtask.contacts
+        return self.contacts if replaced is None else replaced
+
+    def drivers_of(self, variant: Variant) -> tuple[DriverSpec, ...]:
+        """Return the driven motions of a variant."""
+        subtask = self.subtask_of(variant)
+        replaced = None if subtask is None else subtask.drivers
+        return self.drivers if replaced is None else replaced
+
+    def placements_of(self, variant: Variant) -> dict[str, Placement]:
+        """Return the start of each body of a variant."""
+        subtask = self.subtask_of(variant)
+        merged: dict[str, Placement] = {}
+        for initial in (self.initial, subtask.initial if subtask else {}):
+            for material in ("all", variant.material):
+                merged |= initial.get(material, {})
+        return merged
 
     def constants_model(
         self, name: str
@@ -343,35 +420,29 @@ class TaskSpec(FileModel):
         for key, value in self.constants[name][material].items():
             if isinstance(value, Substituted):
                 values[key] = value.used
+            elif isinstance(value, dict):
+                values[key] = value.get(subtask or "")
             else:
-                values[key] = (
-                    value.get(subtask or "") if isinstance(value, dict) else value
-                )
+                values[key] = value
         return values
-
-    def variants(self) -> tuple[Variant, ...]:
-        """Return the variants of the family, by subtask, then by material, in the file's order."""
-        return tuple(
-            Variant(self.family, subtask, material)
-            for subtask in (self.subtasks or [None])
-            for material in self.materials
-        )
 
     def provenance_of(self, key: str) -> str:
         """Return the origin of the number under a dotted key.
 
-        The entry with the longest matching prefix counts; of equally long ones, that with the fewest wildcards.
+        The entry with the longest matching prefix counts; of equally long ones, that with the fewest wildcards. One
+        without an entry is `not stated`.
         """
         parts = key.split(".")
         for length in range(len(parts), 0, -1):
             prefix = ".".join(parts[:length])
             matching = [
-                p
-                for p in self.provenance
-                if p.count(".") == prefix.count(".") and fnmatchcase(prefix, p)
+                pattern
+                for pattern in self.provenance
+                if pattern.count(".") == length - 1
+                and fnmatch.fnmatchcase(prefix, pattern)
             ]
             if matching:
                 return self.provenance[
                     min(matching, key=lambda pattern: pattern.count("*"))
                 ]
-        raise UnknownNameError("provenance of", key, self.provenance)
+        return NOT_STATED

@@ -240,7 +240,7 @@ def save_file(path: Path, content: str | bytes) -> Path:
         lambda cause: ResultFileError(f"{path}: cannot be written: {cause}")
     ):
         path.parent.mkdir(parents=True, exist_ok=True)
-        # A lone surrogate in a file of a stranger has no UTF-8.
+        # The name of a file may have bytes that are no UTF-8.
         write_whole(
             path,
             content

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from io import BytesIO
 from pathlib import Path
 from textwrap import fill
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 from gauge_envs.errors import needs_extra
 from gauge_envs.pages.document import save_file
@@ -61,22 +58,15 @@ def tidy_axis(axis: Axes) -> None:
     axis.set_axisbelow(True)
 
 
-def _legend_width(labels: Sequence[str], columns: int) -> int:
-    """Return the width of a legend [characters]: matplotlib fills one column after the other, as evenly as possible."""
-    lengths = [KEY_WIDTH + max(map(len, label.split("\n"))) for label in labels]
-    return sum(
-        int(max(part, default=0)) for part in np.array_split(np.array(lengths), columns)
-    )
-
-
 def legend_above(axis: Axes) -> None:
     """Put the legend above the curves, with bold lines for faint curves."""
     handles, texts = axis.get_legend_handles_labels()
     labels = [fill(text, MOST_LABEL) for text in texts]
     # A legend that is wider than its panel would make the panel narrower.
-    columns = next(
-        (count for count in (3, 2) if _legend_width(labels, count) <= LEGEND_WIDTH), 1
+    longest = max(
+        (len(line) for label in labels for line in label.split("\n")), default=0
     )
+    columns = min(3, max(1, LEGEND_WIDTH // (longest + KEY_WIDTH)))
     place: dict[str, Any] = {
         "loc": "lower left",
         "bbox_to_anchor": (0.0, 1.0),

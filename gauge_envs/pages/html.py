@@ -54,9 +54,6 @@ VOID = (
 )
 """Elements without content, in HTML and SVG."""
 
-LONGEST_WORD = 34
-"""Length up to which a word of a command fits in a line of a phone [characters]."""
-
 
 def element(name: str, /, *content: Text | Html, **attributes: Text | bool) -> Html:
     """Return an element; text in it is escaped, and markup is not.
@@ -93,15 +90,6 @@ def join(parts: Iterable[Text | Html], between: str = "") -> Html:
 def _plain(value: Text | Html | bool) -> str:
     # Control characters are no part of HTML.
     return printable(value) if isinstance(value, str) else str(value)
-
-
-def code(text: str) -> Html:
-    """Return a command as code; a narrow screen breaks its lines between words, and not at the hyphens of options."""
-    words = (
-        element("span", word, class_="word") if len(word) <= LONGEST_WORD else word
-        for word in text.split(" ")
-    )
-    return element("code", join(words, " "))
 
 
 def listed(lines: Iterable[Text | Html], **attributes: Text | bool) -> Html:

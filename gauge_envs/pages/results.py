@@ -41,26 +41,20 @@ def configuration_labels(configurations: Sequence[RunConfiguration]) -> list[str
 
 
 def _labels(configurations: Sequence[RunConfiguration], *, digits: int) -> list[str]:
-    exact = [
-        configuration_parts(configuration, digits=17)
-        for configuration in configurations
-    ]
+    exact = [configuration_parts(one, digits=17) for one in configurations]
+    rounded = [configuration_parts(one, digits=digits) for one in configurations]
     left_out = set.intersection(*map(set, exact)) | {PLAIN} if len(exact) > 1 else set()
-    versions_of: dict[str | None, set[str]] = {}
-    for configuration in configurations:
-        versions_of.setdefault(configuration.backend, set()).add(
-            versions_text(configuration)
-        )
+    versions = [(one.backend, versions_text(one)) for one in configurations]
+    engines_of_versions = [backend for backend, _ in set(versions)]
     labels = []
-    for configuration, parts in zip(configurations, exact, strict=True):
-        rounded = configuration_parts(configuration, digits=digits)
+    for parts, shown, (backend, text) in zip(exact, rounded, versions, strict=True):
         kept = [
-            text
-            for part, (kind, text) in zip(parts, rounded, strict=True)
+            words
+            for part, (kind, words) in zip(parts, shown, strict=True)
             if kind == "engine" or part not in left_out
         ]
-        if len(versions_of[configuration.backend]) > 1:
-            kept.append(versions_text(configuration))
+        if engines_of_versions.count(backend) > 1:
+            kept.append(text)
         labels.append(", ".join(kept))
     return labels
 
@@ -76,34 +70,19 @@ def configuration_parts(
             for key, v in values.items()
         ]
 
-    named, proxy, asset = (
-        configuration.parameters,
-        configuration.marker_proxy,
-        configuration.asset,
-    )
-    return [
-        ("engine", configuration.backend or "file"),
-        (
-            "parameters",
-            named if isinstance(named, str) else ",".join(assignments(named)),
-        ),
-        *(("setting", text) for text in assignments(configuration.settings_given)),
-        *(
-            [("jitter", f"jitter {' '.join(assignments(configuration.jitter))}")]
-            if configuration.jitter
-            else []
-        ),
-        *(
-            [("markers", f"markers by {proxy}")]
-            if proxy != MarkerProxy.MATERIAL
-            else []
-        ),
-        *(
-            [("asset", f"edited scene {asset['file']} ({asset['sha256'][:8]})")]
-            if asset
-            else []
-        ),
-    ]
+    named, asset = configuration.parameters, configuration.asset
+    constants = named if isinstance(named, str) else ",".join(assignments(named))
+    parts = [("engine", configuration.backend or "file"), ("parameters", constants)]
+    parts += [("setting", one) for one in assignments(configuration.settings_given)]
+    if configuration.jitter:
+        parts.append(
+            ("jitter", f"jitter {' '.join(assignments(configuration.jitter))}")
+        )
+    if configuration.marker_proxy != MarkerProxy.MATERIAL:
+        parts.append(("markers", f"markers by {configuration.marker_proxy}"))
+    if asset:
+        parts.append(("asset", f"edited scene {asset['file']} ({asset['sha256'][:8]})"))
+    return parts
 
 
 def versions_text(configuration: RunConfiguration) -> str:
@@ -111,12 +90,6 @@ def versions_text(configuration: RunConfiguration) -> str:
     return " ".join(
         f"{name} {text}" for name, text in configuration.engine_versions.items()
     )
-
-
-def result_label(result: Result) -> str:
-    """Return the label of a result among others of its experiment: `mujoco, calibrated, timestep_s=0.001, seed 3`."""
-    parts = [text for _, text in configuration_parts(RunConfiguration.of(result))]
-    return ", ".join([*parts, f"seed {result.seed}"] if result.seed else parts)
 
 
 # --- scores ---
@@ -268,12 +241,7 @@ def discretization_text(
         result: The result.
         rows: Rows of `references.convergence.convergence_rows` for its engine and its variant.
     """
-    if (
-        result.backend is None
-        or result.settings_given
-        or result.is_edited
-        or result.has_experiment_file
-    ):
+    if result.backend is None or result.settings_given or result.is_edited:
         return None
     has_cells = bool(load_experiment(short_id(result.id)).scene.deformables)
     is_verified = Kind(result.score.kind).is_solution

@@ -4,9 +4,6 @@ A row is a JSON-ready mapping, a sequence, or an object with attributes. A colum
 and how to write it. In a terminal cells wrap between words, and columns that do not fit are written below their rows.
 """
 
-import csv
-import io
-import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass
 from enum import StrEnum
@@ -162,54 +159,26 @@ class Table:
         lines += [f"{markdown_text(note)}  " for note in self.notes]
         return "\n".join(lines)
 
-    def csv(self) -> str:
-        """Return the values with full digits, below the keys of the columns; a missing value is an empty cell."""
-        stream = io.StringIO()
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow([column.key for column in self.columns])
-        for row in self.rows:
-            writer.writerow([column.value(row) for column in self.columns])
-        return stream.getvalue()
-
-    def latex(self) -> str:
-        """Return the table as a LaTeX `tabular`, with all columns."""
-        layout = "".join("r" if column.is_number else "l" for column in self.columns)
-        lines = [f"\\begin{{tabular}}{{{layout}}}"]
-        for row in (None, *self.rows):
-            cells = [
-                column.label if row is None else column.text(row)
-                for column in self.columns
-            ]
-            escaped = [re.sub(r"([&%$#_{}^])", r"\\\1{}", cell) for cell in cells]
-            lines.append(f"{' & '.join(escaped)} \\\\")
-        return "\n".join([*lines, "\\end{tabular}\n"])
-
     def html(self) -> Html:
         """Return the table as an element; on a narrow screen the cells of a row may stand below each other."""
         columns = [column for column in self.columns if not column.narrow_only]
         beside = [column for column in columns if column.place is not Place.BELOW]
         below = [column for column in columns if column.place is Place.BELOW]
-        head = []
-        for column in beside:
-            title = column.title if isinstance(column.title, Html) else column.label
-            head.append(
-                element(
-                    "th", title, scope="col", class_="n" if column.is_number else None
-                )
+        head = (
+            element(
+                "th",
+                column.title if isinstance(column.title, Html) else column.label,
+                scope="col",
+                class_="n" if column.is_number else None,
             )
+            for column in beside
+        )
         body = []
         for row in self.rows:
             body.append(element("tr", *(_cell(column, row) for column in beside)))
-            for column in below:
-                text = column.markup(row)
-                if text:
-                    body.append(
-                        element(
-                            "tr",
-                            element("td", text, colspan=len(beside)),
-                            class_="more",
-                        )
-                    )
+            for text in filter(None, (column.markup(row) for column in below)):
+                cell = element("td", text, colspan=len(beside))
+                body.append(element("tr", cell, class_="more"))
         table = element(
             "table",
             element("thead", element("tr", *head)),
@@ -311,9 +280,14 @@ def _line(
     """Return texts in columns of given widths [characters]."""
     line = rich.table.Table.grid(padding=(0, GAP, 0, 0))
     for column, width in zip(columns, widths, strict=True):
-        justify: Literal["left", "right"] = "right" if column.is_number else "left"
+        # Blanks would follow the texts of a last column.
+        is_last = column is columns[-1] and not column.is_number
         line.add_column(
-            justify=justify, width=width, overflow="fold", vertical=vertical
+            justify="right" if column.is_number else "left",
+            width=None if is_last else width,
+            max_width=width,
+            overflow="fold",
+            vertical=vertical,
         )
     line.add_row(*texts)
     return line

@@ -31,11 +31,6 @@ KIND_NOTES = {
 }
 
 
-def reality_of(kind: str) -> str:
-    """Return what of reality results are compared with: `events` alone where the reference is a solution."""
-    return "events" if Kind(kind).is_solution else kind
-
-
 def kind_notes(kinds: Iterable[str]) -> list[str]:
     """Return what kinds of references are, a line each."""
     return [f"{kind}: {KIND_NOTES[Kind(kind)]}." for kind in sorted(set(kinds))]

@@ -1,14 +1,15 @@
 """Bands: the reference motion of each experiment, with its scatter and its uncertainty.
 
 `scoring/bands/<id>.toml` states what a reference is, and `<id>.npz` has its arrays; `scoring/README.md` describes both.
-Real trials that `gauge data import` reads become the same pair in the folder of the user.
+Real trials that `gauge data import` reads become the same pair in the folder of the user. `<id>.band.toml` and
+`<id>.band.npz` beside a task file of the user are such a pair too.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any, Literal
@@ -26,7 +27,11 @@ from gauge_envs.references.tables import (
     read_content,
     scoring_folder,
 )
-from gauge_envs.references.user_data import DataSource, trials_folder
+from gauge_envs.references.user_data import (
+    DataSource,
+    own_band_file,
+    trials_folder,
+)
 from gauge_envs.scene.geometry import BoolArray, FloatArray
 
 MARKER_SIGMA_MM = 1.0
@@ -42,7 +47,7 @@ ARRAYS = (
     "trial_rmse",
     "trial_rmse_aligned",
 )
-"""Arrays of a band; `projection`, `uncertainty` and those of trials may be absent."""
+"""Arrays of a band; `projection`, `uncertainty`, `measured` and those of trials may be absent."""
 
 MARKER_ARRAYS = ("markers_mm", "markers_uncertainty_mm")
 """Arrays of a numerical solution of cloth or foam: positions of its markers, shape [T, 3 M]."""
@@ -264,41 +269,6 @@ class Band:
             )
         return trajectory @ self.projection.T
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return a JSON-ready dictionary; an unknown number is None."""
-        values: dict[str, Any] = {
-            one.name: getattr(self, one.name)
-            for one in fields(self)
-            if one.name != "points"
-        }
-        for name in ARRAYS:
-            if values[name] is not None:
-                values[name] = _with_none(values[name])
-        return values | {"coordinates": list(self.coordinates)}
-
-    @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> Band:
-        """Build a band from `to_dict`.
-
-        Raises:
-            ValueError: The values are not those of a band.
-        """
-        try:
-            kind = Kind(values["kind"])
-            coordinates = tuple(values["coordinates"])
-            return cls(**{**values, "kind": kind, "coordinates": coordinates})
-        except (KeyError, TypeError) as error:
-            raise ValueError(f"not a band: {error}") from error
-
-
-def _with_none(values: NDArray[Any]) -> list[Any]:
-    """Return nested lists with None for NaN, which JSON lacks; NumPy reads None as NaN."""
-    if values.dtype.kind != "f":
-        return values.tolist()
-    entries = values.astype(object)
-    entries[np.isnan(values)] = None
-    return entries.tolist()
-
 
 # --- files -----------------------------------------------------------------------------------------------------------
 
@@ -306,13 +276,15 @@ def _with_none(values: NDArray[Any]) -> list[Any]:
 def band_file(variant: str, source: DataSource = DataSource.BUNDLED) -> Path | None:
     """Return the TOML file of the reference of a variant; None without one.
 
-    Imported trials come first if `source` asks for them, and last if not.
+    It is that of the package or that beside the user's task file, then that of imported trials. The imported one comes
+    first if `source` asks for it.
     """
-    folders = [scoring_folder("bands"), trials_folder()]
+    stated = scoring_folder("bands") / f"{variant}.toml"
+    imported = trials_folder() / f"{variant}.toml"
+    files = [stated, own_band_file(variant), imported]
     if source is DataSource.IMPORTED:
-        folders.reverse()
-    files = [folder / f"{variant}.toml" for folder in folders]
-    return next((file for file in files if file.is_file()), None)
+        files.reverse()
+    return next((file for file in files if file is not None and file.is_file()), None)
 
 
 def load_band(variant: str, source: DataSource = DataSource.BUNDLED) -> Band | None:
@@ -357,7 +329,7 @@ def _read_band(file: Path, modified_ns: int) -> Band | None:
             projection=arrays.get("projection", np.eye(len(stated.coordinates))),
             mean=arrays["mean"],
             sigma=arrays["sigma"],
-            measured=arrays["measured"],
+            measured=arrays.get("measured", np.isfinite(arrays["mean"]).all(axis=1)),
             source=stated.source,
             licence=stated.licence,
             trial_count=stated.trial_count,

@@ -9,7 +9,6 @@ from pathlib import Path
 
 from pydantic import PositiveInt
 
-from gauge_envs.references.band import Band
 from gauge_envs.references.metrics import MetricKey
 from gauge_envs.references.tables import FileModel, read_rows, scoring_folder
 
@@ -30,6 +29,7 @@ class Baseline:
         std: Standard deviation over real trials; None if none was published.
         engines: Published score of `isaacsim`, `genesis` and `newton` over `mean`; None if none was published. For el
             it is the raw score, as the mean is 0.
+        disputed: Why some of these scores cannot be right, by the geometry of g(t); empty without a reason.
     """
 
     variant: str
@@ -39,6 +39,7 @@ class Baseline:
     mean: float
     std: float | None
     engines: Mapping[str, float | None]
+    disputed: str
 
 
 def published_baselines(variant: str) -> dict[str, Baseline]:
@@ -63,6 +64,7 @@ class _BaselineRow(FileModel):
     isaacsim: float | None
     genesis: float | None
     newton: float | None
+    disputed: str | None
 
     def baseline(self) -> Baseline:
         """Return the row with percentages as ratios."""
@@ -76,6 +78,7 @@ class _BaselineRow(FileModel):
             mean=mean / 100 if percent else mean,
             std=std / 100 if percent and std is not None else std,
             engines={engine: getattr(self, engine) for engine in PUBLISHED_ENGINES},
+            disputed=self.disputed or "",
         )
 
 
@@ -86,16 +89,3 @@ def _all_baselines(folder: Path) -> dict[str, dict[str, Baseline]]:
     for row in read_rows(file, _BaselineRow):
         table.setdefault(row.variant, {})[row.metric] = row.baseline()
     return table
-
-
-@dataclass(frozen=True, eq=False)
-class Reference:
-    """Reference that an experiment file states.
-
-    Attributes:
-        band: Mean and scatter of reality; None without a band.
-        baselines: Scores of real trials by metric; normalized scores are divided by their mean.
-    """
-
-    band: Band | None
-    baselines: Mapping[str, Baseline]

@@ -1,10 +1,15 @@
-"""Bundled or imported data: the choice, and the folder of imports, in a module that imports nothing heavy."""
+"""Data of the user: imported trials, and task files with bands, in a module that imports nothing heavy."""
 
 import os
+from contextlib import suppress
 from enum import StrEnum
 from pathlib import Path
 
 from gauge_envs.errors import DatasetError
+from gauge_envs.files import toml_document
+
+OWN_TASKS = "GAUGE_TASKS"
+"""Environment variable with task files of the user and folders of them, as `PATH` lists folders."""
 
 
 class DataSource(StrEnum):
@@ -48,3 +53,28 @@ def trials_folder() -> Path:
 def has_import(variant: str) -> bool:
     """Return whether trials of a variant were imported, without reading them."""
     return (trials_folder() / f"{variant}.toml").is_file()
+
+
+def own_task_files() -> tuple[Path, ...]:
+    """Return the task files that `GAUGE_TASKS` names, in its order; a named file need not exist."""
+    found: dict[Path, None] = {}
+    for entry in os.environ.get(OWN_TASKS, "").split(os.pathsep):
+        if not entry.strip():
+            continue
+        path = Path(entry).expanduser().absolute()
+        inside = filter(_states_family, sorted(path.glob("*.toml")))
+        found |= dict.fromkeys(inside if path.is_dir() else [path])
+    return tuple(found)
+
+
+def _states_family(path: Path) -> bool:
+    """Return whether a file of a folder is a task file; other TOML files may lie beside it."""
+    with suppress(OSError, ValueError):
+        return "family" in toml_document(path.read_bytes())
+    return False
+
+
+def own_band_file(variant: str) -> Path | None:
+    """Return the file `<id>.band.toml` beside a task file of the user; None without one."""
+    files = (path.with_name(f"{variant}.band.toml") for path in own_task_files())
+    return next((file for file in files if file.is_file()), None)

@@ -1,5 +1,6 @@
 """The camera of pictures: that of the task, or a view of the start and of where bodies go."""
 
+import mujoco
 import numpy as np
 
 from gauge_envs.experiments.experiment import Experiment
@@ -44,6 +45,16 @@ class View(Camera):
         """Height of what a picture shows at the distance of the target [m]."""
         half_angle = np.radians(0.5 * FIELD_OF_VIEW_DEG)
         return 2.0 * self.distance_m * float(np.tan(half_angle))
+
+
+def free_camera(view: View) -> mujoco.MjvCamera:
+    """Return the camera of MuJoCo that has a view."""
+    camera = mujoco.MjvCamera()
+    camera.lookat[:] = view.target_m
+    camera.distance = view.distance_m
+    camera.azimuth = view.azimuth_deg
+    camera.elevation = view.elevation_deg
+    return camera
 
 
 def experiment_view(

@@ -9,7 +9,6 @@ from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.band import Band
 from gauge_envs.references.kind import Kind
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -25,12 +24,6 @@ class ReferencePath:
     names: tuple[str, ...]
     places_m: FloatArray
     is_full: bool
-
-    @property
-    def last_s(self) -> float:
-        """Time of the last frame at which a place is known [s]; 0 without any."""
-        known = np.isfinite(self.places_m).all(axis=2)
-        return float(np.nonzero(known)[0].max(initial=0)) / FRAME_RATE_HZ
 
 
 def reference_path(experiment: Experiment, band: Band | None) -> ReferencePath | None:

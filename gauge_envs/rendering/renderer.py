@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.errors import RenderError
-from gauge_envs.rendering.camera import View
+from gauge_envs.rendering.camera import View, free_camera
 from gauge_envs.rendering.materials import LOOKS, STRING_COLOR, Color, material_of
 from gauge_envs.rendering.overlay import Overlay
 from gauge_envs.rendering.skin import Skin
@@ -116,22 +116,14 @@ class SceneRenderer:
         max_shapes = self._model.ngeom + MAX_EXTRA_SHAPES
         self._drawing = mujoco.MjvScene(self._model, maxgeom=max_shapes)
         self._pixel_m = view.height_m / height
-        self._camera = mujoco.MjvCamera()
-        self._camera.lookat[:] = view.target_m
-        self._camera.distance = view.distance_m
-        self._camera.azimuth = view.azimuth_deg
-        self._camera.elevation = view.elevation_deg
+        self._camera = free_camera(view) if window is None else window.camera
         self._device = mujoco.MjrContext(
             self._model, mujoco.mjtFontScale.mjFONTSCALE_100
         )
         # The nearest depth is stored as 1 and the farthest as 0, where floating point numbers are densest.
         self._device.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
-        if window is None:
-            buffer = mujoco.mjtFramebuffer.mjFB_OFFSCREEN
-        else:
-            buffer = mujoco.mjtFramebuffer.mjFB_WINDOW
-            # The next renderer of a window keeps what the mouse has done.
-            window.camera = self._camera = window.camera or self._camera
+        buffers = mujoco.mjtFramebuffer
+        buffer = buffers.mjFB_OFFSCREEN if window is None else buffers.mjFB_WINDOW
         mujoco.mjr_setBuffer(buffer, self._device)
 
     def picture(
@@ -215,7 +207,7 @@ class SceneRenderer:
         mujoco.mj_camlight(self._model, self._data)
         self._context.make_current()
         for skin in self._skins:
-            skin.upload(self._model, self._device, nodes_m[skin.name])
+            skin.move(self._model, nodes_m[skin.name])
         drawing = self._drawing
         mujoco.mjv_updateScene(
             self._model,
@@ -245,35 +237,38 @@ class SceneRenderer:
 
 
 def _add_overlay(drawing: mujoco.MjvScene, overlay: Overlay, pixel_m: float) -> None:
-    """Add an overlay in front of the scene: points and paths of the simulation in front of those of the reference.
+    """Add an overlay in front of the scene: points in front of paths, and the simulation in front of the reference.
 
     Args:
         drawing: The drawing.
         overlay: The overlay.
         pixel_m: Size of a pixel at the distance of the target [m].
     """
+    first = drawing.ngeom
     eye_m = 0.5 * np.sum([camera.pos for camera in drawing.camera], axis=0)
-    layers = (
-        (0.5, RECORDED_COLOR, overlay.recorded_m, overlay.recorded_paths),
-        (0.4, SIMULATED_COLOR, overlay.markers_m, overlay.paths),
-    )
-    for share, color, points_m, paths in layers:
-        # A point on the way to the camera is at the same place of the picture.
-        marker_m = share * MARKER_PX * pixel_m
-        path_radius_m = share * PATH_PX * pixel_m
-        first = drawing.ngeom
-        for point_m in eye_m + share * (points_m - eye_m):
-            if np.isfinite(point_m).all():
-                _add_shape(drawing, BALL, color, np.full(3, marker_m), point_m)
+    # A point on the way to the camera is at the same place of the picture.
+    for share, color, paths in (
+        (0.5, RECORDED_COLOR, overlay.recorded_paths),
+        (0.45, SIMULATED_COLOR, overlay.paths),
+    ):
+        radius_m = share * PATH_PX * pixel_m
         for path_m in paths:
-            shown_m = eye_m + share * (_thinned(path_m, STEP_PX * pixel_m) - eye_m)
-            for start_m, end_m in pairwise(shown_m):
+            near_m = eye_m + share * (_thinned(path_m, STEP_PX * pixel_m) - eye_m)
+            for start_m, end_m in pairwise(near_m):
                 if np.isfinite([start_m, end_m]).all():
-                    _add_tube(drawing, start_m, end_m, path_radius_m, color)
-        for geom in drawing.geoms[first : drawing.ngeom]:
-            # It casts no shadow, and light of its own keeps its colour readable in the shade.
-            geom.category = mujoco.mjtCatBit.mjCAT_DECOR
-            geom.emission = 0.4
+                    _add_tube(drawing, start_m, end_m, radius_m, color)
+    for share, color, points_m in (
+        (0.4, RECORDED_COLOR, overlay.recorded_m),
+        (0.35, SIMULATED_COLOR, overlay.markers_m),
+    ):
+        size_m = np.full(3, share * MARKER_PX * pixel_m)
+        for near_m in eye_m + share * (points_m - eye_m):
+            if np.isfinite(near_m).all():
+                _add_shape(drawing, BALL, color, size_m, near_m)
+    for geom in drawing.geoms[first : drawing.ngeom]:
+        # It casts no shadow, and light of its own keeps its colour readable in the shade.
+        geom.category = mujoco.mjtCatBit.mjCAT_DECOR
+        geom.emission = 0.4
 
 
 def _thinned(path_m: FloatArray, step_m: float) -> FloatArray:

@@ -34,11 +34,11 @@ class Skin:
     def __init__(self, body: Cloth | SoftBody, rest_m: FloatArray) -> None:
         self.name = body.name
         self._rest_m = rest_m
-        self._half_m = 0.0
+        self._inflate_m = 0.0
         local_m = body.pose.to_body(rest_m)
         if isinstance(body, Cloth):
             self.faces = Delaunay(local_m[:, :2]).simplices.astype(np.intp)
-            self._half_m = max(0.5 * body.thickness_m, MIN_HALF_THICKNESS_M)
+            self._inflate_m = max(0.5 * body.thickness_m, MIN_HALF_THICKNESS_M)
             sides = [self.faces, self.faces[:, ::-1]]
         else:
             sides = _sides(local_m)
@@ -50,62 +50,27 @@ class Skin:
         self._triangles = numbers.reshape(-1, 3)
 
     def add(self, spec: mujoco.MjSpec, material: str) -> None:
-        """Add the mesh to a visual model."""
-        vertices_m, normals = self._surface(self._rest_m)
-        mesh = spec.add_mesh(
-            name=self._mesh_name,
-            uservert=vertices_m.ravel(),
-            usernormal=normals.ravel(),
-            userface=self._triangles.ravel(),
-            userfacenormal=self._triangles.ravel(),
-        )
-        mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
-        spec.worldbody.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_MESH,
-            meshname=mesh.name,
-            name=mesh.name,
-            rgba=[*LOOKS[material].color, 1.0],
+        """Add the mesh to a visual model: a skin of MuJoCo on a bone that stands still."""
+        count = len(self._nodes)
+        spec.add_skin(
+            name=self.name,
+            vert=self._rest_m[self._nodes].ravel(),
+            face=self._triangles.ravel(),
+            inflate=self._inflate_m,
             material=material,
+            rgba=[*LOOKS[material].color, 1.0],
+            bodyname=["world"],
+            bindpos=np.zeros(3),
+            bindquat=[1.0, 0.0, 0.0, 0.0],
+            vertid=[np.arange(count)],
+            vertweight=[np.ones(count)],
         )
 
-    def place(self, model: mujoco.MjModel) -> None:
-        """Undo MuJoCo's centring of the mesh, and its culling by the rest shape: vertices are in the world frame."""
-        geom = model.geom(self._mesh_name).id
-        model.geom_pos[geom] = 0.0
-        model.geom_quat[geom] = (1.0, 0.0, 0.0, 0.0)
-        model.geom_rbound[geom] = 100.0
-
-    def upload(
-        self, model: mujoco.MjModel, device: mujoco.MjrContext, nodes_m: FloatArray
-    ) -> None:
-        """Move the mesh to the nodes [m], shape [node_count, 3]."""
-        mesh = model.mesh(self._mesh_name).id
-        vertices_m, normals = self._surface(nodes_m)
-        first, first_normal = model.mesh_vertadr[mesh], model.mesh_normaladr[mesh]
-        model.mesh_vert[first : first + len(vertices_m)] = vertices_m
-        model.mesh_normal[first_normal : first_normal + len(normals)] = normals
-        mujoco.mjr_uploadMesh(model, device, mesh)
-
-    @property
-    def _mesh_name(self) -> str:
-        return f"{self.name}/skin"
-
-    def _surface(self, nodes_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return vertices [m] and their normals, shape [vertex_count, 3] each; a sheet is thickened along them."""
-        vertices_m = nodes_m[self._nodes]
-        across = _across(vertices_m, self._triangles)
-        normals = np.zeros_like(vertices_m)
-        for corner in self._triangles.T:
-            np.add.at(normals, corner, across)
-        length = np.linalg.norm(normals, axis=1, keepdims=True)
-        normals = np.where(length > 0.0, normals / np.maximum(length, 1e-30), [0, 0, 1])
-        return vertices_m + self._half_m * normals, normals
-
-
-def _across(points: FloatArray, faces: IntArray) -> FloatArray:
-    """Return the normal of each triangle, twice as long as its area, shape [face_count, 3]."""
-    first, second, third = points[faces].swapaxes(0, 1)
-    return np.cross(second - first, third - first)
+    def move(self, model: mujoco.MjModel, nodes_m: FloatArray) -> None:
+        """Move the mesh of a compiled model to the nodes [m], shape [node_count, 3]."""
+        skin = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SKIN, self.name)
+        first = model.skin_vertadr[skin]
+        model.skin_vert[first : first + len(self._nodes)] = nodes_m[self._nodes]
 
 
 def _sides(local_m: FloatArray) -> list[IntArray]:
@@ -120,13 +85,16 @@ def _sides(local_m: FloatArray) -> list[IntArray]:
                 on_side = np.flatnonzero(distances_m <= tolerance_m)
                 plane_m = np.delete(local_m[on_side], axis, axis=1)
                 faces = on_side[Delaunay(plane_m).simplices]
-                is_inward = _across(local_m, faces)[:, axis] * outward < 0.0
-                faces[is_inward] = faces[is_inward, ::-1]
-                sides.append(faces.astype(np.intp))
+                sides.append(_turned(faces, local_m, outward * np.eye(3)[axis]))
     except (QhullError, ValueError):
         hull = ConvexHull(local_m)
-        faces = hull.simplices.astype(np.intp)
-        is_inward = (_across(local_m, faces) * hull.equations[:, :3]).sum(axis=1) < 0.0
-        faces[is_inward] = faces[is_inward, ::-1]
-        return [faces]
+        return [_turned(hull.simplices, local_m, hull.equations[:, :3])]
     return sides
+
+
+def _turned(faces: IntArray, points_m: FloatArray, outward: FloatArray) -> IntArray:
+    """Return triangles whose normals point outward, shape [face_count, 3]."""
+    first, second, third = points_m[faces].swapaxes(0, 1)
+    normals = np.cross(second - first, third - first)
+    is_inward = (normals * outward).sum(axis=1) < 0.0
+    return np.where(is_inward[:, None], faces[:, ::-1], faces).astype(np.intp)

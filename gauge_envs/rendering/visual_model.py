@@ -7,22 +7,39 @@ import numpy as np
 
 from gauge_envs.backends.mujoco.model import add_geoms
 from gauge_envs.rendering.camera import FIELD_OF_VIEW_DEG, View
-from gauge_envs.rendering.materials import LOOKS, Color, material_of
+from gauge_envs.rendering.materials import LOOKS, material_of
 from gauge_envs.rendering.skin import Skin
 from gauge_envs.scene import Attachment, Motion, Plane, RigidBody, Scene, SoftBody
 from gauge_envs.scene.geometry import FloatArray
 
-GROUND: Color = (0.925, 0.93, 0.94)
-"""Colour of ground and background."""
-GRID_LINE: Color = (0.83, 0.845, 0.865)
+STUDIO = """
+<mujoco>
+  <visual>
+    <quality shadowsize="2048"/>
+    <headlight ambient="0.54 0.54 0.54" diffuse="0 0 0" specular="0 0 0"/>
+    <map znear="0.02" zfar="40" shadowclip="1.2" haze="0.35"/>
+    <rgba haze="0.925 0.93 0.94 1"/>
+  </visual>
+  <asset>
+    <texture name="sky" type="skybox" builtin="flat" width="8" height="8"
+      rgb1="0.925 0.93 0.94" rgb2="0.925 0.93 0.94"/>
+    <texture name="ground" type="2d" builtin="flat" mark="edge" width="100" height="100"
+      rgb1="0.925 0.93 0.94" rgb2="0.925 0.93 0.94" markrgb="0.83 0.845 0.865"/>
+    <material name="ground" texture="ground" texuniform="true" specular="0"/>
+  </asset>
+  <worldbody>
+    <light name="key" type="directional" diffuse="0.3 0.3 0.3" specular="0.5 0.5 0.5"/>
+    <light name="fill" type="directional" diffuse="0.3 0.3 0.3" specular="0.1 0.1 0.1" castshadow="false"/>
+  </worldbody>
+</mujoco>
+"""
+"""Ground and background of one colour, even light, a light from above, and one from the camera."""
 GRID_PITCHES_M = (0.025, 0.1)
 """Pitch of the grid [m]: the hole pitch of the real optical table, and a coarser one for wide views."""
 WIDE_VIEW_M = 0.5
 """Height of the view from which the grid is coarse [m]."""
 STILL = 0.84
 """Brightness of fixed and driven bodies relative to free ones, which stand out from them."""
-AMBIENT, KEY, FILL = 0.54, 0.30, 0.30
-"""Brightness of the even light, of the light from above, which casts shadows, and of that from the camera."""
 
 
 def visual_model(
@@ -45,16 +62,12 @@ def visual_model(
         width: Picture width [pixels].
         height: Picture height [pixels].
     """
-    spec = mujoco.MjSpec()
-    visual = spec.visual
-    visual.global_.offwidth, visual.global_.offheight = width, height
-    visual.global_.fovy = FIELD_OF_VIEW_DEG
-    visual.quality.shadowsize = 2048
+    spec = mujoco.MjSpec.from_string(STUDIO)
+    visual = spec.visual.global_
+    visual.offwidth, visual.offheight, visual.fovy = width, height, FIELD_OF_VIEW_DEG
     # Clipping planes and shadows are relative to these two.
     spec.stat.center, spec.stat.extent = view.target_m, view.distance_m
-    visual.map.znear, visual.map.zfar, visual.map.shadowclip = 0.02, 40.0, 1.2
-    visual.map.haze, visual.rgba.haze = 0.35, [*GROUND, 1.0]
-    _add_light_and_ground(spec, view)
+    _place_lights(spec, view)
     for name, look in LOOKS.items():
         spec.add_material(name=name, specular=look.specular, shininess=look.shininess)
     for body in scene.bodies:
@@ -67,10 +80,7 @@ def visual_model(
         if isinstance(block, SoftBody):
             material = material_of(block, materials.get(block.name))
             _add_gripped(spec, scene, attachment, block, rest_nodes_m, material)
-    model = spec.compile()
-    for skin in skins:
-        skin.place(model)
-    return model
+    return spec.compile()
 
 
 def _add_body(spec: mujoco.MjSpec, body: RigidBody, material: str) -> None:
@@ -119,53 +129,23 @@ def _add_gripped(
     )
 
 
-def _add_light_and_ground(spec: mujoco.MjSpec, view: View) -> None:
-    """Add the lights, and a ground that has the colour of the background in them."""
+def _place_lights(spec: mujoco.MjSpec, view: View) -> None:
+    """Turn the lights with the camera, and give the ground the colour of the background in them."""
     right, _, forward = view.axes
-    headlight = spec.visual.headlight
-    headlight.ambient, headlight.diffuse, headlight.specular = np.outer(
-        [AMBIENT, 0.0, 0.0], np.ones(3)
-    )
-    brightness = AMBIENT
-    key = 0.6 * right + [0.2 * forward[0], 0.2 * forward[1], -1.3]
-    fill = forward - 0.5 * right
-    for direction, diffuse, specular in ((key, KEY, 0.5), (fill, FILL, 0.1)):
-        direction /= np.linalg.norm(direction)
-        brightness -= diffuse * direction[2]
-        spec.worldbody.add_light(
-            type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
-            pos=view.target_m - 2.0 * view.distance_m * direction,
-            dir=direction,
-            diffuse=[diffuse] * 3,
-            specular=[specular] * 3,
-            castshadow=direction is key,
-        )
-    spec.add_texture(
-        name="sky",
-        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
-        builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT,
-        rgb1=GROUND,
-        rgb2=GROUND,
-        width=8,
-        height=8,
-    )
-    spec.add_texture(
-        name="ground",
-        type=mujoco.mjtTexture.mjTEXTURE_2D,
-        builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT,
-        mark=mujoco.mjtMark.mjMARK_EDGE,
-        rgb1=GROUND,
-        rgb2=GROUND,
-        markrgb=GRID_LINE,
-        width=100,
-        height=100,
-    )
-    ground = spec.add_material(
-        name="ground",
-        # MuJoCo repeats a uniform texture this often in two metres.
-        texrepeat=[2.0 / GRID_PITCHES_M[int(view.height_m > WIDE_VIEW_M)]] * 2,
-        texuniform=True,
-        emission=1.0 - brightness,
-        specular=0.0,
-    )
-    ground.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "ground"
+    level = forward * [1.0, 1.0, 0.0]
+    directions = {
+        "key": 0.6 * right + 0.2 * level - [0.0, 0.0, 1.3],
+        "fill": forward - 0.5 * right,
+    }
+    brightness = spec.visual.headlight.ambient[0]
+    for name, way in directions.items():
+        direction = way / np.linalg.norm(way)
+        light = spec.light(name)
+        light.dir = direction
+        light.pos = view.target_m - 2.0 * view.distance_m * direction
+        brightness -= light.diffuse[0] * direction[2]
+    ground = spec.material("ground")
+    ground.emission = 1.0 - brightness
+    # MuJoCo repeats a uniform texture this often in two metres.
+    pitch_m = GRID_PITCHES_M[int(view.height_m > WIDE_VIEW_M)]
+    ground.texrepeat = [2.0 / pitch_m] * 2

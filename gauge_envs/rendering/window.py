@@ -5,11 +5,10 @@ import warnings
 from collections.abc import Callable
 from typing import Any
 
-import mujoco
 import numpy as np
 
 from gauge_envs.errors import RenderError
-from gauge_envs.rendering.camera import View
+from gauge_envs.rendering.camera import View, free_camera
 
 TURN_DEG = 180.0
 """Angle by which a drag over the height of the window turns the scene [deg]."""
@@ -30,34 +29,35 @@ class Window:
         width: Width [pixels].
         height: Height [pixels].
         title: What its bar says.
+        view: The camera at first.
 
     Attributes:
         is_open: Whether nobody has closed it.
-        camera: Camera that the mouse moves; None until a renderer sets it.
+        camera: Camera that the mouse moves.
 
     Raises:
         RenderError: There is no display.
     """
 
-    def __init__(self, width: int, height: int, title: str) -> None:
+    def __init__(self, width: int, height: int, title: str, view: View) -> None:
         # MuJoCo brings this package.
         import glfw
 
         self._glfw: Any = glfw
-        self.camera: mujoco.MjvCamera | None = None
         self._handle = None
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always")
+        with warnings.catch_warnings():
+            # glfw warns where there is no display.
+            warnings.simplefilter("ignore")
             if glfw.init():
                 glfw.window_hint(glfw.SAMPLES, 4)
                 self._handle = glfw.create_window(width, height, title, None, None)
         if not self._handle:
-            reasons = "; ".join(str(one.message) for one in caught)
             raise RenderError(
-                f"render_mode 'human' found no display for its window: {reasons}. Without one, use "
-                "render_mode='rgb_array', or start the program with xvfb-run"
+                "render_mode 'human' found no display for its window. Without one, use render_mode='rgb_array', or "
+                "start the program with xvfb-run"
             )
         self.is_open = True
+        self.camera = free_camera(view)
         self._is_turned = False
         self._next_s = 0.0
         self._mouse = (0.0, 0.0)
@@ -115,8 +115,6 @@ class Window:
         down = (y - self._mouse[1]) / height
         self._mouse = (x, y)
         camera = self.camera
-        if camera is None:
-            return
         if glfw.get_mouse_button(handle, glfw.MOUSE_BUTTON_LEFT) == glfw.PRESS:
             camera.azimuth -= TURN_DEG * right
             elevation_deg = camera.elevation - TURN_DEG * down
@@ -134,9 +132,8 @@ class Window:
             self._is_turned = True
 
     def _on_wheel(self, _: Any, __: float, notches: float) -> None:
-        if self.camera is not None:
-            self.camera.distance *= ZOOM_OF_NOTCH**notches
-            self._is_turned = True
+        self.camera.distance *= ZOOM_OF_NOTCH**notches
+        self._is_turned = True
 
     def _on_key(self, handle: Any, key: int, _: int, action: int, __: int) -> None:
         if key == self._glfw.KEY_ESCAPE and action == self._glfw.PRESS:

@@ -4,28 +4,24 @@ from __future__ import annotations
 
 import logging
 import os
-import time
 from collections.abc import Callable, Generator, Iterable, Sequence
 from contextlib import closing, suppress
 from dataclasses import replace
 from pathlib import Path
 
-from gauge_envs.backends import backend_for, engine_call, is_bundled, support_of
+from gauge_envs.backends import backend_for, engine_call, support_of
 from gauge_envs.envs.arguments import check_support
 from gauge_envs.errors import GaugeError, ParameterError, ResultFileError
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.files import os_errors
 from gauge_envs.runs.episodes import results_without_run
-from gauge_envs.runs.isolation import TIME_LIMIT_S, CrashError, Worker
+from gauge_envs.runs.isolation import TIME_LIMIT_S, CrashError, call_engine
 from gauge_envs.runs.pool import Limits, ProcessWorker, run_tasks
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Result
 from gauge_envs.runs.result_file import load_result, result_file_name, write_result
 
 Notify = Callable[[str], None]
-
-LEFTOVER_AGE_S = 3600.0
-"""Age from which a temporary file belongs to no run that goes on [s]."""
 
 CHECK_LIMIT_S = 120.0
 """Time limit of the check of a request in another process [s]."""
@@ -42,23 +38,27 @@ def check_requests(
         requests: The run, on one or several backends.
         isolate: As for `run_many`. An engine that crashes here fails each of its episodes later.
     """
-    by_backend: dict[str, list[tuple[RunRequest, Experiment]]] = {
+    runs: dict[str, list[tuple[RunRequest, Experiment]]] = {
         request.backend: [] for request in requests
     }
     refused = None
     for request in requests:
         try:
-            by_backend[request.backend].append((request, request.experiment()))
+            runs[request.backend].append((request, request.experiment()))
         except ParameterError as error:
             refused = error
-    if refused is not None and not any(by_backend.values()):
+    if refused is not None and not any(runs.values()):
         raise refused
-    for name, runs in by_backend.items():
-        if isolate or (isolate is None and not is_bundled(name)):
-            with Worker(CHECK_LIMIT_S) as worker, suppress(CrashError):
-                worker.call(_check_backend, name, runs)
-        else:
-            _check_backend(name, runs)
+    for name, of_engine in runs.items():
+        with suppress(CrashError):
+            call_engine(
+                name,
+                _check_backend,
+                name,
+                of_engine,
+                time_limit_s=CHECK_LIMIT_S,
+                isolate=isolate,
+            )
 
 
 def _check_backend(name: str, runs: Sequence[tuple[RunRequest, Experiment]]) -> None:
@@ -149,7 +149,7 @@ def _each(
 
 
 def check_writable(out: Path) -> None:
-    """Create a folder for results if it does not exist, and remove what killed runs left half-written in it."""
+    """Create a folder for results if it does not exist, and check that files can be written there."""
     probe = out / f".probe.{os.getpid()}.tmp"
     with os_errors(
         lambda cause: ResultFileError(
@@ -159,10 +159,6 @@ def check_writable(out: Path) -> None:
         out.mkdir(parents=True, exist_ok=True)
         probe.write_bytes(b"")
         probe.unlink()
-        for file in out.glob(".*.json.*.tmp"):
-            with suppress(OSError):
-                if time.time() - file.stat().st_mtime > LEFTOVER_AGE_S:
-                    file.unlink()
 
 
 SAME_EPISODE = (

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from gauge_envs.backends.registry import is_bundled, uninstalled_backend
@@ -78,22 +78,17 @@ def group_by_configuration(
     A result of an episode that did not run has no versions of the engine. It joins the first configuration that agrees
     in everything else.
     """
-    ordered = sorted(results, key=lambda result: result.error is not None)
     groups: list[tuple[RunConfiguration, list[Result]]] = []
-    for result in ordered:
+    for result in sorted(results, key=lambda result: result.error is not None):
         wanted = RunConfiguration.of(result)
-        found = next(
-            (
-                members
-                for one, members in groups
-                if _same(one, wanted, ran=result.error is None)
-            ),
-            None,
-        )
-        if found is None:
-            groups.append((wanted, [result]))
+        for one, members in groups:
+            if result.error is not None:
+                wanted = replace(wanted, engine_versions=one.engine_versions)
+            if one == wanted:
+                members.append(result)
+                break
         else:
-            found.append(result)
+            groups.append((RunConfiguration.of(result), [result]))
     return sorted(groups, key=lambda group: _order(group[0]))
 
 
@@ -111,16 +106,3 @@ def _order(one: RunConfiguration) -> tuple[str, bool, int, str]:
         changed,
         json.dumps((one.parameters, one.marker_proxy, *changes), sort_keys=True),
     )
-
-
-def _same(one: RunConfiguration, other: RunConfiguration, *, ran: bool) -> bool:
-    keys = (
-        "backend",
-        "parameters",
-        "settings_given",
-        "jitter",
-        "marker_proxy",
-        "asset",
-    )
-    alike = all(getattr(one, key) == getattr(other, key) for key in keys)
-    return alike and (not ran or one.engine_versions == other.engine_versions)

@@ -16,11 +16,10 @@ from gauge_envs.envs.rollout import Rollout
 from gauge_envs.errors import GaugeError, ParameterError, UnsupportedSceneError
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.files import json_ready, processor, versions
-from gauge_envs.references.imported import dataset_record
 from gauge_envs.references.kind import Kind
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result
-from gauge_envs.runs.result_file import asset_record
+from gauge_envs.runs.result_file import result_of
 from gauge_envs.scoring.score import Score
 
 _log = logging.getLogger(__name__)
@@ -199,28 +198,19 @@ def _without_run(
     band = arguments.band(experiment)
     kind = Kind.NONE if band is None else band.kind
     parameters = arguments.parameters
-    return Result(
-        id=experiment.id,
+    return result_of(
+        experiment,
         outcome=Outcome.FAILED,
         parameters=(
             parameters if isinstance(parameters, str) else json_ready(parameters)
         )
         or "calibrated",
         score=Score(kind=kind.value, unit=experiment.score.observable.unit),
-        task_sha256=experiment.file_sha256,
-        revision=experiment.revision,
         backend=arguments.backend,
         settings_given=json_ready(arguments.settings or {}),
         seed=seed,
         jitter=start,
         marker_proxy=arguments.proxy.value,
-        driver_provenance=experiment.driver_provenance,
-        dataset=dataset_record(
-            experiment.name,
-            drivers=experiment.drivers,
-            reference=experiment.reference_source,
-        ),
-        asset=asset_record(experiment),
         error="not run",
     )
 

@@ -19,6 +19,7 @@ from concurrent.futures import CancelledError, ThreadPoolExecutor
 from contextlib import suppress
 from typing import Any, ParamSpec, Self, TypeVar
 
+from gauge_envs.backends.registry import is_bundled
 from gauge_envs.errors import GaugeError, ParameterError
 
 TIME_LIMIT_S = 3600.0
@@ -175,6 +176,28 @@ class Worker:
         return f"the engine ended its process with exit code {returncode}"
 
 
+def call_engine(
+    backend: str,
+    function: Callable[..., Value],
+    *args: Any,
+    time_limit_s: float = TIME_LIMIT_S,
+    isolate: bool | None = None,
+) -> Value:
+    """Return what a function returns where an engine runs.
+
+    Args:
+        backend: Name of the engine.
+        function: The function.
+        *args: Its arguments.
+        time_limit_s: Time limit in another process [s].
+        isolate: Whether it runs in another process; None: for engines outside this package.
+    """
+    if not (not is_bundled(backend) if isolate is None else isolate):
+        return function(*args)
+    with Worker(time_limit_s) as worker:
+        return worker.call(function, *args)
+
+
 def _reply_of(process: subprocess.Popen[bytes], task: bytes) -> tuple[str | None, Any]:
     """Send a task to a process and return its error, or None, and its value."""
     assert process.stdin is not None and process.stdout is not None
@@ -214,7 +237,7 @@ def serve(time_limit_s: float, memory_limit_gb: float | None) -> None:
         memory_limit_gb: Limit of the memory for data [GB], or None.
     """
     tasks = os.fdopen(os.dup(0), "rb")
-    replies = os.fdopen(os.dup(1), "wb", closefd=False)
+    replies = os.fdopen(os.dup(1), "wb")
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     os.dup2(2, 1)
     sys.stdout = sys.stderr

@@ -74,30 +74,27 @@ class ProcessWorker:
 
     def run(self, request: RunRequest) -> list[Result]:
         """Return the results of a request; an episode that ends the process is `failed`, with the cause."""
+        limit_gb = self._limits.memory_limit_gb
         try:
             results = self._call(request.backend, run_request, request)
-        except GaugeError as error:
-            if request.repeats > 1:
-                # One of the repeats ended the process. Each runs on its own, so that only that one is lost.
-                return [
-                    result
-                    for seed in request.seeds
-                    for result in self.run(replace(request, seed=seed, repeats=1))
-                ]
-            results = results_without_run(request, Outcome.FAILED, str(error))
-        limit_gb = self._limits.memory_limit_gb
-        is_short = limit_gb is not None and any(
-            result.outcome is Outcome.FAILED for result in results
-        )
-        if is_short or self._limits.isolate:
             # What an engine keeps after a failure would count against the limit of the next episode.
+            is_lost = (
+                limit_gb is not None
+                and self._is_apart(request.backend)
+                and any(one.outcome is Outcome.FAILED for one in results)
+            )
+        except GaugeError as error:
+            results = results_without_run(request, Outcome.FAILED, str(error))
+            is_lost = True
+        if is_lost or self._limits.isolate:
             self._process.close()
-        if is_short and self._is_apart(request.backend):
+        if is_lost and request.repeats > 1:
+            # Each repeat runs on its own, so that only the one that ended the process is lost.
+            alone = [replace(request, seed=seed, repeats=1) for seed in request.seeds]
+            return [result for one in alone for result in self.run(one)]
+        if is_lost and limit_gb is not None:
             note = f" (memory limit: {limit_gb:g} GB)"
-            results = [
-                replace(result, error=result.error and result.error + note)
-                for result in results
-            ]
+            return [replace(one, error=f"{one.error}{note}") for one in results]
         return results
 
     def versions(self, backend: str) -> dict[str, str]:
@@ -167,6 +164,9 @@ def run_tasks(
         futures = deque(threads.submit(done, task) for task in tasks)
         while futures:
             yield futures.popleft().result()
+        # The ends of processes take time, and go on at once.
+        for worker in workers:
+            threads.submit(worker.close)
     except BaseException:
         threads.shutdown(wait=False, cancel_futures=True)
         for worker in workers:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.backends import backend_for, engine_call, is_bundled, versions_of
+from gauge_envs.backends import backend_for, engine_call, versions_of
 from gauge_envs.backends.shared.resampled import in_intervals
 from gauge_envs.envs.arguments import check_support
 from gauge_envs.envs.initial_states import Draw, InitialStates
@@ -18,7 +18,7 @@ from gauge_envs.envs.rollout import Rollout
 from gauge_envs.errors import GaugeError, chosen
 from gauge_envs.experiments.experiment import AssetKind
 from gauge_envs.observables.observer import MarkerProxy
-from gauge_envs.runs.isolation import Worker
+from gauge_envs.runs.isolation import call_engine
 from gauge_envs.runs.result import Result
 from gauge_envs.runs.result_file import recorded_experiment
 from gauge_envs.scene.jitter import Jitter
@@ -70,10 +70,7 @@ def replay(result: Result) -> Replay:
         raise ReplayError("the result is of a trajectory file: no engine ran it")
     if result.error is not None:
         raise ReplayError(f"the episode did not run: {result.error}")
-    if is_bundled(result.backend):
-        return _run_again(result, result.backend)
-    with Worker() as worker:
-        return worker.call(_run_again, result, result.backend)
+    return call_engine(result.backend, _run_again, result, result.backend)
 
 
 def _run_again(result: Result, backend: str) -> Replay:

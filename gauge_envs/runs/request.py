@@ -6,7 +6,7 @@ from gauge_envs.envs.arguments import EnvArguments
 from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import shots_of
-from gauge_envs.experiments.variants import find_subject
+from gauge_envs.experiments.variants import find_variant
 from gauge_envs.scene.jitter import Jitter, can_scatter
 
 
@@ -44,7 +44,7 @@ class RunRequest(EnvArguments):
                 f"jitter is {self.jitter!r}, expected None or a gauge_envs.Jitter"
             )
         if isinstance(self.variant, str):
-            object.__setattr__(self, "variant", find_subject(self.variant))
+            object.__setattr__(self, "variant", find_variant(self.variant))
 
     @property
     def seeds(self) -> range:

@@ -12,16 +12,21 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gauge_envs.experiments.experiment import AssetKind, Experiment
+from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.files import json_ready, versions
 from gauge_envs.references.user_data import BUNDLED_DATA
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.scoring.score import Score
 
-BULKY = ("scene", "experiment")
+BULKY = ("scene",)
 """Keys of `Result.asset` with long values, which are only needed to build the scene again."""
 
+MARKER_DECIMALS = 4
+"""Digits of a marker's position [mm] in a file: 0.1 um, a thousandth of the surest solution."""
+
+ROUNDING_S = 1e-6
+"""Time by which the sample of the last frame may be late [s]."""
 
 FRAME_TOLERANCE_S = 1e-4
 """Largest time between a frame and its sample [s]; the same as in scoring."""
@@ -50,7 +55,6 @@ else:
     Rows = list[list[float | None]]
 
 _NO_ROWS = np.empty((0, 0))
-_NO_ROWS.flags.writeable = False
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -80,35 +84,21 @@ class RecordedTrajectory:
 
     def __post_init__(self) -> None:
         width = len(self.coordinates)
-        for times, samples in (
-            ("times_s", "samples"),
-            ("later_times_s", "later_samples"),
-        ):
-            times_s = np.asarray(getattr(self, times), dtype=np.float64)
-            rows = _rows(getattr(self, samples), width)
-            if len(rows) != len(times_s):
-                raise ValueError(f"{len(times_s)} times but {len(rows)} samples")
-            object.__setattr__(self, times, times_s)
-            object.__setattr__(self, samples, rows)
+        for prefix in ("", "later_"):
+            times_s = np.array(getattr(self, f"{prefix}times_s"), dtype=np.float64)
+            samples = _rows(getattr(self, f"{prefix}samples"), width)
+            if len(samples) != len(times_s):
+                raise ValueError(f"{len(times_s)} times but {len(samples)} samples")
+            object.__setattr__(self, f"{prefix}times_s", times_s)
+            object.__setattr__(self, f"{prefix}samples", samples)
         object.__setattr__(self, "markers_mm", _rows(self.markers_mm))
 
     def __eq__(self, other: object) -> bool:
-        """Return whether all values are the same, also those that are not known."""
+        """Return whether all values are the same; NaN equals NaN."""
         if not isinstance(other, RecordedTrajectory):
             return NotImplemented
-        if (self.unit, self.coordinates) != (other.unit, other.coordinates):
-            return False
-        for name in (
-            "times_s",
-            "samples",
-            "later_times_s",
-            "later_samples",
-            "markers_mm",
-        ):
-            values, others = getattr(self, name), getattr(other, name)
-            if not np.array_equal(values, others, equal_nan=True):
-                return False
-        return True
+        mine, its = (json_ready(asdict(one)) for one in (self, other))
+        return bool(mine == its)
 
     @classmethod
     def of(
@@ -126,12 +116,11 @@ class RecordedTrajectory:
             samples: g(t) at those times in the unit of the observable, shape [sample_count, coordinate_count].
             markers_m: Markers at the frames [m], shape [frame_count, marker_count, 3]; None or empty without markers.
         """
-        has_markers = markers_m is not None and markers_m.size > 0
-        count = int(
-            np.searchsorted(
-                times_s, (experiment.frame_count - 1) / FRAME_RATE_HZ + 1e-6
-            )
-        )
+        duration_s = (experiment.frame_count - 1) / FRAME_RATE_HZ
+        count = int(np.searchsorted(times_s, duration_s + ROUNDING_S))
+        markers_mm = _NO_ROWS
+        if markers_m is not None and markers_m.size:
+            markers_mm = 1e3 * markers_m.reshape(len(markers_m), -1)
         return cls(
             unit=experiment.score.observable.unit,
             coordinates=list(experiment.coordinates),
@@ -139,7 +128,7 @@ class RecordedTrajectory:
             samples=samples[:count],
             later_times_s=times_s[count:],
             later_samples=samples[count:],
-            markers_mm=_rounded_mm(markers_m) if has_markers else _NO_ROWS,
+            markers_mm=np.round(markers_mm, MARKER_DECIMALS),
         )
 
     @cached_property
@@ -195,19 +184,9 @@ def recorded_frames(
         samples: Values at those times, shape [sample_count, coordinate_count].
     """
     frames = np.rint(times_s * FRAME_RATE_HZ).astype(np.int64)
-    hits = (np.abs(times_s - frames / FRAME_RATE_HZ) < FRAME_TOLERANCE_S) & np.isfinite(
-        samples
-    ).all(axis=1)
+    is_frame = np.abs(times_s - frames / FRAME_RATE_HZ) < FRAME_TOLERANCE_S
+    hits = is_frame & np.isfinite(samples).all(axis=1)
     return frames[hits], samples[hits]
-
-
-MARKER_DECIMALS = 4
-"""Digits of a marker's position [mm] in a file: 0.1 um, a thousandth of the surest solution."""
-
-
-def _rounded_mm(markers_m: FloatArray | None) -> FloatArray:
-    rows = 1e3 * np.asarray(markers_m)
-    return np.round(rows.reshape(len(rows), -1), MARKER_DECIMALS)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -220,7 +199,7 @@ class Result:
         backend: Name of the physics engine.
         parameters: Name of the parameter set, or the overrides.
         score: Distance to reality; a metric that does not apply is None.
-        task_sha256: Hash of the task file; for an experiment file, hash of it and of all files that it names.
+        task_sha256: Hash of the task file.
         revision: Revision of the experiment; results of different ones are not compared.
         frames: Number of recorded frames, the first included.
         diverged: Whether the simulation left the physical bounds of the scene.
@@ -242,8 +221,8 @@ class Result:
         dataset: Source of driven motion (`drivers`) and band (`reference`), `bundled` or `imported`. If one of them is
             imported, also `revision` of the dataset and `sha256` over the imported trials.
         asset: File that stated the scene: its name `file`, `kind`, `sha256`, whether it is `edited`, and its `changes`.
-            A scene that the package does not have is in `scene`, as text of a USD layer; the experiment of an
-            experiment file is in `experiment`. Empty if the task file stated the scene.
+            A scene that the package does not have is in `scene`, as text of a USD layer. Empty if the task file stated
+            the scene.
         created: Time of creation, ISO 8601, UTC.
         error: Why the episode was declined or failed; None otherwise.
         trajectory: Its trajectory; None if it did not run.
@@ -283,17 +262,6 @@ class Result:
         """Whether an asset stated the scene and differs from the calibrated scene."""
         return bool(self.asset.get("edited"))
 
-    @property
-    def is_another_scene(self) -> bool:
-        """Whether the scene is not the calibrated one, of which the laws and solved models of the package are."""
-        is_asset = self.is_edited and not self.has_experiment_file
-        return self.parameters != "calibrated" or is_asset or bool(self.jitter)
-
-    @property
-    def has_experiment_file(self) -> bool:
-        """Whether the experiment is that of a user's experiment file."""
-        return self.asset.get("kind") == AssetKind.EXPERIMENT
-
     def made_with_other_than(self, installed: Mapping[str, str]) -> str:
         """Return which package of the result has another version than the installed one; empty if none has."""
         for name, version in installed.items():
@@ -308,12 +276,10 @@ class Result:
             trajectory: Whether to include the trajectory and the long parts of the asset.
         """
         kept = self if trajectory else replace(self, trajectory=None)
-        values: dict[str, Any] = json_ready(asdict(kept)) | {
-            "score": json_ready(self.score.to_dict())
-        }
+        values: dict[str, Any] = json_ready(asdict(kept))
+        values["score"] = json_ready(self.score.to_dict())
         if not trajectory:
             del values["trajectory"]
-            values["asset"] = {
-                key: value for key, value in values["asset"].items() if key not in BULKY
-            }
+            for key in BULKY:
+                values["asset"].pop(key, None)
         return values

@@ -17,25 +17,23 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from gauge_envs.errors import GaugeError, ResultFileError, UnknownNameError, first_fault
 from gauge_envs.experiments.experiment import (
-    ASSET_NAME,
-    EXPERIMENT_NAME,
     Asset,
     AssetKind,
     Experiment,
-    driver_provenance,
 )
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.scene_source import RECORDED_SUFFIX
 from gauge_envs.experiments.task_files import task_spec
-from gauge_envs.experiments.variants import OWN_TASKS, find_variant
+from gauge_envs.experiments.variants import find_variant
 from gauge_envs.files import (
     json_document,
     os_errors,
     write_whole,
 )
 from gauge_envs.observables.observer import MarkerProxy
+from gauge_envs.references.imported import dataset_record
 from gauge_envs.references.kind import Kind
-from gauge_envs.references.user_data import BUNDLED_DATA, DataSource
+from gauge_envs.references.user_data import BUNDLED_DATA, OWN_TASKS, DataSource
 from gauge_envs.registry import scene_files
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.scoring.score import OLD_SCORE
@@ -93,6 +91,17 @@ def load_result(file: Path) -> Result:
     return parse_result(text, str(file))
 
 
+OLDER_DEFAULTS: dict[str, Any] = {
+    "revision": 1,
+    "jitter": {},
+    "marker_proxy": MarkerProxy.NODE.value,
+    "asset": {},
+    "cpu_s": None,
+    "processor": "",
+}
+"""Values of keys that files of older versions lack."""
+
+
 def parse_result(text: bytes, name: str) -> Result:
     """Return the result that the content of a result file states.
 
@@ -104,24 +113,17 @@ def parse_result(text: bytes, name: str) -> Result:
         content = json_document(text)
         if not isinstance(content, dict):
             raise ValueError(f"expected a JSON object, got a {type(content).__name__}")
-        # Files of older versions lack these keys; they have the defaults of that time.
-        content.setdefault("revision", 1)
-        content.setdefault("jitter", {})
-        content.setdefault("marker_proxy", MarkerProxy.NODE.value)
-        dataset = content.get("dataset") or {}
-        content["dataset"] = (
-            BUNDLED_DATA | dataset if isinstance(dataset, dict) else dataset
-        )
-        content.setdefault("asset", {})
+        content = OLDER_DEFAULTS | content
+        if isinstance(content.setdefault("dataset", {}), dict):
+            content["dataset"] = BUNDLED_DATA | content["dataset"]
         if isinstance(content.get("score"), dict) and "kind" not in content["score"]:
             raise ValueError(OLD_SCORE)
-        content.setdefault("cpu_s", None)
-        content.setdefault("processor", "")
-        missing = [key.name for key in fields(Result) if key.name not in content]
-        if missing:
-            raise ValueError(f"no {missing[0]!r}")
+        for key in fields(Result):
+            if key.name not in content:
+                raise ValueError(f"no {key.name!r}")
         result = _result_adapter().validate_python(content)
         _check(result)
+        _check_trajectory(result)
     except ValidationError as error:
         place, reason = first_fault(error)
         raise ResultFileError(
@@ -139,7 +141,7 @@ def _result_adapter() -> TypeAdapter[Result]:
 
 
 class _AssetRecord(BaseModel):
-    """The asset of a result; `scene` and `experiment` are checked when the scene is built again."""
+    """The asset of a result; `scene` is checked when it is built again."""
 
     model_config = ConfigDict(strict=True, extra="ignore")
 
@@ -154,32 +156,24 @@ def _check(result: Result) -> None:
     """Check what types alone do not state."""
     if result.asset:
         _AssetRecord.model_validate(result.asset)
-    if result.has_experiment_file:
-        if not re.fullmatch(f"GAUGE/{ASSET_NAME}-{EXPERIMENT_NAME}", result.id):
-            raise ValueError(
-                f"id is {result.id!r}, expected 'GAUGE/{ASSET_NAME}-' and a name of letters and digits"
-            )
-    else:
-        try:
-            find_variant(result.id)
-        except UnknownNameError as error:
-            raise ValueError(
-                f"{error}. If a task file of yours states it, set {OWN_TASKS} to that file or its folder"
-            ) from None
-    choices = {
-        "score.kind": (result.score.kind, Kind),
-        "marker_proxy": (result.marker_proxy, MarkerProxy),
-    }
-    choices |= {
-        f"dataset.{key}": (result.dataset[key], DataSource) for key in BUNDLED_DATA
-    }
-    for key, (value, known) in choices.items():
+    try:
+        find_variant(result.id)
+    except UnknownNameError as error:
+        raise ValueError(
+            f"{error}. If a task file of yours states it, set {OWN_TASKS} to that file or its folder"
+        ) from None
+    choices = [
+        ("score.kind", result.score.kind, Kind),
+        ("marker_proxy", result.marker_proxy, MarkerProxy),
+        *((f"dataset.{key}", result.dataset[key], DataSource) for key in BUNDLED_DATA),
+    ]
+    for key, value, known in choices:
         if value not in tuple(known):
             raise ValueError(f"{key} is {value!r}, expected one of {', '.join(known)}")
-    _check_trajectory(result)
 
 
 def _check_trajectory(result: Result) -> None:
+    """Check what the types of a trajectory alone do not state."""
     trajectory = result.trajectory
     if trajectory is None:
         raise ValueError("it has no trajectory")
@@ -198,24 +192,40 @@ def _check_trajectory(result: Result) -> None:
 # --- the scene of a result ---
 
 
-def asset_record(experiment: Experiment) -> dict[str, Any]:
+def result_of(experiment: Experiment, **values: Any) -> Result:
+    """Return a result that states its experiment.
+
+    Args:
+        experiment: The experiment.
+        **values: The other fields of the result.
+    """
+    return Result(
+        id=experiment.id,
+        task_sha256=experiment.file_sha256,
+        revision=experiment.revision,
+        driver_provenance=experiment.driver_provenance,
+        dataset=dataset_record(
+            experiment.name,
+            drivers=experiment.drivers,
+            reference=experiment.reference_source,
+        ),
+        asset=_asset_record(experiment),
+        **values,
+    )
+
+
+def _asset_record(experiment: Experiment) -> dict[str, Any]:
     """Return the record of an experiment's asset for its result; empty without an asset."""
     asset = experiment.asset
     if asset is None:
         return {}
     record = asset.to_dict()
     # The scene of a model file is that of the variant; only its engine could read the file back.
-    if asset.kind is AssetKind.EXPERIMENT or (
-        asset.kind is AssetKind.USD and asset.edited
-    ):
+    if asset.kind is AssetKind.USD and asset.edited:
         with TemporaryDirectory() as folder:
             path = Path(folder) / "scene.usda"
             scene_files(RECORDED_SUFFIX).write_scene(experiment.scene, path)
             record["scene"] = path.read_text(encoding="utf-8")
-    if asset.kind is AssetKind.EXPERIMENT:
-        record["experiment"] = scene_files(RECORDED_SUFFIX).experiment_record(
-            experiment
-        )
     return record
 
 
@@ -225,15 +235,11 @@ def recorded_experiment(result: Result) -> Experiment:
     If an engine's model file stated the scene, the scene is that of the variant.
     """
     record = result.asset
-    installed = (
-        1
-        if result.has_experiment_file
-        else task_spec(find_variant(result.id).family).revision
-    )
-    if result.revision != installed:
-        reason = f"has revision {result.revision}, and the installed package revision {installed}"
+    revision = task_spec(find_variant(result.id).family).revision
+    if result.revision != revision:
         raise ResultFileError(
-            f"{result.id}: it {reason}: use gauge-envs {result.versions.get('gauge-envs')} for it"
+            f"{result.id}: it has revision {result.revision}, and the installed package revision {revision}: "
+            f"use gauge-envs {result.versions.get('gauge-envs')} for it"
         )
     if not record or "scene" not in record:
         return load_experiment(
@@ -243,7 +249,6 @@ def recorded_experiment(result: Result) -> Experiment:
             reference=result.dataset["reference"],
         )
     files = scene_files(RECORDED_SUFFIX)
-
     try:
         with TemporaryDirectory() as folder:
             path = Path(folder) / "scene.usda"
@@ -256,10 +261,6 @@ def recorded_experiment(result: Result) -> Experiment:
             edited=record["edited"],
             changes=tuple(record["changes"]),
         )
-        if result.has_experiment_file:
-            return files.recorded_experiment_file(
-                record["experiment"], scene, asset=asset, file_sha256=result.task_sha256
-            )
     except (KeyError, TypeError, ValueError) as error:
         if isinstance(error, GaugeError):
             raise
@@ -267,6 +268,4 @@ def recorded_experiment(result: Result) -> Experiment:
             f"{result.id}: the asset in the result is damaged: {error}"
         ) from error
     experiment = load_experiment(result.id, reference=result.dataset["reference"])
-    return replace(
-        experiment, scene=scene, asset=asset, driver_provenance=driver_provenance(scene)
-    )
+    return replace(experiment, scene=scene, asset=asset)

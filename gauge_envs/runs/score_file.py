@@ -9,10 +9,9 @@ from gauge_envs.experiments.resolve import resolve_experiment, shots_of, with_tr
 from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.experiments.variants import find_variant
 from gauge_envs.files import json_ready
-from gauge_envs.references.imported import dataset_record
 from gauge_envs.references.user_data import DataSource
 from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result
-from gauge_envs.runs.result_file import asset_record, load_result, recorded_experiment
+from gauge_envs.runs.result_file import load_result, recorded_experiment, result_of
 from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.scoring.likely_mistakes import (
@@ -48,7 +47,7 @@ def score_file(
 
     Args:
         file: CSV, NPZ or JSON file.
-        variant: Name or id of the experiment, or an experiment file; None takes that of a JSON file.
+        variant: Name or id of the experiment, or a task file; None takes that of a JSON file.
         parameters: Parameters of the scene, for bands that follow from it; None takes those of the file, or
             `calibrated`.
         reference: `bundled` scores against the package's references, `imported` against the imported trials.
@@ -64,17 +63,17 @@ def score_file(
     index = frame_index(
         trajectory.times_s, experiment.frame_count, name=experiment.name
     )
-    fault = value_mistake(
+    mistake = value_mistake(
         experiment,
         trajectory.values[index],
         band=band,
         tolerance_mm=START_TOLERANCE_MM + _jitter_mm(origin),
     )
-    if fault is None and trajectory.markers_m is not None:
-        fault = marker_mistake(experiment, trajectory.markers_m)
-        fault = fault and f"markers_m: {fault}"
-    if fault is not None:
-        raise TrajectoryFileError(f"{file}: {fault}")
+    if mistake is None and trajectory.markers_m is not None:
+        mistake = marker_mistake(experiment, trajectory.markers_m)
+        mistake = mistake and f"markers_m: {mistake}"
+    if mistake is not None:
+        raise TrajectoryFileError(f"{file}: {mistake}")
     score = score_trajectory(
         experiment,
         band,
@@ -87,25 +86,16 @@ def score_file(
     if origin.parameters is None and parameters is None:
         # The simulator of the file may have used other constants than the exact solution.
         score = replace(score, exact=None)
-    result = Result(
-        id=experiment.id,
+    result = result_of(
+        experiment,
         outcome=Outcome.FINISHED,
         parameters=json_ready(experiment.overrides)
         if experiment.parameters == "custom"
         else experiment.parameters,
         score=score,
-        task_sha256=experiment.file_sha256,
-        revision=experiment.revision,
         frames=experiment.frame_count,
         sim_s=(experiment.frame_count - 1) / FRAME_RATE_HZ,
         jitter={} if experiment.trial is None else {"trial": experiment.trial},
-        driver_provenance=experiment.driver_provenance,
-        dataset=dataset_record(
-            experiment.name,
-            drivers=experiment.drivers,
-            reference=experiment.reference_source,
-        ),
-        asset=asset_record(experiment),
         trajectory=RecordedTrajectory.of(
             experiment,
             trajectory.times_s,
@@ -149,7 +139,7 @@ def _experiment_of_file(
     parameters: Parameters | None,
     reference: DataSource | str,
 ) -> Experiment:
-    """Return the experiment of a trajectory: that of the arguments, or that of the file."""
+    """Return the experiment of the arguments, or else of the file."""
     if origin.has_asset and variant is None and parameters is None:
         return recorded_experiment(load_result(file))
     name = variant or origin.id

@@ -5,9 +5,10 @@ from functools import lru_cache
 
 import numpy as np
 
+from gauge_envs.errors import ReferenceFileError
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import load_experiment, shots_of
-from gauge_envs.references.band import Band, load_band
+from gauge_envs.references.band import Band, band_file, load_band
 from gauge_envs.references.kind import Kind
 from gauge_envs.references.single_shot import single_shots
 from gauge_envs.references.user_data import DataSource
@@ -28,15 +29,25 @@ def reference_band(experiment: Experiment) -> Band | None:
     `reference_source` of the experiment selects the bundled reference or that of the imported trials. Rewards follow
     the same motion, also where `refusal` says that it cannot score the scene.
     """
-    if experiment.reference is not None:
-        return experiment.reference.band
     shots = shots_of(experiment)
     if shots is not None and experiment.trial is not None:
         return shots.band(experiment.trial, experiment.frame_count)
+    file = band_file(experiment.name, experiment.reference_source)
     band = load_band(experiment.name, experiment.reference_source)
-    if band is None or experiment.trial is None:
-        return band
-    return band.of_trial(experiment.trial)
+    if file is None or band is None:
+        return None
+    stated = (len(band.mean), band.projection.shape[1])
+    needed = (
+        experiment.spec.frame_count(experiment.variant),
+        len(experiment.coordinates),
+    )
+    if stated != needed:
+        raise ReferenceFileError(
+            file,
+            None,
+            f"it has frames and coordinates of g(t) {stated}, and {experiment.name} has {needed}",
+        )
+    return band if experiment.trial is None else band.of_trial(experiment.trial)
 
 
 def refusal(
@@ -52,7 +63,7 @@ def refusal(
         band: Its reference.
         is_moved: Whether the episode started elsewhere than the scene states.
     """
-    if band is None or experiment.reference is not None:
+    if band is None:
         return None
     if band.kind.is_solution and is_moved:
         return f"no score: the {band.kind} reference is of the calibrated start, and this start was scattered"
@@ -68,8 +79,7 @@ def refusal(
 
 def has_real_geometry(experiment: Experiment) -> bool:
     """Return whether gravity, shapes and places are those of the real scene, so that real events compare."""
-    is_own = experiment.reference is not None
-    return is_own or not _of_geometry(experiment, _changes(experiment))
+    return not _of_geometry(experiment, _changes(experiment))
 
 
 def _changes(experiment: Experiment) -> list[str]:

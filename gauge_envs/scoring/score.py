@@ -320,9 +320,13 @@ def score_trajectory(
 def normalizing_baselines(experiment: Experiment, band: Band) -> Mapping[str, Baseline]:
     """Return the published distances of real trials that normalize scores against a band, by metric; may be empty."""
     is_normalized = band.kind.is_real and band.normalized
-    if not is_normalized or experiment.impossible_scores:
+    if not is_normalized:
         return {}
-    return {metric: row for metric, row in experiment.baselines.items() if row.mean}
+    return {
+        metric: row
+        for metric, row in experiment.baselines.items()
+        if row.mean and not row.disputed
+    }
 
 
 def _distances(
@@ -481,8 +485,7 @@ def _events(
             real=None if row is None else row.mean,
             real_uncertainty=None if std is None else std / math.sqrt(PUBLISHED_TRIALS),
         )
-    recorded = () if experiment.reference else recorded_events(experiment.name)
-    for event in recorded:
+    for event in recorded_events(experiment.name):
         if markers_m is None and experiment.scene.markers is not None:
             continue
         motion = Motion(

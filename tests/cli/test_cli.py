@@ -94,9 +94,3 @@ def test_plots_without_matplotlib_name_the_extra(gauge, monkeypatch):
     result = gauge("plot")
     assert result.exit_code == 2
     assert "pip install 'gauge-envs[plot]'" in result.stderr
-
-
-def test_an_option_that_would_change_nothing_is_refused(gauge):
-    result = gauge("run", NAME, "--marker-proxy", "node")
-    assert result.exit_code == 2
-    assert "would change nothing: only rigid bodies are observed" in result.stderr

@@ -536,8 +536,3 @@ def test_commands_show_and_mark_an_edited_scene(slippery, gauge, tmp_path):
     assert run.exit_code == 0
     assert "calibrated, edited scene" in run.stdout
     assert "friction 0.273673 -> 0.1" in run.stdout
-
-
-def test_an_asset_alone_is_no_experiment():
-    with pytest.raises(ParameterError, match=r"asset='crate\.toml'"):
-        gymnasium.make("GAUGE/Asset")

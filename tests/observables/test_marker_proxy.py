@@ -8,7 +8,7 @@ import pytest
 
 from gauge_envs.envs.arguments import EnvArguments
 from gauge_envs.observables.observer import MarkerProxy
-from gauge_envs.pages.results import result_label
+from gauge_envs.pages.results import configuration_labels
 from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
@@ -53,4 +53,5 @@ def test_an_old_result_without_the_key_is_by_node(tmp_path):
     old = load_result(file)
     assert old == replace(result, marker_proxy="node")
     assert result_file_name(old) == "BouncingBall-rubber.mujoco.calibrated.node.json"
-    assert "markers by node" in result_label(old)
+    (label,) = configuration_labels([RunConfiguration.of(old)])
+    assert "markers by node" in label

@@ -1,23 +1,18 @@
 """Published baselines and bands: what is loaded is what was published."""
 
 from collections import Counter
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from gauge_envs.errors import ShapeError
-from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.files import data_folder
-from gauge_envs.observables.kinds import Observable, largest_distance
 from gauge_envs.references.band import Band
 from gauge_envs.references.kind import Kind
 from gauge_envs.references.published import (
-    Reference,
     published_baselines,
     published_variants,
 )
-from gauge_envs.scene import Markers, Scene
 
 
 def make_band(**changes):
@@ -176,67 +171,16 @@ def test_project_refuses_another_width(shape):
         make_band().project(np.zeros(shape))
 
 
-# --- published scores within their geometry ---------------------------------------------------------------------------
-
-
 def test_only_the_bendings_are_published_in_another_unit() -> None:
     """Ten turning angles differ by sqrt(10) pi = 9.93 rad at most; 16 of 18 published errors are larger."""
-    named = {
-        name: load_experiment(name).impossible_scores for name in published_variants()
+    disputed = {
+        name: [row.disputed for row in published_baselines(name).values()]
+        for name in published_variants()
     }
-    broken = {name for name, text in named.items() if text}
+    broken = {name for name, texts in disputed.items() if any(texts)}
     assert {name.split("-")[0] for name in broken} == {"TextileBending"}
     assert len(broken) == 6
-    assert all("9.93 rad" in named[name] for name in broken)
-
-
-@pytest.mark.parametrize(
-    "name",
-    [
-        "BouncingBall-rubber",
-        "TextileFlinging-satin",
-        "FoamShearing-soft",
-        "FoamTwisting-hard",
-        "NewtonsCradle-metal",
-        "Pendulum-metal",
-    ],
-)
-def test_a_published_score_of_a_smaller_unit_is_named(name: str) -> None:
-    """Thousandths of mm, rad, s, a ratio, or mm per side of an area break the bound; the values of the table do not."""
-    experiment = load_experiment(name)
-    factor = 1e6 if experiment.score.observable.unit == "mm^2" else 1e3
-    rows = {
-        metric: replace(row, mean=factor * row.mean)
-        for metric, row in experiment.baselines.items()
-    }
-    wrong = replace(experiment, reference=Reference(band=None, baselines=rows))
-    assert not experiment.impossible_scores
-    metric = next(iter(rows)).upper()
-    assert f"{metric} of " in wrong.impossible_scores
-
-
-def two_triangles(sides_m: tuple[float, float]) -> Scene:
-    """Return a scene without bodies, whose markers are the corners of a rectangle of two triangles."""
-    width, height = sides_m
-    corners = (
-        (0.0, 0.0, 0.0),
-        (width, 0.0, 0.0),
-        (width, height, 0.0),
-        (0.0, height, 0.0),
+    largest = np.sqrt(10.0) * np.pi
+    assert all(
+        f"{largest:.3g} rad" in text for name in broken for text in disputed[name]
     )
-    markers = Markers(
-        bodies=("sheet",), positions_m=corners, faces=((0, 1, 2), (0, 2, 3))
-    )
-    return Scene(bodies=(), markers=markers, duration_s=1.0, gravity_m_per_s2=0.0)
-
-
-def test_the_bounds_are_those_of_the_geometry() -> None:
-    """Without gravity, drivers or a start nothing moves: areas are at most half the product of two sides."""
-    scene = two_triangles((0.03, 0.04))
-    areas = largest_distance(Observable.FACE_AREA, scene, recorded=())
-    # Sides of 30, 40 and 50 mm: 600 mm^2 for each of two faces.
-    assert areas == pytest.approx(600.0 * np.sqrt(2.0))
-    deficits = largest_distance(Observable.CURVATURE, scene, recorded=())
-    # Two corners have one face and two have both.
-    assert deficits == pytest.approx(np.pi * np.sqrt(1 + 4 + 4 + 1))
-    assert largest_distance(Observable.MARKER_POSITION, scene, recorded=()) == 0.0

@@ -69,53 +69,31 @@ def test_a_process_that_waits_for_a_call_ends_itself_unless_that_takes_long(
     assert time.monotonic() - start_s < 30.0
 
 
-def test_engines_that_die_cost_one_episode_each(installed):
-    installed("crash", "hard-exit", "exit")
-    causes = {
-        "crash": "the engine's process died with signal 11 (segmentation fault)",
-        "hard-exit": "ended its process with exit code 6",
-        "exit": "SystemExit: 5",
-    }
-    requests = [
-        RunRequest(WOOD, backend="crash"),
-        *(RunRequest(PLASTIC, backend=name) for name in causes),
-    ]
-    first, *died, last = run_many(
-        [*requests, RunRequest(METAL, backend="crash")], isolate=None
-    )
-    assert [first.outcome.value, last.outcome.value] == ["finished"] * 2
-    for result, cause in zip(died, causes.values(), strict=True):
-        assert result.outcome.value == "failed" and cause in str(result.error)
-
-
-def test_an_engine_that_hangs_costs_its_episode(installed):
-    installed("hang")
-    (hung,) = run_many(
-        [RunRequest(PLASTIC, backend="hang")], isolate=None, time_limit_s=3.0
-    )
-    assert (
-        hung.outcome.value == "failed"
-        and "did not finish within the time limit of 3 s" in str(hung.error)
-    )
+CAUSES = {
+    "crash": "the engine's process died with signal 11 (segmentation fault)",
+    "hard-exit": "the engine ended its process with exit code 6",
+    "exit": "SystemExit: 5",
+    "hang": "did not finish within the time limit of 8 s and was stopped",
+    "greedy": "MemoryError:  (memory limit: 0.8 GB)",
+}
+"""Causes by the engines that fail in the episode of one scene."""
 
 
 @pytest.mark.parametrize(
-    ("name", "limits", "cause"),
-    [
-        ("crash", {"isolate": True}, "signal 11 (segmentation fault)"),
-        (
-            "greedy",
-            {"isolate": None, "time_limit_s": 30.0, "memory_limit_gb": 0.8},
-            "MemoryError:  (memory limit: 0.8 GB)",
-        ),
-    ],
+    "how", [{"isolate": None}, {"isolate": True, "jobs": 2}], ids=str
 )
-def test_a_run_goes_on_after_an_engine_that_ended(name, limits, cause, installed):
-    installed(name)
-    requests = [RunRequest(variant, backend=name) for variant in (PLASTIC, METAL)]
-    results = list(run_many(requests, **limits))
-    assert [result.outcome.value for result in results] == ["failed", "finished"]
-    assert cause in str(results[0].error)
+def test_a_crash_a_time_limit_and_a_memory_limit_cost_one_episode_each(how, installed):
+    installed(*CAUSES)
+    requests = [
+        RunRequest(name, backend=engine)
+        for engine in CAUSES
+        for name in (PLASTIC, METAL)
+    ]
+    results = list(run_many(requests, time_limit_s=8.0, memory_limit_gb=0.8, **how))
+    assert [one.backend for one in results] == [one.backend for one in requests]
+    assert {one.outcome.value for one in results[1::2]} == {"finished"}
+    for result, cause in zip(results[::2], CAUSES.values(), strict=True):
+        assert result.outcome.value == "failed" and cause in str(result.error)
 
 
 def test_a_setting_that_json_does_not_have_costs_its_episode(installed, tmp_path):
@@ -168,7 +146,7 @@ def test_one_process_asks_broken_engines_too(installed, monkeypatch):
         "supports-exit": "SystemExit: 4",
     }
     installed("well", *causes)
-    monkeypatch.setattr(listing, "is_bundled", lambda name: True)
+    monkeypatch.setattr(isolation, "is_bundled", lambda name: True)
     notes = []
     backends = list_rows([find_variant(WOOD)], notify=notes.append)[0]["backends"]
     assert backends["mujoco"] == backends["well"] == []

@@ -1,19 +1,21 @@
-"""`gauge run`, killed at random moments and resumed: no result is lost, doubled or half-written."""
+"""`gauge run`, killed at random moments and resumed, or ended by Ctrl-C: no result is lost, doubled or half-written."""
 
 import json
 import multiprocessing
 import os
 import random
 import signal
+import subprocess
+import sys
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
+from places import ROOT
+from sweep_workers import children
 
 from gauge_envs.cli.app import app
-from gauge_envs.runs import batch
-from gauge_envs.runs.batch import run_many
-from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result_file import load_result
 
 KILL_COUNT = 100
@@ -83,19 +85,25 @@ def test_kills_at_random_moments_lose_double_and_cut_nothing(tmp_path):
     assert partial > KILL_COUNT // 10
 
 
-def test_files_that_a_killed_run_left_are_removed_later(tmp_path):
-    old, new, other = (
-        tmp_path / name
-        for name in (
-            ".a.json.0123456789abcdef.tmp",
-            ".b.json.0123456789abcdef.tmp",
-            "c",
-        )
-    )
-    for file in (old, new, other):
-        file.write_text("{")
-    for file in (old, other):
-        long_ago = time.time() - 2.0 * batch.LEFTOVER_AGE_S
-        os.utime(file, (long_ago, long_ago))
-    run_many([RunRequest("SlopeSlider-2-wood")], out=tmp_path)
-    assert sorted(tmp_path.iterdir()) == sorted([new, other])
+@pytest.mark.skipif(sys.platform != "linux", reason="it finds workers in /proc")
+def test_ctrl_c_ends_several_jobs_at_once_and_leaves_no_process(tmp_path):
+    command = "from gauge_command import main; main()"
+    words = ("run", "*", "--jobs=2", "--repeats=20", "--out", str(tmp_path))
+    with subprocess.Popen(
+        [sys.executable, "-c", command, *words],
+        cwd=ROOT,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    ) as run:
+        while not (workers := children(run.pid)) and run.poll() is None:
+            time.sleep(0.05)
+        time.sleep(1.0)
+        start_s = time.monotonic()
+        os.killpg(run.pid, signal.SIGINT)
+        _, errors = run.communicate()
+    assert workers
+    assert time.monotonic() - start_s < 10.0, "a busy machine takes a second"
+    assert run.returncode == 130
+    assert "--resume continues from there" in errors and "Traceback" not in errors
+    assert not [pid for pid in workers if Path(f"/proc/{pid}").exists()]

@@ -2,10 +2,8 @@
 
 from dataclasses import replace
 
-import gymnasium
 import pytest
 from episodes import run_to_end
-from places import ROOT
 
 from gauge_envs import GaugeEnv, Jitter, ScoreEpisode, find_variant
 from gauge_envs.errors import ParameterError, UnknownNameError
@@ -14,7 +12,6 @@ from gauge_envs.runs.episodes import episode_result, run_episode
 from gauge_envs.runs.request import RunRequest
 
 NAME = "SlopeSlider-2-wood"
-CRATE = ROOT / "examples" / "usd_experiment" / "crate.toml"
 
 
 def test_name_id_and_variant_are_the_same_request():
@@ -78,12 +75,4 @@ def test_a_run_is_the_episode_of_the_environment_with_its_arguments(name):
         "cpu_s",
         "created",
     }
-    env.close()
-
-
-def test_an_experiment_file_runs_as_the_asset_id():
-    request = RunRequest(str(CRATE))
-    assert request.variant == str(CRATE)
-    env = gymnasium.make("GAUGE/Asset", asset=CRATE)
-    assert env.unwrapped.experiment.id == request.experiment().id == "GAUGE/Asset-crate"
     env.close()

@@ -123,17 +123,6 @@ def test_a_result_whose_scene_cannot_be_built_is_skipped(content, tmp_path):
         assert list((tmp_path / kind).glob("*.png"))
 
 
-def test_the_id_of_an_experiment_file_leads_to_no_other_folder(content, tmp_path):
-    stranger = content | {
-        "asset": asset(kind="experiment", edited=False),
-        "id": "GAUGE/Asset-../../escaped",
-    }
-    file = tmp_path / "a.json"
-    file.write_text(json.dumps(stranger))
-    with pytest.raises(ResultFileError, match="a name of letters and digits"):
-        load_result(file)
-
-
 @pytest.fixture
 def hostile(content, tmp_path):
     """A folder with a result whose texts try to leave their place."""

@@ -6,7 +6,7 @@ from pathlib import Path
 from pxr import Usd
 
 from gauge_envs.errors import ResultFileError
-from gauge_envs.experiments.experiment import TaskExperiment
+from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.task_files import task_sha256
 from gauge_envs.experiments.variants import task_path
 from gauge_envs.files import os_errors
@@ -20,14 +20,14 @@ SOURCE = (
 )
 
 
-def usd_layer_text(experiment: TaskExperiment) -> str:
+def usd_layer_text(experiment: Experiment) -> str:
     """Return the scene of a variant as the text of a `.usda` layer; equal scenes give equal texts."""
     stage = experiment_stage(experiment)
     return stage.GetRootLayer().ExportToString()
 
 
 def experiment_stage(
-    experiment: TaskExperiment, *, samples_per_frame: int = 1, later_frames: int = 0
+    experiment: Experiment, *, samples_per_frame: int = 1, later_frames: int = 0
 ) -> Usd.Stage:
     """Return the scene of a variant as a stage in memory, with the variant, its parameters and its source.
 
@@ -56,7 +56,7 @@ def experiment_stage(
     return stage
 
 
-def write_mjcf(experiment: TaskExperiment, path: Path) -> None:
+def write_mjcf(experiment: Experiment, path: Path) -> None:
     """Write the MuJoCo model of a variant as a self-contained file in full precision.
 
     Custom numbers `driver/<body>` hold the motion of driven bodies, `grip/<body>` the nodes that move with them.
@@ -72,7 +72,7 @@ def write_mjcf(experiment: TaskExperiment, path: Path) -> None:
         path.write_text(text, encoding="utf-8", newline="\n")
 
 
-def mjcf_text(experiment: TaskExperiment) -> str:
+def mjcf_text(experiment: Experiment) -> str:
     """Return the text that `write_mjcf` writes."""
     notes = [
         f"{experiment.spec.title}: {experiment.id}, parameters: {experiment.parameters}.",

@@ -16,7 +16,7 @@ from pxr import Gf, Sdf, Usd, UsdPhysics, UsdShade, Vt
 
 from gauge_envs.backends.shared.pair_values import Combination, body_values, pair_values
 from gauge_envs.errors import ParameterError, ResultFileError
-from gauge_envs.experiments.experiment import TaskExperiment
+from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.files import os_errors
 from gauge_envs.observables.observer import material_points
 from gauge_envs.scene import (
@@ -63,7 +63,7 @@ def unsupported_reason(scene: Scene) -> str | None:
     return None
 
 
-def write_isaac_sim_layer(experiment: TaskExperiment, path: Path) -> None:
+def write_isaac_sim_layer(experiment: Experiment, path: Path) -> None:
     """Write a variant as a self-contained layer for Isaac Sim.
 
     Args:
@@ -78,7 +78,7 @@ def write_isaac_sim_layer(experiment: TaskExperiment, path: Path) -> None:
     export_stage(stage, path)
 
 
-def isaac_sim_stage(experiment: TaskExperiment) -> Usd.Stage:
+def isaac_sim_stage(experiment: Experiment) -> Usd.Stage:
     """Return a variant as a stage for Isaac Sim, in memory."""
     scene = experiment.scene
     if (reason := unsupported_reason(scene)) is not None:

@@ -11,7 +11,7 @@ from typing import Any
 from pydantic import Field
 
 from gauge_envs.envs.reward import is_reward_bounded, reward_text
-from gauge_envs.experiments.experiment import Experiment, TaskExperiment
+from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.task_format import Substituted
 from gauge_envs.files import data_folder, json_ready
@@ -65,11 +65,7 @@ def description(experiment: Experiment) -> dict[str, Any]:
         {
             "id": experiment.id,
             "title": experiment.title,
-            **(
-                _of_task(experiment)
-                if isinstance(experiment, TaskExperiment)
-                else _of_file(experiment)
-            ),
+            **_of_task(experiment),
             "asset": None if experiment.asset is None else experiment.asset.to_dict(),
             "frames": experiment.frame_count,
             "duration_s": scene.duration_s,
@@ -120,7 +116,7 @@ def _engines(experiment: Experiment) -> list[dict[str, Any]]:
     ]
 
 
-def _of_task(experiment: TaskExperiment) -> dict[str, Any]:
+def _of_task(experiment: Experiment) -> dict[str, Any]:
     """Return what a task file states beside the scene."""
     spec, variant = experiment.spec, experiment.variant
     return {
@@ -152,7 +148,7 @@ def _of_task(experiment: TaskExperiment) -> dict[str, Any]:
     }
 
 
-def _has(experiment: TaskExperiment, name: str) -> bool:
+def _has(experiment: Experiment, name: str) -> bool:
     """Return whether the scene has a body of a name of the task file, or several numbered ones."""
     scene = experiment.scene
     return any(
@@ -161,7 +157,7 @@ def _has(experiment: TaskExperiment, name: str) -> bool:
     )
 
 
-def _constants(experiment: TaskExperiment, name: str) -> dict[str, dict[str, Any]]:
+def _constants(experiment: Experiment, name: str) -> dict[str, dict[str, Any]]:
     """Return value and source of each constant of a body."""
     spec, variant = experiment.spec, experiment.variant
     tables = spec.constants[name]
@@ -178,29 +174,12 @@ def _constants(experiment: TaskExperiment, name: str) -> dict[str, dict[str, Any
     return described
 
 
-def _of_file(experiment: Any) -> dict[str, Any]:
-    """Return what an experiment file states beside the scene."""
-    definition = experiment.definition
-    return {
-        "summary": definition.summary,
-        "group": None,
-        "evaluates": definition.evaluates,
-        "source": {"usd": definition.usd},
-        "constants": {},
-        "parameter_sets": {},
-        "subtask": None,
-        "provenance": definition.provenance,
-        "decisions": [],
-    }
-
-
 def _reference(experiment: Experiment) -> dict[str, Any]:
     """Return what an experiment is scored against."""
-    own, source = experiment.reference, experiment.reference_source
+    source = experiment.reference_source
     band = reference_band(experiment)
-    file = None if own is not None else band_file(experiment.name, source)
+    file = band_file(experiment.name, source)
     stated = None if file is None else stated_of(file)
-    events = () if own is not None else recorded_events(experiment.name, source)
     return {
         "kind": kind_of(experiment).value,
         "unit": band and band.compared.unit,
@@ -213,10 +192,16 @@ def _reference(experiment: Experiment) -> dict[str, Any]:
         "zero_motion_distance": band and band.zero_motion_distance,
         "exact": {} if band is None else dict(band.exact),
         "exact_source": stated and stated.exact_source,
-        "events": [one.model_dump() for one in events],
+        "events": [
+            one.model_dump() for one in recorded_events(experiment.name, source)
+        ],
         "sees": seen_changes(experiment.name),
         "imported": source is DataSource.IMPORTED,
-        "impossible": experiment.impossible_scores,
+        "impossible": "; ".join(
+            dict.fromkeys(
+                row.disputed for row in experiment.baselines.values() if row.disputed
+            )
+        ),
         "reward": reward_text(band, is_bounded=is_reward_bounded(experiment)),
     }
 
@@ -259,13 +244,8 @@ def _body(body: RigidBody | Deformable, experiment: Experiment) -> dict[str, Any
 def _driver(experiment: Experiment, index: int) -> dict[str, Any]:
     driver = experiment.scene.drivers[index]
     note, imported = "as the asset states it", None
-    if isinstance(experiment, TaskExperiment) and experiment.asset is None:
-        variant, spec = experiment.variant, experiment.spec
-        subtask = spec.subtasks[variant.subtask] if variant.subtask else None
-        stated = spec.drivers
-        if subtask is not None and subtask.drivers is not None:
-            stated = subtask.drivers
-        note = stated[index].note
+    if experiment.asset is None:
+        note = experiment.spec.drivers_of(experiment.variant)[index].note
         if experiment.drivers is DataSource.IMPORTED:
             imported = load_imported(experiment.name)
     records = [] if imported is None else imported.facts.drivers

@@ -98,7 +98,7 @@ class ShowLine(TypedDict):
         id: Gymnasium id.
         title: Title.
         summary: What happens, in a sentence.
-        group: Kind of bodies; null for an experiment file.
+        group: Kind of bodies; as `rigid`.
         evaluates: What is evaluated.
         source: Where the experiment is described.
         constants: `value` and `source` of each constant of each body.

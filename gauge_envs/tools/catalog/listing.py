@@ -7,12 +7,12 @@ from gauge_envs.backends import backend, backend_names, is_bundled, support_of
 from gauge_envs.backends.base import with_declared
 from gauge_envs.backends.registry import uninstalled_backend
 from gauge_envs.errors import GaugeError, MissingExtraError
-from gauge_envs.experiments.experiment import Experiment, TaskExperiment
+from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import Variant
 from gauge_envs.references.kind import Kind
 from gauge_envs.references.user_data import has_import
-from gauge_envs.runs.isolation import Worker
+from gauge_envs.runs.isolation import call_engine
 from gauge_envs.scoring.reference import reference_kind
 
 QUERY_LIMIT_S = 60.0
@@ -43,7 +43,7 @@ def list_rows(
     ]
 
 
-def facts_of(experiment: TaskExperiment) -> dict[str, Any]:
+def facts_of(experiment: Experiment) -> dict[str, Any]:
     """Return what a row says of an experiment in any installation."""
     return {
         "id": experiment.variant.id,
@@ -57,10 +57,7 @@ def facts_of(experiment: TaskExperiment) -> dict[str, Any]:
 
 def kind_of(experiment: Experiment) -> Kind:
     """Return the kind of the reference of an experiment."""
-    if experiment.reference is None:
-        return reference_kind(experiment.name, experiment.reference_source)
-    band = experiment.reference.band
-    return Kind.NONE if band is None else band.kind
+    return reference_kind(experiment.name, experiment.reference_source)
 
 
 def engine_rows(experiment: Experiment) -> list[dict[str, Any]]:
@@ -113,11 +110,9 @@ def lacking_features(
         notify: Receives a sentence if the backend does not work.
     """
     try:
-        if is_bundled(name):
-            lacks, fault = _lacks(name, experiments)
-        else:
-            with Worker(QUERY_LIMIT_S) as worker:
-                lacks, fault = worker.call(_lacks, name, experiments)
+        lacks, fault = call_engine(
+            name, _lacks, name, experiments, time_limit_s=QUERY_LIMIT_S
+        )
     except GaugeError as error:
         fault = f"backend {name!r}: {error}"
         lacks = [[fault]] * len(experiments)

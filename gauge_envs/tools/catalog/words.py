@@ -5,7 +5,6 @@ from functools import partial
 from typing import Any
 
 from gauge_envs.envs.arguments import EnvArguments
-from gauge_envs.experiments.experiment import AssetKind
 from gauge_envs.pages.document import Bullets, Document, Heading, Paragraph, Part, Tone
 from gauge_envs.pages.results import convergence_text
 from gauge_envs.pages.table import Column, Facts, Table
@@ -97,12 +96,11 @@ def experiment_document(values: Mapping[str, Any], *, detailed: bool) -> Documen
         *_engines(values),
         _published(values),
         *([Bullets(limits, "Known limits")] if limits else []),
-        *([Heading("Constants")] if values["constants"] else []),
+        Heading("Constants"),
         Facts(_constants(values["constants"])),
         *_drivers(values),
     )
-    # The constants of an experiment file are those of its scene.
-    if detailed or not values["constants"]:
+    if detailed:
         return Document(parts=(*short, *_details(values)), rows=[values])
     more = Paragraph("Scene, decisions and all sources: --format wide", Tone.NOTE)
     return Document(parts=(*short, more), rows=[values])
@@ -126,8 +124,7 @@ def _facts(values: Mapping[str, Any]) -> dict[str, str]:
     }
     if asset is not None:
         facts["asset"] = f"{asset['file']}, sha256 {asset['sha256'][:8]}"
-        if asset["kind"] != AssetKind.EXPERIMENT:
-            facts["edited"] = "; ".join(asset["changes"]) or "no: the calibrated scene"
+        facts["edited"] = "; ".join(asset["changes"]) or "no: the calibrated scene"
     return {name: text for name, text in facts.items() if text}
 
 

@@ -438,18 +438,12 @@ def _mismatches(results: Sequence[Result]) -> list[str]:
     stale = dict.fromkeys(
         short_id(one.id)
         for one in results
-        if not one.has_experiment_file
-        and one.task_sha256 != task_sha256(find_variant(one.id).family)
+        if one.task_sha256 != task_sha256(find_variant(one.id).family)
     )
     if stale:
         notes.append(
             f"made from another task file than the installed one: {', '.join(stale)}"
         )
-    for name, same in by_id.items():
-        if len({one.task_sha256 for one in same if one.has_experiment_file}) > 1:
-            notes.append(
-                f"{short_id(name)}: made from different versions of its experiment file"
-            )
     made_with = sorted(
         {one.versions.get("gauge-envs", "an unknown version") for one in results}
     )

@@ -6,14 +6,14 @@ from datetime import datetime
 from functools import partial
 from typing import Any
 
-from gauge_envs.backends import backend_names, is_bundled, versions_of
+from gauge_envs.backends import backend_names, versions_of
 from gauge_envs.errors import GaugeError
 from gauge_envs.files import versions
 from gauge_envs.pages.document import Bullets, Document, Heading, Paragraph, Part, page
-from gauge_envs.pages.html import Html, below, code, element, folded, join, listed
+from gauge_envs.pages.html import Html, below, element, folded, join, listed
 from gauge_envs.pages.table import Column, Place, Table
 from gauge_envs.pages.text import Markdown, markdown_text, pairs_text, with_unit
-from gauge_envs.runs.isolation import Worker
+from gauge_envs.runs.isolation import call_engine
 from gauge_envs.tools.conformance.matrix import Change, MatrixColumn
 from gauge_envs.tools.conformance.model import Check, CheckResult, Status
 
@@ -69,7 +69,8 @@ def backends_table() -> Table:
     rows: list[dict[str, Any]] = []
     for name in backend_names():
         try:
-            rows.append({"name": name, "versions": _versions(name), "error": None})
+            found = call_engine(name, versions_of, name, time_limit_s=QUERY_LIMIT_S)
+            rows.append({"name": name, "versions": found, "error": None})
         except GaugeError as error:
             rows.append({"name": name, "versions": {}, "error": str(error)})
     engine = Column(
@@ -78,13 +79,6 @@ def backends_table() -> Table:
         lambda row: row["error"] or pairs_text(row["versions"]).replace(" = ", " "),
     )
     return Table(columns=(Column("name", "backend"), engine), rows=rows)
-
-
-def _versions(name: str) -> Mapping[str, str]:
-    if is_bundled(name):
-        return versions_of(name)
-    with Worker(QUERY_LIMIT_S) as worker:
-        return worker.call(versions_of, name)
 
 
 def checks_table(checks: Sequence[Check]) -> Table:
@@ -573,7 +567,7 @@ def _section(check: Check, columns: Sequence[MatrixColumn]) -> Html:
         )
 
     def command(row: tuple[MatrixColumn, CheckResult | None]) -> Html | str:
-        return "" if row[1] is None else code(row[0].command(check.id))
+        return "" if row[1] is None else element("code", row[0].command(check.id))
 
     def note(row: tuple[MatrixColumn, CheckResult | None]) -> str:
         column, one = row

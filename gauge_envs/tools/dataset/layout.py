@@ -25,7 +25,7 @@ from functools import cache
 from pathlib import Path
 
 from gauge_envs.errors import DatasetError
-from gauge_envs.experiments.task_files import task_file_faults, task_spec
+from gauge_envs.experiments.task_files import task_spec
 from gauge_envs.experiments.task_format import Group, TaskSpec
 from gauge_envs.experiments.variants import Variant, matching_variants, variants
 from gauge_envs.files import json_document, printable
@@ -251,10 +251,7 @@ def _variant(spec: TaskSpec, folders: Sequence[str]) -> Variant | tuple[str, str
 def _families() -> dict[str, str]:
     """Return the family of each task folder, by the folder's letters and digits in lower case."""
     families = {}
-    wrong = task_file_faults()
-    for family in dict.fromkeys(
-        variant.family for variant in variants() if variant.family not in wrong
-    ):
+    for family in dict.fromkeys(variant.family for variant in variants()):
         metadata = task_spec(family).source.metadata
         name = metadata.partition(".json")[0].rpartition("/")[2]
         families[_plain(name)] = family

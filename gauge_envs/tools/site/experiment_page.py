@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 
 from gauge_envs.errors import GaugeError
-from gauge_envs.experiments.experiment import Experiment, TaskExperiment
+from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.pages.document import Heading, Paragraph, Part, Tone
 from gauge_envs.pages.html import Html, element, join, listed
 from gauge_envs.pages.results import (
@@ -102,7 +102,7 @@ def _experiment(results: Results) -> Experiment | None:
 def _head(
     one: ExperimentComparison, experiment: Experiment | None, band: Band | None
 ) -> Iterator[Part]:
-    if isinstance(experiment, TaskExperiment):
+    if experiment is not None:
         yield element("p", experiment.spec.summary, class_="lead")
         yield element(
             "p", element("b", "Tests: "), ", ".join(experiment.spec.evaluates), "."

@@ -9,7 +9,6 @@ from functools import cached_property
 from pathlib import Path
 
 from gauge_envs.errors import GaugeError
-from gauge_envs.experiments.experiment import TaskExperiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.pages.document import Heading, Paragraph, Part, Tone, page
 from gauge_envs.pages.html import Html, below, element, join, slug
@@ -187,12 +186,10 @@ class Site:
 
     @staticmethod
     def family(one: ExperimentComparison) -> tuple[str, str]:
-        """Return the phenomenon of an experiment and what it tests; the name alone for an experiment file."""
+        """Return the phenomenon of an experiment and what it tests; the name alone for one that is not installed."""
         try:
             experiment = load_experiment(one.name)
         except GaugeError:
-            return one.name, ""
-        if not isinstance(experiment, TaskExperiment):
             return one.name, ""
         return experiment.spec.title, ", ".join(experiment.spec.evaluates)
 

@@ -9,10 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from gauge_envs.backends import is_bundled
-from gauge_envs.experiments.experiment import AssetKind
 from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.pages.document import Heading, Paragraph, Part, Tone
-from gauge_envs.pages.html import below, code, element, folded, join
+from gauge_envs.pages.html import below, element, folded, join
 from gauge_envs.pages.table import grid
 from gauge_envs.pages.text import short_id
 from gauge_envs.references.user_data import DataSource
@@ -30,11 +29,7 @@ def run_command(results: Sequence[Result]) -> str | None:
     first = results[0]
     if first.backend is None:
         return None
-    kind = first.asset.get("kind")
-    subject = (
-        first.asset["file"] if kind == AssetKind.EXPERIMENT else short_id(first.id)
-    )
-    words = ["gauge", "run", subject, "--backend", first.backend]
+    words = ["gauge", "run", short_id(first.id), "--backend", first.backend]
     if isinstance(first.parameters, str):
         words += (
             []
@@ -54,7 +49,7 @@ def run_command(results: Sequence[Result]) -> str | None:
     ]
     if used:
         words += ["--use", ",".join(used)]
-    if first.asset and kind != AssetKind.EXPERIMENT:
+    if first.asset:
         words += ["--asset", first.asset["file"]]
     return shlex.join([*words, *_start_words(results)])
 
@@ -109,7 +104,7 @@ def run_commands(site: Site, one: ExperimentComparison) -> list[Part]:
             element(
                 "div",
                 element("p", site.swatch(index), site.labels[index]),
-                element("pre", code(command)),
+                element("pre", element("code", command)),
             ),
             Paragraph(f"Versions: {versions}.", Tone.NOTE),
             folded("settings in force", element("pre", element("code", settings))),
@@ -136,7 +131,7 @@ def reproduce_page(site: Site, command: str) -> str:
                     (
                         site.experiment_link(one, result.task_sha256[:16]),
                         site.links[index],
-                        code(run_command([result]) or "trajectory file"),
+                        element("code", run_command([result]) or "trajectory file"),
                         "-"
                         if file is None
                         else join([file.name, below(_digest(file)[:16])]),
@@ -152,12 +147,12 @@ def reproduce_page(site: Site, command: str) -> str:
         f"pip install 'gauge-envs[{extras}]'" if extras else "pip install gauge-envs"
     )
     steps = (
-        join([code(install), " with the versions that each page states."]),
+        join([element("code", install), " with the versions that each page states."]),
         "Run the command of a row. The file it writes into results/ has the same numbers, bit for bit, with the "
         "same versions on the same kind of processor. Wall times differ.",
         join(
             [
-                code("gauge compare results/"),
+                element("code", "gauge compare results/"),
                 " prints the scores, intervals and ranks of these pages.",
             ]
         ),
@@ -168,7 +163,7 @@ def reproduce_page(site: Site, command: str) -> str:
         ),
         element("ol", *(element("li", step) for step in steps)),
         Heading("This site"),
-        element("pre", code(command)),
+        element("pre", element("code", command)),
         Heading("Results"),
         Paragraph(
             "Below an experiment: SHA-256 of its task file. Below a result file: that of the file.",

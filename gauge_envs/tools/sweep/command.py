@@ -129,7 +129,7 @@ def sweep(
         _option(
             "--only",
             arguments.SELECTION,
-            "Ids, patterns or experiment files.",
+            "Ids, patterns or task files.",
             "those of the file",
             metavar="ID",
         ),
@@ -193,14 +193,13 @@ def sweep(
         )
     values = {} if file is None else load_sweep_file(file)
     if changes:
-        known = given.get("backends") or values.get("backends") or ["mujoco"]
-        given["settings"] = _with_changes(values.get("settings", {}), changes, known)
+        given["settings"] = _with_changes(values.get("settings", {}), changes)
     spec = sweep_spec(values | given)
     bounds = Limits(TIME_LIMIT_S if timeout is None else timeout, memory, isolate)
     plan = plan_sweep(spec, isolate=bounds.isolate)
     if shard is not None:
         plan = part_of(plan, *_part(shard))
-    earlier = earlier_episodes(out, None if dry_run else note)
+    earlier = earlier_episodes(out, note)
     names = set(plan.file_names)
     done = {
         name: one.outcome
@@ -236,33 +235,19 @@ def _parameter_sets(texts: Sequence[str] | None) -> list[Any] | None:
     return list(texts) if texts else None
 
 
-def _with_changes(
-    settings: dict[str, Any], changes: list[str], backends: list[str]
-) -> dict[str, Any]:
+def _with_changes(settings: dict[str, Any], changes: list[str]) -> dict[str, Any]:
     """Return settings with those of `--set`, whose name may begin with an engine and a dot."""
     result = dict(settings)
     for text in changes:
-        key, equals, values = (part.strip() for part in text.partition("="))
-        if not (key and equals and values):
-            raise ParameterError(
-                f"--set {text!r}: expected NAME=VALUE,VALUE or ENGINE.NAME=VALUE,VALUE"
-            )
-        listed = [
-            arguments.value_of(value.strip()) for value in arguments.split_list(values)
-        ]
-        backend, dot, name = key.partition(".")
-        if not dot:
-            result[key] = listed
-        elif backend not in backends:
-            raise ParameterError(
-                f"--set {text!r}: {backend!r} is no engine of this sweep: {', '.join(backends)}"
-            )
-        elif isinstance(of_engine := result.get(backend, {}), dict):
-            result[backend] = of_engine | {name: listed}
-        else:
-            raise ParameterError(
-                f"--set {text!r}: settings.{backend} of the sweep file is a list, expected a table of settings"
-            )
+        for name, values in arguments.assigned("--set", [text]).items():
+            listed = [arguments.value_of(one) for one in arguments.split_values(values)]
+            backend, dot, key = name.partition(".")
+            if dot:
+                table = result.get(backend)
+                table = table if isinstance(table, dict) else {}
+                result[backend] = {**table, key: listed}
+            else:
+                result[name] = listed
     return result
 
 
@@ -365,6 +350,4 @@ def _is_bad(
     if any(outcome in (Outcome.FAILED, Outcome.DIVERGED) for _, outcome in counts):
         return True
     named = {short_id(name) for name in spec.variants if not is_glob(name)}
-    return any(
-        run.declined is not None and run.experiment in named for run in plan.runs
-    )
+    return any(run.declined and run.experiment in named for run in plan.runs)

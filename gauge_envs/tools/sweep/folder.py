@@ -78,13 +78,13 @@ def write_episode(path: Path, result: Result, name: str) -> None:
 
 
 def earlier_episodes(
-    path: Path, notify: Callable[[str], None] | None = None
+    path: Path, notify: Callable[[str], None] = lambda _: None
 ) -> dict[str, EarlierEpisode]:
     """Return the episodes of a folder by the names of their files.
 
     Args:
         path: The folder; without one there are none.
-        notify: Receives a sentence for each damaged file, whose episode is left out; None for no sentence.
+        notify: Receives a sentence for each damaged file, whose episode is left out.
     """
     found = {}
     for file in result_files(path):
@@ -94,8 +94,7 @@ def earlier_episodes(
             # A folder or a link to nothing is no result.
             continue
         except (ValueError, LookupError, TypeError, AttributeError) as error:
-            if notify is not None:
-                notify(f"{file}: not a result file: {error}; run again")
+            notify(f"{file}: not a result file: {error}; run again")
     return found
 
 
@@ -129,9 +128,8 @@ class EarlierCosts:
         times_s: dict[tuple[str, str], dict[int, list[float]]] = {}
         for one in episodes:
             if one.outcome is Outcome.FINISHED and one.wall_s and one.steps:
-                times_s.setdefault(one.group, {}).setdefault(
-                    round(one.steps), []
-                ).append(one.wall_s)
+                of_group = times_s.setdefault(one.group, {})
+                of_group.setdefault(round(one.steps), []).append(one.wall_s)
         self._medians = {
             group: {steps: median(values) for steps, values in sorted(by_steps.items())}
             for group, by_steps in times_s.items()

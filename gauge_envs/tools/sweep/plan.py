@@ -7,8 +7,7 @@ import json
 from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from enum import Enum
-from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,7 +16,6 @@ from gauge_envs.backends import (
     backend_for,
     backend_names,
     engine_call,
-    is_bundled,
     support_of,
     versions_of,
 )
@@ -27,7 +25,7 @@ from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.experiments.variants import Variant
 from gauge_envs.files import json_ready, versions
 from gauge_envs.references.imported import dataset_record
-from gauge_envs.runs.isolation import Worker
+from gauge_envs.runs.isolation import call_engine
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.scene.jitter import JITTER_FORMAT
 from gauge_envs.tools.sweep.spec import MAX_EPISODES, SweepSpec
@@ -63,14 +61,10 @@ class SweepRun:
         """Engine and experiment; a worker stays with a group as long as it can."""
         return self.request.backend, self.experiment
 
-    @property
-    def seeds(self) -> range:
-        """Seeds of the episodes."""
-        return range(self.request.seed, self.request.seed + self.request.repeats)
-
     def file_name(self, seed: int) -> str:
         """Return the name of the result file of an episode."""
-        return f"{self.experiment}.{self.request.backend}.{episode_key(self.sha256, seed)[:KEY_LENGTH]}.json"
+        key = hashlib.sha256(f"{self.sha256}:{seed}".encode()).hexdigest()
+        return f"{self.experiment}.{self.request.backend}.{key[:KEY_LENGTH]}.json"
 
 
 @dataclass(frozen=True)
@@ -84,11 +78,6 @@ class SweepTask:
 
     run: SweepRun
     seeds: range
-
-    @property
-    def backend(self) -> str:
-        """Name of the engine."""
-        return self.run.request.backend
 
     @property
     def request(self) -> RunRequest:
@@ -121,7 +110,7 @@ class SweepPlan:
     @property
     def file_names(self) -> list[str]:
         """Names of the result files."""
-        return [run.file_name(seed) for run in self.runs for seed in run.seeds]
+        return [run.file_name(seed) for run in self.runs for seed in run.request.seeds]
 
 
 def plan_sweep(spec: SweepSpec, *, isolate: bool = False) -> SweepPlan:
@@ -139,35 +128,35 @@ def plan_sweep(spec: SweepSpec, *, isolate: bool = False) -> SweepPlan:
             f"the sweep has {shown} episodes, the limit is {MAX_EPISODES:,}: shorten its lists, or split it"
         )
     subjects = [
-        _Subject.load(spec, one, parameters)
+        _subject(spec, one, parameters)
         for one in spec.subjects()
         for parameters in spec.parameters
     ]
     # Parameters that no experiment takes are an error.
     for number in range(len(spec.parameters)):
-        refusals = [
-            subject.refusal for subject in subjects[number :: len(spec.parameters)]
-        ]
+        refusals = [one.refusal for one in subjects[number :: len(spec.parameters)]]
         if refusals[0] is not None and None not in refusals:
-            raise refusals[0]
+            raise ParameterError(refusals[0])
     runs: dict[str, SweepRun] = {}
     for backend in dict.fromkeys(spec.backends):
         if backend not in backend_names():
             raise UnknownNameError("backend", backend, backend_names())
-        choices = list(spec.setting_choices(backend))
-        if is_bundled(backend) and not isolate:
-            found = _engine_runs(backend, subjects, choices)
-        else:
-            with Worker(PLAN_LIMIT_S) as worker:
-                found = worker.call(_engine_runs, backend, subjects, choices)
+        found = call_engine(
+            backend,
+            _engine_runs,
+            backend,
+            subjects,
+            list(spec.setting_choices(backend)),
+            time_limit_s=PLAN_LIMIT_S,
+            isolate=isolate or None,
+        )
         for run in found:
             runs.setdefault(run.sha256, run)
     plan = SweepPlan(tuple(runs.values()))
     return replace(plan, duplicates=count - plan.episode_count)
 
 
-@dataclass(frozen=True)
-class _Subject:
+class _Subject(NamedTuple):
     """One experiment with one choice of parameters.
 
     Attributes:
@@ -178,25 +167,25 @@ class _Subject:
 
     request: RunRequest
     experiment: Experiment
-    refusal: ParameterError | None = None
+    refusal: str | None = None
 
-    @cached_property
-    def sha256(self) -> str:
-        """Hash of the experiment."""
-        return experiment_sha256(self.experiment)
 
-    @classmethod
-    def load(
-        cls, spec: SweepSpec, subject: Variant | str, parameters: Parameters
-    ) -> _Subject:
-        given = RunRequest(
-            subject, parameters=parameters, seed=spec.seed, repeats=spec.repeats
-        )
-        request = replace(given, jitter=spec.start_jitter or given.scatter)
-        try:
-            return cls(request, request.experiment())
-        except ParameterError as error:
-            return cls(request, request.calibrated_experiment(), error)
+def _subject(
+    spec: SweepSpec, subject: Variant | str, parameters: Parameters
+) -> _Subject:
+    """Load one experiment of a sweep with one choice of parameters."""
+    request = RunRequest(
+        subject,
+        parameters=parameters,
+        seed=spec.seed,
+        repeats=spec.repeats,
+        jitter=spec.start_jitter,
+    )
+    request = replace(request, jitter=request.scatter)
+    try:
+        return _Subject(request, request.experiment())
+    except ParameterError as error:
+        return _Subject(request, request.calibrated_experiment(), str(error))
 
 
 def _engine_runs(
@@ -212,41 +201,30 @@ def _engine_runs(
     engine = backend_for(backend, None)
     engine_versions = versions_of(backend) | {"gauge-envs": versions()["gauge-envs"]}
     runs = []
-    for subject in subjects:
-        experiment = subject.experiment
-        jitter = subject.request.jitter
+    for request, experiment, refusal in subjects:
         support = support_of(backend, experiment.scene, experiment.model_file)
-        declined = None if subject.refusal is None else str(subject.refusal)
-        if not support:
-            declined = "; ".join(support.missing)
+        jitter = request.jitter
+        content = {
+            "format": KEY_FORMAT,
+            "experiment": experiment_sha256(experiment),
+            "backend": backend,
+            "versions": engine_versions,
+            "parameters": json_ready(request.parameters),
+            "jitter": jitter and {**jitter.to_dict(), "format": JITTER_FORMAT},
+        }
         for settings in choices:
-            settings_sha256 = str(settings)
-            timestep_s = None
+            settings_sha256, timestep_s = str(settings), None
             if support:
                 settings_sha256, timestep_s = _resolved(engine, experiment, settings)
-            sha256 = run_sha256(
-                subject.sha256,
-                backend=backend,
-                versions=engine_versions,
-                settings=settings_sha256,
-                parameters=subject.request.parameters,
-                jitter=None
-                if jitter is None
-                else {**jitter.to_dict(), "format": JITTER_FORMAT},
-            )
             run = SweepRun(
-                request=replace(
-                    subject.request, backend=backend, settings=settings or None
-                ),
+                request=replace(request, backend=backend, settings=settings or None),
                 experiment=experiment.name,
-                sha256=sha256,
+                sha256=content_sha256(content | {"settings": settings_sha256}),
                 versions=engine_versions,
                 shares_worlds=engine.worlds_share_simulation
                 and type(engine).build_worlds is not Backend.build_worlds,
-                declined=declined,
-                steps=None
-                if timestep_s is None
-                else experiment.scene.duration_s / timestep_s,
+                declined="; ".join(support.missing) or refusal,
+                steps=timestep_s and experiment.scene.duration_s / timestep_s,
             )
             runs.append(run)
     return runs
@@ -255,7 +233,7 @@ def _engine_runs(
 def _resolved(
     engine: Backend, experiment: Experiment, settings: Mapping[str, Any]
 ) -> tuple[str, float | None]:
-    """Return the hash of the settings in force, and the time step [s]; None where the engine does not tell."""
+    """Return the hash of the effective settings, and the time step [s]; None where the engine does not tell."""
     try:
         with engine_call(engine.name, "resolved_settings"):
             resolved = engine.resolved_settings(experiment.scene, settings)
@@ -283,21 +261,17 @@ def remaining_tasks(plan: SweepPlan, done: Container[str]) -> Iterator[SweepTask
         done: Names of the files that exist.
     """
     for run in plan.runs:
-        missing = [seed for seed in run.seeds if run.file_name(seed) not in done]
-        for seeds in (
-            _consecutive(missing)
-            if run.shares_worlds
-            else (range(seed, seed + 1) for seed in missing)
-        ):
-            yield SweepTask(run, seeds)
-
-
-def _consecutive(seeds: Sequence[int]) -> Iterator[range]:
-    first = 0
-    for number in range(1, len(seeds) + 1):
-        if number == len(seeds) or seeds[number] != seeds[number - 1] + 1:
-            yield range(seeds[first], seeds[number - 1] + 1)
-            first = number
+        missing = [
+            seed for seed in run.request.seeds if run.file_name(seed) not in done
+        ]
+        started: list[list[int]] = []
+        for seed in missing:
+            if run.shares_worlds and started and started[-1][-1] == seed - 1:
+                started[-1].append(seed)
+            else:
+                started.append([seed])
+        for seeds in started:
+            yield SweepTask(run, range(seeds[0], seeds[-1] + 1))
 
 
 def shard(plan: SweepPlan, number: int, count: int) -> SweepPlan:
@@ -375,46 +349,3 @@ def experiment_sha256(experiment: Experiment) -> str:
             ),
         }
     )
-
-
-def run_sha256(
-    experiment: str,
-    *,
-    backend: str,
-    versions: Mapping[str, str],
-    settings: str,
-    parameters: Any,
-    jitter: Mapping[str, float] | None,
-) -> str:
-    """Return the hash that the episodes of a run share; they differ in their seeds.
-
-    Args:
-        experiment: `experiment_sha256`.
-        backend: Name of the engine.
-        versions: Versions of the engine's packages and of gauge-envs.
-        settings: Hash of the resolved settings, or of the given ones where an engine does not resolve them.
-        parameters: Name of the parameter set, or the overrides.
-        jitter: Standard deviations of the start and the number of the way to draw it; None for the start that the
-            experiment states for a seed.
-    """
-    return content_sha256(
-        {
-            "format": KEY_FORMAT,
-            "experiment": experiment,
-            "backend": backend,
-            "versions": dict(versions),
-            "settings": settings,
-            "parameters": json_ready(parameters),
-            "jitter": jitter,
-        }
-    )
-
-
-def episode_key(run: str, seed: int) -> str:
-    """Return the key of an episode: 64 hexadecimal digits.
-
-    Args:
-        run: `run_sha256`.
-        seed: Seed of the reset and of the jitter.
-    """
-    return hashlib.sha256(f"{run}:{seed}".encode()).hexdigest()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Generator, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 from gauge_envs.runs.pool import RequestWorker, run_tasks
@@ -35,26 +34,20 @@ def run_sweep(
         ['finished', 'finished', 'finished']
     """
     create_folder(folder)
-    return run_tasks(tasks, workers, partial(_perform, folder=folder))
 
+    def done(worker: RequestWorker, task: SweepTask) -> list[Result]:
+        results = [_verified(task, result) for result in worker.run(task.request)]
+        for result, name in zip(results, task.file_names, strict=True):
+            write_episode(folder, result, name)
+        return results
 
-def _perform(worker: RequestWorker, task: SweepTask, *, folder: Path) -> list[Result]:
-    """Run a task and write its results."""
-    results = [_verified(task, result) for result in worker.run(task.request)]
-    for result, name in zip(results, task.file_names, strict=True):
-        write_episode(folder, result, name)
-    return results
+    return run_tasks(tasks, workers, done)
 
 
 def _verified(task: SweepTask, result: Result) -> Result:
-    """Return a result, or a failure if other versions made it than the plan states."""
-    if result.trajectory is None:
+    """Return a result, or a failure if other versions made it than the plan states, as on another machine."""
+    difference = result.made_with_other_than(task.run.versions)
+    if result.trajectory is None or not difference:
         return result
-    for package, planned in task.run.versions.items():
-        found = result.versions.get(package)
-        if found != planned:
-            reason = f"made with {package} {found}, planned with {planned}: install the same versions on every machine"
-            return replace(
-                result, outcome=Outcome.FAILED, error=reason, trajectory=None
-            )
-    return result
+    reason = f"{difference}: install the same versions on every machine"
+    return replace(result, outcome=Outcome.FAILED, error=reason, trajectory=None)

@@ -37,8 +37,8 @@ from pydantic import (
 from gauge_envs.errors import ParameterError, SweepFileError, first_fault
 from gauge_envs.experiments.variants import (
     Variant,
-    is_experiment_file,
-    matching_subjects,
+    is_task_path,
+    matching_variants,
 )
 from gauge_envs.files import os_errors, toml_document
 from gauge_envs.scene.jitter import Jitter
@@ -72,7 +72,7 @@ class SweepSpec(_Model):
 
     Attributes:
         backends: Names of engines.
-        variants: Ids, patterns such as `SlopeSlider-2-*`, or experiment files.
+        variants: Ids, patterns such as `SlopeSlider-2-*`, or task files.
         presets: Presets of every engine; empty for the preset that each engine chooses for a scene.
         parameters: Parameter sets, or tables of overrides such as `{"cube.friction" = 0.3}`.
         repeats: Episodes of each combination, with seeds from `seed` on.
@@ -124,13 +124,13 @@ class SweepSpec(_Model):
         """The jitter that was given, or None."""
         return None if self.jitter is None else Jitter(**self.jitter.model_dump())
 
-    def subjects(self) -> list[Variant | str]:
-        """Return the variants and experiment files, each once."""
+    def subjects(self) -> list[Variant]:
+        """Return the variants, each once."""
         return list(
             dict.fromkeys(
-                subject
+                variant
                 for pattern in self.variants
-                for subject in matching_subjects(pattern)
+                for variant in matching_variants(pattern)
             )
         )
 
@@ -173,7 +173,7 @@ def sweep_spec(values: Mapping[str, Any]) -> SweepSpec:
 def load_sweep_file(path: str | PathLike[str]) -> dict[str, Any]:
     """Read a sweep file and check it.
 
-    Paths of experiment files are relative to the folder of the file.
+    Paths of task files are relative to the folder of the file.
 
     Returns:
         Its keys and values, for `sweep_spec`.
@@ -191,7 +191,7 @@ def load_sweep_file(path: str | PathLike[str]) -> dict[str, Any]:
     except ValueError as error:
         raise SweepFileError(path, None, f"not a TOML file: {error}") from error
     located = [
-        str(path.parent / name) if is_experiment_file(Path(name)) else name
+        str(path.parent / name) if is_task_path(name) else name
         for name in spec.variants
     ]
     return values | {"variants": located}

@@ -1,6 +1,6 @@
 """Tables of sweeps: the plan and the outcomes."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from gauge_envs.pages.document import Document
@@ -31,13 +31,13 @@ def cost_text(cost: Cost, workers: int) -> str:
     return f"{text}; unknown for {cost.unknown} episodes" if cost.unknown else text
 
 
+COUNTS = ("runs", "episodes", "left", "declined", "unknown")
+"""Keys of the rows of a plan whose values add up."""
+
 PLAN_COLUMNS = (
     Column("backend", "engine"),
     Column("experiment", "experiment"),
-    *(
-        Column(key, key, str, is_number=True)
-        for key in ("runs", "episodes", "left", "declined")
-    ),
+    *(Column(key, key, str, is_number=True) for key in COUNTS[:-1]),
     Column("engine_s", "engine time", duration_text, is_number=True),
     Column("unknown", "without estimate", str, is_number=True),
 )
@@ -55,15 +55,10 @@ def plan_document(
         left.setdefault(task.run.group, []).append(task)
     rows: dict[tuple[str, str], dict[str, Any]] = {}
     for run in plan.runs:
+        backend, experiment = run.group
+        counts = dict.fromkeys(COUNTS, 0)
         row = rows.setdefault(
-            run.group,
-            {
-                "backend": run.group[0],
-                "experiment": run.group[1],
-                "runs": 0,
-                "episodes": 0,
-                "declined": 0,
-            },
+            run.group, {"backend": backend, "experiment": experiment, **counts}
         )
         row["runs"] += 1
         row["episodes"] += run.request.repeats
@@ -75,39 +70,38 @@ def plan_document(
         row["left"] = sum(len(task.seeds) for task in waiting)
         row["engine_s"] = cost.engine_s if cost.known else None
         row["unknown"] = cost.unknown
+    engines = [
+        _sum(backend, [row for row in rows.values() if row["backend"] == backend])
+        for backend in dict.fromkeys(backend for backend, _ in rows)
+    ]
     whole = tuple(column for column in PLAN_COLUMNS if column.key != "experiment")
     return Document(
         parts=(
-            Table(columns=whole, rows=_sums(rows.values()), narrow_only=True),
+            Table(columns=whole, rows=engines, narrow_only=True),
             Table(columns=PLAN_COLUMNS, rows=list(rows.values()), wide_only=True),
         ),
         rows=list(rows.values()),
     )
 
 
-def _sums(rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    sums: dict[str, dict[str, Any]] = {}
-    for row in rows:
-        one = sums.setdefault(
-            row["backend"], {"backend": row["backend"], "engine_s": None}
-        )
-        for key in ("runs", "episodes", "left", "declined", "unknown"):
-            one[key] = one.get(key, 0) + row[key]
-        if row["engine_s"] is not None:
-            one["engine_s"] = (one["engine_s"] or 0.0) + row["engine_s"]
-    return list(sums.values())
+def _sum(backend: str, rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return the row of an engine from those of its experiments."""
+    known_s = [row["engine_s"] for row in rows if row["engine_s"] is not None]
+    counts = {key: sum(row[key] for row in rows) for key in COUNTS}
+    return {"backend": backend, "engine_s": sum(known_s) if known_s else None, **counts}
 
 
 def outcome_table(plan: SweepPlan, counts: Mapping[tuple[str, Outcome], int]) -> Table:
     """Return the number of episodes of each outcome, a row for each engine of a plan."""
     columns = [Column("backend", "engine")]
-    columns += [
-        Column(outcome.value, outcome.value, str, is_number=True) for outcome in Outcome
-    ]
-    rows: list[dict[str, Any]] = []
-    for backend in dict.fromkeys(run.request.backend for run in plan.runs):
-        rows.append(
-            {"backend": backend}
-            | {outcome.value: counts.get((backend, outcome), 0) for outcome in Outcome}
-        )
-    return Table(columns=tuple(columns), rows=rows)
+    columns += [Column(one.value, one.value, str, is_number=True) for one in Outcome]
+    return Table(
+        columns=tuple(columns),
+        rows=[
+            {
+                "backend": backend,
+                **{one.value: counts.get((backend, one), 0) for one in Outcome},
+            }
+            for backend in dict.fromkeys(run.request.backend for run in plan.runs)
+        ],
+    )

@@ -5,9 +5,6 @@ from typing import TYPE_CHECKING
 from gauge_envs.registry import lazy_names
 
 if TYPE_CHECKING:
-    from gauge_envs.tools.usd.experiment_file import (
-        load_experiment_file as load_experiment_file,
-    )
     from gauge_envs.tools.usd.isaac_fabric import surface_constants as surface_constants
     from gauge_envs.tools.usd.layer import record_follower as record_follower
     from gauge_envs.tools.usd.reader import (
@@ -25,7 +22,6 @@ else:
     __getattr__, __all__ = lazy_names(
         __name__,
         {
-            ".experiment_file": ["load_experiment_file"],
             ".isaac_fabric": ["surface_constants"],
             ".layer": ["record_follower"],
             ".reader": ["UsdScene", "from_usd", "read_points", "read_usd"],

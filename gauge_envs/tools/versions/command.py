@@ -191,7 +191,7 @@ def _sides(texts: Sequence[str]) -> list[Side]:
         )
         changes = text if has_settings_alone else text.partition(":")[2]
         settings = (
-            arguments.assigned(text, arguments.split_list(changes)) if changes else {}
+            arguments.assigned(text, arguments.split_values(changes)) if changes else {}
         )
         values = {name: arguments.value_of(value) for name, value in settings.items()}
         found += read_side(text, values)

@@ -142,6 +142,8 @@ def video_report(
     from gauge_envs.tools.video.words import (
         find_videos,
         results_table,
+        table_csv,
+        table_latex,
         video_page,
     )
 
@@ -174,8 +176,8 @@ def video_report(
         if one
     ]
     save_file(out / "results.json", json_text(rows))
-    save_file(out / "table.csv", table.csv())
-    save_file(out / "table.tex", table.latex())
+    save_file(out / "table.csv", table_csv(table))
+    save_file(out / "table.tex", table_latex(table))
     print_document(table, Format.TEXT)
     echo(page)
     return bool(broken)

@@ -1,5 +1,7 @@
 """The world-model track in words, on a page and drawn into its videos: tasks, and scores with their intervals."""
 
+import csv
+import io
 import math
 import re
 from base64 import b64encode
@@ -257,6 +259,28 @@ def results_table(results: Results) -> Table:
         Column("agrees", "agrees", place=Place.BELOW),
     )
     return Table(columns=columns, rows=rows, notes=(VALUES_NOTE,))
+
+
+def table_csv(table: Table) -> str:
+    """Return the values with full digits, below the keys of the columns; a missing value is an empty cell."""
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow([column.key for column in table.columns])
+    for row in table.rows:
+        writer.writerow([column.value(row) for column in table.columns])
+    return stream.getvalue()
+
+
+def table_latex(table: Table) -> str:
+    """Return the table as a LaTeX `tabular`, with all columns."""
+    layout = "".join("r" if column.is_number else "l" for column in table.columns)
+    rows = [[column.label for column in table.columns]]
+    rows += [[column.text(row) for column in table.columns] for row in table.rows]
+    lines = [f"\\begin{{tabular}}{{{layout}}}"]
+    for cells in rows:
+        escaped = [re.sub(r"([&%$#_{}^])", r"\\\1", cell) for cell in cells]
+        lines.append(f"{' & '.join(escaped)} \\\\")
+    return "\n".join([*lines, "\\end{tabular}\n"])
 
 
 def _agreement(

@@ -197,3 +197,8 @@ def test_the_first_curve_of_a_release_is_aligned_and_so_are_the_trials_below_it(
     reach = reference_band(load_experiment(BALL)).trial_rmse_aligned.mean()
     shade = figure.axes[0].collections[0].get_paths()[0].vertices[:, 1].max()
     assert shade == pytest.approx(reach)
+
+
+def test_a_picture_needs_one_experiment():
+    with pytest.raises(ValueError, match="one experiment"):
+        draw_experiment([])

@@ -52,11 +52,6 @@ def test_endless_combinations_are_refused():
             [],
             "settings.mujoco: the name of an engine; a table of settings is expected",
         ),
-        (
-            'backends = ["rapier"]\n[settings]\nmujoco = [1]',
-            ["--backend=mujoco", "--set", "mujoco.iterations=3"],
-            "settings.mujoco of the sweep file is a list",
-        ),
         ("", ["--shard", "1" * 5000 + "/2"], "expected NUMBER/COUNT, as 0/16"),
     ],
 )

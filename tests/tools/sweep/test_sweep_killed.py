@@ -7,11 +7,10 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import pytest
 from places import ROOT
-from sweep_workers import contents, needs_rapier, outcomes, swept
+from sweep_workers import children, contents, needs_rapier, outcomes, swept
 
 from gauge_envs.runs.pool import Limits
 from gauge_envs.tools.sweep.machines import ray_workers
@@ -43,12 +42,6 @@ def whole(folder):
     """The results of the sweep in one process."""
     assert len(swept(plan_sweep(sweep_spec(VALUES)), folder)) == COUNT
     return contents(folder)
-
-
-def children(pid):
-    """Processes that any thread of a process has started."""
-    files = Path(f"/proc/{pid}/task").glob("*/children")
-    return [int(word) for file in files for word in file.read_text().split()]
 
 
 @pytest.mark.slow

@@ -27,7 +27,7 @@ def planned(**values):
 
 
 def names(plan):
-    return {run.file_name(seed) for run in plan.runs for seed in run.seeds}
+    return {run.file_name(seed) for run in plan.runs for seed in run.request.seeds}
 
 
 # --- keys ---

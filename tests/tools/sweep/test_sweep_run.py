@@ -115,9 +115,8 @@ def test_the_version_of_another_machine_is_a_failure(tmp_path):
     (result,) = swept(
         planned(variants=[WOOD], repeats=1, settings={}), tmp_path, OldWorker()
     )
-    assert (
-        result.outcome is Outcome.FAILED
-        and "made with mujoco 1.0, planned with" in str(result.error)
+    assert result.outcome is Outcome.FAILED and "made with mujoco 1.0, not" in str(
+        result.error
     )
 
 

@@ -55,7 +55,7 @@ def test_the_count_is_the_product_of_all_lists(tmp_path):
     )
 
 
-def test_an_experiment_file_is_beside_the_sweep_file(tmp_path):
+def test_a_task_file_is_beside_the_sweep_file(tmp_path):
     assert spec_of(tmp_path, 'variants = ["crate.toml"]').variants == [
         str(tmp_path / "crate.toml")
     ]

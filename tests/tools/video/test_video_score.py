@@ -35,6 +35,8 @@ from gauge_envs.tools.video.words import (  # noqa: E402
     find_videos,
     results_table,
     score_document,
+    table_csv,
+    table_latex,
 )
 
 SWINGS = ("NewtonsCradle-metal", "Pendulum-metal")
@@ -593,7 +595,7 @@ def test_seeds_have_a_mean_with_its_interval_and_a_usable_share():
     clips = dict(zip(names, [*seeds, None], strict=True))
     single = {Path("one.mp4"): one}
     table = results_table({("mine", one.task): clips, ("single", one.task): single})
-    rows = list(csv.DictReader(table.csv().splitlines()))
+    rows = list(csv.DictReader(table_csv(table).splitlines()))
     row, alone, *_ = [row for row in rows if row["metric"] == "acceleration [m/s^2]"]
     spread = np.std(values[:4], ddof=1)
     half = stats.t.ppf(0.975, df=3) * spread / 2.0
@@ -611,7 +613,7 @@ def test_seeds_have_a_mean_with_its_interval_and_a_usable_share():
     assert (float(alone["low"]), float(alone["high"])) == one.uncertainty[
         "acceleration_m_s2"
     ]
-    first, _, line, *_, last = table.latex().splitlines()
+    first, _, line, *_, last = table_latex(table).splitlines()
     columns = len(first.rpartition("{")[2]) - 1
     assert first.startswith(r"\begin{tabular}") and last == r"\end{tabular}"
     assert line.count(" & ") == columns - 1 and line.endswith(r" \\")

@@ -1,4 +1,4 @@
-"""`gauge list` and `gauge show`."""
+"""`gauge list`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import typer
 
 from gauge_envs.cli import arguments
 from gauge_envs.cli.commands import listings
-from gauge_envs.cli.output import Format, echo, message, note, print_document
+from gauge_envs.cli.output import Format, message, note, print_document
 from gauge_envs.registry import id_modules
 
 if TYPE_CHECKING:
@@ -62,10 +62,10 @@ def list_(
 
 def _list_experiments(patterns: Sequence[str], scored: bool, form: Format) -> bool:
     """Print the experiments of patterns, and return whether a task file was skipped."""
-    from gauge_envs.experiments.task_files import task_file_faults
     from gauge_envs.experiments.variants import (
         beyond_variants,
         matching_variants,
+        unreadable_task_files,
         user_variants,
     )
     from gauge_envs.pages.document import Document, Paragraph
@@ -74,14 +74,13 @@ def _list_experiments(patterns: Sequence[str], scored: bool, form: Format) -> bo
     from gauge_envs.tools.catalog.listing import list_rows
     from gauge_envs.tools.catalog.words import list_table
 
-    faults = task_file_faults()
-    for fault in faults.values():
+    faults = unreadable_task_files()
+    for fault in faults:
         message(fault, "skipped")
     variants = dict.fromkeys(
         variant
         for pattern in patterns or ["*"]
         for variant in matching_variants(pattern)
-        if variant.family not in faults
     )
     found = list_rows(variants, notify=note)
     rows = [row for row in found if not scored or row["kind"] != Kind.NONE]
@@ -117,53 +116,4 @@ def list_schemas(patterns: Sequence[str]) -> list[Table]:
     columns = (Column("name", "schema"), Column("version", "version"))
     return arguments.matching(
         [Table(columns=columns, rows=rows)], patterns, kind="schema"
-    )
-
-
-def show(
-    name: Annotated[
-        str,
-        typer.Argument(
-            metavar="ID",
-            help="Id, with or without GAUGE/; or an experiment file or a task file.",
-        ),
-    ],
-    schema: Annotated[
-        bool,
-        arguments.option(
-            arguments.OUTPUT,
-            "JSON Schema of what a command prints with --json; ID is its name, as 'list materials'.",
-            "--schema",
-        ),
-    ] = False,
-    asset: arguments.Asset = None,
-    use: arguments.Use = None,
-    form: arguments.Form = Format.TEXT,
-) -> None:
-    """Show one experiment or control task: reference, reward, spaces, engines, constants.
-
-    `--format wide` adds the scene, decisions and the source of each number. For a control task: law, limit and reward.
-    """
-    if schema:
-        import json
-
-        from gauge_envs.cli.schemas import output_schema
-
-        echo(json.dumps(output_schema(name), indent=1))
-        return
-    from gauge_envs.experiments.resolve import resolve_experiment
-    from gauge_envs.tools.catalog.description import description
-    from gauge_envs.tools.catalog.words import experiment_document
-
-    plain_name = name.removeprefix("GAUGE/")
-    for ids in id_modules():
-        if plain_name in ids.names():
-            print_document(ids.document(plain_name), form)
-            return
-    experiment = resolve_experiment(
-        name, asset=asset, **arguments.parsed_use(use, "drivers", "reference")
-    )
-    print_document(
-        experiment_document(description(experiment), detailed=form is not Format.TEXT),
-        form,
     )

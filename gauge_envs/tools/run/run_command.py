@@ -1,4 +1,4 @@
-"""`gauge run` and `gauge score`."""
+"""`gauge run`."""
 
 from __future__ import annotations
 
@@ -25,7 +25,6 @@ from gauge_envs.cli.output import (
 )
 from gauge_envs.errors import ParameterError, ResultFileError
 from gauge_envs.files import processors
-from gauge_envs.pages.text import counted
 
 if TYPE_CHECKING:
     from gauge_envs.runs.request import RunRequest
@@ -33,15 +32,6 @@ if TYPE_CHECKING:
 
 FEW_EPISODES = 20
 """Most episodes of rigid bodies that run in this process by default."""
-
-Details = Annotated[
-    bool,
-    arguments.option(
-        arguments.OUTPUT,
-        "Also all numbers of each score, and the published ones.",
-        "--details",
-    ),
-]
 
 
 def run(
@@ -84,7 +74,7 @@ def run(
     out: Annotated[Path, arguments.folder("Folder for the result files.")] = Path(
         "results"
     ),
-    details: Details = False,
+    details: arguments.Details = False,
     form: arguments.Form = Format.TEXT,
 ) -> bool:
     """Run experiments, score each against its reference, and write a result file for each.
@@ -93,7 +83,7 @@ def run(
     episode failed or diverged, or when an experiment given by its id was declined. Experiments of a pattern may be
     declined.
     """
-    from gauge_envs.experiments.variants import is_glob, matching_subjects
+    from gauge_envs.experiments.variants import is_glob, matching_variants
     from gauge_envs.pages.document import Terminal
     from gauge_envs.runs.batch import check_requests, run_many
     from gauge_envs.runs.isolation import TIME_LIMIT_S
@@ -114,7 +104,7 @@ def run(
         )
     constants = arguments.parsed_parameters(parameters) or "calibrated"
     settings = arguments.parsed_settings(changes)
-    subjects = {pattern: matching_subjects(pattern) for pattern in ids}
+    subjects = {pattern: matching_variants(pattern) for pattern in ids}
     requests = [
         RunRequest(
             subject,
@@ -198,40 +188,6 @@ def run(
         one.outcome in bad or (one.outcome is Outcome.DECLINED and one.id in by_name)
         for one in results
     )
-
-
-def score(
-    file: Annotated[
-        Path,
-        typer.Argument(metavar="FILE", help="CSV, NPZ or JSON; also a result file."),
-    ],
-    name: Annotated[
-        str | None,
-        arguments.experiment("Experiment, if the file does not state it."),
-    ] = None,
-    parameters: arguments.Parameters = None,
-    use: arguments.Use = None,
-    details: Details = False,
-    form: arguments.Form = Format.TEXT,
-) -> None:
-    """Score a trajectory from your own simulator; no engine is needed.
-
-    It is g(t) in the observable's unit, mm for positions. Columns are the coordinates that `gauge show ID` lists.
-    Without a `time_s` column, rows are 30 Hz frames. The id may be an experiment file.
-    """
-    from dataclasses import replace
-
-    from gauge_envs.runs.score_file import score_file
-    from gauge_envs.tools.run.words import summary_document
-
-    used = arguments.parsed_use(use, "reference")
-    result, interpolated = score_file(
-        file, variant=name, parameters=arguments.parsed_parameters(parameters), **used
-    )
-    if interpolated:
-        note(f"{counted(interpolated, 'frame')} between samples: interpolated linearly")
-    document = summary_document([result], details=details or form is Format.WIDE)
-    print_document(replace(document, rows=[result.to_dict(trajectory=False)]), form)
 
 
 def _default_jobs(requests: Sequence[RunRequest]) -> int:
