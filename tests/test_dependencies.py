@@ -23,6 +23,7 @@ DISTRIBUTION = {
     "genesis": "genesis-world",
     "pydrake": "drake",
     "pxr": "usd-core",
+    "pybullet_utils": "pybullet",
     "warp": "warp-lang",
     "yaml": "pyyaml",
 }

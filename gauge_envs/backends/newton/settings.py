@@ -34,6 +34,10 @@ from gauge_envs.scene import (
     SoftBody,
 )
 from gauge_envs.scene.fabrics import Fabric
+from gauge_envs.scene.geometry import NonNegative, Positive
+
+Count = Annotated[int, Field(ge=1)]
+"""A number of iterations or points."""
 
 
 class SettingsNewton(SteppedSettings):
@@ -81,15 +85,13 @@ class SettingsMuJoCoWarp(SettingsNewton):
     integrator: Literal["euler", "rk4", "implicitfast"] = "implicitfast"
     cone: Literal["pyramidal", "elliptic"] = "elliptic"
     jacobian: Literal["auto", "dense", "sparse"] = "auto"
-    impratio: float = Field(default=10.0, gt=0.0)
-    iterations: int = Field(default=100, ge=1)
-    line_search_iterations: Annotated[int, Native("ls_iterations")] = Field(
-        default=50, ge=1
-    )
+    impratio: Positive = 10.0
+    iterations: Count = 100
+    line_search_iterations: Annotated[Count, Native("ls_iterations")] = 50
     tolerance: float = Field(default=1e-6, ge=1e-6)
     sustained_solref: tuple[float, float] = (0.005, 1.0)
     sustained_solimp: tuple[float, float, float] = (0.95, 0.95, 0.001)
-    impact_stiffness: float = Field(default=0.002, gt=0.0)
+    impact_stiffness: Positive = 0.002
     impact_solimp: tuple[float, float, float] = (0.99, 0.99, 0.001)
     newton_material: bool = False
     contact_solref: Annotated[tuple[float, float] | None, Native("solref")] = None
@@ -140,22 +142,22 @@ class SettingsVBD(SettingsNewton):
     """
 
     solver: Literal["SolverVBD"] = "SolverVBD"
-    iterations: int = Field(default=3, ge=1)
+    iterations: Count = 3
     starts_from_acceleration: bool = True
     cell_m: CellSize = None
-    stretch_damping_n_s_per_m: float = Field(default=0.0, ge=0.0)
-    bend_damping_n_s: float = Field(default=0.0, ge=0.0)
-    soft_damping_s: float = Field(default=0.0, ge=0.0)
+    stretch_damping_n_s_per_m: NonNegative = 0.0
+    bend_damping_n_s: NonNegative = 0.0
+    soft_damping_s: NonNegative = 0.0
     soft_rigid_ratio: float = Field(default=50.0, gt=1.0, allow_inf_nan=True)
-    soft_contact_radius_m: float = Field(default=1e-4, gt=0.0)
-    soft_contact_stiffness_n_per_m: float = Field(default=1e4, gt=0.0)
-    contact_per_stretch: float = Field(default=5.0, gt=0.0)
-    contact_damping_n_s_per_m: float = Field(default=0.0, ge=0.0)
-    contact_gap_m: float = Field(default=0.002, gt=0.0)
+    soft_contact_radius_m: Positive = 1e-4
+    soft_contact_stiffness_n_per_m: Positive = 1e4
+    contact_per_stretch: Positive = 5.0
+    contact_damping_n_s_per_m: NonNegative = 0.0
+    contact_gap_m: Positive = 0.002
     full_surface: bool = False
-    friction_speed_m_per_s: float = Field(default=1e-4, gt=0.0)
-    self_contact_thickness_m: float = Field(default=0.002, gt=0.0)
-    self_contact_reach_m: float = Field(default=0.008, gt=0.0)
+    friction_speed_m_per_s: Positive = 1e-4
+    self_contact_thickness_m: Positive = 0.002
+    self_contact_reach_m: Positive = 0.008
 
 
 class SettingsLines(SettingsNewton):
@@ -178,14 +180,14 @@ class SettingsLines(SettingsNewton):
     """
 
     solver: Literal["SolverVBD"] = "SolverVBD"
-    iterations: int = Field(default=40, ge=1)
+    iterations: Count = 40
     cell_m: CellSize = None
-    rod_damping_s: float = Field(default=0.0, ge=0.0)
-    rod_joint_stiffness_n_per_m: float = Field(default=2e5, gt=0.0)
-    rope_strain: float = Field(default=1e-3, gt=0.0)
-    contact_depth_m: float = Field(default=1.5e-6, gt=0.0)
-    contact_damping_n_s_per_m: float = Field(default=0.0, ge=0.0)
-    friction_speed_m_per_s: float = Field(default=1e-4, gt=0.0)
+    rod_damping_s: NonNegative = 0.0
+    rod_joint_stiffness_n_per_m: Positive = 2e5
+    rope_strain: Positive = 1e-3
+    contact_depth_m: Positive = 1.5e-6
+    contact_damping_n_s_per_m: NonNegative = 0.0
+    friction_speed_m_per_s: Positive = 1e-4
 
 
 class SettingsMPM(SettingsNewton):
@@ -204,11 +206,11 @@ class SettingsMPM(SettingsNewton):
 
     solver: Literal["SolverImplicitMPM"] = "SolverImplicitMPM"
     cell_m: CellSize = None
-    points_per_voxel_edge: int = Field(default=2, ge=1)
-    iterations: int = Field(default=250, ge=1)
-    tolerance: float = Field(default=1e-4, gt=0.0)
+    points_per_voxel_edge: Count = 2
+    iterations: Count = 250
+    tolerance: Positive = 1e-4
     integration_scheme: Literal["gimp", "pic"] = "gimp"
-    soft_damping_s: float = Field(default=0.0, ge=0.0)
+    soft_damping_s: NonNegative = 0.0
 
 
 PAPER = "paper"
@@ -222,20 +224,21 @@ KINDS: dict[str, type[SettingsNewton]] = {
 }
 """Settings of each solver, by the `kind` of a preset."""
 
-PAPER_PRESETS = {
-    body: KINDS[values.pop("kind")](preset=PAPER, **values)
-    for body, values in read_presets(__file__, "paper").items()
-}
+
+def _read(group: str) -> dict[str, SettingsNewton]:
+    """Return the settings of each table of a group of the presets' file."""
+    return {
+        name: KINDS[values.pop("kind")](
+            preset=PAPER if group == PAPER else name, **values
+        )
+        for name, values in read_presets(__file__, group).items()
+    }
+
+
+PAPER_PRESETS = _read(PAPER)
 """Settings of preset `paper` for each kind of scene."""
 
-PRESETS = {
-    **{
-        name: KINDS[values.pop("kind")](preset=name, **values)
-        for name, values in read_presets(__file__).items()
-    },
-    PAPER: PAPER_PRESETS["rigid"],
-}
-
+PRESETS = _read("presets") | {PAPER: PAPER_PRESETS["rigid"]}
 
 TRAINING = "training"
 """Preset for many episodes; its numbers depend on the preset of the scene."""
@@ -280,17 +283,14 @@ below 0.23, and without bound below 0.15.
 
 
 def _preset_name(scene: Scene) -> str:
-    if any(isinstance(body, Cloth) for body in scene.deformables):
+    if scene.has(Cloth):
         return _cloth_preset(scene)
-    if any(isinstance(body, SoftBody) for body in scene.deformables):
-        return (
-            "soft_row"
-            if any(len(bodies) > 1 for bodies in bonded_soft_bodies(scene))
-            else "soft"
-        )
-    if any(isinstance(body, Rope) for body in scene.deformables):
+    if scene.has(SoftBody):
+        is_bonded = any(len(bodies) > 1 for bodies in bonded_soft_bodies(scene))
+        return "soft_row" if is_bonded else "soft"
+    if scene.has(Rope):
         return "rope"
-    if any(isinstance(body, Rod) for body in scene.deformables):
+    if scene.has(Rod):
         return "rod"
     if not scene.contacts:
         return "contact_free"
@@ -312,26 +312,21 @@ def _stacked(scene: Scene) -> set[str]:
 
 def _cloth_preset(scene: Scene) -> str:
     cloths = {body.name for body in scene.deformables if isinstance(body, Cloth)}
-    seams = {attachment.to for attachment in scene.attachments}
-    touched = (
-        {
-            name
-            for c in scene.contacts
-            if cloths & {*c.first, *c.second}
-            for name in (*c.first, *c.second)
-        }
-        - cloths
-        - seams
-    )
+    touched: set[str] = set()
+    for contact in scene.contacts:
+        both = {*contact.first, *contact.second}
+        if cloths & both:
+            touched |= both
+    touched -= cloths | {attachment.to for attachment in scene.attachments}
     bodies = [scene.body(name) for name in touched]
     if any(body.motion is Motion.DYNAMIC for body in bodies):
         return "cloth_loaded"
-    narrow = any(
-        float(np.ptp(b.shape.corners_m, axis=0).min()) < CLOTH_CELL_M
-        for b in bodies
-        if b.motion is Motion.KINEMATIC
+    is_probed = any(
+        float(np.ptp(body.shape.corners_m, axis=0).min()) < CLOTH_CELL_M
+        for body in bodies
+        if body.motion is Motion.KINEMATIC
     )
-    return "cloth_probed" if narrow else "cloth"
+    return "cloth_probed" if is_probed else "cloth"
 
 
 def _paper_preset(scene: Scene) -> SettingsNewton:
@@ -342,7 +337,7 @@ def _paper_preset(scene: Scene) -> SettingsNewton:
             f"Newton preset {PAPER!r} does not support {lines[0]!r}: the paper ran rigid bodies, textiles and foams in "
             "Newton, but no ropes and rods. Choose another preset"
         )
-    if any(isinstance(body, Cloth) for body in scene.deformables):
+    if scene.has(Cloth):
         return PAPER_PRESETS["textile"]
     return PAPER_PRESETS["volumetric" if scene.deformables else "rigid"]
 
@@ -358,68 +353,59 @@ def settings_for(
     Raises:
         ParameterError: A time step that the changes state is longer than the iterations allow.
     """
-    values = PRESETS[_preset_name(scene)]
-    training = values.model_copy(
-        update={"preset": TRAINING} | TRAINING_CHANGES[values.preset]
-    )
-    is_paper = isinstance(changes, Mapping) and changes.get("preset") == PAPER
-    presets = (
-        PRESETS
-        | {TRAINING: training}
-        | ({PAPER: _paper_preset(scene)} if is_paper else {})
-    )
-    settings = _with_cells(
-        resolve_settings(
-            "Newton", presets, preset=_preset_name(scene), changes=changes
-        ),
-        scene,
-        is_given=(changes or {}).get("cell_m") is not None,
-    )
-    if isinstance(settings, SettingsVBD) and settings.starts_from_acceleration:
-        cell_m, iterations = settings.cell_m or CLOTH_CELL_M, settings.iterations
-        cloths = [body for body in scene.deformables if isinstance(body, Cloth)]
-        limits = (
+    name = _preset_name(scene)
+    training = {"preset": TRAINING} | TRAINING_CHANGES[name]
+    presets = PRESETS | {TRAINING: PRESETS[name].model_copy(update=training)}
+    if isinstance(changes, Mapping) and changes.get("preset") == PAPER:
+        presets[PAPER] = _paper_preset(scene)
+    chosen = resolve_settings("Newton", presets, preset=name, changes=changes)
+    given = changes or {}
+    is_cell_given = given.get("cell_m") is not None
+    settings = _with_cells(chosen, scene, is_given=is_cell_given)
+    if not isinstance(settings, SettingsVBD) or not settings.starts_from_acceleration:
+        return settings
+    cell_m, iterations = settings.cell_m or CLOTH_CELL_M, settings.iterations
+    step_s = settings.timestep_s
+    longest_s = min(
+        (
             longest_timestep_s(cloth, cell_m=cell_m, iterations=iterations)
-            for cloth in cloths
+            for cloth in scene.deformables
+            if isinstance(cloth, Cloth)
+        ),
+        default=step_s,
+    )
+    if step_s > longest_s and "timestep_s" in given:
+        needed = ceil(iterations * (step_s / longest_s) ** 2)
+        raise ParameterError(
+            f"{iterations} iterations of vertex block descent at 1/{1.0 / step_s:.6g} s are too few for this cloth: "
+            f"take {needed}, or a timestep_s of 1/{ceil(1.0 / longest_s)} s"
         )
-        longest_s = min(limits, default=settings.timestep_s)
-        if settings.timestep_s > longest_s and "timestep_s" in (changes or {}):
-            needed = iterations * (settings.timestep_s / longest_s) ** 2
-            raise ParameterError(
-                f"{iterations} iterations of vertex block descent at 1/{1.0 / settings.timestep_s:.6g} s are too few "
-                f"for this cloth: take {ceil(needed)}, or a timestep_s of 1/{ceil(1.0 / longest_s)} s"
-            )
-        while settings.timestep_s > longest_s:
-            settings = settings.model_copy(
-                update={"timestep_s": 0.5 * settings.timestep_s}
-            )
-    return settings
+    while step_s > longest_s:
+        step_s *= 0.5
+    return settings.model_copy(update={"timestep_s": step_s})
 
 
 def _with_cells(
     settings: SettingsNewton, scene: Scene, *, is_given: bool
 ) -> SettingsNewton:
     """Return the settings with the default size of cells if none was given, after a check of a given one."""
-    if not isinstance(settings, SettingsVBD | SettingsLines | SettingsMPM):
+    if isinstance(settings, SettingsMuJoCoWarp):
         return settings
+    assert isinstance(settings, SettingsVBD | SettingsLines | SettingsMPM)
     if settings.cell_m is None:
         defaults = {Cloth: CLOTH_CELL_M, SoftBody: SOFT_CELL_M, Rope: ROPE_CELL_M}
-        cell_m = (
-            VOXEL_M
-            if isinstance(settings, SettingsMPM)
-            else common_cell_m(scene, defaults)
-        )
+        is_mpm = isinstance(settings, SettingsMPM)
+        cell_m = VOXEL_M if is_mpm else common_cell_m(scene, defaults)
         return settings.model_copy(update={"cell_m": cell_m})
     if is_given:
-        points = (
-            settings.points_per_voxel_edge if isinstance(settings, SettingsMPM) else 1
-        )
         check_cells(
             "Newton",
             scene,
             settings.cell_m,
             node_limit=NODE_LIMIT,
-            soft_nodes_per_edge=points,
+            soft_nodes_per_edge=settings.points_per_voxel_edge
+            if isinstance(settings, SettingsMPM)
+            else 1,
         )
     return settings
 

@@ -90,11 +90,12 @@ class SimulationPhysX(PlacedSimulation):
             pose = part.component.entity_pose
             state[:3] = pose.p
             state[3:7] = unit_quaternions(pose.q.astype(np.float64))
-            # PhysX's linear velocity is that of the centre of mass.
-            spin = part.component.angular_velocity.astype(np.float64)
-            arm_m = rotation_matrices(state[3:7]) @ part.centre_m
-            state[7:10] = part.component.linear_velocity - np.cross(spin, arm_m)
-            state[10:] = spin
+            state[7:10] = part.component.linear_velocity
+            state[10:] = part.component.angular_velocity
+            if part.centre_m.any():
+                # PhysX's linear velocity is that of the centre of mass.
+                arm_m = rotation_matrices(state[3:7]) @ part.centre_m
+                state[7:10] -= np.cross(state[10:], arm_m)
         return states[None]
 
     def close(self) -> None:

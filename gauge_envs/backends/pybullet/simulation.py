@@ -78,18 +78,21 @@ class SimulationPyBullet(PlacedSimulation):
     def advance(self, seconds: float) -> None:
         """Step the world. A driven body that was not driven since the last call stays where it is."""
         count = round(seconds / self._timestep_s)
-        targets = {name: self._targets(name, count) for name in self._kinematic}
+        targets = [
+            (body, self._targets(name, count))
+            for name in self._kinematic
+            for body, _ in self._model.handles[name]
+        ]
         for reader in self._force_readers:
             reader.clear()
         take_step = self._client.stepSimulation
         place = self._client.resetBasePositionAndOrientation
         move = self._client.resetBaseVelocity
         for step in range(count):
-            for name, rows in targets.items():
+            for body, rows in targets:
                 position, quaternion, speed, spin = rows[step]
-                for body, _ in self._model.handles[name]:
-                    place(body, position, quaternion)
-                    move(body, speed, spin)
+                place(body, position, quaternion)
+                move(body, speed, spin)
             for name, wrench in self._wrenches.items():
                 self._push(name, wrench)
             take_step()
@@ -158,10 +161,12 @@ class SimulationPyBullet(PlacedSimulation):
         offsets_m = np.array([frame.centre_m for frame in frames])
         quaternions = unit_quaternions(turns[:, [3, 0, 1, 2]])
         quaternions = quaternion_products(quaternions, axes)
-        # Bullet's frame is at the centre of mass.
-        arms_m = np.einsum("nij,nj->ni", rotation_matrices(quaternions), offsets_m)
-        positions_m = places / self._scale - arms_m
-        velocities = speeds / self._scale - np.cross(spins, arms_m)
+        positions_m, velocities = places / self._scale, speeds / self._scale
+        if offsets_m.any():
+            # Bullet's frame is at the centre of mass.
+            arms_m = np.einsum("nij,nj->ni", rotation_matrices(quaternions), offsets_m)
+            positions_m -= arms_m
+            velocities -= np.cross(spins, arms_m)
         return np.hstack([positions_m, quaternions, velocities, spins])[None]
 
     def nodes(self, name: str) -> FloatArray:
