@@ -21,8 +21,8 @@ from gymnasium.envs import registration
 from gauge_envs.errors import GaugeError as GaugeError
 from gauge_envs.experiments.variants import (
     Variant as Variant,
+    all_rows,
     beyond_variants as beyond_variants,
-    episode_steps,
     find_variant as find_variant,
     unreadable_task_files,
     variants as variants,
@@ -90,13 +90,14 @@ def register_all() -> None:
     """
     for fault in unreadable_task_files():
         warnings.warn(str(fault), stacklevel=2)
-    for variant in (*variants(), *beyond_variants()):
+    for row in all_rows():
+        variant = row.variant
         if variant.id not in registration.registry:
             registration.register(
                 id=variant.id,
                 entry_point="gauge_envs.envs.wrappers:scored_env",
                 vector_entry_point="gauge_envs.envs.vector:scored_vector_env",
-                max_episode_steps=episode_steps(variant),
+                max_episode_steps=row.frame_count - 1,
                 kwargs={"variant": variant.name},
             )
     for ids in id_modules():

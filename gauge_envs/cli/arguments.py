@@ -287,6 +287,17 @@ Only = Annotated[
     option(SELECTION, "Ids or patterns.", "--only", metavar="ID", show_default="all"),
 ]
 
+Metrics = Annotated[
+    list[str] | None,
+    option(
+        SELECTION,
+        "Metrics, as rmse or dtw.",
+        "--metric",
+        metavar="METRIC",
+        show_default="all",
+    ),
+]
+
 Corrected = Annotated[
     bool,
     option(

@@ -22,10 +22,9 @@ from gauge_envs.errors import UnknownNameError
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
-DESCRIPTION = (
-    "One line of stdout, a JSON object; an empty output has no line. null in place of a number: it is not known, does "
-    "not apply, or is not finite."
-)
+LINE = "One line of stdout, a JSON object; an empty output has no line."
+
+NULLS = "null in place of a number: it is not known, does not apply, or is not finite."
 
 RESULT_FILE = Command(
     "result-file", "run.run_command:run", line="run.lines:ResultFile", version=7
@@ -92,13 +91,16 @@ def output_schema(name: str) -> Schema:
     if name not in known:
         raise UnknownNameError("schema", name, known)
     output = known[name]
+    schema = schema_of(output.line_type())
     is_file = name == RESULT_FILE.name
+    about = [schema.pop("description", ""), "" if is_file else LINE, NULLS]
     return {
         "$schema": DIALECT,
         "$id": f"urn:gauge-envs:{name.replace(' ', '-')}:{output.version}",
         "title": "Result file" if is_file else f"gauge {name} --json",
-        "description": DESCRIPTION.partition(". ")[2] if is_file else DESCRIPTION,
-    } | schema_of(output.line_type())
+        "description": " ".join(filter(None, about)),
+        **schema,
+    }
 
 
 def schema_of(hint: Any) -> Schema:

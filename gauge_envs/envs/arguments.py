@@ -27,7 +27,7 @@ from gauge_envs.errors import (
     chosen,
 )
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.experiments.resolve import resolve_experiment
+from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.experiments.variants import Variant, user_variants
 from gauge_envs.observables.observer import MarkerProxy
@@ -106,7 +106,7 @@ class EnvArguments:
 
     def experiment(self) -> Experiment:
         """Load the experiment."""
-        return resolve_experiment(
+        return load_experiment(
             self.variant,
             self.parameters,
             drivers=self.drivers,

@@ -40,7 +40,7 @@ class Pictures:
         width: Picture width [pixels].
         height: Picture height [pixels].
         camera: Entries that replace those of the scene's camera, as `{"azimuth_deg": 90.0}`: the fields of
-            `gauge_envs.experiments.tables.Camera`.
+            `gauge_envs.rendering.camera.View`.
         has_overlay: Whether the environment puts an overlay on its pictures.
         modes: Render modes of the environment.
 

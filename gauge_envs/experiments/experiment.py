@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 from gauge_envs.experiments.names import Variant
-from gauge_envs.experiments.tables import Camera, task_camera
 from gauge_envs.experiments.task_format import ScoreSpec, TaskSpec
 from gauge_envs.observables.kinds import coordinate_names
 from gauge_envs.references.published import Baseline, published_baselines
@@ -141,11 +140,6 @@ class Experiment:
             if stated is not None:
                 found[body.name] = stated.material or self.variant.material
         return found
-
-    @property
-    def camera(self) -> Camera | None:
-        """Camera of pictures; None for the one that follows from the scene."""
-        return task_camera(self.name)
 
     @property
     def edited(self) -> bool:

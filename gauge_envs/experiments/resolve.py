@@ -29,8 +29,9 @@ def load_experiment(
     *,
     drivers: DataSource | str = DataSource.BUNDLED,
     reference: DataSource | str = DataSource.BUNDLED,
+    asset: str | PathLike[str] | None = None,
 ) -> Experiment:
-    """Load one variant from its task file.
+    """Load one variant with the scene of its task file, or of an asset.
 
     Args:
         variant: Variant, its name, its Gymnasium id, or the path of a task file with one variant, as `crate.toml`.
@@ -40,6 +41,8 @@ def load_experiment(
         drivers: `bundled` takes driven motion from the task file, `imported` from the imported trials. With `action`
             driven bodies rest until actions move them, at most as fast as the bundled motion and its actions do.
         reference: `bundled` scores against the stated band, `imported` against the imported trials.
+        asset: USD layer for any engine, or model file of one engine, as MJCF for MuJoCo. It states the scene with its
+            constants and driven motion; what is observed, and what it is scored against, stay those of the variant.
 
     Returns:
         The experiment. Its `drivers` are `imported` only where the imported trials show a driven body. One with
@@ -50,6 +53,7 @@ def load_experiment(
         ParameterError: There is no such parameter set, body, constant or data source, a value is out of range, or
             `imported` is given and no trials of the variant were imported.
         TaskFileError: The task file is wrong.
+        AssetError: The asset cannot be read, or does not fit the variant.
         ReferenceFileError: The imported trials are damaged.
 
     Example:
@@ -83,6 +87,9 @@ def load_experiment(
     )
     if single_shots(variant.name) is not None and not states_start:
         experiment = with_trial(experiment, 0)
+    if asset is not None:
+        _check_stated(Path(asset), parameters, drivers)
+        return with_asset(experiment, Path(asset))
     return _driven(experiment, _data_source(variant, "drivers", drivers))
 
 
@@ -113,52 +120,22 @@ def load_experiment_from_asset(
     *,
     reference: DataSource | str = DataSource.BUNDLED,
 ) -> Experiment:
-    """Load one variant with the scene of a file; the file states constants and driven motion.
-
-    Args:
-        variant: As for `load_experiment`: what is observed, and what it is scored against.
-        asset: USD layer for any engine, or model file of one engine, as MJCF for MuJoCo.
-        reference: As for `load_experiment`.
-
-    Raises:
-        UnknownNameError: There is no such variant.
-        ParameterError: There is no such data source, or no trials of the variant were imported.
-        AssetError: The file cannot be read, or does not fit the variant.
-    """
-    return with_asset(load_experiment(variant, reference=reference), Path(asset))
+    """Load one variant with the scene of a file, see `load_experiment`."""
+    return load_experiment(variant, reference=reference, asset=asset)
 
 
-def resolve_experiment(
-    subject: str | Variant,
-    parameters: Parameters = "calibrated",
-    *,
-    drivers: DataSource | str = DataSource.BUNDLED,
-    reference: DataSource | str = DataSource.BUNDLED,
-    asset: str | PathLike[str] | None = None,
-) -> Experiment:
-    """Load the experiment that arguments of `gymnasium.make` or of the command line name.
-
-    Args:
-        subject: Variant, name, id or path, as for `load_experiment`.
-        parameters: As for `load_experiment`.
-        drivers: As for `load_experiment`.
-        reference: As for `load_experiment`.
-        asset: As for `load_experiment_from_asset`, or None.
-    """
-    if asset is None:
-        return load_experiment(
-            subject, parameters, drivers=drivers, reference=reference
-        )
-    file = Path(asset).name
+def _check_stated(
+    asset: Path, parameters: Parameters, drivers: DataSource | str
+) -> None:
+    """Raise an error for arguments about content that an asset states."""
     if parameters and parameters != "calibrated":
         raise ParameterError(
-            f"parameters {parameters!r} with {file}: the file states the constants; edit them there"
+            f"parameters {parameters!r} with {asset.name}: the file states the constants; edit them there"
         )
-    if chosen(DataSource, drivers, "drivers") is not DataSource.BUNDLED:
+    if drivers != DataSource.BUNDLED:
         raise ParameterError(
-            f"drivers {str(drivers)!r} with {file}: the file states the motion of driven bodies"
+            f"drivers {str(drivers)!r} with {asset.name}: the file states the motion of driven bodies"
         )
-    return load_experiment_from_asset(subject, asset, reference=reference)
 
 
 def _data_source(variant: Variant, name: str, value: DataSource | str) -> DataSource:

@@ -2,16 +2,17 @@
 
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import fields
+from dataclasses import fields, replace
 from fnmatch import fnmatchcase
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
-from pydantic import TypeAdapter, ValidationError
+from pydantic import Field, TypeAdapter, ValidationError
 
 from gauge_envs.errors import ParameterError, first_fault, nearest
 from gauge_envs.experiments.names import Variant
 from gauge_envs.experiments.task_format import (
+    AnyBody,
     BodySpec,
     ClothSpec,
     ContactSpec,
@@ -49,6 +50,8 @@ AIR = "air"
 
 GRAVITY = "scene.gravity_m_per_s2"
 """Override of the gravity of a scene [m/s^2]."""
+
+GRAVITY_TYPE = TypeAdapter(Annotated[float, Field(gt=0.0, allow_inf_nan=False)])
 
 OF_NO_FABRIC = ("friction", "restitution", "density_kg_per_m3")
 """Constants of a deformable body that contacts read, or that follow from others."""
@@ -105,13 +108,7 @@ class SceneBuilder:
     ) -> None:
         self.spec = spec
         self.variant = variant
-        subtask = spec.subtask_of(variant)
-        self._motions = {} if subtask is None else subtask.motion
-        present = (subtask.bodies if subtask else ()) or spec.names
-        stated = {name: spec.owner(name) for name in present}
-        self._bodies = {
-            name: table for name, table in stated.items() if table is not None
-        }
+        self._bodies = spec.bodies_of(variant)
         self.placements = spec.placements_of(variant)
         for name in self._bodies:
             if name not in self.placements:
@@ -128,7 +125,7 @@ class SceneBuilder:
             try:
                 self._override(key, value)
             except ValidationError as error:
-                fault = ": ".join(filter(None, first_fault(error)))
+                fault = ": ".join(filter(None, first_fault(error, noun="number")))
                 raise ParameterError(f"override {key!r}: {fault}") from error
             except ParameterError as error:
                 raise ParameterError(f"override {key!r} {error}") from error
@@ -153,13 +150,9 @@ class SceneBuilder:
         if value is None:
             raise ParameterError("is None: expected numbers")
         if key == GRAVITY:
-            self._gravity_m_per_s2 = TypeAdapter(float).validate_json(
+            self._gravity_m_per_s2 = GRAVITY_TYPE.validate_json(
                 _json(value), strict=True
             )
-            if not 0.0 < self._gravity_m_per_s2 < np.inf:
-                raise ParameterError(
-                    f"is {value}: expected a number above 0, downwards"
-                )
         elif name == AIR:
             self._override_air(constant, value)
         elif name not in self._bodies:
@@ -271,14 +264,10 @@ class SceneBuilder:
             air=self._scene_air(),
         )
 
-    def _motion(self, name: str, body: BodySpec) -> Motion:
-        return self._motions.get(name, body.motion)
-
     def _rigid_bodies(self, name: str, body: BodySpec) -> Iterator[RigidBody]:
-        motion = self._motion(name, body)
         mass_kg = self.constants.get(name, {}).get("mass_kg")
         inertia_kg_m2 = self.constants.get(name, {}).get("inertia_kg_m2")
-        if motion is Motion.DYNAMIC:
+        if body.motion is Motion.DYNAMIC:
             mass_kg = self._read(name, "mass_kg")
             inertia_kg_m2 = self._read(name, "inertia_kg_m2")
         poses = self.placements[name].poses()
@@ -291,7 +280,7 @@ class SceneBuilder:
             yield RigidBody(
                 name=f"{name}-{index + 1}" if body.count else name,
                 shape=body.shape,
-                motion=motion,
+                motion=body.motion,
                 pose=pose,
                 mass_kg=mass_kg or 0.0,
                 linear_velocity_m_per_s=linear,
@@ -367,7 +356,7 @@ class SceneBuilder:
         touching = {self.spec.entry(name) for name in (*first, *second)}
         moves = any(
             not isinstance(body := self._bodies[name], BodySpec)
-            or self._motion(name, body) is Motion.DYNAMIC
+            or body.motion is Motion.DYNAMIC
             for name in touching
         )
         counts = bool(first and second) and moves
@@ -399,7 +388,7 @@ class SceneBuilder:
         if stated is None:
             return None
         carriers = tuple(name for name in stated.bodies if name in self._bodies)
-        return Markers(**(stated.model_dump() | {"bodies": carriers}))
+        return replace(stated, bodies=carriers)
 
     def _scene_air(self) -> Air | None:
         """Return the air that the overrides state; None without such overrides."""
@@ -412,7 +401,7 @@ class SceneBuilder:
             raise ParameterError(f"override 'air.{place}': {reason}") from error
 
 
-def _is_plane(body: BodySpec | ClothSpec | SoftBodySpec | LineSpec) -> bool:
+def _is_plane(body: AnyBody) -> bool:
     return isinstance(body, BodySpec) and isinstance(body.shape, Plane)
 
 

@@ -1,8 +1,7 @@
-"""Tables of shapes, drivers and cameras. A shape and a profile are read as the scene's own classes."""
+"""Tables of shapes and drivers. A shape and a profile are read as the scene's own classes."""
 
 from __future__ import annotations
 
-from fnmatch import fnmatchcase
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -17,8 +16,6 @@ from pydantic import (
 from gauge_envs.references.tables import (
     FileModel,
     UnitVector,
-    read_toml,
-    scoring_folder,
 )
 from gauge_envs.scene import (
     Box,
@@ -53,41 +50,6 @@ def _solid(union: ConvexUnion) -> ConvexUnion:
                 f"piece {index} is flat or has fewer than four vertices: it encloses no volume"
             )
     return union
-
-
-class Camera(FileModel):
-    """Where pictures are taken from: a camera without roll.
-
-    Attributes:
-        target_m: Point in the middle of the picture [m].
-        distance_m: Distance of the camera from it [m].
-        azimuth_deg: Direction of the view in the level plane, anticlockwise from the x axis [deg].
-        elevation_deg: Angle of the view above the level plane [deg]; negative from above.
-    """
-
-    target_m: Vector
-    distance_m: Positive
-    azimuth_deg: float
-    elevation_deg: float
-
-
-class CameraFile(FileModel):
-    """Content of `scoring/cameras.toml`.
-
-    Attributes:
-        camera: Camera by the name of the task, which may have wildcards.
-    """
-
-    camera: dict[str, Camera]
-
-
-def task_camera(name: str) -> Camera | None:
-    """Return the camera of a task of the package, or None."""
-    table = read_toml(scoring_folder("cameras.toml"), CameraFile).camera
-    return next(
-        (camera for pattern, camera in table.items() if fnmatchcase(name, pattern)),
-        None,
-    )
 
 
 class PlateWithHoleSpec(FileModel):

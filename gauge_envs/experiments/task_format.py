@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import fnmatch
-from collections.abc import Iterator
+from dataclasses import replace
 from enum import StrEnum
+from itertools import chain
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -19,12 +20,15 @@ from gauge_envs.experiments.tables import (
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.metrics import MetricKey
 from gauge_envs.references.tables import FileModel, UnitVector
-from gauge_envs.scene import Attachment, ContactMode, Motion, Pose
-from gauge_envs.scene.geometry import NonNegative, Positive, Vector
+from gauge_envs.scene import Attachment, ContactMode, Markers, Motion, Pose
+from gauge_envs.scene.geometry import NonNegative, Positive, Vector, vector
 from gauge_envs.scene.timing import MOST_FRAMES
 
 Name = Annotated[str, Field(pattern="^[A-Za-z0-9_]+$")]
 """Part of an id, and so of the names of files."""
+
+FrameCounts = dict[str, Annotated[int, Field(ge=2, le=MOST_FRAMES)]]
+"""Frames of an episode by material, or for `all`, the first included."""
 
 NOT_STATED = "not stated"
 """Origin of a number that `[provenance]` does not cover."""
@@ -80,6 +84,9 @@ class LineSpec(FileModel):
     length_m: Positive
     radius_m: Positive
     material: str | None = None
+
+
+AnyBody = BodySpec | ClothSpec | SoftBodySpec | LineSpec
 
 
 class Substituted(FileModel):
@@ -153,12 +160,8 @@ class Placement(FileModel):
 
     @model_validator(mode="after")
     def _one_way(self) -> Placement:
-        given = [
-            self.position_m is not None,
-            self.positions_m is not None,
-            self.hangs_from_m is not None,
-        ]
-        if sum(given) != 1:
+        places = (self.position_m, self.positions_m, self.hangs_from_m)
+        if sum(place is not None for place in places) != 1:
             raise ValueError(
                 "give exactly one of position_m, positions_m, hangs_from_m"
             )
@@ -168,21 +171,12 @@ class Placement(FileModel):
 
     def poses(self) -> list[Pose]:
         """Return the world poses of the body or bodies."""
-        if self.hangs_from_m is not None and self.length_m is not None:
-            rotated = Pose.from_euler_deg((0.0, 0.0, 0.0), self.euler_deg)
-            x, y, z = (
-                self.hangs_from_m
-                + rotated.to_world(np.array([0.0, 0.0, -self.length_m]))
-            ).tolist()
-            return [Pose(position_m=(x, y, z), quaternion=rotated.quaternion)]
-        positions = (
-            self.positions_m if self.positions_m is not None else (self.position_m,)
-        )
-        return [
-            Pose.from_euler_deg(position, self.euler_deg)
-            for position in positions
-            if position is not None
-        ]
+        turned = Pose.from_euler_deg((0.0, 0.0, 0.0), self.euler_deg)
+        positions = self.positions_m or (self.position_m,)
+        if self.hangs_from_m is not None:
+            string_m = turned.to_world(np.array([0.0, 0.0, -(self.length_m or 0.0)]))
+            positions = (vector(self.hangs_from_m + string_m),)
+        return [replace(turned, position_m=place) for place in positions if place]
 
 
 class JointSpec(FileModel):
@@ -217,27 +211,15 @@ class ContactSpec(FileModel):
         return self
 
 
-class MarkersSpec(FileModel):
-    """Motion-capture markers; `positions_m` in the published order."""
-
-    bodies: tuple[str, ...] = Field(min_length=1)
-    positions_m: tuple[Vector, ...] = Field(min_length=1)
-    faces: tuple[tuple[int, int, int], ...] = ()
-    lines: tuple[tuple[int, int], ...] = ()
-    corner: tuple[int, ...] = ()
-    edge: tuple[int, ...] = ()
-
-    @model_validator(mode="after")
-    def _indices(self) -> MarkersSpec:
-        count = len(self.positions_m)
-        for key in ("faces", "lines", "corner", "edge"):
-            for entry in getattr(self, key):
-                for index in entry if isinstance(entry, tuple) else (entry,):
-                    if not 0 <= index < count:
-                        raise ValueError(
-                            f"{key}: marker index {index} is out of range: there are {count} markers"
-                        )
-        return self
+def _within_markers(markers: Markers) -> Markers:
+    count = len(markers.positions_m)
+    lists = (markers.corner, markers.edge, *markers.faces, *markers.lines)
+    for index in chain(*lists):
+        if not 0 <= index < count:
+            raise ValueError(
+                f"marker index {index} is out of range: there are {count} markers"
+            )
+    return markers
 
 
 class ScoreSpec(FileModel):
@@ -267,10 +249,10 @@ class SubtaskSpec(FileModel):
     """Values that a subtask adds to the family, or replaces."""
 
     title: str
-    frames: dict[str, Annotated[int, Field(ge=2, le=MOST_FRAMES)]]
+    frames: FrameCounts
     bodies: tuple[str, ...] = ()
-    motion: dict[str, Motion] = Field(default_factory=dict)
-    initial: dict[str, dict[str, Placement]] = Field(default_factory=dict)
+    motion: dict[str, Motion] = Field({})
+    initial: dict[str, dict[str, Placement]] = Field({})
     contacts: tuple[ContactSpec, ...] | None = None
     drivers: tuple[DriverSpec, ...] | None = None
 
@@ -292,67 +274,60 @@ class TaskSpec(FileModel):
     summary: str
     evaluates: tuple[str, ...]
     materials: tuple[Name, ...] = Field(min_length=1)
-    metadata_materials: dict[str, str] = Field(default_factory=dict)
+    metadata_materials: dict[str, str] = Field({})
     decisions: tuple[str, ...] = ()
     source: SourceSpec
-    bodies: dict[str, BodySpec] = Field(default_factory=dict)
-    cloths: dict[str, ClothSpec] = Field(default_factory=dict)
-    soft_bodies: dict[str, SoftBodySpec] = Field(default_factory=dict)
-    ropes: dict[str, LineSpec] = Field(default_factory=dict)
-    rods: dict[str, LineSpec] = Field(default_factory=dict)
+    bodies: dict[str, BodySpec] = Field({})
+    cloths: dict[str, ClothSpec] = Field({})
+    soft_bodies: dict[str, SoftBodySpec] = Field({})
+    ropes: dict[str, LineSpec] = Field({})
+    rods: dict[str, LineSpec] = Field({})
     constants: dict[str, dict[str, dict[str, float | Substituted | dict[str, float]]]]
-    initial: dict[str, dict[str, Placement]] = Field(default_factory=dict)
+    initial: dict[str, dict[str, Placement]] = Field({})
     joints: tuple[JointSpec, ...] = ()
     attachments: tuple[Attachment, ...] = ()
     contacts: tuple[ContactSpec, ...] = ()
     score: ScoreSpec
-    frames: dict[str, Annotated[int, Field(ge=2, le=MOST_FRAMES)]] = Field(
-        default_factory=dict
-    )
+    frames: FrameCounts = Field({})
     drivers: tuple[DriverSpec, ...] = ()
-    markers: MarkersSpec | None = None
-    parameters: dict[str, ParameterSetSpec] = Field(default_factory=dict)
-    subtasks: dict[Name, SubtaskSpec] = Field(default_factory=dict)
-    provenance: dict[str, str] = Field(default_factory=dict)
+    markers: Annotated[Markers, AfterValidator(_within_markers)] | None = None
+    parameters: dict[str, ParameterSetSpec] = Field({})
+    subtasks: dict[Name, SubtaskSpec] = Field({})
+    provenance: dict[str, str] = Field({})
 
     @model_validator(mode="after")
     def _names_are_defined(self) -> TaskSpec:
         """Raise an error for the name of a body that no table defines; contacts may name several by a pattern."""
-        counts = {name: body.count or 0 for name, body in self.bodies.items()}
-        numbered = [
-            f"{name}-{index + 1}"
-            for name, count in counts.items()
-            for index in range(count)
+        known = [
+            *self.names,
+            *(
+                f"{name}-{index + 1}"
+                for name, body in self.bodies.items()
+                for index in range(body.count or 0)
+            ),
         ]
-        known = [*self.names, *numbered]
-        for name in self._used_names():
+        used = [*(self.markers.bodies if self.markers else ()), *self.constants]
+        for subtask in self.subtasks.values():
+            used += [*subtask.bodies, *subtask.motion]
+        for attachment in self.attachments:
+            used += [attachment.deformable, attachment.to]
+        for contacts in (
+            self.contacts,
+            *(one.contacts for one in self.subtasks.values()),
+        ):
+            for contact in contacts or ():
+                used += contact.bodies
+        for name in used:
             if not fnmatch.filter(known, name):
                 raise ValueError(
                     f"{name!r} is not defined; known: {', '.join(self.names)}"
                 )
         return self
 
-    def _used_names(self) -> Iterator[str]:
-        tables: tuple[TaskSpec | SubtaskSpec, ...] = (self, *self.subtasks.values())
-        for table in tables:
-            for placements in table.initial.values():
-                yield from placements
-            for contact in table.contacts or ():
-                yield from contact.bodies
-                yield from filter(None, [contact.constants_of])
-            yield from (driver.body for driver in table.drivers or ())
-        for subtask in self.subtasks.values():
-            yield from (*subtask.bodies, *subtask.motion)
-        yield from self.constants
-        yield from (joint.body for joint in self.joints)
-        for attachment in self.attachments:
-            yield from (attachment.deformable, attachment.to)
-        yield from self.markers.bodies if self.markers is not None else ()
-
     @property
     def names(self) -> tuple[str, ...]:
         """Names of all bodies, rigid and deformable, as the file spells them."""
-        return (*self.bodies, *self.cloths, *self.soft_bodies, *self.ropes, *self.rods)
+        return tuple(self._tables())
 
     def entry(self, body: str) -> str:
         """Return the name in the file of a body of the scene; `count` equal bodies share one entry."""
@@ -360,8 +335,19 @@ class TaskSpec(FileModel):
 
     def owner(self, body: str) -> BodySpec | ClothSpec | SoftBodySpec | LineSpec | None:
         """Return the table that defines a body of the scene; None for a body that the file does not have."""
-        tables = self.bodies | self.cloths | self.soft_bodies | self.ropes | self.rods
-        return tables.get(self.entry(body))
+        return self._tables().get(self.entry(body))
+
+    def _tables(self) -> dict[str, AnyBody]:
+        return self.bodies | self.cloths | self.soft_bodies | self.ropes | self.rods
+
+    def bodies_of(self, variant: Variant) -> dict[str, AnyBody]:
+        """Return the table of each body of a variant, in the order of its scene."""
+        tables, subtask = self._tables(), self.subtask_of(variant)
+        if subtask is None:
+            return tables
+        for name, motion in subtask.motion.items():
+            tables[name] = tables[name].model_copy(update={"motion": motion})
+        return {name: tables[name] for name in subtask.bodies or tables}
 
     def variants(self) -> tuple[Variant, ...]:
         """Return the variants of the family, by subtask, then by material, in the file's order."""

@@ -93,7 +93,8 @@ def _read_own_rows(files: tuple[Path, ...], times_ns: tuple[int, ...]) -> OwnRow
     return tuple(rows), tuple(faults)
 
 
-def _rows() -> tuple[IndexRow, ...]:
+def all_rows() -> tuple[IndexRow, ...]:
+    """Return the rows of the package, then those of the user."""
     return (*bundled_rows(), *_own_rows(own_task_files())[0])
 
 
@@ -116,7 +117,9 @@ def variants() -> tuple[Variant, ...]:
 
 def beyond_variants() -> tuple[Variant, ...]:
     """Return the variants beyond the benchmark: those of the package, then those of the user."""
-    return tuple(row.variant for row in _rows() if row.collection is Collection.BEYOND)
+    return tuple(
+        row.variant for row in all_rows() if row.collection is Collection.BEYOND
+    )
 
 
 def user_variants() -> tuple[Variant, ...]:
@@ -124,14 +127,9 @@ def user_variants() -> tuple[Variant, ...]:
     return tuple(row.variant for row in _own_rows(own_task_files())[0])
 
 
-def episode_steps(variant: Variant) -> int:
-    """Return the number of steps of an episode, one less than its frames."""
-    return next(row.frame_count for row in _rows() if row.variant == variant) - 1
-
-
 def task_path(family: str) -> Path:
     """Return the path of a family's task file."""
-    files = {row.variant.family: row.file for row in _rows()}
+    files = {row.variant.family: row.file for row in all_rows()}
     if family not in files:
         raise _unknown("family", family, files)
     return files[family]
@@ -167,7 +165,7 @@ def find_variant(name: str) -> Variant:
             )
         return found[0]
     plain = name.removeprefix("GAUGE/")
-    known = {row.variant.name: row.variant for row in _rows()}
+    known = {row.variant.name: row.variant for row in all_rows()}
     if plain not in known:
         raise _unknown("experiment", name, known)
     return known[plain]
@@ -187,7 +185,7 @@ def matching_variants(pattern: str) -> list[Variant]:
         found = [variant for variant in known if fnmatchcase(variant.name, plain)]
         if found:
             return found
-    raise _unknown("experiment", pattern, (row.variant.name for row in _rows()))
+    raise _unknown("experiment", pattern, (row.variant.name for row in all_rows()))
 
 
 def _variants_of_file(path: Path) -> list[Variant]:

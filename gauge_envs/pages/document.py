@@ -25,7 +25,7 @@ from rich.text import Text
 
 from gauge_envs.errors import ResultFileError
 from gauge_envs.files import json_ready, os_errors, write_whole
-from gauge_envs.pages.html import Html, element, framed, join, listed
+from gauge_envs.pages.html import Html, element, join, listed, stylesheet
 from gauge_envs.pages.table import Table
 from gauge_envs.pages.text import markdown_text
 
@@ -213,25 +213,42 @@ def as_rows(shown: Shown) -> list[dict[str, Any]]:
     return json_ready([row if isinstance(row, Mapping) else vars(row) for row in rows])
 
 
-def as_html(parts: Iterable[Part]) -> Html:
-    """Return the parts of a page below each other."""
-    return join((part.html() for part in parts), "\n")
-
-
 def page(
-    title: str, parts: Iterable[Part], *, above: Html | None = None, **frame: Any
+    title: str,
+    parts: Iterable[Part],
+    *,
+    above: Html | None = None,
+    style: str | None = None,
+    scripts: Sequence[str] = (),
+    look: str | None = None,
 ) -> str:
-    """Return a page.
+    """Return a page in HTML.
 
     Args:
-        title: Its title, above the parts.
+        title: Its title, above the parts and for the browser.
         parts: Its content.
         above: What stands above the title, as links.
-        **frame: What `framed` may be given.
+        style: File of the style, relative to the page; None writes the style into the page.
+        scripts: Script files in the order in which they run.
+        look: Class of the body.
     """
-    return framed(
-        title, as_html([above or Html(""), Heading(title, 1), *parts]), **frame
+    head = [
+        element("meta", charset="utf-8"),
+        element("title", title),
+        element("meta", name="viewport", content="width=device-width, initial-scale=1"),
+        *(element("script", Html(""), src=file, defer=True) for file in scripts),
+    ]
+    if style is None:
+        head.append(element("style", Html(stylesheet())))
+    else:
+        head.append(element("link", rel="icon", href="data:,"))
+        head.append(element("link", rel="stylesheet", href=style))
+    shown: list[Part] = [above or Html(""), Heading(title, 1), *parts]
+    body = join((part.html() for part in shown), "\n")
+    whole = element(
+        "html", element("head", *head), element("body", body, class_=look), lang="en"
     )
+    return f"<!DOCTYPE html>\n{whole}\n"
 
 
 def save_file(path: Path, content: str | bytes) -> Path:

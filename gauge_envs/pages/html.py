@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from functools import cache
 from html import escape
 from importlib.resources import files
@@ -37,21 +37,11 @@ class Html(str):
         return self
 
 
+# fmt: off
 VOID = (
-    "br",
-    "col",
-    "input",
-    "link",
-    "meta",
-    "line",
-    "path",
-    "polygon",
-    "polyline",
-    "rect",
-    "circle",
-    "wbr",
-    "img",
+    "br", "circle", "col", "img", "input", "line", "link", "meta", "path", "polygon", "polyline", "rect", "wbr",
 )
+# fmt: on
 """Elements without content, in HTML and SVG."""
 
 
@@ -113,42 +103,6 @@ def below(*texts: Text | Html) -> Html:
 def stylesheet() -> str:
     """Return the style of all pages, in CSS."""
     return (files("gauge_envs.pages") / "style.css").read_text(encoding="utf-8")
-
-
-def framed(
-    title: str,
-    body: Html,
-    *,
-    style: str | None = None,
-    scripts: Sequence[str] = (),
-    look: str | None = None,
-) -> str:
-    """Return a whole page.
-
-    Args:
-        title: Its title, for the browser.
-        body: Its content.
-        style: File of the style, relative to the page; None writes the style into the page.
-        scripts: Script files in the order in which they run.
-        look: Class of the body.
-    """
-    head = [
-        element("meta", charset="utf-8"),
-        element("title", title),
-        element("meta", name="viewport", content="width=device-width, initial-scale=1"),
-        *(element("script", Html(""), src=file, defer=True) for file in scripts),
-    ]
-    if style is None:
-        head.append(element("style", Html(stylesheet())))
-    else:
-        head += [
-            element("link", rel="icon", href="data:,"),
-            element("link", rel="stylesheet", href=style),
-        ]
-    page = element(
-        "html", element("head", *head), element("body", body, class_=look), lang="en"
-    )
-    return f"<!DOCTYPE html>\n{page}\n"
 
 
 def script_value(value: Any) -> str:

@@ -1,12 +1,14 @@
 """The camera of pictures: that of the task, or a view of the start and of where bodies go."""
 
+from fnmatch import fnmatchcase
+
 import mujoco
 import numpy as np
 
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.experiments.tables import Camera
+from gauge_envs.references.tables import FileModel, read_toml, scoring_folder
 from gauge_envs.scene import Hinge, Plane, Scene
-from gauge_envs.scene.geometry import FloatArray, length_of, vector
+from gauge_envs.scene.geometry import FloatArray, Positive, Vector, length_of, vector
 from gauge_envs.scene.meshes import outline_m
 
 FIELD_OF_VIEW_DEG = 30.0
@@ -28,8 +30,20 @@ FLOOR_IN_VIEW_M = 0.6
 """Largest distance of the floor below all bodies at which it is in the picture [m]."""
 
 
-class View(Camera):
-    """A perspective camera."""
+class View(FileModel):
+    """A perspective camera without roll.
+
+    Attributes:
+        target_m: Point in the middle of the picture [m].
+        distance_m: Distance of the camera from it [m].
+        azimuth_deg: Direction of the view in the level plane, anticlockwise from the x axis [deg].
+        elevation_deg: Angle of the view above the level plane [deg]; negative from above.
+    """
+
+    target_m: Vector
+    distance_m: Positive
+    azimuth_deg: float
+    elevation_deg: float
 
     @property
     def axes(self) -> FloatArray:
@@ -45,6 +59,16 @@ class View(Camera):
         """Height of what a picture shows at the distance of the target [m]."""
         half_angle = np.radians(0.5 * FIELD_OF_VIEW_DEG)
         return 2.0 * self.distance_m * float(np.tan(half_angle))
+
+
+class CameraFile(FileModel):
+    """Content of `scoring/cameras.toml`.
+
+    Attributes:
+        camera: Camera by the name of the task, which may have wildcards.
+    """
+
+    camera: dict[str, View]
 
 
 def free_camera(view: View) -> mujoco.MjvCamera:
@@ -70,10 +94,13 @@ def experiment_view(
         aspect: Width of the picture over its height; the camera moves away for a narrow one.
         places_m: Places that the view of a scene shows too [m], shape [..., 3]; NaN where they are not known.
     """
-    if experiment.camera is None:
-        view = scene_view(experiment.scene, places_m)
-    else:
-        view = View(**experiment.camera.model_dump())
+    cameras = read_toml(scoring_folder("cameras.toml"), CameraFile).camera
+    stated = [
+        view
+        for pattern, view in cameras.items()
+        if fnmatchcase(experiment.name, pattern)
+    ]
+    view = stated[0] if stated else scene_view(experiment.scene, places_m)
     distance_m = view.distance_m * max(TASK_ASPECT / aspect, 1.0)
     return view.model_copy(update={"distance_m": distance_m})
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from gauge_envs.errors import TrajectoryFileError
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.experiments.resolve import resolve_experiment, shots_of, with_trial
+from gauge_envs.experiments.resolve import load_experiment, shots_of, with_trial
 from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.experiments.variants import find_variant
 from gauge_envs.files import json_ready
@@ -150,7 +150,7 @@ def _experiment_of_file(
     if parameters is None:
         known = isinstance(origin.parameters, str | dict) and not origin.has_asset
         parameters = origin.parameters if known else "calibrated"
-    experiment = resolve_experiment(name, parameters, reference=reference)
+    experiment = load_experiment(name, parameters, reference=reference)
     file_id = (
         origin.id
         if origin.id is None or origin.has_asset

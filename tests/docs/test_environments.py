@@ -16,7 +16,6 @@ from gauge_envs.cli.app import app
 from gauge_envs.envs.env import GaugeEnv
 from gauge_envs.envs.reward import reward_text
 from gauge_envs.errors import MissingExtraError
-from gauge_envs.experiments.resolve import resolve_experiment
 from gauge_envs.experiments.task_files import task_spec
 from gauge_envs.experiments.variants import beyond_variants, matching_variants, variants
 from gauge_envs.pages.document import as_markdown
@@ -99,7 +98,7 @@ def test_rows_of_spaces_describe_observations(name):
 @pytest.mark.parametrize("name", ["Turntable-1-wood", "StickStack-soft"])
 def test_an_action_moves_as_its_row_says(name):
     """An action of 1 for one frame of 1/30 s adds a thirtieth of the stated rate."""
-    experiment = resolve_experiment(name)
+    experiment = load_experiment(name)
     (row,) = action_rows(experiment)
     found = re.fullmatch(r"times ([\d.]+) (m/s|deg/s)", row["unit"])
     ends = []

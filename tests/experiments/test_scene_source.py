@@ -11,7 +11,6 @@ from pxr import Gf, Sdf, Usd, UsdUtils, Vt
 
 from gauge_envs import load_experiment, load_experiment_from_asset
 from gauge_envs.errors import AssetError, ParameterError, UnsupportedSceneError
-from gauge_envs.experiments.resolve import resolve_experiment
 from gauge_envs.experiments.variants import variants
 from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.episodes import run_episode, run_episodes
@@ -511,7 +510,7 @@ def test_what_the_file_states_cannot_be_given_too(options):
     with pytest.raises(ParameterError, match=f"{SLIDE}.usda"):
         gymnasium.make(f"GAUGE/{SLIDE}", asset=shipped(SLIDE), **options)
     assert (
-        resolve_experiment(
+        load_experiment(
             SLIDE, "calibrated", drivers="bundled", asset=shipped(SLIDE)
         ).asset
         is not None

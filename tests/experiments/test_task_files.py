@@ -86,7 +86,7 @@ WRONG = [
     ("SlopeSlider", "[constants.cube]", "[constants.cub]", "'cub' is not defined"),
     ("SlopeSlider", "0.08, 0.12", "0.12, 0.08", "times_s[3]"),
     ("SlopeSlider", '["cube", "board"]', '["cube", "bord"]', "'bord' is not defined"),
-    ("SlopeSlider", 'body = "board"', 'body = "bord"', "'bord' is not defined"),
+    ("SlopeSlider", 'body = "board"', 'body = "bord"', "'bord' is not kinematic"),
     ("SlopeSlider", "[0.0, 1.0, 0.0]", "[0.0, 1.0, 0.1]", "unit vector"),
     ("SlopeSlider", "[0.05, 0.05, 0.05]", "[0.05, 0.05]", "bodies.cube.shape"),
     ("SlopeSlider", "{ all = 9 }", "{ all = 1 }", "subtasks.1.frames"),

@@ -11,11 +11,11 @@ from opengl import needs_opengl, pixels_of
 from scipy.spatial.transform import Rotation
 
 from gauge_envs import GaugeEnv, load_experiment
-from gauge_envs.experiments.tables import CameraFile
 from gauge_envs.experiments.variants import beyond_variants, variants
 from gauge_envs.references.tables import read_toml, scoring_folder
 from gauge_envs.rendering.camera import (
     FIELD_OF_VIEW_DEG,
+    CameraFile,
     View,
     experiment_view,
     scene_view,

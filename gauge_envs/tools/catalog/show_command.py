@@ -41,7 +41,7 @@ def show(
 
         echo(json.dumps(output_schema(name), indent=1))
         return
-    from gauge_envs.experiments.resolve import resolve_experiment
+    from gauge_envs.experiments.resolve import load_experiment
     from gauge_envs.tools.catalog.description import description
     from gauge_envs.tools.catalog.words import experiment_document
 
@@ -50,7 +50,7 @@ def show(
         if plain_name in ids.names():
             print_document(ids.document(plain_name), form)
             return
-    experiment = resolve_experiment(
+    experiment = load_experiment(
         name, asset=asset, **arguments.parsed_use(use, "drivers", "reference")
     )
     print_document(

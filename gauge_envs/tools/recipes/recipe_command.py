@@ -1,4 +1,4 @@
-"""`gauge recipe`: contact settings of an engine from measured behaviour, and back."""
+"""`gauge recipe`."""
 
 from __future__ import annotations
 
@@ -10,21 +10,17 @@ import typer
 from gauge_envs.cli import arguments
 from gauge_envs.cli.output import Format, echo, print_document
 from gauge_envs.errors import ParameterError
+from gauge_envs.tools.recipes.fabrics_command import known_fabrics
 
 if TYPE_CHECKING:
     from gauge_envs.pages.document import Shown
-    from gauge_envs.pages.table import Table
-    from gauge_envs.scene.fabrics import Fabric
+
 
 TIMESTEP = "--set timestep_s=0.002"
 
 
 def _asked(option: str, unit: str, text: str) -> Any:
     return arguments.measured(option, unit, text, arguments.SCENE, show_default=False)
-
-
-FABRICS_FAMILY = "TextileFlinging"
-"""Family whose task file has the six calibrated fabrics of the benchmark; other families repeat its constants."""
 
 
 def recipe(
@@ -126,7 +122,7 @@ def recipe(
                 f"--explain states the contact itself and goes with --mass and {TIMESTEP}: leave the others out"
             )
         return _explain(backend, explain, numbers, form)
-    if material in _fabrics():
+    if material in known_fabrics():
         if behaviour or "mass_kg" in numbers:
             raise ParameterError(
                 f"a fabric goes with {TIMESTEP} alone: leave the others out"
@@ -173,7 +169,7 @@ def _print_recipe(
     from gauge_envs.tools.recipes.words import recipe_document
 
     settings = engine_settings(engine)
-    pair = None if material is None else find_material(material, also=_fabrics())
+    pair = None if material is None else find_material(material, also=known_fabrics())
     if pair is not None:
         measured = {
             "mass_kg": pair.mass_kg,
@@ -222,39 +218,6 @@ def _print_fabric(
     from gauge_envs.tools.recipes.fabrics import fabric_recipe, fabric_snippet
     from gauge_envs.tools.recipes.words import fabric_document
 
-    found = fabric_recipe(name, _fabrics()[name], engine, timestep_s)
+    found = fabric_recipe(name, known_fabrics()[name], engine, timestep_s)
     _print(fabric_document(found), fabric_snippet(found.mapped), form)
     return bool(found.faults and found.versions)
-
-
-def _fabrics() -> Mapping[str, Fabric]:
-    from gauge_envs.experiments.task_files import fabrics
-
-    return fabrics(FABRICS_FAMILY)
-
-
-def recipe_fabrics(form: arguments.Form = Format.TEXT) -> None:
-    """Show the six fabrics in every engine's constants, and what is lost.
-
-    Each has the stiffness that its constants give.
-    """
-    from gauge_envs.tools.recipes.words import constants_document
-
-    print_document(constants_document(_fabrics()), form)
-
-
-def list_materials(patterns: Sequence[str]) -> list[Table]:
-    """Return the tables of the measured pairs and fabrics."""
-    from gauge_envs.tools.recipes.materials import material_pairs, published_pairs
-    from gauge_envs.tools.recipes.words import (
-        fabric_table,
-        material_table,
-        published_table,
-    )
-
-    tables = [
-        material_table(material_pairs()),
-        published_table(published_pairs()),
-        fabric_table(_fabrics()),
-    ]
-    return arguments.matching(tables, patterns, kind="material")

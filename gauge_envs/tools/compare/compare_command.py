@@ -1,35 +1,24 @@
-"""`gauge compare` and `gauge plot`."""
+"""`gauge compare`."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 from gauge_envs.cli import arguments
-from gauge_envs.cli.output import Format, echo, print_document
+from gauge_envs.cli.output import Format, print_document
 from gauge_envs.cli.results import loaded_results
-from gauge_envs.errors import ParameterError, ResultFileError, UnknownNameError
+from gauge_envs.errors import ResultFileError, UnknownNameError
 
 if TYPE_CHECKING:
     from gauge_envs.runs.result import Result
 
-Metrics = Annotated[
-    list[str] | None,
-    arguments.option(
-        arguments.SELECTION,
-        "Metrics, as rmse or dtw.",
-        "--metric",
-        metavar="METRIC",
-        show_default="all",
-    ),
-]
-
 
 def compare(
     sources: arguments.Sources = None,
-    metric: Metrics = None,
+    metric: arguments.Metrics = None,
     corrected: arguments.Corrected = True,
     only: arguments.Only = None,
     backend: Annotated[
@@ -87,43 +76,3 @@ def _is_chosen(name: str, only: Sequence[str] | None) -> bool:
     return not only or any(
         fnmatchcase(short, pattern.removeprefix("GAUGE/")) for pattern in only
     )
-
-
-def plot(
-    sources: arguments.Sources = None,
-    metric: Metrics = None,
-    corrected: arguments.Corrected = True,
-    kind: Annotated[
-        Literal["experiments", "compare"],
-        arguments.option(arguments.OUTPUT, "What to draw."),
-    ] = "experiments",
-    out: Annotated[Path, arguments.folder("Folder for the pictures.")] = Path("plots"),
-) -> bool:
-    """Draw results: experiments over real bands, or a comparison.
-
-    --metric and --corrected go with compare. Exit code 1 when a damaged file was skipped.
-    """
-    from gauge_envs.tools.compare.experiment_figure import save_figures
-    from gauge_envs.tools.compare.overview_figure import save_comparison
-    from gauge_envs.tools.compare.words import check_metrics
-
-    if kind == "experiments":
-        for option, is_given in (("metric", metric), ("no-corrected", not corrected)):
-            if is_given:
-                raise ParameterError(
-                    f"--kind experiments does not use --{option}: leave it out, or use --kind compare"
-                )
-    names = check_metrics(metric) if metric else ()
-    if len(names) > 1:
-        raise ParameterError(
-            f"--metric {','.join(names)}: a picture shows one metric: name one"
-        )
-    found, skipped = loaded_results(sources, with_scene=True, corrected=corrected)
-    results = list(found.values())
-    if kind == "experiments":
-        files = save_figures(results, out)
-    else:
-        files = save_comparison(results, out, metric=next(iter(names), None))
-    for file in files:
-        echo(file)
-    return bool(skipped)

@@ -1,4 +1,4 @@
-"""`gauge sanity`, and the command that carries settings from other machines."""
+"""`gauge sanity` and `gauge list phenomena`."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from gauge_envs.cli.output import (
     EXIT_INCOMPLETE,
     Format,
     Progress,
-    echo,
     message,
     print_document,
 )
@@ -44,6 +43,7 @@ FailOnOption = Annotated[
     ),
 ]
 
+
 BaselineOption = Annotated[
     Path | None,
     arguments.option(
@@ -53,6 +53,7 @@ BaselineOption = Annotated[
     ),
 ]
 
+
 FixOption = Annotated[
     Path | None,
     arguments.option(
@@ -61,6 +62,7 @@ FixOption = Annotated[
         metavar="OUT.xml",
     ),
 ]
+
 
 OutOption = Annotated[
     list[Path] | None,
@@ -254,27 +256,3 @@ def list_phenomena(patterns: Sequence[str]) -> list[Table]:
     return [
         phenomena_table(include_deformables=_with_deformables(patterns), only=patterns)
     ]
-
-
-def sanity_probe(
-    out: Annotated[
-        Path | None,
-        arguments.target(
-            "File to write, as gauge_probe.py; - is stdout.",
-            metavar=f"PATH|{arguments.STDOUT}",
-            show_default="stdout",
-        ),
-    ] = None,
-) -> None:
-    """Print a Python file that saves the settings of a training environment.
-
-    Copy it to the training environment, where gauge-envs need not be installed, and run it there: python gauge_probe.py
-    TARGET. Then run gauge sanity TARGET.gaugeprobe.json here.
-    """
-    from gauge_envs.pages.document import save_file
-
-    program = Path(__file__).with_name("gauge_probe.py").read_text(encoding="utf-8")
-    if out is None or str(out) == arguments.STDOUT:
-        echo(program, nl=False)
-    else:
-        message(save_file(out, program))

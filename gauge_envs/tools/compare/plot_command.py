@@ -1,0 +1,51 @@
+"""`gauge plot`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from gauge_envs.cli import arguments
+from gauge_envs.cli.output import echo
+from gauge_envs.cli.results import loaded_results
+from gauge_envs.errors import ParameterError
+
+
+def plot(
+    sources: arguments.Sources = None,
+    metric: arguments.Metrics = None,
+    corrected: arguments.Corrected = True,
+    kind: Annotated[
+        Literal["experiments", "compare"],
+        arguments.option(arguments.OUTPUT, "What to draw."),
+    ] = "experiments",
+    out: Annotated[Path, arguments.folder("Folder for the pictures.")] = Path("plots"),
+) -> bool:
+    """Draw results: experiments over real bands, or a comparison.
+
+    --metric and --corrected go with compare. Exit code 1 when a damaged file was skipped.
+    """
+    from gauge_envs.tools.compare.experiment_figure import save_figures
+    from gauge_envs.tools.compare.overview_figure import save_comparison
+    from gauge_envs.tools.compare.words import check_metrics
+
+    if kind == "experiments":
+        for option, is_given in (("metric", metric), ("no-corrected", not corrected)):
+            if is_given:
+                raise ParameterError(
+                    f"--kind experiments does not use --{option}: leave it out, or use --kind compare"
+                )
+    names = check_metrics(metric) if metric else ()
+    if len(names) > 1:
+        raise ParameterError(
+            f"--metric {','.join(names)}: a picture shows one metric: name one"
+        )
+    found, skipped = loaded_results(sources, with_scene=True, corrected=corrected)
+    results = list(found.values())
+    if kind == "experiments":
+        files = save_figures(results, out)
+    else:
+        files = save_comparison(results, out, metric=next(iter(names), None))
+    for file in files:
+        echo(file)
+    return bool(skipped)
