@@ -6,9 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from gauge_envs.backends.shared.wrapped import WrappedSimulation
 
 from gauge_envs.backends import Backend
-from gauge_envs.backends.shared.wrapped import WrappedSimulation
 from gauge_envs.scene import Cloth, Motion, Plane, Pose, Scene
 
 

@@ -11,6 +11,7 @@ from interruption import interrupt_in_episode
 from gauge_envs import load_experiment
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
 from gauge_envs.backends.registry import backend_for
+from gauge_envs.envs.recording import NotFiniteError, record
 from gauge_envs.errors import (
     ParameterError,
     ResultFileError,
@@ -22,7 +23,6 @@ from gauge_envs.runs.episodes import run_episode, run_episodes
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Outcome
 from gauge_envs.runs.result_file import load_result, result_file_name, write_result
-from gauge_envs.envs.recording import NotFiniteError, record
 from gauge_envs.runs.score_file import score_file
 
 NAME = "SlopeSlider-2-wood"

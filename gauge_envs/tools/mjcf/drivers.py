@@ -12,11 +12,11 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.errors import AssetError, ShapeError
 from gauge_envs.scene import Pose, Scene
-from gauge_envs.scene.driver_fit import sampled_motions
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.geometry import FloatArray, vector
 from gauge_envs.scene.prescribed_motion import PrescribedMotion, prescribed_motions
 from gauge_envs.scene.timing import DRIVE_INTERVAL_S
+from gauge_envs.tools.bench.driver_fit import sampled_motions
 from gauge_envs.tools.mjcf.diff import format_value
 
 if TYPE_CHECKING:

@@ -30,7 +30,6 @@ from gauge_envs.backends.mujoco.model import (
     build_model,
     start_rates,
 )
-from gauge_envs.backends.mujoco.model_settings import option_settings
 from gauge_envs.backends.mujoco.settings import settings_for
 from gauge_envs.errors import AssetError, first_names
 from gauge_envs.scene import (
@@ -42,6 +41,7 @@ from gauge_envs.scene import (
 )
 from gauge_envs.scene.geometry import FloatArray, length_of, vector
 from gauge_envs.scene.timing import DRIVE_INTERVAL_S
+from gauge_envs.tools.bench.model_settings import option_settings
 from gauge_envs.tools.mjcf.diff import format_value, is_same, model_changes, same_or
 from gauge_envs.tools.mjcf.drivers import numerics, pose_of, read_driver
 

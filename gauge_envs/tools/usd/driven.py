@@ -11,10 +11,10 @@ import numpy as np
 from pxr import Usd
 
 from gauge_envs.errors import ShapeError
-from gauge_envs.scene.driver_fit import sampled_motions
 from gauge_envs.scene.drivers import Driver, DriverMotion
 from gauge_envs.scene.geometry import Pose, pose_distance
 from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.tools.bench.driver_fit import sampled_motions
 from gauge_envs.tools.usd.layer import (
     TEXT,
     WRITTEN,

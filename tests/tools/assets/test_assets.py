@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 import pytest
 import trimesh
+from gauge_envs.scene.driver_path import DriverPath
 from places import RIGID, one_of_a_kind
 from pxr import Gf, Usd, UsdGeom, UsdPhysics, UsdShade
 from usd_rules import usd_faults
@@ -20,7 +21,6 @@ from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.errors import ParameterError, ResultFileError
 from gauge_envs.experiments.variants import task_path, variants
 from gauge_envs.scene import Box, Cloth, ConvexUnion, Motion, Plane, SoftBody
-from gauge_envs.scene.driver_path import DriverPath
 from gauge_envs.scene.geometry import pose_distance
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.assets import build as assets

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from gauge_envs.scene.driver_path import DriverPath
 from isaac_stub import StubIsaacSim
 from places import ROOT
 from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdShade, Vt
@@ -27,7 +28,6 @@ from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.score_file import score_file
 from gauge_envs.scene import Cloth, SoftBody
-from gauge_envs.scene.driver_path import DriverPath
 from gauge_envs.scene.fabrics import Fabric
 from gauge_envs.tools.assets.build import assets_folder
 from gauge_envs.tools.assets.isaac_sim import (

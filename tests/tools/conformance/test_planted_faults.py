@@ -51,7 +51,9 @@ def test_a_start_elsewhere_is_a_fact_from_half_a_millimetre_and_degree_on(change
     # A turn about x by twice the last value [rad].
     states[:, :5] = [*np.add(one.pose.position_m, change[:3]), 1.0, change[3]]
     scene = Scene(bodies=(one,), duration_s=0.1, gravity_m_per_s2=0.0)
-    found = facts(Recording(scene=scene, times_s=np.arange(3.0), states={"ball": states}))
+    found = facts(
+        Recording(scene=scene, times_s=np.arange(3.0), states={"ball": states})
+    )
     assert bool(found) == bool(says)
     assert says in found
 

@@ -8,6 +8,7 @@ import gymnasium
 import mujoco
 import numpy as np
 import pytest
+from gauge_envs.backends.world import World
 from gymnasium.envs.registration import EnvSpec
 from opengl import needs_opengl
 from places import ROOT
@@ -17,7 +18,6 @@ from scipy.integrate import solve_ivp
 from gauge_envs import load_experiment, variants
 from gauge_envs.backends import backend
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
-from gauge_envs.backends.world import World
 from gauge_envs.errors import BackendError, GaugeError, ParameterError
 from gauge_envs.files import data_folder
 from gauge_envs.references.uncertainties import friction_std

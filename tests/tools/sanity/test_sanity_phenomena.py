@@ -6,13 +6,13 @@ from itertools import pairwise
 import mujoco
 import numpy as np
 import pytest
+from gauge_envs.scene.driver_path import DriverPath
 from sanity_cases import CHEETAH, moved
 from wobbling import WobblingBackend, told
 
 from gauge_envs.backends import backend
 from gauge_envs.envs.recording import DeclinedError, DivergedError
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G
-from gauge_envs.scene.driver_path import DriverPath
 from gauge_envs.scoring.metrics import trajectory_dtw, trajectory_rmse
 from gauge_envs.tools.sanity.measure import Measurements, judged
 from gauge_envs.tools.sanity.model import Reality, Verdict

@@ -6,9 +6,9 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 
-from gauge_envs.backends.mujoco.model_settings import COLUMNS, can_move
 from gauge_envs.pages.text import vector_text
 from gauge_envs.scene import GRAVITY_M_PER_S2
+from gauge_envs.tools.bench.model_settings import COLUMNS, can_move
 from gauge_envs.tools.sanity.robot.finding import (
     NOT_STANDING,
     Finding,

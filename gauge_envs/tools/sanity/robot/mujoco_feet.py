@@ -8,13 +8,6 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.backends.mujoco.model_settings import (
-    COLUMNS,
-    ContactPairs,
-    PairKind,
-    can_move,
-    contact_settings,
-)
 from gauge_envs.errors import TargetError
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2,
@@ -29,6 +22,13 @@ from gauge_envs.scene import (
     Vector,
 )
 from gauge_envs.scene.geometry import BoolArray, FloatArray, IntArray, length_of, vector
+from gauge_envs.tools.bench.model_settings import (
+    COLUMNS,
+    ContactPairs,
+    PairKind,
+    can_move,
+    contact_settings,
+)
 from gauge_envs.tools.sanity.gauge_probe import STANDING, driven
 from gauge_envs.tools.sanity.model import ContactGroup
 from gauge_envs.tools.sanity.robot.foot import COPIES, FootGeometry

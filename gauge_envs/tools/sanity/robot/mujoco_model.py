@@ -11,7 +11,12 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from gauge_envs.backends.mujoco.model_settings import (
+from gauge_envs.backends.mujoco.versions import sparse_advice
+from gauge_envs.errors import TargetError
+from gauge_envs.pages.text import vector_text
+from gauge_envs.scene import GRAVITY_M_PER_S2, Vector
+from gauge_envs.scene.geometry import FloatArray, IntArray, vector
+from gauge_envs.tools.bench.model_settings import (
     COLUMNS,
     ContactPairs,
     PairKind,
@@ -23,11 +28,6 @@ from gauge_envs.backends.mujoco.model_settings import (
     option_settings,
     overrides_contacts,
 )
-from gauge_envs.backends.mujoco.versions import sparse_advice
-from gauge_envs.errors import TargetError
-from gauge_envs.pages.text import vector_text
-from gauge_envs.scene import GRAVITY_M_PER_S2, Vector
-from gauge_envs.scene.geometry import FloatArray, IntArray, vector
 from gauge_envs.tools.sanity.model import ContactGroup, Need, TrainingConfiguration
 from gauge_envs.tools.sanity.robot.mujoco_feet import (
     NoFootError,

@@ -18,9 +18,9 @@ from gauge_envs.backends.mujoco.model import (
     SAME_NAME_OPTIONS,
     SOLVERS,
 )
-from gauge_envs.backends.mujoco.model_settings import ContactPairs
 from gauge_envs.scene import Vector
 from gauge_envs.scene.geometry import BoolArray, FloatArray
+from gauge_envs.tools.bench.model_settings import ContactPairs
 from gauge_envs.tools.sanity.model import Settings
 from gauge_envs.tools.sanity.robot.mujoco_feet import (
     Standing,
