@@ -198,8 +198,8 @@ def unsupported_contacts(scene: Scene, settings: SettingsGenesis) -> Iterator[st
         if not (is_smooth or MIN_FRICTION <= contact.friction <= MAX_FRICTION):
             yield (
                 f"{first!r} and {second!r} touch with a friction of {contact.friction:.6g}: Genesis raises the "
-                f"friction of each contact to {MIN_FRICTION}, and takes at most {MAX_FRICTION:g}. This backend builds scenes in "
-                "which no contact has friction, with the elliptic cone"
+                f"friction of each contact to {MIN_FRICTION}, and takes at most {MAX_FRICTION:g}. This backend builds "
+                "scenes in which no contact has friction, with the elliptic cone"
             )
             break
     for contact in contacts:
