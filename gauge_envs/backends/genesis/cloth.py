@@ -22,7 +22,6 @@ from gauge_envs.backends.genesis.fabrics import pbd_constants
 from gauge_envs.backends.genesis.parts import (
     DeformablePart,
     Pin,
-    coupled_geoms,
     particle_positions_m,
 )
 from gauge_envs.backends.genesis.settings import (
@@ -31,7 +30,6 @@ from gauge_envs.backends.genesis.settings import (
     cloth_cell_m,
     grid_springs,
     grid_stiffnesses,
-    inverse_masses,
 )
 from gauge_envs.backends.shared.attachments import RigidAttachment, rigid_attachments
 from gauge_envs.backends.shared.bundled import replaced
@@ -148,9 +146,10 @@ class _Sheet:
         if self._settings.stiffness == "nominal":
             return np.full(len(springs), 1.0 / self.cloth.stretch_stiffness_n_per_m)
         step_s = self._settings.timestep_s
-        inverse = inverse_masses(self.masses_kg(), self.fixed)[springs].sum(axis=1)
+        inverse = 1.0 / self.masses_kg()
+        inverse[self.fixed] = 0.0
         stiffnesses = grid_stiffnesses(self.cloth, self.grid, springs)
-        compliances = 1.0 / stiffnesses - inverse * step_s**2
+        compliances = 1.0 / stiffnesses - inverse[springs].sum(axis=1) * step_s**2
         if np.any(compliances <= 0.0):
             raise ParameterError(
                 f"Genesis setting 'timestep_s' is {step_s:.4g} s, and a spring of cloth {self.cloth.name!r} with cells "
@@ -236,8 +235,7 @@ class ClothPart(DeformablePart):
                 sheet.entity.fix_particles(sheet.fixed)
             for attachment, rows in sheet.clamped:
                 if attachment.motion is Motion.KINEMATIC and len(rows):
-                    places_m = attachment.pose.to_body(sheet.rest_m[rows])
-                    self._pins.append(Pin(sheet.entity, rows, attachment, places_m))
+                    self.pin(sheet.entity, rows, attachment, sheet.rest_m[rows])
 
     def _touches_itself(self) -> bool:
         """Return whether a contact of the scene is between cloth and cloth."""
@@ -251,7 +249,7 @@ class ClothPart(DeformablePart):
         """Apply friction after the kernel that moves particles out of rigid bodies."""
         coupler = model.sim.coupler
         friction = np.zeros(model.sim.rigid_solver.n_geoms)
-        for geom, value in coupled_geoms(model, self._scene, self.touches()):
+        for geom, value in self.coupled_geoms(model):
             friction[geom.idx] = value
         kernels.set_friction(friction)
         collide = coupler.kernel_pbd_rigid_collide

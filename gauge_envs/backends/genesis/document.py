@@ -1,6 +1,6 @@
 """The rigid bodies of a scene as an MJCF document, the only input that gives a geom of Genesis all its constants.
 
-Free bodies stand far from each other in it, so that scenes that differ in start poses have the same document. Genesis
+Free bodies stand far from each other in it, since geoms that touch in the document never collide in Genesis. Genesis
 takes the larger friction of two geoms, and the mean of their constraint constants. A body has one geom for each set of
 constants in its contacts. Both geoms of a pair have the same constants, so both rules give these constants. Collision
 bits let each pair collide with its own.
@@ -42,9 +42,6 @@ MIN_FRICTION = 0.01
 MAX_FRICTION = 5.0
 """Largest friction that Genesis's materials take."""
 
-IMPEDANCE_SHAPE = (0.5, 2.0)
-"""Midpoint and power of the impedance curve; they have no effect on a constant impedance."""
-
 PHASES = 16
 """Number of moments within a step at which an impact may start, over which its restitution is averaged."""
 
@@ -73,13 +70,13 @@ class Constants:
     Attributes:
         friction: Coulomb's coefficient.
         solref: Time constant [s] and damping ratio.
-        solimp: Impedance: least, greatest, width [m], midpoint, power.
+        solimp: Impedance: least, greatest, width [m].
         turning: Torsional and rolling friction [m].
     """
 
     friction: float
     solref: tuple[float, float]
-    solimp: tuple[float, ...]
+    solimp: tuple[float, float, float]
     turning: tuple[float, float] = (0.0, 0.0)
 
 
@@ -115,25 +112,17 @@ def _rigid_contacts(scene: Scene) -> Iterator[Contact]:
 
 
 def _constants(scene: Scene, contact: Contact, settings: SettingsGenesis) -> Constants:
-    solref, impedance = (
-        (settings.sustained_timeconst_s, settings.sustained_dampratio),
-        settings.sustained_impedance,
-    )
+    solref = (settings.sustained_timeconst_s, settings.sustained_dampratio)
+    impedance = settings.sustained_impedance
     if contact.mode is ContactMode.IMPACT and settings.impact_steps is not None:
         speed = settings.impact_speed_m_per_s or SLOWEST_IMPACT_M_PER_S
         weight = scene.gravity_m_per_s2 * settings.timestep_s / speed
         damping = damping_ratio(contact.restitution, settings.impact_steps, weight)
         frequency = pi / (settings.impact_steps * settings.timestep_s)
-        solref, impedance = (
-            (1.0 / (damping * frequency), damping),
-            (*(settings.impact_impedance,) * 2, 0.001),
-        )
-    return Constants(
-        contact.friction,
-        solref,
-        (*impedance, *IMPEDANCE_SHAPE),
-        (contact.torsion_m, contact.rolling_m),
-    )
+        solref = (1.0 / (damping * frequency), damping)
+        impedance = (settings.impact_impedance, settings.impact_impedance, 0.001)
+    turning = (contact.torsion_m, contact.rolling_m)
+    return Constants(contact.friction, solref, impedance, turning)
 
 
 @cache
@@ -205,11 +194,12 @@ def unsupported_contacts(scene: Scene, settings: SettingsGenesis) -> Iterator[st
     contacts = list(_rigid_contacts(scene))
     is_smooth = is_frictionless(scene) and settings.friction_cone == "elliptic"
     for contact in contacts:
+        first, second = contact.first[0], contact.second[0]
         if not (is_smooth or MIN_FRICTION <= contact.friction <= MAX_FRICTION):
             yield (
-                f"{contact.first[0]!r} and {contact.second[0]!r} touch with a friction of {contact.friction:.6g}: "
-                f"Genesis raises the friction of each contact to {MIN_FRICTION}, and takes at most {MAX_FRICTION:g}. "
-                "This backend builds scenes in which no contact has friction, with the elliptic cone"
+                f"{first!r} and {second!r} touch with a friction of {contact.friction:.6g}: Genesis raises the "
+                f"friction of each contact to {MIN_FRICTION}, and takes at most {MAX_FRICTION:g}. This backend builds "
+                "scenes in which no contact has friction, with the elliptic cone"
             )
             break
     for contact in contacts:

@@ -21,7 +21,6 @@ from gauge_envs.backends.genesis.engine import engine
 from gauge_envs.backends.genesis.parts import (
     DeformablePart,
     Pin,
-    coupled_geoms,
     particle_positions_m,
 )
 from gauge_envs.backends.genesis.settings import (
@@ -35,6 +34,7 @@ from gauge_envs.backends.genesis.settings import (
 from gauge_envs.backends.shared.bundled import replaced
 from gauge_envs.backends.shared.cells import grid_points
 from gauge_envs.backends.shared.soft_rows import (
+    Block,
     SoftRow,
     TetrahedralMesh,
     grid_lines_m,
@@ -44,7 +44,7 @@ from gauge_envs.backends.shared.soft_rows import (
     soft_rows,
 )
 from gauge_envs.backends.simulation import MaterialPoints
-from gauge_envs.scene import Motion, Scene, SoftBody
+from gauge_envs.scene import Motion, Scene
 from gauge_envs.scene.geometry import FloatArray, IntArray
 
 FLOOR_M = -1e6
@@ -88,9 +88,9 @@ class _Row(ABC):
     def positions_m(self) -> FloatArray:
         """Return the current positions of what the solver moves [m], shape [count, 3]."""
 
-    @abstractmethod
     def nodes_m(self) -> FloatArray:
         """Return the current positions of the nodes [m], shape [node_count, 3]."""
+        return self.positions_m()
 
     @abstractmethod
     def weights(self, places_m: FloatArray) -> Weights:
@@ -118,7 +118,7 @@ class SoftPart(DeformablePart):
     def add(self, model: Any) -> None:
         """Set how rigid bodies act on the velocities of nodes and of a grid; they have no restitution."""
         super().add(model)
-        for geom, friction in coupled_geoms(model, self._scene, self.touches()):
+        for geom, friction in self.coupled_geoms(model):
             geom._coup_friction = friction
             geom._coup_restitution = 0.0
             geom._coup_softness = self._softness_m
@@ -153,10 +153,6 @@ class _FEMRow(_Row):
         """Return the positions of the nodes of the mesh."""
         positions: FloatArray = self.entities[0].get_state().pos[0].numpy()
         return positions.astype(np.float64)
-
-    def nodes_m(self) -> FloatArray:
-        """Return the positions of the nodes of the mesh."""
-        return self.positions_m()
 
     def weights(self, places_m: FloatArray) -> Weights:
         """Return the weights of linear interpolation in each tetrahedron, as in the elements."""
@@ -246,8 +242,7 @@ class FEMPart(SoftPart):
                 points_m = row.mesh.points_m[nodes]
                 entity.set_vertex_constraints(nodes, points_m.astype(gs.np_float))
                 if attachment.motion is Motion.KINEMATIC:
-                    places_m = attachment.pose.to_body(points_m)
-                    self._pins.append(Pin(entity, nodes, attachment, places_m))
+                    self.pin(entity, nodes, attachment, points_m)
         mass, step_s = np.concatenate(masses), self._settings.timestep_s
         mu, lam = np.concatenate(materials).T
         elements, nodes = solver.elements_i, solver.elements_v_info
@@ -402,28 +397,27 @@ class MPMPart(SoftPart):
             for index, block in enumerate(blocks):
                 volumes_m3 = row.volumes_m3[row.blocks == index]
                 share = float(volumes_m3[0]) / self._volume_m3
-                density = block.density_kg_per_m3 * share
                 row.entities.append(
-                    self._entity(model, block.body, len(volumes_m3), density, share)
+                    self._points(model, block, len(volumes_m3), share, share)
                 )
-            density = GRIP_MASS_RATIO * blocks[0].density_kg_per_m3
-            for _, points in row.grips:
+            for _, points_m in row.grips:
                 row.entities.append(
-                    self._entity(model, blocks[0].body, len(points), density, 1.0)
+                    self._points(model, blocks[0], len(points_m), 1.0, GRIP_MASS_RATIO)
                 )
 
-    def _entity(
-        self, model: Any, body: SoftBody, count: int, density: float, share: float
+    def _points(
+        self, model: Any, block: Block, count: int, stiffness: float, mass: float
     ) -> Any:
-        gs = engine()
+        """Add points of a block, given its moduli and density as multiples of those of the body."""
+        gs, body = engine(), block.body
         mu, lame = lame_constants(body)
         return model.add_entity(
             material=gs.materials.MPM.Elastic(
                 E=body.young_modulus_pa,
                 nu=body.poisson_ratio,
-                mu=mu * share,
-                lam=lame * share,
-                rho=density,
+                mu=mu * stiffness,
+                lam=lame * stiffness,
+                rho=block.density_kg_per_m3 * mass,
                 model=self._settings.model,
             ),
             morph=gs.morphs.Nowhere(n_particles=count),
@@ -446,10 +440,7 @@ class MPMPart(SoftPart):
                 start += entity.n_particles
             grips = row.entities[len(row.soft_row.blocks) :]
             for entity, (attachment, points_m) in zip(grips, row.grips, strict=True):
-                places_m = attachment.pose.to_body(points_m)
-                self._pins.append(
-                    Pin(entity, np.arange(len(points_m)), attachment, places_m)
-                )
+                self.pin(entity, np.arange(len(points_m)), attachment, points_m)
 
     def pin_motion(
         self, pin: Pin, path_m: FloatArray, spin: FloatArray

@@ -6,12 +6,7 @@ from typing import Any
 from gauge_envs.backends.genesis.document import body_label, document, layers_of_bodies
 from gauge_envs.backends.genesis.engine import engine, patient_build
 from gauge_envs.backends.genesis.parts import DeformablePart
-from gauge_envs.backends.genesis.settings import (
-    SettingsFEM,
-    SettingsGenesis,
-    SettingsMPM,
-    SettingsPBD,
-)
+from gauge_envs.backends.genesis.settings import SettingsGenesis
 from gauge_envs.scene import Motion, Scene
 
 PAIR_LIMIT = 150
@@ -69,23 +64,6 @@ def build_model(
         if entity is not None and body.motion is not Motion.FIXED
     }
     return model, links
-
-
-def deformable_part(scene: Scene, settings: SettingsGenesis) -> DeformablePart | None:
-    """Return the deformable bodies of a scene; None for a rigid scene."""
-    if isinstance(settings, SettingsPBD):
-        from gauge_envs.backends.genesis.cloth import ClothPart
-
-        return ClothPart(scene, settings)
-    if isinstance(settings, SettingsFEM):
-        from gauge_envs.backends.genesis.foam import FEMPart
-
-        return FEMPart(scene, settings)
-    if isinstance(settings, SettingsMPM):
-        from gauge_envs.backends.genesis.foam import MPMPart
-
-        return MPMPart(scene, settings)
-    return None
 
 
 def _add_bodies(

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from gauge_envs.backends.genesis.document import COUPLED_BIT, body_label
 from gauge_envs.backends.genesis.engine import engine
+from gauge_envs.backends.genesis.settings import touching_bodies
 from gauge_envs.backends.shared.attachments import RigidAttachment
 from gauge_envs.backends.shared.rigid import body_state, later_targets
 from gauge_envs.backends.simulation import MaterialPoints
@@ -60,13 +61,10 @@ class DeformablePart(ABC):
         Each of these bodies gets one more geom, the first of its geoms, which collides with no rigid body. Only this
         geom takes part in the coupling.
         """
-        rigid, soft = {body.name for body in self._scene.bodies}, set(self.names)
         return {
             name: contact.friction
-            for contact in self._scene.contacts
-            for pair in self._scene.colliding_pairs(contact)
-            for name, other in (pair, pair[::-1])
-            if name in rigid and other in soft
+            for name, other, contact in touching_bodies(self._scene)
+            if other in self.names and name not in self.names
         }
 
     def touch_margin_m(self) -> float:
@@ -78,6 +76,15 @@ class DeformablePart(ABC):
         for geom in model.sim.rigid_solver.geoms:
             geom._needs_coup = geom.conaffinity == COUPLED_BIT
 
+    def coupled_geoms(self, model: Any) -> Iterator[tuple[Any, float]]:
+        """Yield the geoms of a `gs.Scene` that collide with the part, with their friction."""
+        touches = self.touches()
+        labels = {body_label(n): one.name for n, one in enumerate(self._scene.bodies)}
+        for geom in model.sim.rigid_solver.geoms:
+            if geom.conaffinity == COUPLED_BIT:
+                label, _, _ = geom.metadata["name"].partition("/")
+                yield geom, touches[labels[label]]
+
     @abstractmethod
     def finish(self, model: Any) -> None:
         """Complete the bodies after the scene was built: set constants, fix nodes, find the pins."""
@@ -88,6 +95,17 @@ class DeformablePart(ABC):
         Args:
             starts: Initial states of the scene's deformable bodies, shape [count, 13].
         """
+
+    def pin(
+        self,
+        entity: Any,
+        nodes: IntArray,
+        attachment: RigidAttachment,
+        points_m: FloatArray,
+    ) -> None:
+        """Let nodes of an entity, given by their start positions [m], move with a rigid body."""
+        places_m = attachment.pose.to_body(points_m)
+        self._pins.append(Pin(entity, nodes, attachment, places_m))
 
     def plan(self, targets: Mapping[str, FloatArray], times_s: FloatArray) -> None:
         """Compute how pinned nodes move in an interval.
@@ -152,20 +170,3 @@ def particle_positions_m(entity: Any) -> FloatArray:
     """Return the positions of the particles of an entity [m], shape [particle_count, 3]."""
     positions: FloatArray = entity.get_particles_pos()[0].numpy().astype(np.float64)
     return positions
-
-
-def coupled_geoms(
-    model: Any, scene: Scene, touches: Mapping[str, float]
-) -> Iterator[tuple[Any, float]]:
-    """Yield the geoms that collide with deformable bodies, with their friction.
-
-    Args:
-        model: The `gs.Scene`.
-        scene: The scene.
-        touches: Friction of the bodies that touch deformable bodies, by name.
-    """
-    labels = {body_label(n): body.name for n, body in enumerate(scene.bodies)}
-    for geom in model.sim.rigid_solver.geoms:
-        if geom.conaffinity == COUPLED_BIT:
-            label, _, _ = geom.metadata["name"].partition("/")
-            yield geom, touches[labels[label]]

@@ -14,6 +14,7 @@ from gauge_envs.backends.genesis.settings import (
     SettingsGenesis,
     pbd_presets,
     soft_presets,
+    touching_bodies,
 )
 from gauge_envs.backends.settings import resolve_settings
 from gauge_envs.backends.shared.attachments import attachment_problems
@@ -45,11 +46,7 @@ def presets_for(scene: Scene) -> Mapping[str, SettingsGenesis]:
         return pbd_presets(scene)
     if scene.has(SoftBody):
         return soft_presets(scene)
-    return (
-        {"default": SettingsGenesis(preset="default", timestep_s=1 / 1800)}
-        if scene.deformables
-        else PRESETS
-    )
+    return PRESETS
 
 
 def settings_for(
@@ -137,9 +134,7 @@ def _unsupported_cloth(scene: Scene) -> Iterator[str]:
     dynamic = {body.name for body in scene.bodies if body.motion is Motion.DYNAMIC}
     loads = sorted(
         name
-        for contact in scene.contacts
-        for pair in scene.colliding_pairs(contact)
-        for name, other in (pair, pair[::-1])
+        for name, other, _ in touching_bodies(scene)
         if name in dynamic and other in cloths
     )
     if loads:
@@ -155,8 +150,7 @@ def _unsupported_solids(scene: Scene) -> Iterator[str]:
     if solids and cloths:
         yield f"{min(solids)!r} is beside cloth {cloths[0]!r}: this backend builds one of both kinds in a scene"
     yield from soft_row_problems(scene)
-    for contact in scene.contacts:
-        for first, second in scene.colliding_pairs(contact):
-            if {first, second} <= solids:
-                yield f"{first!r} may touch {second!r}: Genesis's finite elements do not collide with each other"
-                return
+    for first, second, _ in touching_bodies(scene):
+        if {first, second} <= solids:
+            yield f"{first!r} may touch {second!r}: Genesis's finite elements do not collide with each other"
+            return

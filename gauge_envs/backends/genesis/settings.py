@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Iterator, Mapping
 from math import ceil, sqrt
 from typing import Literal
 
@@ -13,7 +13,7 @@ from gauge_envs.backends.settings import SteppedSettings, load_presets
 from gauge_envs.backends.shared.cells import CellSize
 from gauge_envs.backends.shared.cloth_grid import ClothGrid
 from gauge_envs.backends.shared.soft_rows import lame_constants
-from gauge_envs.scene import Cloth, Cylinder, Scene, SoftBody, Sphere
+from gauge_envs.scene import Cloth, Contact, Cylinder, Scene, SoftBody, Sphere
 from gauge_envs.scene.geometry import FloatArray, IntArray
 from gauge_envs.scene.timing import DRIVE_INTERVAL_S
 
@@ -197,6 +197,8 @@ def sound_time_s(body: SoftBody, voxel_m: float) -> float:
     return voxel_m * sqrt(density / (lame + 2.0 * mu))
 
 
+# --- cloth ------------------------------------------------------------------------------------------------------------
+
 CLOTH_CELL_M = 0.025
 """Edge of the cells of a cloth [m]."""
 
@@ -296,20 +298,24 @@ def pbd_presets(scene: Scene) -> Mapping[str, SettingsPBD]:
     }
 
 
+def touching_bodies(scene: Scene) -> Iterator[tuple[str, str, Contact]]:
+    """Yield the names of each two bodies that may touch, in both orders, with their contact."""
+    for contact in scene.contacts:
+        for first, second in scene.colliding_pairs(contact):
+            yield first, second, contact
+            yield second, first, contact
+
+
 def cloth_cell_m(scene: Scene) -> float:
     """Return the default edge of the cells [m]: 25 mm, or less where narrow round bodies touch the cloth.
 
     Only particles collide. With cells of 1.4 times the radius of a body, a particle is within that radius of any place.
     """
     cloths = {body.name for body in scene.deformables}
-    rigid = {body.name: body for body in scene.bodies}
     touching = {
-        name
-        for contact in scene.contacts
-        if cloths & {*contact.first, *contact.second}
-        for name in {*contact.first, *contact.second} & set(rigid)
-    }
-    shapes = [rigid[name].shape for name in touching]
+        name for name, other, _ in touching_bodies(scene) if other in cloths
+    } - cloths
+    shapes = [scene.body(name).shape for name in touching]
     radii = [shape.radius_m for shape in shapes if isinstance(shape, Cylinder | Sphere)]
     return max(
         FINEST_CELL_M,
@@ -373,18 +379,6 @@ def grid_stiffnesses(cloth: Cloth, grid: ClothGrid, springs: IntArray) -> FloatA
     return stiffnesses
 
 
-def inverse_masses(masses_kg: FloatArray, fixed: Collection[int]) -> FloatArray:
-    """Return the inverse masses of particles [1/kg], 0 for fixed ones.
-
-    Args:
-        masses_kg: Masses, shape [particle_count].
-        fixed: Indices of these particles.
-    """
-    inverse = 1.0 / masses_kg
-    inverse[list(fixed)] = 0.0
-    return inverse
-
-
 def longest_timestep_s(cloth: Cloth, *, cell_m: float) -> float:
     """Return the longest time step [s] of stiffness `effective`, for a cloth whose corners are free.
 
@@ -399,6 +393,6 @@ def longest_timestep_s(cloth: Cloth, *, cell_m: float) -> float:
     """
     grid = ClothGrid(cloth, cell_m)
     springs = grid_springs(grid)
-    inverse = inverse_masses(cloth.areal_density_kg_per_m2 * grid.vertex_areas_m2(), ())
+    inverse = 1.0 / (cloth.areal_density_kg_per_m2 * grid.vertex_areas_m2())
     rates = grid_stiffnesses(cloth, grid, springs) * inverse[springs].sum(axis=1)
     return float(np.sqrt(STIFFNESS_LIMIT / rates.max()))

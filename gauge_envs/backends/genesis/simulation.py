@@ -1,14 +1,21 @@
 """Worlds of a scene in Genesis: driving, forces, stepping and reading."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
+from gauge_envs.backends.genesis.cloth import ClothPart
 from gauge_envs.backends.genesis.document import reach_m
 from gauge_envs.backends.genesis.engine import claim, engine, release
-from gauge_envs.backends.genesis.model import build_model, deformable_part
-from gauge_envs.backends.genesis.parts import DeformablePart
-from gauge_envs.backends.genesis.settings import SettingsGenesis
+from gauge_envs.backends.genesis.foam import FEMPart, MPMPart
+from gauge_envs.backends.genesis.model import build_model
+from gauge_envs.backends.genesis.settings import (
+    SettingsFEM,
+    SettingsGenesis,
+    SettingsMPM,
+    SettingsPBD,
+)
 from gauge_envs.backends.shared.rigid import (
     PlacedSimulation,
     TetherSpring,
@@ -23,6 +30,13 @@ from gauge_envs.scene.geometry import (
     rotation_matrices,
 )
 from gauge_envs.scene.states import nominal_states
+
+PARTS: dict[type[SettingsGenesis], Any] = {
+    SettingsPBD: ClothPart,
+    SettingsFEM: FEMPart,
+    SettingsMPM: MPMPart,
+}
+"""Deformable bodies of each solver, by its settings."""
 
 
 class SimulationGenesis(PlacedSimulation):
@@ -44,7 +58,8 @@ class SimulationGenesis(PlacedSimulation):
         self._nominal = nominal_states(scene)
         self._tethers = TetherSpring.of(scene)
         claim(self, settings.precision)
-        self._part = deformable_part(scene, settings)
+        kind = PARTS.get(type(settings))
+        self._part = kind(scene, settings) if kind else None
         self._model, self._links = build_model(scene, settings, world_count, self._part)
         self._solver = self._model.sim.rigid_solver
         self.reset()
@@ -182,16 +197,14 @@ class SimulationGenesis(PlacedSimulation):
 
     def nodes(self, name: str) -> FloatArray:
         """Return the positions of a deformable body's nodes [m], shape [1, node_count, 3]."""
-        return self._part_of(name).nodes(name)[None]
+        if self._part is None:
+            raise KeyError(name)
+        positions_m: FloatArray = self._part.nodes(name)
+        return positions_m[None]
 
     def track(self, name: str, points_m: FloatArray) -> MaterialPoints | None:
         """Return a reader of material points; see `Simulation.track`."""
-        return self._part_of(name).track(name, points_m)
-
-    def _part_of(self, name: str) -> DeformablePart:
-        if self._part is None or name not in self._part.names:
-            raise KeyError(name)
-        return self._part
+        return self._part.track(name, points_m) if self._part else None
 
     def close(self) -> None:
         """Free the Genesis scene."""
