@@ -199,20 +199,6 @@ def with_drive_interval(
     return {**settings, "drive_interval_s": step_s * steps}
 
 
-def check_drive_interval(settings: Mapping[str, Any]) -> None:
-    """Raise an error if the drive interval of settings is not that of episodes, 1/180 s.
-
-    Args:
-        settings: `World.settings`. Settings of engines with variable steps may have no drive interval.
-    """
-    interval = settings.get("drive_interval_s", DRIVE_INTERVAL_S)
-    if abs(interval - DRIVE_INTERVAL_S) > 1e-9:
-        raise ParameterError(
-            f"setting 'drive_interval_s' is {interval:.6g} s, but worlds on a device advance by 1/180 s: set "
-            "drive_interval_s to 1/180 and timestep_s to a value that divides it"
-        )
-
-
 def settings_record(backend: str | None, settings: Mapping[str, Any]) -> dict[str, Any]:
     """Return the settings in force in a form that JSON takes."""
     record: dict[str, Any] = {}
@@ -223,6 +209,6 @@ def settings_record(backend: str | None, settings: Mapping[str, Any]) -> dict[st
         except (TypeError, ValueError, RecursionError) as error:
             raise BackendError(
                 f"backend {backend!r}: setting {name!r} is a {type(value).__name__}, which JSON does not have. "
-                "World.settings must hold numbers, texts, booleans, None, lists and mappings."
+                "Simulation.settings must hold numbers, texts, booleans, None, lists and mappings."
             ) from error
     return record

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -119,17 +118,6 @@ def unit_quaternions(quaternions: FloatArray) -> FloatArray:
     """Return quaternions w, x, y, z over their lengths, shape [4] or [count, 4]."""
     w, x, y, z = _components(quaternions)
     return (quaternions.T / np.sqrt(x * x + y * y + z * z + w * w)).T
-
-
-def vector_quaternion(vector_rad: Sequence[float]) -> FloatArray:
-    """Return the quaternion w, x, y, z of a rotation vector [rad], shape [4], as `vector_quaternions` does of many."""
-    x, y, z = vector_rad
-    angle = math.sqrt(x * x + y * y + z * z)
-    # The sine over a small angle by its series.
-    scale = 0.5 - angle * angle / 48.0 + angle**4 / 3840.0
-    if angle > 1e-3:
-        scale = math.sin(0.5 * angle) / angle
-    return np.array([math.cos(0.5 * angle), scale * x, scale * y, scale * z])
 
 
 def vector_quaternions(vectors_rad: FloatArray) -> FloatArray:

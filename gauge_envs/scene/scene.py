@@ -158,16 +158,6 @@ class Scene:
         """Rigid bodies that move under forces, in scene order."""
         return tuple(body for body in self.bodies if body.motion is Motion.DYNAMIC)
 
-    @property
-    def holders(self) -> tuple[str, ...]:
-        """Names of the fixed and driven bodies that a deformable body is attached to, in scene order."""
-        attached = {attachment.to for attachment in self.attachments}
-        return tuple(
-            body.name
-            for body in self.bodies
-            if body.name in attached and body.motion is not Motion.DYNAMIC
-        )
-
     @cached_property
     def has_impact_chain(self) -> bool:
         """Whether more than two dynamic bodies collide with each other, so that impacts travel through them."""
@@ -240,12 +230,6 @@ class Scene:
             2.0 * self.gravity_m_per_s2 * drop + self._start_speed_m_per_s**2
         )
         return 3.0 * fallen + 2.0 * self._driven_speed_m_per_s
-
-    @cached_property
-    def distance_limit_m(self) -> float:
-        """Upper bound on the distance of a body's origin from the world origin [m]."""
-        reach = max((math.hypot(*b.pose.position_m) for b in self.bodies), default=0.0)
-        return reach + 1.0 + self.speed_limit_m_per_s * self.duration_s
 
     @cached_property
     def _driven_speed_m_per_s(self) -> float:

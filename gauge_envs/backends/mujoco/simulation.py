@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from itertools import repeat
 from typing import Any
 
 import mujoco
@@ -19,11 +21,17 @@ from gauge_envs.backends.mujoco.flex import FlexPart, free_joint_views
 from gauge_envs.backends.mujoco.line import LinePartMuJoCo
 from gauge_envs.backends.mujoco.model import START_KEY
 from gauge_envs.backends.mujoco.soft import Grip, SoftPartMuJoCo
-from gauge_envs.backends.shared.rigid import CONJUGATE, MeanForces, body_state
-from gauge_envs.backends.simulation import ContactForces, MaterialPoints, Simulation
+from gauge_envs.backends.shared.rigid import (
+    CONJUGATE,
+    MeanForces,
+    PlacedSimulation,
+    hinge_angle,
+    placed_states,
+)
+from gauge_envs.backends.simulation import ContactForces, MaterialPoints
 from gauge_envs.files import processors
-from gauge_envs.scene import Motion, Pose, Scene
-from gauge_envs.scene.geometry import FloatArray, quaternion_products, unit_quaternions
+from gauge_envs.scene import Hinge, Motion, Pose, RigidBody, Scene
+from gauge_envs.scene.geometry import FloatArray, unit_quaternions
 
 BAD_STATES = {
     mujoco.mjtWarning.mjWARN_BADQPOS: "position",
@@ -33,7 +41,7 @@ BAD_STATES = {
 """Quantity of each warning after which MuJoCo puts the state back to its start."""
 
 
-class SimulationMuJoCo(Simulation):
+class SimulationMuJoCo(PlacedSimulation):
     """A scene in MuJoCo: one model, and one `MjData` for each world, which threads step.
 
     Args:
@@ -89,10 +97,13 @@ class SimulationMuJoCo(Simulation):
             self._air = [AirOnCloth(scene.air, part, self.data) for part in cloths]
         self._folds = self._fold_watch()
         self._force_readers: list[list[MeanForces]] = [[] for _ in self.datas]
-        self._bodies = _Bodies(scene, model)
+        self.placed = placed_states(scene)
+        self._moving = {
+            body.name: [self._moving_body(body, data) for data in self.datas]
+            for body in scene.bodies
+            if body.motion is not Motion.FIXED
+        }
         # Views: fetching an array of MuJoCo costs more than reading from it.
-        self._qpos = [data.qpos for data in self.datas]
-        self._qvel = [data.qvel for data in self.datas]
         self._warnings = [data.warning.number for data in self.datas]
         self._driven: dict[str, list[DrivenBody]] = {}
         thread_count = min(processors(), world_count)
@@ -110,6 +121,15 @@ class SimulationMuJoCo(Simulation):
             return None
         return FoldWatch(self._cloths[touching.pop()], self.model, self.data)
 
+    def _moving_body(
+        self, body: RigidBody, data: mujoco.MjData
+    ) -> _FreeBody | _HingedBody:
+        """Return what reads and places a body in one world."""
+        hinge = self._scene.hinges.get(body.name)
+        if hinge is None:
+            return _FreeBody(self.model, data, body.name)
+        return _HingedBody(self.model, data, hinge, body.pose)
+
     def reset(self, starts: FloatArray | None = None, seed: int = 0) -> None:
         """Start all worlds; MuJoCo draws no random numbers, so the seed has no effect."""
         key = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_KEY, START_KEY)
@@ -121,7 +141,9 @@ class SimulationMuJoCo(Simulation):
             self._folds.forget()
         if starts is None:
             return
-        self._bodies.write(starts, self._qpos, self._qvel)
+        for row, body in enumerate(self._scene.bodies):
+            for world, place in enumerate(self._moving.get(body.name, ())):
+                place.write(starts[world, row])
         names = [body.name for body in self._scene.deformables]
         attached = {one.deformable for one in self._scene.attachments}
         for name, part in self._cloths.items():
@@ -157,7 +179,7 @@ class SimulationMuJoCo(Simulation):
             self.model.opt.disableflags = flags | no_contact
         apply = map if self._threads is None else self._threads.map
         # The results of the map raise the errors of its calls.
-        list(apply(lambda world: self._step(world, count), range(self.world_count)))
+        list(apply(self._step, range(self.world_count), repeat(count)))
         self.model.opt.disableflags = flags
 
     def _step(self, world: int, count: int) -> None:
@@ -187,9 +209,13 @@ class SimulationMuJoCo(Simulation):
                     break
         return found
 
-    def body_states(self, names: Sequence[str]) -> FloatArray:
-        """Return the states of bodies, shape [N, len(names), 13]."""
-        return self._bodies.read(tuple(names), self._qpos, self._qvel)
+    def moving_states(self, names: Sequence[str]) -> FloatArray:
+        """Return the states of dynamic and driven bodies, shape [N, len(names), 13]."""
+        states = np.empty((self.world_count, len(names), 13))
+        for row, name in enumerate(names):
+            for body, state in zip(self._moving[name], states[:, row], strict=True):
+                body.read(state)
+        return states
 
     def nodes(self, name: str) -> FloatArray:
         """Return the nodes of a deformable body [m], shape [1, node_count, 3]."""
@@ -214,8 +240,7 @@ class SimulationMuJoCo(Simulation):
             (model.body(first).id, model.body(second).id) for first, second in pairs
         ]
         readers = [
-            MeanForces(bodies, lambda data=data: _touches(model, data))
-            for data in self.datas
+            MeanForces(bodies, partial(_touches, model, data)) for data in self.datas
         ]
         for known, reader in zip(self._force_readers, readers, strict=True):
             known.append(reader)
@@ -264,141 +289,68 @@ class DrivenBody:
         np.multiply(self._mass_kg, target[13:], out=self._force)
 
 
-class _Bodies:
-    """Places of the states of rigid bodies in `qpos` and `qvel`.
+class _FreeBody:
+    """Views of MuJoCo's arrays with the state of a body on a free joint in one world."""
 
-    A dynamic or driven body has a free joint, or a hinge to the world; a fixed body has none.
-    """
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, name: str) -> None:
+        self._pose, self._velocity = free_joint_views(model, data, name)
 
-    def __init__(self, scene: Scene, model: mujoco.MjModel) -> None:
-        self._scene = scene
-        self._placed = {body.name: body_state(body.pose) for body in scene.bodies}
-        self._hinges = scene.hinges
-        self._qpos0 = model.qpos0
-        self._rows: dict[tuple[str, ...], _Rows] = {}
-        # The places of a body's joint in qpos and qvel.
-        self.joints: dict[str, tuple[int, int]] = {}
-        for body in scene.bodies:
-            if body.motion is not Motion.FIXED:
-                joint = model.body(body.name).jntadr[0]
-                places = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
-                self.joints[body.name] = places
+    def write(self, state: FloatArray) -> None:
+        """Write an initial state, shape [13]."""
+        self._pose[:3] = state[:3]
+        self._pose[3:] = unit_quaternions(state[3:7])
+        self._velocity[:3] = state[7:10]
+        # MuJoCo keeps a free joint's angular velocity in the body frame.
+        back = CONJUGATE * self._pose[3:]
+        mujoco.mju_rotVecQuat(self._velocity[3:], state[10:], back)
 
-    def write(
-        self, starts: FloatArray, qpos: Sequence[FloatArray], qvel: Sequence[FloatArray]
-    ) -> None:
-        """Write initial states, shape [N, B, 13], of all bodies that move."""
-        names = [body.name for body in self._scene.bodies]
-        for name, (position, velocity) in self.joints.items():
-            states = starts[:, names.index(name)]
-            quaternions = unit_quaternions(states[:, 3:7])
-            hinge = self._hinges.get(name)
-            if hinge is None:
-                for world, state in enumerate(states):
-                    qpos[world][position : position + 3] = state[:3]
-                    qpos[world][position + 3 : position + 7] = quaternions[world]
-                    qvel[world][velocity : velocity + 3] = state[7:10]
-                    angular = qvel[world][velocity + 3 : velocity + 6]
-                    inverse = CONJUGATE * quaternions[world]
-                    mujoco.mju_rotVecQuat(angular, state[10:], inverse)
-                continue
-            axis = np.asarray(hinge.axis)
-            back = CONJUGATE * self._placed[name][3:7]
-            turns = quaternion_products(quaternions, back)
-            angles = 2.0 * np.arctan2(turns[:, 1:] @ axis, turns[:, 0])
-            # The shorter way round.
-            angles = (angles + np.pi) % (2.0 * np.pi) - np.pi
-            for world, state in enumerate(states):
-                qpos[world][position] = self._qpos0[position] + angles[world]
-                qvel[world][velocity] = state[10:] @ axis
-
-    def read(
-        self,
-        names: tuple[str, ...],
-        qpos: Sequence[FloatArray],
-        qvel: Sequence[FloatArray],
-    ) -> FloatArray:
-        """Return the states of bodies, shape [N, len(names), 13]."""
-        if names not in self._rows:
-            self._rows[names] = _Rows(self._scene, names, self.joints)
-        rows = self._rows[names]
-        states = np.empty((len(qpos), len(names), 13))
-        states[:] = rows.placed
-        if rows.free:
-            for state, positions, velocities in zip(states, qpos, qvel, strict=True):
-                state[rows.free, :7] = positions[rows.poses]
-                state[rows.free, 7:] = velocities[rows.velocities]
-                for row in rows.free:
-                    # MuJoCo keeps a free joint's angular velocity in the body frame.
-                    body = state[row]
-                    mujoco.mju_rotVecQuat(body[10:], body[10:].copy(), body[3:7])
-        if rows.hinged:
-            angles = np.array(qpos)[:, rows.angles] - self._qpos0[rows.angles]
-            rates = np.array(qvel)[:, rows.rates]
-            states[:, rows.hinged] = rows.hinged_states(angles, rates)
-        return states
+    def read(self, state: FloatArray) -> None:
+        """Write the state of the body to an array, shape [13]."""
+        state[:7] = self._pose
+        state[7:10] = self._velocity[:3]
+        mujoco.mju_rotVecQuat(state[10:], self._velocity[3:], self._pose[3:])
 
 
-class _Rows:
-    """Places of the states of some bodies, and the circles of those on a hinge.
+class _HingedBody:
+    """A body on a hinge to the world in one world, read through MuJoCo's kinematics.
 
     Args:
-        scene: The scene.
-        names: Names of the bodies.
-        joints: Places of the joint of each body that moves in `qpos` and `qvel`.
+        model: The model.
+        data: MuJoCo's state.
+        hinge: The hinge.
+        start: Pose of the body at the nominal start.
     """
 
     def __init__(
-        self,
-        scene: Scene,
-        names: tuple[str, ...],
-        joints: Mapping[str, tuple[int, int]],
+        self, model: mujoco.MjModel, data: mujoco.MjData, hinge: Hinge, start: Pose
     ) -> None:
-        self.placed = np.array([body_state(scene.body(name).pose) for name in names])
-        self.placed = self.placed.reshape(-1, 13)
-        hinges = [scene.hinges.get(name) for name in names]
-        moving = [row for row, name in enumerate(names) if name in joints]
-        self.free = [row for row in moving if hinges[row] is None]
-        self.hinged = [row for row in moving if hinges[row] is not None]
-        free = np.array([joints[names[row]] for row in self.free], dtype=int)
-        free = free.reshape(-1, 2)
-        self.poses = free[:, :1] + np.arange(7)
-        self.velocities = free[:, 1:] + np.arange(6)
-        self.angles = [joints[names[row]][0] for row in self.hinged]
-        self.rates = [joints[names[row]][1] for row in self.hinged]
-        known = [hinge for hinge in hinges if hinge is not None]
-        self._axes = np.array([hinge.axis for hinge in known]).reshape(-1, 3)
-        anchors_m = np.array([hinge.anchor_m for hinge in known]).reshape(-1, 3)
-        arms_m = self.placed[self.hinged, :3] - anchors_m
-        along_m = (arms_m * self._axes).sum(axis=1, keepdims=True) * self._axes
-        self._centres_m = anchors_m + along_m
-        self._arms_m = arms_m - along_m
-        self._sides_m = np.cross(self._axes, arms_m)
-        self._quaternions = unit_quaternions(self.placed[self.hinged, 3:7])
-
-    def hinged_states(self, angles: FloatArray, rates: FloatArray) -> FloatArray:
-        """Return the states of bodies that have turned about their hinges.
-
-        Args:
-            angles: Angles from the nominal start [rad], shape [N, hinge_count].
-            rates: Their rates [rad/s], shape [N, hinge_count].
-
-        Returns:
-            Shape [N, hinge_count, 13].
-        """
-        cosines, sines = np.cos(angles)[..., None], np.sin(angles)[..., None]
-        states = np.empty((*angles.shape, 13))
-        states[..., :3] = (
-            self._centres_m + cosines * self._arms_m + sines * self._sides_m
+        self._model, self._data = model, data
+        self._hinge, self._start = hinge, start
+        self._index = model.body(hinge.body).id
+        joint = model.body_jntadr[self._index]
+        angle, rate = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
+        self._nominal_rad = float(model.qpos0[angle])
+        self._angle = data.qpos[angle : angle + 1]
+        self._rate = data.qvel[rate : rate + 1]
+        self._position, self._quaternion = (
+            data.xpos[self._index],
+            data.xquat[self._index],
         )
-        tangents_m = cosines * self._sides_m - sines * self._arms_m
-        states[..., 7:10] = rates[..., None] * tangents_m
-        states[..., 10:] = rates[..., None] * self._axes
-        halves = 0.5 * angles[..., None]
-        turns = np.concatenate(
-            [np.cos(halves), np.sin(halves) * self._axes], axis=-1
-        ).reshape(-1, 4)
-        starts = np.tile(self._quaternions, (len(angles), 1))
-        quaternions = quaternion_products(turns, starts)
-        states[..., 3:7] = quaternions.reshape(*angles.shape, 4)
-        return states
+
+    def write(self, state: FloatArray) -> None:
+        """Write an initial state, shape [13]."""
+        turned_rad = hinge_angle(self._hinge, self._start, state)
+        self._angle[0] = self._nominal_rad + turned_rad
+        self._rate[0] = state[10:] @ self._hinge.axis
+
+    def read(self, state: FloatArray) -> None:
+        """Write the state of the body to an array, shape [13]."""
+        for stage in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_comVel):
+            stage(self._model, self._data)
+        velocity = np.empty(6)
+        kind = mujoco.mjtObj.mjOBJ_XBODY
+        mujoco.mj_objectVelocity(
+            self._model, self._data, kind, self._index, velocity, 0
+        )
+        state[:3], state[3:7] = self._position, self._quaternion
+        state[7:10], state[10:] = velocity[3:], velocity[:3]
