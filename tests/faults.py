@@ -6,13 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from gauge_envs.backends.shared.wrapped import WrappedSimulation
 
-from gauge_envs.backends import Backend
+from gauge_envs.backends import Backend, Simulation
 from gauge_envs.scene import Cloth, Motion, Plane, Pose, Scene
 
 
-class Passed(WrappedSimulation):
+class Passed(Simulation):
     """A healthy simulation; fixed bodies report the poses of the original scene.
 
     Args:
@@ -21,23 +20,43 @@ class Passed(WrappedSimulation):
     """
 
     def __init__(self, inner, scene):
-        super().__init__(inner)
+        self.inner = inner
+        self.settings = inner.settings
+        self.world_count = inner.world_count
         self.scene = scene
         self._fixed = {one.name for one in scene.bodies if one.motion is Motion.FIXED}
 
-    def fault(self):
-        """Report none, so that checks measure what the fault does."""
+    def reset(self, starts=None, seed=0):
+        self.inner.reset(starts, seed)
+
+    def drive(self, body, targets):
+        self.inner.drive(body, targets)
+
+    def advance(self, seconds):
+        self.inner.advance(seconds)
 
     def body_states(self, names):
         states = np.array(self.inner.body_states(names))
-        for row, name in zip(states, names, strict=True):
+        for row, name in enumerate(names):
             if name in self._fixed:
                 pose = self.scene.body(name).pose
-                row[:7] = [*pose.position_m, *pose.quaternion]
+                states[:, row, :7] = [*pose.position_m, *pose.quaternion]
         return states
 
     def nodes(self, name):
         return np.array(self.inner.nodes(name))
+
+    def apply_wrench(self, body, wrenches):
+        self.inner.apply_wrench(body, wrenches)
+
+    def contact_forces(self, pairs):
+        return self.inner.contact_forces(pairs)
+
+    def track(self, name, points_m):
+        return self.inner.track(name, points_m)
+
+    def close(self):
+        self.inner.close()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -140,18 +159,18 @@ class _DrivesLate(Passed):
         super().__init__(inner, scene)
         self._before = {}
 
-    def reset(self, seed):
+    def reset(self, starts=None, seed=0):
         self._before = {}
-        super().reset(seed)
+        super().reset(starts, seed)
 
-    def drive(self, body, pose, velocity, acceleration):
-        now = (pose, np.array(velocity), np.array(acceleration))
-        super().drive(body, *self._before.get(body, now))
+    def drive(self, body, targets):
+        now = np.array(targets)
+        super().drive(body, self._before.get(body, now))
         self._before[body] = now
 
 
 class _NoReset(Passed):
-    def reset(self, seed):
+    def reset(self, starts=None, seed=0):
         pass
 
 
@@ -160,9 +179,9 @@ class _NaNMass(Passed):
 
     has_stepped = False
 
-    def reset(self, seed):
+    def reset(self, starts=None, seed=0):
         self.has_stepped = False
-        super().reset(seed)
+        super().reset(starts, seed)
 
     def advance(self, seconds):
         self.has_stepped = True
@@ -170,9 +189,9 @@ class _NaNMass(Passed):
 
     def body_states(self, names):
         states = super().body_states(names)
-        for row, name in zip(states, names, strict=True):
+        for row, name in enumerate(names):
             if self.has_stepped and self.scene.body(name).motion is Motion.DYNAMIC:
-                row[:] = np.nan
+                states[:, row] = np.nan
         return states
 
 

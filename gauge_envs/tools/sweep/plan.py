@@ -221,8 +221,7 @@ def _engine_runs(
                 experiment=experiment.name,
                 sha256=content_sha256(content | {"settings": settings_sha256}),
                 versions=engine_versions,
-                shares_worlds=engine.worlds_share_simulation
-                and type(engine).build_worlds is not Backend.build_worlds,
+                shares_worlds=type(engine).build_worlds is not Backend.build_worlds,
                 declined="; ".join(support.missing) or refusal,
                 steps=timestep_s and experiment.scene.duration_s / timestep_s,
             )
@@ -253,8 +252,8 @@ def _resolved(
 def remaining_tasks(plan: SweepPlan, done: Container[str]) -> Iterator[SweepTask]:
     """Yield the tasks whose episodes have no file yet.
 
-    Repeats of an engine that runs them as worlds of one simulation form one task; other episodes are tasks of their
-    own. The bits are the same either way.
+    Repeats on an engine that builds them as worlds of one simulation form one task; other episodes are tasks of their
+    own.
 
     Args:
         plan: The plan.
