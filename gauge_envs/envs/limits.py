@@ -10,7 +10,7 @@ No motion of a real trial comes near: the fastest one has 5 m/s, and the largest
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -64,7 +64,7 @@ def spans_m(nodes_m: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.norm(np.ptp(nodes_m, axis=1), axis=-1))
 
 
-def diverged_nodes(name: str, nodes_m: FloatArray, rest_m: float) -> Mapping[int, str]:
+def diverged_nodes(name: str, nodes_m: FloatArray, rest_m: float) -> dict[int, str]:
     """Return why worlds have diverged, by their numbers.
 
     Args:
@@ -74,7 +74,7 @@ def diverged_nodes(name: str, nodes_m: FloatArray, rest_m: float) -> Mapping[int
     """
     found = {}
     spans = spans_m(nodes_m)
-    is_near = (np.abs(nodes_m) <= DISTANCE_LIMIT_M).all(axis=(1, 2))
+    is_near = np.all(np.abs(nodes_m) <= DISTANCE_LIMIT_M, axis=(1, 2))
     is_within = is_near & (spans <= STRETCH_LIMIT * rest_m)
     for world in np.flatnonzero(~is_within).tolist():
         if not np.isfinite(nodes_m[world]).all():
