@@ -221,7 +221,8 @@ def _engine_runs(
                 experiment=experiment.name,
                 sha256=content_sha256(content | {"settings": settings_sha256}),
                 versions=engine_versions,
-                shares_worlds=type(engine).build_worlds is not Backend.build_worlds,
+                shares_worlds=engine.worlds_share_simulation
+                and type(engine).build_worlds is not Backend.build_worlds,
                 declined="; ".join(support.missing) or refusal,
                 steps=timestep_s and experiment.scene.duration_s / timestep_s,
             )
