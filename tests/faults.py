@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gauge_envs.backends import Backend, Simulation
+from gauge_envs.backends import Backend, LoopedSimulation, Simulation
 from gauge_envs.scene import Cloth, Motion, Plane, Pose, Scene
+from gauge_envs.scene.states import nominal_states
 
 
 class Passed(Simulation):
@@ -68,12 +69,14 @@ class Fault:
         says: Words of its diagnosis.
         scene: What the engine builds instead of a scene.
         simulation: Wrapper of its simulation.
+        worlds: How it joins the simulations of several worlds.
     """
 
     caught_by: str = ""
     says: str = ""
     scene: Callable[[Scene], Scene] = lambda scene: scene
     simulation: type[Passed] = Passed
+    worlds: type[LoopedSimulation] = LoopedSimulation
 
 
 class Faulty(Backend):
@@ -100,6 +103,10 @@ class Faulty(Backend):
     def build(self, scene, settings=None):
         inner = self.healthy.build(self.planted.scene(scene), settings)
         return self.planted.simulation(inner, scene)
+
+    def build_worlds(self, scene, world_count, settings=None):
+        worlds = [self.build(scene, settings) for _ in range(world_count)]
+        return self.planted.worlds(worlds)
 
 
 # --- changes of a scene ---
@@ -195,6 +202,56 @@ class _NaNMass(Passed):
         return states
 
 
+class _IgnoresStarts(Passed):
+    """Starts some rows and columns of the states as the scene says."""
+
+    rows = slice(None)
+    columns = slice(None)
+
+    def reset(self, starts=None, seed=0):
+        if starts is not None:
+            starts = starts.copy()
+            part = np.s_[:, self.rows, self.columns]
+            starts[part] = nominal_states(self.scene)[None][part]
+        super().reset(starts, seed)
+
+
+class _StartsAtRest(_IgnoresStarts):
+    columns = slice(7, 13)
+
+
+class _StartsClothInPlace(_IgnoresStarts):
+    rows = slice(1, None)
+
+
+class _StartsAsFirst(LoopedSimulation):
+    def reset(self, starts=None, seed=0):
+        if starts is not None:
+            starts = np.repeat(starts[:1], self.world_count, axis=0)
+        super().reset(starts, seed)
+
+
+class _DrivesAsFirst(LoopedSimulation):
+    def drive(self, body, targets):
+        super().drive(body, np.repeat(targets[:1], self.world_count, axis=0))
+
+
+class _PushesAsFirst(LoopedSimulation):
+    def apply_wrench(self, body, wrenches):
+        super().apply_wrench(body, np.repeat(wrenches[:1], self.world_count, axis=0))
+
+
+class _KeepsStarts(LoopedSimulation):
+    """Starts each episode after the first as that one."""
+
+    kept = None
+
+    def reset(self, starts=None, seed=0):
+        if self.kept is None and starts is not None:
+            self.kept = starts.copy()
+        super().reset(self.kept, seed)
+
+
 FAULTS = {
     "gravity-upward": Fault(
         caught_by="free-fall",
@@ -234,5 +291,26 @@ FAULTS = {
         caught_by="reset-start", says="does not restore", simulation=_NoReset
     ),
     "nan-mass": Fault(caught_by="finite", says="mass", simulation=_NaNMass),
+    "starts-nowhere": Fault(
+        caught_by="starts-free", says="position", simulation=_IgnoresStarts
+    ),
+    "starts-at-rest": Fault(
+        caught_by="starts-free", says="velocity", simulation=_StartsAtRest
+    ),
+    "hinge-at-rest": Fault(
+        caught_by="starts-hinge", says="velocity", simulation=_StartsAtRest
+    ),
+    "cloth-in-place": Fault(
+        caught_by="starts-cloth", says="nodes", simulation=_StartsClothInPlace
+    ),
+    "worlds-start-as-first": Fault(
+        caught_by="worlds-single", says="world", worlds=_StartsAsFirst
+    ),
+    "worlds-drive-as-first": Fault(
+        caught_by="worlds-single", says="world", worlds=_DrivesAsFirst
+    ),
+    "worlds-push-as-first": Fault(
+        caught_by="worlds-wrench", says="world", worlds=_PushesAsFirst
+    ),
 }
 """Faults by name."""

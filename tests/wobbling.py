@@ -19,6 +19,7 @@ from gauge_envs.scene import (
     Scene,
     SoftBody,
 )
+from gauge_envs.scene.states import scene_at
 
 Array = NDArray[np.float64]
 
@@ -29,7 +30,7 @@ STRAINS = np.array([0.1, 0.05, 0.02])
 
 
 class Wobbling(Simulation):
-    """One world of a scene as a function of the time, with a scale of all motions; it starts where the scene says."""
+    """One world of a scene as a function of the time, with a scale of all motions."""
 
     def __init__(self, scene: Scene, scale: float) -> None:
         self.scene, self.scale = scene, scale
@@ -40,8 +41,11 @@ class Wobbling(Simulation):
         self.turned: dict[str, Array] = {}
 
     def reset(self, starts: Array | None = None, seed: int = 0) -> None:
-        """Go back to the start of the scene."""
+        """Go back to the start."""
         self.time_s, self.driven = 0.0, {}
+        if starts is not None:
+            self.scene = scene_at(self.scene, starts[0])
+            self.rest, self.turned = {}, {}
 
     def drive(self, body: str, targets: Array) -> None:
         """Put a body where its driver has it."""
