@@ -31,10 +31,10 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+from gauge_envs.backends.device import HostArrays
 
 import gauge_envs  # noqa: F401  registers the ids
 from gauge_envs.backends import ArrayWorlds, DeviceWorlds, Simulation, Worlds
-from gauge_envs.backends.device import HostArrays
 from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.scene import Scene
 

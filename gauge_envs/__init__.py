@@ -53,7 +53,7 @@ else:
         __name__,
         {
             ".envs.env": ["GaugeEnv"],
-            ".envs.episode": ["Trajectory"],
+            ".envs.rollout": ["Trajectory"],
             ".envs.wrappers": ["LogScore", "ScoreEpisode"],
             ".experiments.experiment": ["Experiment"],
             ".experiments.resolve": ["load_experiment", "load_experiment_from_asset"],

@@ -6,13 +6,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from gauge_envs.backends.shared.wrapped import WrappedSimulation
 
-from gauge_envs.backends import Backend
+from gauge_envs.backends import Backend, LoopedSimulation, Simulation
 from gauge_envs.scene import Cloth, Motion, Plane, Pose, Scene
+from gauge_envs.scene.states import nominal_states
 
 
-class Passed(WrappedSimulation):
+class Passed(Simulation):
     """A healthy simulation; fixed bodies report the poses of the original scene.
 
     Args:
@@ -21,23 +21,43 @@ class Passed(WrappedSimulation):
     """
 
     def __init__(self, inner, scene):
-        super().__init__(inner)
+        self.inner = inner
+        self.settings = inner.settings
+        self.world_count = inner.world_count
         self.scene = scene
         self._fixed = {one.name for one in scene.bodies if one.motion is Motion.FIXED}
 
-    def fault(self):
-        """Report none, so that checks measure what the fault does."""
+    def reset(self, starts=None, seed=0):
+        self.inner.reset(starts, seed)
+
+    def drive(self, body, targets):
+        self.inner.drive(body, targets)
+
+    def advance(self, seconds):
+        self.inner.advance(seconds)
 
     def body_states(self, names):
         states = np.array(self.inner.body_states(names))
-        for row, name in zip(states, names, strict=True):
+        for row, name in enumerate(names):
             if name in self._fixed:
                 pose = self.scene.body(name).pose
-                row[:7] = [*pose.position_m, *pose.quaternion]
+                states[:, row, :7] = [*pose.position_m, *pose.quaternion]
         return states
 
     def nodes(self, name):
         return np.array(self.inner.nodes(name))
+
+    def apply_wrench(self, body, wrenches):
+        self.inner.apply_wrench(body, wrenches)
+
+    def contact_forces(self, pairs):
+        return self.inner.contact_forces(pairs)
+
+    def track(self, name, points_m):
+        return self.inner.track(name, points_m)
+
+    def close(self):
+        self.inner.close()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,12 +69,14 @@ class Fault:
         says: Words of its diagnosis.
         scene: What the engine builds instead of a scene.
         simulation: Wrapper of its simulation.
+        worlds: How it joins the simulations of several worlds.
     """
 
     caught_by: str = ""
     says: str = ""
     scene: Callable[[Scene], Scene] = lambda scene: scene
     simulation: type[Passed] = Passed
+    worlds: type[LoopedSimulation] = LoopedSimulation
 
 
 class Faulty(Backend):
@@ -81,6 +103,10 @@ class Faulty(Backend):
     def build(self, scene, settings=None):
         inner = self.healthy.build(self.planted.scene(scene), settings)
         return self.planted.simulation(inner, scene)
+
+    def build_worlds(self, scene, world_count, settings=None):
+        worlds = [self.build(scene, settings) for _ in range(world_count)]
+        return self.planted.worlds(worlds)
 
 
 # --- changes of a scene ---
@@ -140,18 +166,18 @@ class _DrivesLate(Passed):
         super().__init__(inner, scene)
         self._before = {}
 
-    def reset(self, seed):
+    def reset(self, starts=None, seed=0):
         self._before = {}
-        super().reset(seed)
+        super().reset(starts, seed)
 
-    def drive(self, body, pose, velocity, acceleration):
-        now = (pose, np.array(velocity), np.array(acceleration))
-        super().drive(body, *self._before.get(body, now))
+    def drive(self, body, targets):
+        now = np.array(targets)
+        super().drive(body, self._before.get(body, now))
         self._before[body] = now
 
 
 class _NoReset(Passed):
-    def reset(self, seed):
+    def reset(self, starts=None, seed=0):
         pass
 
 
@@ -160,9 +186,9 @@ class _NaNMass(Passed):
 
     has_stepped = False
 
-    def reset(self, seed):
+    def reset(self, starts=None, seed=0):
         self.has_stepped = False
-        super().reset(seed)
+        super().reset(starts, seed)
 
     def advance(self, seconds):
         self.has_stepped = True
@@ -170,10 +196,60 @@ class _NaNMass(Passed):
 
     def body_states(self, names):
         states = super().body_states(names)
-        for row, name in zip(states, names, strict=True):
+        for row, name in enumerate(names):
             if self.has_stepped and self.scene.body(name).motion is Motion.DYNAMIC:
-                row[:] = np.nan
+                states[:, row] = np.nan
         return states
+
+
+class _IgnoresStarts(Passed):
+    """Starts some rows and columns of the states as the scene says."""
+
+    rows = slice(None)
+    columns = slice(None)
+
+    def reset(self, starts=None, seed=0):
+        if starts is not None:
+            starts = starts.copy()
+            part = np.s_[:, self.rows, self.columns]
+            starts[part] = nominal_states(self.scene)[None][part]
+        super().reset(starts, seed)
+
+
+class _StartsAtRest(_IgnoresStarts):
+    columns = slice(7, 13)
+
+
+class _StartsClothInPlace(_IgnoresStarts):
+    rows = slice(1, None)
+
+
+class _StartsAsFirst(LoopedSimulation):
+    def reset(self, starts=None, seed=0):
+        if starts is not None:
+            starts = np.repeat(starts[:1], self.world_count, axis=0)
+        super().reset(starts, seed)
+
+
+class _DrivesAsFirst(LoopedSimulation):
+    def drive(self, body, targets):
+        super().drive(body, np.repeat(targets[:1], self.world_count, axis=0))
+
+
+class _PushesAsFirst(LoopedSimulation):
+    def apply_wrench(self, body, wrenches):
+        super().apply_wrench(body, np.repeat(wrenches[:1], self.world_count, axis=0))
+
+
+class _KeepsStarts(LoopedSimulation):
+    """Starts each episode after the first as that one."""
+
+    kept = None
+
+    def reset(self, starts=None, seed=0):
+        if self.kept is None and starts is not None:
+            self.kept = starts.copy()
+        super().reset(self.kept, seed)
 
 
 FAULTS = {
@@ -215,5 +291,26 @@ FAULTS = {
         caught_by="reset-start", says="does not restore", simulation=_NoReset
     ),
     "nan-mass": Fault(caught_by="finite", says="mass", simulation=_NaNMass),
+    "starts-nowhere": Fault(
+        caught_by="starts-free", says="position", simulation=_IgnoresStarts
+    ),
+    "starts-at-rest": Fault(
+        caught_by="starts-free", says="velocity", simulation=_StartsAtRest
+    ),
+    "hinge-at-rest": Fault(
+        caught_by="starts-hinge", says="velocity", simulation=_StartsAtRest
+    ),
+    "cloth-in-place": Fault(
+        caught_by="starts-cloth", says="nodes", simulation=_StartsClothInPlace
+    ),
+    "worlds-start-as-first": Fault(
+        caught_by="worlds-single", says="world", worlds=_StartsAsFirst
+    ),
+    "worlds-drive-as-first": Fault(
+        caught_by="worlds-single", says="world", worlds=_DrivesAsFirst
+    ),
+    "worlds-push-as-first": Fault(
+        caught_by="worlds-wrench", says="world", worlds=_PushesAsFirst
+    ),
 }
 """Faults by name."""

@@ -86,10 +86,10 @@ def fails_on_plastic(backend_name, fail):
     """A backend that calls a function in the episode of one scene."""
 
     class Stepped(SimulationMuJoCo):
-        def reset(self, seed):
+        def reset(self, starts=None, seed=0):
             if 0.1469 in self.model.body_mass.round(6):
                 fail()
-            super().reset(seed)
+            super().reset(starts, seed)
 
     class Failing(BackendMuJoCo):
         name = backend_name

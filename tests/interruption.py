@@ -8,10 +8,10 @@ def interrupt_in_episode(monkeypatch, number):
     count = 0
     reset, states = SimulationMuJoCo.reset, SimulationMuJoCo.body_states
 
-    def counted(self, seed):
+    def counted(self, starts=None, seed=0):
         nonlocal count
         count += 1
-        reset(self, seed)
+        reset(self, starts, seed)
 
     def interrupted(self, names):
         if count == number:

@@ -15,11 +15,11 @@ from gauge_envs.scene import (
     Cloth,
     Deformable,
     Motion,
-    Pose,
     RigidBody,
     Scene,
     SoftBody,
 )
+from gauge_envs.scene.states import scene_at
 
 Array = NDArray[np.float64]
 
@@ -30,7 +30,7 @@ STRAINS = np.array([0.1, 0.05, 0.02])
 
 
 class Wobbling(Simulation):
-    """A scene as a function of the time, with a scale of all motions."""
+    """One world of a scene as a function of the time, with a scale of all motions."""
 
     def __init__(self, scene: Scene, scale: float) -> None:
         self.scene, self.scale = scene, scale
@@ -40,22 +40,19 @@ class Wobbling(Simulation):
         self.rest: dict[str, tuple[Array, Array]] = {}
         self.turned: dict[str, Array] = {}
 
-    def reset(self, seed: int) -> None:
+    def reset(self, starts: Array | None = None, seed: int = 0) -> None:
         """Go back to the start."""
         self.time_s, self.driven = 0.0, {}
+        if starts is not None:
+            self.scene = scene_at(self.scene, starts[0])
+            self.rest, self.turned = {}, {}
 
-    def drive(
-        self, body: str, pose: Pose, velocity: Array, acceleration: Array
-    ) -> None:
+    def drive(self, body: str, targets: Array) -> None:
         """Put a body where its driver has it."""
-        place = [*pose.position_m, *pose.quaternion]
-        self.driven[body] = np.array([*place, *velocity])
+        self.driven[body] = np.array(targets[0, :13])
 
-    def apply_wrench(self, body: str, wrench: Array) -> None:
+    def apply_wrench(self, body: str, wrenches: Array) -> None:
         """Accept it; nothing follows."""
-
-    def command(self, values: Array) -> None:
-        """Accept them; nothing follows."""
 
     def advance(self, seconds: float) -> None:
         """Let time pass."""
@@ -63,7 +60,7 @@ class Wobbling(Simulation):
 
     def body_states(self, names: Sequence[str]) -> Array:
         """Return the states of bodies."""
-        return np.array([self._state(name) for name in names]).reshape(-1, 13)
+        return np.array([self._state(name) for name in names]).reshape(1, -1, 13)
 
     def _state(self, name: str) -> Array:
         body = self.scene.body(name)
@@ -115,16 +112,7 @@ class Wobbling(Simulation):
         way_m, _, angle, _ = self._way(name)
         # More with gravity: stiffness is a difference of two scenes.
         size = self.scale * (1.0 + 0.1 * self.scene.gravity_m_per_s2) * np.sin(angle)
-        return rest_m + size * strain_m + way_m
-
-    def state(self) -> Any:
-        """Return the time and the driven bodies."""
-        return self.time_s, dict(self.driven)
-
-    def restore(self, state: Any) -> None:
-        """Go back to a time."""
-        self.time_s, driven = state
-        self.driven = dict(driven)
+        return (rest_m + size * strain_m + way_m)[None]
 
     def close(self) -> None:
         """Nothing is open."""

@@ -90,6 +90,9 @@ class Backend(ABC):
         features: Optional features that `build` builds. Scenes with others are declined, so that an engine which was
             written before a feature existed leaves none out.
         own_defaults: Presets that leave the engine as its makers deliver it.
+        worlds_share_simulation: Whether `build_worlds`, where an engine overrides it, advances all worlds at once. A
+            sweep runs the repeats of such an engine together, and those of others one by one, so that an interrupted
+            one loses less.
     """
 
     name: ClassVar[str]
@@ -101,6 +104,7 @@ class Backend(ABC):
     corrections: ClassVar[tuple[str, ...]] = ()
     features: ClassVar[frozenset[Feature]] = frozenset()
     own_defaults: ClassVar[frozenset[str]] = frozenset({"out_of_box"})
+    worlds_share_simulation: ClassVar[bool] = True
 
     def whose_physics(self, preset: str) -> str:
         """Return whose physics a preset shows: `own defaults`, `own options`, or `corrected` by this package."""

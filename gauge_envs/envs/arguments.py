@@ -121,7 +121,7 @@ class EnvArguments:
     def rollout(
         self, experiments: Sequence[Experiment], bands: Sequence[Band | None]
     ) -> Rollout:
-        """Build a world for each experiment, in one simulation, and return their rollout.
+        """Return the rollout of a new simulation.
 
         Args:
             experiments: The experiment of each world, which may differ in constants.
@@ -131,6 +131,15 @@ class EnvArguments:
             UnsupportedSceneError: The backend cannot build a scene.
             ParameterError: A setting does not exist or has an invalid value.
         """
+        return Rollout(
+            experiments,
+            self.simulation(experiments),
+            bands=bands,
+            marker_proxy=self.proxy,
+        )
+
+    def simulation(self, experiments: Sequence[Experiment]) -> Simulation:
+        """Build a world for each experiment, in one simulation; see `rollout`."""
         for experiment in {id(one): one for one in experiments}.values():
             check_support(experiment, self.backend)
         engine = backend_for(self.backend, experiments[0].model_file)
@@ -142,12 +151,7 @@ class EnvArguments:
             simulation = LoopedSimulation(
                 [engine.build(one.scene, self.settings) for one in experiments]
             )
-        return Rollout(
-            experiments,
-            in_intervals(simulation, scene),
-            bands=bands,
-            marker_proxy=self.proxy,
-        )
+        return in_intervals(simulation, scene)
 
 
 def check_episode_steps(asked: int | None, steps: int) -> None:

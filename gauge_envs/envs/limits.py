@@ -74,7 +74,7 @@ def diverged_nodes(name: str, nodes_m: FloatArray, rest_m: float) -> dict[int, s
     """
     found = {}
     spans = spans_m(nodes_m)
-    is_near = np.asarray((np.abs(nodes_m) <= DISTANCE_LIMIT_M).all(axis=(1, 2)))
+    is_near = np.all(np.abs(nodes_m) <= DISTANCE_LIMIT_M, axis=(1, 2))
     is_within = is_near & (spans <= STRETCH_LIMIT * rest_m)
     for world in np.flatnonzero(~is_within).tolist():
         if not np.isfinite(nodes_m[world]).all():

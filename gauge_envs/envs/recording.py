@@ -10,7 +10,7 @@ import traceback
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -21,7 +21,7 @@ from gauge_envs.observables.kinds import Observable
 from gauge_envs.observables.observer import MarkerProxy, ObserverMarkers
 from gauge_envs.scene import Motion, Scene
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.scene.prescribed_motion import PrescribedMotion, prescribed_motions
+from gauge_envs.scene.prescribed_motion import prescribed_motions
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 
 PACKAGE = Path(__file__).parents[1]
@@ -120,9 +120,19 @@ class Recording:
         return int(np.abs(self.times_s - time_s).argmin())
 
 
+class DrivenMotion(Protocol):
+    """Motion of a driven body, as `gauge_envs.scene.prescribed_motion.PrescribedMotion`."""
+
+    body: str
+
+    def targets(self, first: int, actions: FloatArray, count: int = 1) -> FloatArray:
+        """Return what `Simulation.drive` takes in the next intervals, shape [count, N, 19]."""
+        ...
+
+
 def intervals(
     simulation: Simulation,
-    motions: Sequence[PrescribedMotion],
+    motions: Sequence[DrivenMotion],
     first: int,
     count: int,
     actions: Sequence[FloatArray],
@@ -299,7 +309,7 @@ def _read(
 
 def _advance(
     simulation: Simulation,
-    motions: Sequence[PrescribedMotion],
+    motions: Sequence[DrivenMotion],
     actions: Sequence[FloatArray],
     index: int,
     interval_s: float,

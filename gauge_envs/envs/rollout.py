@@ -17,7 +17,7 @@ from gauge_envs.envs.limits import diverged_bodies, diverged_nodes, spans_m
 from gauge_envs.envs.recording import intervals
 from gauge_envs.envs.reward import Reward
 from gauge_envs.envs.spaces import Observation
-from gauge_envs.errors import EpisodeError
+from gauge_envs.errors import BackendError, EpisodeError
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.observables.observer import (
@@ -39,6 +39,35 @@ if TYPE_CHECKING:
 
 LATER_FRAMES = round(MAX_TIME_OFFSET_S * FRAME_RATE_HZ)
 """Frames that worlds with a release run on after the last one, for the alignment over time."""
+
+
+MAX_NORM_ERROR = 1e-3
+"""Largest deviation of the norm of a quaternion from 1 at the start."""
+
+
+def check_states(simulation: Simulation, names: Sequence[str]) -> None:
+    """Raise an error if an engine's states of bodies are not what `Simulation.body_states` promises.
+
+    Args:
+        simulation: The worlds, at their start.
+        names: Names of the bodies.
+    """
+    states: Any = simulation.body_states(names)
+    method = f"{type(simulation).__name__}.body_states"
+    shape = (simulation.world_count, len(names), 13)
+    array = np.asanyarray(states)
+    if states is not array or array.shape != shape or array.dtype.kind != "f":
+        found = f"a {type(states).__name__} of shape {array.shape} and {array.dtype} numbers"
+        raise BackendError(
+            f"{method} returned {found}, expected an array of shape {shape} and float numbers"
+        )
+    norm_errors = np.abs(np.linalg.norm(states[..., 3:7], axis=-1) - 1.0)
+    is_valid = np.isfinite(states).all(axis=-1) & (norm_errors <= MAX_NORM_ERROR)
+    for world, row in np.argwhere(~is_valid)[:1].tolist():
+        raise BackendError(
+            f"{method} returned {states[world, row].tolist()} for {names[row]!r} at the start, expected "
+            "finite numbers and a unit quaternion"
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -187,7 +216,7 @@ class Rollout:
             seed: Seed of the engine.
 
         Raises:
-            BackendError: The engine's states have another shape than the contract says, or are not finite.
+            BackendError: The engine's states are not what `Simulation.body_states` promises.
         """
         is_moved = starts is not None or bool(self.starts)
         self.starts = starts or ()
@@ -195,6 +224,7 @@ class Rollout:
         if starts is not None:
             states = np.array([start.states for start in starts])
         self.simulation.reset(states, seed)
+        check_states(self.simulation, [*self._dynamic, *self._driven])
         for index, motion in enumerate(self._motions):
             if starts is None or states is None:
                 motion.reset()

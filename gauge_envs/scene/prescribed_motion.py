@@ -112,7 +112,7 @@ class PrescribedMotion:
             self._values[part] + offsets,
             self._rates[part] + rates,
         )
-        return _uniformly_accelerated(states, self._interval_s)
+        return uniformly_accelerated(states, self._interval_s)
 
 
 def prescribed_motions(
@@ -158,7 +158,7 @@ def _recorded(
     values, rates = recorded_coordinates(driver.motions, times_s)
     starts = np.frombuffer(start).reshape(1, 7)
     states = _states([driver], starts, values[:, None], rates[:, None])
-    return _uniformly_accelerated(states, interval_s)[:, 0], values, rates
+    return uniformly_accelerated(states, interval_s)[:, 0], values, rates
 
 
 def _states(
@@ -184,7 +184,7 @@ def _states(
     return np.stack(each, axis=1)
 
 
-def _uniformly_accelerated(states: FloatArray, interval_s: float) -> FloatArray:
+def uniformly_accelerated(states: FloatArray, interval_s: float) -> FloatArray:
     """Return motions between states, with velocities closest to theirs; each ends at the pose of the next state.
 
     Args:

@@ -101,7 +101,7 @@ def test_a_divergence_ends_with_a_discount_of_zero_and_the_next_step_starts_over
     gym_env = gymnasium.make("GAUGE/BouncingBall-rubber", disable_env_checker=True)
     env = DmEnvironment(gym_env)
     assert env.step(0).first()
-    gym_env.unwrapped.simulation.data.qvel[0] = 900.0
+    gym_env.unwrapped.rollout.simulation.data.qvel[0] = 900.0
     step = env.step(0)
     assert step.last()
     assert step.discount == 0.0

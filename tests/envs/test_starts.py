@@ -167,9 +167,8 @@ def test_real_starts_of_single_shots_are_recorded_ones():
 @pytest.mark.parametrize("task", one_of_a_kind(task.id for task in control_tasks()))
 def test_control_tasks_scatter_by_seed_and_keep_their_law(task):
     if task.startswith("GAUGE/Fling"):
-        for make in (gym.make, gym.make_vec):
-            with pytest.raises(ParameterError, match="nothing to jitter: every body"):
-                make(task, jitter="real")
+        with pytest.raises(ParameterError, match="jitter moves no body"):
+            gym.make(task, jitter="real")
         return
     env = gym.make(task, jitter="real")
     calibrated = gym.make(task)
@@ -177,7 +176,7 @@ def test_control_tasks_scatter_by_seed_and_keep_their_law(task):
 
     def bodies(one):
         world = one.unwrapped
-        return world.world.body_states(world.moving)[:, :7].copy()
+        return world.simulation.body_states(world.moving)[0, :, :7]
 
     seen = []
     for reset in ({"seed": 7}, {}, {"seed": 7}):
@@ -223,12 +222,8 @@ def test_a_throw_is_limited_by_the_height_that_it_starts_from():
 def test_worlds_of_a_control_task_scatter_after_autoreset(arguments, options):
     task = "GAUGE/Throw-Limit-rubber"
     envs = gym.make_vec(task, num_envs=2, **arguments)
-    sync = SyncVectorEnv([lambda: gym.make(task, **arguments)] * 2)
-    found, singles = (
-        starts_of_episodes(one, 3, {"seed": 0, "options": options}, np.array)
-        for one in (envs, sync)
-    )
-    assert np.array_equal(found, singles)
+    reset = {"seed": 0, "options": options}
+    found = starts_of_episodes(envs, 3, reset, np.array)
     starts = found.reshape(-1, found.shape[-1])
     assert len(np.unique(starts.round(9), axis=0)) == len(starts) >= 6
 

@@ -16,7 +16,7 @@ from gauge_envs.backends.genesis.settings import (
     soft_presets,
     touching_bodies,
 )
-from gauge_envs.backends.settings import resolve_settings
+from gauge_envs.backends.settings import STACK_BODY_COUNT, resolve_settings
 from gauge_envs.backends.shared.attachments import attachment_problems
 from gauge_envs.backends.shared.bundled import declined_hinges, first_of
 from gauge_envs.backends.shared.soft_rows import soft_row_problems
@@ -35,9 +35,6 @@ from gauge_envs.scene import (
 
 FRICTIONLESS_IMPRATIO = 1e-9
 """Ratio of frictional to normal impedance in scenes without friction. Signorini contacts keep their normal force."""
-
-STACK_BODIES = 20
-"""Number of dynamic bodies from which on a rigid scene has the preset `stack`."""
 
 
 def presets_for(scene: Scene) -> Mapping[str, SettingsGenesis]:
@@ -91,7 +88,7 @@ def _preset_name(scene: Scene) -> str:
         return "default"
     if not scene.contacts:
         return "contact_free"
-    if len(scene.dynamic_bodies) >= STACK_BODIES:
+    if len(scene.dynamic_bodies) >= STACK_BODY_COUNT:
         return "stack"
     if scene.has_impact_chain:
         return "impact_chain"

@@ -170,6 +170,8 @@ class SimulationGenesis(PlacedSimulation):
             self._model.sim.step()
         except engine().GenesisException as error:
             worlds = np.flatnonzero(self._solver.get_error_envs_mask().numpy())
+            if not worlds.size:
+                raise
             for world in worlds.tolist():
                 self._diverged.setdefault(world, f"Genesis stopped: {error}")
             self._model.reset(envs_idx=worlds)

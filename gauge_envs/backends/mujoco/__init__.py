@@ -49,6 +49,7 @@ class BackendMuJoCo(BundledBackend):
             "out_of_box": {"preset": "out_of_box"},
         }
     )
+    worlds_share_simulation = False
 
     def unsupported(self, scene: Scene) -> Iterator[str]:
         """Yield the unsupported features, such as cloth on a dynamic body or, below MuJoCo 4, deformable bodies."""

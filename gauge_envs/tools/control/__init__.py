@@ -12,7 +12,6 @@ if TYPE_CHECKING:
         control_tasks as control_tasks,
         find_control_task as find_control_task,
     )
-    from gauge_envs.tools.control.vector import ControlWorlds as ControlWorlds
 else:
     __getattr__, __all__ = lazy_names(
         __name__,
@@ -21,6 +20,5 @@ else:
             ".limit": ["LimitReport"],
             ".play": ["Policy", "play_paid"],
             ".tasks": ["control_tasks", "find_control_task"],
-            ".vector": ["ControlWorlds"],
         },
     )

@@ -98,7 +98,7 @@ class CarryLimit(LeastTimeLimit):
         )
         along = self.goal_m / self.DISTANCE_M
         across = np.array([-along[1], along[0]])
-        left_m, speed = self.goal_m - self._moved_m, self._stage.rate_m_per_s
+        left_m, speed = self.goal_m - self._moved_m, self._stage.rate
         # The little that brings a policy back to the line leaves the rest of the friction to the way.
         aside = acceleration_to_rest(
             float(left_m @ across), float(speed @ across), 0.2 * limit_m_per_s2

@@ -6,44 +6,39 @@ policy of the law.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Generator, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, ClassVar
 
+import gymnasium
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from gauge_envs.backends.world import World
-from gauge_envs.envs.arguments import (
-    SEEDS,
-    Scatter,
-    Starts,
-    TrialStart,
-    checked_action,
-    jittered_experiment,
-)
-from gauge_envs.envs.base import SimulationEnvironment
-from gauge_envs.envs.divergence import DeformableBounds, speed_fault
-from gauge_envs.envs.pictures import Pictures, Rendered
-from gauge_envs.envs.stepper import run_frame
+from gauge_envs.backends.registry import versions_of
+from gauge_envs.envs.arguments import EnvArguments, checked_action
+from gauge_envs.envs.initial_states import SEEDS, InitialStates, Scatter
+from gauge_envs.envs.limits import diverged_bodies, diverged_nodes, spans_m
+from gauge_envs.envs.pictures import RENDER_MODES, Pictures, Rendered
+from gauge_envs.envs.recording import intervals
 from gauge_envs.errors import EpisodeError, ParameterError
-from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.scene_builder import Parameters
-from gauge_envs.experiments.variants import Variant, find_variant
+from gauge_envs.experiments.variants import find_variant
 from gauge_envs.references.uncertainties import friction_std
 from gauge_envs.scene import Scene
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.scene.jitter import Jitter, jittered
+from gauge_envs.scene.jitter import Jitter, perturbed_states
+from gauge_envs.scene.states import scene_at
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLES_PER_FRAME
 from gauge_envs.tools.control.limit import Ending, Limit, LimitReport, pair_friction
+from gauge_envs.tools.control.stage import Stage
 
-Step = tuple[FloatArray, float, bool, bool, dict[str, Any]]
-"""What `step` returns."""
+MAX_TIME_S = 10.0
+"""Bound of the time in observations [s]; no episode is as long."""
 
 
-class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
+class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
     """A control task in a calibrated scene of the benchmark; a law gives its true optimum.
 
     One step is 1/30 s, in six intervals of 1/180 s with a constant action. The action is a Box [-1, 1] with an entry
@@ -63,9 +58,8 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
         height: Picture height [pixels]; None is 480.
         camera: Entries that replace those of the scene's camera: `target_m`, `distance_m`, `azimuth_deg` and
             `elevation_deg`.
-        jitter: Scatter of the start of every episode, as of `GaugeEnv`: `real`, or a `Jitter`. The random numbers of
+        jitter: Noise of the start of every episode, as of `GaugeEnv`: `real`, or a `Jitter`. The random numbers of
             the environment draw it, then the goal, if any.
-        is_world: Whether it is one of many worlds, which get `world` from `ControlWorlds` and build no simulation.
 
     Attributes:
         SCENE: Variant that states the scene, without its material, as `Turntable-1`.
@@ -76,12 +70,19 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
             has the rule that chose them.
         COMMANDED: Names of the action's entries.
         OBSERVED: Names of the observation's entries, with units.
+        BOUNDS: Bound on the absolute value of each entry of the observation.
         experiment: The experiment, with the drivers and the duration of the task.
         limit: The best that the law allows.
-        world: The simulation, or the world of it.
+        simulation: The simulation, of one world.
         moving: Names of the bodies that move.
-        rest_nodes_m: Nodes of each deformable body at the start of the episode [m], shape [node_count, 3], by name.
+        rest_nodes_m: Nodes of each deformable body at the nominal start [m], shape [node_count, 3], by name.
+        versions: Versions of the engine's packages.
     """
+
+    metadata: ClassVar[dict[str, Any]] = {  # type: ignore[misc]  # gymnasium declares it without ClassVar
+        "render_modes": [*RENDER_MODES],
+        "render_fps": int(FRAME_RATE_HZ),
+    }
 
     SCENE: ClassVar[str]
     LAW: ClassVar[str]
@@ -90,6 +91,7 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
     OWN_STEPS_S: ClassVar[Mapping[str, Mapping[str, float]]] = {}
     COMMANDED: ClassVar[tuple[str, ...]]
     OBSERVED: ClassVar[tuple[str, ...]]
+    BOUNDS: ClassVar[tuple[float, ...]]
 
     def __init__(
         self,
@@ -103,67 +105,58 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
         height: int | None = None,
         camera: Mapping[str, Any] | None = None,
         jitter: Scatter = None,
-        is_world: bool = False,
     ) -> None:
-        pictures = Pictures(render_mode, width=width, height=height, camera=camera)
+        self.render_mode = render_mode
+        self._pictures = Pictures(
+            render_mode, width=width, height=height, camera=camera
+        )
         self._variant = find_variant(f"{self.SCENE}-{material}")
-        stated = load_experiment(
-            self._variant, self._start_parameters(self._variant, parameters)
-        )
-        scene = replace(self._scene(stated.scene), duration_s=self.duration_s)
-        experiment = replace(stated, scene=scene, frame_count=self.frame_count)
-        super().__init__(
-            experiment,
-            pictures,
+        arguments = EnvArguments(
+            self._variant,
             backend=backend,
-            settings=self.settings_on(backend, settings),
+            parameters=self._start_parameters(parameters),
+            settings=self._with_own_step(backend, settings),
         )
-        # The laws hold for a stage that starts where it is stated.
-        self._starts = Starts(experiment, jitter, draw=jittered)
+        stated = arguments.experiment()
+        scene = replace(self._scene(stated.scene), duration_s=self.duration_s)
+        self.experiment = replace(stated, scene=scene, frame_count=self.STEPS + 1)
+        self._initial_states = InitialStates(self.experiment, jitter)
         self._is_moved = False
-        if not is_world:
-            self._build(experiment)
-        self._dynamic = tuple(body.name for body in scene.dynamic_bodies)
+        self.simulation = arguments.simulation([self.experiment])
+        self.versions = versions_of(backend)
+        self._dynamic = [body.name for body in scene.dynamic_bodies]
         self.moving = (*self._dynamic, *(driver.body for driver in scene.drivers))
+        self.rest_nodes_m = self.nodes_m()
         self._frame: int | None = None
         self._ending: Ending | None = None
+        self._is_closed = False
         self._observations: list[FloatArray] = []
         self._prepare(scene)
         self.limit = self._limit()
-        largest = np.array(self._largest_observation(), dtype=np.float64)
-        self.observation_space = spaces.Box(-largest, largest, dtype=np.float64)
+        bounds = np.array(self.BOUNDS)
+        self.observation_space = spaces.Box(-bounds, bounds, dtype=np.float64)
         # Learners act in single precision.
         self.action_space = spaces.Box(-1.0, 1.0, (len(self.COMMANDED),), np.float32)
 
-    @classmethod
-    def settings_on(
-        cls, backend: str, settings: Mapping[str, Any] | None
+    def _with_own_step(
+        self, backend: str, settings: Mapping[str, Any] | None
     ) -> Mapping[str, Any] | None:
-        """Return the settings on an engine: what is given, with the task's own step unless it states one."""
+        """Return the settings, with the task's own step unless they state one."""
         preset = (settings or {}).get("preset", "default")
-        step_s = cls.OWN_STEPS_S.get(backend, {}).get(preset)
+        step_s = self.OWN_STEPS_S.get(backend, {}).get(preset)
         if step_s is None:
             return settings
         return {"timestep_s": step_s, **(settings or {})}
-
-    @property
-    def _label(self) -> str:
-        return type(self).__name__
-
-    def _build(self, experiment: Experiment) -> bool:
-        is_kept = super()._build(experiment)
-        self.world: World = self.simulation
-        return is_kept
 
     # --- what a task states ---
 
     _at_time_limit: ClassVar[Ending]
     """Ending of an episode that reaches its last frame."""
 
-    MEASURES_FROM_START: ClassVar[bool] = True
-    """Whether quantities and limit count from where an episode starts, and not from the start of the scene."""
+    _stage: Stage | None = None
+    """The body that actions accelerate, or None."""
 
-    def _start_parameters(self, variant: Variant, parameters: Parameters) -> Parameters:
+    def _start_parameters(self, parameters: Parameters) -> Parameters:
         """Return the parameters, with the start of the task if it differs from that of the experiment."""
         return parameters
 
@@ -174,12 +167,12 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
         Drivers have no motion of their own; their residual rates state how fast actions may move them.
         """
 
-    def _cleared(self, scene: Scene) -> Scene:
-        """Return a scene whose start scatters, in which what the task adds stands in no body's way."""
-        return scene
+    def _clear(self, states: FloatArray) -> None:
+        """Move what the task adds out of the way of bodies that start elsewhere; states have shape [body_count, 13]."""
 
+    @abstractmethod
     def _prepare(self, scene: Scene) -> None:
-        """Compute what stays the same in all episodes, from the scene of the task."""
+        """Compute what stays the same in all episodes from a start, from the scene of the task with that start."""
 
     @abstractmethod
     def _limit(self) -> Limit:
@@ -209,11 +202,9 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
     def _begin(self) -> None:
         """Record the start of an episode; the simulation is at it."""
 
-    def _start_frame(self, command: FloatArray) -> None:
-        """Set what an action changes for the whole frame."""
-
-    def _drive(self, command: FloatArray) -> None:
-        """Drive the world with an action in the next 1/180 s."""
+    @abstractmethod
+    def _accelerate(self, command: FloatArray) -> FloatArray:
+        """Return the accelerations of the stage in a frame, one for each coordinate, or apply the action otherwise."""
 
     @abstractmethod
     def _look(self) -> Ending | None:
@@ -232,10 +223,6 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
         """Return the observation, in the order of `OBSERVED`."""
 
     @abstractmethod
-    def _largest_observation(self) -> list[float]:
-        """Return a bound on the absolute value of each entry of `OBSERVED`, which no episode in bounds reaches."""
-
-    @abstractmethod
     def _reached(self) -> float:
         """Return what the policy has reached so far, in the unit of the limit."""
 
@@ -250,18 +237,10 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
             fraction: Share of the law's limit that the policy uses. In an engine that obeys the law, a share just below
                 1 succeeds and one just above 1 fails.
         """
-        return np.clip(
-            np.atleast_1d(np.asarray(self._law_command(fraction), dtype=np.float32)),
-            -1.0,
-            1.0,
-        )
+        command = np.atleast_1d(np.float32(self._law_command(fraction)))
+        return np.clip(command, -1.0, 1.0)
 
     # --- episode ---
-
-    @property
-    def frame_count(self) -> int:
-        """Number of frames of an episode, the first included."""
-        return self.STEPS + 1
 
     @property
     def duration_s(self) -> float:
@@ -279,105 +258,94 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
         """Start a new episode.
 
         Args:
-            seed: Seed of the random numbers, which draw the scatter of the start and the goal, if there are any.
+            seed: Seed of the random numbers, which draw the noise of the start and the goal, if there are any.
                 Without it they go on.
-            options: `{"jitter": True}` scatters the start, as for `GaugeEnv`; it holds for autoreset too.
+            options: `{"jitter": True}` adds noise to the start, as for `GaugeEnv`; it holds for autoreset too.
         """
         self._check_open("reset")
-        moved = self.place(seed, options)
-        if moved is not None:
-            self._build(moved)
-        self.simulation.reset(0 if seed is None else seed)
-        started = self.begin()
-        self._show()
-        return started
-
-    def place(
-        self, seed: int | None, options: Mapping[str, Any] | None
-    ) -> Experiment | None:
-        """Seed the random numbers and draw the start; return the experiment if its world must be built anew.
-
-        Args:
-            seed: Seed of a reset, or None.
-            options: Its options; None keeps those of the last one, unless there is a seed.
-        """
         super().reset(seed=seed)
-        jitter = self._starts.of_reset(options, seeded=seed is not None)
-        if isinstance(jitter, TrialStart):
-            raise ParameterError(
-                f"reset of {self._label} has no option 'trial': its episodes are no recorded trials"
-            )
-        if jitter is None and not self._is_moved:
-            return None
-        moved = self.experiment
-        if isinstance(jitter, Jitter):
-            moved = jittered_experiment(
-                moved, jitter, seed=int(self.np_random.integers(SEEDS))
-            )
-            moved = replace(moved, scene=self._cleared(moved.scene))
-        self._is_moved = jitter is not None
-        if self.MEASURES_FROM_START:
-            self._prepare(moved.scene)
-            self.limit = self._limit()
-        return moved
-
-    def begin(self) -> tuple[FloatArray, dict[str, Any]]:
-        """Start a new episode of a world that is at its start; `reset` brings it there."""
+        starts = self._starts(options, seeded=seed is not None)
+        self.simulation.reset(starts, seed or 0)
+        if self._stage is not None:
+            self._stage.reset()
         self._frame, self._ending = 0, None
-        self.rest_nodes_m = self.nodes_m()
         self._begin()
-        observation = self._observation()
-        self._observations = [observation]
-        return observation, self._info()
-
-    def step(self, action: Any) -> Step:
-        """Simulate one frame, 1/30 s."""
-        ended = run_frame(self.frame(action), self.simulation)
+        self._observations = [self._observation()]
         self._show()
-        return ended
+        return self._observations[0], self._info()
 
-    def frame(self, action: Any) -> Generator[None, None, Step]:
-        """Drive one frame of a world that someone else advances; return what `step` returns.
+    def _starts(
+        self, options: Mapping[str, Any] | None, *, seeded: bool
+    ) -> FloatArray | None:
+        """Draw the start and prepare the task for it; return its states, shape [1, body_count, 13], or None."""
+        if isinstance(options, Mapping) and options.get("trial") is not None:
+            raise ParameterError(
+                f"reset of {type(self).__name__} has no option 'trial': its episodes are no recorded trials"
+            )
+        draw = self._initial_states.of_reset(options, seeded=seeded)
+        scene, states = self.experiment.scene, None
+        if isinstance(draw, Jitter):
+            seed = int(self.np_random.integers(SEEDS))
+            states = perturbed_states(scene, draw, seed=seed)
+            self._clear(states)
+            scene = scene_at(scene, states)
+        if self._is_moved or states is not None:
+            self._prepare(scene)
+            self.limit = self._limit()
+        self._is_moved = states is not None
+        return None if states is None else states[None]
 
-        It yields where the world must advance by 1/180 s: up to six times, less often if the episode ends within the
-        frame.
-        """
-        self._check_running(
-            started=self._frame is not None, is_over=self._ending is not None
-        )
-        return self._run(checked_action(action, self.action_space))
-
-    def _run(self, command: FloatArray) -> Generator[None, None, Step]:
-        ending = None
-        self._start_frame(command)
-        for _ in range(SAMPLES_PER_FRAME):
-            self._drive(command)
-            yield
-            ending = self._look()
-            if ending is not None:
-                break
-        ending = ending or self._frame_ending()
+    def step(self, action: Any) -> tuple[FloatArray, float, bool, bool, dict[str, Any]]:
+        """Simulate one frame, 1/30 s, or less if the episode ends within it."""
+        self._check_started("step")
+        if self._ending is not None:
+            raise EpisodeError(
+                f"{type(self).__name__}: the episode is over, call reset"
+            )
+        ending = self._run(checked_action(action, self.action_space))
         reward = self._reward(ending)
         self._frame = (self._frame or 0) + 1
         info = self._info()
-        fault = self._fault()
+        fault = self._divergence()
         if fault is not None:
             info["diverged"], ending, reward = fault, Ending.DIVERGED, 0.0
         terminated = ending is not None
-        truncated = not terminated and self._frame == self.frame_count - 1
+        truncated = not terminated and self._frame == self.STEPS
         self._ending = self._at_time_limit if truncated else ending
         observation = self._observation()
         self._observations.append(observation)
+        self._show()
         return observation, reward, terminated, truncated, info
+
+    def _run(self, command: FloatArray) -> Ending | None:
+        """Drive and advance the intervals of a frame, until the episode ends."""
+        accelerations = [self._accelerate(command)[None]]
+        stages = [] if self._stage is None else [self._stage]
+        for index in intervals(
+            self.simulation, stages, 0, SAMPLES_PER_FRAME, accelerations[: len(stages)]
+        ):
+            for stage in stages:
+                stage.sample = index + 1
+            ending = self._look()
+            if ending is not None:
+                return ending
+        return self._frame_ending()
 
     def trajectory(self) -> FloatArray:
         """Return the observations of the episode so far, from the start on, shape [frame + 1, len(OBSERVED)]."""
         return np.array(self._observations)
 
+    @property
+    def is_over(self) -> bool:
+        """Whether the episode has ended."""
+        return self._ending is not None
+
     def report(self) -> LimitReport:
         """Return what the policy reached in the episode and what the law allows."""
         if self._ending is None:
-            raise EpisodeError(f"{self._label}: an episode is reported when it is over")
+            raise EpisodeError(
+                f"{type(self).__name__}: an episode is reported when it is over"
+            )
         reached = 0.0 if self._ending is Ending.DIVERGED else self._reached()
         return LimitReport(
             limit=self.limit, reached=reached, ending=self._ending, time_s=self.time_s
@@ -386,33 +354,61 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
     def _info(self) -> dict[str, Any]:
         return {"frame": self._frame, "time_s": self.time_s}
 
-    def _fault(self) -> str | None:
-        """Return why the simulation counts as diverged, or None."""
-        engine_fault = self.world.fault()
-        if engine_fault is not None:
-            return engine_fault
-        scene = self.experiment.scene
-        for name, nodes_m in self.nodes_m().items():
-            fault = DeformableBounds(name, scene, self.rest_nodes_m[name]).fault(
-                nodes_m
-            )
-            if fault is not None:
-                return fault
-        velocities = self.world.body_states(self._dynamic)[:, 7:10]
-        return speed_fault(self._dynamic, velocities, scene.speed_limit_m_per_s)
+    def _divergence(self) -> str | None:
+        """Return why the simulation counts as diverged, the engine's reason first, or None."""
+        states = self.simulation.body_states(self._dynamic)
+        found = diverged_bodies(self._dynamic, states)
+        for name, rest_m in self.rest_nodes_m.items():
+            span_m = float(spans_m(rest_m[None])[0])
+            found |= diverged_nodes(name, self.simulation.nodes(name), span_m)
+        return (found | dict(self.simulation.diverged())).get(0)
 
-    # --- pictures ---
+    def _check_open(self, call: str) -> None:
+        if self._is_closed:
+            raise EpisodeError(
+                f"{type(self).__name__}: {call} after close; make the environment again"
+            )
+
+    def _check_started(self, call: str) -> None:
+        self._check_open(call)
+        if self._frame is None:
+            raise EpisodeError(f"{type(self).__name__}: call reset before {call}")
+
+    def close(self) -> None:
+        """Free the simulation and the renderer. A second call does nothing."""
+        if not self._is_closed:
+            self._is_closed = True
+            self._pictures.close()
+            self.simulation.close()
+
+    # --- the world now, and its picture ---
+
+    def _state(self, name: str) -> FloatArray:
+        """Return the state of a rigid body, shape [13]."""
+        return self.simulation.body_states((name,))[0, 0]
+
+    def nodes_m(self) -> dict[str, FloatArray]:
+        """Return the nodes of each deformable body now [m], shape [node_count, 3], by name."""
+        return {
+            body.name: self.simulation.nodes(body.name)[0].copy()
+            for body in self.experiment.scene.deformables
+        }
+
+    def moving_poses(self) -> dict[str, FloatArray]:
+        """Return position [m] and quaternion of each body that moves, shape [7], by name."""
+        states = self.simulation.body_states(self.moving)[0]
+        return dict(zip(self.moving, states[:, :7], strict=True))
+
+    def reach_m(self) -> FloatArray | None:
+        """Return places that actions bring bodies to [m], shape [..., 3]; None where the camera shows all."""
+        return None
 
     def render(self) -> Rendered | None:
         """Return a picture of the scene in the form of the render mode; None without one, and with a window."""
         if self.render_mode is None:
             return None
-        self._check_started("render", started=self._frame is not None)
-        return self.picture(self._pictures)
-
-    def picture(self, pictures: Pictures) -> Rendered | None:
-        """Return a picture of the world as it is now, in the form of the renderer's mode."""
-        return pictures.draw(
+        self._check_started("render")
+        return self._pictures.draw(
             self.experiment,
             self.rest_nodes_m,
             reach_m=self.reach_m(),
@@ -420,19 +416,7 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
             nodes_m=self.nodes_m(),
         )
 
-    def reach_m(self) -> FloatArray | None:
-        """Return places that actions bring bodies to [m], shape [..., 3]; None where the camera shows all."""
-        return None
-
-    def moving_poses(self) -> dict[str, FloatArray]:
-        """Return position [m] and quaternion of each body that moves, shape [7], by name."""
-        return dict(
-            zip(self.moving, self.world.body_states(self.moving)[:, :7], strict=True)
-        )
-
-    def nodes_m(self) -> dict[str, FloatArray]:
-        """Return the nodes of each deformable body now [m], shape [node_count, 3], by name."""
-        return {
-            body.name: self.world.nodes(body.name)
-            for body in self.experiment.scene.deformables
-        }
+    def _show(self) -> None:
+        """Draw what a reset or a step has reached, in the window if there is one."""
+        if self.render_mode == "human":
+            self.render()

@@ -6,14 +6,14 @@ from typing import ClassVar
 
 import numpy as np
 
-from gauge_envs.envs.divergence import DeformableBounds
+from gauge_envs.envs.limits import DISTANCE_LIMIT_M, SPEED_LIMIT_M_PER_S
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.observables.observer import material_points
 from gauge_envs.scene import Cloth, Scene
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.profiles import CosineProfile
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
-from gauge_envs.tools.control.env import ControlEnv
+from gauge_envs.tools.control.env import MAX_TIME_S, ControlEnv
 from gauge_envs.tools.control.limit import Ending, Limit
 from gauge_envs.tools.control.stage import FRAME_S, Stage, stage_driver
 from gauge_envs.tools.control.tasks import EPISODE_STEPS
@@ -28,6 +28,9 @@ CELLS = (20, 16)
 
 LINES = {"upper": 1 / 3, "lower": 2 / 3, "hem": 1.0}
 """Observed lines across the cloth: their distance from the rod over the cloth's length."""
+
+MAX_HIGHEST = 1e4
+"""Bound of the largest height over the limit in observations."""
 
 PUSHES = 5
 """Number of pushes in which the law's policy spends the speed: more swing higher, and take longer."""
@@ -81,7 +84,16 @@ class FlingLimit(ControlEnv):
         "highest_over_limit",
         "time_s",
     )
+    BOUNDS: ClassVar[tuple[float, ...]] = (
+        *(2 * (1 + len(LINES)) * [2.0 * DISTANCE_LIMIT_M]),
+        *(2 * (1 + len(LINES)) * [2.0 * SPEED_LIMIT_M_PER_S]),
+        DISTANCE_LIMIT_M,
+        *(2 * [SPEED_LIMIT_M_PER_S]),
+        MAX_HIGHEST,
+        MAX_TIME_S,
+    )
     _at_time_limit = Ending.MISSED
+    _stage: Stage
 
     def _scene(self, stated: Scene) -> Scene:
         """Return the scene, in which actions translate the rod."""
@@ -107,8 +119,11 @@ class FlingLimit(ControlEnv):
         self._speed_m_per_s = 2.0 * scene.drivers[0].motions[0].residual_rate
         self._stroke_m = 0.5 * abs(recorded.amount)
         self._stage = Stage(
-            scene.drivers[0], scene.body(ROD).pose, stroke_m=np.array([self._stroke_m])
+            scene.drivers[0], scene.body(ROD).pose, np.array([self._stroke_m])
         )
+        (cloth,) = scene.deformables
+        assert isinstance(cloth, Cloth)
+        self._weights = place_weights(cloth, self.rest_nodes_m[cloth.name])
 
     def _limit(self) -> Limit:
         value = 0.5 * self._speed_m_per_s**2 / self.experiment.scene.gravity_m_per_s2
@@ -118,40 +133,33 @@ class FlingLimit(ControlEnv):
 
     # --- physics ---
 
-    def _drive(self, command: FloatArray) -> None:
-        """Accelerate the rod, by no more than the speed that is left."""
-        self._rate_before = self._stage.rate_m_per_s[0]
-        limit_m_per_s2 = self._left_m_per_s / SAMPLE_INTERVAL_S
-        self._stage.drive(
-            self.world,
-            np.clip(command * self._most_m_per_s2, -limit_m_per_s2, limit_m_per_s2),
-        )
+    def _accelerate(self, command: FloatArray) -> FloatArray:
+        """Return the acceleration of the rod, whose speed changes by no more than is left."""
+        self._stage.left = self._left_m_per_s
+        return command * self._most_m_per_s2
 
     def _places(self) -> FloatArray:
         """Return y and z of centre and lines, seen from the rod [m], shape [1 + line_count, 2]."""
         (nodes_m,) = self.nodes_m().values()
-        return (self._weights @ nodes_m)[:, 1:] - [self._stage.offset_m[0], 0.0]
+        return (self._weights @ nodes_m)[:, 1:] - [self._stage.offset[0], 0.0]
 
     # --- task ---
 
     def _begin(self) -> None:
-        self._stage.begin()
-        (cloth,) = self.experiment.scene.deformables
-        assert isinstance(cloth, Cloth)
-        self._weights = place_weights(cloth, self.rest_nodes_m[cloth.name])
         self._start_m = self._places()
         self._places_m, self._velocities = np.zeros((2, *self._start_m.shape))
         self._left_m_per_s = self._speed_m_per_s
-        self._highest_m = self._rewarded_m = 0.0
+        self._rate_m_per_s = self._highest_m = self._rewarded_m = 0.0
 
     def _look(self) -> Ending | None:
         rose = self._velocities[0, 1] > 0.0
         places_m = self._places() - self._start_m
         self._velocities = (places_m - self._places_m) / SAMPLE_INTERVAL_S
         self._places_m = places_m
-        if abs(self._stage.offset_m[0]) >= self._stroke_m:
+        if abs(self._stage.offset[0]) >= self._stroke_m:
             return Ending.LOST
-        change = abs(float(self._stage.rate_m_per_s[0] - self._rate_before))
+        before, self._rate_m_per_s = self._rate_m_per_s, float(self._stage.rate[0])
+        change = abs(self._rate_m_per_s - before)
         self._left_m_per_s = max(self._left_m_per_s - change, 0.0)
         self._highest_m = max(self._highest_m, float(places_m[0, 1]))
         # What is left after the last push is a rounding error.
@@ -164,30 +172,13 @@ class FlingLimit(ControlEnv):
             [
                 *self._places_m.ravel(),
                 *self._velocities.ravel(),
-                *self._stage.offset_m,
-                *self._stage.rate_m_per_s,
+                *self._stage.offset,
+                *self._stage.rate,
                 self._left_m_per_s,
                 self._highest_m / self.limit.value,
                 self.time_s,
             ]
         )
-
-    def _largest_observation(self) -> list[float]:
-        # The cloth spans less than the extent at which it counts as diverged, and hangs on the rod.
-        scene = self.experiment.scene
-        (cloth,) = scene.deformables
-        assert isinstance(cloth, Cloth)
-        span_m = DeformableBounds.STRETCH * math.hypot(*cloth.size_m)
-        count = 2 * (1 + len(LINES))
-        return [
-            *(count * [2.0 * span_m]),
-            *(count * [scene.speed_limit_m_per_s]),
-            self._stroke_m,
-            *self._stage.largest_speed_m_per_s,
-            self._speed_m_per_s,
-            2.0 * span_m / self.limit.value,
-            scene.duration_s,
-        ]
 
     # --- reward ---
 
@@ -208,11 +199,7 @@ class FlingLimit(ControlEnv):
         swings_up = place_m * velocity >= 0.0
         is_low = abs(place_m) <= abs(velocity) * speed / self._most_m_per_s2
         wanted = math.copysign(speed, -velocity if swings_up or is_low else velocity)
-        return (
-            (wanted - float(self._stage.rate_m_per_s[0]))
-            / FRAME_S
-            / self._most_m_per_s2
-        )
+        return (wanted - self._rate_m_per_s) / FRAME_S / self._most_m_per_s2
 
 
 def place_weights(cloth: Cloth, nodes_m: FloatArray) -> FloatArray:

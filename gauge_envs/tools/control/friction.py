@@ -2,22 +2,22 @@
 
 import math
 from dataclasses import replace
-from operator import add, sub
 from typing import ClassVar
 
 import numpy as np
 
+from gauge_envs.envs.limits import SPEED_LIMIT_M_PER_S, SPIN_LIMIT_RAD_PER_S
 from gauge_envs.scene import Scene
 from gauge_envs.scene.geometry import (
     FloatArray,
-    Pose,
     length_of,
     rotation_matrices,
     unit_quaternions,
 )
-from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S
-from gauge_envs.tools.control.env import ControlEnv
+from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.tools.control.env import MAX_TIME_S, ControlEnv
 from gauge_envs.tools.control.limit import Ending, Limit
+from gauge_envs.tools.control.stage import Stage
 
 CUBE = "cube"
 
@@ -27,8 +27,11 @@ HOLD_S = 1.0
 HOLD_FRAMES = round(HOLD_S * FRAME_RATE_HZ)
 """`HOLD_S` in frames."""
 
-USED_OVER_FRICTION = 10.0
-"""Bound on the friction used over the friction, or over 1 if that is larger, in the observation."""
+MAX_FRICTION_USED = 100.0
+"""Bound of the friction used in observations; a cube that slips ends the episode long before."""
+
+MAX_ANGLE_RAD = 100.0
+"""Bound of the carrier's angle in observations [rad]; the plate turns by 75 rad at full acceleration."""
 
 SLIP_SPEED_M_PER_S = 0.02
 """Speed on the carrier from which the cube counts as slipping [m/s]: that of its fastest corner, mean over a frame.
@@ -40,30 +43,6 @@ MuJoCo with this package's preset, 9.3 mm/s in Newton. A cube that uses 2 % too 
 actuator raises the friction used as fast as it can. So a policy can use 30 mm/s / (g HOLD_S) = 0.003 more friction than
 the law allows, 0.8 to 1.2 % of it.
 """
-
-
-class _Turned:
-    """A vector that turns about an axis. In numbers of Python, which for three of them are faster than arrays."""
-
-    def __init__(self, axis: FloatArray, start: FloatArray) -> None:
-        along = axis * (axis @ start)
-        across, aside = start - along, np.cross(axis, start)
-        self._parts = list(
-            zip(along.tolist(), across.tolist(), aside.tolist(), strict=True)
-        )
-
-    def at(self, angle_rad: float) -> list[float]:
-        """Return the vector at an angle, three numbers."""
-        cosine, sine = math.cos(angle_rad), math.sin(angle_rad)
-        return [
-            along + cosine * across + sine * aside
-            for along, across, aside in self._parts
-        ]
-
-    def rate(self, angle_rad: float) -> list[float]:
-        """Return its derivative by the angle, three numbers."""
-        cosine, sine = math.cos(angle_rad), math.sin(angle_rad)
-        return [cosine * aside - sine * across for _, across, aside in self._parts]
 
 
 class FrictionLimit(ControlEnv):
@@ -108,9 +87,15 @@ class FrictionLimit(ControlEnv):
         "slip_over_threshold",
         "time_s",
     )
+    BOUNDS: ClassVar[tuple[float, ...]] = (
+        MAX_ANGLE_RAD,
+        SPIN_LIMIT_RAD_PER_S,
+        MAX_FRICTION_USED,
+        2.0 * SPEED_LIMIT_M_PER_S / SLIP_SPEED_M_PER_S,
+        MAX_TIME_S,
+    )
     _at_time_limit = Ending.HELD
-    _pose: Pose
-    _velocity: list[float]
+    _stage: Stage
     _corners_on_carrier: FloatArray
 
     def _scene(self, stated: Scene) -> Scene:
@@ -125,28 +110,11 @@ class FrictionLimit(ControlEnv):
     def _prepare(self, scene: Scene) -> None:
         driver = scene.drivers[0]
         motion = driver.motions[0]
-        self._start = scene.body(driver.body).pose
-        self._carrier = driver.body
-        self._axis = np.asarray(motion.axis)
-        self._axis_parts = [*motion.axis]
-        self._point_parts_m = motion.point_m
-        self._point_m = np.asarray(motion.point_m)
-        self._place = _Turned(
-            self._axis, np.asarray(self._start.position_m) - self._point_m
-        )
-        self._normal = _Turned(self._axis, self._start.matrix[:, 2])
-        quaternion = np.array(self._start.quaternion)
-        # After half a turn: the product of the quaternion (0, axis) and that of the start.
-        real, imaginary = quaternion[0], quaternion[1:]
-        half_turned = np.array(
-            [
-                -self._axis @ imaginary,
-                *(real * self._axis + np.cross(self._axis, imaginary)),
-            ]
-        )
-        self._quaternions = list(
-            zip(quaternion.tolist(), half_turned.tolist(), strict=True)
-        )
+        carrier = scene.body(driver.body).pose
+        self._stage = Stage(driver, carrier, np.array([math.inf]))
+        self._axis = np.array(motion.axis)
+        self._across_axis = np.cross(self._axis, np.eye(3))
+        self._point_m = np.array(motion.point_m)
         self._corners_m = scene.body(CUBE).shape.corners_m
 
     def _limit(self) -> Limit:
@@ -156,59 +124,32 @@ class FrictionLimit(ControlEnv):
 
     # --- physics ---
 
-    def _drive(self, command: FloatArray) -> None:
-        """Turn the carrier with a uniform acceleration."""
-        step, before = SAMPLE_INTERVAL_S, self._angle
-        self._acceleration = float(command[0]) * self.ACCELERATION_RAD_PER_S2
-        self._angle += (self._rate + 0.5 * self._acceleration * step) * step
-        self._rate += self._acceleration * step
-        pose = self._carrier_pose()
-        # A uniform acceleration that ends exactly at the pose. Numbers of Python are faster than arrays of so few.
-        moved = list(map(sub, pose.position_m, self._pose.position_m))
-        moved += [(self._angle - before) * along for along in self._axis_parts]
-        acceleration = [
-            2.0 / step * (change / step - speed)
-            for change, speed in zip(moved, self._velocity, strict=True)
-        ]
-        self.world.drive(
-            self._carrier,
-            self._pose,
-            np.array(self._velocity),
-            np.array(acceleration),
-        )
-        self._pose = pose
-        arm_rates = self._place.rate(self._angle)
-        self._velocity = [self._rate * one for one in arm_rates + self._axis_parts]
+    def _accelerate(self, command: FloatArray) -> FloatArray:
+        self._acceleration = command * self.ACCELERATION_RAD_PER_S2
+        self._cube_m: list[FloatArray] = []
+        return self._acceleration
 
-    def _carrier_pose(self) -> Pose:
-        """Return the pose of the carrier at its angle."""
-        cosine, sine = math.cos(0.5 * self._angle), math.sin(0.5 * self._angle)
-        w, x, y, z = (
-            cosine * start + sine * half_turned
-            for start, half_turned in self._quaternions
-        )
-        x_m, y_m, z_m = map(add, self._point_parts_m, self._place.at(self._angle))
-        return Pose(position_m=(x_m, y_m, z_m), quaternion=(w, x, y, z))
+    def _friction_used(self) -> FloatArray:
+        """Return the tangential over the normal part of the force that carries the cube, at the samples of the frame.
 
-    def _friction_used(self) -> float:
-        """Return the friction used: tangential over normal part of the force that carries the cube."""
-        arm_m = (self.world.body_states((CUBE,))[0, :3] - self._point_m).tolist()
-        around_m = _cross(self._axis_parts, arm_m)
-        inward_m = _cross(self._axis_parts, around_m)
+        Returns:
+            Shape [sample_count], without the sample at the start of the frame.
+        """
+        around_m = (np.array(self._cube_m) - self._point_m) @ self._across_axis
+        inward_m = around_m @ self._across_axis
         # In m/s^2, as of a unit of mass: the acceleration of the carrier minus that of gravity.
-        force = [
-            self._acceleration * along + self._rate**2 * inward
-            for along, inward in zip(around_m, inward_m, strict=True)
-        ]
-        force[2] += self.experiment.scene.gravity_m_per_s2
-        normal = _dot(force, self._normal.at(self._angle))
-        return math.sqrt(max(_dot(force, force) - normal**2, 0.0)) / normal
+        forces = self._acceleration * around_m + self._stage.rates[1:] ** 2 * inward_m
+        forces[:, 2] += self.experiment.scene.gravity_m_per_s2
+        normals = rotation_matrices(self._stage.states[1:, 3:7])[:, :, 2]
+        normal = (forces * normals).sum(axis=1)
+        tangential = forces - normal[:, None] * normals
+        return np.asarray(np.linalg.norm(tangential, axis=1) / normal)
 
     def _corners(self) -> FloatArray:
         """Return the corners of the cube in the frame of the carrier [m], shape [8, 3]."""
-        state = self.world.body_states((CUBE,))[0]
+        state = self._state(CUBE)
         turn = rotation_matrices(unit_quaternions(state[3:7]))
-        return self._pose.to_body(self._corners_m @ turn.T + state[:3])
+        return self._stage.pose.to_body(self._corners_m @ turn.T + state[:3])
 
     def _slip(self) -> float:
         """Return the mean speed of the cube's fastest corner on the carrier over the last frame [m/s]."""
@@ -222,48 +163,29 @@ class FrictionLimit(ControlEnv):
     @property
     def _cube_radius_m(self) -> float:
         """Distance of the cube from the axis [m]."""
-        arm = self.world.body_states((CUBE,))[0, :3] - self._point_m
+        arm = self._state(CUBE)[:3] - self._point_m
         return length_of(arm - self._axis * (self._axis @ arm))
 
     # --- task ---
 
     def _begin(self) -> None:
-        self._angle = self._rate = 0.0
-        self._pose = self._start
-        self._velocity = [0.0] * 6
         self._used: list[float] = []
-        self._used_in_frame: list[float] = []
-        self._used_now = 0.0
-        self._slip_m_per_s = 0.0
+        self._used_now = self._slip_m_per_s = 0.0
         self._corners_on_carrier = self._corners()
 
     def _look(self) -> None:
-        self._used_in_frame.append(self._friction_used())
+        self._cube_m.append(self._state(CUBE)[:3])
 
     def _frame_ending(self) -> Ending | None:
-        self._used_now = sum(self._used_in_frame) / len(self._used_in_frame)
-        self._used_in_frame = []
+        self._used_now = float(self._friction_used().mean())
         self._slip_m_per_s = self._slip()
         # A comparison with NaN is false.
         return None if self._slip_m_per_s < SLIP_SPEED_M_PER_S else Ending.SLIPPED
 
     def _observation(self) -> FloatArray:
         slip = self._slip_m_per_s / SLIP_SPEED_M_PER_S
-        return np.array([self._angle, self._rate, self._used_now, slip, self.time_s])
-
-    def _largest_observation(self) -> list[float]:
-        # A cube that slips ends the episode, so no more than some times the friction is used.
-        scene, duration_s = self.experiment.scene, self.duration_s
-        rate = self.ACCELERATION_RAD_PER_S2 * duration_s
-        driven = scene.drivers[0].speed_limit_m_per_s(scene.body(self._carrier))
-        slip_m_per_s = scene.speed_limit_m_per_s + driven
-        return [
-            0.5 * rate * duration_s,
-            rate,
-            USED_OVER_FRICTION * max(self.limit.value, 1.0),
-            slip_m_per_s / SLIP_SPEED_M_PER_S,
-            duration_s,
-        ]
+        angle, rate = float(self._stage.offset[0]), float(self._stage.rate[0])
+        return np.array([angle, rate, self._used_now, slip, self.time_s])
 
     # --- reward ---
 
@@ -281,15 +203,3 @@ class FrictionLimit(ControlEnv):
                 self._used, np.ones(HOLD_FRAMES) / HOLD_FRAMES, mode="valid"
             ).max()
         )
-
-
-def _cross(one: list[float], other: list[float]) -> list[float]:
-    return [
-        one[1] * other[2] - one[2] * other[1],
-        one[2] * other[0] - one[0] * other[2],
-        one[0] * other[1] - one[1] * other[0],
-    ]
-
-
-def _dot(one: list[float], other: list[float]) -> float:
-    return one[0] * other[0] + one[1] * other[1] + one[2] * other[2]

@@ -11,6 +11,13 @@ from gauge_envs.tools.control.tasks import control_tasks, find_control_task
 if TYPE_CHECKING:
     from gauge_envs.pages.document import Document
 
+REPORT = registration.WrapperSpec(
+    name="ReportLimit",
+    entry_point="gauge_envs.tools.control.wrapper:ReportLimit",
+    kwargs={},
+)
+"""The wrapper of every control task."""
+
 
 def register() -> None:
     """Register every control task with Gymnasium; `import gauge_envs` calls this."""
@@ -18,10 +25,10 @@ def register() -> None:
         if task.id not in registration.registry:
             registration.register(
                 id=task.id,
-                entry_point="gauge_envs.tools.control.wrapper:control_env",
-                vector_entry_point="gauge_envs.tools.control.vector:ControlVectorEnv",
+                entry_point=task.entry_point,
                 max_episode_steps=task.episode_steps,
-                kwargs={"task": task.name},
+                additional_wrappers=(REPORT,),
+                kwargs={"material": task.material},
             )
 
 

@@ -2,15 +2,20 @@
 
 import math
 from abc import abstractmethod
-from collections.abc import Sequence
 from typing import ClassVar
 
 import numpy as np
 
+from gauge_envs.envs.limits import DISTANCE_LIMIT_M, SPEED_LIMIT_M_PER_S
 from gauge_envs.scene import Scene
-from gauge_envs.scene.geometry import FloatArray, length_of
-from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
-from gauge_envs.tools.control.env import ControlEnv
+from gauge_envs.scene.geometry import (
+    FloatArray,
+    length_of,
+    quaternion_products,
+    quaternion_vectors,
+)
+from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
+from gauge_envs.tools.control.env import MAX_TIME_S, ControlEnv
 from gauge_envs.tools.control.limit import Ending, Limit
 from gauge_envs.tools.control.stage import Stage
 
@@ -85,16 +90,23 @@ class LeastTimeLimit(ControlEnv):
         "driven_from_cube_velocity_y_m_per_s",
         "time_s",
     )
+    BOUNDS: ClassVar[tuple[float, ...]] = (
+        *(2 * [2.0 * DISTANCE_LIMIT_M]),
+        *(2 * [SPEED_LIMIT_M_PER_S]),
+        math.pi,
+        *(2 * [2.0 * DISTANCE_LIMIT_M]),
+        *(2 * [2.0 * SPEED_LIMIT_M_PER_S]),
+        MAX_TIME_S,
+    )
     _at_time_limit = Ending.MISSED
-    _cube_m: FloatArray
+    _stage: Stage
 
     def _prepare(self, scene: Scene) -> None:
         driven = scene.body(self.DRIVEN).pose
-        self._stage = Stage(
-            scene.drivers[0], driven, stroke_m=np.full(2, self.ACCELERATION_M_PER_S2)
-        )
-        self._cube_start = scene.body(CUBE).pose
-        self._cube_start_m = np.array(self._cube_start.position_m)
+        self._stage = Stage(scene.drivers[0], driven, np.full(2, math.inf))
+        cube = scene.body(CUBE).pose
+        self._cube_start_m = np.array(cube.position_m)
+        self._turned_back = np.array(cube.quaternion) * [1.0, -1.0, -1.0, -1.0]
         self._driven_start_m = np.array(driven.position_m[:2])
         self.goal_m = np.array([self.DISTANCE_M, 0.0])
 
@@ -135,20 +147,19 @@ class LeastTimeLimit(ControlEnv):
 
     # --- physics ---
 
-    def _drive(self, command: FloatArray) -> None:
-        self._stage.drive(self.world, command * self.ACCELERATION_M_PER_S2)
+    def _accelerate(self, command: FloatArray) -> FloatArray:
+        return command * self.ACCELERATION_M_PER_S2
 
-    def _read(self) -> None:
-        """Read the cube's place, its yaw, and its mean velocity since the last look, 1/180 s ago."""
-        state, before = self.world.body_states((CUBE,))[0], self._cube_m
-        self._cube_m = state[:3]
-        self._cube_velocity = (self._cube_m - before)[:2] / SAMPLE_INTERVAL_S
-        self._yaw_rad = _turned_rad(state[3:7].tolist(), self._cube_start.quaternion)
+    @property
+    def _yaw_rad(self) -> float:
+        """Component along z of the cube's rotation vector since the start [rad]."""
+        turn = quaternion_products(self._cube[3:7], self._turned_back)
+        return float(quaternion_vectors(turn[None])[0, 2])
 
     @property
     def _moved_m(self) -> FloatArray:
         """Horizontal displacement of the cube since the start [m], shape [2]."""
-        return (self._cube_m - self._cube_start_m)[:2]
+        return (self._cube[:3] - self._cube_start_m)[:2]
 
     @property
     def _left_m(self) -> float:
@@ -166,24 +177,24 @@ class LeastTimeLimit(ControlEnv):
     @property
     def _from_cube_m(self) -> FloatArray:
         """Place of the driven body relative to the cube [m], shape [2]."""
-        return self._driven_start_m + self._stage.offset_m - self._cube_m[:2]
+        return self._driven_start_m + self._stage.offset - self._cube[:2]
 
     # --- task ---
 
     def _begin(self) -> None:
         angle = self.np_random.uniform(-self.WIDEST_RAD, self.WIDEST_RAD)
         self.goal_m = self.DISTANCE_M * np.array([math.cos(angle), math.sin(angle)])
-        self._stage.begin()
-        self._cube_m = self._cube_start_m
-        self._yaw_rad = self._arrived_s = 0.0
+        self._cube = self._state(CUBE)
+        self._arrived_s = 0.0
         self._cube_velocity = np.zeros(2)
         self._samples = 0
         self._to_go = self._time_to_go()
 
     def _look(self) -> Ending | None:
         self._samples += 1
-        self._read()
-        if self._is_lost(self._cube_m):
+        before, self._cube = self._cube, self._state(CUBE)
+        self._cube_velocity = (self._cube - before)[:2] / SAMPLE_INTERVAL_S
+        if self._is_lost(self._cube[:3]):
             return Ending.LOST
         if self._has_arrived:
             self._arrived_s = self._samples * SAMPLE_INTERVAL_S
@@ -197,27 +208,10 @@ class LeastTimeLimit(ControlEnv):
                 self._cube_velocity,
                 [self._yaw_rad],
                 self._from_cube_m,
-                self._stage.rate_m_per_s - self._cube_velocity,
-                [self._samples / (FRAME_RATE_HZ * SAMPLES_PER_FRAME)],
+                self._stage.rate - self._cube_velocity,
+                [self._samples * SAMPLE_INTERVAL_S],
             ]
         )
-
-    def _largest_observation(self) -> list[float]:
-        # No body is faster than the scene's limit, and the yaw is that of a rotation vector.
-        fastest, scene = (
-            self.experiment.scene.speed_limit_m_per_s,
-            self.experiment.scene,
-        )
-        moved_m = fastest * scene.duration_s
-        apart_m = self._driven_start_m - self._cube_start_m[:2]
-        return [
-            *(2 * [self.DISTANCE_M + moved_m]),
-            *(2 * [fastest]),
-            math.pi,
-            *(np.abs(apart_m) + self._stage.reach_m(scene.duration_s) + moved_m),
-            *(self._stage.largest_speed_m_per_s + fastest),
-            scene.duration_s,
-        ]
 
     # --- reward ---
 
@@ -243,26 +237,6 @@ class LeastTimeLimit(ControlEnv):
     def _reached(self) -> float:
         if self._arrived_s == 0.0:
             return 0.0
-        distance_m, speed = (
-            length_of(self._moved_m),
-            length_of(self._cube_velocity),
-        )
+        distance_m, speed = length_of(self._moved_m), length_of(self._cube_velocity)
         needed = self.least_deceleration_m_per_s2(distance_m, self._arrived_s, speed)
         return needed / self.experiment.scene.gravity_m_per_s2
-
-
-def _turned_rad(now: Sequence[float], start: Sequence[float]) -> float:
-    """Return the component along z of the rotation vector [rad] from one orientation w, x, y, z to another."""
-    w, x, y, z = now
-    # The start's inverse.
-    a, b, c, d = start[0], -start[1], -start[2], -start[3]
-    real = w * a - x * b - y * c - z * d
-    imaginary = (
-        w * b + x * a + y * d - z * c,
-        w * c - x * d + y * a + z * b,
-        w * d + x * c - y * b + z * a,
-    )
-    size = math.hypot(*imaginary)
-    # The shorter way round; q and -q are the same orientation.
-    angle = 2.0 * math.atan2(size if real >= 0.0 else -size, abs(real))
-    return angle * imaginary[2] / size if size > 0.0 else 0.0

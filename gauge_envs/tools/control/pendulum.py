@@ -7,13 +7,13 @@ from typing import ClassVar
 
 import numpy as np
 
+from gauge_envs.envs.limits import SPIN_LIMIT_RAD_PER_S
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.scene_builder import Parameters
-from gauge_envs.experiments.variants import Variant
 from gauge_envs.scene import Hinge, Scene, Sphere
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-from gauge_envs.tools.control.env import ControlEnv
+from gauge_envs.tools.control.env import MAX_TIME_S, ControlEnv
 from gauge_envs.tools.control.limit import Ending, Limit
 from gauge_envs.tools.control.tasks import EPISODE_STEPS
 
@@ -27,6 +27,9 @@ TORQUE_SHARE = 0.15
 
 LENGTH_SIGMA = 0.004 / 0.270
 """Relative uncertainty of the effective length, from the recorded period (0.270 +- 0.004 m, tasks/pendulum.toml)."""
+
+MAX_WORK = 1e4
+"""Bound of the work over the least work in observations."""
 
 MASS_SIGMA_KG = 1e-4 / math.sqrt(12.0)
 """Uncertainty of the mass [kg]: rounding, as it is published to 0.1 g."""
@@ -80,13 +83,18 @@ class PendulumLimit(ControlEnv):
         "work_over_least",
         "time_s",
     )
+    BOUNDS: ClassVar[tuple[float, ...]] = (
+        math.pi,
+        SPIN_LIMIT_RAD_PER_S,
+        1.0,
+        MAX_WORK,
+        MAX_TIME_S,
+    )
     _at_time_limit = Ending.MISSED
-    # Angles and heights are those from hanging straight down.
-    MEASURES_FROM_START = False
 
-    def _start_parameters(self, variant: Variant, parameters: Parameters) -> Parameters:
+    def _start_parameters(self, parameters: Parameters) -> Parameters:
         """Return the parameters, with the ball hanging straight down."""
-        return dict(load_experiment(variant, parameters).overrides) | {
+        return dict(load_experiment(self._variant, parameters).overrides) | {
             f"{BALL}.euler_deg": (0.0, 0.0, 0.0)
         }
 
@@ -99,9 +107,10 @@ class PendulumLimit(ControlEnv):
         assert isinstance(hinge, Hinge) and isinstance(ball.shape, Sphere)
         self._anchor_m = np.asarray(hinge.anchor_m)
         self._axis = np.asarray(hinge.axis)
-        self._hanging = np.asarray(ball.pose.position_m) - self._anchor_m
-        self._sideways = np.cross(self._axis, self._hanging)
         self._length_m = math.dist(ball.pose.position_m, hinge.anchor_m)
+        # Angles and heights are those from hanging straight down, wherever the ball starts.
+        self._hanging = np.array([0.0, 0.0, -self._length_m])
+        self._sideways = np.cross(self._axis, self._hanging)
         self._weight_n = ball.mass_kg * scene.gravity_m_per_s2
         self._inertia_kg_m2 = ball.mass_kg * (
             self._length_m**2 + 0.4 * ball.shape.radius_m**2
@@ -125,15 +134,16 @@ class PendulumLimit(ControlEnv):
 
     # --- physics ---
 
-    def _start_frame(self, command: FloatArray) -> None:
+    def _accelerate(self, command: FloatArray) -> FloatArray:
+        """Apply the torque; there is no stage to accelerate."""
         self._torque_n_m = float(command[0]) * self._largest_torque_n_m
-        self.world.apply_wrench(
-            BALL, np.array([0.0, 0.0, 0.0, *(self._torque_n_m * self._axis)])
-        )
+        torque = self._torque_n_m * self._axis
+        self.simulation.apply_wrench(BALL, np.array([[0.0, 0.0, 0.0, *torque]]))
+        return command
 
     def _swing(self) -> tuple[float, float]:
         """Return the angle from hanging [rad] and its rate [rad/s]."""
-        state = self.world.body_states((BALL,))[0]
+        state = self._state(BALL)
         arm = state[:3] - self._anchor_m
         angle = math.atan2(float(arm @ self._sideways), float(arm @ self._hanging))
         return angle, float(self._axis @ state[10:])
@@ -174,16 +184,6 @@ class PendulumLimit(ControlEnv):
                 self.time_s,
             ]
         )
-
-    def _largest_observation(self) -> list[float]:
-        # Below the target, on which the episode ends, the ball has at most the energy of the fall from there with the
-        # torque's help. Twice the speed leaves room for an engine's error.
-        duration_s = self.experiment.scene.duration_s
-        least_j = self._weight_n * self._target_m
-        energy_j = least_j + self._largest_torque_n_m * TARGET_RAD
-        rate = 2.0 * math.sqrt(2.0 * energy_j / self._inertia_kg_m2)
-        work_j = self._largest_torque_n_m * rate * duration_s
-        return [math.pi, rate, 1.0, work_j / least_j, duration_s]
 
     # --- reward ---
 

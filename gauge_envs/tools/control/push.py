@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 
 from gauge_envs.scene import Box, Motion, Scene
-from gauge_envs.scene.geometry import FloatArray, length_of, vector
+from gauge_envs.scene.geometry import FloatArray, length_of
+from gauge_envs.scene.states import row_of
 from gauge_envs.tools.control.least_time import CUBE, LeastTimeLimit
 from gauge_envs.tools.control.stage import (
     FRAME_S,
@@ -97,21 +98,11 @@ class PushLimit(LeastTimeLimit):
             like=on_board,
         )
 
-    def _cleared(self, scene: Scene) -> Scene:
-        """Return the scene with the pusher as far behind the cube as at its calibrated start."""
-        start = self.experiment.scene
-        moved_m = np.subtract(
-            scene.body(CUBE).pose.position_m, start.body(CUBE).pose.position_m
-        )
-        pose = start.body(PUSHER).pose
-        behind = replace(pose, position_m=vector(pose.position_m + moved_m))
-        return replace(
-            scene,
-            bodies=tuple(
-                replace(body, pose=behind) if body.name == PUSHER else body
-                for body in scene.bodies
-            ),
-        )
+    def _clear(self, states: FloatArray) -> None:
+        """Keep the pusher as far behind the cube as at its calibrated start."""
+        scene = self.experiment.scene
+        cube, pusher = row_of(scene, CUBE), row_of(scene, PUSHER)
+        states[pusher, :3] += states[cube, :3] - scene.body(CUBE).pose.position_m
 
     @staticmethod
     def time_to_go_s(
@@ -144,7 +135,7 @@ class PushLimit(LeastTimeLimit):
         left_m = length_of(to_goal)
         direction = to_goal / max(left_m, 1e-9)
         speed = float(self._cube_velocity @ direction)
-        pusher = self._stage.rate_m_per_s
+        pusher = self._stage.rate
         coasts_m = speed * abs(speed) / (2.0 * braking)
         wanted = np.zeros(2)
         # The pusher still pushes for a part of the frame in which it brakes.

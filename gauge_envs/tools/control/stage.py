@@ -1,15 +1,14 @@
-"""A driven body that actions accelerate along fixed axes, and the shortest way to bring it to rest at a place."""
+"""A driven body that actions accelerate, and the shortest way to bring it to rest at a place."""
 
 import math
 from dataclasses import replace
-from operator import add, mul
 
 import numpy as np
 
-from gauge_envs.backends.world import World
 from gauge_envs.scene import Box, Contact, Motion, Pose, RigidBody, Scene
 from gauge_envs.scene.drivers import Driver, DriverMotion
 from gauge_envs.scene.geometry import FloatArray, Vector
+from gauge_envs.scene.prescribed_motion import uniformly_accelerated
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S
 
 X_AXIS, Y_AXIS, Z_AXIS = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
@@ -78,84 +77,94 @@ def with_stage(
 
 
 class Stage:
-    """A body that is accelerated along the axes of its driver, up to a speed, within a stroke.
+    """A body that is accelerated along the coordinates of its driver, up to a rate, within a stroke.
+
+    A coordinate is a displacement [m] or an angle [rad]. `gauge_envs.envs.recording.intervals` drives the body.
 
     Args:
-        driver: Driver of `stage_driver`, which translates.
+        driver: Driver without a motion of its own; `residual_rate` is the largest rate of a coordinate.
         start: Pose of the body at the start.
-        stroke_m: Largest displacement along each axis, to both sides [m], shape [axis_count]. At its end the body
-            stops at once.
+        strokes: Largest absolute value of each coordinate; at its end the body stops at once.
 
     Attributes:
-        driver: The driver.
-        largest_speed_m_per_s: Largest speed along each axis, shape [axis_count].
-        offset_m: Displacement along the axes [m], shape [axis_count].
-        rate_m_per_s: Velocity along the axes [m/s], shape [axis_count].
+        body: Name of the body.
+        sample: Number of intervals of the frame that have passed.
+        left: Sum of the changes of each rate that is left.
+        offsets: Coordinates at the samples of the frame, shape [sample_count, motion_count].
+        rates: Their rates, of the same shape.
+        states: States of the body at the samples, shape [sample_count, 13].
     """
 
-    def __init__(self, driver: Driver, start: Pose, *, stroke_m: FloatArray) -> None:
-        self.driver = driver
-        self.largest_speed_m_per_s = np.array(
-            [motion.residual_rate for motion in driver.motions]
-        )
-        self._start, self._stroke_m = start, stroke_m
-        self._limits = list(
-            zip(self.largest_speed_m_per_s.tolist(), stroke_m.tolist(), strict=True)
-        )
-        # Components along x, y and z of all axes.
-        self._columns = [*zip(*(motion.axis for motion in driver.motions), strict=True)]
-        self.begin()
+    def __init__(self, driver: Driver, start: Pose, strokes: FloatArray) -> None:
+        self.body = driver.body
+        self.left = math.inf
+        self._driver, self._strokes = driver, strokes.tolist()
+        self._start = np.array([[*start.position_m, *start.quaternion]])
+        self.reset()
 
-    def begin(self) -> None:
+    def reset(self) -> None:
         """Bring the body back to its start, at rest."""
-        self.offset_m = self.rate_m_per_s = np.zeros(len(self._limits))
-        self._pose = self._start
-        self._moved_m = self._velocity = [0.0, 0.0, 0.0]
+        self.sample = 0
+        self.offsets = self.rates = np.zeros((1, len(self._strokes)))
+        self.states = self._driver.moved(self._start, self.offsets, self.rates)
 
-    def reach_m(self, duration_s: float) -> FloatArray:
-        """Return the largest displacement along each axis in some time [m], shape [axis_count]."""
-        return np.minimum(self._stroke_m, self.largest_speed_m_per_s * duration_s)
+    @property
+    def offset(self) -> FloatArray:
+        """Coordinates now [m or rad], shape [motion_count]."""
+        return self.offsets[self.sample]
 
-    def drive(self, world: World, acceleration_m_per_s2: FloatArray) -> None:
-        """Drive the body for the next 1/180 s with a uniform acceleration along the axes, shape [axis_count]."""
-        # Numbers of Python are faster than arrays of so few.
-        step = SAMPLE_INTERVAL_S
-        offsets, rates = [], []
-        for offset_m, rate, acceleration, (fastest, stroke_m) in zip(
-            self.offset_m.tolist(),
-            self.rate_m_per_s.tolist(),
-            acceleration_m_per_s2.tolist(),
-            self._limits,
-            strict=True,
-        ):
-            wanted_rate = min(max(rate + acceleration * step, -fastest), fastest)
-            wanted_m = offset_m + 0.5 * (rate + wanted_rate) * step
-            reached_m = min(max(wanted_m, -stroke_m), stroke_m)
-            offsets.append(reached_m)
-            rates.append(wanted_rate if reached_m == wanted_m else 0.0)
-        moved_m, velocity = self._along_axes(offsets), self._along_axes(rates)
-        # A uniform acceleration that ends exactly at the pose.
-        linear = [
-            2.0 / step**2 * (after_m - before_m) - 2.0 / step * speed
-            for after_m, before_m, speed in zip(
-                moved_m, self._moved_m, self._velocity, strict=True
-            )
+    @property
+    def rate(self) -> FloatArray:
+        """Rates of the coordinates now [m/s or rad/s], shape [motion_count]."""
+        return self.rates[self.sample]
+
+    @property
+    def pose(self) -> Pose:
+        """Pose of the body now."""
+        x, y, z, *quaternion = self.states[self.sample, :7].tolist()
+        return Pose(position_m=(x, y, z), quaternion=tuple(quaternion))
+
+    def targets(
+        self, first: int, accelerations: FloatArray, count: int = 1
+    ) -> FloatArray:
+        """Return what `Simulation.drive` takes in the next intervals of uniform acceleration.
+
+        Args:
+            first: Number of the first interval, of no use here.
+            accelerations: Acceleration of each coordinate, shape [1, motion_count].
+            count: Number of intervals.
+
+        Returns:
+            Shape [count, 1, 19].
+        """
+        columns = [
+            self._coordinate(index, acceleration, count)
+            for index, acceleration in enumerate(accelerations[0].tolist())
         ]
-        still = [0.0, 0.0, 0.0]
-        world.drive(
-            self.driver.body,
-            self._pose,
-            np.array(self._velocity + still),
-            np.array(linear + still),
-        )
-        self.offset_m, self.rate_m_per_s = np.array(offsets), np.array(rates)
-        self._moved_m, self._velocity = moved_m, velocity
-        x_m, y_m, z_m = map(add, self._start.position_m, moved_m)
-        self._pose = Pose(position_m=(x_m, y_m, z_m), quaternion=self._start.quaternion)
+        self.offsets, self.rates = np.array(columns).transpose(1, 2, 0)
+        self.sample = 0
+        starts = np.tile(self._start, (count + 1, 1))
+        self.states = self._driver.moved(starts, self.offsets, self.rates)
+        return uniformly_accelerated(self.states[:, None], SAMPLE_INTERVAL_S)
 
-    def _along_axes(self, values: list[float]) -> list[float]:
-        """Return the vector with some components along the axes, three numbers."""
-        return [sum(map(mul, values, column)) for column in self._columns]
+    def _coordinate(
+        self, index: int, acceleration: float, count: int
+    ) -> tuple[list[float], list[float]]:
+        """Return a coordinate and its rate at the samples of the next intervals."""
+        offset, rate = float(self.offset[index]), float(self.rate[index])
+        fastest = self._driver.motions[index].residual_rate
+        stroke, left = self._strokes[index], self.left
+        offsets, rates = [offset], [rate]
+        for _ in range(count):
+            change = min(max(acceleration * SAMPLE_INTERVAL_S, -left), left)
+            wanted_rate = min(max(rate + change, -fastest), fastest)
+            left -= min(abs(wanted_rate - rate), left)
+            wanted = offset + 0.5 * (rate + wanted_rate) * SAMPLE_INTERVAL_S
+            offset = min(max(wanted, -stroke), stroke)
+            rate = wanted_rate if offset == wanted else 0.0
+            offsets.append(offset)
+            rates.append(rate)
+        return offsets, rates
 
 
 def acceleration_to_rest(

@@ -7,11 +7,12 @@ from typing import ClassVar
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from gauge_envs.envs.limits import DISTANCE_LIMIT_M, SPEED_LIMIT_M_PER_S
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.references.uncertainties import RESTITUTION_SHARE
 from gauge_envs.scene import Scene, Sphere
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.tools.control.env import ControlEnv
+from gauge_envs.tools.control.env import MAX_TIME_S, ControlEnv
 from gauge_envs.tools.control.limit import Ending, Limit
 from gauge_envs.tools.control.stage import (
     FRAME_S,
@@ -136,7 +137,16 @@ class ThrowLimit(ControlEnv):
         "impacts",
         "time_s",
     )
+    BOUNDS: ClassVar[tuple[float, ...]] = (
+        *(2 * [2.0 * DISTANCE_LIMIT_M]),
+        *(2 * [SPEED_LIMIT_M_PER_S]),
+        STROKE_M,
+        *(2 * [SPEED_M_PER_S]),
+        IMPACTS,
+        MAX_TIME_S,
+    )
     _at_time_limit = Ending.MISSED
+    _stage: Stage
 
     def _scene(self, stated: Scene) -> Scene:
         """Return the scene with a plate beside the ball's vertical."""
@@ -154,9 +164,7 @@ class ThrowLimit(ControlEnv):
     def _prepare(self, scene: Scene) -> None:
         ball, plate = scene.body(BALL), scene.body(PLATE).pose
         assert isinstance(ball.shape, Sphere)
-        self._stage = Stage(
-            scene.drivers[0], plate, stroke_m=np.array([10.0, STROKE_M])
-        )
+        self._stage = Stage(scene.drivers[0], plate, np.array([math.inf, STROKE_M]))
         self._plate_x_m = plate.position_m[0]
         # The height of the ball's centre in the world when it lies on the plate at the start.
         self._zero_m = plate.position_m[2] + 0.5 * PLATE_SIZE_M[2] + ball.shape.radius_m
@@ -165,23 +173,15 @@ class ThrowLimit(ControlEnv):
     def _limit(self) -> Limit:
         scene = self.experiment.scene
         (restitution,) = (c.restitution for c in scene.contacts if PLATE in c.second)
-        value = highest_m(self._drop_m, restitution, scene.gravity_m_per_s2)
+        gravity = scene.gravity_m_per_s2
+        value = highest_m(self._drop_m, restitution, gravity)
         # The uncertainty is that of the calibrated coefficient, also if an override replaces the coefficient.
         (calibrated,) = load_experiment(self._variant).scene.contacts
         std = RESTITUTION_SHARE * calibrated.restitution
-        by_restitution_m = (
-            highest_m(self._drop_m, restitution + std, scene.gravity_m_per_s2) - value
-        )
-        by_start_m = (
-            highest_m(self._drop_m + START_STD_M, restitution, scene.gravity_m_per_s2)
-            - value
-        )
-        return self._limit_of(
-            "height after three impacts",
-            "m",
-            value,
-            math.hypot(by_restitution_m, by_start_m),
-        )
+        bouncier_m = highest_m(self._drop_m, restitution + std, gravity)
+        started_higher_m = highest_m(self._drop_m + START_STD_M, restitution, gravity)
+        sigma = math.hypot(bouncier_m - value, started_higher_m - value)
+        return self._limit_of("height after three impacts", "m", value, sigma)
 
     def reach_m(self) -> FloatArray:
         """Return the ball at its largest height, the plate below, and the ends of its stroke [m], shape [4, 2, 3]."""
@@ -202,21 +202,16 @@ class ThrowLimit(ControlEnv):
 
     # --- physics ---
 
-    def _drive(self, command: FloatArray) -> None:
-        self._was_inside = self._is_inside
-        self._stage.drive(self.world, command * self.ACCELERATION_M_PER_S2)
+    def _accelerate(self, command: FloatArray) -> FloatArray:
+        return command * self.ACCELERATION_M_PER_S2
 
     def _read(self) -> None:
-        """Read the ball's place and velocity."""
-        state = self.world.body_states((BALL,))[0]
-        self._ball_x_m = float(state[0])
+        """Read the ball's place, along x relative to the plate's centre, and its velocity."""
+        state = self._state(BALL)
+        plate_x_m = self._plate_x_m + self._stage.offset[0]
+        self._from_plate_m = float(state[0] - plate_x_m)
         self._height_m = float(state[2]) - self._zero_m
         self._ball_velocity = state[[7, 9]]
-
-    @property
-    def _from_plate_m(self) -> float:
-        """Place of the ball along x relative to the plate's centre [m]."""
-        return float(self._ball_x_m - self._plate_x_m - self._stage.offset_m[0])
 
     @property
     def _is_inside(self) -> bool:
@@ -226,17 +221,16 @@ class ThrowLimit(ControlEnv):
     # --- task ---
 
     def _begin(self) -> None:
-        self._stage.begin()
         self._impacts = 0
         self._read()
         self._highest_m = self._rewarded_m = self._height_m
 
     def _look(self) -> Ending | None:
-        fell = self._ball_velocity[1] < 0.0
+        fell, was_inside = self._ball_velocity[1] < 0.0, self._is_inside
         self._read()
         has_turned = bool(fell and self._ball_velocity[1] > 0.0)
         self._impacts += has_turned
-        if has_turned and not (self._was_inside and self._is_inside):
+        if has_turned and not (was_inside and self._is_inside):
             return Ending.LOST
         if self._height_m < -STROKE_M - PLATE_SIZE_M[2]:
             return Ending.LOST
@@ -252,28 +246,12 @@ class ThrowLimit(ControlEnv):
                 self._from_plate_m,
                 self._height_m,
                 *self._ball_velocity,
-                plate.offset_m[1],
-                *plate.rate_m_per_s,
+                plate.offset[1],
+                *plate.rate,
                 self._impacts,
                 self.time_s,
             ]
         )
-
-    def _largest_observation(self) -> list[float]:
-        # A fall below the plate ends the episode, and the energy of the largest speed lifts the ball.
-        scene, stage = self.experiment.scene, self._stage
-        fastest = scene.speed_limit_m_per_s
-        aside_m = stage.reach_m(scene.duration_s)[0] + fastest * scene.duration_s
-        highest_m = self._drop_m + 0.5 * fastest**2 / scene.gravity_m_per_s2
-        return [
-            ASIDE_M + float(aside_m),
-            highest_m,
-            *(2 * [fastest]),
-            STROKE_M,
-            *(2 * [SPEED_M_PER_S]),
-            IMPACTS,
-            scene.duration_s,
-        ]
 
     # --- reward ---
 
@@ -296,19 +274,10 @@ class ThrowLimit(ControlEnv):
             self._height_m - place_m
         )
         meets_s = (self._ball_velocity[1] + math.sqrt(max(square, 0.0))) / gravity
-        across_m = (
-            self._ball_x_m
-            + self._ball_velocity[0] * meets_s
-            - self._plate_x_m
-            - self._stage.offset_m[0]
-        )
-        across = acceleration_to_rest(
-            float(across_m), float(self._stage.rate_m_per_s[0]), 0.5 * limit_m_per_s2
-        )
-        height_m, rate = (
-            float(self._stage.offset_m[1]),
-            float(self._stage.rate_m_per_s[1]),
-        )
+        across_m = self._from_plate_m + float(self._ball_velocity[0]) * meets_s
+        across_rate, rate = self._stage.rate.tolist()
+        across = acceleration_to_rest(across_m, across_rate, 0.5 * limit_m_per_s2)
+        height_m = float(self._stage.offset[1])
         # A plate that is on this line in time, half a frame from now, meets the ball at its place with its speed.
         if place_m - speed * (meets_s - 0.5 * FRAME_S) >= height_m:
             up = (speed - rate) / FRAME_S

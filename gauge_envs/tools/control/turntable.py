@@ -45,4 +45,8 @@ class TurntableLimit(FrictionLimit):
         """Return the action that approaches omega = sqrt(fraction mu g / r), with r the current radius of the cube."""
         gravity = self.experiment.scene.gravity_m_per_s2
         wanted = math.sqrt(fraction * self.limit.value * gravity / self._cube_radius_m)
-        return (wanted - self._rate) / self._APPROACH_S / self.ACCELERATION_RAD_PER_S2
+        return (
+            (wanted - float(self._stage.rate[0]))
+            / self._APPROACH_S
+            / self.ACCELERATION_RAD_PER_S2
+        )

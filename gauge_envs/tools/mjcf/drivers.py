@@ -95,8 +95,8 @@ def read_driver(
     rows = numbers.reshape(-1, DRIVER_COLUMNS)
     count = round(scene.duration_s / DRIVE_INTERVAL_S)
     rows = rows[np.minimum(np.arange(count), len(rows) - 1)]
-    motions = prescribed_motions(scene, scene.duration_s)
-    (motion,) = (one for one in motions if one.body == driver.body)
+    prescribed = prescribed_motions(scene, scene.duration_s)
+    (motion,) = (one for one in prescribed if one.body == driver.body)
     expected = driver_rows(simulation, motion, count)
     expected[:, 13:] *= (
         model.body(driver.body).mass[0] / simulation.model.body(driver.body).mass[0]

@@ -253,8 +253,8 @@ def _resolved(
 def remaining_tasks(plan: SweepPlan, done: Container[str]) -> Iterator[SweepTask]:
     """Yield the tasks whose episodes have no file yet.
 
-    Repeats of an engine that runs them as worlds of one simulation form one task; other episodes are tasks of their
-    own. The bits are the same either way.
+    Repeats on an engine that builds them as worlds of one simulation form one task; other episodes are tasks of their
+    own.
 
     Args:
         plan: The plan.

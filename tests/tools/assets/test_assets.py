@@ -11,7 +11,6 @@ import mujoco
 import numpy as np
 import pytest
 import trimesh
-from gauge_envs.scene.driver_path import DriverPath
 from places import RIGID, one_of_a_kind
 from pxr import Gf, Usd, UsdGeom, UsdPhysics, UsdShade
 from usd_rules import usd_faults
@@ -22,6 +21,7 @@ from gauge_envs.errors import ParameterError, ResultFileError
 from gauge_envs.experiments.variants import task_path, variants
 from gauge_envs.scene import Box, Cloth, ConvexUnion, Motion, Plane, SoftBody
 from gauge_envs.scene.geometry import pose_distance
+from gauge_envs.scene.prescribed_motion import prescribed_motions
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.assets import build as assets
 from gauge_envs.tools.assets.build import assets_folder, shape_to_obj, solid_shapes
@@ -439,32 +439,28 @@ def replayed(experiment, text, frames):
     model = loaded(text)
     data = mujoco.MjData(model)
     simulation = BackendMuJoCo().build(experiment.scene)
-    simulation.reset(0)
-    paths = [
-        DriverPath(driver, experiment.scene, experiment.frame_count)
-        for driver in experiment.scene.drivers
-    ]
-    motions = {
-        path.body: model.numeric(f"driver/{path.body}").data.reshape(-1, 19)
-        for path in paths
+    simulation.reset()
+    motions = prescribed_motions(experiment.scene, experiment.scene.duration_s)
+    written = {
+        motion.body: model.numeric(f"driver/{motion.body}").data.reshape(-1, 19)
+        for motion in motions
     }
     steps = round(1 / 180 / model.opt.timestep)
     for sample in range(6 * min(experiment.frame_count - 1, frames)):
-        for path in paths:
-            simulation.drive(
-                path.body, *path.interval(sample, np.zeros(path.motion_count))
-            )
-            rows, joint = motions[path.body], model.joint(path.body)
+        for motion in motions:
+            still = np.zeros((1, motion.motion_count))
+            simulation.drive(motion.body, motion.targets(sample, still)[0])
+            rows, joint = written[motion.body], model.joint(motion.body)
             row = rows[min(sample, len(rows) - 1)]
             data.qpos[joint.qposadr[0] :][:7] = row[:7]
             data.qvel[joint.dofadr[0] :][:6] = row[7:13]
-            data.xfrc_applied[model.body(path.body).id] = row[13:]
-            if f"grip/{path.body}" in text:
+            data.xfrc_applied[model.body(motion.body).id] = row[13:]
+            if f"grip/{motion.body}" in text:
                 readme = (assets_folder() / "README.md").read_text()
                 begin = readme.index("    base, turn, turned =")
                 lines = textwrap.dedent(
                     readme[begin : readme.index("\n\n", begin)]
-                ).replace("base-2", path.body)
+                ).replace("base-2", motion.body)
                 exec(
                     lines,
                     {

@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from gauge_envs.scene.driver_path import DriverPath
 from isaac_stub import StubIsaacSim
 from places import ROOT
 from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdShade, Vt
@@ -20,7 +19,7 @@ from usd_rules import usd_faults
 
 from gauge_envs import load_experiment, load_experiment_from_asset
 from gauge_envs.backends.mujoco import BackendMuJoCo
-from gauge_envs.envs import episode
+from gauge_envs.envs.rollout import LATER_FRAMES
 from gauge_envs.errors import AssetError, ParameterError, ResultFileError
 from gauge_envs.experiments.variants import variants
 from gauge_envs.observables.observer import MARKER_REACH_M, observe_markers
@@ -29,6 +28,7 @@ from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.score_file import score_file
 from gauge_envs.scene import Cloth, SoftBody
 from gauge_envs.scene.fabrics import Fabric
+from gauge_envs.scene.prescribed_motion import prescribed_motions
 from gauge_envs.tools.assets.build import assets_folder
 from gauge_envs.tools.assets.isaac_sim import (
     isaac_sim_stage,
@@ -265,7 +265,7 @@ def test_the_rate_is_the_papers(name, rate):
         (plan.frame_count - 1) * rate // 30,
     )
     assert plan.coordinates == experiment.coordinates
-    assert plan.frame_count == experiment.frame_count + episode.LATER_FRAMES
+    assert plan.frame_count == experiment.frame_count + LATER_FRAMES
 
 
 def material_of(stage, name):
@@ -485,15 +485,16 @@ def test_a_rigid_trajectory_has_the_score_of_the_run_that_it_repeats(record_hz, 
     name = "SlopeSlider-2-wood"
     experiment = load_experiment(name)
     expected = run_episode(RunRequest(name))
-    samples = experiment.frame_count - 1 + episode.LATER_FRAMES
+    samples = experiment.frame_count - 1 + LATER_FRAMES
     simulation = BackendMuJoCo().build(experiment.scene)
-    positions = simulation.sample_positions(
-        experiment.recorded, 6 * samples, 1.0 / 180.0
-    )
+    places_m = []
+    for _ in range(6 * samples):
+        simulation.advance(1.0 / 180.0)
+        places_m.append(simulation.body_states(experiment.recorded)[0, 0, :3])
 
     def motion(stage, time_s):
         (cube,) = experiment.recorded
-        here = positions[round(180.0 * time_s) - 1, 0].tolist()
+        here = places_m[round(180.0 * time_s) - 1].tolist()
         stage.GetPrimAtPath(f"/World/{cube}").GetAttribute("xformOp:translate").Set(
             Gf.Vec3d(*here)
         )
@@ -616,19 +617,15 @@ def test_driven_bodies_are_placed_before_every_step(name, play):
     scene, rate = experiment.scene, steps_per_second(experiment.scene)
     stub, code, _ = play(name, at_rest)
     assert code == 0
-    steps = (experiment.frame_count - 1 + episode.LATER_FRAMES) * rate // 30
+    steps = (experiment.frame_count - 1 + LATER_FRAMES) * rate // 30
     np.testing.assert_allclose(
         stub.times_s, [(step / rate, 1.0 / rate) for step in range(steps)]
     )
     (driver,) = scene.drivers
     placed = stub.placed[path_of(driver.body)]
     assert len(placed) == steps
-    path = DriverPath(
-        driver,
-        scene,
-        experiment.frame_count + episode.LATER_FRAMES,
-        interval_s=1.0 / rate,
-    )
+    (motion,) = prescribed_motions(scene, steps / rate, interval_s=1.0 / rate)
+    still = np.zeros((1, motion.motion_count))
     for step, matrix in enumerate(placed):
         pose = driver.pose(scene.body(driver.body).pose, (step + 1) / rate)
         np.testing.assert_allclose(
@@ -639,10 +636,8 @@ def test_driven_bodies_are_placed_before_every_step(name, play):
             turned * Rotation.from_quat(pose.quaternion, scalar_first=True).inv()
         ).magnitude() < 1e-7
         if step + 1 < steps:
-            start, *_ = path.interval(step + 1, np.zeros(path.motion_count))
-            np.testing.assert_allclose(
-                matrix.ExtractTranslation(), start.position_m, atol=1e-9
-            )
+            start_m = motion.targets(step + 1, still)[0, 0, :3]
+            np.testing.assert_allclose(matrix.ExtractTranslation(), start_m, atol=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -70,15 +70,14 @@ def test_iterations_that_end_before_the_solution_are_named():
 
 
 def test_a_batch_whose_worlds_take_one_start_is_named(monkeypatch):
-    """Rapier builds worlds together: planted, all start as the first."""
-    pytest.importorskip("rapier3d")
+    """MuJoCo builds worlds together: planted, all start as the first."""
     together = solver._together
     monkeypatch.setattr(
         solver,
         "_together",
-        lambda lab, scenes: together(lab, [scenes[0]] * len(scenes)),
+        lambda lab, starts: together(lab, np.repeat(starts[:1], len(starts), axis=0)),
     )
-    (found,) = run_checks("rapier", only=["solver-heap"])
+    (found,) = run_checks("mujoco", only=["solver-heap"])
     assert found.measured > 0.9
     assert "one world and 6 part by" in found.diagnosis
 
@@ -91,7 +90,7 @@ class OtherSign(Passed):
     def body_states(self, names):
         states = super().body_states(names)
         self.count += 1
-        states[:, 3:7] *= (-1.0) ** self.count
+        states[..., 3:7] *= (-1.0) ** self.count
         return states
 
 
@@ -102,7 +101,8 @@ def test_the_sign_of_a_quaternion_is_no_fault():
         "start-*",
         "reset-*",
         "determinism",
-        "restore",
+        "starts-*",
+        "worlds-single",
         "two-at-once",
     ]
     assert {one.status for one in run_checks(healthy, only=rigid)} == {Status.PASS}

@@ -8,7 +8,6 @@ import gymnasium
 import mujoco
 import numpy as np
 import pytest
-from gauge_envs.backends.world import World
 from gymnasium.envs.registration import EnvSpec
 from opengl import needs_opengl
 from places import ROOT
@@ -18,6 +17,7 @@ from scipy.integrate import solve_ivp
 from gauge_envs import load_experiment, variants
 from gauge_envs.backends import backend
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
+from gauge_envs.backends.simulation import Simulation
 from gauge_envs.errors import BackendError, GaugeError, ParameterError
 from gauge_envs.files import data_folder
 from gauge_envs.references.uncertainties import friction_std
@@ -30,7 +30,6 @@ from gauge_envs.tools.control.play import engine_limit, play, play_paid
 from gauge_envs.tools.control.slope_slider import SlopeSliderLimit
 from gauge_envs.tools.control.tasks import control_tasks, find_control_task
 from gauge_envs.tools.control.turntable import TurntableLimit
-from gauge_envs.tools.control.vector import ControlVectorEnv
 
 NAMES = tuple(task.name for task in control_tasks())
 STEADY = tuple(
@@ -89,11 +88,6 @@ def reset(env):
 
 def test_wrong_calls_are_refused(approved):
     turntable = make("Turntable-Limit-wood")
-    worlds = ControlVectorEnv("Pendulum-Limit-metal", 2)
-    closed = reset(ControlVectorEnv("Pendulum-Limit-metal", 2))
-    closed.close()
-    one_entry = {"num_envs": 2, "world_parameters": [{}]}
-    carry = "GAUGE/Carry-Limit-wood"
     calls = {
         "unknown task": lambda: find_control_task("Turntable-Limit-wod"),
         "step before reset": lambda: make("Turntable-Limit-wood").step([0.0]),
@@ -103,15 +97,6 @@ def test_wrong_calls_are_refused(approved):
         "a large action": lambda: reset(turntable).step([1.1]),
         "no number": lambda: reset(turntable).step([math.nan]),
         "a word": lambda: reset(turntable).step("fast"),
-        "window of worlds": lambda: gymnasium.make_vec(carry, render_mode="human"),
-        "one entry": lambda: gymnasium.make_vec(carry, **one_entry),
-        "no worlds": lambda: ControlVectorEnv("Carry-Limit-wood", 0),
-        "worlds' step before reset": lambda: worlds.step(np.zeros((2, 1))),
-        "three seeds": lambda: worlds.reset(seed=[1, 2, 3]),
-        "jitter of worlds": lambda: worlds.reset(options={"jitterr": True}),
-        "one action": lambda: reset(worlds).step(np.zeros((1, 1))),
-        "large actions": lambda: reset(worlds).step(np.full((2, 1), 2.0)),
-        "worlds' reset after close": closed.reset,
     }
     approved("control/refused", approval.refused_calls(GaugeError, calls))
 
@@ -283,13 +268,13 @@ def test_friction_used_is_that_of_the_contact_forces(task):
         for index, contact in enumerate(data.contact):
             mujoco.mj_contactForce(model, data, index, wrench)
             total += contact.frame.reshape(3, 3).T @ wrench[:3]
-        normal = env._pose.rotation.apply((0.0, 0.0, 1.0))
+        normal = env._stage.pose.rotation.apply((0.0, 0.0, 1.0))
         used = np.linalg.norm(total - normal * (total @ normal)) / abs(total @ normal)
         if step % 20 > 5:
             # The observation is the mean over the frame, the forces are those at its end.
             change = abs(observation[2] - env.trajectory()[-2][2])
             assert used == pytest.approx(observation[2], abs=change + 2e-3)
-            assert env._friction_used() == pytest.approx(used, rel=0.01, abs=1e-3)
+            assert env._friction_used()[-1] == pytest.approx(used, rel=0.01, abs=1e-3)
             checked += 1
     assert checked > 15
 
@@ -402,21 +387,17 @@ def test_applied_torque_swings_the_pendulum(engine):
     simulation = backend(engine).build(scene)
     simulation.reset(seed=0)
     simulation.apply_wrench(
-        "ball", np.array([0.0, 0.0, 0.0, *(torque * np.asarray(hinge.axis))])
+        "ball", np.array([[0.0, 0.0, 0.0, *(torque * np.asarray(hinge.axis))]])
     )
-    kept = simulation.state()
     simulation.advance(0.5)
-    state = simulation.body_states(["ball"])[0]
+    state = simulation.body_states(["ball"])[0, 0]
     arm = state[:3] - hinge.anchor_m
     assert math.atan2(-arm[0], -arm[2]) == pytest.approx(swing[0], rel=1e-5)
     assert state[11] == pytest.approx(swing[1], rel=1e-4)
-    simulation.restore(kept)
-    simulation.advance(0.5)
-    assert np.array_equal(simulation.body_states(["ball"])[0], state)
     # A reset ends it.
     simulation.reset(seed=0)
     simulation.advance(0.5)
-    assert simulation.body_states(["ball"])[0, :3] == pytest.approx(
+    assert simulation.body_states(["ball"])[0, 0, :3] == pytest.approx(
         ball.pose.position_m, abs=1e-7
     )
 
@@ -429,21 +410,21 @@ def test_applied_force_accelerates_a_free_body(engine):
         pytest.importorskip("newton")
     scene = load_experiment("BouncingBall-rubber").scene
     (ball,) = [body for body in scene.bodies if body.motion is Motion.DYNAMIC]
-    force = np.array([0.1, 0.0, ball.mass_kg * GRAVITY_M_PER_S2, 0.0, 0.0, 0.0])
+    force = np.array([[0.1, 0.0, ball.mass_kg * GRAVITY_M_PER_S2, 0.0, 0.0, 0.0]])
     simulation = backend(engine).build(scene)
     simulation.reset(seed=0)
     simulation.apply_wrench(ball.name, force)
     simulation.advance(0.5)
-    moved = simulation.body_states([ball.name])[0, :3] - ball.pose.position_m
+    moved = simulation.body_states([ball.name])[0, 0, :3] - ball.pose.position_m
     assert moved == pytest.approx([0.5 * 0.1 / ball.mass_kg * 0.25, 0.0, 0.0], abs=1e-4)
 
 
 def test_an_engine_without_applied_forces_says_so():
     class Silent(SimulationMuJoCo):
-        apply_wrench = World.apply_wrench
+        apply_wrench = Simulation.apply_wrench
 
     with pytest.raises(BackendError, match=r"Silent.*'ball'.*apply_wrench"):
-        object.__new__(Silent).apply_wrench("ball", np.zeros(6))
+        object.__new__(Silent).apply_wrench("ball", np.zeros((1, 6)))
 
 
 # --- guide and example ---

@@ -79,7 +79,7 @@ def energies(env, policy):
 
     def look():
         (nodes_m,) = env.nodes_m().values()
-        seen.append(nodes_m - [0.0, env._stage.offset_m[0], 0.0])
+        seen.append(nodes_m - [0.0, env._stage.offset[0], 0.0])
         return read()
 
     env._places = look

@@ -122,9 +122,9 @@ def test_an_impact_at_an_edge_loses_the_ball(aside_m):
     env = ThrowLimit("rubber", settings={"timestep_s": 1 / 1800})
 
     def aside(_):
-        env._plate_x_m += aside_m
+        env._from_plate_m -= aside_m
         action = env.law_action(1.0)
-        env._plate_x_m -= aside_m
+        env._from_plate_m += aside_m
         return action
 
     report = play(env, aside)

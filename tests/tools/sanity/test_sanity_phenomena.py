@@ -6,13 +6,14 @@ from itertools import pairwise
 import mujoco
 import numpy as np
 import pytest
-from gauge_envs.scene.driver_path import DriverPath
 from sanity_cases import CHEETAH, moved
+from scipy.spatial.transform import Rotation
 from wobbling import WobblingBackend, told
 
 from gauge_envs.backends import backend
 from gauge_envs.envs.recording import DeclinedError, DivergedError
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G
+from gauge_envs.scene.prescribed_motion import prescribed_motions
 from gauge_envs.scoring.metrics import trajectory_dtw, trajectory_rmse
 from gauge_envs.tools.sanity.measure import Measurements, judged
 from gauge_envs.tools.sanity.model import Reality, Verdict
@@ -76,14 +77,17 @@ def test_runs_at_its_own_step(step, interval):
 def test_driver_intervals_join(interval):
     scene = one("slip").scenario.scene
     (driver,) = scene.drivers
-    path = DriverPath(driver, scene, 95, interval_s=interval)
+    (motion,) = prescribed_motions(scene, 200 * interval, interval_s=interval)
     start = scene.body("plate").pose
-    ends = [path.interval(sample, np.zeros(path.motion_count)) for sample in range(200)]
-    for sample, ((pose, speed, gain), (after, _, _)) in enumerate(pairwise(ends)):
-        assert pose == driver.pose(start, sample * interval)
-        turn = (after.rotation * pose.rotation.inv()).as_rotvec()
+    targets = motion.targets(0, np.zeros((1, motion.motion_count)), 200)[:, 0]
+    for sample, (now, after) in enumerate(pairwise(targets)):
+        pose = driver.pose(start, sample * interval)
+        np.testing.assert_allclose(now[:3], pose.position_m, atol=1e-12)
+        np.testing.assert_allclose(now[3:7], pose.quaternion, atol=1e-12)
+        before, end = Rotation.from_quat([now[3:7], after[3:7]], scalar_first=True)
+        turn = (end * before.inv()).as_rotvec()
         np.testing.assert_allclose(
-            speed[3:] * interval + 0.5 * gain[3:] * interval**2, turn, atol=1e-9
+            now[10:13] * interval + 0.5 * now[16:] * interval**2, turn, atol=1e-9
         )
 
 

@@ -144,9 +144,9 @@ def test_default_jitter_is_that_of_a_run():
 # --- tasks ---
 
 
-@needs_rapier
-def test_only_engines_with_shared_worlds_run_repeats_together():
-    plan = planned(backends=["mujoco", "rapier"], repeats=4)
+def test_only_engines_that_advance_worlds_at_once_run_repeats_together():
+    pytest.importorskip("newton")
+    plan = planned(backends=["mujoco", "newton"], repeats=4)
     assert [list(task.seeds) for task in remaining_tasks(plan, ())] == [
         [0],
         [1],
@@ -154,16 +154,16 @@ def test_only_engines_with_shared_worlds_run_repeats_together():
         [3],
         [0, 1, 2, 3],
     ]
-    rapier = plan.runs[1]
-    done = {rapier.file_name(2)} | {plan.runs[0].file_name(seed) for seed in range(4)}
+    mujoco, newton = plan.runs
+    done = {newton.file_name(2)} | {mujoco.file_name(seed) for seed in range(4)}
     tasks = list(remaining_tasks(plan, done))
     assert [list(task.seeds) for task in tasks] == [[0, 1], [3]]
-    assert tasks[0].file_names == [rapier.file_name(0), rapier.file_name(1)]
+    assert tasks[0].file_names == [newton.file_name(0), newton.file_name(1)]
     assert (
         tasks[0].request.seed,
         tasks[0].request.repeats,
         tasks[0].request.jitter,
-    ) == (0, 2, rapier.request.jitter)
+    ) == (0, 2, newton.request.jitter)
 
 
 @needs_rapier
