@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ from gauge_envs.experiments.experiment import Asset, AssetKind, Experiment
 from gauge_envs.files import os_errors
 from gauge_envs.references.metrics import EVENT_METRICS
 from gauge_envs.registry import SCENE_SUFFIXES, scene_files
-from gauge_envs.scene import Hinge, Motion
+from gauge_envs.scene import Motion
 from gauge_envs.scene.diff import scene_changes
 
 RECORDED_SUFFIX = ".usda"
@@ -50,18 +50,23 @@ def with_asset(experiment: Experiment, path: Path) -> Experiment:
             "",
             f"suffix {path.suffix!r} is neither that of a scene file ({known}) nor an engine's",
         )
+    # One file has its own hash; a stage of several has that of their hashes.
+    digest = digests[0]
+    if len(digests) > 1:
+        digest = hashlib.sha256(b"".join(digests)).digest()
     found = replace(
         experiment,
         scene=scene,
         asset=Asset(
             path=path,
             kind=kind,
-            sha256=digests[0].hex() if len(digests) == 1 else _joint_digest(digests),
+            sha256=digest.hex(),
             edited=bool(changes),
             changes=changes,
         ),
     )
-    _check_fit(found, experiment)
+    for place, reason in _misfits(found, experiment):
+        raise AssetError(path, place, reason)
     return found
 
 
@@ -70,74 +75,49 @@ def _digest(path: Path) -> bytes:
         return hashlib.sha256(path.read_bytes()).digest()
 
 
-def _joint_digest(digests: Sequence[bytes]) -> str:
-    """Return the hash of the hashes of a file and of those that it refers to, in the given order."""
-    return hashlib.sha256(b"".join(digests)).hexdigest()
-
-
 def _scene_of_file(experiment: Experiment, path: Path) -> Any:
+    """Return what a USD layer states; raise an error if it is of another variant."""
     duration_s = experiment.scene.duration_s
     found = scene_files(path.suffix).read_scene(path, duration_s=duration_s)
-    of = found.metadata.get("variant", experiment.name)
-    if of != experiment.name:
-        raise AssetError(
-            path,
-            "customLayerData",
-            f"it is the scene of {of}, not of {experiment.name}; to use it anyway, delete 'variant' there",
-        )
+    of, name = found.metadata.get("variant", experiment.name), experiment.name
+    if of != name:
+        reason = f"it is the scene of {of}, not of {name}; to use it anyway, delete 'variant' there"
+        raise AssetError(path, "customLayerData", reason)
     if not math.isclose(found.scene.duration_s, duration_s, rel_tol=1e-9):
-        raise AssetError(
-            path,
-            "gauge:duration_s",
-            f"it lasts {found.scene.duration_s:.10g} s, but an episode of {experiment.name} lasts {duration_s:.10g} s",
-        )
+        reason = f"it lasts {found.scene.duration_s:.10g} s, but an episode of {name} lasts {duration_s:.10g} s"
+        raise AssetError(path, "gauge:duration_s", reason)
     return found
 
 
-def _check_fit(found: Experiment, wanted: Experiment) -> None:
-    """Raise an error if an experiment with the scene of its asset lacks what the wanted one observes."""
-    assert found.asset is not None
-    path, scene = found.asset.path, found.scene
-    names = [body.name for body in scene.bodies]
-    for name in found.recorded:
-        if name not in names:
-            raise AssetError(
-                path,
-                name,
-                f"no body of that name, which {found.name} records; it has: {first_names(names)}",
+def _misfits(found: Experiment, wanted: Experiment) -> Iterator[tuple[str, str]]:
+    """Yield place and reason of what the scene of an asset lacks of that which an experiment observes."""
+    scene, name = found.scene, found.name
+    bodies = {body.name: body for body in scene.bodies}
+    for body in found.recorded:
+        if body not in bodies:
+            yield (
+                body,
+                f"no body of that name, which {name} records; it has: {first_names([*bodies])}",
             )
-        if scene.body(name).motion is not Motion.DYNAMIC:
-            raise AssetError(
-                path,
-                name,
-                f"{found.name} records it, so it must move under forces: {scene.body(name).motion}",
+        if bodies[body].motion is not Motion.DYNAMIC:
+            yield (
+                body,
+                f"{name} records it, so it must move under forces: {bodies[body].motion}",
             )
-    if not found.recorded:
-        if scene.markers is None:
-            raise AssetError(path, "", f"no markers, which {found.name} records")
-        known = [body.name for body in scene.deformables]
-        for name in scene.markers.bodies:
-            if name not in known:
-                raise AssetError(
-                    path,
-                    name,
-                    f"no deformable body of that name carries markers; it has: {first_names(known)}; markers are read "
-                    "off nodes, and rigid bodies have none: record those by position",
-                )
-        count = len(wanted.coordinates)
-        if len(found.coordinates) != count:
-            raise AssetError(
-                path,
-                "markers",
-                f"{len(found.coordinates)} coordinates, {found.name} has {count}",
+    if not found.recorded and scene.markers is None:
+        yield "", f"no markers, which {name} records"
+    for body in scene.markers.bodies if scene.markers is not None else ():
+        if body in bodies:
+            yield (
+                body,
+                "it is rigid, and markers are read off the nodes of deformable bodies",
             )
-    hinged = {joint.body for joint in scene.joints if isinstance(joint, Hinge)}
-    if (
-        not set(EVENT_METRICS).isdisjoint(found.score.metrics)
-        and found.recorded[0] not in hinged
-    ):
-        raise AssetError(
-            path,
+    counts = len(found.coordinates), len(wanted.coordinates)
+    if counts[0] != counts[1]:
+        yield "markers", f"{counts[0]} coordinates, {name} has {counts[1]}"
+    events = [metric for metric in found.score.metrics if metric in EVENT_METRICS]
+    if events and found.recorded[0] not in scene.hinges:
+        yield (
             found.recorded[0],
-            f"no hinge, which {', '.join(found.score.metrics)} are measured from",
+            f"no hinge, which {', '.join(events)} are measured from",
         )

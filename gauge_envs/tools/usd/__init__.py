@@ -10,7 +10,6 @@ if TYPE_CHECKING:
     from gauge_envs.tools.usd.reader import (
         UsdScene as UsdScene,
         from_usd as from_usd,
-        read_points as read_points,
         read_usd as read_usd,
     )
     from gauge_envs.tools.usd.writer import (
@@ -24,7 +23,7 @@ else:
         {
             ".isaac_fabric": ["surface_constants"],
             ".layer": ["record_follower"],
-            ".reader": ["UsdScene", "from_usd", "read_points", "read_usd"],
+            ".reader": ["UsdScene", "from_usd", "read_usd"],
             ".writer": ["export_stage", "scene_stage", "to_usd"],
         },
         extra="usd",

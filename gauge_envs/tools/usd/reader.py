@@ -19,7 +19,7 @@ from pxr import Sdf, Tf, Usd, UsdPhysics
 from gauge_envs.errors import AssetError, ParameterError
 from gauge_envs.scene.bodies import Contact, ContactMode, Motion, RigidBody
 from gauge_envs.scene.drivers import Driver
-from gauge_envs.scene.geometry import FloatArray, Pose, vector
+from gauge_envs.scene.geometry import Pose, vector
 from gauge_envs.scene.scene import GRAVITY_M_PER_S2, Scene
 from gauge_envs.tools.usd.deformables import (
     is_deformable,
@@ -27,7 +27,6 @@ from gauge_envs.tools.usd.deformables import (
     read_attachments,
     read_deformable,
     read_markers,
-    world_points,
 )
 from gauge_envs.tools.usd.driven import driven_body
 from gauge_envs.tools.usd.joints import is_welded, joint_prims, read_joint
@@ -68,17 +67,15 @@ def read_usd(
     friction: Literal["dynamic", "static"] | None = None,
     mode: ContactMode | Mapping[tuple[str, str], ContactMode] = ContactMode.SUSTAINED,
     contacts: Sequence[Contact] = (),
-    has_markers: bool = True,
     unstated_duration_s: float | None = None,
 ) -> UsdScene:
     """Read the whole content of a USD file; arguments and errors as in `from_usd`.
 
-    If `has_markers` is false, the markers of the file are ignored. `unstated_duration_s` is the duration of a file that
-    states none [s].
+    `unstated_duration_s` is the duration of a file that states none [s].
     """
     options = PairOptions(friction=friction, mode=mode, contacts=contacts)
     with _opened(Path(path)) as source:
-        reader = _Reader(source, options, duration_s, has_markers=has_markers)
+        reader = _Reader(source, options, duration_s)
         reader.unstated_duration_s = unstated_duration_s
         return reader.read()
 
@@ -109,22 +106,6 @@ def from_usd(
     ).scene
 
 
-def read_points(path: Path, place: str) -> FloatArray:
-    """Return the world positions of the points of a prim at the start [m], z up, shape [point_count, 3].
-
-    Args:
-        path: The USD file.
-        place: Path of a Points or Mesh prim, such as `/Shelf/Markers`.
-    """
-    with _opened(path) as source:
-        prim = next(
-            (prim for prim in source.prims() if str(prim.GetPath()) == place), None
-        )
-        if prim is None:
-            raise source.fault(place, "there is no such prim")
-        return world_points(source, prim)
-
-
 @contextmanager
 def _opened(file: Path) -> Iterator[Source]:
     """Open a stage; convert errors of USD to AssetError while it is read."""
@@ -150,11 +131,8 @@ class _Reader:
         source: Source,
         options: PairOptions,
         duration_s: float | None,
-        *,
-        has_markers: bool,
     ) -> None:
         self.source = source
-        self.has_markers = has_markers
         self.options = options
         self.duration_s = duration_s
         self.unstated_duration_s: float | None = None
@@ -215,7 +193,7 @@ class _Reader:
             drivers=tuple(
                 driver for _, driver in sorted(drivers, key=lambda pair: pair[0])
             ),
-            markers=read_markers(source, self.names) if self.has_markers else None,
+            markers=read_markers(source, self.names),
             duration_s=self._duration(),
             gravity_m_per_s2=self._gravity(),
             air=read_air(source, self.physics.GetPrim()),
