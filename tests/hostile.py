@@ -68,16 +68,16 @@ class Talking(BackendMuJoCo):
         say()
         return super().supports(scene)
 
-    def build(self, scene, settings=None):
+    def _compiled(self, scene, *rest):
         say()
-        return super().build(scene, settings)
+        return super()._compiled(scene, *rest)
 
 
 class NoJson(BackendMuJoCo):
     name = "no-json"
 
-    def build(self, scene, settings=None):
-        simulation = super().build(scene, settings)
+    def _compiled(self, scene, *rest):
+        simulation = super()._compiled(scene, *rest)
         simulation.settings = {**simulation.settings, "pool": {1, 2}}
         return simulation
 
@@ -94,8 +94,8 @@ def fails_on_plastic(backend_name, fail):
     class Failing(BackendMuJoCo):
         name = backend_name
 
-        def build(self, scene, settings=None):
-            simulation = super().build(scene, settings)
+        def _compiled(self, scene, *rest):
+            simulation = super()._compiled(scene, *rest)
             simulation.__class__ = Stepped
             return simulation
 
@@ -114,10 +114,10 @@ def fails_on_contact(backend_name, fail):
     class Failing(BackendMuJoCo):
         name = backend_name
 
-        def build(self, scene, settings=None):
+        def _compiled(self, scene, *rest):
             if scene.contacts:
                 fail()
-            return super().build(scene, settings)
+            return super()._compiled(scene, *rest)
 
     return Failing
 
@@ -132,8 +132,8 @@ ContactGreedy = fails_on_contact("contact-greedy", lambda: (bytearray(10**9), ti
 class FallCrash(BackendMuJoCo):
     name = "fall-crash"
 
-    def build(self, scene, settings=None):
-        simulation = super().build(scene, settings)
+    def _compiled(self, scene, *rest):
+        simulation = super()._compiled(scene, *rest)
         if any(body.name.startswith("ball") for body in scene.bodies):
             simulation.__class__ = type("Dies", (SimulationMuJoCo,), {"advance": lambda self, seconds: segfault()})
         return simulation

@@ -1,25 +1,23 @@
-"""The contract of simulations and worlds, once over all installed engines; the conformance checks state the laws."""
+"""The contract of simulations, once over all installed engines; the conformance checks state the laws."""
 
 import gc
-import pickle
 from contextlib import closing
-from dataclasses import replace
 
 import numpy as np
 import pytest
-from gauge_envs.envs.driver_paths import DriverPaths
 from programs import run_python
 from scipy.spatial.transform import Rotation
 
 from gauge_envs import Jitter, load_experiment
 from gauge_envs.backends import backend, backend_names
-from gauge_envs.backends.base import worlds_of
 from gauge_envs.backends.registry import backend_class
 from gauge_envs.backends.shared import bundled
-from gauge_envs.errors import BackendError, MissingExtraError
+from gauge_envs.envs.recording import intervals
+from gauge_envs.errors import MissingExtraError
 from gauge_envs.registry import is_installed
 from gauge_envs.scene import Box, Pose, Scene
-from gauge_envs.scene.jitter import jittered
+from gauge_envs.scene.jitter import perturbed_states
+from gauge_envs.scene.prescribed_motion import prescribed_motions
 from gauge_envs.tools.bench.parts import body, driven_box
 
 SLIDE = "SlopeSlider-2-wood"
@@ -34,173 +32,87 @@ def scene_for(engine, name, parameters="calibrated"):
     return scene
 
 
-def everything(world, scene):
-    """Return all states and nodes of a world, one after another."""
-    states = world.body_states([one.name for one in scene.bodies])
-    nodes = [world.nodes(one.name).ravel() for one in scene.deformables]
-    return np.concatenate([states.ravel(), *nodes])
+def everything(simulation, scene):
+    """Return all states and nodes of each world, shape [N, number_count]."""
+    parts = [simulation.body_states([one.name for one in scene.bodies])]
+    parts += [simulation.nodes(one.name) for one in scene.deformables]
+    return np.hstack([part.reshape(len(part), -1) for part in parts])
 
 
-def course(simulation, scene, first, last):
-    """Drive a simulation through intervals of its recorded motion; return what it is after each of them."""
-    paths, rows = DriverPaths(scene, 1.0), []
-    for index in range(first, last):
-        paths.advance(simulation, index)
-        rows.append(everything(simulation, scene))
-    return np.array(rows)
+def course(simulation, scene, count):
+    """Drive a simulation by its recorded motion; return what it is after each interval, shape [count, N, ...]."""
+    worlds = simulation.world_count
+    motions = prescribed_motions(scene, 1.0, world_count=worlds)
+    actions = [np.zeros((worlds, one.motion_count)) for one in motions]
+    return np.array(
+        [
+            everything(simulation, scene)
+            for _ in intervals(simulation, motions, 0, count, actions)
+        ]
+    )
 
 
-# --- states ----------------------------------------------------------------------------------------------------------
-
-SCENES = [
-    ("SlopeSlider-3-wood", "calibrated"),
-    ("NewtonsCradle-metal", "calibrated"),
-    ("CubeToss-acrylic", "calibrated"),
-    ("TextileFlinging-satin", "air"),
-    ("RotatingBall-satin", "calibrated"),
-    ("FoamBending-soft", "calibrated"),
-    ("StickStack-soft", "calibrated"),
-]
+# --- starts ----------------------------------------------------------------------------------------------------------
 
 
-def check_repeats(engine, scene, settings=None):
-    """A state continues bit for bit in its simulation and in another one, and a reset begins anew."""
-    with (
-        closing(engine.build(scene, settings)) as one,
-        closing(engine.build(scene, settings)) as other,
-    ):
-        start = everything(one, scene)
-        early = course(one, scene, 0, 2)
-        kept = pickle.dumps(one.state())
-        late = course(one, scene, 2, 4)
-        assert np.abs(late[-1] - start).max() > 1e-6
-        for simulation in (other, one):
-            simulation.restore(pickle.loads(kept))
-            np.testing.assert_array_equal(course(simulation, scene, 2, 4), late)
-        one.reset(1)
-        np.testing.assert_array_equal(everything(one, scene), start)
-        again = course(one, scene, 0, 4)
-        np.testing.assert_array_equal(again, [*early, *late])
-
-
-@pytest.mark.parametrize(("name", "parameters"), SCENES)
-def test_states_and_resets_repeat_bit_for_bit(engine, name, parameters):
-    check_repeats(engine, scene_for(engine, name, parameters))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("engine", ["newton", "genesis"], indirect=True)
-def test_material_points_repeat_bit_for_bit(engine):
-    scene = scene_for(engine, "FoamStretching-soft")
-    check_repeats(engine, scene, {"preset": "mpm"})
+@pytest.mark.parametrize(
+    ("name", "parameters"),
+    [
+        ("SlopeSlider-3-wood", "calibrated"),
+        ("NewtonsCradle-metal", "calibrated"),
+        ("CubeToss-acrylic", "calibrated"),
+        ("TextileFlinging-satin", "air"),
+        ("RotatingBall-satin", "calibrated"),
+        ("FoamBending-soft", "calibrated"),
+        ("StickStack-soft", "calibrated"),
+    ],
+)
+def test_a_reset_begins_anew(engine, name, parameters):
+    scene = scene_for(engine, name, parameters)
+    with closing(engine.build(scene)) as simulation:
+        start = everything(simulation, scene)
+        first = course(simulation, scene, 4)
+        assert np.abs(first[-1] - start).max() > 1e-6
+        simulation.reset(None, 1)
+        np.testing.assert_allclose(everything(simulation, scene), start, atol=1e-9)
+        np.testing.assert_allclose(course(simulation, scene, 4), first, atol=1e-9)
 
 
 def act(simulation, scene):
     """Drive a turntable from where it is, at 1 rad/s and 6 rad/s^2, and push the cube on it."""
     name = scene.drivers[0].body
-    rates = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
-    simulation.drive(name, scene.body(name).pose, rates, 6.0 * rates)
-    simulation.apply_wrench("cube", np.array([0.0, 0.0, 5.0, 0.0, 0.0, 0.0]))
-
-
-def test_a_state_holds_what_the_next_step_was_told(engine):
-    scene = scene_for(engine, "Turntable-2-wood")
-    table = scene.drivers[0].body
-    with closing(engine.build(scene)) as simulation:
-        simulation.reset(0)
-        act(simulation, scene)
-        kept = simulation.state()
-        simulation.advance(INTERVAL_S)
-        ahead = simulation.body_states([table, "cube"])
-        assert ahead[0, 12] == pytest.approx(1.0 + 6.0 * INTERVAL_S, abs=2e-3)
-        assert ahead[1, 9] > 0.01
-        simulation.restore(kept)
-        simulation.advance(INTERVAL_S)
-        np.testing.assert_array_equal(simulation.body_states([table, "cube"]), ahead)
+    pose = simulation.body_states([name])[:, 0, :7]
+    rates = np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 1.0]])
+    simulation.drive(name, np.hstack([pose, rates, 6.0 * rates]))
+    simulation.apply_wrench("cube", np.array([[0.0, 0.0, 5.0, 0.0, 0.0, 0.0]]))
 
 
 def test_a_reset_forgets_what_the_next_step_was_told(engine):
     scene = scene_for(engine, "Turntable-2-wood")
     with closing(engine.build(scene)) as fresh, closing(engine.build(scene)) as used:
         act(used, scene)
+        used.advance(INTERVAL_S)
+        moved = used.body_states([scene.drivers[0].body, "cube"])[0]
+        assert moved[0, 12] == pytest.approx(1.0 + 6.0 * INTERVAL_S, abs=2e-3)
+        assert moved[1, 9] > 0.01
+        act(used, scene)
         for simulation in (fresh, used):
-            simulation.reset(0)
+            simulation.reset()
             simulation.advance(INTERVAL_S)
-        np.testing.assert_array_equal(everything(used, scene), everything(fresh, scene))
+        expected = everything(fresh, scene)
+        np.testing.assert_allclose(everything(used, scene), expected, atol=1e-9)
 
 
-def refusal(simulation, state):
-    """Return the message of the error, after which the simulation is as it was."""
-    before = simulation.body_states(["cube"])
-    with pytest.raises(BackendError) as caught:
-        simulation.restore(state)
-    np.testing.assert_array_equal(before, simulation.body_states(["cube"]))
-    return str(caught.value)
-
-
-# A replayed state is the scene's own course, whatever the engine was told; the others hold numbers of the engine.
-@pytest.mark.parametrize("engine", ["mujoco", "newton", "rapier"], indirect=True)
-def test_a_state_of_another_origin_is_refused_with_both_origins(engine):
-    scene, half_step = scene_for(engine, SLIDE), {}
-    half_step["timestep_s"] = 0.5 * engine.resolved_settings(scene)["timestep_s"]
-    metal = load_experiment("SlopeSlider-2-metal").scene
-    with (
-        closing(engine.build(scene)) as here,
-        closing(engine.build(scene, half_step)) as finer,
-        closing(engine.build(metal)) as elsewhere,
-    ):
-        theirs, _, ours = refusal(here, finer.state()).partition("this one")
-        assert f"timestep_s = {half_step['timestep_s']}" in theirs
-        assert f"timestep_s = {here.settings['timestep_s']}" in ours
-        assert "with scene" in refusal(here, elsewhere.state())
-        assert "restore got a ndarray" in refusal(here, np.zeros(10))
-        older = replace(here.state(), engine=f"{engine.name} 0.1")
-        assert f"with {engine.name} 0.1, this one has" in refusal(here, older)
-
-
-# --- worlds ----------------------------------------------------------------------------------------------------------
-
-
-def harder(scene, number):
-    """Return a scene with more friction and heavier bodies."""
-    bodies, deformables = (
-        tuple(replace(one, mass_kg=one.mass_kg * (1.0 + 0.1 * number)) for one in group)
-        for group in (scene.bodies, scene.deformables)
-    )
-    contacts = tuple(
-        replace(one, friction=one.friction + 0.01 * number) for one in scene.contacts
-    )
-    return replace(scene, bodies=bodies, deformables=deformables, contacts=contacts)
-
-
-def check_worlds(engine, scenes):
-    """Worlds that start or are built differently are single simulations, bit for bit, also after a reset.
-
-    One of them is not driven.
-    """
-    with closing(worlds_of(engine, scenes)) as worlds:
-        for _ in range(2):
-            worlds.reset(0)
-            paths = [DriverPaths(scene, 1.0) for scene in scenes]
-            for index in range(4):
-                for one, world in list(zip(paths, worlds.worlds, strict=True))[1:]:
-                    one.drive(world, index, one.no_rates)
-                worlds.advance(INTERVAL_S)
-        together = [
-            everything(world, scene)
-            for world, scene in zip(worlds.worlds, scenes, strict=True)
-        ]
-    assert len({one.tobytes() for one in together}) == len(scenes)
-    for number, (scene, found) in enumerate(zip(scenes, together, strict=True)):
-        with closing(engine.build(scene)) as single:
-            single.reset(0)
-            if number:
-                alone = course(single, scene, 0, 4)[-1]
-            else:
-                for _ in range(4):
-                    single.advance(INTERVAL_S)
-                alone = everything(single, scene)
-        np.testing.assert_array_equal(found, alone)
+@pytest.mark.parametrize("engine", ["mujoco", "rapier"], indirect=True)
+def test_a_reset_clears_a_divergence(engine):
+    with closing(engine.build(load_experiment(SLIDE).scene)) as simulation:
+        simulation.apply_wrench("cube", np.array([[np.nan, 0, 0, 0, 0, 0]]))
+        simulation.advance(INTERVAL_S)
+        assert "not finite" in simulation.diverged()[0]
+        simulation.reset()
+        simulation.advance(INTERVAL_S)
+        assert simulation.diverged() == {}
+        assert np.isfinite(simulation.body_states(["cube"])).all()
 
 
 @pytest.mark.parametrize(
@@ -213,39 +125,22 @@ def check_worlds(engine, scenes):
         "RotatingBall-satin",
     ],
 )
-def test_worlds_are_single_simulations(engine, name):
+def test_worlds_are_single_simulations_of_their_starts(engine, name):
     scene = scene_for(engine, name)
-    # More worlds than one world of Rapier holds.
-    count = 11 if engine.name == "rapier" else 2
     scatter = Jitter(velocity_m_per_s=0.01, angular_velocity_rad_per_s=0.1)
-    check_worlds(engine, [jittered(scene, scatter, seed=seed) for seed in range(count)])
-
-
-@pytest.mark.parametrize(
-    "name",
-    [
-        SLIDE,
-        "FoamStretching-soft",
-        pytest.param("StickStack-soft", marks=pytest.mark.slow),
-    ],
-)
-def test_worlds_have_their_own_constants(engine, name):
-    scene = scene_for(engine, name)
-    check_worlds(engine, [harder(scene, number) for number in range(3)])
-
-
-def test_simulations_do_not_touch_each_other(engine):
-    scene = scene_for(engine, "NonsmoothContact-1-wood")
-    other_scene = scene_for(engine, "BouncingBall-rubber")
-    with closing(engine.build(scene)) as simulation:
-        alone = course(simulation, scene, 0, 30)
-    with (
-        closing(engine.build(other_scene)) as other,
-        closing(engine.build(scene)) as simulation,
-    ):
-        other.advance(0.1)
-        beside = course(simulation, scene, 0, 30)
-    np.testing.assert_array_equal(alone, beside)
+    starts = np.array([perturbed_states(scene, scatter, seed=seed) for seed in (0, 1)])
+    with closing(engine.build_worlds(scene, 2)) as worlds:
+        assert worlds.world_count == 2
+        worlds.reset(starts[::-1].copy())
+        course(worlds, scene, 2)
+        worlds.reset(starts)
+        together = course(worlds, scene, 4)
+    assert np.abs(together[:, 0] - together[:, 1]).max() > 1e-4
+    with closing(engine.build(scene)) as single:
+        for world in range(2):
+            single.reset(starts[world : world + 1])
+            alone = course(single, scene, 4)[:, 0]
+            np.testing.assert_allclose(together[:, world], alone, atol=1e-9)
 
 
 # --- driven and pushed bodies ----------------------------------------------------------------------------------------
@@ -257,12 +152,13 @@ def test_a_driven_body_starts_where_it_is_put_and_stays_without_a_drive(engine):
         simulation.advance(INTERVAL_S)
         place = Pose.from_euler_deg((0.1, 0.2, 0.5), (0.0, 40.0, 0.0))
         speed = np.array([0.3, 0.0, 0.0, 0.0, 0.0, 2.0])
-        simulation.drive("plate", place, speed, np.zeros(6))
+        motion = [*place.position_m, *place.quaternion, *speed, *np.zeros(6)]
+        simulation.drive("plate", np.array([motion]))
         if engine.name != "newton":  # It is told at its next step.
-            state = simulation.body_states(["plate"])[0]
+            state = simulation.body_states(["plate"])[0, 0]
             assert state[:3] == pytest.approx(place.position_m, abs=1e-6)
         simulation.advance(INTERVAL_S)
-        state = simulation.body_states(["plate"])[0]
+        state = simulation.body_states(["plate"])[0, 0]
         assert state[:3] == pytest.approx((0.1 + 0.3 / 180, 0.2, 0.5), abs=1e-6)
         # The angular velocity is about the axes of the world.
         turned = Rotation.from_rotvec(speed[3:] * INTERVAL_S) * place.rotation
@@ -280,26 +176,11 @@ def test_a_wrench_replaces_the_last_one(engine):
             (0.0, 0.2, 0.0, 0.0, inertia, 0.0),
             (0.0,) * 6,
         ):
-            simulation.apply_wrench("box", np.array(wrench))
+            simulation.apply_wrench("box", np.array([wrench]))
             simulation.advance(0.1)
         expected = [0.5, 0.2, 0.0, 0.1, 0.1, 0.0]
-        state = simulation.body_states(["box"])[0]
+        state = simulation.body_states(["box"])[0, 0]
     assert state[7:] == pytest.approx(expected, abs=1e-3)
-
-
-@pytest.mark.parametrize("engine", ["mujoco", "rapier"], indirect=True)
-def test_a_reset_or_a_restored_state_clears_a_fault(engine):
-    with closing(engine.build(load_experiment(SLIDE).scene)) as simulation:
-        start = simulation.state()
-        for clear in (lambda: simulation.reset(0), lambda: simulation.restore(start)):
-            simulation.apply_wrench("cube", np.array([np.nan, 0, 0, 0, 0, 0]))
-            simulation.advance(INTERVAL_S)
-            assert "not finite" in str(simulation.fault())
-            clear()
-            simulation.apply_wrench("cube", np.zeros(6))
-            simulation.advance(INTERVAL_S)
-            assert simulation.fault() is None
-            assert np.isfinite(simulation.body_states(["cube"])).all()
 
 
 # --- settings and installation ---------------------------------------------------------------------------------------
@@ -374,7 +255,7 @@ for name in sys.argv[1:]:
     print(*sorted(set(engine.modules) & set(sys.modules)))
     scene = load_experiment("NonsmoothContact-1-wood").scene
     simulation = engine.build(scene)
-    simulation.reset(0)
+    simulation.reset()
     simulation.advance(0.1)
     print(simulation.body_states([one.name for one in scene.bodies]).tobytes().hex())
     simulation.close()
@@ -389,7 +270,7 @@ def of_another_process(names):
     expected = ""
     for name in names:
         with closing(backend(name).build(scene)) as simulation:
-            simulation.reset(0)
+            simulation.reset()
             simulation.advance(0.1)
             expected += f"\n{everything(simulation, scene).tobytes().hex()}\n"
     run = run_python("-c", PROGRAM, *names)
@@ -443,7 +324,7 @@ def test_simulations_that_nobody_uses_free_their_memory(engine, is_closed):
         for index in range(count):
             simulation = engine.build(scene)
             simulation.advance(INTERVAL_S)
-            simulation.reset(0)
+            simulation.reset()
             if is_closed:
                 simulation.close()
                 simulation.close()

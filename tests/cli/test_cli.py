@@ -6,6 +6,8 @@ import sys
 from interruption import interrupt_in_episode
 from slide import NAME
 
+from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
+
 
 def lines(result):
     return [json.loads(line) for line in result.stdout.splitlines()]
@@ -39,9 +41,7 @@ def test_overrides_are_parsed_and_change_the_score(gauge):
 
 
 def test_a_failed_episode_gives_exit_code_1(gauge, monkeypatch):
-    monkeypatch.setattr(
-        "gauge_envs.envs.episode.Episode.fault_of", lambda *_: "it flew away"
-    )
+    monkeypatch.setattr(SimulationMuJoCo, "diverged", lambda _: {0: "it flew away"})
     result = gauge("run", NAME)
     assert result.exit_code == 1
     assert "diverged: SlopeSlider-2-wood: it flew away" in result.stdout

@@ -182,10 +182,9 @@ def test_a_slope_of_another_tool_becomes_a_scene_and_slides_as_newton_says(tmp_p
     assert (contact.friction, contact.restitution) == (pytest.approx(0.2), 0.25)
     assert contact.mode is ContactMode.SUSTAINED
     simulation = BackendMuJoCo().build(scene)
-    simulation.reset(0)
-    start = simulation.body_states(("Crate",))[0].copy()
+    start = simulation.body_states(("Crate",))[0, 0].copy()
     simulation.advance(0.5)
-    way = np.linalg.norm(simulation.body_states(("Crate",))[0, :3] - start[:3])
+    way = np.linalg.norm(simulation.body_states(("Crate",))[0, 0, :3] - start[:3])
     angle = np.radians(30.0)
     a = 9.81 * (np.sin(angle) - 0.2 * np.cos(angle))
     assert way == pytest.approx(0.5 * a * 0.5**2, rel=0.01)
