@@ -4,6 +4,7 @@ from __future__ import annotations
 
 SOURCE = '''
 import ctypes, os, sys, time
+from gauge_envs.backends import Backend
 from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
 
@@ -17,11 +18,17 @@ def say():
     ctypes.CDLL(None).printf(b"a line of C code\\n")
 
 
-class Well(BackendMuJoCo):
+class Engine(BackendMuJoCo):
+    """MuJoCo that builds its worlds one by one, with `build`."""
+
+    build_worlds = Backend.build_worlds
+
+
+class Well(Engine):
     name = "well"
 
 
-class OtherName(BackendMuJoCo):
+class OtherName(Engine):
     name = "another"
 
 
@@ -33,35 +40,35 @@ def at_import():
     raise SystemExit(3)
 
 
-class Supports(BackendMuJoCo):
+class Supports(Engine):
     name = "supports"
 
     def supports(self, scene):
         raise ZeroDivisionError("mass of nothing")
 
 
-class SupportsExit(BackendMuJoCo):
+class SupportsExit(Engine):
     name = "supports-exit"
 
     def supports(self, scene):
         sys.exit(4)
 
 
-class SupportsCrash(BackendMuJoCo):
+class SupportsCrash(Engine):
     name = "supports-crash"
 
     def supports(self, scene):
         segfault()
 
 
-class SupportsHang(BackendMuJoCo):
+class SupportsHang(Engine):
     name = "supports-hang"
 
     def supports(self, scene):
         time.sleep(1000)
 
 
-class Talking(BackendMuJoCo):
+class Talking(Engine):
     name = "talking"
 
     def supports(self, scene):
@@ -73,7 +80,7 @@ class Talking(BackendMuJoCo):
         return super()._compiled(scene, *rest)
 
 
-class NoJson(BackendMuJoCo):
+class NoJson(Engine):
     name = "no-json"
 
     def _compiled(self, scene, *rest):
@@ -91,7 +98,7 @@ def fails_on_plastic(backend_name, fail):
                 fail()
             super().reset(starts, seed)
 
-    class Failing(BackendMuJoCo):
+    class Failing(Engine):
         name = backend_name
 
         def _compiled(self, scene, *rest):
@@ -111,7 +118,7 @@ Hang = fails_on_plastic("hang", lambda: time.sleep(1000))
 def fails_on_contact(backend_name, fail):
     """A backend that calls a function while it builds a scene with contacts."""
 
-    class Failing(BackendMuJoCo):
+    class Failing(Engine):
         name = backend_name
 
         def _compiled(self, scene, *rest):
@@ -129,7 +136,7 @@ ContactHang = fails_on_contact("contact-hang", lambda: time.sleep(1000))
 ContactGreedy = fails_on_contact("contact-greedy", lambda: (bytearray(10**9), time.sleep(1000)))
 
 
-class FallCrash(BackendMuJoCo):
+class FallCrash(Engine):
     name = "fall-crash"
 
     def _compiled(self, scene, *rest):

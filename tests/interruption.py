@@ -4,19 +4,14 @@ from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
 
 
 def interrupt_in_episode(monkeypatch, number):
-    """Ctrl-C while an episode is being stepped: the engine raises KeyboardInterrupt in the given one."""
-    count = 0
-    reset, states = SimulationMuJoCo.reset, SimulationMuJoCo.body_states
+    """Ctrl-C while MuJoCo advances the given episode: the first, second, ... simulation that advances."""
+    advance, simulations = SimulationMuJoCo.advance, []
 
-    def counted(self, starts=None, seed=0):
-        nonlocal count
-        count += 1
-        reset(self, starts, seed)
-
-    def interrupted(self, names):
-        if count == number:
+    def interrupted(self, seconds):
+        if self not in simulations:
+            simulations.append(self)
+        if len(simulations) == number:
             raise KeyboardInterrupt
-        return states(self, names)
+        advance(self, seconds)
 
-    monkeypatch.setattr(SimulationMuJoCo, "reset", counted)
-    monkeypatch.setattr(SimulationMuJoCo, "body_states", interrupted)
+    monkeypatch.setattr(SimulationMuJoCo, "advance", interrupted)

@@ -335,7 +335,7 @@ ROWS = (
             contacts=(contact("rope", "low", friction=0.3, restitution=0.5),),
         ),
         {},
-        "'rope' rebounds: .*no restitution",
+        "'rope' rebounds from 'low'.*no restitution",
     ),
     (
         "newton",

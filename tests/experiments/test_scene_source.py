@@ -154,7 +154,7 @@ def test_half_the_friction_changes_the_slide_as_the_law_says(
 def test_an_edited_mass_reaches_the_simulation(edited):
     path = edited("Pendulum-metal", setting(ball__gauge__mass_kg=0.5))
     env = gymnasium.make("GAUGE/Pendulum-metal", asset=path)
-    assert env.unwrapped.simulation.model.body("ball").mass[0] == 0.5
+    assert env.unwrapped.rollout.simulation.model.body("ball").mass[0] == 0.5
     assert len(env.unwrapped.experiment.asset.changes) == 1
     assert env.unwrapped.experiment.asset.changes[0].startswith("ball: mass_kg ")
     assert env.unwrapped.experiment.asset.changes[0].endswith(" -> 0.5")

@@ -72,8 +72,8 @@ def test_the_shipped_file_states_the_settings_in_force():
     for name in ("Pendulum-metal", CLOTH):
         file = gymnasium.make(
             f"GAUGE/{name}", asset=shipped(name)
-        ).unwrapped.simulation.settings
-        task = gymnasium.make(f"GAUGE/{name}").unwrapped.simulation.settings
+        ).unwrapped.rollout.simulation.settings
+        task = gymnasium.make(f"GAUGE/{name}").unwrapped.rollout.simulation.settings
         shared = set(file) & set(task)
         assert {
             "timestep_s",
@@ -121,7 +121,7 @@ def test_an_edited_mass_pose_and_friction_reach_scene_and_model(edited):
         (pair.format("0.273673"), pair.format("0.1368365")),
     )
     env = gymnasium.make(f"GAUGE/{SLIDE}", asset=path)
-    experiment, model = env.unwrapped.experiment, env.unwrapped.simulation.model
+    experiment, model = env.unwrapped.experiment, env.unwrapped.rollout.simulation.model
     cube = experiment.scene.body("cube")
     assert (cube.mass_kg, cube.pose.position_m[0]) == (0.2, 0.098247)
     observation, _ = env.reset(seed=0)
@@ -290,18 +290,22 @@ def test_what_a_file_lacks_is_reported(name, replacement, message, edited):
     assert str(caught.value).startswith(f"{caught.value.file}: ")
 
 
-def test_settings_and_jitter_need_a_scene():
+def test_an_mjcf_file_contains_its_own_settings_and_starts_where_it_is_told():
     with pytest.raises(ParameterError, match="an MJCF file contains its own settings"):
         gymnasium.make(
             f"GAUGE/{SLIDE}", asset=shipped(SLIDE), settings={"timestep_s": 1 / 1800}
         )
-    with pytest.raises(
-        AssetError, match="use a USD layer for another start, such as a jitter"
-    ):
-        run_episodes(RunRequest(SLIDE, repeats=2, asset=shipped(SLIDE)))
+    starts = [
+        [one.trajectory.samples[0] for one in run_episodes(request)]
+        for request in (
+            RunRequest(SLIDE, repeats=2),
+            RunRequest(SLIDE, repeats=2, asset=shipped(SLIDE)),
+        )
+    ]
+    assert starts[1] == pytest.approx(np.array(starts[0]), abs=1e-6)
 
 
-# --- the hook --------------------------------------------------------------------------------------------------------
+# --- the hook ---
 
 
 def test_only_mujoco_has_model_files():

@@ -31,7 +31,7 @@ class Sheet:
         self.time_s = 0.0
 
     def nodes(self, name):
-        return self._motion(self._rest, self.time_s)
+        return self._motion(self._rest, self.time_s)[None]
 
     def track(self, name, points_m):
         return None
@@ -57,14 +57,18 @@ def test_material_points_are_exact_where_nodes_are_not():
         sheet.time_s = 0.0
         observer = ObserverMarkers(scene, Observable.MARKER_POSITION, sheet, proxy)
         apart_m = {
-            MarkerProxy.NODE: cdist(scene.markers.positions_m, sheet.nodes(cloth.name))
+            MarkerProxy.NODE: cdist(
+                scene.markers.positions_m, sheet.nodes(cloth.name)[0]
+            )
             .min(axis=1)
             .max(),
             MarkerProxy.MATERIAL: 0.0,
         }[proxy]
         assert observer.largest_distance_m == pytest.approx(apart_m, abs=1e-9)
         sheet.advance(0.1)
-        moved = observer.now(sheet).reshape(-1, 3)
+        g, markers_m = observer.observe(sheet)
+        assert markers_m.shape == (1, 63, 3)
+        moved = g.reshape(-1, 3)
         errors[proxy] = np.abs(moved - 1e3 * targets).max()
     assert errors[MarkerProxy.MATERIAL] < 1e-6
     assert 0.5 < errors[MarkerProxy.NODE] < 11.0
@@ -83,19 +87,6 @@ def test_marker_off_the_material_is_refused():
     shifted = Sheet(cloth, 0.025, lambda points, t: points + np.array([0.0, 0.02, 0.0]))
     with pytest.raises(ShapeError, match=r"20\.0 mm"):
         ObserverMarkers(scene, Observable.CURVATURE, shifted, MarkerProxy.MATERIAL)
-
-
-def test_sampling_observes_after_each_interval():
-    scene, cloth = flinging()
-    sheet = Sheet(cloth, 0.025, lambda points, t: points + np.array([0.0, t, 0.0]))
-    observer = ObserverMarkers(
-        scene, Observable.MARKER_POSITION, sheet, MarkerProxy.NODE
-    )
-    samples = observer.sample(sheet, 3, 0.1).reshape(3, -1, 3)
-    start = 1e3 * np.asarray(scene.markers.positions_m)
-    assert samples[:, :, 1] - start[:, 1] == pytest.approx(
-        np.array([[100.0], [200.0], [300.0]]) * np.ones(63)
-    )
 
 
 def test_missing_markers_stay_missing():

@@ -12,6 +12,7 @@ from gauge_envs import load_experiment
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
 from gauge_envs.backends.registry import backend_for
 from gauge_envs.envs.recording import NotFiniteError, record
+from gauge_envs.envs.rollout import Rollout
 from gauge_envs.errors import (
     ParameterError,
     ResultFileError,
@@ -39,13 +40,13 @@ def result():
 def run_count(monkeypatch):
     """How many episodes were started, as a list that grows."""
     started = []
-    reset = SimulationMuJoCo.reset
+    play = Rollout.play
 
-    def counted(self, seed):
-        started.append(seed)
-        reset(self, seed)
+    def counted(self):
+        started.append(self)
+        play(self)
 
-    monkeypatch.setattr(SimulationMuJoCo, "reset", counted)
+    monkeypatch.setattr(Rollout, "play", counted)
     return started
 
 
@@ -124,12 +125,10 @@ def test_a_request_that_fits_nothing_is_refused_before_anything_runs(run_count):
 def test_one_that_cannot_run_does_not_stop_the_others(tmp_path, monkeypatch):
     reset = SimulationMuJoCo.reset
 
-    def fails_for_plastic(self, seed):
-        if abs(
-            self.model.body_mass.max() - 0.1469
-        ) < 1e-6 or 0.1469 in self.model.body_mass.round(6):
+    def fails_for_plastic(self, *arguments):
+        if 0.1469 in self.model.body_mass.round(6):
             raise RuntimeError("the engine gave up")
-        reset(self, seed)
+        reset(self, *arguments)
 
     monkeypatch.setattr(SimulationMuJoCo, "reset", fails_for_plastic)
     results = list(
@@ -153,8 +152,7 @@ def test_divergence_is_a_result_without_a_score(monkeypatch, tmp_path):
     def exploding(self, names):
         values = states(self, names)
         if self.data.time > 0.2:
-            values[:, :3] = np.inf
-            values[:, 7:10] = np.inf
+            values[..., :3] = np.inf
         return values
 
     monkeypatch.setattr(SimulationMuJoCo, "body_states", exploding)
@@ -182,12 +180,11 @@ def test_repeats_scatter_and_one_episode_does_not(result):
 def test_a_recording_ends_at_one_number_that_is_not_finite(column):
     scene = load_experiment(NAME).scene
     simulation = backend_for("mujoco", None).build(scene)
-    simulation.reset(0)
     states_of = simulation.body_states
 
     def planted(names):
         states = np.array(states_of(names))
-        states[list(names).index("cube"), column] = np.nan
+        states[0, list(names).index("cube"), column] = np.nan
         return states
 
     simulation.body_states = planted

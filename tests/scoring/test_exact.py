@@ -1,7 +1,5 @@
 """What exact solutions score is recomputed from closed forms and an ODE, without any engine."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -9,7 +7,6 @@ from scipy.interpolate import PchipInterpolator
 
 from gauge_envs import load_experiment
 from gauge_envs.references.band import load_band
-from gauge_envs.scene.jitter import Jitter, scattered
 from gauge_envs.scoring.reference import reference_band
 from gauge_envs.scoring.score import score_trajectory
 
@@ -116,12 +113,13 @@ def test_cube_slips_on_the_tilting_board(parameters):
 
 def test_an_exact_solution_is_of_the_start_that_the_scene_states():
     experiment = load_experiment("BouncingBall-rubber")
-    scene = scattered(experiment.scene, Jitter(position_m=1e-3), seed=1)
     times_s = sample_times_s(experiment)
     band = reference_band(experiment)
     values = np.tile(1e3 * start_m(experiment, "ball"), (len(times_s), 1))
     found = [
-        score_trajectory(one, band, times_s=times_s, values=values).exact
-        for one in (experiment, replace(experiment, scene=scene))
+        score_trajectory(
+            experiment, band, times_s=times_s, values=values, is_moved=is_moved
+        ).exact
+        for is_moved in (False, True)
     ]
     assert found == [band.exact["calibrated"], None]

@@ -19,14 +19,14 @@ from gauge_envs import (
 )
 from gauge_envs.errors import (
     GaugeError,
-    ParameterError,
     ShapeError,
     TrajectoryFileError,
 )
 from gauge_envs.experiments.resolve import shots_of
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.runs.score_file import score_file
-from gauge_envs.scene.jitter import Jitter, jittered
+from gauge_envs.scene.jitter import Jitter, can_scatter, perturbed_states
+from gauge_envs.scene.states import scene_at
 from gauge_envs.scoring.likely_mistakes import (
     DEGREES,
     LATER_FRAMES,
@@ -105,12 +105,11 @@ def test_real_and_scattered_starts_are_accepted(name):
         # What was not measured is as in the scene.
         apart = np.nan_to_num(one - band.projection @ start)
         assert value_mistake(experiment, (start + back @ apart)[None]) is None
-    for seed in range(5):
-        try:
-            scene = jittered(experiment.scene, Jitter(), seed=seed)
-        except ParameterError:
-            break
-        moved = start_values(replace(experiment, scene=scene))
+    for seed in range(5 if can_scatter(experiment.scene) else 0):
+        states = perturbed_states(experiment.scene, Jitter(), seed=seed)
+        moved = start_values(
+            replace(experiment, scene=scene_at(experiment.scene, states))
+        )
         assert value_mistake(experiment, moved[None]) is None
 
 
@@ -194,7 +193,7 @@ def test_a_toss_is_scored_by_the_trial_that_it_starts_as(tmp_path):
     name = "CubeToss-acrylic"
     env = GaugeEnv(name)
     env.reset(seed=0, options={"trial": 3})
-    while not env.episode.is_over:
+    while not env.rollout.is_over[0]:
         env.step(0)
     times_s, values = env.trajectory().dense
     file = write_csv(

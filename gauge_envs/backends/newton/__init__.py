@@ -6,7 +6,7 @@ The first build imports the engine, which takes seconds.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from functools import cache
+from itertools import product
 from types import MappingProxyType
 from typing import Any
 
@@ -31,7 +31,7 @@ from gauge_envs.backends.shared.bundled import BundledBackend, check_settings
 from gauge_envs.backends.shared.soft_rows import soft_row_problems
 from gauge_envs.backends.simulation import Simulation
 from gauge_envs.errors import UnsupportedSceneError
-from gauge_envs.scene import Cloth, ContactMode, Rod, Rope, Scene, Tether
+from gauge_envs.scene import Cloth, ContactMode, Rod, Rope, Scene, SoftBody
 
 __all__ = ["BackendNewton"]
 
@@ -91,42 +91,31 @@ class BackendNewton(BundledBackend):
         return SimulationNewton(scene, world_count, chosen)
 
 
+SIMULATED: Mapping[type[SettingsNewton], set[type]] = {
+    SettingsMuJoCoWarp: set(),
+    SettingsVBD: {Cloth, SoftBody},
+    SettingsLines: {Rope, Rod},
+    SettingsMPM: {SoftBody},
+}
+"""Kinds of deformable bodies that each solver simulates here; a scene of its own has at least one of them."""
+
+
 def _checked(scene: Scene, changes: Mapping[str, Any] | None) -> SettingsNewton:
-    """Return the settings for a scene if their solver supports it, and start Warp."""
+    """Return the settings for a scene if their solver supports it, and keep Warp from logging each kernel."""
     settings = settings_for(scene, changes)
-    _check_preset(scene, settings)
+    kinds = {type(body) for body in scene.deformables}
+    simulated = SIMULATED[type(settings)]
+    if not kinds <= simulated or (simulated and not kinds):
+        names = sorted(kind.__name__ for kind in kinds) or ["rigid bodies alone"]
+        raise UnsupportedSceneError(
+            f"Newton preset {settings.preset!r} is for {settings.solver}, which does not simulate {', '.join(names)} "
+            "here: choose another preset"
+        )
     check_settings("Newton", settings, _unsupported_features(scene, settings))
-    _start_quietly()
-    return settings
-
-
-@cache
-def _start_quietly() -> None:
-    """Keep Warp from logging every kernel that it loads."""
     import warp
 
     warp.config.log_level = warp.LOG_WARNING
-
-
-def _check_preset(scene: Scene, settings: SettingsNewton) -> None:
-    """Raise an error if the solver of settings does not simulate the kinds of body in a scene."""
-    has_cloth = any(isinstance(body, Cloth) for body in scene.deformables)
-    has_lines = any(isinstance(body, Rope | Rod) for body in scene.deformables)
-    fits = {
-        SettingsMuJoCoWarp: not scene.deformables,
-        SettingsVBD: bool(scene.deformables) and not has_lines,
-        SettingsLines: has_lines
-        and all(isinstance(body, Rope | Rod) for body in scene.deformables),
-        SettingsMPM: bool(scene.deformables) and not has_cloth and not has_lines,
-    }
-    if not fits[type(settings)]:
-        kinds = sorted({type(body).__name__ for body in scene.deformables}) or [
-            "rigid bodies alone"
-        ]
-        raise UnsupportedSceneError(
-            f"Newton preset {settings.preset!r} is for {settings.solver}, which does not simulate {', '.join(kinds)} "
-            "here: choose another preset"
-        )
+    return settings
 
 
 def _unsupported_features(scene: Scene, settings: SettingsNewton) -> Iterator[str]:
@@ -134,12 +123,17 @@ def _unsupported_features(scene: Scene, settings: SettingsNewton) -> Iterator[st
     if not scene.deformables:
         return
     for joint in scene.joints:
-        if isinstance(joint, Tether):
-            yield f"{joint.body!r} hangs on a string beside deformable bodies, which this backend does not support"
+        yield f"{joint.body!r} is on a joint beside deformable bodies, which this backend does not support"
     per_body = isinstance(settings, SettingsVBD) and not settings.full_surface
     yield from unsupported_surface_contacts(scene, per_body=per_body)
+    yield from _rebounds(scene)
     yield from _unsupported_lines(scene)
-    yield from _unsupported_solids(scene)
+    yield from attachment_problems(scene, not_to_dynamic=Cloth)
+    cloths = {body.name for body in scene.deformables if isinstance(body, Cloth)}
+    for attachment in scene.attachments:
+        if attachment.region.axis == "z" and attachment.deformable in cloths:
+            yield f"cloth {attachment.deformable!r} is attached to {attachment.to!r} by its face, not by an edge"
+    yield from soft_row_problems(scene)
     if isinstance(settings, SettingsMPM) and scene.dynamic_bodies:
         yield (
             f"{scene.dynamic_bodies[0].name!r} moves freely: the material point method of this backend collides with "
@@ -147,50 +141,36 @@ def _unsupported_features(scene: Scene, settings: SettingsNewton) -> Iterator[st
         )
 
 
+def _rebounds(scene: Scene) -> Iterator[str]:
+    """Yield one sentence for each contact in which two bodies rebound that do not consist of particles."""
+    lines = {body.name for body in scene.deformables if isinstance(body, Rope | Rod)}
+    moving = lines | {body.name for body in scene.dynamic_bodies}
+    rigid = lines | {body.name for body in scene.bodies}
+    for contact in scene.contacts:
+        if contact.restitution == 0.0 or contact.mode is not ContactMode.IMPACT:
+            continue
+        for first, second in product(contact.first, contact.second):
+            is_apart = first != second or first in lines
+            if is_apart and {first, second} <= rigid and {first, second} & moving:
+                yield f"{first!r} rebounds from {second!r}: Newton's vertex block descent has no restitution"
+                break
+
+
 def _unsupported_lines(scene: Scene) -> Iterator[str]:
     lines = [body for body in scene.deformables if isinstance(body, Rope | Rod)]
-    others = [
-        body.name for body in scene.deformables if not isinstance(body, Rope | Rod)
-    ]
     names = {line.name for line in lines}
+    others = [body.name for body in scene.deformables if body.name not in names]
     if lines and others:
         yield f"{lines[0].name!r} is beside {others[0]!r}: this backend builds ropes and rods with rigid bodies only"
+    rigid = {body.name for body in scene.bodies}
     for attachment in scene.attachments:
-        if {attachment.deformable, attachment.to} & names and attachment.to not in {
-            body.name for body in scene.bodies
-        }:
+        if {
+            attachment.deformable,
+            attachment.to,
+        } & names and attachment.to not in rigid:
             yield f"{attachment.deformable!r} is attached to {attachment.to!r}, which is not a rigid body"
-    for contact in scene.contacts:
-        touching = names & {*contact.first, *contact.second}
-        if (
-            touching
-            and contact.restitution > 0.0
-            and contact.mode is ContactMode.IMPACT
-        ):
-            yield f"{min(touching)!r} rebounds: Newton's vertex block descent has no restitution"
     for line in lines:
         try:
             attached_ends(line, rigid_attachments(scene, line.name))
         except UnsupportedSceneError as error:
             yield str(error)
-
-
-def _unsupported_solids(scene: Scene) -> Iterator[str]:
-    """Yield what VBD does not support of rigid bodies, attachments and soft rows in scenes with deformable bodies."""
-    soft = {body.name for body in scene.deformables}
-    for name in scene.hinges:
-        yield f"{name!r} is on a joint beside deformable bodies, which this backend does not support"
-    for contact in scene.contacts:
-        for first, second in scene.colliding_pairs(contact):
-            if (
-                contact.restitution > 0.0
-                and contact.mode is ContactMode.IMPACT
-                and not {first, second} & soft
-            ):
-                yield f"{first!r} rebounds from {second!r}: Newton's vertex block descent has no restitution"
-    yield from attachment_problems(scene, not_to_dynamic=Cloth)
-    cloths = {body.name for body in scene.deformables if isinstance(body, Cloth)}
-    for attachment in scene.attachments:
-        if attachment.region.axis == "z" and attachment.deformable in cloths:
-            yield f"cloth {attachment.deformable!r} is attached to {attachment.to!r} by its face, not by an edge"
-    yield from soft_row_problems(scene)

@@ -41,24 +41,6 @@ def prescribe(
 
 
 @wp.kernel(enable_backward=False)
-def bodies_to_joints(
-    body: wp.array[wp.int32],
-    coordinate: wp.array[wp.int32],
-    freedom: wp.array[wp.int32],
-    body_q: wp.array[wp.transform],
-    body_qd: wp.array[wp.spatial_vector],
-    joint_q: wp.array[float],
-    joint_qd: wp.array[float],
-):
-    """Copy poses and velocities of bodies to the coordinates of their free joints."""
-    i = wp.tid()
-    for k in range(7):
-        joint_q[coordinate[i] + k] = body_q[body[i]][k]
-    for k in range(6):
-        joint_qd[freedom[i] + k] = body_qd[body[i]][k]
-
-
-@wp.kernel(enable_backward=False)
 def predict(
     timestep_s: float,
     velocity: wp.array[wp.vec3],

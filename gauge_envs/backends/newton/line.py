@@ -43,15 +43,6 @@ ROTATION_TO_AXIS = {
 }
 """Rotation from z, the axis of Newton's capsules and rod joints, to the axis of a line."""
 
-STIFFNESSES = (
-    "stretch_stiffness",
-    "bend_stiffness",
-    "bend_damping",
-    "twist_stiffness",
-    "twist_damping",
-)
-"""Newton's names of the stiffnesses and dampings of a rod joint."""
-
 CLEAR_RADII = 2.5
 """Clearance along the line, in radii, below which segments never collide, since they touch in every shape."""
 
@@ -198,12 +189,10 @@ def add_line(
             builder.add_shape_collision_filter_pair(shapes[one], shapes[other])
 
     half = 0.5 * length_m
-    low = [
-        _Anchor(body=link, place_m=(0.0, 0.0, -half), start=rotation) for link in links
-    ]
-    high = [
-        _Anchor(body=link, place_m=(0.0, 0.0, half), start=rotation) for link in links
-    ]
+    low, high = (
+        [_Anchor(body=b, place_m=(0.0, 0.0, z), start=rotation) for b in links]
+        for z in (-half, half)
+    )
     first = _anchor_on(ends["low"], bodies, nodes_m[0]) if "low" in ends else low[0]
     last = _anchor_on(ends["high"], bodies, nodes_m[-1]) if "high" in ends else high[-1]
     # The holder of an end comes first in its pair, because Newton accepts the world only as parent.
@@ -258,26 +247,25 @@ def _stiffness(
 
     A rope is inextensible and perfectly flexible. The largest stable stiffness of a joint limits E A.
     """
+    bend = twist = damping_s = 0.0
     if isinstance(line, Rope):
         largest_n_per_m = load_n * segments / (settings.rope_strain * line.length_m)
-        return dict.fromkeys(STIFFNESSES, 0.0) | {
-            "stretch_stiffness": largest_n_per_m * length_m
-        }
-    area, inertia = pi * line.radius_m**2, pi / 4.0 * line.radius_m**4
-    bend = line.young_modulus_pa * inertia
-    # J is twice I, and G is E / (2 + 2 nu).
-    twist = line.young_modulus_pa * inertia / (1.0 + line.poisson_ratio)
-    stretch = min(
-        line.young_modulus_pa * area, settings.rod_joint_stiffness_n_per_m * length_m
-    )
-    damping_s = settings.rod_damping_s
-    return dict(
-        zip(
-            STIFFNESSES,
-            (stretch, bend, damping_s * bend, twist, damping_s * twist),
-            strict=True,
-        )
-    )
+        stretch = largest_n_per_m * length_m
+    else:
+        area, inertia = pi * line.radius_m**2, pi / 4.0 * line.radius_m**4
+        largest_n = settings.rod_joint_stiffness_n_per_m * length_m
+        stretch = min(line.young_modulus_pa * area, largest_n)
+        bend = line.young_modulus_pa * inertia
+        # J is twice I, and G is E / (2 + 2 nu).
+        twist = line.young_modulus_pa * inertia / (1.0 + line.poisson_ratio)
+        damping_s = settings.rod_damping_s
+    return {
+        "stretch_stiffness": stretch,
+        "bend_stiffness": bend,
+        "bend_damping": damping_s * bend,
+        "twist_stiffness": twist,
+        "twist_damping": damping_s * twist,
+    }
 
 
 def _gripped_tip(

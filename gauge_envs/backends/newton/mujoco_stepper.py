@@ -12,7 +12,6 @@ import warp as wp
 from mujoco_warp import contact_force
 from newton.solvers import SolverMuJoCo
 
-from gauge_envs.backends.newton.kernels import bodies_to_joints
 from gauge_envs.backends.newton.settings import SettingsMuJoCoWarp
 from gauge_envs.backends.newton.stepper import Stepper
 from gauge_envs.scene.geometry import FloatArray
@@ -73,14 +72,6 @@ class StepperMuJoCo(Stepper):
         self._pipeline = newton.CollisionPipeline(model) if has_pipeline else None
         self._contacts = self._pipeline.contacts() if self._pipeline else None
         super().__init__(model, solver, driven=driven, timestep_s=settings.timestep_s)
-        # This solver reads joint coordinates, so driven bodies are written to both bodies and joints.
-        joint_of = {b: joint for joint, b in enumerate(model.joint_child.numpy())}
-        joints = [joint_of[body] for body in self._driven.numpy()]
-        with wp.ScopedDevice(model.device):
-            self._coordinates, self._freedoms = (
-                wp.array(first.numpy()[joints], dtype=wp.int32)
-                for first in (model.joint_q_start, model.joint_qd_start)
-            )
 
     def reset(self, *args: Any, **given: Any) -> None:
         """Start all worlds, with the coordinates of joints that belong to the bodies; see `Stepper.reset`."""
@@ -116,19 +107,14 @@ class StepperMuJoCo(Stepper):
 
     def _step(self, state: newton.State, after: newton.State) -> None:
         self._prescribe(state.body_q, state.body_qd, counts=False)
-        if len(self._driven):
-            wp.launch(
-                bodies_to_joints,
-                dim=len(self._driven),
-                inputs=[
-                    self._driven,
-                    self._coordinates,
-                    self._freedoms,
-                    state.body_q,
-                    state.body_qd,
-                ],
-                outputs=[state.joint_q, state.joint_qd],
-                device=self.model.device,
+        # This solver reads joint coordinates, so driven bodies are written to both bodies and joints.
+        if self._driven_rows:
+            newton.eval_ik(
+                self.model,
+                state,
+                state.joint_q,
+                state.joint_qd,
+                body_flag_filter=newton.BodyFlags.KINEMATIC,
             )
         if self._pipeline is not None:
             self._pipeline.collide(state, self._contacts)

@@ -121,9 +121,7 @@ def add_bodies(
                 is_kinematic=body.motion is Motion.KINEMATIC, **_link_arguments(body)
             )
         index.bodies[name] = place
-        index.shapes[name] = _add_shapes(
-            builder, body, {"body": place, "cfg": config}, solids
-        )
+        index.shapes[name] = _add_shapes(builder, body, place, config, solids)
     return index
 
 
@@ -157,90 +155,69 @@ def _add_hinged(builder: newton.ModelBuilder, body: RigidBody, hinge: Hinge) -> 
 
 
 def _add_shapes(
-    builder: newton.ModelBuilder, body: RigidBody, given: dict[str, Any], solids: Solids
+    builder: newton.ModelBuilder,
+    body: RigidBody,
+    index: int,
+    config: newton.ModelBuilder.ShapeConfig,
+    solids: Solids,
 ) -> list[int]:
-    """Add the shapes of a body with given arguments, and return their indices."""
-    frame = (
-        warp_transform(body.pose)
-        if body.motion is Motion.FIXED
-        else wp.transform_identity()
-    )
-    parts: list[tuple[str, wp.transform, _Solid]]
+    """Add the shapes of a body, whose index is given, and return their indices."""
+    frame = wp.transform_identity()
+    if body.motion is Motion.FIXED:
+        frame = warp_transform(body.pose)
+    parts: list[tuple[wp.transform, _Solid]]
     if isinstance(body.shape, Compound):
-        parts = [
-            (f"{body.name}/{number}", frame * warp_transform(part.pose), part.shape)
-            for number, part in enumerate(body.shape.parts)
-        ]
+        parts = [(frame * warp_transform(p.pose), p.shape) for p in body.shape.parts]
     else:
-        parts = [(body.name, frame, body.shape)]
+        parts = [(frame, body.shape)]
     rolls = body.motion is Motion.DYNAMIC
     added: list[int] = []
-    for label, place, shape in parts:
-        added += _add_solid(
-            builder, label, shape, given | {"xform": place}, solids=solids, rolls=rolls
-        )
+    for place, shape in parts:
+        given = {"body": index, "xform": place, "cfg": config, "label": body.name}
+        pieces = _pieces_m(shape, solids, rolls=rolls)
+        for piece in pieces:
+            mesh = _hull(np.asarray(piece))
+            added.append(builder.add_shape_convex_hull(mesh=mesh, **given))
+        if not pieces:
+            added.append(_add_primitive(builder, shape, given))
     return added
 
 
-def _add_solid(
-    builder: newton.ModelBuilder,
-    label: str,
-    shape: _Solid,
-    given: dict[str, Any],
-    *,
-    solids: Solids,
-    rolls: bool,
-) -> list[int]:
+def _add_primitive(
+    builder: newton.ModelBuilder, shape: _Solid, given: dict[str, Any]
+) -> int:
+    """Add a shape that Newton has, with given arguments, and return its index."""
     if isinstance(shape, Plane):
-        return [builder.add_shape_plane(width=0.0, length=0.0, label=label, **given)]
-    pieces = _pieces_m(shape, solids, rolls=rolls)
-    if pieces:
-        return [
-            builder.add_shape_convex_hull(
-                mesh=_hull(np.asarray(piece)), label=f"{label}/{number}", **given
-            )
-            for number, piece in enumerate(pieces)
-        ]
+        return builder.add_shape_plane(width=0.0, length=0.0, **given)
     if isinstance(shape, Box):
         x, y, z = (0.5 * edge for edge in shape.size_m)
-        return [builder.add_shape_box(hx=x, hy=y, hz=z, label=label, **given)]
+        return builder.add_shape_box(hx=x, hy=y, hz=z, **given)
     if isinstance(shape, Sphere):
-        return [builder.add_shape_sphere(radius=shape.radius_m, label=label, **given)]
+        return builder.add_shape_sphere(radius=shape.radius_m, **given)
     if isinstance(shape, Ellipsoid):
         x, y, z = shape.radii_m
-        return [builder.add_shape_ellipsoid(rx=x, ry=y, rz=z, label=label, **given)]
+        return builder.add_shape_ellipsoid(rx=x, ry=y, rz=z, **given)
     assert isinstance(shape, Cylinder | Capsule)
-    add = (
-        builder.add_shape_cylinder
-        if isinstance(shape, Cylinder)
-        else builder.add_shape_capsule
-    )
-    return [
-        add(
-            radius=shape.radius_m,
-            half_height=0.5 * shape.length_m,
-            label=label,
-            **given,
-        )
-    ]
+    size = {"radius": shape.radius_m, "half_height": 0.5 * shape.length_m}
+    if isinstance(shape, Cylinder):
+        return builder.add_shape_cylinder(**size, **given)
+    return builder.add_shape_capsule(**size, **given)
 
 
 def _pieces_m(shape: _Solid, solids: Solids, *, rolls: bool) -> Sequence[ArrayLike]:
     """Return the vertices of the convex pieces of a solid [m], each [vertex_count, 3]; none for a primitive shape."""
     if isinstance(shape, ConvexUnion):
         return shape.pieces_m
-    if isinstance(shape, Cylinder) and (
-        solids == "meshes" or (solids == "prisms" and not rolls)
-    ):
+    is_mesh = solids == "meshes"
+    if isinstance(shape, Cylinder) and (is_mesh or (solids == "prisms" and not rolls)):
         return prism(shape).pieces_m
-    if solids == "meshes" and isinstance(shape, Box):
+    if is_mesh and isinstance(shape, Box):
         return [shape.corners_m]
-    if solids == "meshes" and isinstance(shape, Sphere):
-        return [
-            trimesh.creation.icosphere(
-                subdivisions=SPHERE_SUBDIVISIONS, radius=shape.radius_m
-            ).vertices
-        ]
+    if is_mesh and isinstance(shape, Sphere):
+        ball = trimesh.creation.icosphere(
+            subdivisions=SPHERE_SUBDIVISIONS, radius=shape.radius_m
+        )
+        return [ball.vertices]
     return []
 
 
@@ -317,9 +294,9 @@ def add_contacts(
     for pair, constants in pairs.items():
         for name in () if pair & set(carried) else sorted(pair):
             if (name, constants) not in copies:
-                given = {"body": index.bodies[name], "cfg": shape_config()}
+                body, place = scene.body(name), index.bodies[name]
                 copies[name, constants] = _add_shapes(
-                    builder, scene.body(name), given, solids
+                    builder, body, place, shape_config(), solids
                 )
                 shapes.append((constants, copies[name, constants]))
             layers.setdefault(pair, {})[name] = copies[name, constants]

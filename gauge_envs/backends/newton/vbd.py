@@ -149,8 +149,6 @@ class StepperVBD(Stepper):
             self._let_pass(self._pipeline, passing)
         self._contacts = self._pipeline.contacts() if self._pipeline else None
         self._pinned = PinnedParticles(pins, self)
-        self._open_graphs: list[Any] = []
-        self._closed_graphs: list[Any] = []
 
     def _let_pass(
         self, pipeline: newton.CollisionPipeline, passing: IntArray | None
@@ -180,34 +178,30 @@ class StepperVBD(Stepper):
         self.solver.step(state, after, self.control, self._contacts, self.timestep_s)
 
     def record(self) -> None:
-        """Record the step in both directions, with self-contact and, if the scene has self-contact, without it."""
+        """Record the step in both directions, and again without self-contact if the scene has self-contact."""
         super().record()
-        self._closed_graphs = self._graphs
-        if self._self_contact is None:
-            return
-        # A graph keeps the value of this flag at its recording.
-        self.solver.particle_enable_self_contact = False
-        self._graphs = []
-        super().record()
-        self._open_graphs = self._graphs
-        self.solver.particle_enable_self_contact = True
+        self._closed_graphs = self._open_graphs = self._graphs
+        if self._self_contact is not None:
+            # A graph keeps the value of this flag at its recording.
+            self.solver.particle_enable_self_contact = False
+            super().record()
+            self._open_graphs = self._graphs
+            self.solver.particle_enable_self_contact = True
 
     def advance(self, seconds: float) -> None:
-        """Run the steps of an interval, without self-contact if no surfaces can touch in this interval."""
-        if self._self_contact is not None:
-            self._graphs = (
-                self._closed_graphs if self._may_meet(seconds) else self._open_graphs
-            )
+        """Run the steps of an interval, without self-contact if no surfaces can touch in it."""
+        may_meet = self._self_contact is not None and self._may_meet(seconds)
+        self._graphs = self._closed_graphs if may_meet else self._open_graphs
         super().advance(seconds)
 
     def _may_meet(self, seconds: float) -> bool:
         """Return whether surfaces can touch in an interval [s]; self-contact takes half of the computing time."""
         assert self._self_contact is not None
         now = self.now
-        speed = float(np.sqrt(np.square(now.particle_qd.numpy()).sum(axis=1).max()))
-        driven = self._driven.numpy()
-        if len(driven):
-            speed = max(speed, float(np.abs(now.body_qd.numpy()[driven]).max()))
+        speed = float(np.linalg.norm(now.particle_qd.numpy(), axis=1).max())
+        if self._driven_rows:
+            driven_speeds = now.body_qd.numpy()[self._driven.numpy()]
+            speed = max(speed, float(np.abs(driven_speeds).max()))
         displacement_m = (SPEED_HEADROOM * speed + 10.0 * seconds) * seconds
         radius_m = self._self_contact.self_contact_thickness_m + 2.0 * displacement_m
         detector = self.solver.trimesh_collision_detector

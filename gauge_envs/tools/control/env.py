@@ -18,7 +18,14 @@ from numpy.typing import NDArray
 from gauge_envs.backends.registry import versions_of
 from gauge_envs.envs.arguments import EnvArguments, checked_action
 from gauge_envs.envs.initial_states import SEEDS, InitialStates, Scatter
-from gauge_envs.envs.limits import diverged_bodies, diverged_nodes, spans_m
+from gauge_envs.envs.limits import (
+    DISTANCE_LIMIT_M,
+    SPEED_LIMIT_M_PER_S,
+    SPIN_LIMIT_RAD_PER_S,
+    diverged_bodies,
+    diverged_nodes,
+    spans_m,
+)
 from gauge_envs.envs.pictures import RENDER_MODES, Pictures, Rendered
 from gauge_envs.envs.recording import intervals
 from gauge_envs.errors import EpisodeError, ParameterError
@@ -34,8 +41,16 @@ from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLES_PER_FRAME
 from gauge_envs.tools.control.limit import Ending, Limit, LimitReport, pair_friction
 from gauge_envs.tools.control.stage import Stage
 
-MAX_TIME_S = 10.0
-"""Bound of the time in observations [s]; no episode is as long."""
+BOUNDS: Mapping[str, float] = {
+    "_m_per_s": 2.0 * SPEED_LIMIT_M_PER_S,
+    "_rad_per_s": SPIN_LIMIT_RAD_PER_S,
+    "_m": 2.0 * DISTANCE_LIMIT_M,
+    "_rad": 100.0,
+    "_s": 10.0,
+    "": 1e4,
+}
+"""Bounds on the absolute values of observations, by the ends of their names: no episode that has not diverged reaches
+them."""
 
 
 class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
@@ -63,6 +78,8 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
 
     Attributes:
         SCENE: Variant that states the scene, without its material, as `Turntable-1`.
+        QUANTITY: The quantity that the law limits, in words.
+        UNIT: Its unit; `1` for a ratio.
         LAW: The law, in words and symbols.
         SIGMA_SOURCE: Source of the limit's uncertainty.
         STEPS: Steps of an episode, one for each frame after the first.
@@ -70,7 +87,7 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
             has the rule that chose them.
         COMMANDED: Names of the action's entries.
         OBSERVED: Names of the observation's entries, with units.
-        BOUNDS: Bound on the absolute value of each entry of the observation.
+        arguments: Variant of the scene, engine, parameters and settings.
         experiment: The experiment, with the drivers and the duration of the task.
         limit: The best that the law allows.
         simulation: The simulation, of one world.
@@ -91,7 +108,8 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
     OWN_STEPS_S: ClassVar[Mapping[str, Mapping[str, float]]] = {}
     COMMANDED: ClassVar[tuple[str, ...]]
     OBSERVED: ClassVar[tuple[str, ...]]
-    BOUNDS: ClassVar[tuple[float, ...]]
+    QUANTITY: ClassVar[str]
+    UNIT: ClassVar[str] = "1"
 
     def __init__(
         self,
@@ -111,18 +129,18 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
             render_mode, width=width, height=height, camera=camera
         )
         self._variant = find_variant(f"{self.SCENE}-{material}")
-        arguments = EnvArguments(
+        self.arguments = EnvArguments(
             self._variant,
             backend=backend,
             parameters=self._start_parameters(parameters),
             settings=self._with_own_step(backend, settings),
         )
-        stated = arguments.experiment()
+        stated = self.arguments.experiment()
         scene = replace(self._scene(stated.scene), duration_s=self.duration_s)
         self.experiment = replace(stated, scene=scene, frame_count=self.STEPS + 1)
         self._initial_states = InitialStates(self.experiment, jitter)
         self._is_moved = False
-        self.simulation = arguments.simulation([self.experiment])
+        self.simulation = self.arguments.simulation([self.experiment])
         self.versions = versions_of(backend)
         self._dynamic = [body.name for body in scene.dynamic_bodies]
         self.moving = (*self._dynamic, *(driver.body for driver in scene.drivers))
@@ -133,7 +151,7 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
         self._observations: list[FloatArray] = []
         self._prepare(scene)
         self.limit = self._limit()
-        bounds = np.array(self.BOUNDS)
+        bounds = np.array([_bound(name) for name in self.OBSERVED])
         self.observation_space = spaces.Box(-bounds, bounds, dtype=np.float64)
         # Learners act in single precision.
         self.action_space = spaces.Box(-1.0, 1.0, (len(self.COMMANDED),), np.float32)
@@ -175,28 +193,26 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
         """Compute what stays the same in all episodes from a start, from the scene of the task with that start."""
 
     @abstractmethod
-    def _limit(self) -> Limit:
-        """Return the best that the law allows."""
+    def _limit_and_sigma(self) -> tuple[float, float]:
+        """Return the largest value that the law allows, and its standard uncertainty."""
 
-    def _limit_of(self, quantity: str, unit: str, value: float, sigma: float) -> Limit:
-        """Return a limit of the task's law; the arguments are those of `Limit`."""
+    def _limit(self) -> Limit:
+        value, sigma = self._limit_and_sigma()
         return Limit(
-            quantity=quantity,
-            unit=unit,
+            quantity=self.QUANTITY,
+            unit=self.UNIT,
             value=value,
             sigma=sigma,
             law=self.LAW,
             sigma_source=self.SIGMA_SOURCE,
         )
 
-    def _friction_limit(self, pair: tuple[str, str], quantity: str) -> Limit:
-        """Return the limit of a quantity that is at most the friction of two bodies."""
+    def _friction_and_sigma(self, *pair: str) -> tuple[float, float]:
+        """Return the friction coefficient of two bodies, and its uncertainty."""
         # The uncertainty is that of the calibrated coefficient, also if an override replaces the coefficient.
         calibrated = pair_friction(load_experiment(self._variant).scene, *pair)
         sigma = friction_std(calibrated, self._variant.material)
-        return self._limit_of(
-            quantity, "1", pair_friction(self.experiment.scene, *pair), sigma
-        )
+        return pair_friction(self.experiment.scene, *pair), sigma
 
     @abstractmethod
     def _begin(self) -> None:
@@ -215,8 +231,8 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
         return None
 
     @abstractmethod
-    def _reward(self, ending: Ending | None) -> float:
-        """Return the reward of the frame, which may have ended the episode."""
+    def _earned(self, ending: Ending | None) -> float:
+        """Return the sum of all rewards so far, up to a constant; the last frame may have ended the episode."""
 
     @abstractmethod
     def _observation(self) -> FloatArray:
@@ -270,6 +286,7 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
             self._stage.reset()
         self._frame, self._ending = 0, None
         self._begin()
+        self._paid = self._earned(None)
         self._observations = [self._observation()]
         self._show()
         return self._observations[0], self._info()
@@ -303,7 +320,8 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
                 f"{type(self).__name__}: the episode is over, call reset"
             )
         ending = self._run(checked_action(action, self.action_space))
-        reward = self._reward(ending)
+        before, self._paid = self._paid, self._earned(ending)
+        reward = self._paid - before
         self._frame = (self._frame or 0) + 1
         info = self._info()
         fault = self._divergence()
@@ -319,10 +337,10 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
 
     def _run(self, command: FloatArray) -> Ending | None:
         """Drive and advance the intervals of a frame, until the episode ends."""
-        accelerations = [self._accelerate(command)[None]]
         stages = [] if self._stage is None else [self._stage]
+        accelerations = [self._accelerate(command)[None]] * len(stages)
         for index in intervals(
-            self.simulation, stages, 0, SAMPLES_PER_FRAME, accelerations[: len(stages)]
+            self.simulation, stages, 0, SAMPLES_PER_FRAME, accelerations
         ):
             for stage in stages:
                 stage.sample = index + 1
@@ -420,3 +438,8 @@ class ControlEnv(gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
         """Draw what a reset or a step has reached, in the window if there is one."""
         if self.render_mode == "human":
             self.render()
+
+
+def _bound(name: str) -> float:
+    """Return the bound on an entry of an observation."""
+    return next(bound for end, bound in BOUNDS.items() if name.endswith(end))

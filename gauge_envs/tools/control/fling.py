@@ -2,19 +2,17 @@
 
 import math
 from dataclasses import replace
-from typing import ClassVar
 
 import numpy as np
 
-from gauge_envs.envs.limits import DISTANCE_LIMIT_M, SPEED_LIMIT_M_PER_S
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.observables.observer import material_points
 from gauge_envs.scene import Cloth, Scene
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.profiles import CosineProfile
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
-from gauge_envs.tools.control.env import MAX_TIME_S, ControlEnv
-from gauge_envs.tools.control.limit import Ending, Limit
+from gauge_envs.tools.control.env import ControlEnv
+from gauge_envs.tools.control.limit import Ending
 from gauge_envs.tools.control.stage import FRAME_S, Stage, stage_driver
 from gauge_envs.tools.control.tasks import EPISODE_STEPS
 
@@ -28,9 +26,6 @@ CELLS = (20, 16)
 
 LINES = {"upper": 1 / 3, "lower": 2 / 3, "hem": 1.0}
 """Observed lines across the cloth: their distance from the rod over the cloth's length."""
-
-MAX_HIGHEST = 1e4
-"""Bound of the largest height over the limit in observations."""
 
 PUSHES = 5
 """Number of pushes in which the law's policy spends the speed: more swing higher, and take longer."""
@@ -62,6 +57,8 @@ class FlingLimit(ControlEnv):
     """
 
     SCENE = "TextileFlinging"
+    QUANTITY = "rise of the centre of mass"
+    UNIT = "m"
     LAW = "seen from the rod, sqrt(2 E / M) grows by |dv| at most, so g h <= U^2 / 2 with U the sum of all |dv|"
     SIGMA_SOURCE = (
         "the rod's largest speed in the recording, half of U: 0.67 +- 0.05 m/s"
@@ -70,8 +67,8 @@ class FlingLimit(ControlEnv):
     STEPS = EPISODE_STEPS["Fling"]
     """Time of an episode; the law's policy takes 2.7 s."""
 
-    COMMANDED: ClassVar[tuple[str, ...]] = ("acceleration_y",)
-    OBSERVED: ClassVar[tuple[str, ...]] = (
+    COMMANDED = ("acceleration_y",)
+    OBSERVED = (
         *(f"{place}_{axis}_m" for place in ("centre", *LINES) for axis in "yz"),
         *(
             f"{place}_velocity_{axis}_m_per_s"
@@ -83,14 +80,6 @@ class FlingLimit(ControlEnv):
         "speed_left_m_per_s",
         "highest_over_limit",
         "time_s",
-    )
-    BOUNDS: ClassVar[tuple[float, ...]] = (
-        *(2 * (1 + len(LINES)) * [2.0 * DISTANCE_LIMIT_M]),
-        *(2 * (1 + len(LINES)) * [2.0 * SPEED_LIMIT_M_PER_S]),
-        DISTANCE_LIMIT_M,
-        *(2 * [SPEED_LIMIT_M_PER_S]),
-        MAX_HIGHEST,
-        MAX_TIME_S,
     )
     _at_time_limit = Ending.MISSED
     _stage: Stage
@@ -125,11 +114,9 @@ class FlingLimit(ControlEnv):
         assert isinstance(cloth, Cloth)
         self._weights = place_weights(cloth, self.rest_nodes_m[cloth.name])
 
-    def _limit(self) -> Limit:
+    def _limit_and_sigma(self) -> tuple[float, float]:
         value = 0.5 * self._speed_m_per_s**2 / self.experiment.scene.gravity_m_per_s2
-        return self._limit_of(
-            "rise of the centre of mass", "m", value, 2.0 * SPEED_SIGMA * value
-        )
+        return value, 2.0 * SPEED_SIGMA * value
 
     # --- physics ---
 
@@ -149,7 +136,7 @@ class FlingLimit(ControlEnv):
         self._start_m = self._places()
         self._places_m, self._velocities = np.zeros((2, *self._start_m.shape))
         self._left_m_per_s = self._speed_m_per_s
-        self._rate_m_per_s = self._highest_m = self._rewarded_m = 0.0
+        self._rate_m_per_s = self._highest_m = 0.0
 
     def _look(self) -> Ending | None:
         rose = self._velocities[0, 1] > 0.0
@@ -182,10 +169,8 @@ class FlingLimit(ControlEnv):
 
     # --- reward ---
 
-    def _reward(self, ending: Ending | None) -> float:
-        gained_m = self._highest_m - self._rewarded_m
-        self._rewarded_m = self._highest_m
-        return gained_m / self.limit.value
+    def _earned(self, ending: Ending | None) -> float:
+        return self._highest_m / self.limit.value
 
     def _reached(self) -> float:
         return self._highest_m if self._ending is Ending.REACHED else 0.0

@@ -6,7 +6,6 @@ from typing import ClassVar
 
 import numpy as np
 
-from gauge_envs.envs.limits import SPEED_LIMIT_M_PER_S, SPIN_LIMIT_RAD_PER_S
 from gauge_envs.scene import Scene
 from gauge_envs.scene.geometry import (
     FloatArray,
@@ -15,8 +14,8 @@ from gauge_envs.scene.geometry import (
     unit_quaternions,
 )
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-from gauge_envs.tools.control.env import MAX_TIME_S, ControlEnv
-from gauge_envs.tools.control.limit import Ending, Limit
+from gauge_envs.tools.control.env import ControlEnv
+from gauge_envs.tools.control.limit import Ending
 from gauge_envs.tools.control.stage import Stage
 
 CUBE = "cube"
@@ -26,12 +25,6 @@ HOLD_S = 1.0
 
 HOLD_FRAMES = round(HOLD_S * FRAME_RATE_HZ)
 """`HOLD_S` in frames."""
-
-MAX_FRICTION_USED = 100.0
-"""Bound of the friction used in observations; a cube that slips ends the episode long before."""
-
-MAX_ANGLE_RAD = 100.0
-"""Bound of the carrier's angle in observations [rad]; the plate turns by 75 rad at full acceleration."""
 
 SLIP_SPEED_M_PER_S = 0.02
 """Speed on the carrier from which the cube counts as slipping [m/s]: that of its fastest corner, mean over a frame.
@@ -79,20 +72,14 @@ class FrictionLimit(ControlEnv):
     """
 
     ACCELERATION_RAD_PER_S2: ClassVar[float]
-    COMMANDED: ClassVar[tuple[str, ...]] = ("angular_acceleration",)
-    OBSERVED: ClassVar[tuple[str, ...]] = (
+    QUANTITY = "friction used"
+    COMMANDED = ("angular_acceleration",)
+    OBSERVED = (
         "angle_rad",
         "rate_rad_per_s",
         "friction_used",
         "slip_over_threshold",
         "time_s",
-    )
-    BOUNDS: ClassVar[tuple[float, ...]] = (
-        MAX_ANGLE_RAD,
-        SPIN_LIMIT_RAD_PER_S,
-        MAX_FRICTION_USED,
-        2.0 * SPEED_LIMIT_M_PER_S / SLIP_SPEED_M_PER_S,
-        MAX_TIME_S,
     )
     _at_time_limit = Ending.HELD
     _stage: Stage
@@ -117,10 +104,8 @@ class FrictionLimit(ControlEnv):
         self._point_m = np.array(motion.point_m)
         self._corners_m = scene.body(CUBE).shape.corners_m
 
-    def _limit(self) -> Limit:
-        return self._friction_limit(
-            (CUBE, self.experiment.scene.drivers[0].body), "friction used"
-        )
+    def _limit_and_sigma(self) -> tuple[float, float]:
+        return self._friction_and_sigma(CUBE, self._stage.body)
 
     # --- physics ---
 
@@ -180,7 +165,10 @@ class FrictionLimit(ControlEnv):
         self._used_now = float(self._friction_used().mean())
         self._slip_m_per_s = self._slip()
         # A comparison with NaN is false.
-        return None if self._slip_m_per_s < SLIP_SPEED_M_PER_S else Ending.SLIPPED
+        if not self._slip_m_per_s < SLIP_SPEED_M_PER_S:
+            return Ending.SLIPPED
+        self._used.append(self._used_now)
+        return None
 
     def _observation(self) -> FloatArray:
         slip = self._slip_m_per_s / SLIP_SPEED_M_PER_S
@@ -189,11 +177,9 @@ class FrictionLimit(ControlEnv):
 
     # --- reward ---
 
-    def _reward(self, ending: Ending | None) -> float:
-        if ending is Ending.SLIPPED:
-            return -sum(self._used[-HOLD_FRAMES:])
-        self._used.append(self._used_now)
-        return self._used_now
+    def _earned(self, ending: Ending | None) -> float:
+        slipped = ending is Ending.SLIPPED
+        return sum(self._used[:-HOLD_FRAMES] if slipped else self._used)
 
     def _reached(self) -> float:
         if len(self._used) < HOLD_FRAMES:

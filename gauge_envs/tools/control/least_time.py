@@ -6,7 +6,6 @@ from typing import ClassVar
 
 import numpy as np
 
-from gauge_envs.envs.limits import DISTANCE_LIMIT_M, SPEED_LIMIT_M_PER_S
 from gauge_envs.scene import Scene
 from gauge_envs.scene.geometry import (
     FloatArray,
@@ -15,8 +14,8 @@ from gauge_envs.scene.geometry import (
     quaternion_vectors,
 )
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
-from gauge_envs.tools.control.env import MAX_TIME_S, ControlEnv
-from gauge_envs.tools.control.limit import Ending, Limit
+from gauge_envs.tools.control.env import ControlEnv
+from gauge_envs.tools.control.limit import Ending
 from gauge_envs.tools.control.stage import Stage
 
 CUBE = "cube"
@@ -77,8 +76,9 @@ class LeastTimeLimit(ControlEnv):
     ACCELERATION_M_PER_S2: ClassVar[float]
     DISTANCE_M: ClassVar[float]
     WIDEST_RAD: ClassVar[float]
-    COMMANDED: ClassVar[tuple[str, ...]] = ("acceleration_x", "acceleration_y")
-    OBSERVED: ClassVar[tuple[str, ...]] = (
+    QUANTITY = "friction that the time needs"
+    COMMANDED = ("acceleration_x", "acceleration_y")
+    OBSERVED = (
         "to_goal_x_m",
         "to_goal_y_m",
         "cube_velocity_x_m_per_s",
@@ -89,14 +89,6 @@ class LeastTimeLimit(ControlEnv):
         "driven_from_cube_velocity_x_m_per_s",
         "driven_from_cube_velocity_y_m_per_s",
         "time_s",
-    )
-    BOUNDS: ClassVar[tuple[float, ...]] = (
-        *(2 * [2.0 * DISTANCE_LIMIT_M]),
-        *(2 * [SPEED_LIMIT_M_PER_S]),
-        math.pi,
-        *(2 * [2.0 * DISTANCE_LIMIT_M]),
-        *(2 * [2.0 * SPEED_LIMIT_M_PER_S]),
-        MAX_TIME_S,
     )
     _at_time_limit = Ending.MISSED
     _stage: Stage
@@ -110,8 +102,8 @@ class LeastTimeLimit(ControlEnv):
         self._driven_start_m = np.array(driven.position_m[:2])
         self.goal_m = np.array([self.DISTANCE_M, 0.0])
 
-    def _limit(self) -> Limit:
-        return self._friction_limit((CUBE, self.FLOOR), "friction that the time needs")
+    def _limit_and_sigma(self) -> tuple[float, float]:
+        return self._friction_and_sigma(CUBE, self.FLOOR)
 
     def reach_m(self) -> FloatArray:
         """Return goals, and places of the driven body as far from the cube as at the start [m], shape [n, 2, 3]."""
@@ -188,7 +180,6 @@ class LeastTimeLimit(ControlEnv):
         self._arrived_s = 0.0
         self._cube_velocity = np.zeros(2)
         self._samples = 0
-        self._to_go = self._time_to_go()
 
     def _look(self) -> Ending | None:
         self._samples += 1
@@ -215,12 +206,10 @@ class LeastTimeLimit(ControlEnv):
 
     # --- reward ---
 
-    def _reward(self, ending: Ending | None) -> float:
-        before = self._to_go
-        self._to_go = 0.0 if ending is Ending.REACHED else self._time_to_go()
-        progress = before - self._to_go
+    def _earned(self, ending: Ending | None) -> float:
+        to_go = 0.0 if ending is Ending.REACHED else self._time_to_go()
         arrival = self._reached() / self.limit.value
-        return (1.0 - ARRIVAL_SHARE) * progress + ARRIVAL_SHARE * arrival
+        return ARRIVAL_SHARE * arrival - (1.0 - ARRIVAL_SHARE) * to_go
 
     def _time_to_go(self) -> float:
         """Return the time to go, over that at the start. Speed across the way takes its braking time in addition."""

@@ -7,14 +7,13 @@ from typing import ClassVar
 
 import numpy as np
 
-from gauge_envs.envs.limits import SPIN_LIMIT_RAD_PER_S
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.scene import Hinge, Scene, Sphere
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-from gauge_envs.tools.control.env import MAX_TIME_S, ControlEnv
-from gauge_envs.tools.control.limit import Ending, Limit
+from gauge_envs.tools.control.env import ControlEnv
+from gauge_envs.tools.control.limit import Ending
 from gauge_envs.tools.control.tasks import EPISODE_STEPS
 
 BALL = "ball"
@@ -27,9 +26,6 @@ TORQUE_SHARE = 0.15
 
 LENGTH_SIGMA = 0.004 / 0.270
 """Relative uncertainty of the effective length, from the recorded period (0.270 +- 0.004 m, tasks/pendulum.toml)."""
-
-MAX_WORK = 1e4
-"""Bound of the work over the least work in observations."""
 
 MASS_SIGMA_KG = 1e-4 / math.sqrt(12.0)
 """Uncertainty of the mass [kg]: rounding, as it is published to 0.1 g."""
@@ -63,6 +59,8 @@ class PendulumLimit(ControlEnv):
     """
 
     SCENE = "Pendulum"
+    QUANTITY = "height over work"
+    UNIT = "m/J"
     LAW = "W >= m g h, so h / W <= 1 / (m g)"
     SIGMA_SOURCE = (
         "length from the recorded period, 0.270 +- 0.004 m, "
@@ -75,20 +73,13 @@ class PendulumLimit(ControlEnv):
         "mujoco": {"default": 1 / 180, "training": 1 / 180}
     }
 
-    COMMANDED: ClassVar[tuple[str, ...]] = ("torque",)
-    OBSERVED: ClassVar[tuple[str, ...]] = (
+    COMMANDED = ("torque",)
+    OBSERVED = (
         "angle_rad",
         "rate_rad_per_s",
         "highest_over_target",
         "work_over_least",
         "time_s",
-    )
-    BOUNDS: ClassVar[tuple[float, ...]] = (
-        math.pi,
-        SPIN_LIMIT_RAD_PER_S,
-        1.0,
-        MAX_WORK,
-        MAX_TIME_S,
     )
     _at_time_limit = Ending.MISSED
 
@@ -118,11 +109,11 @@ class PendulumLimit(ControlEnv):
         self._largest_torque_n_m = TORQUE_SHARE * self._weight_n * self._length_m
         self._target_m = self._length_m * (1.0 - math.cos(TARGET_RAD))
 
-    def _limit(self) -> Limit:
+    def _limit_and_sigma(self) -> tuple[float, float]:
         value = 1.0 / self._weight_n
         mass_kg = self.experiment.scene.body(BALL).mass_kg
         sigma = value * math.hypot(LENGTH_SIGMA, MASS_SIGMA_KG / mass_kg)
-        return self._limit_of("height over work", "m/J", value, sigma)
+        return value, sigma
 
     def reach_m(self) -> FloatArray:
         """Return the ball's places from the target on one side to that on the other [m], shape [n, 3]."""
@@ -162,8 +153,7 @@ class PendulumLimit(ControlEnv):
 
     def _begin(self) -> None:
         self._angle, self._rate = self._swing()
-        self._highest_m = self._rewarded_m = 0.0
-        self._work_j = self._charged_j = 0.0
+        self._highest_m = self._work_j = 0.0
 
     def _look(self) -> Ending | None:
         before = self._angle
@@ -187,12 +177,9 @@ class PendulumLimit(ControlEnv):
 
     # --- reward ---
 
-    def _reward(self, ending: Ending | None) -> float:
-        gained = (self._highest_m - self._rewarded_m) / self._target_m
-        spent = (self._work_j - self._charged_j) / (self._weight_n * self._target_m)
-        self._rewarded_m = self._highest_m
-        self._charged_j = self._work_j
-        return 2.0 * gained - spent
+    def _earned(self, ending: Ending | None) -> float:
+        spent = self._work_j / (self._weight_n * self._target_m)
+        return 2.0 * self._highest_m / self._target_m - spent
 
     def _reached(self) -> float:
         return (

@@ -13,6 +13,7 @@ from gauge_envs.tools.control.stage import (
     FRAME_S,
     X_AXIS,
     Y_AXIS,
+    speed_to_rest,
     stage_driver,
     with_stage,
 )
@@ -141,10 +142,7 @@ class PushLimit(LeastTimeLimit):
         # The pusher still pushes for a part of the frame in which it brakes.
         left_m -= PUSHED_ON_M
         if coasts_m < left_m:
-            # The speed w after the frame: left = (v + w) t / 2 + w^2 / (2 a).
-            half = 0.5 * braking * FRAME_S
             now = float(pusher @ direction)
-            square = half**2 + 2.0 * braking * (left_m - 0.5 * now * FRAME_S)
-            wanted = max(math.sqrt(max(square, 0.0)) - half, 0.0) * direction
+            wanted = max(speed_to_rest(left_m, now, braking), 0.0) * direction
         change = (wanted - pusher) / FRAME_S / self.ACCELERATION_M_PER_S2
         return change / max(1.0, float(np.abs(change).max()))

@@ -182,11 +182,17 @@ def acceleration_to_rest(
     """
     if distance_m < 0.0:
         return -acceleration_to_rest(-distance_m, -speed_m_per_s, acceleration_m_per_s2)
-    # The speed w after the frame: distance = (v + w) t / 2 + w^2 / (2 a).
-    half = 0.5 * acceleration_m_per_s2 * FRAME_S
-    left = half**2 + 2.0 * acceleration_m_per_s2 * (
-        distance_m - 0.5 * speed_m_per_s * FRAME_S
-    )
-    speed = math.sqrt(left) - half if left > 0.0 else -math.inf
+    speed = speed_to_rest(distance_m, speed_m_per_s, acceleration_m_per_s2)
     change = (speed - speed_m_per_s) / FRAME_S
     return min(max(change, -acceleration_m_per_s2), acceleration_m_per_s2)
+
+
+def speed_to_rest(
+    distance_m: float, speed_m_per_s: float, deceleration_m_per_s2: float
+) -> float:
+    """Return the speed after the next frame [m/s] whose braking ends at a distance, or -inf if none does."""
+    # The speed w after the frame: distance = (v + w) t / 2 + w^2 / (2 a).
+    half = 0.5 * deceleration_m_per_s2 * FRAME_S
+    left_m = distance_m - 0.5 * speed_m_per_s * FRAME_S
+    square = half**2 + 2.0 * deceleration_m_per_s2 * left_m
+    return math.sqrt(square) - half if square > 0.0 else -math.inf

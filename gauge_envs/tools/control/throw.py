@@ -1,19 +1,17 @@
 """Bounce a ball on a plate as high as its restitution allows."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import ClassVar
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
-from gauge_envs.envs.limits import DISTANCE_LIMIT_M, SPEED_LIMIT_M_PER_S
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.references.uncertainties import RESTITUTION_SHARE
 from gauge_envs.scene import Scene, Sphere
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.tools.control.env import MAX_TIME_S, ControlEnv
-from gauge_envs.tools.control.limit import Ending, Limit
+from gauge_envs.tools.control.env import ControlEnv
+from gauge_envs.tools.control.limit import Ending
 from gauge_envs.tools.control.stage import (
     FRAME_S,
     X_AXIS,
@@ -65,21 +63,19 @@ def highest_m(
         gravity_m_per_s2: Gravity [m/s^2].
         impacts: Number of impacts.
     """
-
-    def after(height_m: float) -> Callable[[float], float]:
-        def height(place_m: float) -> float:
-            comes = math.sqrt(2.0 * gravity_m_per_s2 * max(height_m - place_m, 0.0))
-            leaves = restitution * comes + (1.0 + restitution) * SPEED_M_PER_S
-            return place_m + leaves**2 / (2.0 * gravity_m_per_s2)
-
-        return height
-
+    extra = (1.0 + restitution) * SPEED_M_PER_S
     for _ in range(impacts):
-        height = after(drop_m)
-        inside = minimize_scalar(
-            lambda z, of=height: -of(z), bounds=(-STROKE_M, STROKE_M), method="bounded"
+        fastest, slowest = (
+            math.sqrt(2.0 * gravity_m_per_s2 * max(drop_m - place_m, 0.0))
+            for place_m in (-STROKE_M, STROKE_M)
         )
-        drop_m = max(height(-STROKE_M), height(STROKE_M), -float(inside.fun))
+        # Where the derivative of the height by v is 0, if the stroke reaches there.
+        best = math.inf
+        if restitution < 1.0:
+            best = restitution * extra / (1.0 - restitution**2)
+        comes = min(max(best, slowest), fastest)
+        leaves = restitution * comes + extra
+        drop_m += (leaves**2 - comes**2) / (2.0 * gravity_m_per_s2)
     return drop_m
 
 
@@ -109,6 +105,8 @@ class ThrowLimit(ControlEnv):
     """
 
     SCENE = "BouncingBall"
+    QUANTITY = "height after three impacts"
+    UNIT = "m"
     LAW = "an impact gives at most e v + (1 + e) V; z + (e v + (1 + e) V)^2 / (2 g) for the best place z, three times"
     SIGMA_SOURCE = (
         "restitution: root mean square distance of 22 real drops from the calibrated coefficient; start height: their "
@@ -125,8 +123,8 @@ class ThrowLimit(ControlEnv):
     ACCELERATION_M_PER_S2 = 30.0
     """Full speed after one step."""
 
-    COMMANDED: ClassVar[tuple[str, ...]] = ("acceleration_x", "acceleration_z")
-    OBSERVED: ClassVar[tuple[str, ...]] = (
+    COMMANDED = ("acceleration_x", "acceleration_z")
+    OBSERVED = (
         "ball_from_plate_x_m",
         "ball_height_m",
         "ball_velocity_x_m_per_s",
@@ -136,14 +134,6 @@ class ThrowLimit(ControlEnv):
         "plate_velocity_z_m_per_s",
         "impacts",
         "time_s",
-    )
-    BOUNDS: ClassVar[tuple[float, ...]] = (
-        *(2 * [2.0 * DISTANCE_LIMIT_M]),
-        *(2 * [SPEED_LIMIT_M_PER_S]),
-        STROKE_M,
-        *(2 * [SPEED_M_PER_S]),
-        IMPACTS,
-        MAX_TIME_S,
     )
     _at_time_limit = Ending.MISSED
     _stage: Stage
@@ -170,7 +160,7 @@ class ThrowLimit(ControlEnv):
         self._zero_m = plate.position_m[2] + 0.5 * PLATE_SIZE_M[2] + ball.shape.radius_m
         self._drop_m = ball.pose.position_m[2] - self._zero_m
 
-    def _limit(self) -> Limit:
+    def _limit_and_sigma(self) -> tuple[float, float]:
         scene = self.experiment.scene
         (restitution,) = (c.restitution for c in scene.contacts if PLATE in c.second)
         gravity = scene.gravity_m_per_s2
@@ -181,7 +171,7 @@ class ThrowLimit(ControlEnv):
         bouncier_m = highest_m(self._drop_m, restitution + std, gravity)
         started_higher_m = highest_m(self._drop_m + START_STD_M, restitution, gravity)
         sigma = math.hypot(bouncier_m - value, started_higher_m - value)
-        return self._limit_of("height after three impacts", "m", value, sigma)
+        return value, sigma
 
     def reach_m(self) -> FloatArray:
         """Return the ball at its largest height, the plate below, and the ends of its stroke [m], shape [4, 2, 3]."""
@@ -223,7 +213,7 @@ class ThrowLimit(ControlEnv):
     def _begin(self) -> None:
         self._impacts = 0
         self._read()
-        self._highest_m = self._rewarded_m = self._height_m
+        self._highest_m = self._height_m
 
     def _look(self) -> Ending | None:
         fell, was_inside = self._ball_velocity[1] < 0.0, self._is_inside
@@ -255,10 +245,8 @@ class ThrowLimit(ControlEnv):
 
     # --- reward ---
 
-    def _reward(self, ending: Ending | None) -> float:
-        gained_m = self._highest_m - self._rewarded_m
-        self._rewarded_m = self._highest_m
-        return gained_m / (self.limit.value - self._drop_m)
+    def _earned(self, ending: Ending | None) -> float:
+        return self._highest_m / (self.limit.value - self._drop_m)
 
     def _reached(self) -> float:
         return self._highest_m if self._ending is Ending.REACHED else 0.0
