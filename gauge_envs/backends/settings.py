@@ -153,38 +153,6 @@ def resolve_settings(
     return settings
 
 
-def check_kept(engine: str, asked: Mapping[str, Any], kept: Any) -> None:
-    """Raise an error for a value that an engine does not keep as it was given.
-
-    Args:
-        engine: Name of the engine, for the message.
-        asked: Values that the engine was given, by its names.
-        kept: Object or mapping of the engine, which is read now. Names that a mapping lacks are left out.
-    """
-    for name, value in asked.items():
-        now = (
-            kept.get(name, value) if isinstance(kept, Mapping) else getattr(kept, name)
-        )
-        is_number = isinstance(value, float | int) and isinstance(now, float | int)
-        # Engines in single precision round to 6e-8.
-        if not (
-            math.isclose(now, value, rel_tol=1e-6, abs_tol=1e-30)
-            if is_number
-            else now == value
-        ):
-            raise BackendError(
-                f"{engine} setting {name!r}: {value} was asked and {now} is in force, as the engine clamps or ignores "
-                f"it: set {now}, or a value that the engine takes"
-            )
-
-
-def put(engine: str, target: Any, **values: Any) -> None:
-    """Set attributes of an object of an engine, and read each of them back; see `check_kept`."""
-    for name, value in values.items():
-        setattr(target, name, value)
-    check_kept(engine, values, target)
-
-
 def with_drive_interval(
     settings: Mapping[str, Any], longest_s: float
 ) -> dict[str, Any]:

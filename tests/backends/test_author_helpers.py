@@ -1,118 +1,174 @@
-"""What the package provides to authors of backends: replayed states, constants of bodies, driven motion."""
+"""What the package provides to authors of backends: looped worlds, constants of bodies, driven motion."""
 
-import pickle
+import sys
+from contextlib import closing
 from dataclasses import replace
+from threading import get_ident
+from typing import ClassVar
 
 import numpy as np
 import pytest
-from faults import Passed
 from scipy.spatial.transform import Rotation
 
 from gauge_envs import load_experiment
-from gauge_envs.backends import (
-    Backend,
-    ReplayedSimulation,
-    Simulation,
-    backend,
-)
+from gauge_envs.backends import LoopedSimulation, Simulation, backend
 from gauge_envs.backends.shared.pair_values import Combination, body_values, pair_values
 from gauge_envs.backends.shared.rigid import DrivenMotion, TetherSpring
 from gauge_envs.errors import BackendError, ParameterError, UnsupportedSceneError
 from gauge_envs.scene import ConvexUnion, Pose, Scene, Tether
 from gauge_envs.scene.meshes import body_mass_properties
 from gauge_envs.tools.bench.parts import body, contact
-from gauge_envs.tools.conformance import Status, run_checks
 
-MUJOCO = backend("mujoco")
-
-# --- states ---
+# --- worlds in a loop ---
 
 
-class NoState(Passed):
-    """An engine that can save no state."""
+class Counter(Simulation):
+    """One world, whose body has counted the seconds since its start, on x."""
 
-    def state(self):
-        return Simulation.state(self)
+    settings: ClassVar = {}
 
-    def restore(self, state):
-        Simulation.restore(self, state)
+    def __init__(self, *, reason=""):
+        self.reason = reason
+        self.closed = 0
+        self.thread = None
+        self.reset()
+
+    def reset(self, starts=None, seed=0):
+        self.states = np.zeros((1, 1, 13)) if starts is None else starts.copy()
+        self.seed = seed
+
+    def drive(self, body, targets):
+        self.states[0, 0] = targets[0, :13]
+
+    def apply_wrench(self, body, wrenches):
+        self.states[0, 0, 7:10] += wrenches[0, :3]
+
+    def advance(self, seconds):
+        self.thread = get_ident()
+        self.states[0, 0, 0] += seconds
+
+    def body_states(self, names):
+        return self.states.copy()
+
+    def nodes(self, name):
+        return self.states[:, :, :3].copy()
+
+    def diverged(self):
+        return {0: self.reason} if self.reason else {}
+
+    def contact_forces(self, pairs):
+        return lambda: self.states[:, :, 7:10].copy()
+
+    def close(self):
+        self.closed += 1
 
 
-class Stateless(Backend):
-    """MuJoCo without states, replayed or not."""
+def test_looped_simulations_are_the_worlds_of_one():
+    worlds = [Counter(), Counter(reason="gave up"), Counter()]
+    looped = LoopedSimulation(worlds)
+    assert looped.world_count == 3
+    starts = np.arange(39.0).reshape(3, 1, 13)
+    looped.reset(starts, 5)
+    looped.advance(0.5)
+    states = looped.body_states(["body"])
+    expected = starts.copy()
+    expected[..., 0] += 0.5
+    np.testing.assert_array_equal(states, expected)
+    np.testing.assert_array_equal(looped.nodes("cloth"), expected[..., :3])
+    assert [one.seed for one in worlds] == [5, 5, 5]
+    assert looped.diverged() == {1: "gave up"}
+    looped.drive("body", np.arange(57.0).reshape(3, 19))
+    looped.apply_wrench("body", np.full((3, 6), [[1.0], [2.0], [3.0]]))
+    pushed = np.arange(57.0).reshape(3, 19)[:, 7:10] + [[1.0], [2.0], [3.0]]
+    read = looped.contact_forces([("body", "ground")])
+    np.testing.assert_array_equal(read()[:, 0], pushed)
+    assert looped.track("cloth", np.zeros((1, 3))) is None
+    looped.close()
+    looped.close()
+    assert [one.closed for one in worlds] == [2, 2, 2]
 
-    name = "stateless"
 
-    def __init__(self, *, replayed):
-        self.replayed = replayed
-
-    def versions(self):
-        return {}
-
-    def supports(self, scene):
-        return MUJOCO.supports(scene)
-
-    def build(self, scene, settings=None):
-        simulation = NoState(MUJOCO.build(scene, settings), scene)
-        return ReplayedSimulation(simulation) if self.replayed else simulation
+def test_worlds_that_free_python_advance_in_threads(monkeypatch):
+    monkeypatch.setattr(Counter, "frees_python", True)
+    monkeypatch.setattr("gauge_envs.backends.simulation.processors", lambda: 2)
+    worlds = [Counter(), Counter()]
+    with closing(LoopedSimulation(worlds)) as looped:
+        looped.advance(0.5)
+        assert looped.body_states(["body"])[:, 0, 0].tolist() == [0.5, 0.5]
+        assert get_ident() not in {one.thread for one in worlds}
+        worlds[1].advance = failing
+        with pytest.raises(ZeroDivisionError):
+            looped.advance(0.5)
 
 
-STATE_CHECKS = [
-    "restore",
-    "restore-wrench",
-    "cloth-restore",
-    "sample-positions",
-    "reset-[!c]*",
-]
+def failing(seconds):
+    raise ZeroDivisionError
+
+
+# --- engines of the contract of 0.3 ---
+
+OLD = """
+from gauge_envs.backends import Backend, Simulation, Support
+
+class Old(Simulation):
+    def reset(self, seed): ...
+    def advance(self, seconds): ...
+    def body_states(self, names): ...
+    def close(self): ...
+"""
 
 
 @pytest.mark.parametrize(
-    "only",
+    ("source", "words"),
     [
-        STATE_CHECKS,
-        pytest.param(
-            ["restore-impact", "restore-rest", "restore-edge"], marks=pytest.mark.slow
+        (OLD, r"Old\.reset has no parameter 'starts'.*reset\(starts, seed\)"),
+        (
+            OLD.replace("(self, seed)", "(self, starts=None, seed=0)")
+            + "    def drive(self, body, pose, velocity, acceleration): ...",
+            r"Old\.drive has no parameter 'targets'.*drive\(body, targets\)",
+        ),
+        *(
+            (
+                f"from gauge_envs.backends import {name}",
+                rf"backends\.{name} belongs to the engine contract of gauge-envs 0\.3",
+            )
+            for name in ("World", "ArrayWorlds", "ReplayedSimulation", "DeviceWorlds")
         ),
     ],
-    ids=["short", "long"],
 )
-def test_a_replayed_simulation_continues_bit_for_bit(only):
-    results = list(run_checks(Stateless(replayed=True), only=only))
-    assert {one.status for one in results} == {Status.PASS}
-
-
-def test_a_replayed_simulation_reports_the_faults_of_its_engine():
-    scene = load_experiment("BouncingBall-rubber").scene
-    inner = MUJOCO.build(scene)
-    inner.fault = lambda: "gave up"
-    assert ReplayedSimulation(inner).fault() == "gave up"
-    assert ReplayedSimulation(MUJOCO.build(scene)).fault() is None
-
-
-def test_without_it_the_error_says_what_to_do():
-    (result,) = run_checks(Stateless(replayed=False), only=["restore"])
-    assert result.status is Status.ERROR
-    assert "ReplayedSimulation" in result.diagnosis
-
-
-def test_a_replayed_state_is_taken_before_any_reset():
-    scene = load_experiment("BouncingBall-rubber").scene
-    first, other = (Stateless(replayed=True).build(scene) for _ in range(2))
-    saved = pickle.loads(pickle.dumps(first.state()))
-    first.advance(0.1)
-    other.restore(saved)
-    other.advance(0.1)
-    assert (first.body_states(["ball"]) == other.body_states(["ball"])).all()
-
-
-def test_the_base_class_saves_no_state():
-    simulation = NoState(
-        MUJOCO.build(load_experiment("BouncingBall-rubber").scene),
-        Scene(bodies=(), duration_s=1.0),
+def test_an_engine_of_0_3_is_told_what_to_change(monkeypatch, tmp_path, source, words):
+    (tmp_path / "old_engine.py").write_text(source)
+    info = tmp_path / "old_engine-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Name: old-engine\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text(
+        "[gauge_envs.backends]\nold = old_engine:BackendOld\n"
     )
-    for call in (simulation.state, lambda: simulation.restore(None)):
-        with pytest.raises(BackendError, match="ReplayedSimulation"):
-            call()
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.delitem(sys.modules, "old_engine", raising=False)
+    with pytest.raises(BackendError, match=words) as caught:
+        backend("old")
+    assert "docs/adding_an_engine.md lists the changes" in str(caught.value)
+
+
+def test_optional_methods_that_an_engine_lacks_say_so():
+    class Least(Simulation):
+        def reset(self, starts=None, seed=0): ...
+
+        def advance(self, seconds): ...
+
+        def body_states(self, names): ...
+
+        def close(self): ...
+
+    least = Least()
+    with pytest.raises(BackendError, match="Least drives no body: implement drive"):
+        least.drive("plate", np.zeros((1, 19)))
+    with pytest.raises(BackendError, match="'plate': implement apply_wrench"):
+        least.apply_wrench("plate", np.zeros((1, 6)))
+    assert least.contact_forces([("a", "b")]) is None
+    assert least.track("rope", np.zeros((1, 3))) is None
+    assert least.diverged() == {}
 
 
 # --- constants of bodies ---

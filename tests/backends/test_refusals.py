@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from gauge_envs import load_experiment
+from gauge_envs.backends import backend
 from gauge_envs.backends.base import scene_support
-from gauge_envs.errors import GaugeError
+from gauge_envs.errors import GaugeError, ParameterError
 from gauge_envs.scene import (
     Attachment,
     Box,
@@ -400,3 +401,29 @@ def test_cells_and_attachments_out_of_bounds(engine, scene, settings, words):
 @pytest.mark.parametrize(("settings", "words"), SETTINGS_OF_ALL)
 def test_impossible_settings_are_named(engine, settings, words):
     assert re.search(words, refusal(engine, SLIDE, settings))
+
+
+def rolled(**terms):
+    """Return a ball on the ground, whose contact has more terms."""
+    touch = replace(contact("ball", "ground", friction=0.5), **terms)
+    return of(ball("ball", (0.0, 0.0, 0.03)), ground(), contacts=(touch,))
+
+
+@pytest.mark.parametrize(
+    ("field", "words"),
+    [("torsion_m", "torsional friction"), ("rolling_m", "rolling friction")],
+)
+@pytest.mark.parametrize("engine", ["rapier"], indirect=True)
+def test_an_engine_without_a_kind_of_friction_declines_in_words(engine, field, words):
+    scene = rolled(**{field: 0.001})
+    (reason,) = scene_support(engine, scene).missing
+    expected = (
+        f"'ball' and 'ground' touch with {words}, which this backend does not build"
+    )
+    assert reason == expected
+    assert scene_support(backend("mujoco"), scene)
+
+
+def test_torsion_needs_friction():
+    with pytest.raises(ParameterError, match="without sliding friction"):
+        rolled(friction=0.0, torsion_m=0.001)

@@ -6,9 +6,9 @@ from gauge_envs.backends import Backend, Support, backend, backend_names, regist
 from gauge_envs.backends.registry import backend_class, backend_title
 from gauge_envs.errors import BackendError, MissingExtraError, UnknownNameError
 from gauge_envs.experiments.variants import find_variant
+from gauge_envs.runs import isolation
 from gauge_envs.tools.catalog import listing
 from gauge_envs.tools.catalog.listing import list_rows
-from gauge_envs.tools.conformance import words
 from gauge_envs.tools.conformance.words import backends_table
 
 
@@ -82,7 +82,7 @@ def test_a_backend_that_cannot_be_loaded_says_which_and_why():
 
 @pytest.mark.usefixtures("installed")
 def test_the_others_stay_usable(monkeypatch):
-    for module in (words, listing):
+    for module in (isolation, listing):
         monkeypatch.setattr(module, "is_bundled", lambda name: True)
     rows = {row["name"]: row for row in backends_table().rows}
     assert rows["nothing"]["versions"] == {"nothing": "1.0"}
