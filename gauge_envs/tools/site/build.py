@@ -28,9 +28,6 @@ from gauge_envs.pages.results import discretization_text
 from gauge_envs.pages.table import Table, grid
 from gauge_envs.pages.text import shortened
 from gauge_envs.references.convergence import convergence_rows
-from gauge_envs.runs.replay import (
-    replay,
-)
 from gauge_envs.runs.result import Result
 from gauge_envs.runs.result_file import recorded_experiment
 from gauge_envs.tools.compare import (
@@ -49,6 +46,9 @@ from gauge_envs.tools.site.model import (
     site_page,
 )
 from gauge_envs.tools.site.overview import overview_page
+from gauge_envs.tools.site.replay import (
+    replay,
+)
 from gauge_envs.tools.site.replay_data import ghost_text, replay_data
 from gauge_envs.tools.site.reproduce import reproduce_page
 
@@ -97,7 +97,7 @@ def save_site(
     Args:
         results: Result files and their contents, one or more.
         out: Folder of the site. It must be new, empty, or a site.
-        replays: Whether to run the episodes again for their poses; see `gauge_envs.runs.replay`.
+        replays: Whether to run the episodes again for their poses; see `gauge_envs.tools.site.replay`.
         command: Command that makes the site, which it shows.
         progress: Receives the name of each experiment before its page is made.
 

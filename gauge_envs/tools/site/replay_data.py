@@ -19,9 +19,6 @@ from gauge_envs.rendering.camera import FIELD_OF_VIEW_DEG, experiment_view
 from gauge_envs.rendering.materials import LOOKS, STRING_RADIUS_M
 from gauge_envs.rendering.reference_path import reference_path, reference_words
 from gauge_envs.rendering.skin import Skin
-from gauge_envs.runs.replay import (
-    Replay,
-)
 from gauge_envs.scene import (
     Box,
     Capsule,
@@ -40,6 +37,9 @@ from gauge_envs.scene import (
 from gauge_envs.scene.geometry import Pose, Shape
 from gauge_envs.scene.meshes import hull_triangles
 from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.tools.site.replay import (
+    Replay,
+)
 
 MAX_COUNT = 32767
 """Largest stored number."""

@@ -12,12 +12,12 @@ from gauge_envs.errors import ResultFileError
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.pages.svg import ForestRow, forest
 from gauge_envs.runs.batch import run_many
-from gauge_envs.runs.replay import replay
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result_file import load_result
 from gauge_envs.scene.jitter import Jitter
 from gauge_envs.scoring.reference import reference_band
 from gauge_envs.tools.site import save_site
+from gauge_envs.tools.site.replay import replay
 from gauge_envs.tools.site.replay_data import quantized, replay_data
 from gauge_envs.tools.site.reproduce import run_command
 

@@ -8,10 +8,10 @@ import pytest
 from gauge_envs.errors import GaugeError
 from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.episodes import run_episode
-from gauge_envs.runs.replay import replay
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result_file import load_result
 from gauge_envs.scene.jitter import Jitter
+from gauge_envs.tools.site.replay import replay
 
 
 @pytest.fixture(scope="module")
