@@ -74,7 +74,7 @@ CAUSES = {
     "hard-exit": "the engine ended its process with exit code 6",
     "exit": "SystemExit: 5",
     "hang": "did not finish within the time limit of 8 s and was stopped",
-    "greedy": "MemoryError:  (memory limit: 0.8 GB)",
+    "greedy": "MemoryError (memory limit: 0.8 GB)",
 }
 """Causes by the engines that fail in the episode of one scene."""
 
