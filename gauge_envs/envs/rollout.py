@@ -218,7 +218,7 @@ class Rollout:
         Raises:
             BackendError: The engine's states are not what `Simulation.body_states` promises.
         """
-        is_moved = starts is not None or bool(self.starts)
+        trials = [start.trial for start in self.starts]
         self.starts = starts or ()
         states = None
         if starts is not None:
@@ -232,7 +232,7 @@ class Rollout:
             row = row_of(self.experiment.scene, motion.body)
             drivers = [start.drivers[index] for start in starts]
             motion.reset(drivers, states[:, row, :7])
-        if is_moved:
+        if trials != [start.trial for start in self.starts]:
             self._set_bands([self._band_of(world) for world in range(self.world_count)])
         self.frame = 0
         self.diverged = {}

@@ -4,14 +4,21 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass
+from functools import cached_property
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from gauge_envs.errors import ParameterError
 from gauge_envs.scene.bodies import Cloth, Hinge, RigidBody, Tether
 from gauge_envs.scene.contact_faces import TouchingGroup, face_normal
-from gauge_envs.scene.geometry import FloatArray, Sphere
+from gauge_envs.scene.geometry import (
+    FloatArray,
+    Sphere,
+    quaternion_products,
+    rotation_matrices,
+    unit_quaternions,
+    vector_quaternions,
+)
 from gauge_envs.scene.scene import Scene
 from gauge_envs.scene.states import nominal_states
 
@@ -124,7 +131,7 @@ class _Noise:
     def __init__(self, scene: Scene, jitter: Jitter, seed: int) -> None:
         self._scene, self._jitter = scene, jitter
         self._places = np.random.default_rng(seed)
-        self._pushes = np.random.default_rng((seed, 1))
+        self._seed = seed
         stds = (jitter.velocity_m_per_s, jitter.angular_velocity_rad_per_s)
         self._push_std = np.repeat(stds, 3)
         self._moves: dict[TouchingGroup, tuple[FloatArray, FloatArray]] = {}
@@ -191,6 +198,11 @@ class _Noise:
         angle_rad = self._jitter.angle_rad * self._places.standard_normal()
         return across(shift_m, blocked), angle_rad * axis
 
+    @cached_property
+    def _pushes(self) -> np.random.Generator:
+        """Random numbers of velocities, which poses do not depend on."""
+        return np.random.default_rng((self._seed, 1))
+
     def _drawn_push(self) -> FloatArray:
         """Return a random linear [m/s] and angular velocity [rad/s], shape [6]."""
         return self._push_std * self._pushes.standard_normal(6)
@@ -198,11 +210,11 @@ class _Noise:
 
 def turn(state: FloatArray, turn_rad: FloatArray, point_m: FloatArray) -> None:
     """Rotate a pose, shape [7], or a state, shape [13], about a world point by a rotation vector [rad], in place."""
-    rotation = Rotation.from_rotvec(turn_rad)
-    state[:3] = rotation.apply(state[:3] - point_m) + point_m
-    orientation = rotation * Rotation.from_quat(state[3:7], scalar_first=True)
-    state[3:7] = orientation.as_quat(scalar_first=True)
-    state[7:] = rotation.apply(state[7:].reshape(-1, 3)).ravel()
+    quaternion = vector_quaternions(turn_rad[None])[0]
+    matrix = rotation_matrices(quaternion)
+    state[:3] = matrix @ (state[:3] - point_m) + point_m
+    state[3:7] = unit_quaternions(quaternion_products(quaternion, state[3:7]))
+    state[7:] = (state[7:].reshape(-1, 3) @ matrix.T).ravel()
 
 
 def across(vector: FloatArray, blocked: FloatArray) -> FloatArray:
