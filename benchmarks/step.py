@@ -35,7 +35,7 @@ def measured(name: str) -> tuple[float, float, float]:
     """Return medians over paired repeats: bare and full time for each frame [us], and their ratio."""
     env = gymnasium.make(f"GAUGE/{name}")
     env.reset(seed=0)
-    simulation = env.unwrapped.simulation
+    simulation = env.unwrapped.rollout.simulation
     frames = min(env.unwrapped.experiment.frame_count - 2, LONGEST_FRAMES)
     steps = round(1 / 30 / simulation.settings["timestep_s"])
     action = (

@@ -30,10 +30,9 @@ import numpy as np
 import step
 import worlds
 
-from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.backends.registry import backend_names
-from gauge_envs.envs import stepper
 from gauge_envs.errors import GaugeError, MissingExtraError
+from gauge_envs.files import processors
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
 
@@ -120,41 +119,33 @@ def warping() -> Iterator[Row]:
 
 
 def many_worlds() -> Iterator[Row]:
-    """Yield the time of an environment step on an engine that costs nothing, over what it may take."""
-    worlds.clock = time.process_time
-    build = BackendMuJoCo.build_worlds
-    worlds.stub_engine()
-    try:
-        for name, most_us in (
-            ("SlopeSlider-2-wood", {64: 5.0, 1024: 1.0}),
-            ("Turntable-1-wood", {64: 5.0, 1024: 1.0}),
-            ("FoamShearing-soft", {64: 40.0, 1024: 40.0}),
-        ):
-            for count, limit_us in most_us.items():
-                row = worlds.measured("mujoco", count, {}, 2, name)
-                assert row is not None
-                yield Row(
-                    f"{name}, {count} worlds on the stub, us / {limit_us:g} us",
-                    row.host_us / limit_us,
-                    1.0,
-                )
-    finally:
-        BackendMuJoCo.build_worlds = build  # type: ignore[method-assign]
+    """Yield the time of an environment step outside MuJoCo, over what it may take."""
+    for name, most_us in (
+        ("SlopeSlider-2-wood", {64: 5.0, 1024: 1.0}),
+        ("Turntable-1-wood", {64: 5.0, 1024: 1.0}),
+    ):
+        for count, limit_us in most_us.items():
+            row = worlds.measured(
+                name, "mujoco", count, {}, repeats=2, clock=time.process_time
+            )
+            yield Row(
+                f"{name}, {count} worlds, host us / {limit_us:g} us",
+                row.host_us / limit_us,
+                1.0,
+            )
 
 
 def threads() -> Iterator[Row]:
     """Yield the speed of make_vec in threads over that in one thread."""
-    count = stepper.processors()
+    count = processors()
+    is_busy = os.getloadavg()[0] > BUSY * count or count < 2
     for name, number, least in (
         ("SlopeSlider-2-wood", 16, 0.9),
         ("TextileBending-satin", 2, 0.8),
     ):
-        busy = os.getloadavg()[0] > BUSY * count or count < 2
-        ratio = (
-            None
-            if busy
-            else _one_thread_s(name, number, 1) / _one_thread_s(name, number, count)
-        )
+        ratio = None
+        if not is_busy:
+            ratio = _step_s(name, number, "1") / _step_s(name, number, str(count))
         yield Row(
             f"make_vec, {name}, {count} threads / one",
             ratio,
@@ -163,19 +154,20 @@ def threads() -> Iterator[Row]:
         )
 
 
-def _one_thread_s(name: str, worlds_count: int, thread_count: int) -> float:
-    processors, stepper.processors = stepper.processors, lambda: thread_count
-    try:
-        envs = gymnasium.make_vec(f"GAUGE/{name}", num_envs=worlds_count)
-    finally:
-        stepper.processors = processors
+def _step_s(name: str, world_count: int, thread_count: str) -> float:
+    """Return the wall time of a step of all worlds [s]."""
+    before = dict(os.environ)
+    os.environ["OMP_NUM_THREADS"] = thread_count
+    envs = gymnasium.make_vec(f"GAUGE/{name}", num_envs=world_count)
+    os.environ.clear()
+    os.environ.update(before)
     envs.reset(seed=0)
-    actions, times = np.zeros(envs.action_space.shape, envs.action_space.dtype), []
+    actions, times_s = np.zeros(envs.action_space.shape, envs.action_space.dtype), []
     for _ in range(10):
         start = time.perf_counter()
         envs.step(actions)
-        times.append(time.perf_counter() - start)
-    return statistics.median(times)
+        times_s.append(time.perf_counter() - start)
+    return statistics.median(times_s)
 
 
 def engines() -> Iterator[Row]:

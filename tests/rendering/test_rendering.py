@@ -32,13 +32,13 @@ def test_picture_shows_the_moving_body(name):
     first = env.render()
     assert first.shape == (120, 160, 3)
     assert first.dtype == np.uint8
-    episode = env.unwrapped.episode
+    rollout = env.unwrapped.rollout
     far = {
         body: np.array([0.0, 0.0, -50.0, 1.0, 0.0, 0.0, 0.0])
-        for body in episode.poses()
+        for body in rollout.poses()
     }
     without = env.unwrapped._pictures.draw(
-        episode.experiment, {}, poses=far, nodes_m={}
+        rollout.experiment, {}, poses=far, nodes_m={}
     )
     assert (np.abs(first.astype(int) - without).max(axis=2) > 25).sum() > 40
     env.close()

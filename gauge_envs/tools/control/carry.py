@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from gauge_envs.scene import Cylinder, Scene
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.tools.control.least_time import LeastTimeLimit
 from gauge_envs.tools.control.stage import (
     X_AXIS,
@@ -17,6 +17,9 @@ from gauge_envs.tools.control.stage import (
     stage_driver,
 )
 from gauge_envs.tools.control.tasks import EPISODE_STEPS
+
+FALLEN_M = 0.01
+"""Height that a cube loses as it leaves the plate [m]."""
 
 
 class CarryLimit(LeastTimeLimit):
@@ -83,13 +86,12 @@ class CarryLimit(LeastTimeLimit):
             2.0 * time_s**2
         )
 
-    def _is_lost(self, cube_m: FloatArray) -> bool:
+    @property
+    def _is_lost(self) -> bool:
         plate = self.experiment.scene.body(self.DRIVEN).shape
         assert isinstance(plate, Cylinder)
-        return (
-            math.hypot(*self._from_cube_m.tolist()) > plate.radius_m
-            or cube_m[2] < self._cube_start_m[2] - 0.01
-        )
+        aside_m = length_of(self._from_cube_m)
+        return aside_m > plate.radius_m or self._risen_m < -FALLEN_M
 
     def _law_command(self, fraction: float) -> FloatArray:
         """Return the action that accelerates and brakes towards the goal with fraction mu g."""

@@ -132,9 +132,10 @@ class FrictionLimit(ControlEnv):
 
     def _corners(self) -> FloatArray:
         """Return the corners of the cube in the frame of the carrier [m], shape [8, 3]."""
-        state = self._state(CUBE)
+        state, carrier = self._state(CUBE), self._stage.state
         turn = rotation_matrices(unit_quaternions(state[3:7]))
-        return self._stage.pose.to_body(self._corners_m @ turn.T + state[:3])
+        corners_m = self._corners_m @ turn.T + state[:3] - carrier[:3]
+        return corners_m @ rotation_matrices(carrier[3:7])
 
     def _slip(self) -> float:
         """Return the mean speed of the cube's fastest corner on the carrier over the last frame [m/s]."""

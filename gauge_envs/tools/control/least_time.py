@@ -96,11 +96,6 @@ class LeastTimeLimit(ControlEnv):
     def _prepare(self, scene: Scene) -> None:
         driven = scene.body(self.DRIVEN).pose
         self._stage = Stage(scene.drivers[0], driven, np.full(2, math.inf))
-        cube = scene.body(CUBE).pose
-        self._cube_start_m = np.array(cube.position_m)
-        self._turned_back = np.array(cube.quaternion) * [1.0, -1.0, -1.0, -1.0]
-        self._driven_start_m = np.array(driven.position_m[:2])
-        self.goal_m = np.array([self.DISTANCE_M, 0.0])
 
     def _limit_and_sigma(self) -> tuple[float, float]:
         return self._friction_and_sigma(CUBE, self.FLOOR)
@@ -133,9 +128,10 @@ class LeastTimeLimit(ControlEnv):
     ) -> float:
         """Return the time [s] that is left at a distance from the goal with a speed towards it, negative if away."""
 
+    @property
     @abstractmethod
-    def _is_lost(self, cube_m: FloatArray) -> bool:
-        """Return whether the cube can no longer arrive; `cube_m` is its centre [m], shape [3]."""
+    def _is_lost(self) -> bool:
+        """Whether the cube can no longer arrive."""
 
     # --- physics ---
 
@@ -145,13 +141,19 @@ class LeastTimeLimit(ControlEnv):
     @property
     def _yaw_rad(self) -> float:
         """Component along z of the cube's rotation vector since the start [rad]."""
-        turn = quaternion_products(self._cube[3:7], self._turned_back)
+        back = self._start[3:7] * [1.0, -1.0, -1.0, -1.0]
+        turn = quaternion_products(self._cube[3:7], back)
         return float(quaternion_vectors(turn[None])[0, 2])
 
     @property
     def _moved_m(self) -> FloatArray:
         """Horizontal displacement of the cube since the start [m], shape [2]."""
-        return (self._cube[:3] - self._cube_start_m)[:2]
+        return (self._cube - self._start)[:2]
+
+    @property
+    def _risen_m(self) -> float:
+        """Displacement of the cube upwards [m]."""
+        return float(self._cube[2] - self._start[2])
 
     @property
     def _left_m(self) -> float:
@@ -169,14 +171,14 @@ class LeastTimeLimit(ControlEnv):
     @property
     def _from_cube_m(self) -> FloatArray:
         """Place of the driven body relative to the cube [m], shape [2]."""
-        return self._driven_start_m + self._stage.offset - self._cube[:2]
+        return (self._stage.state - self._cube)[:2]
 
     # --- task ---
 
     def _begin(self) -> None:
         angle = self.np_random.uniform(-self.WIDEST_RAD, self.WIDEST_RAD)
         self.goal_m = self.DISTANCE_M * np.array([math.cos(angle), math.sin(angle)])
-        self._cube = self._state(CUBE)
+        self._start = self._cube = self._state(CUBE)
         self._arrived_s = 0.0
         self._cube_velocity = np.zeros(2)
         self._samples = 0
@@ -185,7 +187,7 @@ class LeastTimeLimit(ControlEnv):
         self._samples += 1
         before, self._cube = self._cube, self._state(CUBE)
         self._cube_velocity = (self._cube - before)[:2] / SAMPLE_INTERVAL_S
-        if self._is_lost(self._cube[:3]):
+        if self._is_lost:
             return Ending.LOST
         if self._has_arrived:
             self._arrived_s = self._samples * SAMPLE_INTERVAL_S

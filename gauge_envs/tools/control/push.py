@@ -123,11 +123,12 @@ class PushLimit(LeastTimeLimit):
         """Return the least deceleration a [m/s^2], with D = v T + a T^2 / 2."""
         return max(2.0 * (distance_m - speed_m_per_s * time_s) / time_s**2, 0.0)
 
-    def _is_lost(self, cube_m: FloatArray) -> bool:
+    @property
+    def _is_lost(self) -> bool:
         cube = self.experiment.scene.body(CUBE).shape
         assert isinstance(cube, Box)
         past_m = float(self._from_cube_m[0]) + 0.5 * (PUSHER_SIZE_M[0] + cube.size_m[0])
-        return past_m > PAST_M or abs(cube_m[2] - self._cube_start_m[2]) > LIFTED_M
+        return past_m > PAST_M or abs(self._risen_m) > LIFTED_M
 
     def _law_command(self, fraction: float) -> FloatArray:
         """Return the action that pushes until the cube coasts to the goal, if its friction is fraction mu."""

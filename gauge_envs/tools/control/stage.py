@@ -119,10 +119,9 @@ class Stage:
         return self.rates[self.sample]
 
     @property
-    def pose(self) -> Pose:
-        """Pose of the body now."""
-        x, y, z, *quaternion = self.states[self.sample, :7].tolist()
-        return Pose(position_m=(x, y, z), quaternion=tuple(quaternion))
+    def state(self) -> FloatArray:
+        """State of the body now, shape [13]."""
+        return self.states[self.sample]
 
     def targets(
         self, first: int, accelerations: FloatArray, count: int = 1

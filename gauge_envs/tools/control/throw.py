@@ -155,7 +155,6 @@ class ThrowLimit(ControlEnv):
         ball, plate = scene.body(BALL), scene.body(PLATE).pose
         assert isinstance(ball.shape, Sphere)
         self._stage = Stage(scene.drivers[0], plate, np.array([math.inf, STROKE_M]))
-        self._plate_x_m = plate.position_m[0]
         # The height of the ball's centre in the world when it lies on the plate at the start.
         self._zero_m = plate.position_m[2] + 0.5 * PLATE_SIZE_M[2] + ball.shape.radius_m
         self._drop_m = ball.pose.position_m[2] - self._zero_m
@@ -198,8 +197,7 @@ class ThrowLimit(ControlEnv):
     def _read(self) -> None:
         """Read the ball's place, along x relative to the plate's centre, and its velocity."""
         state = self._state(BALL)
-        plate_x_m = self._plate_x_m + self._stage.offset[0]
-        self._from_plate_m = float(state[0] - plate_x_m)
+        self._from_plate_m = float(state[0] - self._stage.state[0])
         self._height_m = float(state[2]) - self._zero_m
         self._ball_velocity = state[[7, 9]]
 

@@ -22,6 +22,7 @@ from gauge_envs.errors import BackendError, GaugeError, ParameterError
 from gauge_envs.files import data_folder
 from gauge_envs.references.uncertainties import friction_std
 from gauge_envs.scene import GRAVITY_M_PER_S2, Motion
+from gauge_envs.scene.geometry import rotation_matrices
 from gauge_envs.tools.control.env import ControlEnv
 from gauge_envs.tools.control.friction import HOLD_S, SLIP_SPEED_M_PER_S
 from gauge_envs.tools.control.limit import Ending, Limit, LimitReport
@@ -268,7 +269,7 @@ def test_friction_used_is_that_of_the_contact_forces(task):
         for index, contact in enumerate(data.contact):
             mujoco.mj_contactForce(model, data, index, wrench)
             total += contact.frame.reshape(3, 3).T @ wrench[:3]
-        normal = env._stage.pose.rotation.apply((0.0, 0.0, 1.0))
+        normal = rotation_matrices(env._stage.state[3:7])[:, 2]
         used = np.linalg.norm(total - normal * (total @ normal)) / abs(total @ normal)
         if step % 20 > 5:
             # The observation is the mean over the frame, the forces are those at its end.
