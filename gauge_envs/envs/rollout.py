@@ -125,6 +125,9 @@ class Rollout:
         starts: Start of each world.
         bands: Band of each world, of the trial where it repeats one.
         rest_nodes_m: Nodes of each deformable body at the nominal start [m], shape [node_count, 3].
+
+    Raises:
+        BackendError: The engine's states are not what `Simulation.body_states` promises.
     """
 
     def __init__(
@@ -164,6 +167,7 @@ class Rollout:
         self._motions = prescribed_motions(scene, seconds, world_count=count)
         self._dynamic = [body.name for body in scene.dynamic_bodies]
         self._driven = [driver.body for driver in scene.drivers]
+        check_states(simulation, [*self._dynamic, *self._driven])
         self._recorded = [self._dynamic.index(name) for name in experiment.recorded]
         self._observer: Observer
         observable = experiment.score.observable
@@ -214,9 +218,6 @@ class Rollout:
         Args:
             starts: Start of each world; None is the nominal start.
             seed: Seed of the engine.
-
-        Raises:
-            BackendError: The engine's states are not what `Simulation.body_states` promises.
         """
         trials = [start.trial for start in self.starts]
         self.starts = starts or ()
@@ -224,7 +225,6 @@ class Rollout:
         if starts is not None:
             states = np.array([start.states for start in starts])
         self.simulation.reset(states, seed)
-        check_states(self.simulation, [*self._dynamic, *self._driven])
         for index, motion in enumerate(self._motions):
             if starts is None or states is None:
                 motion.reset()

@@ -211,6 +211,5 @@ def changed(place, value):
 def test_an_engine_that_returns_wrong_states_at_the_start_is_named(fault, words):
     experiment = gauge_envs.load_experiment(SLIDE)
     sound = backend("mujoco").build(experiment.scene)
-    rollout = Rollout([experiment], Broken(sound, fault), bands=[None])
     with pytest.raises(BackendError, match=rf"Broken\.body_states returned .*{words}"):
-        rollout.reset()
+        Rollout([experiment], Broken(sound, fault), bands=[None])

@@ -53,10 +53,6 @@ class Points:
         for index in self._attached:
             spec.delete(spec.body(self._names[index]))
 
-    def attached_to(self, body: str) -> list[int]:
-        """Return the indices of the points that are attached to a body."""
-        return [index for index, one in self._attached.items() if one.body == body]
-
     def bind(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         """Look up the joints of the points in a compiled model."""
         bodies = [model.body(self._names[index]).id for index in self.free]

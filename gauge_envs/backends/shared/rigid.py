@@ -282,10 +282,6 @@ class DrivenMotion:
         """Return linear [m/s] and angular [rad/s] velocity at a time since the start [s], shape [6]."""
         return np.asarray(self.velocity + np.asarray(self.acceleration) * time_s)
 
-    def state_at(self, time_s: float) -> FloatArray:
-        """Return the state of the body at a time since the start [s], shape [13]; see `Simulation.body_states`."""
-        return body_state(self.pose(time_s), self.velocity_at(time_s))
-
     def steps(self, step_s: float, count: int) -> tuple[FloatArray, FloatArray]:
         """Return the motion cut into steps, each at the constant velocity that takes the body to the start of the next.
 
