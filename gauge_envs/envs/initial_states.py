@@ -8,7 +8,6 @@ from typing import Any, Literal
 
 import numpy as np
 
-from gauge_envs.envs.trial_start import DrivenTrial, driven_trial, trial_states
 from gauge_envs.errors import ParameterError, nearest
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import shots_of
@@ -182,7 +181,10 @@ class InitialStates:
             state[10:] = shot.angular_velocity_rad_per_s
             return InitialState(states, experiment.scene.drivers, trial=trial)
         assert isinstance(draw, int), "only single-shot trials have recorded starts"
-        driven: DrivenTrial | None = driven_trial(experiment, draw)
+        # It imports rotations of SciPy.
+        from gauge_envs.envs.trial_start import driven_trial, trial_states
+
+        driven = driven_trial(experiment, draw)
         if driven is not None:
             return InitialState(driven.states, driven.drivers, trial=draw)
         states = trial_states(experiment, draw)

@@ -10,10 +10,9 @@ import traceback
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends import Simulation
 from gauge_envs.errors import BackendError, GaugeError
@@ -23,6 +22,9 @@ from gauge_envs.scene import Motion, Scene
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.prescribed_motion import prescribed_motions
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 PACKAGE = Path(__file__).parents[1]
 
@@ -91,6 +93,8 @@ class Recording:
 
     def rotation(self, name: str) -> Rotation:
         """Return rotations of a rigid body from its frame to the world, one for each sample."""
+        from scipy.spatial.transform import Rotation
+
         return Rotation.from_quat(self.states[name][:, 3:7], scalar_first=True)
 
     def displacement(self, name: str) -> FloatArray:
