@@ -66,7 +66,6 @@ def score_file(
     mistake = value_mistake(
         experiment,
         trajectory.values[index],
-        band=band,
         tolerance_mm=START_TOLERANCE_MM + _jitter_mm(origin),
     )
     if mistake is None and trajectory.markers_m is not None:

@@ -295,7 +295,7 @@ def score_trajectory(
     index = frame_index(times_s, experiment.frame_count, name=experiment.name)
     frames = values[index]
     if not is_checked and np.isfinite(frames[0]).all():
-        fault = value_mistake(experiment, frames, band=band)
+        fault = value_mistake(experiment, frames)
         if fault is not None:
             raise ShapeError(f"{experiment.name}: {fault}")
     numbers: dict[str, Any] = {}

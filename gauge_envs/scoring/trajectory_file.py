@@ -14,16 +14,16 @@ Samples of up to 10 frames after the last published one serve the time alignment
 is not shifted to earlier times. Later ones are not used; without times they are an error, as another rate.
 """
 
+from __future__ import annotations
+
 import csv
 import math
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from gauge_envs.errors import TrajectoryFileError
 from gauge_envs.experiments.experiment import Experiment
@@ -31,19 +31,16 @@ from gauge_envs.files import csv_text, json_document, npz_arrays, os_errors
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-from gauge_envs.scoring.likely_mistakes import count_mistake, time_mistake
-from gauge_envs.scoring.metrics import MAX_TIME_OFFSET_S, interpolated
+from gauge_envs.scoring.metrics import MAX_TIME_OFFSET_S, frame_index, interpolated
 
 FRAME_TOLERANCE_S = 5e-4
 """Samples this close to a frame count as the frame [s]; it is the error of times printed with three digits."""
 
+LATER_FRAMES = 10
+"""Largest number of frames after the last one: the time alignment uses them."""
+
 TIME = "time_s"
 """Name of the column of times."""
-
-TIME_NAME = re.compile(
-    r"(?i)(t|time|timestamp|sim_?time|seconds?|(t|time)[ _-]*\(?(s|sec|ms|seconds?)\)?)"
-)
-"""Names of columns that hold times."""
 
 LARGEST = 10**12
 """Larger values are mistakes, and their squares overflow."""
@@ -95,7 +92,7 @@ def stated_origin(file: Path) -> StatedOrigin:
         return StatedOrigin()
     content = _json_object(file)
     name, jitter = content.get("id"), content.get("jitter")
-    if name is not None and not isinstance(name, str):
+    if not isinstance(name, str | None):
         raise TrajectoryFileError(
             f"{file}: id is {name!r}, expected text such as 'GAUGE/SlopeSlider-2-wood'"
         )
@@ -118,204 +115,214 @@ def read_trajectory(file: Path, experiment: Experiment) -> UserTrajectory:
         TrajectoryFileError: The file cannot be read, or a row, a column or a time is wrong; the message names it.
     """
     readers = {".csv": _read_csv, ".npz": _read_npz, ".json": _read_json}
-    reader = readers.get(file.suffix.lower())
-    if reader is None:
+    suffix = file.suffix.lower()
+    if suffix not in readers:
         raise TrajectoryFileError(
             f"{file}: unknown suffix {file.suffix!r}, expected {', '.join(readers)}"
         )
-    names, frame_count = experiment.coordinates, experiment.frame_count
-    layout = _Layout(file, names, experiment.score.observable.unit)
-    table = reader(layout)
-    columns = layout.columns(table)
-    values = columns[:, -len(names) :]
-    if table.has_times:
-        times_s = columns[:, 0]
-        fault = time_mistake(times_s, frame_count) if len(times_s) > 1 else None
-    else:
-        times_s = np.arange(len(values)) / FRAME_RATE_HZ
-        fault = count_mistake(len(values), frame_count)
-    if fault is not None:
-        raise layout.error("", fault)
-    markers = experiment.scene.markers
-    places_m = table.markers_m
-    if experiment.score.observable is Observable.MARKER_POSITION:
-        # A g(t) of marker positions is those of the markers.
-        places_m = 1e-3 * values.reshape(len(values), -1, 3)
-    width = values.shape[1]
-    if places_m is not None:
-        count = 0 if markers is None else len(markers.positions_m)
-        layout.check_markers(places_m, [len(values), count, 3])
-        values = np.concatenate([values, places_m.reshape(len(values), -1)], axis=1)
-    times_s, values, interpolated_frames = _on_frames(
-        file, times_s, values, frame_count
-    )
+    samples = readers[suffix](file, experiment)
+    frame_count = experiment.frame_count
+    frames_s = np.arange(frame_count) / FRAME_RATE_HZ
+    times_s = _times_at_frames(file, samples, frames_s)
+    missing_s = np.setdiff1d(frames_s, times_s)
+    all_times_s = np.union1d(times_s, frames_s)
+    # Samples that are too late for the time alignment are not used.
+    last_s = frames_s[-1] + MAX_TIME_OFFSET_S + FRAME_TOLERANCE_S
+    all_times_s = all_times_s[all_times_s <= last_s]
+    values = interpolated(all_times_s, times_s, samples.values)
     markers_m = None
-    if places_m is not None:
-        frames_s = np.arange(frame_count) / FRAME_RATE_HZ
-        rows = values[np.searchsorted(times_s, frames_s - 1e-9)]
-        markers_m = rows[:, width:].reshape(-1, *places_m.shape[1:])
+    if experiment.score.observable is Observable.MARKER_POSITION:
+        at_frames = values[frame_index(all_times_s, frame_count)]
+        markers_m = 1e-3 * at_frames.reshape(frame_count, -1, 3)
+    elif samples.markers_m is not None:
+        markers_m = _markers_at_frames(
+            file, experiment, times_s, samples.markers_m, frames_s
+        )
     return UserTrajectory(
-        times_s=times_s,
-        values=values[:, :width],
-        interpolated_frames=interpolated_frames,
+        times_s=all_times_s,
+        values=values,
+        interpolated_frames=len(missing_s),
         markers_m=markers_m,
     )
 
 
-# --- tables ----------------------------------------------------------------------------------------------------------
+# --- formats ---------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Table:
-    """Cells of a file: the coordinates of g(t) in their order, after the time if there is one.
+class _Samples:
+    """Content of a file.
 
     Attributes:
-        rows: Cells of each row.
-        places: Place of each row in the file, for messages.
-        has_times: Whether the first cell is the time.
-        markers_m: Markers at the rows [m], shape [T, M, 3]; None without any.
+        values: g(t) at the samples, shape [T, C].
+        times_s: Times of the samples [s], shape [T]; None for those of the 30 Hz frames.
+        markers_m: Markers [m], shape [T, M, 3], or of fewer rows, which are the first 30 Hz frames.
     """
 
-    rows: Sequence[Any]
-    places: Sequence[str]
-    has_times: bool
+    values: FloatArray
+    times_s: FloatArray | None
     markers_m: FloatArray | None = None
 
 
-@dataclass(frozen=True)
-class _Layout:
-    """Required content of a file, for checks and messages."""
-
-    file: Path
-    names: tuple[str, ...]
-    unit: str
-
-    def error(self, place: str, reason: str) -> TrajectoryFileError:
-        where = f"{self.file}: {place}" if place else str(self.file)
-        return TrajectoryFileError(f"{where}: {reason}")
-
-    @property
-    def expected(self) -> str:
-        shown = [f"{name} [{self.unit}]" for name in self.names]
-        if len(shown) > 6:
-            shown = [*shown[:3], "...", shown[-1]]
-        return f"expected {len(self.names)} columns: {', '.join(shown)}"
-
-    def columns(self, table: _Table) -> FloatArray:
-        """Return the cells of a table as numbers, shape [T, column_count]."""
-        names = (TIME, *self.names) if table.has_times else self.names
-        values = np.empty((len(table.rows), len(names)))
-        for index, (row, place) in enumerate(
-            zip(table.rows, table.places, strict=True)
-        ):
-            values[index] = [
-                self._number(place, name, cell)
-                for name, cell in zip(names, row, strict=True)
-            ]
-        return values
-
-    def _number(self, place: str, name: str, cell: Any) -> float:
-        """Return the finite number at a place of the file."""
-        unit = "s" if name == TIME else self.unit
-        wanted = ""
-        number = math.nan
-        try:
-            if isinstance(cell, bool):
-                raise ValueError
-            number = float(cell)
-        except (TypeError, ValueError, OverflowError):
-            wanted = "a number"
-        if not wanted and not math.isfinite(number):
-            wanted = "a finite number"
-        elif not wanted and abs(number) > LARGEST:
-            wanted = f"at most {LARGEST:g}"
-        if wanted:
-            raise self.error(
-                place, f"{name} is {_short(cell)}, expected {wanted} [{unit}]"
-            )
-        return number
-
-    def check_markers(self, markers_m: FloatArray, shape: list[int]) -> None:
-        """Raise an error for markers of another shape, or with a value that is not finite."""
-        if list(markers_m.shape) != shape:
-            raise self.error(
-                "markers_m", f"shape is {list(markers_m.shape)}, expected {shape}"
-            )
-        if not np.isfinite(markers_m).all():
-            raise self.error("markers_m", "a value is not a finite number [m]")
-
-
-def _short(value: Any) -> str:
-    if isinstance(value, dict | list):
-        return f"a {type(value).__name__} of {len(value)}"
-    is_huge = isinstance(value, int) and abs(value) > LARGEST
-    text = "a huge integer" if is_huge else repr(value)
-    return text if len(text) <= 40 else f"{text[:37]}..."
-
-
-def _content(file: Path) -> bytes:
-    with os_errors(
-        lambda cause: TrajectoryFileError(f"{file}: cannot be read: {cause}")
-    ):
-        content = file.read_bytes()
-    if not content.strip():
-        raise TrajectoryFileError(f"{file}: the file is empty")
-    return content
-
-
-# --- CSV -------------------------------------------------------------------------------------------------------------
-
-
-def _read_csv(layout: _Layout) -> _Table:
-    lines, header = _csv_lines(layout)
-    place, first = lines[0]
-    if len(first) == 1 < len(layout.names) and len(re.split(r"[;\s]+", first[0])) > 1:
-        raise layout.error(
-            place,
-            f"one column, expected columns separated by commas; {layout.expected}",
-        )
-    if not any(_is_number(cell) for cell in first) and "" not in first:
-        header = lines.pop(0)[1]
-    order, has_times = list(range(len(layout.names))), False
-    if header is not None:
-        order, has_times = _csv_order(layout, header)
-    for place, cells in lines:
-        if len(cells) != len(order):
-            timed = f"{TIME} and then " if has_times else ""
-            named = "; a time column needs a header that names it time_s"
-            named = "" if header else named
-            raise layout.error(
-                place, f"{len(cells)} columns, {timed}{layout.expected}{named}"
-            )
-    rows = [[cells[column] for column in order] for _, cells in lines]
-    places = [place for place, _ in lines]
-    return _Table(rows=rows, places=places, has_times=has_times)
-
-
-def _csv_lines(
-    layout: _Layout,
-) -> tuple[list[tuple[str, list[str]]], list[str] | None]:
-    """Return place and cells of each row that is no comment; and the comment that is a header, or None."""
-    lines: list[tuple[str, list[str]]] = []
-    header = None
+def _read_csv(file: Path, experiment: Experiment) -> _Samples:
+    header: list[str] | None = None
+    rows: list[list[str]] = []
+    places: list[str] = []
     try:
-        reader = csv.reader(csv_text(_content(layout.file)))
-        for raw in reader:
-            cells = [cell.strip() for cell in raw]
+        reader = csv.reader(csv_text(_content(file)))
+        for line in reader:
+            cells = [cell.strip() for cell in line]
             if not any(cells):
                 continue
-            if not cells[0].startswith("#"):
-                lines.append((f"line {reader.line_num}", cells))
-                continue
-            # numpy.savetxt writes its header as a comment.
-            names = [cell.strip(" #\t") for cell in cells]
-            if not lines and TIME in names:
-                header = names
+            if cells[0].startswith("#"):
+                # numpy.savetxt writes its header as a comment.
+                names = [cell.strip("# ") for cell in cells]
+                header = names if TIME in names else header
+            elif not rows and not any(map(_is_number, cells)) and "" not in cells:
+                header = cells
+            else:
+                rows.append(cells)
+                places.append(f"line {reader.line_num}")
     except (UnicodeDecodeError, csv.Error) as error:
-        raise layout.error("", f"not a CSV file: {error}") from error
-    if not lines:
-        raise layout.error("", "no rows")
-    return lines, header
+        raise TrajectoryFileError(f"{file}: not a CSV file: {error}") from error
+    coordinates = experiment.coordinates
+    names = list(coordinates)
+    if header is not None:
+        names = _column_names(file, header, experiment)
+    columns = _numbers(file, rows, places, names, experiment)
+    return _Samples(
+        values=columns[:, [names.index(name) for name in coordinates]],
+        times_s=columns[:, names.index(TIME)] if TIME in names else None,
+    )
+
+
+def _column_names(
+    file: Path, header: Sequence[str], experiment: Experiment
+) -> list[str]:
+    """Return the coordinate or `time_s` of each column of a header."""
+    coordinates = experiment.coordinates
+    names = []
+    for column in header:
+        name, bracket, unit = (part.strip(" ]") for part in column.partition("["))
+        wanted = _unit_of(name, experiment)
+        if bracket and name in (TIME, *coordinates) and unit != wanted:
+            raise TrajectoryFileError(
+                f"{file}: header: column {name} is in [{unit}], expected [{wanted}]"
+            )
+        names.append(name)
+    others = {name for name in names if name != TIME}
+    if len(others) == len(coordinates) and not others & set(coordinates):
+        # Names of another simulator: the columns have the order of the coordinates.
+        in_order = iter(coordinates)
+        names = [name if name == TIME else next(in_order, "") for name in names]
+    is_complete = {TIME, *names} == {TIME, *coordinates}
+    if not is_complete or len(names) != len(set(names)):
+        raise TrajectoryFileError(
+            f"{file}: header: the columns are {', '.join(header)}; {_expected(experiment)}, "
+            f"separated by commas, and {TIME} for the times"
+        )
+    return names
+
+
+def _read_npz(file: Path, experiment: Experiment) -> _Samples:
+    try:
+        arrays = npz_arrays(_content(file), ("g", TIME, "markers_m"))
+    except ValueError as error:
+        raise TrajectoryFileError(f"{file}: not an NPZ file: {error}") from error
+    plain = {name: array.tolist() for name, array in arrays.items()}
+    return _of_rows(
+        file,
+        experiment,
+        rows=plain.get("g"),
+        times_s=plain.get(TIME),
+        markers_m=arrays.get("markers_m"),
+    )
+
+
+def _read_json(file: Path, experiment: Experiment) -> _Samples:
+    content = _json_object(file)
+    recorded = content.get("trajectory")
+    if "g" in content or not isinstance(recorded, dict):
+        return _of_rows(
+            file, experiment, rows=content.get("g"), times_s=content.get(TIME)
+        )
+    # A result file: samples after the last frame serve the time alignment.
+    joined = {}
+    for name, later in (("samples", "later_samples"), ("times_s", "later_times_s")):
+        parts = recorded.get(name), recorded.get(later)
+        joined[name] = [one for part in parts if isinstance(part, list) for one in part]
+    markers_m = None
+    if recorded.get("markers_mm"):
+        markers_mm = np.asarray(recorded["markers_mm"], dtype=np.float64)
+        markers_m = 1e-3 * markers_mm.reshape(len(markers_mm), -1, 3)
+    return _of_rows(
+        file,
+        experiment,
+        rows=joined["samples"],
+        times_s=joined["times_s"],
+        markers_m=markers_m,
+    )
+
+
+def _of_rows(
+    file: Path,
+    experiment: Experiment,
+    *,
+    rows: Any,
+    times_s: Any,
+    markers_m: FloatArray | None = None,
+) -> _Samples:
+    """Return the samples of a list of rows, and of a list of times or None."""
+    if not isinstance(rows, list):
+        raise TrajectoryFileError(
+            f"{file}: no list 'g' of rows; {_expected(experiment)}"
+        )
+    places = [f"g, row {number}" for number in range(len(rows))]
+    values = _numbers(file, rows, places, experiment.coordinates, experiment)
+    if times_s is None:
+        return _Samples(values=values, times_s=None, markers_m=markers_m)
+    if not isinstance(times_s, list) or len(times_s) != len(rows):
+        raise TrajectoryFileError(
+            f"{file}: {TIME}: expected a list of {len(rows)} times, as g has {len(rows)} rows"
+        )
+    places = [f"row {number}" for number in range(len(rows))]
+    column = _numbers(file, [[one] for one in times_s], places, [TIME], experiment)
+    return _Samples(values=values, times_s=column[:, 0], markers_m=markers_m)
+
+
+def _numbers(
+    file: Path,
+    rows: Sequence[Any],
+    places: Sequence[str],
+    names: Sequence[str],
+    experiment: Experiment,
+) -> FloatArray:
+    """Return rows of cells as finite numbers, shape [row_count, column_count]."""
+    values = np.empty((len(rows), len(names)))
+    for row, place, found in zip(rows, places, values, strict=True):
+        if not isinstance(row, list) or len(row) != len(names):
+            count = f"{len(row)} columns" if isinstance(row, list) else "no list"
+            raise TrajectoryFileError(
+                f"{file}: {place}: {count}, {_expected(experiment)}; a header names a column of times {TIME}"
+            )
+        for column, cell in enumerate(row):
+            number = _number(cell)
+            if not abs(number) <= LARGEST:
+                name = names[column]
+                unit = _unit_of(name, experiment)
+                raise TrajectoryFileError(
+                    f"{file}: {place}: {name} is {cell!r:.40}, expected a finite number [{unit}] of at most {LARGEST:g}"
+                )
+            found[column] = number
+    return values
+
+
+def _number(cell: Any) -> float:
+    """Return a cell as a number; NaN for anything else."""
+    try:
+        return float(cell)
+    except (TypeError, ValueError, OverflowError):
+        return math.nan
 
 
 def _is_number(text: str) -> bool:
@@ -326,76 +333,24 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def _csv_order(layout: _Layout, header: Sequence[str]) -> tuple[list[int], bool]:
-    """Return the column of the time, if there is one, and of each coordinate; and whether there is a time."""
-    names = []
-    for column in header:
-        name, bracket, rest = (part.strip(" ]") for part in column.partition("["))
-        if TIME_NAME.fullmatch(name) and name != TIME:
-            raise layout.error(
-                "header",
-                f"column {column!r}: a time column is named {TIME}, seconds from the start. Rename it",
-            )
-        wanted = "s" if name == TIME else layout.unit
-        if bracket and name in (*layout.names, TIME) and rest != wanted:
-            raise layout.error(
-                "header", f"column {name} is in [{rest}], expected [{wanted}]"
-            )
-        names.append(name)
-    twice = [name for name in names if names.count(name) > 1]
-    if twice:
-        raise layout.error("header", f"column {twice[0]!r} appears twice")
-    has_times = TIME in names
-    others = [name for name in names if name != TIME]
-    if not set(others) & set(layout.names):
-        if len(others) != len(layout.names):
-            raise layout.error(
-                "header", f"{len(others)} columns beside {TIME}, {layout.expected}"
-            )
-        chosen = others
-    else:
-        missing = [name for name in layout.names if name not in others]
-        unknown = [name for name in others if name not in layout.names]
-        if missing:
-            raise layout.error("header", f"no column {missing[0]!r}, {layout.expected}")
-        if unknown:
-            raise layout.error(
-                "header", f"unknown column {unknown[0]!r}, {layout.expected}"
-            )
-        chosen = list(layout.names)
-    return [names.index(name) for name in [TIME] * has_times + chosen], has_times
+def _unit_of(name: str, experiment: Experiment) -> str:
+    return "s" if name == TIME else experiment.score.observable.unit
 
 
-# --- NPZ and JSON ----------------------------------------------------------------------------------------------------
+def _expected(experiment: Experiment) -> str:
+    names, unit = experiment.coordinates, experiment.score.observable.unit
+    shown = names if len(names) <= 6 else (*names[:3], "...", names[-1])
+    return f"expected {len(names)} columns [{unit}]: {', '.join(shown)}"
 
 
-def _read_npz(layout: _Layout) -> _Table:
-    try:
-        arrays = npz_arrays(_content(layout.file))
-    except ValueError as error:
-        raise layout.error("", f"not an NPZ file: {error}") from error
-    if "g" not in arrays:
-        names = ", ".join([*arrays][:8]) or "none"
-        raise layout.error("", f"no array 'g', it has: {names}; {layout.expected}")
-    g, times = arrays["g"], arrays.get(TIME)
-    if g.ndim != 2 or g.shape[1] != len(layout.names):
-        raise layout.error(
-            "g",
-            f"shape is {list(g.shape)}, expected [T, {len(layout.names)}]; {layout.expected}",
-        )
-    if times is not None and times.shape != g.shape[:1]:
-        raise layout.error(
-            TIME,
-            f"shape is {list(times.shape)}, expected [{len(g)}] as g has {len(g)} rows",
-        )
-    rows = g if times is None else np.column_stack([times, g])
-    markers = arrays.get("markers_m")
-    return _Table(
-        rows=rows.tolist(),
-        places=[f"g, row {index}" for index in range(len(g))],
-        has_times=times is not None,
-        markers_m=None if markers is None else markers.astype(np.float64),
-    )
+def _content(file: Path) -> bytes:
+    with os_errors(
+        lambda cause: TrajectoryFileError(f"{file}: cannot be read: {cause}")
+    ):
+        content = file.read_bytes()
+    if not content.strip():
+        raise TrajectoryFileError(f"{file}: the file is empty")
+    return content
 
 
 def _json_object(file: Path) -> dict[str, Any]:
@@ -410,107 +365,80 @@ def _json_object(file: Path) -> dict[str, Any]:
     return content
 
 
-def _read_json(layout: _Layout) -> _Table:
-    content = _json_object(layout.file)
-    key, times, markers_mm = "g", content.get(TIME), None
-    rows = content.get(key)
-    if "g" not in content and isinstance(content.get("trajectory"), dict):
-        # A result file: samples after the last frame serve the time alignment.
-        recorded = content["trajectory"]
-        key, markers_mm = "samples", recorded.get("markers_mm")
-        rows = _joined(recorded, "samples", "later_samples")
-        times = _joined(recorded, "times_s", "later_times_s")
-    if not isinstance(rows, list):
-        raise layout.error("", f"no list {key!r} of rows; {layout.expected}")
-    places = [f"{key}, row {index}" for index in range(len(rows))]
-    for row, place in zip(rows, places, strict=True):
-        if not isinstance(row, list):
-            raise layout.error(
-                place, f"{_short(row)} is not a list of numbers; {layout.expected}"
-            )
-        if len(row) != len(layout.names):
-            raise layout.error(place, f"{len(row)} columns, {layout.expected}")
-    if times is None:
-        return _Table(rows=rows, places=places, has_times=False)
-    if not isinstance(times, list) or len(times) != len(rows):
-        count = f"{len(times)} entries" if isinstance(times, list) else _short(times)
-        raise layout.error(
-            TIME,
-            f"{count}, expected a list of {len(rows)} times as {key} has {len(rows)} rows",
-        )
-    timed = [[time, *row] for time, row in zip(times, rows, strict=True)]
-    markers_m = _frame_markers(times, markers_mm) if markers_mm else None
-    return _Table(rows=timed, places=places, has_times=True, markers_m=markers_m)
-
-
-def _joined(recorded: Mapping[str, Any], first: str, later: str) -> Any:
-    """Return the list of a result file with that of the samples after the last frame."""
-    values, added = recorded.get(first), recorded.get(later)
-    if isinstance(values, list) and isinstance(added, list):
-        return [*values, *added]
-    return values
-
-
-def _frame_markers(times_s: ArrayLike, markers_mm: ArrayLike) -> FloatArray:
-    """Return the markers of a result file, which has them at the frames alone, at all samples [m]."""
-    rows_mm = np.asarray(markers_mm, dtype=np.float64)
-    frames_s = np.arange(len(rows_mm)) / FRAME_RATE_HZ
-    at_s = np.asarray(times_s, dtype=np.float64)
-    return 1e-3 * interpolated(at_s, frames_s, rows_mm).reshape(len(at_s), -1, 3)
-
-
 # --- times -----------------------------------------------------------------------------------------------------------
 
 
-def _on_frames(
-    file: Path, times_s: FloatArray, values: FloatArray, frame_count: int
-) -> tuple[FloatArray, FloatArray, int]:
-    """Check the times, insert every frame, and cut what is too late for the time alignment.
+def _times_at_frames(file: Path, samples: _Samples, frames_s: FloatArray) -> FloatArray:
+    """Return the times of the samples [s], where each that is near a frame has the time of the frame.
 
-    Returns:
-        Times and values, and the number of frames that were interpolated.
+    Raises:
+        TrajectoryFileError: Times do not increase from 0 to the last frame, or a frame is in a gap.
     """
-    frames = np.arange(frame_count) / FRAME_RATE_HZ
+    row_count, frame_count = len(samples.values), len(frames_s)
     needed = (
-        f"{frame_count} frames are needed, 30 a second from 0 to {frames[-1]:.4f} s"
+        f"{frame_count} frames are needed, 30 a second from 0 to {frames_s[-1]:.4f} s"
     )
-    if len(times_s) < 2:
-        raise TrajectoryFileError(f"{file}: {len(times_s)} rows; {needed}")
-    steps = np.diff(times_s)
-    if (steps <= 0.0).any():
-        row = int(np.argmax(steps <= 0.0)) + 1
+    # Twice as many rows are frames of 60 Hz.
+    largest_count = min(frame_count + LATER_FRAMES, 2 * frame_count - 2)
+    if samples.times_s is None and row_count > largest_count:
         raise TrajectoryFileError(
-            f"{file}: row {row}: time_s is {times_s[row]:g} after {times_s[row - 1]:g}, expected increasing times"
+            f"{file}: {row_count} rows without {TIME} count as frames of 30 Hz; {needed}, and at most {LATER_FRAMES} "
+            f"later ones. Add a column {TIME} [s]"
         )
-    tolerance = min(FRAME_TOLERANCE_S, 0.1 * float(np.median(steps))) + 1e-9
-    if abs(times_s[0]) > tolerance:
+    if row_count < 2:
+        raise TrajectoryFileError(f"{file}: {row_count} rows; {needed}")
+    times_s = np.arange(row_count) / FRAME_RATE_HZ
+    if samples.times_s is not None:
+        times_s = samples.times_s.copy()
+    steps_s = np.diff(times_s)
+    tolerance_s = min(FRAME_TOLERANCE_S, 0.1 * float(np.median(steps_s))) + 1e-9
+    if (steps_s <= 0.0).any():
+        row = int(np.argmax(steps_s <= 0.0)) + 1
         raise TrajectoryFileError(
-            f"{file}: row 0: time_s is {times_s[0]:g}, expected 0: the episode starts there"
+            f"{file}: row {row}: {TIME} is {times_s[row]:g} after {times_s[row - 1]:g}, expected increasing times"
         )
-    if times_s[-1] < frames[-1] - tolerance:
+    if abs(times_s[0]) > tolerance_s:
         raise TrajectoryFileError(
-            f"{file}: {len(times_s)} rows end at {times_s[-1]:.4f} s; {needed}"
+            f"{file}: row 0: {TIME} is {times_s[0]:g}, expected 0: the episode starts there"
         )
-    # A frame takes the nearest sample, if that is near enough. The times stay increasing.
-    right = np.clip(np.searchsorted(times_s, frames), 1, len(times_s) - 1)
-    is_left = frames - times_s[right - 1] <= times_s[right] - frames
-    nearest = np.where(is_left, right - 1, right)
-    hit = np.abs(times_s[nearest] - frames) <= tolerance
-    gap = times_s[right] - times_s[right - 1]
-    wide = ~hit & (gap > 1.0 / FRAME_RATE_HZ + 2.0 * tolerance)
-    if wide.any():
-        frame = int(wide.argmax())
-        before, after = times_s[right[frame] - 1], times_s[right[frame]]
+    if times_s[-1] < frames_s[-1] - tolerance_s:
         raise TrajectoryFileError(
-            f"{file}: no sample at frame {frame} (t = {frames[frame]:.4f} s), the nearest are at {before:.4f} and "
-            f"{after:.4f} s; {needed}"
+            f"{file}: {row_count} rows end at {times_s[-1]:.4f} s; {needed}"
         )
-    times = times_s.copy()
-    times[nearest[hit]] = frames[hit]
-    between = frames[~hit]
-    all_times = np.concatenate([times, between])
-    all_values = np.concatenate([values, interpolated(between, times_s, values)])
-    order = np.argsort(all_times, kind="stable")
-    last_s = frames[-1] + MAX_TIME_OFFSET_S + FRAME_TOLERANCE_S
-    order = order[all_times[order] <= last_s]
-    return all_times[order], all_values[order], len(between)
+    between_s = 0.5 * (times_s[1:] + times_s[:-1])
+    nearest = np.searchsorted(between_s, frames_s)
+    is_near = np.abs(times_s[nearest] - frames_s) <= tolerance_s
+    times_s[nearest[is_near]] = frames_s[is_near]
+    missing_s = frames_s[~is_near]
+    after = np.searchsorted(times_s, missing_s)
+    gaps_s = times_s[after] - times_s[after - 1]
+    is_wide = gaps_s > 1.0 / FRAME_RATE_HZ + 2.0 * tolerance_s
+    if is_wide.any():
+        first = int(is_wide.argmax())
+        before_s, after_s = times_s[after[first] - 1], times_s[after[first]]
+        raise TrajectoryFileError(
+            f"{file}: no sample at frame {np.flatnonzero(~is_near)[first]} (t = {missing_s[first]:.4f} s), the nearest "
+            f"are at {before_s:.4f} and {after_s:.4f} s; {needed}. Are the times in seconds?"
+        )
+    return times_s
+
+
+def _markers_at_frames(
+    file: Path,
+    experiment: Experiment,
+    times_s: FloatArray,
+    markers_m: FloatArray,
+    frames_s: FloatArray,
+) -> FloatArray:
+    """Return the markers of a file at the frames [m], shape [frame_count, marker_count, 3]."""
+    markers = experiment.scene.markers
+    count = 0 if markers is None else len(markers.positions_m)
+    # Result files have the markers at the frames alone.
+    rows_s = times_s if len(markers_m) == len(times_s) else frames_s
+    if markers_m.shape != (len(rows_s), count, 3) or not np.isfinite(markers_m).all():
+        raise TrajectoryFileError(
+            f"{file}: markers_m: shape is {list(markers_m.shape)}; finite numbers [m] of shape "
+            f"{[len(times_s), count, 3]} are expected"
+        )
+    flat = markers_m.reshape(len(rows_s), -1)
+    return interpolated(frames_s, rows_s, flat).reshape(-1, count, 3)

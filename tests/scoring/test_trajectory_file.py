@@ -168,49 +168,39 @@ FLAWED_CSV = {
     "header only": ("cube.x,cube.y,cube.z\n", ["0 rows", "19 frames are needed"]),
     "two columns": (
         "1,2\n3,4\n",
-        ["line 1", "2 columns", "expected 3 columns", "cube.x [mm]", "cube.z [mm]"],
+        ["line 1", "2 columns", "expected 3 columns [mm]: cube.x, cube.y, cube.z"],
     ),
     "time without header": (
         "0,1,2,3\n",
-        ["line 1", "4 columns", "header that names it time_s"],
+        ["line 1", "4 columns", "a header names a column of times time_s"],
     ),
-    "tabs": ("1\t2\t3\n", ["line 1", "separated by commas"]),
+    "tabs": ("1\t2\t3\n", ["header", "separated by commas"]),
     "ragged": ("1,2,3\n1,2\n", ["line 2", "2 columns"]),
     "nan": (broken(4, 1, "nan"), ["line 6", "cube.y", "'nan'", "finite number [mm]"]),
-    "infinite": (broken(4, 2, "-inf"), ["line 6", "cube.z", "finite"]),
-    "text": (
-        broken(7, 0, "abc"),
-        ["line 9", "cube.x", "'abc'", "expected a number [mm]"],
-    ),
-    "blank field": (broken(7, 0, ""), ["line 9", "cube.x", "expected a number"]),
+    "text": (broken(7, 0, "abc"), ["line 9", "cube.x", "'abc'"]),
+    "blank field": (broken(7, 0, ""), ["line 9", "cube.x"]),
     "huge": (broken(7, 0, "1e300"), ["line 9", "cube.x", "at most"]),
     "too short": ("1,2,3\n" * 5, ["5 rows end at 0.1333 s", "19 frames are needed"]),
-    "one row": ("1,2,3\n", ["1 rows", "19 frames are needed"]),
+    "60 Hz": ("1,2,3\n" * 37, ["37 rows without time_s", "Add a column time_s"]),
     "late start": (timed(1.0 + TIMES), ["row 0", "time_s is 1", "expected 0"]),
     "backwards": (
         timed([0.0, 0.2, 0.1, 0.6]),
         ["row 2", "time_s is 0.1 after 0.2", "increasing"],
     ),
-    "standing": (timed([0.0, 0.1, 0.1, 0.6]), ["row 2", "increasing"]),
     "gap": (
         timed([0.0, 1 / 30, 0.5, 0.6]),
         ["no sample at frame 2", "0.0333", "0.5000"],
     ),
-    "bad time": (
-        timed([0.0, "x"]),
-        ["line 3", "time_s is 'x'", "expected a number [s]"],
-    ),
+    "milliseconds": (timed(1e3 * TIMES), ["no sample", "Are the times in seconds?"]),
+    "bad time": (timed([0.0, "x"]), ["line 3", "time_s is 'x'", "number [s]"]),
     "metres": (
         "cube.x [m],cube.y [m],cube.z [m]\n1,2,3\n",
         ["header", "cube.x is in [m]", "expected [mm]"],
     ),
-    "wrong name": ("cube.x,cube.y,cube.w\n1,2,3\n", ["header", "no column 'cube.z'"]),
-    "extra name": (
-        "cube.x,cube.y,cube.z,ball.x\n1,2,3,4\n",
-        ["header", "unknown column 'ball.x'"],
-    ),
-    "twice": ("cube.x,cube.x,cube.z\n1,2,3\n", ["header", "'cube.x' appears twice"]),
-    "header width": ("time_s,a,b\n0,1,2\n", ["header", "2 columns beside time_s"]),
+    "wrong name": ("cube.x,cube.y,cube.w\n1,2,3\n", ["header", "cube.w", "cube.z"]),
+    "time name": ("t,x,y,z\n0,1,2,3\n", ["header", "time_s for the times"]),
+    "twice": ("cube.x,cube.x,cube.z\n1,2,3\n", ["header", "cube.x, cube.x"]),
+    "header width": ("time_s,a,b\n0,1,2\n", ["header", "expected 3 columns"]),
 }
 
 
@@ -218,17 +208,14 @@ NAN_ROW = SLIDE.copy()
 NAN_ROW[3, 1] = np.nan
 
 FLAWED_NPZ = {
-    "no g": ({"x": SLIDE}, ["no array 'g'", "it has: x"]),
-    "shape": ({"g": SLIDE[:, :2]}, ["[19, 2]", "expected [T, 3]"]),
-    "flat": ({"g": SLIDE[:, 0]}, ["[19]", "expected [T, 3]"]),
+    "no g": ({"x": SLIDE}, ["no list 'g'"]),
+    "shape": ({"g": SLIDE[:, :2]}, ["g, row 0", "2 columns", "expected 3"]),
+    "flat": ({"g": SLIDE[:, 0]}, ["g, row 0", "no list", "expected 3"]),
     "nan": ({"g": NAN_ROW}, ["g, row 3", "cube.y", "nan", "finite"]),
     "text": ({"g": SLIDE.astype(str)}, ["g: holds", "expected numbers"]),
     "objects": ({"g": SLIDE.astype(object)}, ["not an NPZ file"]),
-    "time length": ({"g": SLIDE, "time_s": TIMES[:5]}, ["time_s", "[5]", "[19]"]),
-    "time nan": (
-        {"g": SLIDE, "time_s": np.where(TIMES > 0.5, np.nan, TIMES)},
-        ["row 16", "time_s is nan"],
-    ),
+    "time length": ({"g": SLIDE, "time_s": TIMES[:5]}, ["time_s", "list of 19 times"]),
+    "markers": ({"g": SLIDE, "markers_m": SLIDE}, ["markers_m: shape is [19, 3]"]),
 }
 
 
@@ -236,19 +223,10 @@ FLAWED_JSON = {
     "not json": ("{", ["not a JSON file"]),
     "a list": ("[1]", ["expected a JSON object", "list"]),
     "no g": ('{"x": 1}', ["no list 'g'", "expected 3 columns"]),
-    "nan": ('{"g": [[1, 2, 3], [1, NaN, 3]]}', ["g, row 1", "cube.y", "finite"]),
-    "null": (
-        '{"g": [[1, 2, null]]}',
-        ["g, row 0", "cube.z is None", "expected a number"],
-    ),
-    "true": ('{"g": [[1, 2, true]]}', ["cube.z is True", "expected a number"]),
-    "huge": ('{"g": [[1, 2, 1' + "0" * 400 + "]]}", ["cube.z is a huge integer"]),
-    "nested": ('{"g": [[1, 2, [3]]]}', ["cube.z is a list of 1"]),
-    "row": ('{"g": [1, 2]}', ["g, row 0", "not a list of numbers"]),
-    "times": (
-        '{"g": [[1, 2, 3]], "time_s": [0, 1]}',
-        ["time_s", "2 entries", "list of 1 times"],
-    ),
+    "null": ('{"g": [[1, 2, null]]}', ["g, row 0", "cube.z is None"]),
+    "nested": ('{"g": [[1, 2, [3]]]}', ["g, row 0", "cube.z is [3]"]),
+    "huge": ('{"g": [[1, 2, 1' + "0" * 400 + "]]}", ["cube.z is 10000"]),
+    "times": ('{"g": [[1, 2, 3]], "time_s": [0, 1]}', ["time_s", "list of 1 times"]),
     "id": ('{"id": 7, "g": []}', ["id is 7", "expected text"]),
 }
 
