@@ -56,7 +56,7 @@ LONG = (
 def test_what_moves_is_in_the_picture_and_fills_half_of_it(name):
     env = GaugeEnv(name)
     env.reset(seed=0)
-    experiment = env.episode.experiment
+    experiment = env.rollout.experiment
     scene = experiment.scene
     path = reference_path(experiment, env.band)
     places_m = None if path is None else path.places_m
@@ -66,8 +66,8 @@ def test_what_moves_is_in_the_picture_and_fills_half_of_it(name):
     seen = []
     for frame in range(last + 1):
         if frame in (0, last // 2, last):
-            points = list(env.episode.nodes_m().values())
-            for body, pose in env.episode.poses().items():
+            points = list(env.rollout.nodes_m().values())
+            for body, pose in env.rollout.poses().items():
                 rotation = Rotation.from_quat(pose[3:], scalar_first=True)
                 corners_m = scene.body(body).shape.corners_m
                 points.append(pose[:3] + rotation.apply(corners_m))

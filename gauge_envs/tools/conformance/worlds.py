@@ -102,7 +102,7 @@ def _built(lab: Lab, scene: Scene, world_count: int = WORLDS) -> Simulation:
     return in_intervals(built, started)
 
 
-def _course(simulation: Simulation, starts: FloatArray, targets: object) -> FloatArray:
+def _course(simulation: Simulation, starts: FloatArray, targets: slice) -> FloatArray:
     """Return states after each interval, shape [INTERVALS, N, body_count, 13].
 
     Args:
@@ -184,7 +184,7 @@ def _worlds_wrench(lab: Lab) -> Measurement:
         duration_s=PUSHED * SAMPLE_INTERVAL_S,
         gravity_m_per_s2=0.0,
     )
-    forces_n = PUSH_N * (1.0 + np.arange(WORLDS) % 5)
+    forces_n = PUSH_N * (1.0 + np.arange(WORLDS, dtype=np.float64) % 5)
     wrenches = np.zeros((WORLDS, 6))
     wrenches[:, 1] = forces_n
     speeds = []
