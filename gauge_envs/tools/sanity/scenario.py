@@ -117,7 +117,7 @@ def run_scenario(backend: Backend, scenario: Scenario, settings: Settings) -> Re
             )
         simulation.reset(None, 0)
         for name, wrench in scenario.wrenches.items():
-            simulation.apply_wrench(name, wrench)
+            simulation.apply_wrench(name, wrench[None])
         return record(
             simulation,
             scenario.scene_with(settings),

@@ -515,11 +515,11 @@ def test_a_cube_moves_as_in_the_model_that_the_settings_are_from(name):
     step = settings["timestep_s"]
     simulation = backend("mujoco").build(scene, settings | {"drive_interval_s": step})
     address = int(model.jnt_qposadr[model.body("cube").jntadr[0]])
-    start = simulation.body_states(["cube"])[0, :3]
+    start = simulation.body_states(["cube"])[0, 0, :3]
     for _ in range(100):
         mujoco.mj_step(model, data)
         simulation.advance(step)
-    place = simulation.body_states(["cube"])[0, :3]
+    place = simulation.body_states(["cube"])[0, 0, :3]
     # PGS, Humanoid's solver, stops at a residual that scales with the inertia of the whole model.
     tolerance = 5e-6 if settings["solver"] == "PGS" else 1e-7
     np.testing.assert_allclose(

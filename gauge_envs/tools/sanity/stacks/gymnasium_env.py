@@ -44,7 +44,8 @@ def _read_env(
     env: gymnasium.Env, name: str, pair: GeomPair | None
 ) -> TrainingConfiguration:
     inner: Any = env.unwrapped
-    simulation = getattr(inner, "simulation", None)
+    # A control task has a simulation of its own, any other environment of this suite that of its rollout.
+    simulation = getattr(getattr(inner, "rollout", inner), "simulation", None)
     if isinstance(simulation, Simulation):
         if pair is not None:
             raise TargetError(
@@ -58,7 +59,7 @@ def _read_env(
         return TrainingConfiguration(
             name=name,
             source="environment of this suite",
-            backend=inner.backend_name,
+            backend=inner.arguments.backend,
             settings=settings,
             origins=dict.fromkeys(settings, f"settings of {name}"),
         )
