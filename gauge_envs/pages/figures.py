@@ -1,14 +1,20 @@
-"""Colours, markers and helpers that the figures share."""
+"""Figures by matplotlib: shared colours, axes, and how a figure becomes a file or a part of a page."""
 
 from __future__ import annotations
 
+from base64 import b64encode
 from io import BytesIO
 from pathlib import Path
 from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from gauge_envs.errors import needs_extra
+from gauge_envs.files import printable
 from gauge_envs.pages.document import save_file
+from gauge_envs.pages.html import Html, element
+from gauge_envs.scene.geometry import BoolArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -17,6 +23,12 @@ if TYPE_CHECKING:
 
 OURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 """Colours of results: Okabe and Ito's, which colour-blind readers distinguish."""
+
+
+def color_of(index: int) -> tuple[str, bool]:
+    """Return the colour of a configuration, and whether its lines are dashed: those after the sixth are."""
+    return OURS[index % len(OURS)], index % (2 * len(OURS)) >= len(OURS)
+
 
 ENGINES = ("#8c8c8c", "#b0b0b0", "#d0d0d0")
 
@@ -38,6 +50,20 @@ def new_figure(width: float, height: float) -> Figure:
 
 def save_png(figure: Figure, path: Path) -> Path:
     """Write a figure as PNG and return its path."""
+    return save_file(path, _drawn(figure, "png"))
+
+
+def embedded(figure: Figure, description: str) -> Html:
+    """Return a figure as an SVG picture inside the page."""
+    data = b64encode(_drawn(figure, "svg")).decode("ascii")
+    source = f"data:image/svg+xml;base64,{data}"
+    image = element("img", src=source, alt=description)
+    return element("figure", image)
+
+
+def _drawn(figure: Figure, form: str) -> bytes:
+    """Return the content of a picture file, `png` or `svg`."""
+    from matplotlib import rc_context
     from matplotlib.text import Text
 
     for text in figure.findobj(Text):
@@ -46,9 +72,21 @@ def save_png(figure: Figure, path: Path) -> Path:
         # A dollar sign in the name or title of an experiment starts no formula; ticks get their formulas later.
         if "$" in text.get_text():
             text.set_parse_math(False)
+        lines = text.get_text().split("\n")
+        text.set_text("\n".join(map(printable, lines)))
     stream = BytesIO()
-    figure.savefig(stream, format="png", dpi=120)
-    return save_file(path, stream.getvalue())
+    # The same results give the same file: no date, and no random names of parts.
+    metadata = {"Date": None} if form == "svg" else {}
+    with rc_context({"svg.hashsalt": "gauge-envs"}):
+        figure.savefig(stream, format=form, dpi=120, metadata=metadata)
+    return stream.getvalue()
+
+
+def runs(flags: BoolArray) -> list[tuple[int, int]]:
+    """Return half-open ranges of true flags."""
+    edges = np.diff(np.concatenate([[False], flags, [False]]).astype(int))
+    starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
+    return list(zip(starts.tolist(), ends.tolist(), strict=True))
 
 
 def tidy_axis(axis: Axes) -> None:

@@ -6,14 +6,12 @@ import json
 from dataclasses import dataclass, replace
 from io import StringIO
 
-import numpy as np
 import pytest
 from hypothesis import example, given, settings, strategies as st
 from rich.console import Console
 
 from gauge_envs.pages.document import Terminal, as_markdown, as_rows
 from gauge_envs.pages.results import convergence_text, percent_text, score_text_of
-from gauge_envs.pages.svg import CurvePanel, ForestRow, curve_panel, forest
 from gauge_envs.pages.table import Column, Facts, Place, Table
 from gauge_envs.pages.text import (
     counted,
@@ -225,57 +223,6 @@ def test_facts_have_their_texts_beside_the_names_and_long_names_above():
         "and 5 more",
         "         0.02 1",
     ]
-
-
-PANELS = {
-    # A gap in the mean, frames that were not measured, a curve that is lost, and one that leaves the frame by far.
-    "reality": CurvePanel(
-        title="x [mm]",
-        curves=[
-            (("red", False), "sound", np.arange(6) / 10.0, 3.0 * np.arange(6.0)),
-            (
-                ("blue", True),
-                "lost",
-                np.arange(8) / 10.0,
-                np.array([0.0, 2.0, np.nan, 8.0, 1e4, 0.0, 0.0, 99.0]),
-            ),
-        ],
-        end_s=0.6,
-        times_s=np.arange(8) / 10.0,
-        mean=np.array([0.0, 3.0, np.nan, 9.0, 12.0, 15.0, 19.0, 50.0]),
-        sigma=np.array([0.1, 0.2, 0.2, 0.4, 0.5, 0.6, 0.7, 0.8]),
-        measured=np.array([1, 1, 0, 1, 1, 0, 0, 0], dtype=bool),
-    ),
-    "curve alone": CurvePanel(
-        title="angle [deg]",
-        curves=[(("red", False), "one", np.linspace(0.0, 2.0, 9), np.full(9, -40.0))],
-        end_s=2.0,
-    ),
-    "nothing": CurvePanel(title="z [m]", curves=[], end_s=0.0),
-}
-FORESTS = {
-    "within": [
-        ForestRow(label="engine", color="red", value=0.42, interval=(0.05, 1.3)),
-        ForestRow(
-            label="a label of 21 letters", color="blue", value=7.9, interval=None
-        ),
-    ],
-    "below": [
-        ForestRow(label="twenty letters it is", color="red", value=0.03, interval=None),
-        ForestRow(label="far", color="blue", value=340.0, interval=(90.0, 900.0)),
-    ],
-}
-
-
-def test_figures_are_the_approved_ones(approved):
-    figures = {name: curve_panel(panel) for name, panel in PANELS.items()}
-    figures |= {
-        name: forest(name, rows, unity="real trials") for name, rows in FORESTS.items()
-    }
-    lines = [
-        f"{name}\n{figure}".replace("><", ">\n<") for name, figure in figures.items()
-    ]
-    approved("pages/figures", "\n\n".join(lines))
 
 
 def test_results_are_told_in_the_approved_words(approved):

@@ -11,6 +11,9 @@ if TYPE_CHECKING:
         ExperimentComparison as ExperimentComparison,
         compare as compare,
     )
+    from gauge_envs.tools.compare.experiment_figure import (
+        draw_experiment as draw_experiment,
+    )
     from gauge_envs.tools.compare.ranks import (
         PUBLISHED as PUBLISHED,
         KindComparison as KindComparison,
@@ -21,9 +24,7 @@ if TYPE_CHECKING:
     )
     from gauge_envs.tools.compare.words import short_tables as short_tables
     from gauge_envs.tools.compare.yardstick import (
-        choose_yardstick as choose_yardstick,
         coordinate_words as coordinate_words,
-        is_aligned as is_aligned,
         judging_band as judging_band,
     )
 else:
@@ -31,13 +32,12 @@ else:
         __name__,
         {
             ".comparison": ["Cell", "Comparison", "ExperimentComparison", "compare"],
+            ".experiment_figure": ["draw_experiment"],
             ".ranks": ["PUBLISHED", "KindComparison", "KindScore"],
             ".tables": ["mean_rank_text"],
             ".words": ["short_tables"],
             ".yardstick": [
-                "choose_yardstick",
                 "coordinate_words",
-                "is_aligned",
                 "judging_band",
             ],
         },

@@ -14,7 +14,7 @@ import numpy as np
 
 from gauge_envs.errors import ShapeError
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.pages.figures import OURS, new_figure, save_png
+from gauge_envs.pages.figures import color_of, new_figure, save_png
 from gauge_envs.pages.results import configuration_labels
 from gauge_envs.pages.text import KIND_NOTES, QUESTIONS, quantity_text, short_id
 from gauge_envs.references.band import Band
@@ -212,5 +212,5 @@ def _series(results: Iterable[Result], among: Sequence[Result]) -> list[Series]:
             if len(drawn) == 1
             else 0.8
         )
-        series.append(Series(labels[index], OURS[index % len(OURS)], width, drawn))
+        series.append(Series(labels[index], *color_of(index), width, drawn))
     return series

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gauge_envs.pages.figures import REAL, legend_above, tidy_axis
-from gauge_envs.pages.svg import runs
+from gauge_envs.pages.figures import REAL, legend_above, runs, tidy_axis
 from gauge_envs.pages.text import short_id
 from gauge_envs.references.published import published_baselines
 from gauge_envs.runs.result import Result
@@ -47,6 +46,7 @@ class Series:
 
     label: str
     color: str
+    is_dashed: bool
     width: float
     results: tuple[Result, ...]
 
@@ -66,7 +66,8 @@ class Series:
     def line(self) -> dict[str, Any]:
         """How its curves look."""
         alpha = 1.0 if len(self.results) == 1 else 0.7
-        return {"color": self.color, "lw": self.width, "alpha": alpha}
+        style = "--" if self.is_dashed else "-"
+        return {"color": self.color, "lw": self.width, "ls": style, "alpha": alpha}
 
 
 # --- distance over time ----------------------------------------------------------------------------------------------

@@ -14,6 +14,7 @@ from typing import Any
 from gauge_envs.errors import GaugeError, ResultFileError
 from gauge_envs.files import os_errors
 from gauge_envs.pages.document import Heading, Part, save_file
+from gauge_envs.pages.figures import color_of
 from gauge_envs.pages.html import (
     Html,
     element,
@@ -216,7 +217,7 @@ def _replays(
                 "key": key,
                 "file": path.as_posix(),
                 "label": label,
-                "color": site.line(index)[0],
+                "color": color_of(index)[0],
             }
         )
     return (_replay_element(entries, ghost_text(ghosts)) if entries else None), notes
@@ -229,7 +230,7 @@ def _replay(site: Site, index: int, result: Result) -> dict[str, Any]:
         experiment = replace(experiment, trial=int(result.jitter["trial"]))
     band = judging_band(experiment, [result])
     return replay_data(
-        experiment, made, band, label=site.labels[index], color=site.line(index)[0]
+        experiment, made, band, label=site.labels[index], color=color_of(index)[0]
     )
 
 

@@ -1,16 +1,16 @@
-"""The page of one experiment: curves over reality, scores, replay, convergence, origin."""
+"""The page of one experiment: picture, scores, replay, convergence, origin."""
 
 from collections.abc import Iterator, Sequence
 
 from gauge_envs.errors import GaugeError
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.pages.document import Heading, Paragraph, Part, Tone
+from gauge_envs.pages.figures import embedded
 from gauge_envs.pages.html import Html, element, join, listed
 from gauge_envs.pages.results import (
     SCORE_METRICS,
     discretization_text,
 )
-from gauge_envs.pages.svg import ForestRow, forest
 from gauge_envs.pages.table import Table, grid
 from gauge_envs.pages.text import (
     KIND_NOTES,
@@ -26,8 +26,7 @@ from gauge_envs.references.published import PUBLISHED_ENGINES
 from gauge_envs.runs.result_file import recorded_experiment
 from gauge_envs.scoring.estimates import Measured
 from gauge_envs.scoring.score import OVER_U
-from gauge_envs.tools.compare import ExperimentComparison, judging_band
-from gauge_envs.tools.site.curves import curves
+from gauge_envs.tools.compare import ExperimentComparison, draw_experiment, judging_band
 from gauge_envs.tools.site.model import (
     Parts,
     Results,
@@ -70,10 +69,10 @@ def experiment_page(
     ]
     parts = [
         *_head(one, experiment, band),
-        *_forest(site, one),
+        *(_picture(site, one) if experiment is not None else []),
+        *_ranks(site, one),
         *_scores(site, one),
         *([Heading("3D replay"), *replays] if replays else []),
-        *curves(site, one.unit, results, band),
         *_words(site, results),
         *_distances(site, one),
         *section("Convergence", _convergence(site, results), CONVERGENCE_NOTE),
@@ -116,52 +115,33 @@ def _head(
     yield element("p", element("b", f"Reference, {one.kind}: "), text, source)
 
 
-def _forest(site: Site, one: ExperimentComparison) -> Parts:
-    """Return the primary score of each configuration with its interval and rank, and those of the published engines."""
-    found = [
-        (index, cell, cell.spread(one.primary, normalized=True))
-        for index, cell in enumerate(one.cells)
-        if cell
+def _picture(site: Site, one: ExperimentComparison) -> Parts:
+    """Return the picture of an experiment: distance over time, scores, and the coordinates that decide them."""
+    among = [
+        result
+        for other in site.comparison.experiments
+        for cell in other.cells
+        for result in (cell.results if cell else ())
     ]
-    rows = [
-        ForestRow(
-            label=site.labels[index],
-            color=site.line(index)[0],
-            value=spread.mean,
-            interval=cell.interval_95(one.primary),
-        )
-        for index, cell, spread in found
-        if spread is not None
+    shown = [
+        result
+        for result in among
+        if result.id == one.id and result.trajectory is not None
     ]
-    if not rows:
+    if not shown:
         return []
-    rows.sort(key=lambda row: row.value)
-    rows += [
-        ForestRow(
-            label=f"{PUBLISHED_ENGINES.get(name, name)}, paper",
-            color="var(--quiet)",
-            value=value,
-            interval=None,
-        )
-        for name, value in (one.published(one.primary) or {}).items()
-        if value is not None
-    ]
-    title = SCORE_METRICS[one.primary].title
-    unity, over = (
-        ("u", "u") if one.is_solution else ("real trials", "that of real trials")
-    )
-    figure = forest(f"{title} over {over}", rows, unity=unity)
-    ranks = [
-        join([site.links[two.configuration], f": {place_text(kind, two)}"])
+    figure = draw_experiment(shown, among=among)
+    return [embedded(figure, f"{one.name}: distance over time, scores, coordinates")]
+
+
+def _ranks(site: Site, one: ExperimentComparison) -> Parts:
+    lines = [
+        join([site.links[score.configuration], f": {place_text(kind, score)}"])
         for kind in site.comparison.compare_within([one])
-        for two in kind.ranked
+        for score in kind.ranked
         if len(kind.scores) > 1
     ]
-    return [
-        element(
-            "div", figure, listed(ranks) if len(ranks) > 1 else None, class_="forest"
-        )
-    ]
+    return [listed(lines)] if len(lines) > 1 else []
 
 
 def _scores(site: Site, one: ExperimentComparison) -> Parts:

@@ -11,15 +11,13 @@ from pathlib import Path
 from gauge_envs.errors import GaugeError
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.pages.document import Heading, Paragraph, Part, Tone, page
+from gauge_envs.pages.figures import color_of
 from gauge_envs.pages.html import Html, below, element, join, slug
 from gauge_envs.pages.table import Table
 from gauge_envs.pages.text import score_text, with_unit
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.scoring.score import OVER_U
 from gauge_envs.tools.compare import Cell, Comparison, ExperimentComparison
-
-COLOR_COUNT = 7
-"""Colours in the style of the pages: of configurations, or of engines with at most two each where these are more."""
 
 Results = Mapping[int, Result]
 """First result of each configuration that ran, by its index."""
@@ -162,21 +160,9 @@ class Site:
             for link, text in zip(self.links, physics, strict=True)
         )
 
-    def line(self, index: int) -> tuple[str, bool]:
-        """Return the colour of a configuration in CSS, and whether its lines are dashed."""
-        number, is_second = index, False
-        if len(self.labels) > COLOR_COUNT and max(map(len, self.engines.values())) <= 2:
-            number, same = next(
-                (n, same)
-                for n, same in enumerate(self.engines.values())
-                if index in same
-            )
-            is_second = index != same[0]
-        return f"var(--c{number % COLOR_COUNT})", is_second
-
     def swatch(self, index: int) -> Html:
         """Return a piece of the line of a configuration."""
-        color, is_dashed = self.line(index)
+        color, is_dashed = color_of(index)
         dashes = f"repeating-linear-gradient(90deg,{color} 0 .35rem,transparent .35rem .525rem)"
         return element(
             "span",

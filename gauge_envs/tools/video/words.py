@@ -14,8 +14,8 @@ from scipy.special import stdtrit
 
 from gauge_envs.errors import VideoError
 from gauge_envs.pages.document import Document, Heading, Paragraph, Part, page
+from gauge_envs.pages.figures import OURS, embedded, legend_above, new_figure, tidy_axis
 from gauge_envs.pages.html import Html, element, join, listed
-from gauge_envs.pages.svg import CurvePanel, curve_panel
 from gauge_envs.pages.table import Column, Place, Table
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.video import (
@@ -158,9 +158,6 @@ PICTURES = 6
 """Frames of a video that the page shows."""
 
 PICTURE_WIDTH_PX = 416
-
-TRACK_COLOR, LAW_COLOR = "#c46a1b", "#2f7d4f"
-"""Colours of the curves."""
 
 VALUES_NOTE = (
     f"{VERDICT_NOTE} "
@@ -337,7 +334,7 @@ def _clip(model: str, result: VideoScore, file: Path) -> Html:
             element("p", element("b", name), f": {verdict(result)}"),
             listed((*result.reasons, *result.findings)),
             pictures,
-            element("figure", _curve(result)),
+            _curve(result),
         ]
     )
 
@@ -345,23 +342,23 @@ def _clip(model: str, result: VideoScore, file: Path) -> Html:
 def _curve(result: VideoScore) -> Html:
     """Return the way of an object over time, and that of the law where it is released from rest."""
     track, law = result.track, video_task(result.task).law
+    figure = new_figure(5.0, 2.8)
+    axis = figure.subplots()
     places_mm = 1e3 * result.scale_m_per_px * track.points_px
     first_mm = places_mm[track.is_found][:1]
-    way_mm = np.linalg.norm(places_mm - first_mm, axis=1) if len(first_mm) else None
-    curves = []
-    if way_mm is not None:
-        curves.append(((TRACK_COLOR, False), "track", track.times_s, way_mm))
+    if len(first_mm):
+        way_mm = np.linalg.norm(places_mm - first_mm, axis=1)
+        axis.plot(track.times_s, way_mm, color=OURS[1], label="track")
         release_s = result.details.get("release_s", math.inf)
         since_s = np.maximum(track.times_s - release_s, 0.0)
         lawful_mm = 500.0 * law.get("a", math.nan) * since_s**2
         lawful_mm[lawful_mm > np.nanmax(way_mm)] = np.nan
-        curves.append(((LAW_COLOR, True), "law", track.times_s, lawful_mm))
-    panel = CurvePanel(
-        title="way from the first place [mm], dashed: law",
-        curves=curves,
-        end_s=float(track.times_s[-1]),
-    )
-    return curve_panel(panel)
+        axis.plot(track.times_s, lawful_mm, color=OURS[2], ls="--", label="law")
+        legend_above(axis)
+    axis.set_xlabel("time [s]")
+    axis.set_ylabel("way from the first place [mm]")
+    tidy_axis(axis)
+    return embedded(figure, "way of the object over time")
 
 
 def _pictures(result: VideoScore, file: Path) -> Iterator[Html]:
