@@ -202,7 +202,7 @@ def _worlds_wrench(lab: Lab) -> Measurement:
         measured=float(ratios[world]),
         expected=1.0,
         hint=f"in world {world}",
-        cause=cause_of_told({"force": forces_n}, shares),
+        cause=cause_of_told({"force": np.asarray(forces_n, dtype=np.float64)}, shares),
     )
 
 

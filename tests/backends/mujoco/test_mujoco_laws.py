@@ -53,4 +53,4 @@ def test_wall_stands_until_it_is_hit(rollout):
     # The ball falls freely on its string for at least 0.2 s.
     assert moved[:7].max() < 1.0
     assert moved[-1].max() > 50.0
-    assert env.simulation.settings["preset"] == "stack"
+    assert env.rollout.simulation.settings["preset"] == "stack"

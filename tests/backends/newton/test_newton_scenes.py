@@ -173,8 +173,8 @@ def test_a_beam_of_foam_and_rubber_swings_at_mujocos_rate(run):
     ours, theirs = (
         run("CantileverBeam-soft", 89, engine=one) for one in ("newton", "mujoco")
     )
-    assert ours.simulation.settings["preset"] == "soft_row"
-    assert ours.simulation.settings["soft_rigid_ratio"] == 50.0
+    assert ours.rollout.simulation.settings["preset"] == "soft_row"
+    assert ours.rollout.simulation.settings["soft_rigid_ratio"] == 50.0
     rates_hz = []
     for env in (ours, theirs):
         height = markers_mm(env)[:, 15, 2]
@@ -194,7 +194,7 @@ def test_a_beam_of_foam_and_rubber_swings_at_mujocos_rate(run):
 def test_material_points_stretch_as_tetrahedra_do(run):
     points = run("FoamStretching-soft", 2, settings={"preset": "mpm"})
     tetrahedra = run("FoamStretching-soft", 2)
-    assert points.simulation.settings["solver"] == "SolverImplicitMPM"
+    assert points.rollout.simulation.settings["solver"] == "SolverImplicitMPM"
     paths = markers_mm(points)
     assert distance_mm(paths, paths[:1])[-1] > 0.3
     assert distance_mm(paths, markers_mm(tetrahedra)).max() < 0.05
