@@ -49,6 +49,17 @@ ARRAYS = (
 )
 """Arrays of a band; `projection`, `uncertainty`, `measured` and those of trials may be absent."""
 
+STATED = (
+    "unit",
+    "coordinates",
+    "source",
+    "licence",
+    "trial_count",
+    "normalized",
+    "exact",
+)
+"""Fields of a band that its TOML file states under the same name."""
+
 MARKER_ARRAYS = ("markers_mm", "markers_uncertainty_mm")
 """Arrays of a numerical solution of cloth or foam: positions of its markers, shape [T, 3 M]."""
 
@@ -134,7 +145,7 @@ class Band:
         stated_uncertainty: `standard_uncertainty` as a file states it; None computes it from the arrays.
 
     Raises:
-        ShapeError: Arrays do not fit each other, or sigma is negative.
+        ShapeError: Arrays do not fit each other.
     """
 
     kind: Kind
@@ -163,26 +174,14 @@ class Band:
                 values = np.array(given, dtype=bool if name == "measured" else float)
                 values.setflags(write=False)
                 object.__setattr__(self, name, values)
-        width = len(self.coordinates)
-        frame_count = len(self.mean)
-        shape = (frame_count, width)
-        trial_count = 0 if self.trials is None else len(self.trials)
-        expected = {
-            "projection": (width, self.projection.shape[-1]),
-            "mean": shape,
-            "sigma": shape,
-            "uncertainty": shape,
-            "measured": (frame_count,),
-            "trials": (trial_count, *shape),
-        }
-        for name in ARRAYS:
+        shape = (len(self.mean), len(self.coordinates))
+        for name in ("mean", "sigma", "uncertainty", "trials"):
             values = getattr(self, name)
-            if values is not None and values.shape != expected.get(name, values.shape):
+            # Trials have an axis before those of frames and coordinates.
+            if values is not None and values.shape[-2:] != shape:
                 raise ShapeError(
-                    f"{name} has shape {values.shape}, expected {expected[name]}"
+                    f"{name} has shape {values.shape}, expected {shape} for frames and coordinates"
                 )
-        if (self.sigma < 0).any():
-            raise ShapeError("sigma: a standard deviation is never negative")
 
     @cached_property
     def known(self) -> BoolArray:
@@ -322,24 +321,14 @@ def _read_band(file: Path, modified_ns: int) -> Band | None:
     arrays_file = file.with_suffix(".npz")
     with faults_of(arrays_file):
         arrays = npz_arrays(read_content(arrays_file), (*ARRAYS, *MARKER_ARRAYS))
+        arrays.setdefault("projection", np.eye(len(stated.coordinates)))
+        arrays.setdefault("measured", np.isfinite(arrays["mean"]).all(axis=1))
+        facts: dict[str, Any] = {name: getattr(stated, name) for name in STATED}
+        facts |= {name: arrays[name] for name in ARRAYS if name in arrays}
         band = Band(
             kind=Kind(stated.kind),
-            unit=stated.unit,
-            coordinates=stated.coordinates,
-            projection=arrays.get("projection", np.eye(len(stated.coordinates))),
-            mean=arrays["mean"],
-            sigma=arrays["sigma"],
-            measured=arrays.get("measured", np.isfinite(arrays["mean"]).all(axis=1)),
-            source=stated.source,
-            licence=stated.licence,
-            trial_count=stated.trial_count,
-            uncertainty=arrays.get("uncertainty"),
-            trials=arrays.get("trials"),
-            trial_rmse=arrays.get("trial_rmse"),
-            trial_rmse_aligned=arrays.get("trial_rmse_aligned"),
-            normalized=stated.normalized,
-            exact=stated.exact,
             stated_uncertainty=stated.standard_uncertainty,
+            **facts,
         )
         if "markers_mm" not in arrays:
             return band

@@ -18,7 +18,7 @@ from gauge_envs.errors import ParameterError
 from gauge_envs.files import npz_arrays, toml_document
 from gauge_envs.references.band import Band
 from gauge_envs.references.kind import Kind
-from gauge_envs.references.tables import faults_of, read_content, scoring_folder
+from gauge_envs.references.tables import scoring_folder
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
@@ -188,6 +188,5 @@ def single_shots(variant: str) -> SingleShots | None:
     file = scoring_folder("single_shot") / f"{variant}.npz"
     if not file.is_file():
         return None
-    stated = toml_document(read_content(file.with_suffix(".toml")))
-    with faults_of(file):
-        return SingleShots(variant, stated, npz_arrays(read_content(file)))
+    stated = toml_document(file.with_suffix(".toml").read_bytes())
+    return SingleShots(variant, stated, npz_arrays(file.read_bytes()))

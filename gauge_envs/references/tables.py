@@ -62,18 +62,17 @@ def read_content(file: Path) -> bytes:
 
 
 @contextmanager
-def faults_of(file: Path, line: int | None = None) -> Iterator[None]:
+def faults_of(file: Path) -> Iterator[None]:
     """Raise an error with the place of what pydantic refuses, or with the reason of another ValueError."""
     try:
         yield
     except ValidationError as error:
-        raise ReferenceFileError(
-            file, line, ": ".join(filter(None, first_fault(error)))
-        ) from None
+        reason = ": ".join(filter(None, first_fault(error)))
+        raise ReferenceFileError(file, None, reason) from None
     except ReferenceFileError:
         raise
     except ValueError as error:
-        raise ReferenceFileError(file, line, str(error)) from None
+        raise ReferenceFileError(file, None, str(error)) from None
 
 
 @cache
@@ -84,21 +83,10 @@ def read_toml(file: Path, model: type[Model]) -> Model:
 
 
 def read_rows(file: Path, model: type[Model]) -> list[Model]:
-    """Return the rows of a CSV file whose columns are the fields of a model; an empty cell is None.
-
-    Raises:
-        ReferenceFileError: A row is wrong; the message names its line.
-    """
-    with faults_of(file):
-        content = csv_text(read_content(file)).read().splitlines()
-    lines = [(number, one) for number, one in enumerate(content, 1) if one[:1] != "#"]
-    cells = list(csv.reader(one for _, one in lines))
-    columns = list(model.model_fields)
-    if cells[:1] != [columns]:
-        raise ReferenceFileError(file, 1, f"expected columns {','.join(columns)}")
-    rows = []
-    for (line, _), fields in zip(lines[1:], cells[1:], strict=True):
-        with faults_of(file, line):
-            values = [field or None for field in fields]
-            rows.append(model.model_validate(dict(zip(columns, values, strict=True))))
-    return rows
+    """Return the rows of a CSV file of the package whose columns are the fields of a model; an empty cell is None."""
+    lines = csv_text(read_content(file))
+    rows = csv.DictReader(line for line in lines if not line.startswith("#"))
+    return [
+        model.model_validate({name: cell or None for name, cell in row.items()})
+        for row in rows
+    ]

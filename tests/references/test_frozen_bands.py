@@ -158,3 +158,12 @@ def test_an_import_is_the_same_pair_of_files_and_is_read_where_it_is_asked_for(
     )
     with pytest.raises(ReferenceFileError, match=rf"{name}\.npz"):
         load_band(name, DataSource.IMPORTED)
+
+
+@pytest.mark.parametrize("name", SCORED)
+def test_arrays_of_a_band_fit_each_other(name):
+    band = load_band(name)
+    width = len(load_experiment(name).coordinates)
+    assert band.projection.shape == (len(band.coordinates), width)
+    assert band.measured.shape == band.mean.shape[:1]
+    assert (band.sigma >= 0.0).all()
