@@ -241,15 +241,14 @@ class _PushesAsFirst(LoopedSimulation):
         super().apply_wrench(body, np.repeat(wrenches[:1], self.world_count, axis=0))
 
 
-class _KeepsStarts(LoopedSimulation):
-    """Starts each episode after the first as that one."""
+class _StartsAsBefore(LoopedSimulation):
+    """Starts each episode as the one before."""
 
-    kept = None
+    before = None
 
     def reset(self, starts=None, seed=0):
-        if self.kept is None and starts is not None:
-            self.kept = starts.copy()
-        super().reset(self.kept, seed)
+        super().reset(starts if self.before is None else self.before, seed)
+        self.before = None if starts is None else starts.copy()
 
 
 FAULTS = {
@@ -305,6 +304,9 @@ FAULTS = {
     ),
     "worlds-start-as-first": Fault(
         caught_by="worlds-single", says="world", worlds=_StartsAsFirst
+    ),
+    "worlds-start-as-before": Fault(
+        caught_by="worlds-reset", says="world", worlds=_StartsAsBefore
     ),
     "worlds-drive-as-first": Fault(
         caught_by="worlds-single", says="world", worlds=_DrivesAsFirst
