@@ -39,7 +39,7 @@ class Simulation(ABC):
 
     settings: Mapping[str, Any]
     world_count: int = 1
-    frees_python: ClassVar[bool] = False
+    releases_gil: ClassVar[bool] = False
     """Whether `advance` runs without Python's lock, so that `LoopedSimulation` advances several in as many threads."""
 
     def __init_subclass__(cls, **arguments: Any) -> None:
@@ -59,8 +59,8 @@ class Simulation(ABC):
 
         Args:
             starts: Initial states, shape [N, B, 13]: those of `scene.bodies` and then of `scene.deformables`, in their
-                order. Dynamic and kinematic bodies may start elsewhere than the scene says, and a cloth that nothing
-                clamps; the pose of a cloth is that of its frame. Rows of all other bodies are those of the scene. None
+                order. Dynamic and kinematic bodies, and a cloth that nothing clamps, may start elsewhere than the scene
+                says; the pose of a cloth is that of its frame. Rows of all other bodies are those of the scene. None
                 is the nominal start, see `gauge_envs.scene.states.nominal_states`.
             seed: Seed of engines that draw random numbers.
         """
@@ -68,14 +68,15 @@ class Simulation(ABC):
     def drive(self, body: str, targets: FloatArray) -> None:
         """Prescribe the motion of a kinematic body during the next `advance`.
 
-        The motion is uniformly accelerated: t seconds later the body is at pose + v t + a t^2 / 2. With piecewise
+        The motion is uniformly accelerated: t seconds later the origin has moved by v t + a t^2 / 2, and the body has
+        turned by the rotation vector of the angular velocity and acceleration likewise, in the world frame. With piecewise
         constant velocity, each change of speed would jolt the bodies that rest on it. An engine without prescribed
         acceleration may use the mean velocity of each step, and should document it.
 
         Args:
             body: Name of a kinematic body. Environments drive each of them before every `advance`.
             targets: Shape [N, 19]: pose at the start of the interval, position [m] (3) and quaternion w x y z (4);
-                linear [m/s] (3) and angular velocity [rad/s] (3) then; linear [m/s^2] (3) and angular acceleration
+                linear [m/s] (3) and angular velocity [rad/s] (3) at that time; linear [m/s^2] (3) and angular acceleration
                 [rad/s^2] (3). It may be a read-only view.
 
         Raises:
@@ -166,7 +167,7 @@ class LoopedSimulation(Simulation):
         self.settings = simulations[0].settings
         self.world_count = len(simulations)
         thread_count = min(processors(), self.world_count)
-        is_threaded = simulations[0].frees_python and thread_count > 1
+        is_threaded = simulations[0].releases_gil and thread_count > 1
         self._threads = ThreadPoolExecutor(thread_count) if is_threaded else None
 
     def reset(self, starts: FloatArray | None = None, seed: int = 0) -> None:
@@ -213,10 +214,10 @@ class LoopedSimulation(Simulation):
 
     def close(self) -> None:
         """Close each world."""
-        for one in self._simulations:
-            one.close()
         if self._threads is not None:
             self._threads.shutdown()
+        for one in self._simulations:
+            one.close()
 
 
 def _joined(

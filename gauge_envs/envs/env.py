@@ -47,7 +47,7 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
     | `time`       | [1]     | s                                                                                  |
 
     Action: with driven bodies, a Box in [-1, 1] with one entry for each motion of a driver. It is a velocity that is
-    added to the recorded one; the task file states its scale, `residual_rate_*`. Zero replays the recorded motion.
+    added to the recorded one; the task file states its scale, `residual_rate_*`. Zeros replay the recorded motion.
     With `drivers="action"` there is no recorded motion, and zero leaves the driven bodies at rest.
     Without driven bodies the action is `Discrete(1)`.
 
@@ -56,8 +56,8 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
     place of a smaller sigma.
 
     `info`: `frame`, `time_s`, `reference` (kind of the reference), `reference_source` and `drivers` (`bundled`,
-    `imported` or `action`), `edited` if an edited asset states the scene, and `diverged` (the reason) if the
-    simulation diverged.
+    `imported` or `action`), `edited` if an edited asset states the scene, `trial` (its number) if the episode repeats
+    one, and `diverged` (the reason) if the simulation diverged.
     `gymnasium.make` adds `score` at the end; see `ScoreEpisode`.
 
     Args:
@@ -149,13 +149,16 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
 
         Args:
             seed: Seed of the engine and of the noise, and of the random numbers that seed later resets without one.
-            options: They hold for the next resets too, which an autoreset calls without any, until a reset has a seed
-                or options. `{"jitter": True}` moves the start at random by the default `Jitter`, as repeats of a real
-                trial scatter; a `Jitter` gives other standard deviations, and False takes the argument `jitter` back.
-                `{"trial": 3}` starts from the positions and velocities of imported trial 3, see
-                `gauge_envs.envs.trial_start.trial_states`, or replays a bundled one with its own driven path, which
-                then scores it. An experiment with single-shot trials starts from one of them without an option too:
-                from trial `seed` modulo their number.
+            options: Options stay in force for later resets, as those of an autoreset, until a reset passes a seed or
+                options.
+
+                - `{"jitter": True}` moves the start at random by the default `Jitter`, as repeats of a real trial
+                  scatter. A `Jitter` gives other standard deviations; False takes the argument `jitter` back.
+                - `{"trial": 3}` starts from the positions and velocities of imported trial 3, see
+                  `gauge_envs.envs.trial_start.trial_states`, or replays a bundled trial with its own driven path,
+                  which then scores it.
+
+                An experiment with single-shot trials starts from trial `seed` modulo their number without an option.
 
         Raises:
             EpisodeError: The environment is closed.
@@ -207,6 +210,7 @@ class GaugeEnv(gymnasium.Env[Observation, Any]):
         An experiment that starts with a release is simulated on by 10 frames first, for the release alignment. The
         score of an episode that diverged has a kind and no number.
         """
+        self._check_open("score")
         if self.rollout.frame is None or not self.rollout.is_over[0]:
             return None
         return self.rollout.score()

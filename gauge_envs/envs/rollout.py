@@ -259,7 +259,7 @@ class Rollout:
         self.frame += 1
         self.last_frames[~self.terminated] = self.frame
         states = self._record()
-        for world, reason in self._newly_diverged(states).items():
+        for world, reason in self._divergences(states).items():
             self.diverged.setdefault(world, reason)
 
     def play(self) -> None:
@@ -292,7 +292,7 @@ class Rollout:
             self._driver_states[frame] = self.simulation.body_states(self._driven)
         return states
 
-    def _newly_diverged(self, states: FloatArray) -> dict[int, str]:
+    def _divergences(self, states: FloatArray) -> dict[int, str]:
         """Return why worlds have diverged now: the engine's reason first."""
         found = dict(self.simulation.diverged())
         for name, rest_m in self._rest_spans_m.items():
@@ -321,7 +321,7 @@ class Rollout:
             rows = self._samples[first : first + SAMPLES_PER_FRAME]
             is_running &= np.isfinite(rows).all(axis=(0, 2))
             states = self.simulation.body_states(self._dynamic)
-            is_running[[*self._newly_diverged(states)]] = False
+            is_running[[*self._divergences(states)]] = False
             counts[is_running] = later + 1
         self._later_counts = counts
 
@@ -343,13 +343,17 @@ class Rollout:
         return observation
 
     def rewards(self) -> FloatArray:
-        """Return the reward of each world in this frame, shape [N]; 0 for one that had ended before."""
+        """Return the reward of each world in this frame, shape [N].
+
+        It is 0 for a world that had ended before, and where a number of the frame is not finite.
+        """
         frame = self.frame or 0
         rewards = np.zeros(self.world_count)
         for reward, has_band in self._rewards:
             worlds = np.flatnonzero(has_band & (self.last_frames == frame))
             g = self._samples[frame * SAMPLES_PER_FRAME, worlds]
-            rewards[worlds] = reward.of(frame, g, self._markers_m[frame, worlds])
+            of_band = reward.of(frame, g, self._markers_m[frame, worlds])
+            rewards[worlds] = np.nan_to_num(of_band)
         return rewards
 
     def info(self, world: int) -> dict[str, Any]:
@@ -365,7 +369,7 @@ class Rollout:
         }
         if experiment.edited:
             info["edited"] = True
-        trial = self.starts[world].trial if self.starts else experiment.trial
+        trial = self._trial_of(world)
         if trial is not None:
             info["trial"] = trial
         if world in self.diverged:
@@ -379,8 +383,13 @@ class Rollout:
             return experiment
         start = self.starts[world]
         scene = replace(scene_at(experiment.scene, start.states), drivers=start.drivers)
-        trial = experiment.trial if start.trial is None else start.trial
-        return replace(experiment, scene=scene, trial=trial)
+        return replace(experiment, scene=scene, trial=self._trial_of(world))
+
+    def _trial_of(self, world: int) -> int | None:
+        """Return the trial that a world repeats, or None."""
+        if self.starts and self.starts[world].trial is not None:
+            return self.starts[world].trial
+        return self._experiments[world].trial
 
     def trajectory(self, world: int = 0) -> Trajectory:
         """Return what the episode of a world has recorded so far.

@@ -49,8 +49,7 @@ class PrescribedMotion:
         self._interval_s = interval_s
         self._count = count
         self._scale = np.array([motion.residual_rate for motion in driver.motions])
-        self._drivers = [driver] * world_count
-        self._start = np.tile(start, (world_count, 1))
+        self._nominal = [driver] * world_count, np.tile(start, (world_count, 1))
         self.reset()
 
     def reset(
@@ -61,13 +60,13 @@ class PrescribedMotion:
         """Return to the recorded motion.
 
         Args:
-            drivers: Driver of each world, with the same degrees of freedom; None keeps them.
-            starts: Pose of the body in each world before anything moves, shape [N, 7]; None keeps them.
+            drivers: Driver of each world, with the same degrees of freedom and action scales; None is the nominal one.
+            starts: Pose of the body in each world before anything moves, shape [N, 7]; None is the nominal one.
         """
-        if drivers is not None:
-            self._drivers = list(drivers)
-        if starts is not None:
-            self._start = np.array(starts)
+        nominal_drivers, nominal_starts = self._nominal
+        self._drivers = list(nominal_drivers if drivers is None else drivers)
+        chosen = nominal_starts if starts is None else starts
+        self._start = np.array(chosen, dtype=np.float64)
         self._start[:, 3:] = unit_quaternions(self._start[:, 3:])
         self._offsets = np.zeros((len(self._start), self.motion_count))
         # Worlds with the same motion share it: then the axis of the worlds has length 1.

@@ -59,7 +59,7 @@ class SimulationMuJoCo(PlacedSimulation):
         grips: Nodes of soft bodies that move with driven bodies.
     """
 
-    frees_python = True
+    releases_gil = True
 
     def __init__(
         self,
