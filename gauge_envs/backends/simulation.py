@@ -69,15 +69,15 @@ class Simulation(ABC):
         """Prescribe the motion of a kinematic body during the next `advance`.
 
         The motion is uniformly accelerated: t seconds later the origin has moved by v t + a t^2 / 2, and the body has
-        turned by the rotation vector of the angular velocity and acceleration likewise, in the world frame. With piecewise
-        constant velocity, each change of speed would jolt the bodies that rest on it. An engine without prescribed
-        acceleration may use the mean velocity of each step, and should document it.
+        turned by the rotation vector of the angular velocity and acceleration likewise, in the world frame. With
+        piecewise constant velocity, each change of speed would jolt the bodies that rest on it. An engine without
+        prescribed acceleration may use the mean velocity of each step, and should document it.
 
         Args:
             body: Name of a kinematic body. Environments drive each of them before every `advance`.
             targets: Shape [N, 19]: pose at the start of the interval, position [m] (3) and quaternion w x y z (4);
-                linear [m/s] (3) and angular velocity [rad/s] (3) at that time; linear [m/s^2] (3) and angular acceleration
-                [rad/s^2] (3). It may be a read-only view.
+                linear [m/s] (3) and angular velocity [rad/s] (3) at that time; linear [m/s^2] (3) and angular
+                acceleration [rad/s^2] (3). It may be a read-only view.
 
         Raises:
             BackendError: The engine drives no bodies.

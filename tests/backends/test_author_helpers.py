@@ -89,7 +89,7 @@ def test_looped_simulations_are_the_worlds_of_one():
 
 
 def test_worlds_that_free_python_advance_in_threads(monkeypatch):
-    monkeypatch.setattr(Counter, "frees_python", True)
+    monkeypatch.setattr(Counter, "releases_gil", True)
     monkeypatch.setattr("gauge_envs.backends.simulation.processors", lambda: 2)
     worlds = [Counter(), Counter()]
     with closing(LoopedSimulation(worlds)) as looped:
