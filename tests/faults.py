@@ -291,16 +291,24 @@ FAULTS = {
     ),
     "nan-mass": Fault(caught_by="finite", says="mass", simulation=_NaNMass),
     "starts-nowhere": Fault(
-        caught_by="starts-free", says="position", simulation=_IgnoresStarts
+        caught_by="starts-free",
+        says="largest in the velocity of the ball",
+        simulation=_IgnoresStarts,
     ),
     "starts-at-rest": Fault(
-        caught_by="starts-free", says="velocity", simulation=_StartsAtRest
+        caught_by="starts-free",
+        says="largest in the velocity of the ball",
+        simulation=_StartsAtRest,
     ),
     "hinge-at-rest": Fault(
-        caught_by="starts-hinge", says="velocity", simulation=_StartsAtRest
+        caught_by="starts-hinge",
+        says="largest in the velocity of the brick",
+        simulation=_StartsAtRest,
     ),
     "cloth-in-place": Fault(
-        caught_by="starts-cloth", says="nodes", simulation=_StartsClothInPlace
+        caught_by="starts-cloth",
+        says="largest in the nodes of the cloth",
+        simulation=_StartsClothInPlace,
     ),
     "worlds-start-as-first": Fault(
         caught_by="worlds-single", says="world", worlds=_StartsAsFirst

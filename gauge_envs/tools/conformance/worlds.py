@@ -229,7 +229,7 @@ def _apart(found: Recording, expected: Recording) -> Measurement:
         parts[f"nodes of the {name}"] = float(apart_m.max())
     worst = max(parts, key=lambda name: parts[name])
     return Measurement(
-        measured=parts[worst], hint=f"the {worst} differs most", parts=parts
+        measured=parts[worst], hint=f"largest in the {worst}", parts=parts
     )
 
 
