@@ -1,8 +1,7 @@
 """Cost of `env.step` relative to bare MuJoCo stepping of the same model for the same frames, paired in one run.
 
-Bare stepping is one `mj_step` call for each frame with all substeps, the cheapest way. It reads MuJoCo's clock for the
-timers of `MjData`, as MuJoCo does in Python, and `env.step` does not; bare bodies are not driven. The last step of an
-episode, which scores it, is timed separately. The exit code is 1 if a ratio is above the limit.
+Bare stepping is one `mj_step` call for each frame with all substeps, the cheapest way; bare bodies are not driven. The
+last step of an episode, which scores it, is timed separately. The exit code is 1 if a ratio is above the limit.
 """
 
 from __future__ import annotations

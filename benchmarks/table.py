@@ -5,7 +5,6 @@
 Times are processor times, so that other programs matter little; those of threads and jobs are wall times, which need an
 idle machine, and are left out on a busy one. Limits with a reason:
 
-- a step over bare MuJoCo: without the clock that MuJoCo reads in Python, a step of the environment is the cheaper one;
 - engines: none, as their times are compared and not judged;
 - dynamic time warping: tslearn compiles its loop with Numba, which with scikit-learn adds 280 MB to an installation.
   Here it is NumPy. Of light libraries, dtw-python takes twice as long with the same local costs.
@@ -101,7 +100,7 @@ def starts() -> Iterator[Row]:
 def steps() -> Iterator[Row]:
     """Yield the cost of a step over that of bare MuJoCo."""
     for name in ("SlopeSlider-2-wood", "BouncingBall-rubber", "Pendulum-metal"):
-        yield Row(f"env.step / mj_step, {name}", step.measured(name)[2], 1.0)
+        yield Row(f"env.step / mj_step, {name}", step.measured(name)[2], step.LIMIT)
 
 
 def warping() -> Iterator[Row]:
