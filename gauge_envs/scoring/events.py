@@ -5,7 +5,6 @@ raises ShapeError for wrong input. The paper leaves two estimators open; `scorin
 """
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial import Polynomial
@@ -17,10 +16,15 @@ from gauge_envs.references.metrics import EVENT_METRICS
 from gauge_envs.scene import Hinge
 from gauge_envs.scene.geometry import FloatArray, IntArray, length_of
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-from gauge_envs.scoring.metrics import bounded_minimum
 
 PUBLISHED_TRIALS = 20
 """Number of real trials of each task whose mean and standard deviation are published (paper, "Data Acquisition")."""
+
+MAX_REST_RANGE_MM = 0.5
+"""Largest height minus smallest height of one rest [mm] (paper, LSD)."""
+
+MAX_REST_SPEED_MM_PER_S = 5.0
+"""Largest speed of one rest [mm/s] (paper, LSD)."""
 
 # Frames on each side of a turning point that locate it; the polynomial through them has twice that degree. At 30 Hz
 # and a period of 1.2 s, a reach of 2 has an error of 3e-6 in energy, and a reach of 4 includes the impact of a cradle.
@@ -65,9 +69,7 @@ def event_values(experiment: Experiment, frames: FloatArray) -> dict[str, float]
 def longest_stationary_duration(
     height_mm: ArrayLike,
     *,
-    frame_rate_hz: float = 30.0,
-    height_range_mm: float = 0.5,
-    speed_limit_mm_s: float = 5.0,
+    frame_rate_hz: float = FRAME_RATE_HZ,
 ) -> float:
     """Return the longest rest of a cradle's ball between two impulses (paper, equation and thresholds of LSD).
 
@@ -80,37 +82,20 @@ def longest_stationary_duration(
     Args:
         height_mm: Height of the ball at every frame, shape [frame_count], mm.
         frame_rate_hz: Frame rate, Hz.
-        height_range_mm: Largest height minus smallest height of one rest, mm.
-        speed_limit_mm_s: Largest speed of one rest, mm/s.
 
     Returns:
         Number of frames of the longest rest over the frame rate, s; 0 if the ball never rests between impulses.
     """
     heights = _samples("height_mm", height_mm, least=2)
-    is_slow = np.abs(np.diff(heights)) * frame_rate_hz <= speed_limit_mm_s
+    is_slow = np.abs(np.diff(heights)) * frame_rate_hz <= MAX_REST_SPEED_MM_PER_S
     edges = np.diff(np.concatenate(([False], is_slow, [False])).astype(int))
     # Step k joins frames k and k + 1.
     longest = 0
     for first, last in np.flatnonzero(edges).reshape(-1, 2):
         if first > 0 and last < len(heights) - 1:
             rest = heights[first : last + 1]
-            longest = max(longest, _longest_window(rest, height_range_mm))
+            longest = max(longest, _longest_window(rest, MAX_REST_RANGE_MM))
     return longest / frame_rate_hz if longest >= 2 else 0.0
-
-
-@dataclass(frozen=True, kw_only=True)
-class SwingTimes:
-    """Times of the swings of a cradle's last ball.
-
-    Attributes:
-        leaves_s: Time at which each swing begins, s.
-        returns_s: Time at which each swing ends, s; one less than `leaves_s` if the trajectory ends during a swing.
-        rests_s: Time between the end of a swing and the start of the next, s.
-    """
-
-    leaves_s: tuple[float, ...]
-    returns_s: tuple[float, ...]
-    rests_s: tuple[float, ...]
 
 
 def swing_times(
@@ -119,7 +104,7 @@ def swing_times(
     *,
     rest_height_mm: float,
     leave_height_mm: float = 1.0,
-) -> SwingTimes:
+) -> dict[str, FloatArray]:
     """Return when a cradle's last ball leaves the row and returns to it.
 
     Args:
@@ -127,15 +112,15 @@ def swing_times(
         height_mm: Height of the last ball, shape [sample_count], mm. The first sample is at rest.
         rest_height_mm: Height of the last ball at rest, mm.
         leave_height_mm: Rise above rest that separates a swing from a rest, mm.
+
+    Returns:
+        `leaves_s`, the time at which each swing begins; `returns_s`, at which it ends, one less if the trajectory ends
+        during a swing; and `rests_s`, the time between the end of a swing and the start of the next.
     """
     heights = _samples("height_mm", height_mm, least=2) - (
         rest_height_mm + leave_height_mm
     )
-    times = _samples("times_s", times_s, least=2)
-    if len(times) != len(heights):
-        raise ShapeError(
-            f"times_s has {len(times)} entries, height_mm has {len(heights)}"
-        )
+    times = np.asarray(times_s)
     before = np.flatnonzero((heights[:-1] > 0) != (heights[1:] > 0))
     share = heights[before] / (heights[before] - heights[before + 1])
     crossings = times[before] + share * (times[before + 1] - times[before])
@@ -144,11 +129,7 @@ def swing_times(
     # A trajectory that starts above rest ends a swing that it does not begin.
     returns = returns[returns > leaves[0]] if leaves.size else returns[:0]
     rests = leaves[1:] - returns[: len(leaves) - 1]
-    return SwingTimes(
-        leaves_s=tuple(leaves.tolist()),
-        returns_s=tuple(returns.tolist()),
-        rests_s=tuple(rests.tolist()),
-    )
+    return {"leaves_s": leaves, "returns_s": returns, "rests_s": rests}
 
 
 def momentum_transfer_efficiency(
@@ -171,10 +152,6 @@ def momentum_transfer_efficiency(
         the ball leaves rest, located between frames. NaN if the ball never leaves rest, or never turns.
     """
     height_mm_out = _samples("height_mm_out", height_mm_out, least=2)
-    if not drop_height_mm > 0:
-        raise ShapeError(
-            f"drop_height_mm is {drop_height_mm}; the first ball starts above its rest"
-        )
     left = np.flatnonzero(height_mm_out > rest_height_mm + leave_height_mm)
     apexes = _turning_points(height_mm_out)
     apexes = apexes[apexes >= left[0]] if left.size else left
@@ -208,13 +185,19 @@ def oscillation_period(signal: ArrayLike, *, frame_rate_hz: float = 30.0) -> flo
     peak = int(np.argmax(np.abs(np.fft.rfft(windowed, padded_count))))
     phase = -2j * np.pi * np.arange(len(signal))
 
-    def negative_power(cycles_per_frame: FloatArray) -> FloatArray:
-        waves = np.exp(phase * cycles_per_frame[:, None])
-        return np.asarray(-np.abs(waves @ windowed))
+    def negative_power(cycles_per_frame: float) -> float:
+        return -abs(np.exp(phase * cycles_per_frame) @ windowed)
+
+    from scipy.optimize import minimize_scalar
 
     low, high = (peak - 1) / padded_count, min((peak + 1) / padded_count, 0.5)
-    found, _ = bounded_minimum(negative_power, low, high, 1e-10)
-    return 1 / (float(found) * frame_rate_hz)
+    found = minimize_scalar(
+        negative_power,
+        bounds=(low, high),
+        method="bounded",
+        options={"xatol": 1e-10},
+    )
+    return 1.0 / (float(found.x) * frame_rate_hz)
 
 
 def energy_loss(height_mm: ArrayLike, *, rest_height_mm: float) -> float:
@@ -246,13 +229,8 @@ def energy_loss(height_mm: ArrayLike, *, rest_height_mm: float) -> float:
         return math.nan
     if not remaining.size:
         return math.nan
-    if start_mm <= rest_height_mm:
-        raise ShapeError(
-            f"height_mm turns at {start_mm:.3f} mm, not above rest_height_mm {rest_height_mm:.3f}"
-        )
-    return (start_mm - _apex_height(height_mm, remaining[-1])) / (
-        start_mm - rest_height_mm
-    )
+    end_mm = _apex_height(height_mm, remaining[-1])
+    return (start_mm - end_mm) / (start_mm - rest_height_mm)
 
 
 def _samples(name: str, values: ArrayLike, *, least: int) -> FloatArray:
@@ -291,5 +269,8 @@ def _apex_height(heights: FloatArray, frame: int) -> float:
     offsets = np.arange(-_APEX_REACH, _APEX_REACH + 1)
     around = heights[frame + offsets]
     polynomial = Polynomial.fit(offsets, around - heights[frame], 2 * _APEX_REACH)
-    _, least = bounded_minimum(lambda offset: -polynomial(offset), -1.0, 1.0, 1e-9)
-    return float(heights[frame] - least)
+    turns = polynomial.deriv().roots()
+    near = np.append(
+        turns[(abs(turns.imag) < 1e-9) & (abs(turns.real) <= 1.0)].real, 0.0
+    )
+    return float(heights[frame] + polynomial(near).max())

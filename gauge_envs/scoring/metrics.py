@@ -5,7 +5,6 @@ NaN is a value that was not measured. Only the real mean may hold it; elsewhere 
 """
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,14 +19,11 @@ MAX_TIME_OFFSET_S = 10 / 30
 OFFSET_STEP_S = 1 / 360
 """Step of the grid of time shifts [s]; the best one is refined."""
 
-OFFSET_CHUNK = 1_000_000
-"""Numbers in one batch of time shifts, 8 MB per array."""
+OFFSET_TOLERANCE_S = 1e-7
+"""Largest error of a refined time shift [s]."""
 
 TIE = 1e-12
 """Relative difference of two path costs that count as equal: the order of a sum changes a total by less."""
-
-GRID_POINTS = 9
-"""Points of each grid of `bounded_minimum`; the next grid covers the two intervals about its least value."""
 
 
 def trajectory_rmse(simulated: ArrayLike, real_mean: ArrayLike) -> float:
@@ -78,7 +74,7 @@ def trajectory_dtw(simulated: ArrayLike, real_mean: ArrayLike) -> float:
 
 def _frame_distances(first: FloatArray, second: FloatArray) -> FloatArray:
     """Return the Euclidean distances of all pairs of frames over measured coordinates, shape [T1, T2]."""
-    # One coordinate at a time: SciPy's import takes longer than the distances, and all at once take much memory.
+    # One coordinate at a time: all at once take much memory.
     squares = np.zeros((len(first), len(second)))
     for column in range(first.shape[1]):
         apart = first[:, column, None] - second[:, column]
@@ -169,17 +165,24 @@ def time_offset(
     grid_s = np.concatenate([[least_s, 0.0], grid_s[grid_s >= least_s]])
     # Sorted by size: argmin takes the first, hence smallest, of equals.
     grid_s = grid_s[np.lexsort((grid_s, np.abs(grid_s)))]
-    chunks = np.array_split(grid_s, math.ceil(real.size * len(grid_s) / OFFSET_CHUNK))
-    grid_rmse = np.concatenate([shifted_rmse(chunk) for chunk in chunks])
+    grid_rmse = shifted_rmse(grid_s)
     best = int(grid_rmse.argmin())
     coarse_s, coarse = float(grid_s[best]), float(grid_rmse[best])
-    refined_s, least = bounded_minimum(
-        shifted_rmse,
-        max(coarse_s - OFFSET_STEP_S, least_s),
-        min(coarse_s + OFFSET_STEP_S, MAX_TIME_OFFSET_S),
-        1e-7,
+
+    from scipy.optimize import minimize_scalar
+
+    refined = minimize_scalar(
+        lambda offset_s: shifted_rmse(np.array([offset_s]))[0],
+        bounds=(
+            max(coarse_s - OFFSET_STEP_S, least_s),
+            min(coarse_s + OFFSET_STEP_S, MAX_TIME_OFFSET_S),
+        ),
+        method="bounded",
+        options={"xatol": OFFSET_TOLERANCE_S},
     )
-    return (refined_s, least) if least < coarse else (coarse_s, coarse)
+    if refined.fun < coarse:
+        return float(refined.x), float(refined.fun)
+    return coarse_s, coarse
 
 
 def z_scores(
@@ -244,31 +247,6 @@ def interpolated(
     """
     columns = [np.interp(queries_s, times_s, one) for one in values.T]
     return np.stack(columns, axis=-1)
-
-
-def bounded_minimum(
-    function: Callable[[FloatArray], FloatArray],
-    low: float,
-    high: float,
-    tolerance: float,
-) -> tuple[float, float]:
-    """Return the argument and the value of the minimum of a function with a single one between bounds.
-
-    Args:
-        function: Values at arguments, shape [count] each.
-        low: Least argument.
-        high: Largest argument.
-        tolerance: Largest error of the argument.
-    """
-    while True:
-        arguments = np.linspace(low, high, GRID_POINTS)
-        values = function(arguments)
-        best = int(values.argmin())
-        step = float(arguments[1] - arguments[0])
-        if (GRID_POINTS - 1) * step <= tolerance:
-            return float(arguments[0] + best * step), float(values.min())
-        low = float(arguments[0] + max(best - 1, 0) * step)
-        high = float(arguments[0] + min(best + 1, GRID_POINTS - 1) * step)
 
 
 def _trajectory(

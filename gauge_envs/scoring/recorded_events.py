@@ -69,8 +69,8 @@ def _cradle_s(motion: Motion, *, times: str, number: int) -> float:
     """Return when the ball that starts at rest leaves or returns for the nth time, or how long it then rests."""
     heights_mm = motion.samples[:, 2]
     seen = swing_times(motion.times_s, heights_mm, rest_height_mm=heights_mm[0])
-    found = getattr(seen, times)
-    return found[number - 1] if number <= len(found) else math.nan
+    found = seen[times]
+    return float(found[number - 1]) if number <= len(found) else math.nan
 
 
 def _slide_acceleration_m_per_s2(motion: Motion) -> float:

@@ -8,13 +8,15 @@ from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.scoring.metrics import (
     MAX_TIME_OFFSET_S,
-    bounded_minimum,
     interpolated,
     trajectory_dtw,
 )
 
 SHIFT_STEP_S = 1.0 / 120.0
 """Step of the grid of time shifts [s]; the best one is refined."""
+
+REFINEMENTS, REFINED_POINTS = 8, 9
+"""Number of finer grids about the best shift, and their points: the last step is 1.3e-7 s."""
 
 MIN_OVERLAP = 0.6
 """Smallest share of frames that a shifted trial must have in common with the mean of the others."""
@@ -90,8 +92,15 @@ def _raw_and_aligned(trial: FloatArray, mean: FloatArray) -> tuple[float, float]
     coarse = shifted_rmse(grid_s)
     raw, best = float(coarse[step_count]), int(coarse.argmin())
     low_s, high_s = grid_s[best] - SHIFT_STEP_S, grid_s[best] + SHIFT_STEP_S
-    refined = bounded_minimum(shifted_rmse, low_s, high_s, 1e-5)[1]
-    return raw, min(float(coarse[best]), refined)
+    least = float(coarse[best])
+    for _ in range(REFINEMENTS):
+        # The next grid covers the two intervals about the least value of this one.
+        grid_s = np.linspace(low_s, high_s, REFINED_POINTS)
+        refined = shifted_rmse(grid_s)
+        best = int(refined.argmin())
+        least = min(least, float(refined[best]))
+        low_s, high_s = grid_s[max(best - 1, 0)], grid_s[min(best + 1, len(grid_s) - 1)]
+    return raw, least
 
 
 def rms_over_frames(deviation: FloatArray) -> float:
