@@ -4,7 +4,7 @@ All functions are pure and vectorized over frames. Input is in metres, with NaN 
 units of the published scores: mm, rad and mm^2.
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -35,25 +35,17 @@ def angle_deficit_curvature(
     Returns:
         Curvature, shape [frame_count, marker_count], rad; NaN where the marker itself is missing.
     """
-    markers_m = _points("markers_m", markers_m, dimension=3)
+    markers_m, faces = np.asarray(markers_m), np.asarray(faces)
     marker_count = markers_m.shape[1]
-    faces = _indices("faces", faces, width=3, marker_count=marker_count)
-    corner, edge = (
-        _indices(name, list(ids), marker_count=marker_count)
-        for name, ids in (("corner", corner), ("edge", edge))
-    )
-    if shared := set(corner.tolist()) & set(edge.tolist()):
-        raise ShapeError(f"corner and edge share marker {min(shared)}")
     full_angle = np.full(marker_count, 2 * np.pi)
-    full_angle[edge] = np.pi
-    full_angle[corner] = np.pi / 2
+    full_angle[list(edge)] = np.pi
+    full_angle[list(corner)] = np.pi / 2
 
     vertices = markers_m[:, faces]  # [frame, face, vertex, xyz]
     to_next = np.roll(vertices, -1, axis=2) - vertices
     to_previous = np.roll(vertices, 1, axis=2) - vertices
-    angles = _angle_between(
-        to_next, to_previous
-    )  # 0 for coincident vertices, which leaves them out of the sum
+    # 0 for coincident vertices, which leaves them out of the sum.
+    angles = _angle_between(to_next, to_previous)
     angles = np.where(np.isnan(angles), 0.0, angles)
     # A product with the incidence of corners and markers sums the angles of a frame, with the same bits in any batch.
     incidence = np.zeros((faces.size, marker_count))
@@ -78,11 +70,11 @@ def line_turning_angle(markers_m: ArrayLike, lines: ArrayLike) -> FloatArray:
         Angles in [0, pi] at the markers where one segment ends and another starts, in order of the marker indices,
         shape [frame_count, inner_count], rad; NaN where a neighbour is missing or coincident.
     """
-    markers_m = _points("markers_m", markers_m, dimension=3)
-    lines = _indices("lines", lines, width=2, marker_count=markers_m.shape[1])
-    before = {int(end): int(start) for start, end in lines}
-    after = {int(start): int(end) for start, end in lines}
-    if len(before) < len(lines) or len(after) < len(lines):
+    markers_m = np.asarray(markers_m)
+    pairs = np.asarray(lines).tolist()
+    before = {end: start for start, end in pairs}
+    after = dict(pairs)
+    if len(before) < len(pairs) or len(after) < len(pairs):
         raise ShapeError(
             "lines: a marker starts, or ends, more than one segment; rows must neither branch nor double"
         )
@@ -105,11 +97,10 @@ def face_areas_mm2(markers_m: ArrayLike, faces: ArrayLike) -> FloatArray:
     Returns:
         Areas, shape [frame_count, face_count], mm^2; NaN where a vertex is missing.
     """
-    markers_m = _points("markers_m", markers_m, dimension=3)
-    faces = _indices("faces", faces, width=3, marker_count=markers_m.shape[1])
+    markers_m = np.asarray(markers_m, dtype=np.float64)
     # Whole arrays of x, y and z are several times as fast as vectors of three numbers, with the same bits.
     axes = 1e3 * np.ascontiguousarray(markers_m.transpose(2, 0, 1))
-    a, b, c = (axes.take(vertex, axis=2) for vertex in faces.T)
+    a, b, c = (axes.take(vertex, axis=2) for vertex in np.asarray(faces).T)
     (x, y, z), (u, v, w) = b - a, c - a
     normal = (y * w - z * v, z * u - x * w, x * v - y * u)
     return 0.5 * np.sqrt(
@@ -132,26 +123,16 @@ def assign_markers(
     Returns:
         Node index of each marker, shape [marker_count].
     """
+    from scipy.optimize import linear_sum_assignment
     from scipy.spatial.distance import cdist
 
-    markers_m, nodes_m = (
-        _points("markers_m", markers_m, dimension=2),
-        _points("nodes_m", nodes_m, dimension=2),
-    )
-    for name, points in (("markers_m", markers_m), ("nodes_m", nodes_m)):
-        if not np.isfinite(points).all():
-            raise ShapeError(
-                f"{name}: point {np.argwhere(~np.isfinite(points))[0, 0]} is not finite"
-            )
-    if len(nodes_m) < len(markers_m):
-        raise ShapeError(
-            f"{len(nodes_m)} nodes are too few for {len(markers_m)} markers; refine the mesh"
-        )
-    from scipy.optimize import linear_sum_assignment
-
     distances = cdist(markers_m, nodes_m)
-    _, nodes = linear_sum_assignment(distances)
-    assigned = distances[np.arange(len(nodes)), nodes]
+    markers, nodes = linear_sum_assignment(distances)
+    if len(nodes) < len(distances):
+        raise ShapeError(
+            f"{len(nodes)} nodes are too few for {len(distances)} markers; refine the mesh"
+        )
+    assigned = distances[markers, nodes]
     worst = int(np.argmax(assigned))
     if assigned[worst] > max_distance_m:
         raise ShapeError(
@@ -159,45 +140,6 @@ def assign_markers(
             f"the limit is {1e3 * max_distance_m:.1f} mm"
         )
     return nodes
-
-
-def _points(name: str, values: ArrayLike, *, dimension: int) -> FloatArray:
-    points = np.asarray(values, dtype=np.float64)
-    if points.ndim != dimension or points.shape[-1] != 3 or points.size == 0:
-        wanted = (
-            "[frame_count, point_count, 3]" if dimension == 3 else "[point_count, 3]"
-        )
-        raise ShapeError(f"{name} has shape {points.shape}; {wanted} is needed")
-    return points
-
-
-def _indices(
-    name: str,
-    values: ArrayLike | Sequence[int],
-    *,
-    marker_count: int,
-    width: int | None = None,
-) -> IntArray:
-    """Return marker indices as a checked array, shape [count, width], or [count] without a width."""
-    indices = np.asarray(values)
-    if indices.size == 0 and width is None:
-        return np.zeros(0, dtype=np.intp)
-    if indices.ndim != (1 if width is None else 2) or (
-        width is not None and indices.shape[1] != width
-    ):
-        raise ShapeError(
-            f"{name} has shape {indices.shape}; [count{'' if width is None else f', {width}'}] is needed"
-        )
-    if not np.issubdtype(indices.dtype, np.integer):
-        raise ShapeError(
-            f"{name} holds {indices.dtype} values; marker indices are integers"
-        )
-    wrong = indices[(indices < 0) | (indices >= marker_count)]
-    if wrong.size:
-        raise ShapeError(
-            f"{name} names marker {wrong[0]}; there are {marker_count} markers, from 0"
-        )
-    return indices.astype(np.intp)
 
 
 def _angle_between(a: FloatArray, b: FloatArray) -> FloatArray:

@@ -54,9 +54,6 @@ LEAST_RINGING_SAMPLES = 12
 HIGHER_MODES_S = 0.15
 """Time after the release that is left out [s]: the first swing of the beam has most of the higher bending modes."""
 
-STARTS_AT_ONCE = 100
-"""Number of starts of a motion that are fitted in one array."""
-
 PADDING = 8
 """Length of the spectrum that starts the fit, over that of the signal."""
 
@@ -187,11 +184,9 @@ def is_uniformly_accelerated(times_s: FloatArray, values: FloatArray) -> bool:
     if total == 0.0:
         return False
     starts_s = times_s[times_s <= 0.5 * times_s[-1]]
-    largest = 0.0
-    for some_s in np.array_split(starts_s, math.ceil(len(starts_s) / STARTS_AT_ONCE)):
-        motions = 0.5 * np.square(np.maximum(times_s - some_s[:, None], 0.0))
-        gained = np.square(motions @ moved).sum(axis=1)
-        largest = max(largest, float((gained / np.square(motions).sum(axis=1)).max()))
+    motions = 0.5 * np.square(np.maximum(times_s - starts_s[:, None], 0.0))
+    gained = np.square(motions @ moved).sum(axis=1)
+    largest = float((gained / np.square(motions).sum(axis=1)).max())
     return total - largest <= MAX_MISFIT**2 * total
 
 
@@ -371,15 +366,15 @@ def _ringing(
         return {}
     trials = _real_ringing(band, level_mm)
     found = {}
-    # What creeps to its place has no frequency: the fit then describes the creep by any one.
-    creeps = simulated.damping_ratio > LARGEST_DAMPING_RATIO
     for name, unit in (("frequency", "Hz"), ("decay_rate", "1/s"), ("droop", "mm")):
-        if creeps and name != "droop":
+        # What creeps to its place has no frequency: the fit then describes the creep by any one.
+        if simulated.damping_ratio > LARGEST_DAMPING_RATIO and name != "droop":
             continue
-        real_values = [one.constants[name][0] for one in trials]
+        real_values = [getattr(trial, name)[0] for trial in trials]
         single = (real_values[0], None) if real_values else None
         real = _of_trials(real_values) or single
-        found[name] = _beside(real, *simulated.constants[name], unit)
+        value, uncertainty = getattr(simulated, name)
+        found[name] = _beside(real, value, uncertainty, unit)
     return found
 
 
@@ -397,31 +392,22 @@ class Ringing:
     """Constants of z(t) = level - droop + A exp(-decay t) cos(2 pi f t + phase), each with its standard uncertainty.
 
     Attributes:
-        frequency_hz: Frequency of the damped swing, and its uncertainty [Hz].
-        decay_rate_per_s: Decay rate of the amplitude, and its uncertainty [1/s].
-        droop_mm: How far the end hangs below its height in the level body, and its uncertainty [mm].
+        frequency: Frequency of the damped swing, and its uncertainty [Hz].
+        decay_rate: Decay rate of the amplitude, and its uncertainty [1/s].
+        droop: How far the end hangs below its height in the level body, and its uncertainty [mm].
         residual_mm: Root mean square of what the law leaves [mm].
     """
 
-    frequency_hz: tuple[float, float]
-    decay_rate_per_s: tuple[float, float]
-    droop_mm: tuple[float, float]
+    frequency: tuple[float, float]
+    decay_rate: tuple[float, float]
+    droop: tuple[float, float]
     residual_mm: float
-
-    @property
-    def constants(self) -> dict[str, tuple[float, float]]:
-        """The constants with their uncertainties, by the name of the estimate."""
-        return {
-            "frequency": self.frequency_hz,
-            "decay_rate": self.decay_rate_per_s,
-            "droop": self.droop_mm,
-        }
 
     @property
     def damping_ratio(self) -> float:
         """Decay rate over the angular frequency of the same swing without damping."""
-        angular = 2.0 * math.pi * self.frequency_hz[0]
-        return self.decay_rate_per_s[0] / math.hypot(angular, self.decay_rate_per_s[0])
+        angular = 2.0 * math.pi * self.frequency[0]
+        return self.decay_rate[0] / math.hypot(angular, self.decay_rate[0])
 
 
 def fit_ringing(
@@ -447,41 +433,37 @@ def fit_ringing(
         or np.ptp(signal) == 0.0
     ):
         return None
-    step_s, mean = float(times[1] - times[0]), float(signal.mean())
-    spectrum = np.fft.rfft(
-        (signal - mean) * np.exp(-(times - times[0])), PADDING * len(signal)
-    )
+    since_s = times - times[0]
+    mean = float(signal.mean())
+    padded_count = PADDING * len(signal)
+    spectrum = np.fft.rfft((signal - mean) * np.exp(-since_s), padded_count)
     strongest = 1 + int(np.abs(spectrum[1:]).argmax())
-    start_hz = strongest / (PADDING * len(signal) * step_s)
+    start_hz = strongest / (padded_count * float(since_s[1]))
 
     from scipy.optimize import least_squares
 
     def misfit(constants: FloatArray) -> FloatArray:
         hang, cosine, sine, decay, frequency = constants
-        angle = 2.0 * math.pi * frequency * (times - times[0])
-        swing = np.exp(-decay * (times - times[0])) * (
-            cosine * np.cos(angle) + sine * np.sin(angle)
-        )
-        return np.asarray(hang + swing - signal)
+        angle = 2.0 * math.pi * frequency * since_s
+        swing = cosine * np.cos(angle) + sine * np.sin(angle)
+        return np.asarray(hang + np.exp(-decay * since_s) * swing - signal)
 
     # The spectrum leaves the phase open. Two starts a quarter of a swing apart reach the same least sum.
     half = 0.5 * float(np.ptp(signal))
-    starts = ((half, 0.0), (0.0, half))
+    scale = [1.0, 1.0, 1.0, 1.0, 0.1]
     fits = [
-        least_squares(
-            misfit, [mean, *size, 1.0, start_hz], x_scale=[1.0, 1.0, 1.0, 1.0, 0.1]
-        )
-        for size in starts
+        least_squares(misfit, [mean, *size, 1.0, start_hz], x_scale=scale)
+        for size in ((half, 0.0), (0.0, half))
     ]
     best = min(fits, key=lambda fit: fit.cost)
-    count = len(times) - 5
     # A law that fits exactly, as in a test, has a covariance of 0.
-    covariance = np.linalg.pinv(best.jac.T @ best.jac) * (2.0 * best.cost / count)
-    errors = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    hang, _, _, decay, frequency = (float(value) for value in best.x)
+    variance = 2.0 * best.cost / (len(times) - len(scale))
+    covariance = np.linalg.pinv(best.jac.T @ best.jac) * variance
+    errors = np.sqrt(np.maximum(np.diag(covariance), 0.0)).tolist()
+    hang, _, _, decay, frequency = best.x.tolist()
     return Ringing(
-        frequency_hz=(abs(frequency), float(errors[4])),
-        decay_rate_per_s=(decay, float(errors[3])),
-        droop_mm=(level_mm - hang, float(errors[0])),
+        frequency=(abs(frequency), errors[4]),
+        decay_rate=(decay, errors[3]),
+        droop=(level_mm - hang, errors[0]),
         residual_mm=math.sqrt(2.0 * best.cost / len(times)),
     )

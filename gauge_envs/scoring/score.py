@@ -479,15 +479,15 @@ def _events(
     for metric, value in event_values(experiment, frames).items():
         row = experiment.baselines.get(metric)
         std = None if row is None else row.std
-        found[metric] = Measured(
-            value=None if math.isnan(value) else value,
+        found[metric] = _event(
+            value,
             unit=METRICS[metric].unit or experiment.score.observable.unit,
             real=None if row is None else row.mean,
             real_uncertainty=None if std is None else std / math.sqrt(PUBLISHED_TRIALS),
         )
+    if markers_m is None and experiment.scene.markers is not None:
+        return found
     for event in recorded_events(experiment.name):
-        if markers_m is None and experiment.scene.markers is not None:
-            continue
         motion = Motion(
             scene=experiment.scene,
             times_s=times_s,
@@ -495,11 +495,20 @@ def _events(
             markers_m=np.empty((len(frames), 0, 3)) if markers_m is None else markers_m,
             markers=event.markers,
         )
-        value = EVENTS[event.name](motion)
-        found[event.name] = Measured(
-            value=None if math.isnan(value) else value,
+        found[event.name] = _event(
+            EVENTS[event.name](motion),
             unit=event.unit,
             real=event.value,
             real_uncertainty=event.standard_uncertainty,
         )
     return found
+
+
+def _event(
+    value: float, *, unit: str, real: float | None, real_uncertainty: float | None
+) -> Measured:
+    """Return an event beside the real one; NaN is an event that does not happen."""
+    known = None if math.isnan(value) else value
+    return Measured(
+        value=known, unit=unit, real=real, real_uncertainty=real_uncertainty
+    )

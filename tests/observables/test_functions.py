@@ -123,23 +123,6 @@ def test_angles_of_degenerate_triangles_are_left_out():
     ] == pytest.approx(2 * np.pi / 3)
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"edge": [0]}, "share marker 0"),
-        ({"edge": [9]}, "edge names marker 9; there are 9"),
-        ({"faces": sheet(3, 3)[1][:, :2]}, "faces has shape"),
-        ({"markers_m": sheet(3, 3)[0]}, "markers_m has shape"),
-        ({"faces": sheet(3, 3)[1].astype(float)}, "integers"),
-    ],
-)
-def test_curvature_refuses_a_marker_of_two_kinds_and_unknown_ones(changes, message):
-    markers, faces, corner, edge = sheet(3, 3)
-    given = {"markers_m": markers[None], "faces": faces, "corner": corner, "edge": edge}
-    with pytest.raises(ShapeError, match=message):
-        angle_deficit_curvature(**given | changes)
-
-
 # Turning angle along lines
 
 
@@ -167,9 +150,7 @@ def test_turning_angle_is_nan_where_a_neighbour_is_missing_or_coincides():
     )
 
 
-@pytest.mark.parametrize(
-    "lines", [[[0, 1]], [[0, 1], [0, 2]], [[0, 2], [1, 2]], [[0, 1], [1, 7]], [0, 1]]
-)
+@pytest.mark.parametrize("lines", [[[0, 1]], [[0, 1], [0, 2]], [[0, 2], [1, 2]]])
 def test_turning_angle_refuses_lines_that_are_no_rows(lines):
     with pytest.raises(ShapeError, match="lines"):
         line_turning_angle(np.zeros((1, 4, 3)), lines)
@@ -223,5 +204,3 @@ def test_markers_without_a_node_near_by_are_refused_by_name():
     ).tolist() == [0, 1]
     with pytest.raises(ShapeError, match="2 nodes are too few for 3 markers"):
         assign_markers(np.zeros((3, 3)), nodes)
-    with pytest.raises(ShapeError, match="markers_m: point 1 is not finite"):
-        assign_markers([[0.0, 0, 0], [np.nan, 0, 0]], nodes)

@@ -61,9 +61,9 @@ def test_the_fit_returns_a_known_swing(frequency_hz, decay, droop_mm, rate_hz):
     assert noisy is not None
     assert exact.residual_mm < 1e-6
     for found, truth in (
-        ("frequency_hz", frequency_hz),
-        ("decay_rate_per_s", decay),
-        ("droop_mm", droop_mm),
+        ("frequency", frequency_hz),
+        ("decay_rate", decay),
+        ("droop", droop_mm),
     ):
         assert getattr(exact, found)[0] == pytest.approx(truth, abs=1e-6)
         value, error = getattr(noisy, found)
