@@ -21,7 +21,7 @@ from gauge_envs import find_variant
 from gauge_envs.envs.env import GaugeEnv
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.variants import Variant, beyond_variants, variants
-from gauge_envs.pages.document import as_markdown
+from gauge_envs.pages.markdown import as_markdown
 from gauge_envs.references.band import Band
 from gauge_envs.references.kind import Kind
 from gauge_envs.rendering.reference_path import reference_path, reference_words

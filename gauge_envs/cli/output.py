@@ -219,7 +219,9 @@ def print_document(
         form: The format.
         files: Files by suffix, of `arguments.by_suffix`; `.json` and `.md` are as on stdout.
     """
-    from gauge_envs.pages.document import Terminal, as_markdown, as_rows, save_file
+    from gauge_envs.pages.document import as_rows, save_file
+    from gauge_envs.pages.markdown import as_markdown
+    from gauge_envs.pages.terminal import Terminal
 
     if form is Format.JSON:
         print_json_lines(as_rows(shown))

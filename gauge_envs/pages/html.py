@@ -1,4 +1,4 @@
-"""HTML elements whose texts are escaped, and the frame that all pages share.
+"""HTML elements whose texts are escaped.
 
 `Html` marks text that is markup. Everything else is text, and `element` escapes it, so that no name in a result file
 can become markup.
@@ -8,10 +8,8 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable, Iterator
-from functools import cache
+from collections.abc import Iterable
 from html import escape
-from importlib.resources import files
 from typing import Any
 
 from gauge_envs.files import printable
@@ -24,25 +22,9 @@ class Html(str):
 
     __slots__ = ()
 
-    def renderables(self, width: int, *, wide: bool) -> Iterator[Any]:
-        """Yield nothing: a terminal shows no markup."""
-        yield from ()
 
-    def markdown(self) -> str:
-        """Return nothing: Markdown shows no markup."""
-        return ""
-
-    def html(self) -> Html:
-        """Return the markup."""
-        return self
-
-
-# fmt: off
-VOID = (
-    "br", "circle", "col", "img", "input", "line", "link", "meta", "path", "polygon", "polyline", "rect", "wbr",
-)
-# fmt: on
-"""Elements without content, in HTML and SVG."""
+VOID = ("br", "img", "input", "link", "meta", "wbr")
+"""Elements without content."""
 
 
 def element(name: str, /, *content: Text | Html, **attributes: Text | bool) -> Html:
@@ -97,12 +79,6 @@ def folded(
 def below(*texts: Text | Html) -> Html:
     """Return a quiet line below a text."""
     return element("span", *texts, class_="quiet block")
-
-
-@cache
-def stylesheet() -> str:
-    """Return the style of all pages, in CSS."""
-    return (files("gauge_envs.pages") / "style.css").read_text(encoding="utf-8")
 
 
 def script_value(value: Any) -> str:

@@ -144,11 +144,6 @@ class Markdown(str):
     __slots__ = ()
 
 
-def markdown_row(cells: Sequence[str]) -> str:
-    """Return one row of a table in GitHub Markdown."""
-    return f"| {' | '.join(map(markdown_text, cells))} |"
-
-
 def markdown_text(text: str) -> str:
     """Return a text in one line in which Markdown changes nothing and makes no link, picture or code."""
     if isinstance(text, Markdown):

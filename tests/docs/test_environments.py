@@ -18,7 +18,7 @@ from gauge_envs.envs.reward import reward_text
 from gauge_envs.errors import MissingExtraError
 from gauge_envs.experiments.task_files import task_spec
 from gauge_envs.experiments.variants import beyond_variants, matching_variants, variants
-from gauge_envs.pages.document import as_markdown
+from gauge_envs.pages.markdown import as_markdown
 from gauge_envs.tools.catalog import listing
 from gauge_envs.tools.catalog.description import all_limits, known_limits
 from gauge_envs.tools.catalog.spaces import action_rows, observation_rows

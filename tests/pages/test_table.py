@@ -10,9 +10,11 @@ import pytest
 from hypothesis import example, given, settings, strategies as st
 from rich.console import Console
 
-from gauge_envs.pages.document import Terminal, as_markdown, as_rows
+from gauge_envs.pages.document import as_rows
+from gauge_envs.pages.markdown import as_markdown
 from gauge_envs.pages.results import convergence_text, percent_text, score_text_of
 from gauge_envs.pages.table import Column, Facts, Place, Table
+from gauge_envs.pages.terminal import Terminal
 from gauge_envs.pages.text import (
     counted,
     quantity_text,

@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from gauge_envs.cli.app import app
 from gauge_envs.experiments.variants import find_variant, variants
-from gauge_envs.pages.document import Terminal
+from gauge_envs.pages.terminal import Terminal
 from gauge_envs.references.imported import DriverRecord, SpreadRecord
 from gauge_envs.references.published import published_baselines
 from gauge_envs.runs.episodes import run_episode

@@ -9,8 +9,9 @@ from typing import Any
 from gauge_envs.backends import backend_names, versions_of
 from gauge_envs.errors import GaugeError
 from gauge_envs.files import versions
-from gauge_envs.pages.document import Bullets, Document, Heading, Paragraph, Part, page
+from gauge_envs.pages.document import Bullets, Document, Heading, Paragraph, Part
 from gauge_envs.pages.html import Html, below, element, folded, join, listed
+from gauge_envs.pages.page import as_html, page
 from gauge_envs.pages.table import Column, Place, Table
 from gauge_envs.pages.text import Markdown, markdown_text, pairs_text, with_unit
 from gauge_envs.runs.isolation import call_engine
@@ -589,5 +590,5 @@ def _section(check: Check, columns: Sequence[MatrixColumn]) -> Html:
     )
     title = element("h3", f"{check.title} ", element("code", check.id))
     described = listed(f"{name}: {text}" for name, text in facts.items())
-    repeated = folded(f"{len(found)} results with their commands", results.html())
+    repeated = folded(f"{len(found)} results with their commands", as_html(results))
     return element("section", title, described, repeated, id=check.id)

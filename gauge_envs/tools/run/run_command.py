@@ -84,7 +84,7 @@ def run(
     declined.
     """
     from gauge_envs.experiments.variants import is_glob, matching_variants
-    from gauge_envs.pages.document import Terminal
+    from gauge_envs.pages.terminal import Terminal
     from gauge_envs.runs.batch import check_requests, run_many
     from gauge_envs.runs.isolation import TIME_LIMIT_S
     from gauge_envs.runs.request import RunRequest

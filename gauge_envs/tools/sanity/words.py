@@ -6,13 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 from gauge_envs.errors import first_names
-from gauge_envs.pages.document import (
-    Document,
-    Heading,
-    Paragraph,
-    Part,
-    Tone,
-)
+from gauge_envs.pages.document import Document, Heading, Paragraph, Part, Tone
 from gauge_envs.pages.table import Column, Facts, Place, Table
 from gauge_envs.pages.text import counted, quantity_text, vector_text, with_unit
 from gauge_envs.tools.sanity.model import (

@@ -23,8 +23,8 @@ from gauge_envs.pages.html import (
     listed,
     script_value,
     slug,
-    stylesheet,
 )
+from gauge_envs.pages.page import stylesheet
 from gauge_envs.pages.results import discretization_text
 from gauge_envs.pages.table import Table, grid
 from gauge_envs.pages.text import shortened

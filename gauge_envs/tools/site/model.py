@@ -10,9 +10,10 @@ from pathlib import Path
 
 from gauge_envs.errors import GaugeError
 from gauge_envs.experiments.resolve import load_experiment
-from gauge_envs.pages.document import Heading, Paragraph, Part, Tone, page
+from gauge_envs.pages.document import Heading, Paragraph, Part, Tone
 from gauge_envs.pages.figures import color_of
 from gauge_envs.pages.html import Html, below, element, join, slug
+from gauge_envs.pages.page import page
 from gauge_envs.pages.table import Table
 from gauge_envs.pages.text import score_text, with_unit
 from gauge_envs.runs.result import Outcome, Result

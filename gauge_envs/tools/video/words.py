@@ -13,9 +13,10 @@ import numpy as np
 from scipy.special import stdtrit
 
 from gauge_envs.errors import VideoError
-from gauge_envs.pages.document import Document, Heading, Paragraph, Part, page
+from gauge_envs.pages.document import Document, Heading, Paragraph, Part
 from gauge_envs.pages.figures import OURS, embedded, legend_above, new_figure, tidy_axis
 from gauge_envs.pages.html import Html, element, join, listed
+from gauge_envs.pages.page import page
 from gauge_envs.pages.table import Column, Place, Table
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.video import (

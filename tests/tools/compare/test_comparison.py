@@ -12,9 +12,11 @@ from rich.console import Console
 from gauge_envs.errors import ResultFileError, UnknownNameError
 from gauge_envs.experiments.task_files import task_sha256, task_spec
 from gauge_envs.files import versions
-from gauge_envs.pages.document import Terminal, as_markdown, as_rows
+from gauge_envs.pages.document import as_rows
 from gauge_envs.pages.figures import OURS
+from gauge_envs.pages.markdown import as_markdown
 from gauge_envs.pages.results import SCORE_METRICS, configuration_labels
+from gauge_envs.pages.terminal import Terminal
 from gauge_envs.references.published import published_baselines
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest

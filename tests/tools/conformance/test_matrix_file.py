@@ -6,7 +6,7 @@ import math
 import pytest
 
 from gauge_envs.errors import ParameterError, ResultFileError
-from gauge_envs.pages.document import as_markdown
+from gauge_envs.pages.markdown import as_markdown
 from gauge_envs.tools.conformance import Status, checks
 from gauge_envs.tools.conformance.matrix import (
     MatrixColumn,

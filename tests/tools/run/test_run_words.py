@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 from rich.console import Console
 
-from gauge_envs.pages.document import Terminal
+from gauge_envs.pages.terminal import Terminal
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.scoring.estimates import Measured
 from gauge_envs.scoring.score import Score

@@ -9,7 +9,8 @@ from approval import refused_commands
 from places import ROOT
 from rich.console import Console
 
-from gauge_envs.pages.document import Terminal, as_markdown
+from gauge_envs.pages.markdown import as_markdown
+from gauge_envs.pages.terminal import Terminal
 from gauge_envs.tools.sanity.model import (
     ContactGroup,
     Cure,

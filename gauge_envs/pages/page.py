@@ -1,0 +1,112 @@
+"""Documents as pages in HTML."""
+
+from collections.abc import Iterable, Sequence
+from importlib.resources import files
+
+from gauge_envs.pages.document import Bullets, Heading, Paragraph, Part, Tone
+from gauge_envs.pages.html import Html, element, join, listed
+from gauge_envs.pages.table import Column, Facts, Place, Table, grid
+
+CLASSES = {
+    Tone.PLAIN: None,
+    Tone.ANSWER: "answer",
+    Tone.NOTE: "small",
+    Tone.WARNING: "note",
+    Tone.ERROR: "note",
+}
+"""Class of a paragraph."""
+
+
+def stylesheet() -> str:
+    """Return the style of all pages, in CSS."""
+    return (files("gauge_envs.pages") / "style.css").read_text(encoding="utf-8")
+
+
+def page(
+    title: str,
+    parts: Iterable[Part],
+    *,
+    above: Html | None = None,
+    style: str | None = None,
+    scripts: Sequence[str] = (),
+    look: str | None = None,
+) -> str:
+    """Return a page in HTML.
+
+    Args:
+        title: Its title, above the parts and for the browser.
+        parts: Its content.
+        above: What stands above the title, as links.
+        style: File of the style, relative to the page; None writes the style into the page.
+        scripts: Script files in the order in which they run.
+        look: Class of the body.
+    """
+    head = [
+        element("meta", charset="utf-8"),
+        element("title", title),
+        element("meta", name="viewport", content="width=device-width, initial-scale=1"),
+        *(element("script", Html(""), src=file, defer=True) for file in scripts),
+    ]
+    if style is None:
+        head.append(element("style", Html(stylesheet())))
+    else:
+        head.append(element("link", rel="icon", href="data:,"))
+        head.append(element("link", rel="stylesheet", href=style))
+    body = join([above, *map(as_html, [Heading(title, 1), *parts])], "\n")
+    whole = element(
+        "html", element("head", *head), element("body", body, class_=look), lang="en"
+    )
+    return f"<!DOCTYPE html>\n{whole}\n"
+
+
+def as_html(part: Part) -> Html:
+    """Return a part as markup."""
+    match part:
+        case Heading(text, level):
+            return element(f"h{level}", text)
+        case Paragraph(text, tone):
+            return element("p", text, class_=CLASSES[tone])
+        case Bullets(entries, title):
+            heading = element("h3", title) if title else None
+            return join([heading, listed(entries)])
+        case Facts(pairs):
+            return _table(grid(("what", "value"), list(pairs.items())))
+        case Table():
+            return _table(part)
+    return part
+
+
+def _table(table: Table) -> Html:
+    columns = table.saved_columns
+    beside = [column for column in columns if column.place is not Place.BELOW]
+    below = [column for column in columns if column.place is Place.BELOW]
+    head = [
+        element("th", column.label, scope="col", class_=_class(column))
+        for column in beside
+    ]
+    body = []
+    for row in table.rows:
+        cells = (
+            element(
+                "td", column.markup(row), class_=_class(column, column.style_of(row))
+            )
+            for column in beside
+        )
+        body.append(element("tr", *cells))
+        for text in filter(None, (column.markup(row) for column in below)):
+            cell = element("td", text, colspan=len(beside))
+            body.append(element("tr", cell, class_="more"))
+    whole = element(
+        "table",
+        element("thead", element("tr", *head)),
+        element("tbody", *body),
+        class_=table.look or None,
+    )
+    title = element("h3", table.title) if table.title else None
+    notes = (element("p", note, class_="small") for note in table.notes)
+    return join([title, element("div", whole, class_="scroll"), *notes])
+
+
+def _class(column: Column, style: str = "") -> str | None:
+    """Return the classes of a cell."""
+    return " ".join(filter(None, ("n" if column.is_number else "", style))) or None

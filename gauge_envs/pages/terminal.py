@@ -1,0 +1,181 @@
+"""Documents in a terminal: rich wraps texts, and tables fit the width of the console.
+
+Cells wrap between words. Columns that do not fit side by side are written below their rows.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from textwrap import TextWrapper
+from typing import Literal
+
+import rich.table
+from rich.cells import cell_len
+from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
+from rich.padding import Padding
+from rich.text import Text
+
+from gauge_envs.pages.document import (
+    Bullets,
+    Heading,
+    Paragraph,
+    Part,
+    Shown,
+    document_of,
+)
+from gauge_envs.pages.table import Column, Facts, Place, Table
+
+GAP = 2
+"""Blanks between two columns, and before rows below a heading."""
+
+TITLE_WIDTH = 12
+"""Longer titles wrap where their cells are shorter [characters]."""
+
+MIN_NAME_WIDTH = 12
+"""The first column gets at least this width [characters]."""
+
+MAX_KEY_WIDTH = 22
+"""Longer names of facts have a line of their own [characters]."""
+
+
+@dataclass(frozen=True)
+class Terminal:
+    """A document that rich prints at the width of its console.
+
+    Attributes:
+        shown: What to print.
+        wide: Whether to show what is left out by default.
+    """
+
+    shown: Shown
+    wide: bool = False
+
+    def __rich_console__(
+        self, console: Console, options: ConsoleOptions
+    ) -> RenderResult:
+        """Yield the lines of all parts."""
+        for part in document_of(self.shown).parts:
+            yield from _lines(part, options.max_width, wide=self.wide)
+
+
+def _lines(part: Part, width: int, *, wide: bool) -> Iterator[RenderableType]:
+    """Yield what a terminal of a width [characters] shows of a part; markup is not shown."""
+    match part:
+        case Heading(text):
+            yield Text(f"\n{text}", style="bold")
+        case Paragraph(text, tone):
+            yield Text(text, style=tone.value)
+        case Bullets(entries, title):
+            if title:
+                yield Text(f"\n{title}", style="bold")
+            yield from (Text(f"  {line}") for line in entries)
+        case Facts(pairs):
+            yield from _facts(pairs)
+        case Table():
+            is_hidden = part.narrow_only if wide else part.wide_only
+            if not is_hidden:
+                yield from _table(part, width, wide=wide)
+
+
+def _facts(pairs: Mapping[str, str]) -> Iterator[RenderableType]:
+    """Yield names beside their texts; a long name has a line of its own."""
+    short = [key for key in pairs if len(key) <= MAX_KEY_WIDTH]
+    for key, text in pairs.items():
+        if key not in short:
+            yield Text(key, style="cyan")
+        line = rich.table.Table.grid(padding=(0, GAP, 0, 0))
+        line.add_column(style="cyan", width=max(map(len, short), default=0))
+        line.add_column(overflow="fold")
+        line.add_row(Text(key if key in short else ""), Text(text))
+        yield line
+
+
+def _table(table: Table, width: int, *, wide: bool) -> Iterator[RenderableType]:
+    if table.title:
+        yield Text(f"\n{table.title}", style="bold")
+    if table.rows:
+        yield from _rows(table, width, wide=wide)
+    else:
+        yield Text("none", style="dim")
+    for note in table.notes:
+        yield Text(note, style="dim")
+
+
+def _rows(table: Table, width: int, *, wide: bool) -> Iterator[RenderableType]:
+    """Yield titles, headings, and rows, each with its lines below."""
+    chosen = [
+        column
+        for column in table.columns
+        if not (column.narrow_only if wide else column.wide_only)
+    ]
+    headings = [column for column in chosen if column.place is Place.HEADING]
+    cells = [column for column in chosen if column.place is Place.CELL]
+    below = [column for column in chosen if column.place is Place.BELOW]
+    indent = GAP if headings else 0
+    widths = _widths(cells, table.rows, width - indent)
+    shown, spilled = cells[: len(widths)], cells[len(widths) :]
+    titles = [Text(column.label, style="dim") for column in shown]
+    yield Padding.indent(_line(shown, widths, titles, vertical="bottom"), indent)
+    last_heading = ""
+    for row in table.rows:
+        # The first value stands alone, and the others behind their titles.
+        texts = [column.text(row) for column in headings[:1]]
+        texts += [f"{column.title} {column.text(row)}" for column in headings[1:]]
+        heading = "  ".join(texts)
+        if heading != last_heading:
+            yield Text(heading, style="bold")
+            last_heading = heading
+        line = [Text(column.text(row), column.style_of(row)) for column in shown]
+        if max(map(cell_len, line[0].plain.split()), default=0) > widths[0]:
+            yield Padding.indent(line[0], indent)
+            line[0] = Text("")
+        if any(line):
+            yield Padding.indent(_line(shown, widths, line), indent)
+        rest = [(column.label, column.text(row)) for column in spilled]
+        known = [f"{title}: {text}" for title, text in rest if text not in ("", "-")]
+        for text in (*(column.text(row) for column in below), "; ".join(known)):
+            if text:
+                yield Padding.indent(Text(text), 2 * GAP)
+
+
+def _line(
+    columns: Sequence[Column],
+    widths: Sequence[int],
+    texts: Sequence[Text],
+    *,
+    vertical: Literal["top", "bottom"] = "top",
+) -> rich.table.Table:
+    """Return texts in columns of given widths [characters]."""
+    line = rich.table.Table.grid(padding=(0, GAP, 0, 0))
+    for column, width in zip(columns, widths, strict=True):
+        # Blanks would follow the texts of a last column.
+        is_last = column is columns[-1] and not column.is_number
+        line.add_column(
+            justify="right" if column.is_number else "left",
+            width=None if is_last else width,
+            max_width=width,
+            overflow="fold",
+            vertical=vertical,
+        )
+    line.add_row(*texts)
+    return line
+
+
+def _widths(columns: Sequence[Column], rows: Sequence[object], width: int) -> list[int]:
+    """Return the widths of the columns that fit side by side; cells wrap between words where they must."""
+    wrapper = TextWrapper(TITLE_WIDTH, break_long_words=False, break_on_hyphens=False)
+    lines = [
+        [*wrapper.wrap(column.label), *(column.text(row) for row in rows)]
+        for column in columns
+    ]
+    widths = [max(map(cell_len, texts)) for texts in lines]
+    least = [max(map(cell_len, " ".join(texts).split()), default=1) for texts in lines]
+    # A longer name of a row has a line of its own rather than that columns go below their rows.
+    least[0] = min(least[0], MIN_NAME_WIDTH)
+    while len(least) > 1 and sum(least) + GAP * (len(least) - 1) > width:
+        del least[-1], widths[-1]
+    while sum(widths) + GAP * (len(widths) - 1) > width:
+        spare = [size - word for size, word in zip(widths, least, strict=True)]
+        if max(spare) <= 0:
+            break
+        widths[spare.index(max(spare))] -= 1
+    return widths
