@@ -5,9 +5,8 @@ from __future__ import annotations
 import errno
 import functools
 import inspect
-import os
 import re
-from importlib.util import find_spec
+import signal
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -17,15 +16,15 @@ import typer.core
 from gauge_envs.cli import arguments
 from gauge_envs.cli.arguments import PER_ENGINE, split_values
 from gauge_envs.cli.commands import commands, help_lines
-from gauge_envs.cli.interrupts import (
+from gauge_envs.cli.output import (
     EXIT_INTERRUPTED,
-    command_runs,
-    handle_interrupts,
-    report_interrupt,
-    was_interrupted,
+    EXIT_USAGE,
+    Format,
+    echo,
+    message,
+    quieted,
 )
-from gauge_envs.cli.output import EXIT_USAGE, Format, echo, message, quieted
-from gauge_envs.cli.streams import open_closed_streams, reserved_stdout
+from gauge_envs.cli.streams import reserved_stdout
 from gauge_envs.errors import GaugeError, UnknownNameError
 
 UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
@@ -196,33 +195,18 @@ class _Root(_Group):
 
     def invoke(self, ctx: Any) -> Any:
         try:
-            with command_runs():
-                result = super().invoke(ctx)
-        except typer.Exit as end:
-            if end.exit_code:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            typer.echo("interrupted", err=True)
+            raise typer.Exit(EXIT_INTERRUPTED) from None
+        except GaugeError as error:
+            text = str(error)
+        except OSError as error:
+            if error.errno not in UNWRITABLE:
                 raise
-            result = None
-        except BaseException as error:
-            raise typer.Exit(_exit_code(error)) from None
-        # A signal that waits for the end of an import may come after the end of the command.
-        if was_interrupted():
-            raise typer.Exit(_exit_code(KeyboardInterrupt()))
-        return result
-
-
-def _exit_code(error: BaseException) -> int:
-    """Print the message of an error that ends the command, and return its exit code; raise any other error."""
-    # A library may turn Ctrl-C into an error of its own.
-    if isinstance(error, KeyboardInterrupt) or was_interrupted():
-        report_interrupt()
-        return EXIT_INTERRUPTED
-    if isinstance(error, GaugeError):
-        message(str(error), "error")
-    elif isinstance(error, OSError) and error.errno in UNWRITABLE:
-        message(f"the output cannot be written: {error.strerror}", "error")
-    else:
-        raise error
-    return EXIT_USAGE
+            text = f"the output cannot be written: {error.strerror}"
+        message(text, "error")
+        raise typer.Exit(EXIT_USAGE)
 
 
 app = typer.Typer(
@@ -259,23 +243,8 @@ def _root(
     """Measure how far a physics engine is from real motion-capture trials (GAUGE benchmark)."""
 
 
-def _name_glfw_library() -> None:
-    """State where the library of glfw is, which MuJoCo imports.
-
-    glfw would look for it with a second Python, which ends at a path beyond ASCII in the C locale.
-    """
-    session = os.environ.get("XDG_SESSION_TYPE")
-    windows = "wayland" if session == "wayland" else "x11"
-    windows = os.environ.get("PYGLFW_LIBRARY_VARIANT", windows)
-    spec = find_spec("glfw")
-    for folder in [] if spec is None else spec.submodule_search_locations or []:
-        for file in Path(folder).glob(f"{windows}/libglfw.so*"):
-            os.environ.setdefault("PYGLFW_LIBRARY", str(file))
-
-
 def main() -> None:
     """Run the `gauge` command in this process."""
-    _name_glfw_library()
-    handle_interrupts()
-    open_closed_streams()
+    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     app()

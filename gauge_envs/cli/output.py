@@ -41,6 +41,10 @@ EXIT_USAGE = 2
 """The request is wrong: an unknown name, a missing file, an unsupported option."""
 
 
+EXIT_INTERRUPTED = 130
+"""Ctrl-C ended the command."""
+
+
 def stdout_console() -> Console:
     """Return the console of results."""
     return _with_width(Console(file=result_stream(), emoji=False))

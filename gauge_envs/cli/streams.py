@@ -10,30 +10,6 @@ from typing import TextIO
 _reserved: list[TextIO] = []
 
 
-def open_closed_streams() -> None:
-    """Point stdin, stdout and stderr to nothing where the process was started without them, as with `>&-`.
-
-    The next file that is opened would otherwise get their descriptor, and what C code prints would go into that file.
-    """
-    for number, name, mode in (
-        (0, "stdin", "r"),
-        (1, "stdout", "w"),
-        (2, "stderr", "w"),
-    ):
-        try:
-            os.fstat(number)
-        except OSError:
-            opened = os.open(os.devnull, os.O_RDWR)
-            if opened != number:
-                os.dup2(opened, number)
-                os.close(opened)
-            setattr(
-                sys,
-                name,
-                os.fdopen(number, mode, encoding="utf-8", errors="backslashreplace"),
-            )
-
-
 def result_stream() -> TextIO:
     """Return the stream of the results of a command: the stdout that it was started with."""
     return _reserved[-1] if _reserved else sys.stdout

@@ -13,7 +13,13 @@ from gauge_envs.pages.document import Bullets, Document, Heading, Paragraph, Par
 from gauge_envs.pages.html import Html, below, element, folded, join, listed
 from gauge_envs.pages.page import as_html, page
 from gauge_envs.pages.table import Column, Place, Table
-from gauge_envs.pages.text import Markdown, markdown_text, pairs_text, with_unit
+from gauge_envs.pages.text import (
+    Markdown,
+    counted,
+    markdown_text,
+    pairs_text,
+    with_unit,
+)
 from gauge_envs.runs.isolation import call_engine
 from gauge_envs.tools.conformance.matrix import Change, MatrixColumn
 from gauge_envs.tools.conformance.model import Check, CheckResult, Status
@@ -590,5 +596,6 @@ def _section(check: Check, columns: Sequence[MatrixColumn]) -> Html:
     )
     title = element("h3", f"{check.title} ", element("code", check.id))
     described = listed(f"{name}: {text}" for name, text in facts.items())
-    repeated = folded(f"{len(found)} results with their commands", as_html(results))
+    count = counted(len(found), "result")
+    repeated = folded(f"{count} with commands", as_html(results))
     return element("section", title, described, repeated, id=check.id)

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from gauge_envs.cli import arguments
-from gauge_envs.cli.interrupts import EXIT_INTERRUPTED
 from gauge_envs.cli.output import (
+    EXIT_INTERRUPTED,
     LINE_INTERVAL_S,
     Format,
     LostOutput,
