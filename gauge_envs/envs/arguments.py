@@ -176,7 +176,8 @@ def checked_action(action: Any, space: spaces.Space[Any]) -> FloatArray:
         space: A Box from -1 to 1, or `Discrete(1)`, whose only action has no numbers.
     """
     if isinstance(space, spaces.Discrete):
-        if np.ndim(action) == 0 and space.contains(np.asarray(action)):
+        is_number = isinstance(action, int | np.integer | np.ndarray)
+        if is_number and np.ndim(action) == 0 and action == 0:
             return np.zeros(0)
         raise ActionError(
             f"action {action!r}: this experiment has no driven body, so the only action is 0"

@@ -272,8 +272,11 @@ class Rollout:
         """Drive, advance and observe the six intervals after a frame."""
         if actions is None:
             actions = np.zeros((self.world_count, self.motion_count))
-        ends = np.cumsum([motion.motion_count for motion in self._motions])
-        split = np.split(actions, ends[:-1], axis=1) if self._motions else []
+        split = []
+        end = 0
+        for motion in self._motions:
+            begin, end = end, end + motion.motion_count
+            split.append(actions[:, begin:end])
         first = frame * SAMPLES_PER_FRAME
         for index in intervals(
             self.simulation, self._motions, first, SAMPLES_PER_FRAME, split
