@@ -14,9 +14,6 @@ from gauge_envs.references.tables import FileModel, read_rows, scoring_folder
 RefinedSetting = Literal["timestep_s", "cell_m", "training"]
 """Setting that differs: the time step or the edge of the cells of a deformable body, halved, or preset `training`."""
 
-REFINED_SETTINGS: tuple[RefinedSetting, ...] = get_args(RefinedSetting)
-"""The settings that differ, in the order of reports."""
-
 
 class Convergence(FileModel):
     """Difference between an episode with default settings and one with other settings, over all frames.
@@ -56,17 +53,6 @@ def read_convergence(file: Path) -> dict[tuple[str, RefinedSetting], Convergence
     return {(row.variant, row.setting): row for row in read_rows(file, Convergence)}
 
 
-def convergence_of(engine: str, variant: str) -> dict[RefinedSetting, Convergence]:
-    """Return the measured rows of a variant on an engine, as `mujoco`, by setting."""
-    file = scoring_folder("convergence") / f"{engine}.csv"
-    rows = read_convergence(file) if file.is_file() else {}
-    return {
-        setting: row
-        for setting in REFINED_SETTINGS
-        if (row := rows.get((variant, setting)))
-    }
-
-
 def convergence_rows(engine: str | None, name: str) -> dict[str, dict[str, Any]]:
     """Return the measured convergence of an experiment on an engine, JSON-ready, by the setting that differs.
 
@@ -74,7 +60,11 @@ def convergence_rows(engine: str | None, name: str) -> dict[str, dict[str, Any]]
         engine: Name of the engine; None for a trajectory from a file, which has no rows.
         name: Id or name of the experiment.
     """
-    if engine is None:
-        return {}
-    measured = convergence_of(engine, name.removeprefix("GAUGE/"))
-    return {setting: row.model_dump() for setting, row in measured.items()}
+    file = scoring_folder("convergence") / f"{engine}.csv"
+    rows = read_convergence(file) if file.is_file() else {}
+    variant = name.removeprefix("GAUGE/")
+    return {
+        setting: rows[variant, setting].model_dump()
+        for setting in get_args(RefinedSetting)
+        if (variant, setting) in rows
+    }

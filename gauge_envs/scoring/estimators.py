@@ -17,7 +17,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gauge_envs.errors import ShapeError
 from gauge_envs.scene.geometry import BoolArray, FloatArray, IntArray
 
 LEAST_FLIGHT = 2
@@ -30,15 +29,6 @@ FALLEN = 0.05
 """Fall from which on a sample belongs to the flight, over the drop: before, a body may still be held."""
 
 
-def _checked(times_s: FloatArray, values: FloatArray, least: int) -> None:
-    """Raise ShapeError unless there are as many values as times, and enough of them."""
-    if times_s.ndim != 1 or len(values) != len(times_s) or len(times_s) < least:
-        raise ShapeError(
-            f"times have shape {times_s.shape} and values {values.shape}; one value for each of {least} or more times "
-            "is needed"
-        )
-
-
 # --- along a line ----------------------------------------------------------------------------------------------------
 
 
@@ -48,11 +38,7 @@ def steady_speed_m_per_s(times_s: FloatArray, path_m: FloatArray) -> float:
     Args:
         times_s: Times [s], shape [sample_count].
         path_m: Positions along the motion [m], same shape. The result has their unit per second.
-
-    Raises:
-        ShapeError: There are fewer than two samples, or the shapes differ.
     """
-    _checked(times_s, path_m, 2)
     return float(np.polyfit(times_s, path_m, 1)[0])
 
 
@@ -64,11 +50,7 @@ def acceleration_m_per_s2(times_s: FloatArray, path_m: FloatArray) -> float:
     Args:
         times_s: Times [s], shape [sample_count].
         path_m: Positions along the motion [m], same shape.
-
-    Raises:
-        ShapeError: There are fewer than three samples, or the shapes differ.
     """
-    _checked(times_s, path_m, 3)
     return float(2.0 * np.polyfit(times_s, path_m, 2)[0])
 
 
@@ -78,7 +60,6 @@ def acceleration_error_m_per_s2(times_s: FloatArray, path_m: FloatArray) -> floa
     It is the square root of the last element of s^2 (X'X)^-1, with s^2 the sum of squared residuals over the number of
     samples beyond three (Draper and Smith, Applied Regression Analysis, section 5.2).
     """
-    _checked(times_s, path_m, 3)
     coefficients, unscaled = np.polyfit(times_s, path_m, 2, cov="unscaled")
     residual_m = path_m - np.polyval(coefficients, times_s)
     variance_m2 = float(residual_m @ residual_m) / max(len(times_s) - 3, 1)
@@ -106,41 +87,6 @@ def slide_friction(
     driving = gravity_m_per_s2 * math.sin(slope_rad) - acceleration_m_per_s2
     pressing = gravity_m_per_s2 * math.cos(slope_rad) + lift_m_per_s2
     return driving / pressing
-
-
-# --- rest ------------------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, kw_only=True)
-class RestDepth:
-    """A body at rest on a support.
-
-    Attributes:
-        depth_m: Mean depth in the support [m]; negative above it.
-        drift_m_per_s: Speed at which the depth still changes [m/s].
-    """
-
-    depth_m: float
-    drift_m_per_s: float
-
-
-def rest_depth(
-    times_s: FloatArray, depth_m: FloatArray, *, settled_s: float
-) -> RestDepth:
-    """Return the mean depth of a body after it has settled, and how fast the depth still changes.
-
-    Args:
-        times_s: Times [s], shape [sample_count].
-        depth_m: Depth in the support [m], same shape.
-        settled_s: Time from which on it counts as settled [s].
-
-    Raises:
-        ShapeError: Fewer than two samples are settled, or the shapes differ.
-    """
-    settled = times_s >= settled_s
-    later_s, later_m = times_s[settled], depth_m[settled]
-    drift_m_per_s = steady_speed_m_per_s(later_s, later_m)
-    return RestDepth(depth_m=float(later_m.mean()), drift_m_per_s=drift_m_per_s)
 
 
 # --- oscillations ----------------------------------------------------------------------------------------------------
@@ -175,7 +121,6 @@ def mean_period_s(times_s: FloatArray, values: FloatArray) -> float:
     Returns:
         Period [s]; NaN for fewer than two passes.
     """
-    _checked(times_s, values, 2)
     before = np.flatnonzero((values[:-1] < 0.0) & (values[1:] >= 0.0))
     share = values[before] / (values[before] - values[before + 1])
     crossings_s = times_s[before] + share * np.diff(times_s)[before]
@@ -250,11 +195,7 @@ def first_bounce(
 
     Returns:
         The bounce; with a speed of 0 after it if the body stays down. None if it does not fall to the contact.
-
-    Raises:
-        ShapeError: There are fewer than two samples, or the shapes differ.
     """
-    _checked(times_s, heights_m, 2)
     start_m = float(heights_m[0])
     floor_m = float(heights_m.min()) if contact_m is None else contact_m
     drop_m = start_m - floor_m
@@ -266,20 +207,14 @@ def first_bounce(
     rose = _flight_after(heights_m, clear, low, floor_m)
     flight_in = _Flight.of(times_s[fell], heights_m[fell], gravity_m_per_s2)
     flight_out = _Flight.of(times_s[rose], heights_m[rose], gravity_m_per_s2)
-    until_s = (
-        float(times_s[min(int(rose[-1]) + 1, len(times_s) - 1)])
-        if len(rose)
-        else float(times_s[-1])
-    )
+    until_s = float(times_s[-1])
+    if len(rose):
+        until_s = float(times_s[min(int(rose[-1]) + 1, len(times_s) - 1)])
     if contact_m is None:
         return _meeting(flight_in, flight_out, until_s)
-    fallen_m = (
-        released_m
-        if released_m is not None
-        else flight_in.top_m
-        if flight_in is not None
-        else start_m
-    )
+    fallen_m = released_m
+    if fallen_m is None:
+        fallen_m = start_m if flight_in is None else flight_in.top_m
     # A hop of fewer samples than a flight has the height of its highest sample.
     hop_m = flight_out.top_m if flight_out is not None else float(heights_m[low:].max())
     time_s = float(times_s[low])

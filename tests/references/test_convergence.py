@@ -10,7 +10,7 @@ from gauge_envs.files import data_folder
 from gauge_envs.pages.results import convergence_text
 from gauge_envs.references.convergence import (
     Convergence,
-    convergence_of,
+    convergence_rows,
     read_convergence,
 )
 from gauge_envs.references.published import published_baselines
@@ -70,7 +70,7 @@ def test_mujoco_has_half_the_step_of_every_scored_experiment():
 
 
 def test_an_engine_without_a_table_was_not_measured():
-    assert convergence_of("another", "SlopeSlider-2-wood") == {}
+    assert convergence_rows("another", "SlopeSlider-2-wood") == {}
     assert (
         convergence_text({}, has_cells=True)
         == "half step: not measured; half cell: not measured"
@@ -85,7 +85,7 @@ def test_an_engine_without_a_table_was_not_measured():
 
 
 def test_commands_show_what_was_measured(gauge):
-    share = convergence_of("mujoco", "SlopeSlider-2-wood")["timestep_s"].share
+    share = convergence_rows("mujoco", "SlopeSlider-2-wood")["timestep_s"]["share"]
     expected = (
         f"half step moves the trajectory by {100 * share:.2g} % of the real scatter"
     )

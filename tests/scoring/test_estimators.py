@@ -10,14 +10,12 @@ from hypothesis import given, strategies as st
 from numpy.typing import NDArray
 from scipy.special import ellipj, ellipk
 
-from gauge_envs.errors import ShapeError
 from gauge_envs.scoring.estimates import rebound
 from gauge_envs.scoring.estimators import (
     acceleration_error_m_per_s2,
     acceleration_m_per_s2,
     first_bounce,
     mean_period_s,
-    rest_depth,
     slide_friction,
     speed_at_contact_m_per_s,
     steady_speed_m_per_s,
@@ -87,17 +85,6 @@ def test_creep_is_the_slope_of_the_path(speed: float, start: float) -> None:
     assert steady_speed_m_per_s(times_s, start + speed * times_s) == pytest.approx(
         speed, abs=1e-12
     )
-
-
-@given(st.floats(0.0, 1e-3), st.floats(0.0, 1e-3), st.floats(0.005, 0.03))
-def test_rest_is_read_after_settling(
-    depth: float, drift: float, decay_s: float
-) -> None:
-    times_s = np.linspace(0.0, 2.0, 2001)
-    path = depth * (1.0 - np.exp(-times_s / decay_s)) + drift * times_s
-    found = rest_depth(times_s, path, settled_s=1.8)
-    assert found.drift_m_per_s == pytest.approx(drift, abs=1e-12)
-    assert found.depth_m == pytest.approx(depth + 1.9 * drift, abs=1e-12)
 
 
 # --- oscillations ----------------------------------------------------------------------------------------------------
@@ -293,13 +280,3 @@ def test_a_flight_of_another_gravity_has_a_misfit() -> None:
 def test_the_speed_at_the_contact_is_that_of_the_fall() -> None:
     assert speed_at_contact_m_per_s(0.2, G) == pytest.approx(math.sqrt(2.0 * G * 0.2))
     assert speed_at_contact_m_per_s(-1e-6, G) == 0.0
-
-
-@pytest.mark.parametrize(
-    "estimator", [steady_speed_m_per_s, acceleration_m_per_s2, mean_period_s]
-)
-def test_samples_without_times_are_refused(estimator) -> None:  # type: ignore[no-untyped-def]
-    with pytest.raises(ShapeError):
-        estimator(np.arange(5.0), np.arange(4.0))
-    with pytest.raises(ShapeError):
-        estimator(np.arange(1.0), np.arange(1.0))

@@ -215,7 +215,7 @@ def test_time_offset_of_an_object_at_rest_is_zero():
     )
 
 
-@pytest.mark.parametrize("times_s", [[0.0, 0.0, 1.0], [0.0, 1.0], [0.0, 2.0, 1.0]])
+@pytest.mark.parametrize("times_s", [[0.0, 0.0, 1.0], [0.0, 2.0, 1.0]])
 def test_time_offset_refuses_times_that_do_not_fit(times_s):
     with pytest.raises(ShapeError, match="strictly ascending"):
         time_offset(times_s, np.zeros((3, 1)), np.zeros((3, 1)))
@@ -229,13 +229,11 @@ def test_z_scores_are_nan_without_scale_or_measurement():
     np.testing.assert_array_equal(z, [[2.0, np.nan, np.nan]])
 
 
-def test_z_scores_take_one_sigma_for_all_frames_and_refuse_others():
+def test_z_scores_take_one_sigma_for_all_frames():
     assert z_scores(np.ones((4, 2)), np.zeros((4, 2)), [0.5, 2.0])[3].tolist() == [
         2.0,
         0.5,
     ]
-    with pytest.raises(ShapeError, match="never negative"):
-        z_scores(np.ones((4, 2)), np.zeros((4, 2)), -1.0)
 
 
 def test_signed_error_keeps_direction_and_skips_missing_frames():

@@ -29,7 +29,7 @@ from gauge_envs.scene import (
     Scene,
 )
 from gauge_envs.scene.geometry import FloatArray, vector
-from gauge_envs.scoring.estimators import rest_depth
+from gauge_envs.scoring.estimators import steady_speed_m_per_s
 from gauge_envs.tools.bench.drop import RADIUS_M, balls_above_ground, bounce_of, fall_s
 from gauge_envs.tools.bench.slope import creep_m_per_s, friction_of_slide, moved_m
 from gauge_envs.tools.bench.turning import INERTIA_SHARES, ROLL, SPIN, turning_arm_m
@@ -197,10 +197,11 @@ class Probe:
         plate = self._plate(LEVEL)
         rollout = self._rollout([plate], LEVEL, build, REST_S)
         depth_m = 0.5 * PLATE_M[2] - rollout.position(plate.name)[:, 2]
-        settled = rest_depth(rollout.times_s, depth_m, settled_s=REST_FROM_S)
+        settled = rollout.times_s >= REST_FROM_S
+        drift_m_s = steady_speed_m_per_s(rollout.times_s[settled], depth_m[settled])
         return Rest(
-            penetration_m=settled.depth_m,
-            drift_m_s=settled.drift_m_per_s,
+            penetration_m=float(depth_m[settled].mean()),
+            drift_m_s=drift_m_s,
             time_constant_s=_time_constant_s(depth_m, rollout.interval_s),
         )
 
