@@ -1,20 +1,20 @@
-"""Episodes of one experiment in N worlds: the only place where the intervals of a frame are run and observed.
+"""Episodes of one experiment in N worlds, and the only loop over time, `intervals`.
 
-A step of the worlds is, six times, drive, advance and observe (`intervals`), and then a look at what diverged.
+A step of the worlds is, six times, drive, advance and observe, and then a look at what diverged. Checks of engines and
+sanity checks run the same intervals.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from gauge_envs.backends.simulation import Simulation
 from gauge_envs.envs.initial_states import InitialState
 from gauge_envs.envs.limits import diverged_bodies, diverged_nodes, spans_m
-from gauge_envs.envs.recording import intervals
 from gauge_envs.envs.reward import Reward
 from gauge_envs.envs.spaces import Observation
 from gauge_envs.errors import BackendError, EpisodeError
@@ -39,6 +39,46 @@ if TYPE_CHECKING:
 
 LATER_FRAMES = round(MAX_TIME_OFFSET_S * FRAME_RATE_HZ)
 """Frames that worlds with a release run on after the last one, for the alignment over time."""
+
+
+class DrivenMotion(Protocol):
+    """Motion of a driven body, as `gauge_envs.scene.prescribed_motion.PrescribedMotion`."""
+
+    body: str
+
+    def targets(self, first: int, actions: FloatArray, count: int = 1) -> FloatArray:
+        """Return what `Simulation.drive` takes in the next intervals, shape [count, N, 19]."""
+        ...
+
+
+def intervals(
+    simulation: Simulation,
+    motions: Sequence[DrivenMotion],
+    first: int,
+    count: int,
+    actions: Sequence[FloatArray],
+    *,
+    interval_s: float = SAMPLE_INTERVAL_S,
+) -> Iterator[int]:
+    """Drive and advance all worlds, and yield after each interval its number among the `count`.
+
+    Args:
+        simulation: The worlds.
+        motions: Motions of the driven bodies.
+        first: Number of the first interval since the start.
+        count: Number of intervals.
+        actions: For each motion the actions that hold in all of these intervals, shape [N, motion_count].
+        interval_s: Length of an interval [s].
+    """
+    targets = [
+        motion.targets(first, action, count)
+        for motion, action in zip(motions, actions, strict=True)
+    ]
+    for index in range(count):
+        for motion, rows in zip(motions, targets, strict=True):
+            simulation.drive(motion.body, rows[index])
+        simulation.advance(interval_s)
+        yield index
 
 
 MAX_NORM_ERROR = 1e-3

@@ -12,7 +12,7 @@ from gauge_envs import Jitter, load_experiment
 from gauge_envs.backends import backend, backend_names
 from gauge_envs.backends.registry import backend_class
 from gauge_envs.backends.shared import bundled
-from gauge_envs.envs.recording import intervals
+from gauge_envs.envs.rollout import intervals
 from gauge_envs.errors import MissingExtraError
 from gauge_envs.registry import is_installed
 from gauge_envs.scene import Box, Pose, Scene

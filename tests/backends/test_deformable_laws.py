@@ -13,7 +13,6 @@ from scipy.integrate import solve_bvp, solve_ivp
 from scipy.spatial.transform import Rotation
 
 from gauge_envs import load_experiment
-from gauge_envs.envs.recording import record
 from gauge_envs.errors import ShapeError
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2,
@@ -26,6 +25,7 @@ from gauge_envs.scene import (
     Scene,
 )
 from gauge_envs.tools.bench.parts import ball, contact, driven_box, fixed_box
+from gauge_envs.tools.bench.recording import record
 
 INTERVAL_S = 1 / 180
 SLOW_NEWTON = pytest.param("newton", marks=pytest.mark.slow)

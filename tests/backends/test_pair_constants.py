@@ -8,12 +8,12 @@ import pytest
 
 from gauge_envs.backends.base import scene_support
 from gauge_envs.backends.shared.pair_values import body_values, pair_values
-from gauge_envs.envs.recording import record
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import GRAVITY_M_PER_S2, Motion, Pose, Scene
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scoring.estimators import acceleration_m_per_s2
 from gauge_envs.tools.bench.parts import ball, box, contact, fixed_box, ground
+from gauge_envs.tools.bench.recording import record
 
 ENGINES = ["mujoco", "newton", "physx", "pybullet", "rapier"]
 FRICTIONS = {

@@ -11,7 +11,6 @@ from interruption import interrupt_in_episode
 from gauge_envs import load_experiment
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
 from gauge_envs.backends.registry import backend_for
-from gauge_envs.envs.recording import NotFiniteError, record
 from gauge_envs.envs.rollout import Rollout
 from gauge_envs.errors import (
     ParameterError,
@@ -25,6 +24,7 @@ from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Outcome
 from gauge_envs.runs.result_file import load_result, result_file_name, write_result
 from gauge_envs.runs.score_file import score_file
+from gauge_envs.tools.bench.recording import NotFiniteError, record
 
 NAME = "SlopeSlider-2-wood"
 THREE = ["SlopeSlider-2-wood", "SlopeSlider-2-plastic", "SlopeSlider-2-metal"]

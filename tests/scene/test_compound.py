@@ -10,7 +10,6 @@ from gauge_envs import load_experiment
 from gauge_envs.backends import backend
 from gauge_envs.backends.mujoco.model import build_model
 from gauge_envs.backends.mujoco.settings import settings_for
-from gauge_envs.envs.recording import record
 from gauge_envs.errors import ParameterError
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2,
@@ -27,6 +26,7 @@ from gauge_envs.scene import (
 )
 from gauge_envs.scoring.estimators import acceleration_m_per_s2
 from gauge_envs.tools.assets.build import shape_to_obj
+from gauge_envs.tools.bench.recording import record
 from gauge_envs.tools.sanity.phenomena.foot import foot_scene
 from gauge_envs.tools.sanity.robot.foot import FootGeometry
 from gauge_envs.tools.usd.writer import to_usd

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from gauge_envs.envs.recording import Recording
 from gauge_envs.scene import Contact, RigidBody, Scene
 from gauge_envs.scoring.estimators import Bounce, first_bounce
 from gauge_envs.tools.bench.parts import ball, ground
+from gauge_envs.tools.bench.recording import Recording
 
 RADIUS_M = 0.03
 """Radius of the balls [m]."""

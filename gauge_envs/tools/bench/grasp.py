@@ -12,7 +12,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from gauge_envs.envs.recording import Recording
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2 as G,
     Box,
@@ -26,6 +25,7 @@ from gauge_envs.scene import (
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scoring.estimators import steady_speed_m_per_s
 from gauge_envs.tools.bench.parts import body, box, box_inertia_kg_m2, contact
+from gauge_envs.tools.bench.recording import Recording
 
 MASS_KG, FRICTION, JAW_M, PAD_M, SIZE_M = 0.2, 0.5, 2.0, 0.02, (0.04, 0.06, 0.16)
 WEIGHT_N, MIDDLE_M = MASS_KG * G, np.array([0.0, 0.0, 1.0])

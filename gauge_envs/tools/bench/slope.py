@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gauge_envs.envs.recording import Recording
 from gauge_envs.scene import Pose
 from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.scoring.estimators import (
@@ -18,6 +17,7 @@ from gauge_envs.scoring.estimators import (
     slide_friction,
     steady_speed_m_per_s,
 )
+from gauge_envs.tools.bench.recording import Recording
 
 LEVEL = 1e-9
 """Sine of the slope below which a support is level; x of its frame is then the first axis."""

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from gauge_envs.envs.recording import Recording
 from gauge_envs.scene import Scene
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scoring.estimators import steady_speed_m_per_s
 from gauge_envs.tools.bench.drop import RADIUS_M
 from gauge_envs.tools.bench.parts import ball, contact, ground
+from gauge_envs.tools.bench.recording import Recording
 
 SPIN, ROLL = (0.0, 0.0, 1.0), (0.0, 1.0, 0.0)
 """Axes about which a ball spins on a point, and rolls along x."""

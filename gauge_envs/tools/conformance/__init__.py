@@ -30,7 +30,7 @@ from typing import TYPE_CHECKING
 from gauge_envs.registry import lazy_names
 
 if TYPE_CHECKING:
-    from gauge_envs.envs.recording import Recording as Recording
+    from gauge_envs.tools.bench.recording import Recording as Recording
     from gauge_envs.tools.conformance.cloth import (
         BENT_FREE_M as BENT_FREE_M,
         bending_stiffness as bending_stiffness,
@@ -53,7 +53,7 @@ else:
     __getattr__, __all__ = lazy_names(
         __name__,
         {
-            "gauge_envs.envs.recording": ["Recording"],
+            "gauge_envs.tools.bench.recording": ["Recording"],
             ".cloth": [
                 "BENT_FREE_M",
                 "bending_stiffness",

@@ -17,10 +17,10 @@ from typing import Any
 
 import numpy as np
 
-from gauge_envs.envs.recording import Recording
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Air, Pose, Region, Scene
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scoring.estimators import steady_speed_m_per_s
+from gauge_envs.tools.bench.recording import Recording
 from gauge_envs.tools.conformance.lab import FRAME, Lab, clamped, fabric, sheet
 from gauge_envs.tools.conformance.laws import passive_energy_gain, worst_ratio
 from gauge_envs.tools.conformance.model import Check, Measurement, Tolerance

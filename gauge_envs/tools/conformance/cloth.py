@@ -17,12 +17,12 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.envs.recording import Recording
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Cloth, Pose, Region, Scene
 from gauge_envs.scene.fabrics import Fabric
 from gauge_envs.scene.geometry import FloatArray, vector
 from gauge_envs.scoring.estimators import acceleration_m_per_s2, hann_mean
 from gauge_envs.tools.bench.parts import contact, fixed_box
+from gauge_envs.tools.bench.recording import Recording
 from gauge_envs.tools.conformance.lab import (
     LIGHT_FABRIC,
     STRIP_ON_ROD,

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.envs.recording import Recording
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2 as G,
     Box,
@@ -28,6 +27,7 @@ from gauge_envs.tools.bench.parts import (
     fixed_box,
     ramp,
 )
+from gauge_envs.tools.bench.recording import Recording
 from gauge_envs.tools.conformance.laws import worst_ratio
 from gauge_envs.tools.conformance.model import Measurement, rollout_of
 from gauge_envs.tools.conformance.rich import thrown

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from gauge_envs.envs.recording import Recording
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Box, Contact, Pose, Scene, Vector
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scoring.estimators import slide_friction
@@ -19,6 +18,7 @@ from gauge_envs.tools.bench.drop import (
     fall_s,
 )
 from gauge_envs.tools.bench.parts import ball, body, box, contact, fixed_box, ground
+from gauge_envs.tools.bench.recording import Recording
 from gauge_envs.tools.bench.slope import acceleration_downhill_m_per_s2, moved_m
 from gauge_envs.tools.bench.turning import SPIN, turning_arm_m, turning_scene
 from gauge_envs.tools.conformance.lab import Lab

@@ -6,13 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from gauge_envs.envs.recording import (
-    DeclinedError,
-    NotFiniteError,
-    Recording,
-    intervals,
-    record,
-)
+from gauge_envs.envs.rollout import intervals
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2 as G,
     Box,
@@ -34,6 +28,12 @@ from gauge_envs.tools.bench.parts import (
     fixed_box,
     ground,
     ramp,
+)
+from gauge_envs.tools.bench.recording import (
+    DeclinedError,
+    NotFiniteError,
+    Recording,
+    record,
 )
 from gauge_envs.tools.conformance.lab import STRIP_ON_ROD, Lab, clamped, strip_on_rod
 from gauge_envs.tools.conformance.laws import largest_mm

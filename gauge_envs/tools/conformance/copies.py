@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.envs.recording import Recording
 from gauge_envs.scene import (
     Box,
     Contact,
@@ -40,6 +39,7 @@ from gauge_envs.tools.bench.parts import (
     fixed_box,
     ramp,
 )
+from gauge_envs.tools.bench.recording import Recording
 from gauge_envs.tools.conformance.lab import Lab
 from gauge_envs.tools.conformance.model import Measurement, recorded
 from gauge_envs.tools.conformance.rich import thrown

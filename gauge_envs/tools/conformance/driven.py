@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.envs.recording import Recording
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Box, Scene
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.profiles import TrapezoidProfile
 from gauge_envs.scoring.estimators import acceleration_m_per_s2
 from gauge_envs.tools.bench.parts import ball, box, contact, driven_box, driver, ramp
+from gauge_envs.tools.bench.recording import Recording
 from gauge_envs.tools.conformance.lab import Lab
 from gauge_envs.tools.conformance.laws import (
     driver_error,

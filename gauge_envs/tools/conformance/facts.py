@@ -11,9 +11,9 @@ from itertools import islice
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.envs.recording import Recording
 from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.scoring.estimators import acceleration_m_per_s2
+from gauge_envs.tools.bench.recording import Recording
 from gauge_envs.tools.conformance.torques import wrong_torques
 
 FAR_MM, FAR_DEG = 0.5, 0.5

@@ -7,7 +7,6 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.envs.recording import DeclinedError
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2 as G,
     Box,
@@ -34,6 +33,7 @@ from gauge_envs.tools.bench.parts import (
     corners,
     fixed_box,
 )
+from gauge_envs.tools.bench.recording import DeclinedError
 from gauge_envs.tools.conformance.lab import Lab, push
 from gauge_envs.tools.conformance.laws import worst_ratio
 from gauge_envs.tools.conformance.model import (

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.envs.recording import Recording, intervals
+from gauge_envs.envs.rollout import intervals
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Pose, Scene
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.prescribed_motion import prescribed_motions
@@ -36,6 +36,7 @@ from gauge_envs.tools.bench.grasp import (
     torque_share,
 )
 from gauge_envs.tools.bench.parts import box_inertia_kg_m2
+from gauge_envs.tools.bench.recording import Recording
 from gauge_envs.tools.conformance.lab import Lab, push
 from gauge_envs.tools.conformance.model import Measurement, recorded
 

@@ -15,7 +15,6 @@ from gauge_envs.backends import Backend, LoopedSimulation, Simulation
 from gauge_envs.backends.base import scene_support
 from gauge_envs.backends.settings import settings_record
 from gauge_envs.backends.shared.resampled import in_intervals
-from gauge_envs.envs.recording import DeclinedError, Recording, raised_at, record
 from gauge_envs.errors import (
     BackendError,
     GaugeError,
@@ -37,6 +36,7 @@ from gauge_envs.scene.fabrics import Fabric
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 from gauge_envs.tools.bench.parts import driven_box, fixed_box, ramp
+from gauge_envs.tools.bench.recording import DeclinedError, Recording, raised_at, record
 
 T = TypeVar("T")
 

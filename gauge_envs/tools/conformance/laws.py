@@ -9,11 +9,11 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.envs.recording import Recording
 from gauge_envs.scene import GRAVITY_M_PER_S2, Pose
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scoring.estimators import slide_friction
 from gauge_envs.tools.bench.parts import box_inertia_kg_m2
+from gauge_envs.tools.bench.recording import Recording
 from gauge_envs.tools.conformance.model import Measurement, Tolerance
 
 PLACE_TOLERANCE_M = 1e-5

@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from gauge_envs.envs.recording import Recording
 from gauge_envs.scene import Motion, Region, Scene
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.profiles import TrapezoidProfile
 from gauge_envs.tools.bench.parts import driver, fixed_box
+from gauge_envs.tools.bench.recording import Recording
 from gauge_envs.tools.conformance.lab import FRAME
 from gauge_envs.tools.conformance.laws import (
     PLACE_TOLERANCE_M,

@@ -18,8 +18,8 @@ from gauge_envs.errors import ParameterError, UnknownNameError
 from gauge_envs.files import json_ready, versions
 
 if TYPE_CHECKING:
-    from gauge_envs.envs.recording import Recording
     from gauge_envs.scene import Scene
+    from gauge_envs.tools.bench.recording import Recording
     from gauge_envs.tools.conformance.lab import Lab
 
 T = TypeVar("T")

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.envs.recording import Recording
 from gauge_envs.scene import (
     Box,
     ConvexUnion,
@@ -29,6 +28,7 @@ from gauge_envs.tools.bench.parts import (
     driven_box,
     ramp,
 )
+from gauge_envs.tools.bench.recording import Recording
 from gauge_envs.tools.conformance.laws import (
     furthest_from,
     largest_mm,

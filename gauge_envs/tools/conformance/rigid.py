@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from gauge_envs.envs.recording import Recording
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2 as G,
     Box,
@@ -25,6 +24,7 @@ from gauge_envs.scoring.estimators import (
     pendulum_period_s,
 )
 from gauge_envs.tools.bench.parts import ball, body, box, contact, ground
+from gauge_envs.tools.bench.recording import Recording
 from gauge_envs.tools.conformance.lab import Lab
 from gauge_envs.tools.conformance.laws import furthest, largest_mm, worst_ratio
 from gauge_envs.tools.conformance.model import (

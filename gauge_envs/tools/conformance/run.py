@@ -11,14 +11,14 @@ from typing import Any, NamedTuple
 
 from gauge_envs.backends import Backend, backend as find_backend
 from gauge_envs.backends.registry import versions_of
-from gauge_envs.envs.recording import (
+from gauge_envs.errors import GaugeError
+from gauge_envs.runs.isolation import CrashError, Worker
+from gauge_envs.tools.bench.recording import (
     DeclinedError,
     NotFiniteError,
     Recording,
     raised_at,
 )
-from gauge_envs.errors import GaugeError
-from gauge_envs.runs.isolation import CrashError, Worker
 from gauge_envs.tools.conformance.facts import facts
 from gauge_envs.tools.conformance.lab import DisturbedLab, Lab, RefusedSettingsError
 from gauge_envs.tools.conformance.model import (

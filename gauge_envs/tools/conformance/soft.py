@@ -9,7 +9,6 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import j0, jn_zeros
 
-from gauge_envs.envs.recording import Recording
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2 as G,
     Attachment,
@@ -25,6 +24,7 @@ from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 from gauge_envs.scoring.estimators import hann_mean
 from gauge_envs.tools.bench.parts import driven_box, driver, ramp
+from gauge_envs.tools.bench.recording import Recording
 from gauge_envs.tools.conformance.lab import Lab, clamped
 from gauge_envs.tools.conformance.laws import (
     ATTACHED,

@@ -14,11 +14,11 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends import Backend
 from gauge_envs.backends.shared.resampled import in_intervals
-from gauge_envs.envs.recording import DeclinedError
 from gauge_envs.scene import GRAVITY_M_PER_S2, Box, Scene
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 from gauge_envs.tools.bench.parts import box, contact, ground
+from gauge_envs.tools.bench.recording import DeclinedError
 from gauge_envs.tools.conformance.lab import Lab
 from gauge_envs.tools.conformance.model import Check, Measurement
 

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.envs.recording import Recording
 from gauge_envs.scene import (
     Box,
     ConvexUnion,
@@ -20,6 +19,7 @@ from gauge_envs.scene import (
 from gauge_envs.scene.geometry import FloatArray, length_of, vector
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 from gauge_envs.tools.bench.parts import box_inertia_kg_m2
+from gauge_envs.tools.bench.recording import Recording
 from gauge_envs.tools.conformance.lab import Lab
 from gauge_envs.tools.conformance.laws import (
     furthest_from,

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from gauge_envs.envs.recording import Recording
 from gauge_envs.scene import Hinge
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.meshes import mass_properties
+from gauge_envs.tools.bench.recording import Recording
 
 UNITS = {
     "dry friction of its hinge": "N m",

@@ -10,7 +10,6 @@ from typing import Any, Literal
 
 import numpy as np
 
-from gauge_envs.envs.recording import Recording
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2 as G,
     Attachment,
@@ -34,6 +33,7 @@ from gauge_envs.tools.bench.parts import (
     fixed_box,
     ramp,
 )
+from gauge_envs.tools.bench.recording import Recording
 from gauge_envs.tools.conformance.cloth import node_shares
 from gauge_envs.tools.conformance.lab import (
     FRAME,

@@ -13,7 +13,6 @@ import numpy as np
 from gauge_envs.backends.base import scene_support
 from gauge_envs.backends.shared.resampled import in_intervals
 from gauge_envs.backends.simulation import Simulation
-from gauge_envs.envs.recording import DeclinedError, Recording, record
 from gauge_envs.scene import Hinge, Pose, Scene
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.jitter import turn
@@ -29,6 +28,7 @@ from gauge_envs.tools.bench.parts import (
     ground,
     ramp,
 )
+from gauge_envs.tools.bench.recording import DeclinedError, Recording, record
 from gauge_envs.tools.conformance.contract import one_sign, parts_apart
 from gauge_envs.tools.conformance.differences import LEAST, cause_of, cause_of_told
 from gauge_envs.tools.conformance.lab import LIGHT_FABRIC, Lab, push, sheet

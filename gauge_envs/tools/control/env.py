@@ -27,7 +27,7 @@ from gauge_envs.envs.limits import (
     spans_m,
 )
 from gauge_envs.envs.pictures import RENDER_MODES, Pictures, Rendered
-from gauge_envs.envs.recording import intervals
+from gauge_envs.envs.rollout import intervals
 from gauge_envs.errors import EpisodeError, ParameterError
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.scene_builder import Parameters

@@ -79,7 +79,7 @@ def with_stage(
 class Stage:
     """A body that is accelerated along the coordinates of its driver, up to a rate, within a stroke.
 
-    A coordinate is a displacement [m] or an angle [rad]. `gauge_envs.envs.recording.intervals` drives the body.
+    A coordinate is a displacement [m] or an angle [rad]. `gauge_envs.tools.bench.recording.intervals` drives the body.
 
     Args:
         driver: Driver without a motion of its own; `residual_rate` is the largest rate of a coordinate.

@@ -8,9 +8,9 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from gauge_envs.envs.recording import DivergedError
 from gauge_envs.errors import ParameterError, first_fault, nearest
 from gauge_envs.files import json_ready
+from gauge_envs.tools.bench.recording import DivergedError
 from gauge_envs.tools.recipes.aim import (
     FRICTION_RANGE,
     MASS_RANGE_KG,

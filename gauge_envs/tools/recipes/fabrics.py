@@ -8,11 +8,11 @@ from typing import Any
 
 from gauge_envs.backends.fabric_constants import FabricConstants
 from gauge_envs.backends.registry import backend, backend_class, backend_names
-from gauge_envs.envs.recording import DivergedError
 from gauge_envs.errors import ParameterError
 from gauge_envs.files import json_ready
 from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.scene.fabrics import Fabric, bending_length_m, plate_bending_stiffness
+from gauge_envs.tools.bench.recording import DivergedError
 from gauge_envs.tools.conformance import (
     BENT_FREE_M,
     Lab,

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from gauge_envs.envs.recording import DivergedError
+from gauge_envs.tools.bench.recording import DivergedError
 from gauge_envs.tools.recipes.engines.base import ContactSettings
 from gauge_envs.tools.recipes.probes import Probe, Rest, Spread
 

@@ -15,7 +15,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.base import Backend, scene_support
-from gauge_envs.envs.recording import Recording, record
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2 as G,
@@ -31,6 +30,7 @@ from gauge_envs.scene import (
 from gauge_envs.scene.geometry import FloatArray, vector
 from gauge_envs.scoring.estimators import steady_speed_m_per_s
 from gauge_envs.tools.bench.drop import RADIUS_M, balls_above_ground, bounce_of, fall_s
+from gauge_envs.tools.bench.recording import Recording, record
 from gauge_envs.tools.bench.slope import creep_m_per_s, friction_of_slide, moved_m
 from gauge_envs.tools.bench.turning import INERTIA_SHARES, ROLL, SPIN, turning_arm_m
 

@@ -8,8 +8,8 @@ from typing import Any
 
 from scipy.optimize import brentq
 
-from gauge_envs.envs.recording import DivergedError
 from gauge_envs.files import json_ready
+from gauge_envs.tools.bench.recording import DivergedError
 from gauge_envs.tools.recipes.aim import TIMESTEP_RANGE_S, Aim
 from gauge_envs.tools.recipes.engines.base import ContactSettings
 from gauge_envs.tools.recipes.measure import (

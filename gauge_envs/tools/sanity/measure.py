@@ -11,10 +11,10 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from gauge_envs.backends import Backend, backend, backend_names, is_bundled, versions_of
-from gauge_envs.envs.recording import DeclinedError, DivergedError, Recording
 from gauge_envs.errors import GaugeError
 from gauge_envs.files import json_ready
 from gauge_envs.runs.isolation import CrashError, Worker
+from gauge_envs.tools.bench.recording import DeclinedError, DivergedError, Recording
 from gauge_envs.tools.sanity.model import (
     VISIBLE_WITHIN,
     Need,

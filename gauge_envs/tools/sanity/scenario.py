@@ -10,7 +10,6 @@ from typing import Any
 from gauge_envs.backends import Backend, Simulation, backend, backend_names, is_bundled
 from gauge_envs.backends.base import scene_support
 from gauge_envs.backends.settings import with_drive_interval
-from gauge_envs.envs.recording import DeclinedError, Recording, record
 from gauge_envs.errors import GaugeError, ParameterError, TargetError
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.scene_builder import Parameters
@@ -19,6 +18,7 @@ from gauge_envs.runs.isolation import Worker
 from gauge_envs.scene import Scene
 from gauge_envs.scene.geometry import FloatArray, vector
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
+from gauge_envs.tools.bench.recording import DeclinedError, Recording, record
 from gauge_envs.tools.sanity.model import Settings
 
 FEWEST_SAMPLES = 5

@@ -25,9 +25,9 @@ from gauge_envs.backends.shared.attachments import (
     bonded_soft_bodies,
 )
 from gauge_envs.backends.shared.soft_rows import SoftRow, linear_weights
-from gauge_envs.envs.recording import DivergedError, record
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.tools.bench.parts import contact
+from gauge_envs.tools.bench.recording import DivergedError, record
 from gauge_envs.tools.conformance import Status, run_checks
 
 

@@ -11,7 +11,6 @@ from gauge_envs import load_experiment
 from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.backends.mujoco.cloth import FoldWatch, add_cloth
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
-from gauge_envs.envs.recording import record
 from gauge_envs.scene import (
     Attachment,
     Pose,
@@ -21,6 +20,7 @@ from gauge_envs.scene import (
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 from gauge_envs.tools.bench.parts import box, contact, fixed_box
+from gauge_envs.tools.bench.recording import record
 
 
 def sheet_of(cloth, bending_n_m=1e-6):

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.envs.recording import Recording
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Pose, Scene
 from gauge_envs.tools.bench.drop import (
     RADIUS_M,
@@ -27,6 +26,7 @@ from gauge_envs.tools.bench.grasp import (
     torque_share,
 )
 from gauge_envs.tools.bench.parts import box_inertia_kg_m2, contact, ground
+from gauge_envs.tools.bench.recording import Recording
 from gauge_envs.tools.bench.slope import (
     Slope,
     acceleration_downhill_m_per_s2,

@@ -13,11 +13,11 @@ from wobbling import WobblingBackend, told
 
 from gauge_envs.backends import Repeatability, Support, backend, registry
 from gauge_envs.cli.app import app
-from gauge_envs.envs.recording import DeclinedError, Recording
 from gauge_envs.errors import ParameterError, UnknownNameError
 from gauge_envs.pages.markdown import as_markdown
 from gauge_envs.scene import Box, Scene
 from gauge_envs.scoring.estimators import hann_mean, pendulum_period_s
+from gauge_envs.tools.bench.recording import DeclinedError, Recording
 from gauge_envs.tools.conformance import CheckResult, Status, checks, run_checks
 from gauge_envs.tools.conformance.forces import EULER_DEG, _frame_hint
 from gauge_envs.tools.conformance.lab import DisturbedLab, Lab

@@ -5,9 +5,9 @@ import pytest
 from faults import FAULTS, Fault, Faulty, Passed
 
 from gauge_envs.backends import backend
-from gauge_envs.envs.recording import Recording
 from gauge_envs.scene import Scene
 from gauge_envs.tools.bench.parts import ball
+from gauge_envs.tools.bench.recording import Recording
 from gauge_envs.tools.conformance import Status, run_checks, solver
 from gauge_envs.tools.conformance.differences import cause_of
 from gauge_envs.tools.conformance.facts import facts

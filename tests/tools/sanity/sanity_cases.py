@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 
-from gauge_envs.envs.recording import Recording
+from gauge_envs.tools.bench.recording import Recording
 
 CHEETAH = {
     "timestep_s": 0.01,

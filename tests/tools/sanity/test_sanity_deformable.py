@@ -8,8 +8,8 @@ from sanity_cases import CHEETAH, moved
 
 from gauge_envs.backends import backend
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
-from gauge_envs.envs.recording import DeclinedError, DivergedError
 from gauge_envs.scene import Rope
+from gauge_envs.tools.bench.recording import DeclinedError, DivergedError
 from gauge_envs.tools.sanity.measure import Measurements
 from gauge_envs.tools.sanity.model import Verdict
 from gauge_envs.tools.sanity.phenomena import phenomena

@@ -11,10 +11,10 @@ from scipy.spatial.transform import Rotation
 from wobbling import WobblingBackend, told
 
 from gauge_envs.backends import backend
-from gauge_envs.envs.recording import DeclinedError, DivergedError
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G
 from gauge_envs.scene.prescribed_motion import prescribed_motions
 from gauge_envs.scoring.metrics import trajectory_dtw, trajectory_rmse
+from gauge_envs.tools.bench.recording import DeclinedError, DivergedError
 from gauge_envs.tools.sanity.measure import Measurements, judged
 from gauge_envs.tools.sanity.model import Reality, Verdict
 from gauge_envs.tools.sanity.phenomena import phenomena

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
-from gauge_envs.envs.recording import Recording
 from gauge_envs.files import data_folder, toml_document
 from gauge_envs.references.published import published_baselines
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scoring.estimators import acceleration_m_per_s2
+from gauge_envs.tools.bench.recording import Recording
 from gauge_envs.tools.sanity.model import Need, Reality
 from gauge_envs.tools.sanity.scenario import Scenario
 

@@ -8,11 +8,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from gauge_envs.envs.recording import Recording
 from gauge_envs.observables.functions import face_areas_mm2
 from gauge_envs.scene import Cloth, Scene
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scoring.estimators import hann_mean
+from gauge_envs.tools.bench.recording import Recording
 from gauge_envs.tools.sanity.model import Reality
 from gauge_envs.tools.sanity.phenomena.base import (
     RECORDINGS,

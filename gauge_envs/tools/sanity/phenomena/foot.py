@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.envs.recording import Recording
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2,
     Contact,
@@ -23,6 +22,7 @@ from gauge_envs.scene import (
     Scene,
 )
 from gauge_envs.scene.geometry import FloatArray, vector
+from gauge_envs.tools.bench.recording import Recording
 from gauge_envs.tools.bench.slope import moved_m
 from gauge_envs.tools.sanity.model import COVERAGE, Reality
 from gauge_envs.tools.sanity.phenomena.base import Phenomenon

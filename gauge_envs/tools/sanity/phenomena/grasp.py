@@ -9,7 +9,6 @@ from functools import partial
 from importlib import import_module
 from typing import Any
 
-from gauge_envs.envs.recording import Recording
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Scene
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.bench.grasp import (
@@ -20,6 +19,7 @@ from gauge_envs.tools.bench.grasp import (
     pad_depth_um,
     spin_torque_share,
 )
+from gauge_envs.tools.bench.recording import Recording
 from gauge_envs.tools.bench.turning import turning_scene
 from gauge_envs.tools.conformance import checks
 from gauge_envs.tools.sanity.model import Reality

@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from gauge_envs.envs.recording import Recording
 from gauge_envs.references.published import published_baselines
 from gauge_envs.scene import Hinge, Scene, Sphere, Vector
 from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.scoring.estimators import first_bounce
 from gauge_envs.scoring.events import momentum_transfer_efficiency
+from gauge_envs.tools.bench.recording import Recording
 from gauge_envs.tools.sanity.model import Reality
 from gauge_envs.tools.sanity.phenomena.base import (
     PUBLISHED_TRIALS,

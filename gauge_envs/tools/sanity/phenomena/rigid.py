@@ -10,13 +10,13 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from gauge_envs.envs.recording import Recording
 from gauge_envs.references.published import published_baselines
 from gauge_envs.scene import ConvexUnion, Hinge, RigidBody, Scene, Sphere
 from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.scoring.estimators import mean_period_s, pendulum_period_s
 from gauge_envs.scoring.events import energy_loss
+from gauge_envs.tools.bench.recording import Recording
 from gauge_envs.tools.sanity.model import Reality
 from gauge_envs.tools.sanity.phenomena.base import (
     RECORDINGS,

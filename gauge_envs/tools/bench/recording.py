@@ -1,20 +1,18 @@
-"""Drive and advance the worlds of a scene, and record what happens, through the public contract alone.
-
-`intervals` is the only loop over time: environments, runs, conformance checks and sanity checks all use it.
-"""
+"""Record what happens in a scene on an engine, through the public contract alone."""
 
 from __future__ import annotations
 
 import math
 import traceback
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from gauge_envs.backends import Simulation
+from gauge_envs.envs.rollout import DrivenMotion, intervals
 from gauge_envs.errors import BackendError, GaugeError
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.observables.observer import MarkerProxy, ObserverMarkers
@@ -26,7 +24,7 @@ from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
-PACKAGE = Path(__file__).parents[1]
+PACKAGE = Path(__file__).parents[2]
 
 REST_S = 0.05
 """Time for which bodies are slow when they are at rest [s]: longer than what they stop at the turn of a vibration."""
@@ -122,46 +120,6 @@ class Recording:
     def sample_at(self, time_s: float) -> int:
         """Return the index of the sample nearest to a time [s]."""
         return int(np.abs(self.times_s - time_s).argmin())
-
-
-class DrivenMotion(Protocol):
-    """Motion of a driven body, as `gauge_envs.scene.prescribed_motion.PrescribedMotion`."""
-
-    body: str
-
-    def targets(self, first: int, actions: FloatArray, count: int = 1) -> FloatArray:
-        """Return what `Simulation.drive` takes in the next intervals, shape [count, N, 19]."""
-        ...
-
-
-def intervals(
-    simulation: Simulation,
-    motions: Sequence[DrivenMotion],
-    first: int,
-    count: int,
-    actions: Sequence[FloatArray],
-    *,
-    interval_s: float = SAMPLE_INTERVAL_S,
-) -> Iterator[int]:
-    """Drive and advance all worlds, and yield after each interval its number among the `count`.
-
-    Args:
-        simulation: The worlds.
-        motions: Motions of the driven bodies.
-        first: Number of the first interval since the start.
-        count: Number of intervals.
-        actions: For each motion the actions that hold in all of these intervals, shape [N, motion_count].
-        interval_s: Length of an interval [s].
-    """
-    targets = [
-        motion.targets(first, action, count)
-        for motion, action in zip(motions, actions, strict=True)
-    ]
-    for index in range(count):
-        for motion, rows in zip(motions, targets, strict=True):
-            simulation.drive(motion.body, rows[index])
-        simulation.advance(interval_s)
-        yield index
 
 
 def record(
