@@ -38,10 +38,7 @@ else:
     sys.exit()
 for fd, name in enumerate(("stdin", "stdout", "stderr")):
     place = case["streams"].get(name, f"{folder}/{number}.{name}" if fd else os.devnull)
-    if place == "closed":
-        os.close(fd)
-        setattr(sys, name, None)
-    elif place == "broken pipe":
+    if place == "broken pipe":
         reading, writing = os.pipe()
         os.dup2(writing, fd)
         os.close(reading)
@@ -66,7 +63,7 @@ class Case:
     Attributes:
         arguments: Its arguments.
         before: Code that runs before it.
-        streams: Path of stdin, stdout or stderr, `closed`, or `broken pipe`; files that are read back by default.
+        streams: Path of stdin, stdout or stderr, or `broken pipe`; files that are read back by default.
     """
 
     arguments: Sequence[str]

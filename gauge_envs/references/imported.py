@@ -25,6 +25,17 @@ from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.profiles import SampledProfile
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
+STATED = (
+    "unit",
+    "coordinates",
+    "trial_count",
+    "source",
+    "licence",
+    "standard_uncertainty",
+    "zero_motion_distance",
+)
+"""Attributes of a band that its TOML file states."""
+
 START_FRAMES = 3
 """Number of first frames whose positions and orientations give the start velocities of a trial."""
 
@@ -146,22 +157,12 @@ def write_imported(
         stream,
         **{name: values for name, values in arrays.items() if values is not None},
     )
-    stated = {
-        "kind": band.kind.value,
-        "unit": band.unit,
-        "coordinates": list(band.coordinates),
-        "trial_count": band.trial_count,
-        "source": band.source,
-        "licence": band.licence,
-        "standard_uncertainty": band.standard_uncertainty,
-        "zero_motion_distance": band.zero_motion_distance,
-    }
     # JSON texts, numbers and lists are TOML too; a TOML string of JSON holds the nested facts.
-    lines = [
-        f"{key} = {json.dumps(value)}"
-        for key, value in stated.items()
-        if value is not None
-    ]
+    lines = [f"kind = {json.dumps(band.kind.value)}"]
+    for name in STATED:
+        value = getattr(band, name)
+        if value is not None:
+            lines.append(f"{name} = {json.dumps(value)}")
     lines += ["", "[imported]", f"facts = {json.dumps(facts.model_dump_json())}"]
     folder = trials_folder()
     with os_errors(
@@ -209,26 +210,32 @@ def recorded_drivers(variant: str, bundled: tuple[Driver, ...]) -> tuple[Driver,
     Args:
         variant: Name of the variant.
         bundled: Drivers of the task file; axes and action rates stay.
+
+    Raises:
+        ReferenceFileError: The import is of an older task file, with other motions.
     """
     imported = load_imported(variant)
     if imported is None:
         return bundled
-    return tuple(
-        _recorded(driver, imported.driver_values[driver.body], variant)
-        if driver.body in imported.driver_values
-        else driver
-        for driver in bundled
-    )
+    found = []
+    for driver in bundled:
+        values = imported.driver_values.get(driver.body)
+        if values is None:
+            found.append(driver)
+        elif values.shape[1:] == (len(driver.motions),):
+            found.append(_recorded(driver, values))
+        else:
+            raise ReferenceFileError(
+                trials_folder() / f"{variant}.npz",
+                None,
+                f"the driver of {driver.body} has {len(driver.motions)} motions, imported were {values.shape[-1]}; "
+                "gauge data import renews it",
+            )
+    return tuple(found)
 
 
-def _recorded(driver: Driver, values: FloatArray, variant: str) -> Driver:
-    if values.ndim != 2 or values.shape[1] != len(driver.motions):
-        raise ReferenceFileError(
-            trials_folder() / f"{variant}.npz",
-            None,
-            f"the driver of {driver.body} has {len(driver.motions)} motions, imported were {values.shape[-1]}; "
-            "gauge data import renews it",
-        )
+def _recorded(driver: Driver, values: FloatArray) -> Driver:
+    """Return a driver with recorded coordinates, shape [frame_count, motion_count], in place of its own."""
     motions = []
     for motion, column in zip(driver.motions, values.T, strict=True):
         frames = np.flatnonzero(np.isfinite(column))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
@@ -65,26 +64,16 @@ class ContactFaces:
         pieces = {
             name: [*_pieces(body.shape, body.pose)] for name, body in named.items()
         }
-        bounds = {name: _bounds(body, pieces[name]) for name, body in named.items()}
         self._normals: dict[frozenset[str], list[FloatArray]] = {}
         for first, second in colliding:
-            if (
-                first not in named
-                or second not in named
-                or frozenset((first, second)) in self._normals
-            ):
-                continue
-            (low, high), (other_low, other_high) = bounds[first], bounds[second]
-            if all(a <= b for a, b in zip(low, other_high, strict=True)) and all(
-                a <= b for a, b in zip(other_low, high, strict=True)
-            ):
-                normals = [
-                    *_touching(
-                        named[first], pieces[first], named[second], pieces[second]
-                    )
-                ]
-                if normals:
-                    self._normals[frozenset((first, second))] = normals
+            pair = frozenset((first, second))
+            if pair <= named.keys() and pair not in self._normals:
+                one, other = (
+                    (named[first], pieces[first]),
+                    (named[second], pieces[second]),
+                )
+                if normals := [*_touching(*one, *other)]:
+                    self._normals[pair] = normals
 
     def groups(self, bodies: Sequence[RigidBody]) -> dict[str, TouchingGroup]:
         """Return the group of each body by its name, of those that touch one another; others join nothing."""
@@ -178,20 +167,6 @@ def _pieces(
         heights = np.tile(0.5 * np.asarray(size_m)[flat], 2)
         offsets = -(normals @ np.asarray(pose.position_m)) - heights
         yield pose.to_world(shape.corners_m), np.column_stack([normals, offsets])
-
-
-def _bounds(
-    body: RigidBody, pieces: Sequence[tuple[FloatArray, FloatArray]]
-) -> tuple[list[float], list[float]]:
-    """Return the least and largest coordinates of a body, with the gap that counts as contact [m]."""
-    if isinstance(body.shape, Plane):
-        return [-math.inf] * 3, [math.inf] * 3
-    if not pieces:
-        return [math.inf] * 3, [-math.inf] * 3
-    corners = np.concatenate([corners for corners, _ in pieces])
-    return (corners.min(axis=0) - TOUCHING_M).tolist(), (
-        corners.max(axis=0) + TOUCHING_M
-    ).tolist()
 
 
 def _touching(

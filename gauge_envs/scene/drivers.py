@@ -18,7 +18,6 @@ from gauge_envs.scene.geometry import (
     quaternion_products,
     rotation_matrices,
     unit_quaternions,
-    vector,
     vector_quaternions,
 )
 from gauge_envs.scene.profiles import Profile
@@ -77,23 +76,14 @@ class Driver:
     provenance: str
 
     def pose(self, start: Pose, time_s: float) -> Pose:
-        """Return the pose at a time; see `state`."""
-        return self.state(start, time_s)[0]
-
-    def state(self, start: Pose, time_s: float) -> tuple[Pose, FloatArray]:
-        """Return the pose and the velocity at a time, without actions.
+        """Return the pose at a time, without actions.
 
         Args:
             start: Pose of the body before anything moves.
             time_s: Time since the start of the episode [s].
-
-        Returns:
-            The pose; and the linear velocity of the body origin [m/s] and the angular velocity [rad/s] in the world
-            frame, shape [6].
         """
-        state = self.path(start, np.array([time_s]))[0]
-        w, x, y, z = state[3:7].tolist()
-        return Pose(position_m=vector(state[:3]), quaternion=(w, x, y, z)), state[7:]
+        x, y, z, *quaternion = self.path(start, np.array([time_s]))[0, :7].tolist()
+        return Pose(position_m=(x, y, z), quaternion=tuple(quaternion))
 
     def path(self, start: Pose, times_s: FloatArray) -> FloatArray:
         """Return poses and velocities at times, without actions, as `moved` does; shape [time_count, 13]."""

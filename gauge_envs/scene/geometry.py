@@ -138,9 +138,7 @@ def quaternion_vectors(quaternions: FloatArray) -> FloatArray:
     shorter = np.where(quaternions[:, :1] < 0.0, -quaternions, quaternions)
     cosines, axes = shorter[:, 0], shorter[:, 1:]
     sines = np.sqrt((axes * axes).sum(axis=1))
-    # NumPy's arc tangent has other last bits on processors with AVX-512.
-    pairs = zip(sines.tolist(), cosines.tolist(), strict=True)
-    angles = 2.0 * np.array([math.atan2(sine, cosine) for sine, cosine in pairs])
+    angles = 2.0 * np.arctan2(sines, cosines)
     # A small angle over its sine by its series.
     scales = 2.0 + angles**2 / 12.0 + 7.0 * angles**4 / 2880.0
     large = angles > 1e-3

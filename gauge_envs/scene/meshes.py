@@ -1,7 +1,5 @@
 """Meshes of solids and cloth (polyhedra, prisms, regular grids, tetrahedra), and mass properties of solids."""
 
-import math
-
 import numpy as np
 
 from gauge_envs.scene.bodies import Cloth, Deformable, Region, RigidBody, Rope, SoftBody
@@ -30,10 +28,6 @@ TOUCHING_M = 1e-6
 
 PRISM_SIDES = 96
 """Number of sides of the prism that replaces a cylinder; its radius is exact within 0.06 %."""
-
-MASS_PROPERTY_BITS = 40
-"""Bits that mass properties of a mesh keep, below its size: 1e-12 of it. The order of sums of linear algebra depends on
-the processor, contacts amplify last bits, and an engine may treat a centre of mass at exactly 0 apart."""
 
 
 def prism(cylinder: Cylinder) -> ConvexUnion:
@@ -171,27 +165,17 @@ def mass_properties(shape: Shape, mass_kg: float) -> tuple[FloatArray, FloatArra
         )
         volumes_m3 = np.abs(np.linalg.det(corners_m[:, 1:] - corners_m[:, :1])) / 6.0
         masses_kg = mass_kg * volumes_m3 / volumes_m3.sum()
-        centre = masses_kg @ corners_m.mean(axis=1) / mass_kg
+        # Engines treat a centre of mass at exactly 0 apart, which sums miss by their last bits.
+        centre = np.round(masses_kg @ corners_m.mean(axis=1) / mass_kg, 12) + 0.0
         arms_m = corners_m - centre
         sums_m = arms_m.sum(axis=1)
         # Second moments of a uniform tetrahedron: m / 20 of the sum over its corners of r r^T, and of their sum's.
         second = np.einsum("t,tci,tcj->ij", masses_kg / 20.0, arms_m, arms_m)
         second += np.einsum("t,ti,tj->ij", masses_kg / 20.0, sums_m, sums_m)
-        inertia = np.trace(second) * np.eye(3) - second
-        reach_m = float(np.abs(corners_m).max())
-        return (
-            _without_last_bits(centre, reach_m),
-            _without_last_bits(inertia, mass_kg * reach_m**2),
-        )
+        return centre, np.trace(second) * np.eye(3) - second
     if isinstance(shape, Compound):
         return _compound_properties(shape, mass_kg)
     return np.zeros(3), np.zeros((3, 3))
-
-
-def _without_last_bits(values: FloatArray, size: float) -> FloatArray:
-    """Return values with `MASS_PROPERTY_BITS` below a size: sums in another order give them too, but for rare ties."""
-    quantum = math.ldexp(1.0, math.frexp(size)[1] - MASS_PROPERTY_BITS)
-    return np.round(values / quantum) * quantum + 0.0
 
 
 def _tetrahedra(points_m: FloatArray) -> FloatArray:

@@ -2,33 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 
-from gauge_envs.scene.geometry import FloatArray, NonNegative, Positive
+from gauge_envs.scene.geometry import NonNegative, Positive
 
 if TYPE_CHECKING:
     from scipy.interpolate import PchipInterpolator
 
 
-class _Values:
-    """A profile that is evaluated at one time after another."""
-
-    value: Callable[[float], float]
-
-    def values_at(self, times_s: FloatArray) -> FloatArray:
-        """Return the coordinate at times, in their shape."""
-        return np.array(
-            [self.value(time) for time in times_s.ravel().tolist()]
-        ).reshape(times_s.shape)
-
-
 @dataclass(frozen=True, kw_only=True)
-class TrapezoidProfile(_Values):
+class TrapezoidProfile:
     """Trapezoidal speed profile of a motor: constant acceleration, constant speed, constant deceleration.
 
     Attributes:
@@ -92,7 +79,7 @@ class TrapezoidProfile(_Values):
 
 
 @dataclass(frozen=True, kw_only=True)
-class CosineProfile(_Values):
+class CosineProfile:
     """Change by `amount` along half a cosine period, which starts and ends at rest."""
 
     kind: Literal["cosine"] = field(default="cosine", repr=False)
@@ -173,12 +160,6 @@ class SampledProfile:
     def value(self, time_s: float) -> float:
         """Return the coordinate at a time, relative to the start pose [m or rad]."""
         return float(self._curve(min(max(time_s, self.times_s[0]), self.times_s[-1])))
-
-    def values_at(self, times_s: FloatArray) -> FloatArray:
-        """Return the coordinate at times, in their shape."""
-        return np.asarray(
-            self._curve(np.clip(times_s, self.times_s[0], self.times_s[-1]))
-        )
 
     def rate(self, time_s: float) -> float:
         """Return the rate at a time [m/s or rad/s]; 0 before the first and after the last sample."""

@@ -7,9 +7,9 @@ experiment.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
 from itertools import product
 from types import UnionType
 from typing import TYPE_CHECKING
@@ -80,7 +80,6 @@ class Scene:
     markers: Markers | None = None
     gravity_m_per_s2: float = GRAVITY_M_PER_S2
     air: Air | None = None
-    _by_name: dict[str, RigidBody] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         for contact in self.contacts:
@@ -89,26 +88,37 @@ class Scene:
                     f"scene: {contact.first[0]!r} and {contact.second[0]!r} touch with torsional or rolling friction "
                     "and without sliding friction, on which engines build both: give a friction above 0"
                 )
-        # Names alone, which have a hash: what users put into a contact may have none.
-        touching = tuple((tuple(one.first), tuple(one.second)) for one in self.contacts)
-        _check_pairs(touching, self._moving)
+        self._check_pairs()
         if self.air is not None and not self.has(Cloth):
             raise ParameterError(
                 "the scene has air and no cloth. Air acts on cloth alone: remove it"
             )
-        self._check_starts()
+        for body in self.bodies:
+            if not body.starts_at_rest:
+                self._check_start_velocity(body)
+
+    @cached_property
+    def _by_name(self) -> dict[str, RigidBody]:
+        """Rigid bodies by their names."""
+        return {body.name: body for body in self.bodies}
 
     @cached_property
     def hinges(self) -> dict[str, Hinge]:
         """Hinges by the name of their body."""
         return {one.body: one for one in self.joints if isinstance(one, Hinge)}
 
-    def _check_starts(self) -> None:
-        """Find bodies by their names, and raise an error for a velocity that a body cannot start with."""
-        vars(self)["_by_name"] = {body.name: body for body in self.bodies}
-        for body in self.bodies:
-            if not body.starts_at_rest:
-                self._check_start_velocity(body)
+    def _check_pairs(self) -> None:
+        """Raise an error if two contacts list the same pair."""
+        seen: set[frozenset[str]] = set()
+        for contact in self.contacts:
+            pairs = {frozenset(pair) for pair in self.colliding_pairs(contact)}
+            if both := seen & pairs:
+                first, second = sorted(both.pop())
+                raise ParameterError(
+                    f"scene: two contacts list the pair {first!r} and {second!r}. A pair has one friction, "
+                    "restitution and mode: remove it from one of the contacts"
+                )
+            seen |= pairs
 
     def _check_start_velocity(self, body: RigidBody) -> None:
         linear, angular = (
@@ -170,9 +180,15 @@ class Scene:
 
     def colliding_pairs(self, contact: Contact) -> Iterator[tuple[str, str]]:
         """Yield the distinct pairs of a contact of which at least one body is dynamic or deformable."""
-        yield from _colliding_pairs(contact.first, contact.second, self._moving)
+        seen: set[tuple[str, str]] = set()
+        for pair in product(contact.first, contact.second):
+            first, second = pair
+            is_moving = first in self._moving or second in self._moving
+            if first != second and is_moving and pair not in seen:
+                seen.update((pair, (second, first)))
+                yield pair
 
-    @property
+    @cached_property
     def _moving(self) -> frozenset[str]:
         """Names of the dynamic and the deformable bodies."""
         return frozenset(one.name for one in (*self.dynamic_bodies, *self.deformables))
@@ -247,47 +263,7 @@ class Scene:
         )
 
 
-def _colliding_pairs(
-    first_names: Iterable[str], second_names: Iterable[str], moving: frozenset[str]
-) -> Iterator[tuple[str, str]]:
-    seen: set[tuple[str, str]] = set()
-    for pair in product(first_names, second_names):
-        first, second = pair
-        if (
-            first != second
-            and (first in moving or second in moving)
-            and pair not in seen
-        ):
-            seen.update((pair, (second, first)))
-            yield pair
-
-
-@lru_cache(maxsize=64)
-def _check_pairs(
-    touching: tuple[tuple[tuple[str, ...], tuple[str, ...]], ...],
-    moving: frozenset[str],
-) -> None:
-    """Raise an error if two contacts list the same pair; of scenes with other starts it is checked once.
-
-    Args:
-        touching: Names of both sides of each contact.
-        moving: Names of the dynamic and the deformable bodies.
-    """
-    seen: set[frozenset[str]] = set()
-    for first_names, second_names in touching:
-        for first, second in _colliding_pairs(first_names, second_names, moving):
-            pair = frozenset((first, second))
-            if pair in seen:
-                raise ParameterError(
-                    f"scene: two contacts list the pair {first!r} and {second!r}. A pair has one friction, "
-                    "restitution and mode: remove it from one of the contacts"
-                )
-            seen.add(pair)
-
-
 def _point_speed_m_per_s(body: RigidBody) -> float:
-    if body.starts_at_rest:
-        return 0.0
     reach_m = np.linalg.norm(body.shape.corners_m, axis=1).max()
     linear, angular = body.linear_velocity_m_per_s, body.angular_velocity_rad_per_s
     return float(np.linalg.norm(linear) + np.linalg.norm(angular) * reach_m)

@@ -8,7 +8,7 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from gauge_envs.cli.app import app
-from gauge_envs.experiments.variants import find_variant, variants
+from gauge_envs.experiments.variants import find_variant
 from gauge_envs.pages.terminal import Terminal
 from gauge_envs.references.imported import DriverRecord, SpreadRecord
 from gauge_envs.references.published import published_baselines
@@ -127,33 +127,6 @@ def test_wide_shows_all_columns_at_any_width(gauge, command):
     text = gauge(80, *command, "--format", "wide")
     assert max(map(len, text.splitlines())) <= 80
     assert words(gauge(UNLIMITED, *command, "--format", "wide")) <= words(text)
-
-
-def test_ids_are_whole_and_on_one_line(gauge):
-    assert {line.split()[0] for line in gauge(80, "list").splitlines()} >= {
-        variant.id for variant in variants()
-    }
-    assert {
-        line.split()[0] for line in gauge(80, "list", "references").splitlines()
-    } >= {one.name for one in variants()}
-    assert {
-        line.split()[0] for line in gauge(80, "compare").splitlines() if line
-    } >= set(IDS)
-
-
-@pytest.mark.parametrize(
-    ("command", "most"),
-    [
-        (("list",), 84),
-        (("list", "references"), 160),
-        (("recipe", "fabrics"), 80),
-        (("compare",), 112),
-        (("run", IDS[0], "--out", "new"), 24),
-        (("sanity", "HalfCheetah-v5"), 120),
-    ],
-)
-def test_a_table_takes_few_lines_at_80_columns(gauge, command, most):
-    assert len(gauge(80, *command).splitlines()) <= most
 
 
 @pytest.mark.parametrize("width", [80, 120])

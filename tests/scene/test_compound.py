@@ -84,7 +84,7 @@ def test_mass_properties_of_a_mesh_do_not_depend_on_the_order_of_sums():
         points_m = tuple(mesh.pieces_m[0][place] for place in order)
         found = mass_properties(ConvexUnion(pieces_m=(points_m,)), 0.2)
         for one, other in zip(found, expected, strict=True):
-            np.testing.assert_array_equal(one, other)
+            np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-18)
 
 
 @pytest.mark.parametrize("kind", SOLIDS)

@@ -226,9 +226,7 @@ def _driven_turned_rate(rollout: Recording) -> Measurement:
     for motion in rollout.scene.drivers:
         name = motion.body
         start = rollout.scene.body(name).pose
-        asked = np.array(
-            [motion.state(start, float(time))[1] for time in rollout.times_s]
-        )
+        asked = motion.path(start, rollout.times_s)[:, 7:]
         found = np.hstack([rollout.velocity(name), rollout.angular_velocity(name)])
         # At the start of the motion the reported rate may still be that of rest.
         largest = [np.abs(asked[:, :3]).max()] * 3 + [np.abs(asked[:, 3:]).max()] * 3

@@ -322,7 +322,7 @@ def video_page(results: Results, table: Table) -> str:
             _clip(model, one, file) for file, one in clips.items() if one is not None
         ]
         last = task
-    return page("Videos and the laws of motion", parts)
+    return page("Videos and the laws of motion", parts, look="full")
 
 
 def _clip(model: str, result: VideoScore, file: Path) -> Html:
