@@ -94,10 +94,10 @@ def versions_text(configuration: RunConfiguration) -> str:
 
 # --- scores ---
 
-ALIGNED = Metric(key="rmse_aligned", title="RMSE aligned", unit=None, ideal=0.0)
+ALIGNED = Metric(key="rmse_aligned", title="RMSE aligned", unit=None)
 """The RMSE after the best constant shift in time, which was not published."""
 
-VERIFIED = Metric(key=OVER_U, title="distance from the solution", unit=None, ideal=0.0)
+VERIFIED = Metric(key=OVER_U, title="distance from the solution", unit=None)
 """The distance from a solution of the scene, in its unit and over u."""
 
 SCORE_METRICS: Mapping[str, Metric] = {

@@ -1,4 +1,4 @@
-"""The metrics of the benchmark (paper, Table 5): names, titles, units and ideal values, each stated here alone."""
+"""The metrics of the benchmark (paper, Table 5): names, titles and units, each stated here alone."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,7 +13,6 @@ class Metric:
         key: Name in task files, published tables and results.
         title: Name in reports.
         unit: Unit of the raw score; None is the unit of the observable.
-        ideal: Best value: of the normalized score, or of the raw score of a metric without one.
         is_event: Whether it is measured from the swing of a hinged body, and so needs no band.
         is_normalized: Whether it is divided by the published mean; the mean energy loss of real trials is 0.
     """
@@ -21,7 +20,6 @@ class Metric:
     key: str
     title: str
     unit: str | None
-    ideal: float
     is_event: bool = False
     is_normalized: bool = True
 
@@ -33,28 +31,25 @@ class Metric:
 METRICS: Mapping[str, Metric] = {
     metric.key: metric
     for metric in (
-        Metric(key="rmse", title="RMSE", unit=None, ideal=0.0),
-        Metric(key="dtw", title="DTW", unit=None, ideal=0.0),
+        Metric(key="rmse", title="RMSE", unit=None),
+        Metric(key="dtw", title="DTW", unit=None),
         Metric(
             key="lsd",
             title="LSD",
             unit="s",
-            ideal=1.0,
             is_event=True,
         ),
         Metric(
             key="mte",
             title="MTE",
             unit="1",
-            ideal=1.0,
             is_event=True,
         ),
-        Metric(key="pd", title="PD", unit="s", ideal=1.0, is_event=True),
+        Metric(key="pd", title="PD", unit="s", is_event=True),
         Metric(
             key="el",
             title="EL",
             unit="1",
-            ideal=0.0,
             is_event=True,
             is_normalized=False,
         ),

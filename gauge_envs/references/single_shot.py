@@ -107,17 +107,14 @@ class SingleShots:
         """Trials that repeat an earlier one, with the number of that one."""
         return {copy["trial"]: copy["of"] for copy in self.stated["copies"]}
 
-    def trials(
-        self, half: Literal["fit", "judge"] | None = None, *, every: int = 1
-    ) -> tuple[int, ...]:
+    def trials(self, half: Literal["fit", "judge"] | None = None) -> tuple[int, ...]:
         """Return independent trials: without those that repeat an earlier one.
 
         Args:
             half: `fit` for even numbers, which constants may be fitted on; `judge` for odd ones; None for all.
-            every: Count of trials, copies included, from one to the next.
         """
         first, step = {"fit": (0, 2), "judge": (1, 2), None: (0, 1)}[half]
-        chosen = range(first, len(self), step * every)
+        chosen = range(first, len(self), step)
         return tuple(trial for trial in chosen if trial not in self.copies)
 
     def shot(self, trial: int) -> SingleShot:

@@ -21,7 +21,6 @@ def test_trials_of_a_half_are_independent():
     assert fit | judge == set(shots.trials()) == set(range(499)) - set(shots.copies)
     assert {trial % 2 for trial in fit} == {0}
     # Parts of a half keep their tosses, less the copies.
-    assert set(shots.trials("judge", every=10)) == set(range(1, 499, 20)) & judge
     # Numbers and recordings of the data set stay, those of the copies too.
     assert (shots.shot(49).source_number, shots.shot(123).source_number) == (56, 140)
 
