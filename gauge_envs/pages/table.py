@@ -95,7 +95,6 @@ class Table:
         title: Line above the table; empty for none.
         notes: Lines below the table.
         wide_only: Whether a terminal shows the table only with `--format wide`.
-        narrow_only: Whether only a terminal without `--format wide` shows the table.
         look: Class of the table on a page: empty, or `matrix`, whose first column stays in view.
     """
 
@@ -104,7 +103,6 @@ class Table:
     title: str = ""
     notes: tuple[str, ...] = ()
     wide_only: bool = False
-    narrow_only: bool = False
     look: str = ""
 
     @property

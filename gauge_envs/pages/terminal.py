@@ -71,8 +71,7 @@ def _lines(part: Part, width: int, *, wide: bool) -> Iterator[RenderableType]:
         case Facts(pairs):
             yield from _facts(pairs)
         case Table():
-            is_hidden = part.narrow_only if wide else part.wide_only
-            if not is_hidden:
+            if wide or not part.wide_only:
                 yield from _table(part, width, wide=wide)
 
 

@@ -77,7 +77,7 @@ def plan_document(
     whole = tuple(column for column in PLAN_COLUMNS if column.key != "experiment")
     return Document(
         parts=(
-            Table(columns=whole, rows=engines, narrow_only=True),
+            Table(columns=whole, rows=engines),
             Table(columns=PLAN_COLUMNS, rows=list(rows.values()), wide_only=True),
         ),
         rows=list(rows.values()),
