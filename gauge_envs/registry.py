@@ -21,6 +21,7 @@ BUNDLED = "gauge_envs."
 """First part of the name of a module of this package."""
 PACKAGE = Path(__file__).parent
 SCENE_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
+MODEL_SUFFIX = ".xml"
 """Suffixes of scene files that every engine reads, by way of a scene."""
 
 
@@ -84,14 +85,8 @@ def scene_files(suffix: str) -> Any:
         return import_module("gauge_envs.tools.usd.files")
 
 
-def model_files(engine: str) -> Any:
-    """Return the module that reads model files in the format of an engine, with `read_model` and `load_model`.
-
-    Raises:
-        RegistryError: Nothing reads them.
-    """
-    if engine != "mujoco":
-        raise RegistryError(f"cannot read model files of {engine}")
+def model_files() -> Any:
+    """Return the module that reads MJCF files, with `read_model` and `BackendMJCF`."""
     return import_module("gauge_envs.tools.mjcf.reader")
 
 

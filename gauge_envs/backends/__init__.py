@@ -2,13 +2,12 @@
 
 from typing import Any
 
-from gauge_envs.backends.base import Backend, FileBackend, ModelFile, Repeatability
+from gauge_envs.backends.base import Backend, Repeatability
 from gauge_envs.backends.features import Feature, Support
 from gauge_envs.backends.registry import (
     backend,
     backend_for,
     backend_names,
-    backend_of_suffix,
     engine_call,
     is_bundled,
     support_of,
@@ -19,16 +18,13 @@ from gauge_envs.backends.simulation import LoopedSimulation, Simulation
 __all__ = [
     "Backend",
     "Feature",
-    "FileBackend",
     "LoopedSimulation",
-    "ModelFile",
     "Repeatability",
     "Simulation",
     "Support",
     "backend",
     "backend_for",
     "backend_names",
-    "backend_of_suffix",
     "engine_call",
     "is_bundled",
     "support_of",

@@ -20,29 +20,15 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any, ClassVar, Literal
 
 from gauge_envs.backends.fabric_constants import FabricConstants
 from gauge_envs.backends.features import Feature, Support, needed_features
 from gauge_envs.backends.simulation import LoopedSimulation, Simulation
-from gauge_envs.errors import ParameterError, UnsupportedSceneError
+from gauge_envs.errors import ParameterError
 from gauge_envs.scene import Scene
 from gauge_envs.scene.fabrics import Fabric
-
-
-@dataclass(frozen=True, kw_only=True)
-class ModelFile:
-    """Content of a model file in an engine's own format.
-
-    Attributes:
-        scene: The requested scene, with the start poses, masses and driven motion of the file.
-        changes: Differences between the file and the model that the backend builds from the scene, one line each.
-    """
-
-    scene: Scene
-    changes: tuple[str, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,7 +68,6 @@ class Backend(ABC):
         title: Name as the engine's authors write it, for pages; empty for `name`.
         color: Colour in figures, as `#0072b2`; empty for a grey that engines without a colour share.
         marker: Marker in figures, by matplotlib's names.
-        file_suffixes: Suffixes of the model files that `read_file` and `build_file` accept, such as `.xml`.
         configurations: Settings of further solvers and presets that are compared beside the defaults, by name. They
             must suit any scene; a scene that a solver cannot build is declined.
         corrections: Where the engine's own physics is replaced or completed, one sentence each. An option of the engine
@@ -99,7 +84,6 @@ class Backend(ABC):
     title: ClassVar[str] = ""
     color: ClassVar[str] = ""
     marker: ClassVar[str] = "*"
-    file_suffixes: ClassVar[tuple[str, ...]] = ()
     configurations: ClassVar[Mapping[str, Mapping[str, Any]]] = MappingProxyType({})
     corrections: ClassVar[tuple[str, ...]] = ()
     features: ClassVar[frozenset[Feature]] = frozenset()
@@ -184,38 +168,6 @@ class Backend(ABC):
         """Return a measured fabric in the engine's own constants; None where no mapping is known."""
         return None
 
-    def read_file(self, path: Path, scene: Scene) -> ModelFile:
-        """Read a model file in the engine's format that replaces a scene. Backends with `file_suffixes` implement it.
-
-        Args:
-            path: The file.
-            scene: The scene whose bodies, by name, and driven motions the file must contain.
-
-        Raises:
-            AssetError: The file cannot be read, or lacks a part of the scene.
-        """
-        raise UnsupportedSceneError(
-            f"backend {self.name!r} reads no model files: use a USD layer"
-        )
-
-    def build_file(
-        self, path: Path, scene: Scene, settings: Mapping[str, Any] | None = None
-    ) -> Simulation:
-        """Build the model of a file and return a simulation at the file's start.
-
-        Args:
-            path: The file.
-            scene: The scene that `read_file` returned for it.
-            settings: Numerical settings that replace those of the file; an engine may accept none.
-
-        Raises:
-            AssetError: The file cannot be read, lacks a part of the scene, or has other start poses than the scene.
-            ParameterError: A setting cannot replace one of the file.
-        """
-        raise UnsupportedSceneError(
-            f"backend {self.name!r} builds no model files: use a USD layer"
-        )
-
 
 def scene_support(engine: Backend, scene: Scene) -> Support:
     """Return whether an engine can build a scene: what `supports` returns, and what its class declares."""
@@ -230,38 +182,3 @@ def with_declared(engine: Backend, scene: Scene, support: Support) -> Support:
         reason for feature, reason in needed.items() if feature not in engine.features
     )
     return Support((*support.missing, *reasons)) if reasons else support
-
-
-class FileBackend(Backend):
-    """A backend that builds one model file for every scene.
-
-    Args:
-        engine: The backend that reads the file.
-        path: The file.
-    """
-
-    def __init__(self, engine: Backend, path: Path) -> None:
-        self.name = engine.name  # type: ignore[misc]  # a class variable of engines, whose name this one carries
-        self._engine = engine
-        self._path = path
-
-    def versions(self) -> dict[str, str]:
-        """Return the versions of the engine's packages."""
-        return self._engine.versions()
-
-    def supports(self, scene: Scene) -> Support:
-        """Return whether the engine reads files with this suffix and can build the scene itself."""
-        if self._path.suffix not in self._engine.file_suffixes:
-            known = ", ".join(self._engine.file_suffixes) or "none"
-            return Support(
-                (
-                    f"{self._path.name} is a model of another engine; this engine reads: {known}",
-                )
-            )
-        return self._engine.supports(scene)
-
-    def build(
-        self, scene: Scene, settings: Mapping[str, Any] | None = None
-    ) -> Simulation:
-        """Build the model file; see `Backend.build_file`."""
-        return self._engine.build_file(self._path, scene, settings)

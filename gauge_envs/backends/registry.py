@@ -5,11 +5,14 @@ from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 
-from gauge_envs.backends.base import Backend, FileBackend, with_declared
+from gauge_envs.backends.base import Backend, with_declared
 from gauge_envs.backends.features import Support
 from gauge_envs.errors import BackendError, GaugeError, ParameterError, UnknownNameError
-from gauge_envs.registry import BUNDLED, engine_points
+from gauge_envs.registry import BUNDLED, engine_points, model_files
 from gauge_envs.scene import Scene
+
+MODEL_ENGINE = "mujoco"
+"""The backend that builds model files."""
 
 
 def backend_names() -> tuple[str, ...]:
@@ -122,6 +125,8 @@ def support_of(name: str, scene: Scene, model_file: Path | None = None) -> Suppo
     Raises:
         GaugeError: As `backend`; or a `BackendError`, `supports` does not work.
     """
+    if model_file is not None and name != MODEL_ENGINE:
+        return Support((f"{model_file.name} is a model of another engine",))
     engine = backend_for(name, model_file)
     with engine_call(name, "supports"):
         support = engine.supports(scene)
@@ -149,7 +154,7 @@ def versions_of(name: str) -> dict[str, str]:
 
 
 def backend_for(name: str, model_file: Path | None) -> Backend:
-    """Return the backend of a name, or a backend that builds the model file if one replaces the scene.
+    """Return the backend of a name, or MuJoCo with the model of a file if one replaces the scene.
 
     Raises:
         UnknownNameError: No installed package provides it.
@@ -162,19 +167,4 @@ def backend_for(name: str, model_file: Path | None) -> Backend:
             f"backend {name!r}: expected the name of a backend, as 'mujoco'"
         )
     engine = backend(name)
-    return engine if model_file is None else FileBackend(engine, model_file)
-
-
-def backend_of_suffix(suffix: str) -> Backend | None:
-    """Return the installed backend that reads model files with a suffix, or None if no backend does.
-
-    Backends of this package have precedence.
-    """
-    for name in sorted(backend_names(), key=is_bundled, reverse=True):
-        try:
-            engine = backend(name)
-        except GaugeError:
-            continue
-        if suffix in engine.file_suffixes:
-            return engine
-    return None
+    return engine if model_file is None else model_files().BackendMJCF(model_file)

@@ -13,12 +13,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from gauge_envs.backends.registry import backend_of_suffix
 from gauge_envs.errors import AssetError, first_names
 from gauge_envs.experiments.experiment import Asset, AssetKind, Experiment
 from gauge_envs.files import os_errors
 from gauge_envs.references.metrics import EVENT_METRICS
-from gauge_envs.registry import SCENE_SUFFIXES, scene_files
+from gauge_envs.registry import MODEL_SUFFIX, SCENE_SUFFIXES, model_files, scene_files
 from gauge_envs.scene import Motion
 from gauge_envs.scene.diff import scene_changes
 
@@ -31,7 +30,7 @@ def with_asset(experiment: Experiment, path: Path) -> Experiment:
 
     Args:
         experiment: Experiment with its calibrated scene and bundled drivers.
-        path: USD layer, or model file of an installed engine.
+        path: USD layer or MJCF file.
     """
     digests = [_digest(path)]
     changes: tuple[str, ...]
@@ -40,9 +39,9 @@ def with_asset(experiment: Experiment, path: Path) -> Experiment:
         kind, scene = AssetKind.USD, layer.scene
         digests += map(_digest, layer.used_files)
         changes = tuple(scene_changes(experiment.scene, scene))
-    elif (engine := backend_of_suffix(path.suffix)) is not None:
-        kind, file = AssetKind.MODEL, engine.read_file(path, experiment.scene)
-        scene, changes = file.scene, file.changes
+    elif path.suffix == MODEL_SUFFIX:
+        kind = AssetKind.MODEL
+        scene, changes = model_files().read_model(path, experiment.scene)
     else:
         known = ", ".join(SCENE_SUFFIXES)
         raise AssetError(

@@ -10,8 +10,8 @@ import pytest
 from texts import changed_text
 
 from gauge_envs import load_experiment, load_experiment_from_asset
-from gauge_envs.backends import backend, backend_for, backend_of_suffix
-from gauge_envs.errors import AssetError, ParameterError, UnsupportedSceneError
+from gauge_envs.backends import backend, backend_for
+from gauge_envs.errors import AssetError, ParameterError
 from gauge_envs.experiments.variants import variants
 from gauge_envs.runs.episodes import run_episode, run_episodes
 from gauge_envs.runs.request import RunRequest
@@ -19,6 +19,7 @@ from gauge_envs.runs.result_file import recorded_experiment
 from gauge_envs.tools.assets.build import assets_folder
 from gauge_envs.tools.assets.export import write_mjcf
 from gauge_envs.tools.mjcf.diff import model_changes
+from gauge_envs.tools.mjcf.reader import read_model
 
 ALL = tuple(variant.name for variant in variants())
 SLIDE = "SlopeSlider-2-wood"
@@ -299,21 +300,7 @@ def test_an_mjcf_file_contains_its_own_settings_and_starts_where_it_is_told():
     assert starts[1] == pytest.approx(np.array(starts[0]), abs=1e-6)
 
 
-# --- the hook ---
-
-
-def test_only_mujoco_has_model_files():
-    assert backend_of_suffix(".xml") is backend("mujoco")
-    assert backend_of_suffix(".stl") is None
-    scene = load_experiment(SLIDE).scene
-    engine = backend_for("mujoco", shipped(SLIDE))
-    assert engine.versions() == backend("mujoco").versions()
-    assert engine.supports(scene)
-    newton = pytest.importorskip("newton") and backend("newton")
-    assert not backend_for("newton", shipped(SLIDE)).supports(scene)
-    for refused in (newton.read_file, newton.build_file):
-        with pytest.raises(UnsupportedSceneError, match="'newton'"):
-            refused(shipped(SLIDE), scene)
+# --- changes ---
 
 
 def test_changes_of_a_model_find_every_kind_of_edit():
@@ -369,10 +356,10 @@ def test_an_exported_start_velocity_replays_bit_for_bit(tmp_path, rollout):
     text = (tmp_path / "thrown.xml").read_text()
     assert "mj_resetDataKeyframe" in text
     assert '<key name="start"' in text
-    file = backend("mujoco").build_file(
-        tmp_path / "thrown.xml",
-        backend("mujoco").read_file(tmp_path / "thrown.xml", experiment.scene).scene,
-    )
+    path = tmp_path / "thrown.xml"
+    scene, changes = read_model(path, experiment.scene)
+    assert changes == ()
+    file = backend_for("mujoco", path).build(scene)
     # Plain MuJoCo, as the comment of the file says.
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "thrown.xml"))
     plain = mujoco.MjData(model)
@@ -383,10 +370,6 @@ def test_an_exported_start_velocity_replays_bit_for_bit(tmp_path, rollout):
     mujoco.mj_step(model, plain, nstep=round(0.5 / model.opt.timestep))
     np.testing.assert_array_equal(file.data.qpos, task.data.qpos)
     np.testing.assert_array_equal(plain.qpos, task.data.qpos)
-    assert (
-        backend("mujoco").read_file(tmp_path / "thrown.xml", experiment.scene).changes
-        == ()
-    )
 
 
 @pytest.mark.parametrize(

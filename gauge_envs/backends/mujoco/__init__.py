@@ -1,12 +1,9 @@
 """MuJoCo backend, the default engine."""
 
-import warnings
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from gauge_envs.backends.base import ModelFile
 from gauge_envs.backends.features import Feature
 from gauge_envs.backends.mujoco.deformables import unsupported_features
 from gauge_envs.backends.mujoco.fabrics import flex_constants
@@ -14,14 +11,12 @@ from gauge_envs.backends.mujoco.model import build_model
 from gauge_envs.backends.mujoco.settings import settings_for
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
 from gauge_envs.backends.mujoco.versions import (
-    sparse_advice,
     without_absent,
     without_deformables,
 )
 from gauge_envs.backends.shared.bundled import BundledBackend
 from gauge_envs.backends.simulation import Simulation
-from gauge_envs.errors import ParameterError, UnsupportedSceneError
-from gauge_envs.registry import model_files
+from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import Scene
 
 __all__ = ["BackendMuJoCo"]
@@ -37,7 +32,6 @@ class BackendMuJoCo(BundledBackend):
     packages = ("mujoco",)
     settings_for = staticmethod(settings_for)
     fabric_constants = staticmethod(flex_constants)
-    file_suffixes = (".xml",)
     corrections = (
         "the damping of a contact is derived from the restitution, of which MuJoCo has no coefficient",
     )
@@ -60,7 +54,7 @@ class BackendMuJoCo(BundledBackend):
         self, scene: Scene, settings: Mapping[str, Any] | None = None
     ) -> SimulationMuJoCo:
         """Build a scene; settings are the fields of `SettingsMuJoCo`."""
-        return self._compiled(scene, 1, settings)
+        return self.compiled(scene, 1, settings)
 
     def build_worlds(
         self,
@@ -71,11 +65,12 @@ class BackendMuJoCo(BundledBackend):
         """Build rigid worlds of one model, which threads step; those with deformable bodies have a model each."""
         if scene.deformables:
             return super().build_worlds(scene, world_count, settings)
-        return self._compiled(scene, world_count, settings)
+        return self.compiled(scene, world_count, settings)
 
-    def _compiled(
+    def compiled(
         self, scene: Scene, world_count: int, settings: Mapping[str, Any] | None
     ) -> SimulationMuJoCo:
+        """Build worlds of one model."""
         for reason in without_deformables(scene):
             raise UnsupportedSceneError(reason)
         chosen = settings_for(scene, settings)
@@ -84,25 +79,3 @@ class BackendMuJoCo(BundledBackend):
         return SimulationMuJoCo(
             scene, in_force, spec, model, parts, world_count=world_count
         )
-
-    def read_file(self, path: Path, scene: Scene) -> ModelFile:
-        """Read an MJCF file, through the instrument that reads them."""
-        return model_files(self.name).read_model(path, scene, self.build(scene))
-
-    def build_file(
-        self, path: Path, scene: Scene, settings: Mapping[str, Any] | None = None
-    ) -> SimulationMuJoCo:
-        """Build an MJCF file. It contains all numerical settings, so `settings` must be empty."""
-        if settings:
-            raise ParameterError(
-                f"settings {', '.join(map(repr, settings))} with {path.name}: an MJCF file contains its own settings; "
-                "change them in the file"
-            )
-        simulation = SimulationMuJoCo(
-            scene,
-            *model_files(self.name).load_model(path, scene),
-        )
-        # The sparse models of this package agree with dense ones: `robot-solver` ran on all of them.
-        if advice := sparse_advice(simulation.model):
-            warnings.warn(f"{path.name}: {advice}", stacklevel=2)
-        return simulation

@@ -15,15 +15,16 @@ The `qvel` of a keyframe `start` holds the start velocities of dynamic bodies. O
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import warnings
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import mujoco
 import numpy as np
 
-from gauge_envs.backends.base import ModelFile
+from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.backends.mujoco.flex import FlexPart, flex_table
 from gauge_envs.backends.mujoco.model import (
     START_KEY,
@@ -31,7 +32,9 @@ from gauge_envs.backends.mujoco.model import (
     start_rates,
 )
 from gauge_envs.backends.mujoco.settings import settings_for
-from gauge_envs.errors import AssetError, first_names
+from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
+from gauge_envs.backends.mujoco.versions import sparse_advice
+from gauge_envs.errors import AssetError, ParameterError, first_names
 from gauge_envs.scene import (
     Hinge,
     Motion,
@@ -45,9 +48,6 @@ from gauge_envs.tools.bench.model_settings import option_settings
 from gauge_envs.tools.mjcf.diff import format_value, is_same, model_changes, same_or
 from gauge_envs.tools.mjcf.drivers import numerics, pose_of, read_driver
 
-if TYPE_CHECKING:
-    from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
-
 STATED_SETTINGS = (
     "timestep_s",
     "integrator",
@@ -60,6 +60,34 @@ STATED_SETTINGS = (
 """Settings that a result of a file holds."""
 
 SHORTEST_STEP_S = 1e-7
+
+
+class BackendMJCF(BackendMuJoCo):
+    """MuJoCo with the model of a file, which contains all numerical settings.
+
+    Args:
+        path: The file. The scenes that it builds are those that `read_model` returned for it.
+    """
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self._path = path
+
+    def compiled(
+        self, scene: Scene, world_count: int, settings: Mapping[str, Any] | None
+    ) -> SimulationMuJoCo:
+        """Build worlds of the model of the file; `settings` must be empty."""
+        if settings:
+            raise ParameterError(
+                f"settings {', '.join(map(repr, settings))} with {self._path.name}: an MJCF file contains its own "
+                "settings; change them in the file"
+            )
+        loaded = load_model(self._path, scene)
+        simulation = SimulationMuJoCo(scene, *loaded, world_count=world_count)
+        # The sparse models of this package agree with dense ones: `robot-solver` ran on all of them.
+        if advice := sparse_advice(simulation.model):
+            warnings.warn(f"{self._path.name}: {advice}", stacklevel=2)
+        return simulation
 
 
 # --- loading ---------------------------------------------------------------------------------------------------------
@@ -187,14 +215,18 @@ def _divided(path: Path, name: str, size: int, count: int) -> int:
 # --- scene of a file -------------------------------------------------------------------------------------------------
 
 
-def read_model(path: Path, scene: Scene, simulation: SimulationMuJoCo) -> ModelFile:
+def read_model(path: Path, scene: Scene) -> tuple[Scene, tuple[str, ...]]:
     """Read the start poses, masses, hinges, gravity and driven motion of a file, and its differences.
 
     Args:
         path: The file.
         scene: The scene whose bodies the file must contain.
-        simulation: The simulation that the backend builds from the scene.
+
+    Returns:
+        The scene, with the start poses, masses and driven motion of the file; and the differences between the file and
+        the model that the backend builds from the scene, one line each.
     """
+    simulation = BackendMuJoCo().build(scene)
     _, model = _compiled(path)
     _settings(path, model)
     built = simulation.model
@@ -222,9 +254,7 @@ def read_model(path: Path, scene: Scene, simulation: SimulationMuJoCo) -> ModelF
             changes.append(
                 f"driver of {driver.body}: its motion is sampled from other rows"
             )
-    return ModelFile(
-        scene=replace(placed, drivers=tuple(drivers)), changes=tuple(changes)
-    )
+    return replace(placed, drivers=tuple(drivers)), tuple(changes)
 
 
 def _check_bodies(path: Path, model: mujoco.MjModel, scene: Scene) -> None:
