@@ -82,8 +82,7 @@ class Driver:
             start: Pose of the body before anything moves.
             time_s: Time since the start of the episode [s].
         """
-        x, y, z, *quaternion = self.path(start, np.array([time_s]))[0, :7].tolist()
-        return Pose(position_m=(x, y, z), quaternion=tuple(quaternion))
+        return Pose.of_state(self.path(start, np.array([time_s]))[0])
 
     def path(self, start: Pose, times_s: FloatArray) -> FloatArray:
         """Return poses and velocities at times, without actions, as `moved` does; shape [time_count, 13]."""

@@ -67,6 +67,12 @@ class Pose:
         w, x, y, z = rotation.as_quat(scalar_first=True).tolist()
         return cls(position_m=position_m, quaternion=(w, x, y, z))
 
+    @classmethod
+    def of_state(cls, state: FloatArray) -> Pose:
+        """Return the pose at the head of a state: position [m] and quaternion w, x, y, z, shape [7] or more."""
+        x, y, z, qw, qx, qy, qz = state[:7].tolist()
+        return cls(position_m=(x, y, z), quaternion=(qw, qx, qy, qz))
+
     @cached_property
     def rotation(self) -> Rotation:
         """Orientation as a SciPy rotation, body to world."""

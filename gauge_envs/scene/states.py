@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from gauge_envs.scene.bodies import Motion, RigidBody
-from gauge_envs.scene.geometry import FloatArray, Pose
+from gauge_envs.scene.geometry import FloatArray, Pose, vector
 from gauge_envs.scene.scene import Scene
 
 
@@ -41,26 +41,25 @@ def bodies_at(scene: Scene, states: FloatArray) -> tuple[RigidBody, ...]:
         scene: The scene, whose fixed bodies stay.
         states: Initial states of one world, shape [body_count, 13].
     """
-    rows = states[: len(scene.bodies)].tolist()
     return tuple(
         body
         if body.motion is Motion.FIXED
         else replace(
             body,
-            pose=Pose(position_m=tuple(row[:3]), quaternion=tuple(row[3:7])),
-            linear_velocity_m_per_s=tuple(row[7:10]),
-            angular_velocity_rad_per_s=tuple(row[10:]),
+            pose=Pose.of_state(state),
+            linear_velocity_m_per_s=vector(state[7:10]),
+            angular_velocity_rad_per_s=vector(state[10:]),
         )
-        for body, row in zip(scene.bodies, rows, strict=True)
+        for body, state in zip(scene.bodies, states, strict=False)
     )
 
 
 def scene_at(scene: Scene, states: FloatArray) -> Scene:
     """Return the scene whose nominal start is given by states, shape [body_count, 13]."""
-    deformables = []
-    rows = states[len(scene.bodies) :].tolist()
-    for deformable, row in zip(scene.deformables, rows, strict=True):
-        pose = Pose(position_m=tuple(row[:3]), quaternion=tuple(row[3:7]))
-        deformables.append(replace(deformable, pose=pose))
+    rows = states[len(scene.bodies) :]
+    deformables = tuple(
+        replace(deformable, pose=Pose.of_state(row))
+        for deformable, row in zip(scene.deformables, rows, strict=True)
+    )
     bodies = bodies_at(scene, states)
-    return replace(scene, bodies=bodies, deformables=tuple(deformables))
+    return replace(scene, bodies=bodies, deformables=deformables)

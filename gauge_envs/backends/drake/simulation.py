@@ -12,11 +12,12 @@ from pydrake.systems.analysis import Simulator
 from gauge_envs.backends.drake.model import build_model
 from gauge_envs.backends.drake.settings import SettingsDrake
 from gauge_envs.backends.shared.rigid import (
-    DrivenMotion,
     MeanForces,
     PlacedSimulation,
     TetherSpring,
     hinge_angle,
+    later_targets,
+    motion_steps,
     placed_states,
 )
 from gauge_envs.backends.simulation import ContactForces
@@ -69,7 +70,7 @@ class SimulationDrake(PlacedSimulation):
     def reset(self, starts: FloatArray | None = None, seed: int = 0) -> None:
         """Write the starts to the state of the plant, which remembers nothing else. The seed has no effect."""
         states = self._nominal if starts is None else starts[0]
-        self._motions: dict[str, DrivenMotion] = {}
+        self._motions: dict[str, FloatArray] = {}
         self._wrenches: dict[str, FloatArray] = {}
         for reader in self._force_readers:
             reader.clear()
@@ -87,7 +88,7 @@ class SimulationDrake(PlacedSimulation):
 
     def drive(self, body: str, targets: FloatArray) -> None:
         """Prescribe a kinematic body; each step starts at its pose with the mean velocity of the step."""
-        self._motions[body] = DrivenMotion.of(targets[0])
+        self._motions[body] = targets[0].copy()
         self._state[self._places[body]] = targets[0, :13]
 
     def apply_wrench(self, body: str, wrenches: FloatArray) -> None:
@@ -109,12 +110,13 @@ class SimulationDrake(PlacedSimulation):
             self._simulator.AdvanceTo(count * self._step_s)
             self._state = self._context.get_discrete_state().value(0).copy()
         for name, motion in self._motions.items():
-            self._motions[name] = DrivenMotion(motion.pose(seconds))
+            pose = later_targets(motion[None], seconds)[0, :7]
+            self._motions[name] = np.append(pose, np.zeros(12))
 
     def _advance_in_steps(self, count: int) -> None:
         """Take steps before each of which driven bodies are placed and strings pull."""
         paths = {
-            name: np.hstack(motion.steps(self._step_s, count))
+            name: np.hstack(motion_steps(motion, self._step_s, count))
             for name, motion in self._motions.items()
         }
         for step in range(count):

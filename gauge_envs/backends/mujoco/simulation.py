@@ -148,9 +148,8 @@ class SimulationMuJoCo(PlacedSimulation):
         attached = {one.deformable for one in self._scene.attachments}
         for name, part in self._cloths.items():
             if name not in attached:
-                row = starts[0, len(self._scene.bodies) + names.index(name)].tolist()
-                w, x, y, z = row[3:7]
-                part.start_at(Pose(position_m=tuple(row[:3]), quaternion=(w, x, y, z)))
+                row = starts[0, len(self._scene.bodies) + names.index(name)]
+                part.start_at(Pose.of_state(row))
 
     def drive(self, body: str, targets: FloatArray) -> None:
         """Write each world's pose, velocity, and the force that gives the body's large mass the acceleration."""

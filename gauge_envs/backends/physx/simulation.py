@@ -7,8 +7,8 @@ import numpy as np
 from gauge_envs.backends.physx.model import Model, physx_pose
 from gauge_envs.backends.physx.settings import SettingsPhysX
 from gauge_envs.backends.shared.rigid import (
-    DrivenMotion,
     PlacedSimulation,
+    later_targets,
     placed_states,
 )
 from gauge_envs.errors import BackendError
@@ -37,7 +37,7 @@ class SimulationPhysX(PlacedSimulation):
     def _start(self, bodies: Sequence[RigidBody]) -> None:
         self._model: Model | None = Model(self._scene, bodies, self._chosen)
         self._wrenches: dict[str, FloatArray] = {}
-        self._driven: dict[str, DrivenMotion] = {}
+        self._driven: dict[str, FloatArray] = {}
         self.placed = placed_states(self._scene)
 
     def _open(self) -> Model:
@@ -54,13 +54,12 @@ class SimulationPhysX(PlacedSimulation):
 
     def drive(self, body: str, targets: FloatArray) -> None:
         """Prescribe a kinematic body; PhysX moves it to its exact pose at the end of each step."""
-        motion = DrivenMotion.of(targets[0])
-        x, y, z, *turn = self.body_states([body])[0, 0, :7].tolist()
-        now = Pose(position_m=(x, y, z), quaternion=tuple(turn))
-        if pose_distance(now, motion.start) > SAME_POSE:
+        start = Pose.of_state(targets[0])
+        now = Pose.of_state(self.body_states([body])[0, 0])
+        if pose_distance(now, start) > SAME_POSE:
             component = self._open().parts[body].component
-            component.entity.set_pose(physx_pose(motion.start))
-        self._driven[body] = motion
+            component.entity.set_pose(physx_pose(start))
+        self._driven[body] = targets[0].copy()
         # Until the next step, which takes the body along: then the engine is asked.
         self.placed[body] = targets[0, :13].copy()
 
@@ -74,7 +73,8 @@ class SimulationPhysX(PlacedSimulation):
         step_s = self._chosen.timestep_s
         for step in range(1, round(seconds / step_s) + 1):
             for name, motion in self._driven.items():
-                target = physx_pose(motion.pose(step * step_s))
+                later = later_targets(motion[None], step * step_s)[0]
+                target = physx_pose(Pose.of_state(later))
                 model.parts[name].component.set_kinematic_target(target)
             for name, wrench in self._wrenches.items():
                 model.parts[name].component.add_force_torque(wrench[:3], wrench[3:])

@@ -10,9 +10,9 @@ from gauge_envs.backends.pybullet.settings import SettingsPyBullet
 from gauge_envs.backends.pybullet.world import BASE, PLANE_REACH_M, pybullet
 from gauge_envs.backends.shared.rigid import (
     CONJUGATE,
-    DrivenMotion,
     MeanForces,
     PlacedSimulation,
+    motion_steps,
     placed_states,
 )
 from gauge_envs.backends.simulation import ContactForces, MaterialPoints
@@ -59,7 +59,7 @@ class SimulationPyBullet(PlacedSimulation):
             bodies = bodies_at(self._scene, starts[0])
         self._model.build(bodies)
         self._client = self._model.client
-        self._driven: dict[str, DrivenMotion] = {}
+        self._driven: dict[str, FloatArray] = {}
         self._wrenches: dict[str, FloatArray] = {}
         self.placed = placed_states(self._scene)
         for reader in self._force_readers:
@@ -67,7 +67,7 @@ class SimulationPyBullet(PlacedSimulation):
 
     def drive(self, body: str, targets: FloatArray) -> None:
         """Prescribe a kinematic body; each step moves it to where the motion is at the end of the step."""
-        self._driven[body] = DrivenMotion.of(targets[0])
+        self._driven[body] = targets[0].copy()
         # Until the next step, which takes the body along: then Bullet is asked.
         self.placed[body] = targets[0, :13].copy()
 
@@ -116,8 +116,8 @@ class SimulationPyBullet(PlacedSimulation):
         motion = self._driven.get(name)
         if motion is None:
             pose = self.body_states([name])[0, 0, :7]
-            motion = DrivenMotion.of(np.concatenate([pose, np.zeros(12)]))
-        poses, velocities = motion.steps(step_s, count)
+            motion = np.concatenate([pose, np.zeros(12)])
+        poses, velocities = motion_steps(motion, step_s, count)
         quaternions = poses[:, 3:]
         arms_m = rotation_matrices(quaternions) @ frame.centre_m
         spins = velocities[:, 3:]

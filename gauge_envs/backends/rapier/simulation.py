@@ -9,9 +9,10 @@ import rapier3d as rapier
 from gauge_envs.backends.rapier.model import MASS_UNIT_KG, build_world
 from gauge_envs.backends.rapier.settings import SettingsRapier
 from gauge_envs.backends.shared.rigid import (
-    DrivenMotion,
     PlacedSimulation,
     hinge_angle,
+    later_targets,
+    motion_steps,
     placed_states,
 )
 from gauge_envs.scene import RigidBody, Scene
@@ -46,7 +47,7 @@ class SimulationRapier(PlacedSimulation):
     def _hold(self, world: rapier.PhysicsWorld) -> None:
         """Read and drive the bodies of a world from now on."""
         self._world = world
-        self._motions: dict[str, DrivenMotion] = {}
+        self._motions: dict[str, FloatArray] = {}
         bodies = world.rigid_bodies
         self._bodies = {name: bodies[one.handle] for name, one in self._layout.items()}
 
@@ -114,16 +115,15 @@ class SimulationRapier(PlacedSimulation):
 
     def drive(self, body: str, targets: FloatArray) -> None:
         """Prescribe a kinematic body, which each step moves by the mean velocity of the step."""
-        motion = DrivenMotion.of(targets[0])
-        self._motions[body] = motion
+        self._motions[body] = targets[0].copy()
         self._place(body, targets[0])
-        self._set_velocity(body, motion.velocity)
+        self._set_velocity(body, targets[0, 7:13])
 
     def advance(self, seconds: float) -> None:
         """Step the world. Driven bodies have the velocity of the end of the interval after it."""
         count = round(seconds / self._timestep_s)
         velocities = {
-            name: motion.steps(self._timestep_s, count)[1]
+            name: motion_steps(motion, self._timestep_s, count)[1]
             for name, motion in self._motions.items()
         }
         for step in range(count):
@@ -131,7 +131,7 @@ class SimulationRapier(PlacedSimulation):
                 self._set_velocity(name, of_steps[step])
             self._world.step()
         for name, motion in self._motions.items():
-            self._set_velocity(name, motion.velocity_at(seconds))
+            self._set_velocity(name, later_targets(motion[None], seconds)[0, 7:13])
         self._motions = {}
 
     def apply_wrench(self, body: str, wrenches: FloatArray) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Hashable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,7 +25,6 @@ from gauge_envs.scene.geometry import (
     quaternion_products,
     quaternion_vectors,
     unit_quaternions,
-    vector,
     vector_quaternions,
 )
 from gauge_envs.scene.meshes import body_mass_properties
@@ -236,79 +235,6 @@ class TetherSpring:
         return force
 
 
-@dataclass(frozen=True)
-class DrivenMotion:
-    """Uniformly accelerated motion of a driven body in one world; see `Simulation.drive`.
-
-    Attributes:
-        start: Pose at the start of the interval.
-        velocity: Linear [m/s] and angular [rad/s] velocity at the start, world frame, shape [6].
-        acceleration: Linear [m/s^2] and angular [rad/s^2] acceleration, world frame, shape [6].
-    """
-
-    start: Pose
-    velocity: FloatArray = field(default_factory=lambda: np.zeros(6))
-    acceleration: FloatArray = field(default_factory=lambda: np.zeros(6))
-
-    @classmethod
-    def of(cls, target: FloatArray) -> DrivenMotion:
-        """Return the motion of a row of `Simulation.drive`, shape [19], which may change afterwards."""
-        x, y, z, qw, qx, qy, qz, *_ = target.tolist()
-        pose = Pose(position_m=(x, y, z), quaternion=(qw, qx, qy, qz))
-        return cls(pose, target[7:13].copy(), target[13:].copy())
-
-    def travel(self, times_s: float | FloatArray) -> FloatArray:
-        """Return displacement [m] and rotation vector [rad] since the start.
-
-        Args:
-            times_s: Time since the start of the interval [s], or several ones, shape [time_count, 1].
-
-        Returns:
-            Shape [6], or [time_count, 6].
-        """
-        return np.asarray(
-            (self.velocity + 0.5 * np.asarray(self.acceleration) * times_s) * times_s
-        )
-
-    def pose(self, time_s: float) -> Pose:
-        """Return the pose at a time since the start of the interval [s]."""
-        from scipy.spatial.transform import Rotation
-
-        travel = self.travel(time_s)
-        rotation = Rotation.from_rotvec(travel[3:]) * self.start.rotation
-        return Pose.from_rotation(
-            vector(np.asarray(self.start.position_m) + travel[:3]), rotation
-        )
-
-    def velocity_at(self, time_s: float) -> FloatArray:
-        """Return linear [m/s] and angular [rad/s] velocity at a time since the start [s], shape [6]."""
-        return np.asarray(self.velocity + np.asarray(self.acceleration) * time_s)
-
-    def steps(self, step_s: float, count: int) -> tuple[FloatArray, FloatArray]:
-        """Return the motion cut into steps, each at the constant velocity that takes the body to the start of the next.
-
-        A semi-implicit engine moves a body by its new velocity times the step, and so follows the motion exactly.
-
-        Args:
-            step_s: Length of a step [s].
-            count: Number of steps.
-
-        Returns:
-            Pose at the start of each step, position [m] and quaternion w, x, y, z, shape [count, 7]; and linear [m/s]
-            and angular [rad/s] velocity in it, world frame, shape [count, 6].
-        """
-        times_s = step_s * np.arange(count + 1, dtype=np.float64)[:, None]
-        travel = self.travel(times_s)
-        turned = vector_quaternions(travel[:, 3:])
-        start = unit_quaternions(np.array(self.start.quaternion))
-        quaternions = quaternion_products(turned[:-1], start)
-        positions_m = np.asarray(self.start.position_m) + travel[:-1, :3]
-        back = turned[:-1] * CONJUGATE
-        steps = np.diff(travel, axis=0)
-        steps[:, 3:] = quaternion_vectors(quaternion_products(turned[1:], back))
-        return np.hstack([positions_m, quaternions]), steps / step_s
-
-
 def later_targets(targets: FloatArray, seconds: float | FloatArray) -> FloatArray:
     """Return rows of `Simulation.drive` some seconds later, shape [N, 19].
 
@@ -324,3 +250,27 @@ def later_targets(targets: FloatArray, seconds: float | FloatArray) -> FloatArra
     moved[:, 3:7] = unit_quaternions(quaternion_products(turns, targets[:, 3:7]))
     moved[:, 7:13] += seconds * acceleration
     return moved
+
+
+def motion_steps(
+    target: FloatArray, step_s: float, count: int
+) -> tuple[FloatArray, FloatArray]:
+    """Return a driven motion cut into steps, each at the constant velocity that takes the body to the next one.
+
+    A semi-implicit engine moves a body by its new velocity times the step, and so follows the motion exactly.
+
+    Args:
+        target: A row of `Simulation.drive`, shape [19].
+        step_s: Length of a step [s].
+        count: Number of steps.
+
+    Returns:
+        Pose at the start of each step, position [m] and quaternion w, x, y, z, shape [count, 7]; and linear [m/s]
+        and angular [rad/s] velocity in it, world frame, shape [count, 6].
+    """
+    times_s = step_s * np.arange(count + 1, dtype=np.float64)[:, None]
+    later = later_targets(np.tile(target, (count + 1, 1)), times_s)
+    shifts_m = np.diff(later[:, :3], axis=0)
+    turns = quaternion_products(later[1:, 3:7], later[:-1, 3:7] * CONJUGATE)
+    steps = np.hstack([shifts_m, quaternion_vectors(turns)])
+    return later[:-1, :7], steps / step_s
