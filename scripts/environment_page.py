@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from fnmatch import fnmatchcase
 from typing import Any
 
-from gauge_envs.backends.registry import backend_names, backend_title, is_bundled
+from gauge_envs.backends.registry import backend_class, backend_names, is_bundled
 from gauge_envs.envs.arguments import EnvArguments
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import beyond_variants, variants
@@ -309,7 +309,7 @@ def _engines(names: _Names, members: Sequence[Values]) -> Iterator[Part]:
     rows: list[dict[str, Any]] = []
     declined: list[str] = []
     for engine in filter(is_bundled, backend_names()):
-        title = f"[{backend_title(engine)}](../engines/{engine}.md)"
+        title = f"[{backend_class(engine).title}](../engines/{engine}.md)"
         rows += ({"engine": title} | row for row in _running(names, members, engine))
         declined += (
             f"{title} declines {reason}" for reason in _reasons(names, members, engine)
@@ -365,7 +365,7 @@ def _of_engine(values: Values, engine: str) -> Values:
 
 def _convergence(names: _Names, members: Sequence[Values]) -> Iterator[Part]:
     rows = [
-        (names.short([short_id(values["id"])]), backend_title(engine), text)
+        (names.short([short_id(values["id"])]), backend_class(engine).title, text)
         for values in members
         for engine, text in convergence_facts(values).items()
     ]

@@ -26,7 +26,7 @@ from typing import Any, ClassVar, Literal
 from gauge_envs.backends.fabric_constants import FabricConstants
 from gauge_envs.backends.features import Feature, Support, needed_features
 from gauge_envs.backends.simulation import LoopedSimulation, Simulation
-from gauge_envs.errors import ParameterError
+from gauge_envs.errors import BackendError, ParameterError
 from gauge_envs.scene import Scene
 from gauge_envs.scene.fabrics import Fabric
 
@@ -170,15 +170,19 @@ class Backend(ABC):
 
 
 def scene_support(engine: Backend, scene: Scene) -> Support:
-    """Return whether an engine can build a scene: what `supports` returns, and what its class declares."""
-    return with_declared(engine, scene, engine.supports(scene))
+    """Return whether an engine can build a scene: what `supports` returns, and what its class declares.
 
-
-def with_declared(engine: Backend, scene: Scene, support: Support) -> Support:
-    """Return what an engine's `supports` returned for a scene, with the features that its class does not declare."""
+    Raises:
+        BackendError: `supports` returned something else.
+    """
+    support = engine.supports(scene)
+    if not isinstance(support, Support):
+        raise BackendError(
+            f"backend {engine.name!r}: supports returned a {type(support).__name__}, expected a Support"
+        )
     # The last sentence of each feature.
     needed = dict(needed_features(scene))
     reasons = tuple(
         reason for feature, reason in needed.items() if feature not in engine.features
     )
-    return Support((*support.missing, *reasons)) if reasons else support
+    return Support((*support.missing, *reasons))

@@ -5,7 +5,7 @@ from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 
-from gauge_envs.backends.base import Backend, with_declared
+from gauge_envs.backends.base import Backend, scene_support
 from gauge_envs.backends.features import Support
 from gauge_envs.errors import BackendError, GaugeError, ParameterError, UnknownNameError
 from gauge_envs.registry import BUNDLED, engine_points, model_files
@@ -67,11 +67,6 @@ def backend_class(name: str) -> type[Backend]:
     return Backend
 
 
-def backend_title(name: str) -> str:
-    """Return the name of an engine as its authors write it; the name of the backend where no title is known."""
-    return backend_class(name).title or name
-
-
 def uninstalled_backend(name: str) -> Backend:
     """Return a backend of this package that answers `supports` and `resolved_settings` without its engine.
 
@@ -129,12 +124,7 @@ def support_of(name: str, scene: Scene, model_file: Path | None = None) -> Suppo
         return Support((f"{model_file.name} is a model of another engine",))
     engine = backend_for(name, model_file)
     with engine_call(name, "supports"):
-        support = engine.supports(scene)
-    if not isinstance(support, Support):
-        raise BackendError(
-            f"backend {name!r}: supports returned a {type(support).__name__}, expected a Support"
-        )
-    return with_declared(engine, scene, support)
+        return scene_support(engine, scene)
 
 
 def versions_of(name: str) -> dict[str, str]:

@@ -19,9 +19,6 @@ from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.scoring.score import Score
 
-BULKY = ("scene",)
-"""Keys of `Result.asset` with long values, which are only needed to build the scene again."""
-
 MARKER_DECIMALS = 4
 """Digits of a marker's position [mm] in a file: 0.1 um, a thousandth of the surest solution."""
 
@@ -280,6 +277,5 @@ class Result:
         values["score"] = json_ready(self.score.to_dict())
         if not trajectory:
             del values["trajectory"]
-            for key in BULKY:
-                values["asset"].pop(key, None)
+            values["asset"].pop("scene", None)
         return values

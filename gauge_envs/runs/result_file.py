@@ -15,7 +15,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
-from gauge_envs.errors import GaugeError, ResultFileError, UnknownNameError, first_fault
+from gauge_envs.errors import ResultFileError, UnknownNameError, first_fault
 from gauge_envs.experiments.experiment import (
     Asset,
     AssetKind,
@@ -141,7 +141,7 @@ def _result_adapter() -> TypeAdapter[Result]:
 
 
 class _AssetRecord(BaseModel):
-    """The asset of a result; `scene` is checked when it is built again."""
+    """The asset of a result."""
 
     model_config = ConfigDict(strict=True, extra="ignore")
 
@@ -150,6 +150,7 @@ class _AssetRecord(BaseModel):
     sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{8,64}$")]
     edited: bool
     changes: list[str]
+    scene: str = ""
 
 
 def _check(result: Result) -> None:
@@ -248,24 +249,16 @@ def recorded_experiment(result: Result) -> Experiment:
             drivers=result.dataset["drivers"],
             reference=result.dataset["reference"],
         )
-    files = scene_files(RECORDED_SUFFIX)
-    try:
-        with TemporaryDirectory() as folder:
-            path = Path(folder) / "scene.usda"
-            path.write_text(record["scene"], encoding="utf-8")
-            scene = files.read_scene(path).scene
-        asset = Asset(
-            path=Path(record["file"]),
-            kind=AssetKind(record["kind"]),
-            sha256=record["sha256"],
-            edited=record["edited"],
-            changes=tuple(record["changes"]),
-        )
-    except (KeyError, TypeError, ValueError) as error:
-        if isinstance(error, GaugeError):
-            raise
-        raise ResultFileError(
-            f"{result.id}: the asset in the result is damaged: {error}"
-        ) from error
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "scene.usda"
+        path.write_text(record["scene"], encoding="utf-8")
+        scene = scene_files(RECORDED_SUFFIX).read_scene(path).scene
+    asset = Asset(
+        path=Path(record["file"]),
+        kind=AssetKind(record["kind"]),
+        sha256=record["sha256"],
+        edited=record["edited"],
+        changes=tuple(record["changes"]),
+    )
     experiment = load_experiment(result.id, reference=result.dataset["reference"])
     return replace(experiment, scene=scene, asset=asset)

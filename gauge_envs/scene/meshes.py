@@ -1,5 +1,7 @@
 """Meshes of solids and cloth (polyhedra, prisms, regular grids, tetrahedra), and mass properties of solids."""
 
+from itertools import pairwise
+
 import numpy as np
 
 from gauge_envs.scene.bodies import Cloth, Deformable, Region, RigidBody, Rope, SoftBody
@@ -85,16 +87,12 @@ def hull_triangles(points_m: FloatArray) -> FloatArray:
     Returns:
         Corners of each triangle [m], shape [triangle_count, 3, 3].
     """
-    from scipy.spatial import ConvexHull
-
-    hull = ConvexHull(points_m)
-    triangles = points_m[hull.simplices]
-    across = np.cross(
-        triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
-    )
-    inward = (across * hull.equations[:, :3]).sum(axis=1) < 0.0
-    triangles[inward] = triangles[inward][:, ::-1]
-    return triangles
+    fans = [
+        (first, second, third)
+        for first, *others in hull_faces(points_m)
+        for second, third in pairwise(others)
+    ]
+    return points_m[np.array(fans)]
 
 
 def grid(size_m: tuple[float, float, float]) -> tuple[FloatArray, tuple[int, int, int]]:

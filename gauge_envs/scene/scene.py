@@ -66,6 +66,7 @@ class Scene:
     Raises:
         ParameterError: A start velocity is not finite, belongs to a body that is not dynamic or is attached to a
             deformable body, or does not rotate a hinged body about its hinge.
+        ParameterError: A body has two hinges.
         ParameterError: Two contacts list the same pair, or one has torsional or rolling friction without friction.
         ParameterError: There is air and no cloth.
     """
@@ -93,6 +94,13 @@ class Scene:
             raise ParameterError(
                 "the scene has air and no cloth. Air acts on cloth alone: remove it"
             )
+        hinged = [joint.body for joint in self.joints if isinstance(joint, Hinge)]
+        for name in self.hinges:
+            if hinged.count(name) > 1:
+                raise ParameterError(
+                    f"scene: {name!r} hangs on {hinged.count(name)} hinges, which leave it no motion: give it one, or "
+                    "make the body fixed"
+                )
         for body in self.bodies:
             if not body.starts_at_rest:
                 self._check_start_velocity(body)
@@ -139,21 +147,19 @@ class Scene:
                 f"{body.name!r} has a start velocity and is attached to a deformable body, which starts at rest. "
                 "Remove the velocity or the attachment."
             )
-        for joint in self.joints:
-            if joint.body == body.name and isinstance(joint, Hinge):
-                spin = np.asarray(joint.axis) * (angular @ joint.axis)
-                expected = np.cross(
-                    spin, np.subtract(body.pose.position_m, joint.anchor_m)
-                )
-                if (
-                    np.abs([linear - expected, angular - spin]).max()
-                    > SAME_VELOCITY * np.abs([linear, angular]).max()
-                ):
-                    raise ParameterError(
-                        f"the start velocity of {body.name!r} does not rotate the body about its hinge. Give an "
-                        f"angular velocity along the axis {joint.axis}, and the linear velocity "
-                        f"{tuple((expected + 0.0).tolist())} m/s."
-                    )
+        hinge = self.hinges.get(body.name)
+        if hinge is None:
+            return
+        spin = np.asarray(hinge.axis) * (angular @ hinge.axis)
+        arm_m = np.subtract(body.pose.position_m, hinge.anchor_m)
+        expected = np.cross(spin, arm_m)
+        error = np.abs([linear - expected, angular - spin]).max()
+        if error > SAME_VELOCITY * np.abs([linear, angular]).max():
+            raise ParameterError(
+                f"the start velocity of {body.name!r} does not rotate the body about its hinge. Give an angular "
+                f"velocity along the axis {hinge.axis}, and the linear velocity "
+                f"{tuple((expected + 0.0).tolist())} m/s."
+            )
 
     def body(self, name: str) -> RigidBody:
         """Return the rigid body of a name; raise KeyError if the scene has none."""

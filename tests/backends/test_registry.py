@@ -3,7 +3,7 @@
 import pytest
 
 from gauge_envs.backends import Backend, Support, backend, backend_names, registry
-from gauge_envs.backends.registry import backend_class, backend_title
+from gauge_envs.backends.registry import backend_class
 from gauge_envs.errors import BackendError, MissingExtraError, UnknownNameError
 from gauge_envs.experiments.variants import find_variant
 from gauge_envs.runs import isolation
@@ -97,11 +97,10 @@ def test_the_others_stay_usable(monkeypatch):
 
 @pytest.mark.usefixtures("installed")
 def test_somebody_elses_engine_gives_its_title_and_colour():
-    assert backend_title("nothing") == "Nothing at all"
+    assert backend_class("nothing").title == "Nothing at all"
     assert backend_class("nothing").color == "#123456"
-    # Results of engines that cannot be loaded, or are nowhere, keep the name of their backend.
+    # Engines that cannot be loaded, or are nowhere, are grey.
     for name in ("broken", "other", "elsewhere"):
-        assert backend_title(name) == name
         assert backend_class(name).color == ""
 
 

@@ -303,3 +303,12 @@ def test_a_thrown_ball_flies_beside_deformable_bodies(engine, name):
         moved = simulation.body_states(["thrown"])[0, 0, :3] - 3.0
         assert moved == pytest.approx(np.array(LINEAR) / 90, abs=1e-5)
         simulation.reset()
+
+
+def test_a_body_has_one_hinge():
+    hinges = [
+        Hinge(body="bar", anchor_m=(0.0, 0.0, 0.0), axis=axis)
+        for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
+    ]
+    with pytest.raises(ParameterError, match="'bar' hangs on 2 hinges"):
+        Scene(bodies=(), joints=tuple(hinges), duration_s=1.0)

@@ -3,7 +3,6 @@
 The content of a scene determines its preset; scores have no influence.
 """
 
-from collections import Counter
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -18,14 +17,13 @@ from gauge_envs.backends.genesis.settings import (
 )
 from gauge_envs.backends.settings import STACK_BODY_COUNT, resolve_settings
 from gauge_envs.backends.shared.attachments import attachment_problems
-from gauge_envs.backends.shared.bundled import declined_hinges, first_of
+from gauge_envs.backends.shared.bundled import first_of
 from gauge_envs.backends.shared.soft_rows import soft_row_problems
 from gauge_envs.backends.shared.spring_damper import impact_speed_m_per_s
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import (
     Cloth,
     ContactMode,
-    Hinge,
     Motion,
     Rod,
     Rope,
@@ -101,8 +99,6 @@ def _preset_name(scene: Scene) -> str:
 
 def unsupported_features(scene: Scene, settings: SettingsGenesis) -> Iterator[str]:
     """Yield one sentence for each kind of unsupported feature of a scene."""
-    hinges = Counter(joint.body for joint in scene.joints if isinstance(joint, Hinge))
-    yield from declined_hinges(hinges)
     for joint in scene.joints:
         if scene.body(joint.body).motion is not Motion.DYNAMIC:
             motion = scene.body(joint.body).motion.value

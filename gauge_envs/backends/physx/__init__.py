@@ -1,6 +1,5 @@
 """NVIDIA PhysX 5 through SAPIEN: rigid bodies on the CPU. The first build imports SAPIEN, which takes 0.4 s."""
 
-from collections import Counter
 from collections.abc import Iterator, Mapping
 from types import MappingProxyType
 from typing import Any
@@ -11,13 +10,12 @@ from scipy.spatial import ConvexHull
 from gauge_envs.backends.features import Feature
 from gauge_envs.backends.physx.contacts import unsupported_contacts
 from gauge_envs.backends.physx.settings import settings_for
-from gauge_envs.backends.shared.bundled import BundledBackend, declined_hinges, first_of
+from gauge_envs.backends.shared.bundled import BundledBackend, first_of
 from gauge_envs.backends.simulation import Simulation
 from gauge_envs.scene import (
     Compound,
     ConvexUnion,
     Ellipsoid,
-    Hinge,
     Motion,
     RigidBody,
     Scene,
@@ -60,11 +58,7 @@ class BackendPhysX(BundledBackend):
                 f"{first_of([body.name for body in scene.deformables])} is deformable: PhysX's cloth and foam need "
                 "a GPU, and SAPIEN has no ropes or rods"
             )
-        hinges = Counter(
-            joint.body for joint in scene.joints if isinstance(joint, Hinge)
-        )
-        yield from declined_hinges(hinges)
-        for name in hinges:
+        for name in scene.hinges:
             motion = scene.body(name).motion
             if motion is not Motion.DYNAMIC:
                 yield f"{name!r} hangs on a hinge and is {motion.value}: only dynamic bodies have hinges"

@@ -82,14 +82,6 @@ def declined_compounds(scene: Scene) -> Iterator[str]:
         yield f"{names[0]!r} is a compound of solids, and this backend builds one solid or convex pieces for each body"
 
 
-def declined_hinges(hinges: Mapping[str, int]) -> Iterator[str]:
-    """Yield the sentence of a backend that builds one hinge for each body, from numbers of hinges by body."""
-    for name, count in hinges.items():
-        if count > 1:
-            yield f"{name!r} hangs on {count} hinges: this backend builds one hinge per body"
-            return
-
-
 def check_settings(
     engine: str, settings: SteppedSettings, missing: Iterable[str]
 ) -> None:

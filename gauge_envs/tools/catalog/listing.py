@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 from gauge_envs.backends import backend, backend_names, is_bundled, support_of
-from gauge_envs.backends.base import with_declared
+from gauge_envs.backends.base import scene_support
 from gauge_envs.backends.registry import uninstalled_backend
 from gauge_envs.errors import GaugeError, MissingExtraError
 from gauge_envs.experiments.experiment import Experiment
@@ -79,11 +79,7 @@ def engine_rows(experiment: Experiment) -> list[dict[str, Any]]:
             rows.append(row | {"missing": lacking_features(name, [experiment])[0]})
             continue
         engine = uninstalled_backend(name)
-        row["missing"] = list(
-            with_declared(
-                engine, experiment.scene, engine.supports(experiment.scene)
-            ).missing
-        )
+        row["missing"] = list(scene_support(engine, experiment.scene).missing)
         if not row["missing"]:
             settings = engine.resolved_settings(experiment.scene) or {}
             row |= {key: settings.get(key) for key in ("preset", "timestep_s")}
