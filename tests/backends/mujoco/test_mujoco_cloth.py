@@ -230,6 +230,7 @@ def swung(settings, duration_s=0.3):
     scene = replace(
         experiment.scene,
         deformables=(replace(experiment.scene.deformables[0], size_m=(0.5, 0.1)),),
+        markers=None,
     )
     simulation = BackendMuJoCo().build(scene, settings)
     return record(simulation, scene, duration_s).nodes_m["textile"][-1]
