@@ -9,10 +9,11 @@ from functools import cached_property
 import numpy as np
 
 from gauge_envs.errors import ParameterError
-from gauge_envs.scene.bodies import Cloth, Hinge, RigidBody, Tether
+from gauge_envs.scene.bodies import Hinge, RigidBody, Tether
 from gauge_envs.scene.contact_faces import TouchingGroup, face_normal
 from gauge_envs.scene.geometry import (
     FloatArray,
+    Pose,
     Sphere,
     quaternion_products,
     rotation_matrices,
@@ -67,11 +68,7 @@ class Jitter:
 
 def can_scatter(scene: Scene) -> bool:
     """Return whether a body of a scene can start elsewhere: a free rigid body, or a cloth that nothing clamps."""
-    clamped = {attachment.deformable for attachment in scene.attachments}
-    has_free_cloth = any(
-        isinstance(one, Cloth) and one.name not in clamped for one in scene.deformables
-    )
-    return bool(scene.free) or has_free_cloth
+    return bool(scene.free or scene.free_cloths)
 
 
 def perturbed_states(scene: Scene, jitter: Jitter, *, seed: int) -> FloatArray:
@@ -110,12 +107,10 @@ def perturbed_states(scene: Scene, jitter: Jitter, *, seed: int) -> FloatArray:
             noise.swing(state, joints[body.name])
         elif body.name in scene.free:
             noise.move(state, body)
-    clamped = {attachment.deformable for attachment in scene.attachments}
-    for state, cloth in zip(
-        states[len(scene.bodies) :], scene.deformables, strict=True
-    ):
-        if isinstance(cloth, Cloth) and cloth.name not in clamped:
-            noise.move_cloth(state, cloth)
+    rows = states[len(scene.bodies) :]
+    for state, soft in zip(rows, scene.deformables, strict=True):
+        if soft.name in scene.free_cloths:
+            noise.move_in_plane(state, soft.pose)
     return states
 
 
@@ -160,9 +155,9 @@ class _Noise:
         state[7:10] += linear
         state[10:] += angular
 
-    def move_cloth(self, state: FloatArray, cloth: Cloth) -> None:
-        """Move a cloth in its plane."""
-        normal = face_normal(cloth.pose)
+    def move_in_plane(self, state: FloatArray, pose: Pose) -> None:
+        """Move a cloth, whose nominal pose is given, in its plane."""
+        normal = face_normal(pose)
         shift_m, turn_rad = self._drawn_move(normal[None], normal)
         turn(state[:7], turn_rad, state[:3].copy())
         state[:3] += shift_m

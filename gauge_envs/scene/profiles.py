@@ -138,9 +138,7 @@ class SampledProfile:
         # Lists of experiments need no curve, and the import takes a tenth of a second.
         from scipy.interpolate import PchipInterpolator
 
-        # Slopes of subnormal numbers have infinite inverses, from which the slope 0 follows.
-        with np.errstate(over="ignore"):
-            return PchipInterpolator(self.times_s, self.values)
+        return PchipInterpolator(self.times_s, self.values)
 
     @cached_property
     def _slope(self) -> PchipInterpolator:

@@ -214,6 +214,13 @@ class Scene:
         return frozenset(one.name for one in self.dynamic_bodies) - attached
 
     @cached_property
+    def free_cloths(self) -> frozenset[str]:
+        """Names of the cloths that nothing clamps."""
+        clamped = {attachment.deformable for attachment in self.attachments}
+        cloths = (one.name for one in self.deformables if isinstance(one, Cloth))
+        return frozenset(cloths) - clamped
+
+    @cached_property
     def touching_groups(self) -> dict[str, TouchingGroup]:
         """The group of each free body without a joint, by its name; bodies that touch one another are one group."""
         jointed = {joint.body for joint in self.joints}

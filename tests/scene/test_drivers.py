@@ -119,13 +119,6 @@ def test_euler_angles_turn_about_fixed_axes_in_the_order_x_y_z():
     )
 
 
-def test_samples_may_be_subnormal_numbers():
-    profile = SampledProfile(
-        times_s=(1.0, 2.0, 3.0), values=(0.0, 0.0, 2.2250738585e-313)
-    )
-    assert profile.value(2.5) == pytest.approx(0.0, abs=1e-300)
-
-
 START = np.array([0.1, 0.2, 0.3, 0.5, 0.5, -0.5, 0.5])
 """Position [m] and quaternion of a driven body before anything moves."""
 

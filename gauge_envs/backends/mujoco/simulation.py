@@ -32,6 +32,7 @@ from gauge_envs.backends.simulation import ContactForces, MaterialPoints
 from gauge_envs.files import processors
 from gauge_envs.scene import Hinge, Motion, Pose, RigidBody, Scene
 from gauge_envs.scene.geometry import FloatArray, unit_quaternions
+from gauge_envs.scene.states import row_of
 
 BAD_STATES = {
     mujoco.mjtWarning.mjWARN_BADQPOS: "position",
@@ -144,12 +145,9 @@ class SimulationMuJoCo(PlacedSimulation):
         for row, body in enumerate(self._scene.bodies):
             for world, place in enumerate(self._moving.get(body.name, ())):
                 place.write(starts[world, row])
-        names = [body.name for body in self._scene.deformables]
-        attached = {one.deformable for one in self._scene.attachments}
-        for name, part in self._cloths.items():
-            if name not in attached:
-                row = starts[0, len(self._scene.bodies) + names.index(name)]
-                part.start_at(Pose.of_state(row))
+        for name in self._scene.free_cloths:
+            state = starts[0, row_of(self._scene, name)]
+            self._cloths[name].start_at(Pose.of_state(state))
 
     def drive(self, body: str, targets: FloatArray) -> None:
         """Write each world's pose, velocity, and the force that gives the body's large mass the acceleration."""

@@ -37,17 +37,17 @@ CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])
 """Factors of a unit quaternion w, x, y, z that give the inverse rotation."""
 
 
-def body_state(pose: Pose, velocity: Iterable[float] = (0.0,) * 6) -> FloatArray:
-    """Return the state of a body with a pose and a velocity, shape [13]; see `Simulation.body_states`."""
-    return np.array([*pose.position_m, *pose.quaternion, *velocity])
+def body_state(pose: Pose) -> FloatArray:
+    """Return the state of a body at rest in a pose, shape [13]; see `Simulation.body_states`."""
+    return np.array([*pose.position_m, *pose.quaternion, *np.zeros(6)])
 
 
-def placed_states(scene: Scene, *motions: Motion) -> dict[str, FloatArray]:
-    """Return the states at the start of the fixed bodies of a scene, or of those with other motions, by name."""
+def placed_states(scene: Scene) -> dict[str, FloatArray]:
+    """Return the states of the fixed bodies of a scene, by name."""
     return {
         body.name: body_state(body.pose)
         for body in scene.bodies
-        if body.motion in (motions or (Motion.FIXED,))
+        if body.motion is Motion.FIXED
     }
 
 
@@ -191,7 +191,7 @@ class TetherSpring:
                 body = scene.body(joint.body)
                 centre_m, inertia = body_mass_properties(body)
                 inverse = np.linalg.inv(inertia).astype(np.float64)
-                found.append(cls(joint, body.mass_kg, np.asarray(centre_m), inverse))
+                found.append(cls(joint, body.mass_kg, centre_m, inverse))
         return found
 
     def end_mass_kg(self, rotation: Rotation, direction: FloatArray) -> float:
