@@ -396,7 +396,7 @@ class Rollout:
             worlds = np.flatnonzero(has_band & (self.last_frames == frame))
             g = self._samples[frame * SAMPLES_PER_FRAME, worlds]
             of_band = reward.of(frame, g, self._markers_m[frame, worlds])
-            rewards[worlds] = np.nan_to_num(of_band)
+            rewards[worlds] = np.where(np.isfinite(of_band), of_band, 0.0)
         return rewards
 
     def info(self, world: int) -> dict[str, Any]:
