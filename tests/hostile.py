@@ -75,16 +75,16 @@ class Talking(Engine):
         say()
         return super().supports(scene)
 
-    def _compiled(self, scene, *rest):
+    def compiled(self, scene, *rest):
         say()
-        return super()._compiled(scene, *rest)
+        return super().compiled(scene, *rest)
 
 
 class NoJson(Engine):
     name = "no-json"
 
-    def _compiled(self, scene, *rest):
-        simulation = super()._compiled(scene, *rest)
+    def compiled(self, scene, *rest):
+        simulation = super().compiled(scene, *rest)
         simulation.settings = {**simulation.settings, "pool": {1, 2}}
         return simulation
 
@@ -101,8 +101,8 @@ def fails_on_plastic(backend_name, fail):
     class Failing(Engine):
         name = backend_name
 
-        def _compiled(self, scene, *rest):
-            simulation = super()._compiled(scene, *rest)
+        def compiled(self, scene, *rest):
+            simulation = super().compiled(scene, *rest)
             simulation.__class__ = Stepped
             return simulation
 
@@ -121,10 +121,10 @@ def fails_on_contact(backend_name, fail):
     class Failing(Engine):
         name = backend_name
 
-        def _compiled(self, scene, *rest):
+        def compiled(self, scene, *rest):
             if scene.contacts:
                 fail()
-            return super()._compiled(scene, *rest)
+            return super().compiled(scene, *rest)
 
     return Failing
 
@@ -139,8 +139,8 @@ ContactGreedy = fails_on_contact("contact-greedy", lambda: (bytearray(10**9), ti
 class FallCrash(Engine):
     name = "fall-crash"
 
-    def _compiled(self, scene, *rest):
-        simulation = super()._compiled(scene, *rest)
+    def compiled(self, scene, *rest):
+        simulation = super().compiled(scene, *rest)
         if any(body.name.startswith("ball") for body in scene.bodies):
             simulation.__class__ = type("Dies", (SimulationMuJoCo,), {"advance": lambda self, seconds: segfault()})
         return simulation

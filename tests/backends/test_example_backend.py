@@ -366,7 +366,7 @@ def names_of_guide():
     """Run the Python blocks of the guide that are not quoted from the example, and return their names."""
     source = (PACKAGE / "point_engine.py").read_text()
     blocks = [block for block in fenced(GUIDE, "python") if block not in source]
-    assert len(blocks) == 2
+    assert len(blocks) == 3
     names = {"__name__": "guide"}
     exec("\n".join(blocks), names)
     return names

@@ -269,8 +269,11 @@ def motion_steps(
         and angular [rad/s] velocity in it, world frame, shape [count, 6].
     """
     times_s = step_s * np.arange(count + 1, dtype=np.float64)[:, None]
-    later = later_targets(np.tile(target, (count + 1, 1)), times_s)
-    shifts_m = np.diff(later[:, :3], axis=0)
-    turns = quaternion_products(later[1:, 3:7], later[:-1, 3:7] * CONJUGATE)
-    steps = np.hstack([shifts_m, quaternion_vectors(turns)])
-    return later[:-1, :7], steps / step_s
+    travel = (target[7:13] + 0.5 * target[13:] * times_s) * times_s
+    turned = vector_quaternions(travel[:, 3:])
+    start = unit_quaternions(target[3:7])
+    poses = np.hstack([target[:3] + travel[:, :3], quaternion_products(turned, start)])
+    steps = np.diff(travel, axis=0)
+    turns = quaternion_products(turned[1:], turned[:-1] * CONJUGATE)
+    steps[:, 3:] = quaternion_vectors(turns)
+    return poses[:-1], steps / step_s
