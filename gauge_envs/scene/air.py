@@ -17,7 +17,7 @@ The air is not moved by the cloth: there is no added mass, no wake, and no trian
 """
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -47,7 +47,7 @@ class Air:
     wind_m_per_s: Vector = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
-        for name, value in asdict(self).items():
+        for name, value in vars(self).items():
             if not np.isfinite(value).all():
                 raise ParameterError(f"air: {name} is {value}: give finite numbers")
             if name != "wind_m_per_s" and value < 0.0:
