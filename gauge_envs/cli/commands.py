@@ -8,6 +8,7 @@ and its value is a function that typer can call:
 """
 
 from dataclasses import dataclass
+from functools import cache
 from pkgutil import resolve_name
 from typing import Any
 
@@ -244,6 +245,7 @@ BUNDLED = (
 """Commands of this package in the order of the help; without its folder a command is left out."""
 
 
+@cache
 def all_commands() -> dict[str, Command]:
     """Return commands and kinds of `gauge list` by name; a plug-in cannot take a name of this package."""
     plugins = (

@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 
 from gauge_envs import registry
 from gauge_envs.cli.app import app
-from gauge_envs.cli.commands import PLUGINS_GROUP, commands
+from gauge_envs.cli.commands import PLUGINS_GROUP, all_commands, commands
 from gauge_envs.errors import RegistryError
 
 COMMAND = '''
@@ -33,7 +33,9 @@ def plugins(tmp_path, monkeypatch):
     monkeypatch.setattr(
         registry, "entry_points", lambda group: points if group == PLUGINS_GROUP else []
     )
+    all_commands.cache_clear()
     yield
+    all_commands.cache_clear()
     sys.modules.pop("drift_tools", None)
 
 
