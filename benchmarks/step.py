@@ -26,7 +26,7 @@ NAMES = (
     "Pendulum-metal",
 )
 LIMIT = 1.5
-"""Six calls from Python a frame are up to two fifths of the small scenes."""
+"""Largest allowed ratio. In small scenes the Python code of a frame takes up to two fifths of the time of MuJoCo."""
 LONGEST_FRAMES = 60
 SECONDS_EACH = 2.0
 
