@@ -107,8 +107,10 @@ class SimulationMuJoCo(PlacedSimulation):
         # Views: fetching an array of MuJoCo costs more than reading from it.
         self._warnings = [data.warning.number for data in self.datas]
         self._driven: dict[str, list[DrivenBody]] = {}
-        thread_count = min(processors(), world_count)
-        self._threads = ThreadPoolExecutor(thread_count) if thread_count > 1 else None
+        self._thread_count = min(processors(), world_count)
+        self._threads = None
+        if self._thread_count > 1:
+            self._threads = ThreadPoolExecutor(self._thread_count)
         self.reset()
 
     def _fold_watch(self) -> FoldWatch | None:
@@ -175,9 +177,14 @@ class SimulationMuJoCo(PlacedSimulation):
             no_contact = mujoco.mjtDisableBit.mjDSBL_CONTACT
             self.model.opt.disableflags = flags | no_contact
         apply = map if self._threads is None else self._threads.map
-        # The results of the map raise the errors of its calls.
-        list(apply(self._step, range(self.world_count), repeat(count)))
+        # One call a thread; the results of the map raise the errors of its calls.
+        list(apply(self._step_worlds, range(self._thread_count), repeat(count)))
         self.model.opt.disableflags = flags
+
+    def _step_worlds(self, thread: int, count: int) -> None:
+        """Step the worlds of a thread."""
+        for world in range(thread, self.world_count, self._thread_count):
+            self._step(world, count)
 
     def _step(self, world: int, count: int) -> None:
         """Step one world."""
