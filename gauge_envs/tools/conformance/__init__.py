@@ -1,28 +1,31 @@
-"""Conformance checks: small analytic scenes that show whether a backend obeys the laws of mechanics.
+"""Conformance checks: small analytic scenes that show whether an engine obeys the laws of mechanics.
 
     gauge backend check mine
 
-The checks use only the contract of `gauge_envs.backends`, so they run on any engine. A fault that they find affects
-benchmark runs too. A check is one function that builds a scene and measures one number:
+The checks use only the contract of `gauge_envs.backends`, so they run on any engine. A check is one function that builds
+a scene and measures one number; its docstring has the scene and the measured quantity:
 
-    @Check(
+    @check(
         "free-fall",
         title="free fall",
-        scene="a ball that falls from 3 m",
-        measures="downward acceleration of a ball, quadratic fit over 0.5 s",
         law="a = g",
         source="Galilei",
         unit="m/s^2",
         tolerance=Tolerance("a fall has no model error", relative=1e-3),
-        diagnosis="check gravity and damping",
+        cause="the engine has a gravity of its own, or damps free bodies",
     )
     def free_fall(lab: Lab) -> Measurement:
+        \"\"\"A ball that falls from 3 m.
+
+        Downward acceleration, by a quadratic fit over 0.5 s.
+        \"\"\"
         rollout = lab.rollout(Scene(bodies=(ball("ball", (0.0, 0.0, 3.0)),), duration_s=0.5))
-        measured = -acceleration_m_per_s2(rollout.times_s, rollout.position("ball")[:, 2])
+        height_m = rollout.position("ball")[:, 2]
+        measured = -acceleration_m_per_s2(rollout.times_s, height_m)
         return Measurement(measured=measured, expected=GRAVITY_M_PER_S2)
 
-Add it to the module of its kind. The decorator registers it for the command, the table and the tests. Several checks of
-one scene share a `Recorded` of it, as in `rigid`: it is built and recorded once.
+Add it to the module of its phenomenon. The decorator registers it for the command, the table and the tests. Checks that
+share a scene share its recording by `Lab.once`.
 """
 
 from typing import TYPE_CHECKING
