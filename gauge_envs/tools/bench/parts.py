@@ -7,6 +7,7 @@ from itertools import product
 from typing import Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from gauge_envs.scene import (
     Box,
@@ -91,6 +92,17 @@ def driven_box(
     return replace(
         fixed_box(name, position_m, size_m, euler_deg=euler_deg),
         motion=Motion.KINEMATIC,
+    )
+
+
+def thrown(
+    one: RigidBody, velocity: ArrayLike, spin: ArrayLike = (0.0, 0.0, 0.0)
+) -> RigidBody:
+    """Return a body that starts with a velocity [m/s] and an angular velocity [rad/s]."""
+    return replace(
+        one,
+        linear_velocity_m_per_s=vector(np.asarray(velocity)),
+        angular_velocity_rad_per_s=vector(np.asarray(spin)),
     )
 
 
