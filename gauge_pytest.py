@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from gauge_envs.runs.isolation import Worker
+    from gauge_envs.tools.conformance.results import Expected
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -27,7 +26,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         "--gauge-expected",
         metavar="FILE",
         type=Path,
-        help='TOML of checks that fail, as in: rebound-flat = "reason"',
+        help='TOML of checks that fail, as in: rebound-flat = { measured = 0.513, reason = "no model" }',
     )
 
 
@@ -36,11 +35,11 @@ class CheckItem(pytest.Item):
 
     Args:
         worker: Process in which the engine runs.
-        expected: Reasons by the id of the checks that fail.
+        expected: What the engine is expected to fail and to decline.
     """
 
     def __init__(
-        self, *, worker: Worker, expected: Mapping[str, str], **kwargs: Any
+        self, *, worker: Worker, expected: Expected | None, **kwargs: Any
     ) -> None:
         super().__init__(**kwargs)
         self._worker = worker
@@ -49,21 +48,21 @@ class CheckItem(pytest.Item):
     def runtest(self) -> None:
         """Run the check."""
         from gauge_envs.tools.conformance import run_checks
-        from gauge_envs.tools.conformance.expected import surprise
 
         engine = self.config.getoption("--gauge-engine")
-        (result,) = run_checks(
-            engine, only=[self.name], worker=self._worker, eliminates=True
-        )
+        (result,) = run_checks(engine, only=[self.name], worker=self._worker)
         facts = result.to_dict()
         self.user_properties += [
             (key, facts[key])
             for key in ("measured", "expected", "fingerprint", "versions", "gauge_envs")
         ]
-        if wrong := surprise(result, self._expected):
-            pytest.fail(f"{self.name} {wrong}", pytrace=False)
-        if result.is_bad:
-            pytest.xfail(self._expected[self.name])
+        if self._expected is None and result.is_bad:
+            pytest.fail(f"{self.name}: {result.diagnosis}", pytrace=False)
+        if self._expected is not None:
+            if wrong := self._expected.surprise(result):
+                pytest.fail(f"{self.name} {wrong}", pytrace=False)
+            if result.is_bad:
+                pytest.xfail(self._expected.failures[self.name].reason)
         if result.missing:
             pytest.skip("; ".join(result.missing))
 
@@ -88,13 +87,13 @@ def pytest_collection_modifyitems(
     from gauge_envs.errors import GaugeError
     from gauge_envs.runs.isolation import Worker
     from gauge_envs.tools.conformance import checks
-    from gauge_envs.tools.conformance.expected import read_expected
+    from gauge_envs.tools.conformance.results import read_expected
     from gauge_envs.tools.conformance.run import CHECK_LIMIT_S
 
     worker = Worker(CHECK_LIMIT_S)
     config.add_cleanup(worker.close)
     try:
-        expected = {} if file is None else read_expected(file)
+        expected = None if file is None else read_expected(file)
         worker.call(versions_of, engine)
     except GaugeError as error:
         raise pytest.UsageError(str(error)) from None

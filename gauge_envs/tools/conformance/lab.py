@@ -28,10 +28,6 @@ from gauge_envs.tools.bench.recording import DeclinedError, Recording, raised_at
 T = TypeVar("T")
 
 
-class RefusedSettingsError(ParameterError):
-    """The engine refuses the given settings, so that no check can run."""
-
-
 class ContractError(GaugeError):
     """The engine breaks the contract of `gauge_envs.backends`, so that nothing can be measured."""
 
@@ -87,9 +83,8 @@ class Lab:
             changes: Settings that replace those of the lab.
 
         Raises:
-            DeclinedError: The engine reports that it cannot build the scene, or not with the given settings.
+            DeclinedError: The engine reports that it cannot build the scene, or refuses the settings for it.
             ContractError: `build` fails although `supports` was true.
-            RefusedSettingsError: The engine refuses the given settings.
         """
         self.settings_in_force = {}
         if missing := self._missing(scene):
@@ -104,13 +99,9 @@ class Lab:
             simulation = in_intervals(built, given)
             settings_record(self.backend.name, simulation.settings)
         except Exception as error:
-            if (self.settings and isinstance(error, UnsupportedSceneError)) or (
-                changes and isinstance(error, ParameterError)
-            ):
+            if settings and isinstance(error, ParameterError | UnsupportedSceneError):
                 # `supports` answers for the default settings; a preset for other scenes is no fault of the engine.
-                raise DeclinedError((str(error),)) from error
-            if self.settings and isinstance(error, ParameterError):
-                raise RefusedSettingsError(str(error)) from error
+                raise DeclinedError((f"the settings are refused: {error}",)) from error
             raise ContractError(
                 f"supports() was true, but build() raised {type(error).__name__}: {error}{raised_at(error)}"
             ) from error
@@ -176,8 +167,8 @@ class Lab:
         if function not in self._kept:
             try:
                 self._kept[function] = (function(self), None)
-            except Exception as error:
-                self._kept[function] = (None, error)
+            except Exception as raised:
+                self._kept[function] = (None, raised)
         value, error = self._kept[function]
         if error is not None:
             raise error

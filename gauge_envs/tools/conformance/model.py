@@ -7,7 +7,7 @@ import inspect
 import json
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import KW_ONLY, asdict, dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from enum import StrEnum
 from fnmatch import fnmatchcase
 from importlib import import_module
@@ -198,9 +198,9 @@ def checks(only: Sequence[str] = ()) -> tuple[Check, ...]:
     # A module may have been imported before another one that precedes it.
     known = sorted(
         _CHECKS.values(),
-        key=lambda one: order.index(one.phenomenon)
-        if one.phenomenon in PHENOMENA
-        else len(order),
+        key=lambda one: (
+            order.index(one.phenomenon) if one.phenomenon in PHENOMENA else len(order)
+        ),
     )
     for pattern in only:
         if not any(fnmatchcase(name, pattern) for name in _CHECKS):

@@ -13,7 +13,7 @@ from gauge_envs.backends.registry import versions_of
 from gauge_envs.errors import GaugeError
 from gauge_envs.runs.isolation import CrashError, Worker
 from gauge_envs.tools.bench.recording import DeclinedError, NotFiniteError, raised_at
-from gauge_envs.tools.conformance.lab import ContractError, Lab, RefusedSettingsError
+from gauge_envs.tools.conformance.lab import ContractError, Lab
 from gauge_envs.tools.conformance.model import Check, CheckResult, Status, checks
 
 CHECK_LIMIT_S = 600.0
@@ -40,7 +40,6 @@ def run_checks(
         UnknownNameError: There is no such engine, or a pattern matches no check.
         MissingExtraError: The engine is not installed.
         GaugeError: An engine cannot be imported in the other process, or its `versions` returns no versions.
-        RefusedSettingsError: The engine refuses the settings; the iterator raises it.
     """
     chosen = checks(only)
     if worker is not None and isinstance(backend, str):
@@ -83,18 +82,13 @@ def _run_there(
         return CheckResult(
             of=one, backend=name, status=Status.ERROR, diagnosis=str(error)
         )
-    if isinstance(values, str):
-        raise RefusedSettingsError(values)
     return CheckResult(of=one, **values)
 
 
-def _run_of_task(task: bytes, name: str) -> dict[str, Any] | str:
-    """Return the fields of a result but its check, which cannot be pickled; or why the settings are refused."""
+def _run_of_task(task: bytes, name: str) -> dict[str, Any]:
+    """Return the fields of a result but its check, which cannot be pickled."""
     (one,) = checks([name])
-    try:
-        result = run_check(_lab_of_task(task), one)
-    except RefusedSettingsError as error:
-        return str(error)
+    result = run_check(_lab_of_task(task), one)
     return {key: value for key, value in vars(result).items() if key != "of"}
 
 
@@ -106,11 +100,7 @@ def _lab_of_task(task: bytes) -> Lab:
 
 
 def run_check(lab: Lab, one: Check) -> CheckResult:
-    """Run one check in a lab.
-
-    Raises:
-        RefusedSettingsError: The engine refuses the settings.
-    """
+    """Run one check in a lab."""
     started_s = time.process_time()
     result = CheckResult(of=one, backend=lab.backend.name, status=Status.ERROR)
     try:
@@ -118,7 +108,7 @@ def run_check(lab: Lab, one: Check) -> CheckResult:
         lab.check_scenes()
     except DeclinedError as declined:
         result = replace(result, status=Status.DECLINED, missing=declined.missing)
-    except (RefusedSettingsError, KeyboardInterrupt):
+    except KeyboardInterrupt:
         raise
     # Whatever an engine raises is a result, and the next check may still pass; a panic of Rust is no `Exception`.
     except BaseException as error:

@@ -1,0 +1,323 @@
+"""`gauge backend check`, and the lists of engines and checks."""
+
+from __future__ import annotations
+
+import json
+import sys
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from itertools import groupby
+from pathlib import Path
+from shlex import join
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from gauge_envs.cli import arguments
+from gauge_envs.cli.output import (
+    LINE_INTERVAL_S,
+    Format,
+    Progress,
+    message,
+    print_document,
+    print_json_lines,
+)
+from gauge_envs.errors import ParameterError, ResultFileError
+
+if TYPE_CHECKING:
+    from gauge_envs.pages.table import Table
+    from gauge_envs.tools.conformance import CheckResult
+    from gauge_envs.tools.conformance.results import EngineColumn
+
+ALWAYS = ("determinism",)
+"""Checks that run whatever `--only` chooses, because a failure makes all other results worthless."""
+
+LONG_S = 60.0
+"""Time after which a line names the check that runs [s]."""
+
+
+def list_backends(patterns: Sequence[str]) -> list[Table]:
+    """Return the table of the installed engines and their versions."""
+    from gauge_envs.tools.conformance.words import backends_table
+
+    return arguments.matching([backends_table()], patterns, kind="backend")
+
+
+def list_checks(patterns: Sequence[str]) -> list[Table]:
+    """Return the table of the checks with their scenes and laws."""
+    from gauge_envs.tools.conformance import checks
+    from gauge_envs.tools.conformance.words import checks_table
+
+    return [checks_table(checks(patterns))]
+
+
+def backend_check(
+    names: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="NAME",
+            show_default=False,
+            help="Engines. ENGINE:CONFIGURATION is one of the solvers and presets that an engine declares, as "
+            "mujoco:PGS; patterns as 'mujoco:*' and '*:*' are all. A .json file of --out has columns that are not "
+            "measured again.",
+        ),
+    ] = None,
+    only: arguments.Only = None,
+    changes: arguments.Settings = None,
+    timeout: Annotated[
+        float | None,
+        arguments.timeout(
+            "Time of a check, in a process of its own.", "600 in such a one"
+        ),
+    ] = None,
+    memory: arguments.Memory = None,
+    isolate: arguments.Isolate = False,
+    out: Annotated[
+        list[Path] | None,
+        arguments.target("Page with all results (.html), or columns (.json)."),
+    ] = None,
+    baseline: Annotated[
+        Path | None,
+        arguments.option(
+            arguments.SELECTION,
+            "A .json file of --out by an earlier version of the engine: list what got worse or moved.",
+            metavar="FILE",
+        ),
+    ] = None,
+    expected: Annotated[
+        Path | None,
+        arguments.option(
+            arguments.SELECTION,
+            'A TOML file of checks that this engine fails, as rebound-flat = { measured = 0.513, reason = "no model of '
+            'it" }, and of what it declines: exit code 0 when exactly these fail, with these values.',
+            metavar="FILE",
+        ),
+    ] = None,
+    badge: Annotated[
+        Path | None,
+        arguments.option(
+            arguments.OUTPUT,
+            "Counts of checks as JSON for a badge of shields.io.",
+            metavar="FILE",
+        ),
+    ] = None,
+    form: arguments.Form = Format.TEXT,
+) -> bool:
+    """Check engines against closed forms, with the most likely cause of each failure.
+
+    gauge list checks shows the checks. Exit code 1 when a check failed or raised an error, or nothing was measured.
+    With --expected: when a result is not as listed. With --baseline: when one became worse or its value moved by more
+    than its tolerance. A declined check is no failure. Engines of other packages run in another process. All engines do
+    so with --isolate, --timeout, --memory, --out or a configuration: one that crashes or hangs there costs one check.
+    """
+    from gauge_envs.runs.isolation import Worker
+    from gauge_envs.tools.conformance import checks
+    from gauge_envs.tools.conformance.results import (
+        Expected,
+        badge as badge_of,
+        engine_columns,
+        read_columns,
+        read_expected,
+        with_columns,
+    )
+    from gauge_envs.tools.conformance.run import CHECK_LIMIT_S
+
+    if not names:
+        raise ParameterError(
+            "no backend is given: name one, as in gauge backend check mujoco; see gauge list backends"
+        )
+    files = [Path(name) for name in names if name.endswith(".json")]
+    engines = list(dict.fromkeys(name for name in names if not name.endswith(".json")))
+    if misplaced := sorted({one.id for one in checks()}.intersection(engines)):
+        raise ParameterError(
+            f"{misplaced[0]!r} is a check and no backend: choose it by --only {misplaced[0]}"
+        )
+    chosen = [one.id for one in checks(only or ())]
+    places = arguments.by_suffix(out, ".html", ".json")
+    is_judged = expected is not None or badge is not None
+    if is_judged and (len(engines) != 1 or files or baseline):
+        raise ParameterError(
+            "--expected and --badge are of one engine: leave out other names and --baseline"
+        )
+    # Files are read and places checked before anything runs.
+    known = Expected() if expected is None else read_expected(expected)
+    before = None if baseline is None else read_columns(baseline)
+    _check_places([*places.values(), *([] if badge is None else [badge])])
+    is_apart = isolate or bool(timeout or memory or places)
+    is_apart |= any(":" in name for name in engines)
+    settings = arguments.parsed_settings(changes)
+    new = engine_columns(engines, settings, isolate=is_apart) if engines else []
+    columns = with_columns(new, files)
+    limit_s = CHECK_LIMIT_S if timeout is None else timeout
+    with Progress(
+        "checks", len(chosen) * len(new), line_interval_s=LINE_INTERVAL_S
+    ) as progress:
+        for engine, group in groupby(new, key=lambda one: one.backend):
+            # Configurations of one engine share a process, which imports it once; two engines share none.
+            with Worker(limit_s, memory) as worker:
+                there = worker if is_apart or not _is_bundled(engine) else None
+                for column in group:
+                    for result in _run(column, chosen, there, progress):
+                        if form is Format.JSON:
+                            _print_line(result, column)
+                        if ".json" in places:
+                            # A run that is stopped leaves the results so far.
+                            _write(columns, {".json": places[".json"]})
+    for path in _write(columns, places):
+        message(path)
+    if before is not None:
+        return _is_worse(new, before, form)
+    _print(new, columns, form)
+    results = [one for column in new for one in column.results.values()]
+    has_failed = _has_failed(new, results)
+    if not is_judged:
+        return has_failed
+    if badge is not None:
+        badge.write_text(f"{json.dumps(badge_of(results, known))}\n", encoding="utf-8")
+    surprises = [(one.check, known.surprise(one)) for one in results]
+    for name, text in surprises:
+        if text:
+            message(f"not expected: {name} {text}")
+    return any(text for _, text in surprises) or not results
+
+
+def _is_bundled(engine: str) -> bool:
+    from gauge_envs.backends.registry import is_bundled
+
+    return is_bundled(engine)
+
+
+def _run(
+    column: EngineColumn, chosen: Sequence[str], worker: Any, progress: Progress
+) -> Iterator[CheckResult]:
+    """Run the checks of a column, and those that always run; yield each result that the column keeps."""
+    from gauge_envs.tools.conformance import checks
+    from gauge_envs.tools.conformance.results import run_column
+
+    ids = [one.id for one in checks([*chosen, *ALWAYS])]
+    running = iter([*ids, ""])
+    with _named_when_long(column.title) as current:
+        current[0] = next(running)
+        for result in run_column(column, ids, worker):
+            current[0] = next(running)
+            if result.check not in chosen and not result.is_bad:
+                del column.results[result.check]
+                continue
+            progress.advance(f"{column.title}: {result.check}")
+            yield result
+
+
+@contextmanager
+def _named_when_long(title: str) -> Iterator[list[str]]:
+    """Print a line for each minute that one check takes; the list has its id."""
+    current, is_done = [""], threading.Event()
+
+    def watch() -> None:
+        last, waited_s = "", 0.0
+        while not is_done.wait(LONG_S):
+            waited_s = waited_s + LONG_S if current[0] == last else LONG_S
+            last = current[0]
+            message(f"{title}: {last} has run for up to {waited_s:.0f} s")
+
+    watcher = threading.Thread(target=watch, daemon=True)
+    watcher.start()
+    try:
+        yield current
+    finally:
+        is_done.set()
+
+
+def _print_line(result: CheckResult, column: EngineColumn) -> None:
+    more = {} if column.name == "default" else {"configuration": column.name}
+    print_json_lines([result.to_dict() | more])
+
+
+def _print(
+    new: Sequence[EngineColumn], columns: Sequence[EngineColumn], form: Format
+) -> None:
+    """Print one engine on a screen, or a table of several."""
+    from gauge_envs.tools.conformance.words import columns_document, engine_document
+
+    if form is Format.JSON:
+        return
+    if len(columns) == 1 and new and new[0].results:
+        print_document(engine_document([*new[0].results.values()]), form)
+    else:
+        print_document(columns_document(columns), form)
+
+
+def _has_failed(new: Sequence[EngineColumn], results: Sequence[CheckResult]) -> bool:
+    """Print the counts, and return whether a check failed or nothing was measured.
+
+    Raises:
+        ParameterError: The engine refuses the settings in every scene.
+        ParameterError: The only engine cannot be used.
+    """
+    from gauge_envs.tools.conformance.results import counts_text
+
+    reasons = [column.reason for column in new if column.reason]
+    if reasons and not results:
+        raise ParameterError(reasons[0])
+    refusals = [
+        reason
+        for one in results
+        for reason in one.missing
+        if reason.startswith("the settings are refused")
+    ]
+    if refusals and len(refusals) == len(results):
+        raise ParameterError(refusals[0])
+    if not new:
+        message("no check ran")
+        return False
+    is_measured = any(not one.missing for one in results)
+    message(f"{counts_text(results)}{'' if is_measured else '; nothing was measured'}")
+    return bool(reasons) or not is_measured or any(one.is_bad for one in results)
+
+
+def _check_places(files: Sequence[Path]) -> None:
+    """Check that files can be written, before checks run that may take hours."""
+    from gauge_envs.files import check_replaceable
+    from gauge_envs.runs.batch import check_writable
+
+    for file in files:
+        try:
+            check_replaceable(file)
+        except OSError as error:
+            raise ResultFileError(
+                f"{file}: cannot be written: {error.strerror}"
+            ) from error
+        check_writable(file.parent)
+
+
+def _write(columns: Sequence[EngineColumn], places: Mapping[str, Path]) -> list[Path]:
+    """Write columns to files by suffix, and return the paths."""
+    from gauge_envs.pages.document import save_file
+    from gauge_envs.tools.conformance.results import write_columns
+    from gauge_envs.tools.conformance.words import conformance_page
+
+    found = []
+    if ".json" in places:
+        made = [one for one in columns if one.made]
+        found.append(write_columns(made, places[".json"]))
+    if ".html" in places:
+        text = conformance_page(columns, join(["gauge", *sys.argv[1:]]))
+        found.append(save_file(places[".html"], text))
+    return found
+
+
+def _is_worse(
+    columns: Sequence[EngineColumn], before: Sequence[EngineColumn], form: Format
+) -> bool:
+    """Print what changed since an earlier version of the engines, and return whether something got worse or moved."""
+    from gauge_envs.tools.conformance.results import changes
+    from gauge_envs.tools.conformance.words import changes_table
+
+    changed = changes(columns, before)
+    if form is not Format.JSON and changed:
+        print_document(changes_table(changed), form)
+    kinds = [one.kind for one in changed]
+    counts = [f"{kinds.count(kind)} {kind}" for kind in ("worse", "moved", "mended")]
+    message(f"{', '.join(counts)} since the baseline")
+    is_worse = bool({"worse", "moved"}.intersection(kinds))
+    return is_worse or any(column.reason for column in columns)

@@ -1,0 +1,474 @@
+"""What results say together: counts, levels, expected failures, a badge; and columns of engines in a file."""
+
+import json
+import math
+import shlex
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Any, Literal
+
+from gauge_envs.backends import backend, backend_names
+from gauge_envs.errors import (
+    GaugeError,
+    ParameterError,
+    ResultFileError,
+    UnknownNameError,
+)
+from gauge_envs.files import (
+    json_document,
+    json_ready,
+    os_errors,
+    toml_document,
+    versions,
+    write_whole,
+)
+from gauge_envs.runs.isolation import Worker, call_engine
+from gauge_envs.tools.conformance.model import LEVELS, CheckResult, Status, checks
+from gauge_envs.tools.conformance.run import run_checks
+
+
+def counts_text(results: Sequence[CheckResult]) -> str:
+    """Return the counts of all outcomes, as `63 pass, 14 fail, 0 error, 124 declined of 201`."""
+    statuses = [one.status for one in results]
+    counts = ", ".join(f"{statuses.count(status)} {status}" for status in Status)
+    return f"{counts} of {len(results)}"
+
+
+def levels(results: Sequence[CheckResult]) -> dict[str, str]:
+    """Return the verdict of one engine on each level of which all checks ran.
+
+    A level passes where no check fails and each check passes that is not optional. `contact` tells little about an
+    engine that fails `rigid`, and so on.
+    """
+    found = {}
+    for level in LEVELS:
+        known = [one for one in checks() if one.level == level]
+        ran = [one for one in results if one.of.level == level]
+        if len(ran) < len(known):
+            continue
+        bad = sum(one.is_bad for one in ran)
+        declined = [one for one in ran if one.status is Status.DECLINED]
+        needed = [one.check for one in declined if not one.of.is_optional]
+        found[level] = "pass"
+        if bad:
+            found[level] = f"{bad} of {len(ran) - len(declined)} fail"
+        elif len(declined) == len(ran):
+            found[level] = "declined"
+        elif needed:
+            found[level] = f"incomplete, {', '.join(needed)} declined"
+    return found
+
+
+# --- expected failures -----------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class KnownFailure:
+    """A failure that the repository of an engine expects.
+
+    Attributes:
+        reason: Why, in words.
+        measured: The measured value; None where the check raises an error.
+    """
+
+    reason: str
+    measured: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Expected:
+    """What the repository of an engine expects of its checks.
+
+    Attributes:
+        failures: Failures by the id of the check.
+        declined: Reasons by patterns of the ids of checks that may be declined.
+    """
+
+    failures: Mapping[str, KnownFailure] = field(default_factory=dict)
+    declined: Mapping[str, str] = field(default_factory=dict)
+
+    def surprise(self, result: CheckResult) -> str:
+        """Return what about a result is not as expected, in words; empty if it is as expected."""
+        known = self.failures.get(result.check)
+        if result.status is Status.DECLINED:
+            if any(fnmatchcase(result.check, pattern) for pattern in self.declined):
+                return ""
+            reasons = "; ".join(result.missing)
+            return f'is declined ({reasons}); if that is right, add "{result.check}" to [declined]'
+        if result.is_bad and known is None:
+            return f"{_failed_text(result)}; if that is known, add {_line(result)}"
+        if result.is_bad and not self._is_same(result):
+            return f"{_failed_text(result)}; the list has {_value_text(known)}"
+        if known is not None and not result.is_bad:
+            return f"passes, but is listed as failing ({known.reason}): delete its line"
+        return ""
+
+    def _is_same(self, result: CheckResult) -> bool:
+        """Return whether a failure has the listed value, within the tolerance of its check."""
+        listed = self.failures[result.check].measured
+        if listed is None or result.measured is None:
+            return listed is result.measured
+        if math.isnan(listed) or math.isnan(result.measured):
+            return math.isnan(listed) and math.isnan(result.measured)
+        return abs(result.measured - listed) <= (result.width or 0.0)
+
+
+def read_expected(file: Path) -> Expected:
+    """Return what a TOML file expects.
+
+        rebound-flat = { measured = 0.513, reason = "each point rebounds" }
+        [declined]
+        "cloth-*" = "rigid bodies only"
+
+    Raises:
+        ParameterError: The file cannot be read, or an entry has no reason or no value.
+        UnknownNameError: It names a check that does not exist.
+    """
+    try:
+        found = toml_document(file.read_bytes())
+    except (OSError, ValueError) as error:
+        raise ParameterError(f"{file}: cannot be read as TOML: {error}") from None
+    declined = found.pop("declined", {})
+    ids = [one.id for one in checks()]
+    failures = {}
+    for name, entry in found.items():
+        if name not in ids:
+            raise UnknownNameError("check", name, ids)
+        known = entry if isinstance(entry, dict) else {}
+        measured, reason = known.get("measured"), known.get("reason", "")
+        is_number = measured is None or isinstance(measured, int | float)
+        if (
+            not str(reason).strip()
+            or not is_number
+            or {*known} - {"measured", "reason"}
+        ):
+            raise ParameterError(
+                f"{file}: {name} needs a value and a reason, as {name} = "
+                '{ measured = 0.513, reason = "no model of it" }; a run without its line prints the value'
+            )
+        failures[name] = KnownFailure(reason=reason, measured=measured)
+    for pattern, reason in declined.items():
+        if not any(fnmatchcase(name, pattern) for name in ids):
+            raise UnknownNameError("check", pattern, ids)
+        if not str(reason).strip():
+            raise ParameterError(
+                f"{file}: declined {pattern!r} needs a reason in words"
+            )
+    return Expected(failures=failures, declined=declined)
+
+
+def _failed_text(result: CheckResult) -> str:
+    if result.measured is None:
+        return f"raises an error: {result.diagnosis}"
+    return f"fails, {result.measured:.4g} instead of {result.expected:.4g}: {result.diagnosis}"
+
+
+def _value_text(known: KnownFailure | None) -> str:
+    return (
+        "an error"
+        if known is None or known.measured is None
+        else f"{known.measured:.4g}"
+    )
+
+
+def _line(result: CheckResult) -> str:
+    value = "" if result.measured is None else f"measured = {result.measured:.6g}, "
+    return f'{result.check} = {{ {value}reason = "..." }}'
+
+
+def badge(results: Sequence[CheckResult], expected: Expected) -> dict[str, str | int]:
+    """Return a badge as shields.io reads it: green, yellow with expected failures or without a level, else red."""
+    verdicts = set(levels(results).values())
+    color = "green" if verdicts <= {"pass", "declined"} else "yellow"
+    is_measured = any(one.status is not Status.DECLINED for one in results)
+    if not is_measured or any(expected.surprise(one) for one in results):
+        color = "red"
+    return {
+        "schemaVersion": 1,
+        "label": f"gauge-envs {versions()['gauge-envs']}",
+        "message": counts_text(results),
+        "color": color,
+    }
+
+
+# --- columns ---------------------------------------------------------------------------------------------------------
+
+
+@dataclass(kw_only=True)
+class EngineColumn:
+    """Results of one engine with one configuration.
+
+    Attributes:
+        backend: Name of the engine.
+        name: Name of the configuration; `default` for the engine's own choice.
+        settings: Settings that select it.
+        results: Results by the id of the check; of a file, those whose checks are the same as now.
+        outdated: Ids of checks of a file that were others, or that do not exist any more.
+        reason: Why no check ran; empty if one did.
+        versions: Versions of the engine's packages.
+        gauge_envs: Version of gauge-envs that ran it; empty before it ran.
+        made: Day of the run, as `2026-01-31`; empty before it ran.
+    """
+
+    backend: str
+    name: str
+    settings: Mapping[str, Any]
+    results: dict[str, CheckResult] = field(default_factory=dict)
+    outdated: tuple[str, ...] = ()
+    reason: str = ""
+    versions: Mapping[str, str] = field(default_factory=dict)
+    gauge_envs: str = ""
+    made: str = ""
+
+    @property
+    def title(self) -> str:
+        """Engine and configuration, as `physx PGS`."""
+        return self.backend if self.name == "default" else f"{self.backend} {self.name}"
+
+    @property
+    def cpu_s(self) -> float:
+        """CPU time of all checks whose time is known [s]."""
+        return sum(one.cpu_s or 0.0 for one in self.results.values())
+
+    def command(self, check: str) -> str:
+        """Return the command that repeats one check."""
+        words = ["gauge", "backend", "check", self.backend, "--only", check]
+        for name, value in self.settings.items():
+            words += ["--set", f"{name}={value}"]
+        return shlex.join(words)
+
+
+def engine_columns(
+    names: Sequence[str],
+    settings: Mapping[str, Any] | None = None,
+    *,
+    isolate: bool = True,
+) -> list[EngineColumn]:
+    """Return the columns of engines, without running a check.
+
+    Args:
+        names: Engines or patterns, as `mujoco` for its default; with a colon, configurations that the engine declares,
+            as `mujoco:PGS` or `*:*`.
+        settings: Settings for every column, beside those of its configuration.
+        isolate: Whether the engines are imported in another process.
+
+    Raises:
+        UnknownNameError: There is no such engine or configuration.
+    """
+    columns: dict[tuple[str, str], EngineColumn] = {}
+    for name in names:
+        pattern, has_configuration, wanted = name.partition(":")
+        engines = [one for one in backend_names() if fnmatchcase(one, pattern)]
+        if not engines:
+            raise UnknownNameError("backend", pattern, backend_names())
+        declared: dict[str, dict[str, dict[str, Any]]] = {}
+        for engine in engines:
+            declared[engine] = {"default": {}}
+            if has_configuration:
+                declared[engine] |= call_engine(
+                    engine, _configurations, engine, isolate=isolate
+                )
+        chosen = [
+            (engine, key)
+            for engine, known in declared.items()
+            for key in known
+            if not wanted or fnmatchcase(key, wanted)
+        ]
+        if not chosen:
+            known = {key for of_engine in declared.values() for key in of_engine}
+            raise UnknownNameError("configuration", wanted, known)
+        for engine, key in chosen:
+            changed = {**(settings or {}), **declared[engine][key]}
+            column = EngineColumn(backend=engine, name=key, settings=changed)
+            columns.setdefault((engine, key), column)
+    return list(columns.values())
+
+
+def _configurations(name: str) -> dict[str, dict[str, Any]]:
+    """Return the configurations that an engine declares; none for an engine that is not installed."""
+    try:
+        engine = backend(name)
+    except GaugeError:
+        return {}
+    return {str(key): dict(values) for key, values in engine.configurations.items()}
+
+
+def run_column(
+    column: EngineColumn, only: Sequence[str], worker: Worker | None
+) -> Iterator[CheckResult]:
+    """Run the checks of a column, keep each result in it, and yield it.
+
+    An engine that cannot be imported gives the column a reason and no result.
+
+    Args:
+        column: The column.
+        only: Ids or patterns of checks.
+        worker: Another process for the checks, so that an engine that crashes costs one of them; None for this one.
+    """
+    column.gauge_envs = versions()["gauge-envs"]
+    column.made = datetime.now(UTC).date().isoformat()
+    try:
+        for one in run_checks(
+            column.backend, settings=column.settings or None, only=only, worker=worker
+        ):
+            column.versions = one.versions
+            column.results[one.check] = one
+            yield one
+    except GaugeError as error:
+        column.reason = str(error)
+
+
+KIND = "gauge-envs conformance matrix"
+STORED = ("status", "expected", "measured", "width", "diagnosis", "missing", "cpu_s")
+"""Fields of a result in a file of columns, beside the fingerprint of its check."""
+
+
+def write_columns(columns: Sequence[EngineColumn], path: Path) -> Path:
+    """Write columns as JSON and return the path; `read_columns` reads them back."""
+    rows = []
+    for column in columns:
+        values = {key: value for key, value in vars(column).items() if key != "results"}
+        values["findings"] = {
+            name: {"fingerprint": one.of.fingerprint}
+            | {key: getattr(one, key) for key in STORED}
+            for name, one in column.results.items()
+        }
+        rows.append(json.dumps(json_ready(values), ensure_ascii=False))
+    text = ",\n".join(rows)
+    with os_errors(lambda why: ResultFileError(f"{path}: cannot be written: {why}")):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_whole(path, f'{{"kind": "{KIND}", "columns": [\n{text}\n]}}\n'.encode())
+    return path
+
+
+def read_columns(path: Path) -> list[EngineColumn]:
+    """Return the columns of a file.
+
+    Raises:
+        ResultFileError: The file cannot be read or has no columns.
+    """
+    hint = "write it with gauge backend check NAME --out FILE.json"
+    try:
+        found = json_document(path.read_bytes())
+    except (OSError, ValueError) as error:
+        raise ResultFileError(f"{path}: cannot be read ({error}); {hint}") from None
+    if not isinstance(found, dict) or found.get("kind") != KIND:
+        raise ResultFileError(f"{path}: has no columns of conformance checks; {hint}")
+    known = {one.id: one for one in checks()}
+    columns = []
+    for row in found["columns"]:
+        values = {key: row[key] for key in _FIELDS if key in row}
+        column = EngineColumn(**values)
+        outdated = []
+        for name, stored in row["findings"].items():
+            check = known.get(name)
+            if check is None or stored["fingerprint"] != check.fingerprint:
+                outdated.append(name)
+                continue
+            outcome = {key: stored.get(key) for key in STORED}
+            status = Status(outcome["status"])
+            if status is Status.FAIL and outcome["measured"] is None:
+                outcome["measured"] = math.nan  # JSON has no number that is not finite.
+            outcome["missing"] = tuple(outcome["missing"] or ())
+            column.results[name] = CheckResult(
+                of=check,
+                backend=column.backend,
+                versions=column.versions,
+                **(outcome | {"status": status}),
+            )
+        column.outdated = tuple(outdated)
+        columns.append(column)
+    return columns
+
+
+_FIELDS = (
+    "backend",
+    "name",
+    "settings",
+    "reason",
+    "versions",
+    "gauge_envs",
+    "made",
+)
+
+
+def with_columns(
+    columns: Sequence[EngineColumn], files: Sequence[Path]
+) -> list[EngineColumn]:
+    """Return columns together with those of files, grouped by engine in the order of the first appearance.
+
+    Raises:
+        ParameterError: Two have the same engine and configuration.
+    """
+    found = {one.title: one for one in columns}
+    for file in files:
+        for column in read_columns(file):
+            if column.title in found:
+                raise ParameterError(
+                    f"{file}: column {column.title!r} is there twice: leave one of them out"
+                )
+            found[column.title] = column
+    engines = list(dict.fromkeys(one.backend for one in found.values()))
+    return sorted(found.values(), key=lambda one: engines.index(one.backend))
+
+
+# --- an earlier version of an engine ---------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class Change:
+    """What a check gives now, where an earlier version of the engine gave another result.
+
+    Attributes:
+        column: Engine and configuration.
+        kind: `worse` if a pass ended, `mended` if a failure ended, else `moved`.
+        before: The earlier result.
+        now: The present result.
+    """
+
+    column: str
+    kind: Literal["worse", "moved", "mended"]
+    before: CheckResult
+    now: CheckResult
+
+
+def changes(
+    columns: Sequence[EngineColumn], before: Sequence[EngineColumn]
+) -> list[Change]:
+    """Return the checks whose outcome is another one, or whose value moved by more than the tolerance of the check.
+
+    Checks that are new, or were others, are left out.
+
+    Raises:
+        ParameterError: An engine or configuration has no earlier column.
+    """
+    known = {one.title: one for one in before}
+    found = []
+    for column in columns:
+        if column.title not in known:
+            raise ParameterError(
+                f"the baseline has no column {column.title!r}; it has {', '.join(known) or 'none'}"
+            )
+        for name, now in column.results.items():
+            old = known[column.title].results.get(name)
+            if old is not None and (kind := _change(old, now)):
+                change = Change(column=column.title, kind=kind, before=old, now=now)
+                found.append(change)
+    return found
+
+
+def _change(
+    old: CheckResult, now: CheckResult
+) -> Literal["", "worse", "moved", "mended"]:
+    if old.status is not now.status:
+        was, is_now = (one.status is Status.PASS for one in (old, now))
+        return "worse" if was else "mended" if is_now else "moved"
+    if old.measured is None or now.measured is None:
+        return ""
+    if math.isnan(old.measured) and math.isnan(now.measured):
+        return ""
+    is_near = abs(now.measured - old.measured) <= (now.width or 0.0)
+    return "" if is_near or now.measured == old.measured else "moved"
