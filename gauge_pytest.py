@@ -87,8 +87,8 @@ def pytest_collection_modifyitems(
     from gauge_envs.errors import GaugeError
     from gauge_envs.runs.isolation import Worker
     from gauge_envs.tools.conformance import checks
+    from gauge_envs.tools.conformance.command import CHECK_LIMIT_S
     from gauge_envs.tools.conformance.results import read_expected
-    from gauge_envs.tools.conformance.run import CHECK_LIMIT_S
 
     worker = Worker(CHECK_LIMIT_S)
     config.add_cleanup(worker.close)

@@ -2,8 +2,8 @@
 
     gauge backend check mine
 
-The checks use only the contract of `gauge_envs.backends`, so they run on any engine. A check is one function that builds
-a scene and measures one number; its docstring has the scene and the measured quantity:
+The checks use only the contract of `gauge_envs.backends`, so they run on any engine. A check is one function that
+builds a scene and measures one number; its docstring has the scene and the measured quantity:
 
     @check(
         "free-fall",

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from itertools import groupby
 from pathlib import Path
 from shlex import join
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -27,11 +27,15 @@ from gauge_envs.errors import ParameterError, ResultFileError
 
 if TYPE_CHECKING:
     from gauge_envs.pages.table import Table
+    from gauge_envs.runs.isolation import Worker
     from gauge_envs.tools.conformance import CheckResult
-    from gauge_envs.tools.conformance.results import EngineColumn
+    from gauge_envs.tools.conformance.results import EngineColumn, Expected
 
 ALWAYS = ("determinism",)
 """Checks that run whatever `--only` chooses, because a failure makes all other results worthless."""
+
+CHECK_LIMIT_S = 600.0
+"""Default time limit of a check in another process [s]."""
 
 LONG_S = 60.0
 """Time after which a line names the check that runs [s]."""
@@ -111,37 +115,22 @@ def backend_check(
     than its tolerance. A declined check is no failure. Engines of other packages run in another process. All engines do
     so with --isolate, --timeout, --memory, --out or a configuration: one that crashes or hangs there costs one check.
     """
-    from gauge_envs.runs.isolation import Worker
     from gauge_envs.tools.conformance import checks
     from gauge_envs.tools.conformance.results import (
-        Expected,
-        badge as badge_of,
         engine_columns,
         read_columns,
         read_expected,
         with_columns,
     )
-    from gauge_envs.tools.conformance.run import CHECK_LIMIT_S
 
-    if not names:
-        raise ParameterError(
-            "no backend is given: name one, as in gauge backend check mujoco; see gauge list backends"
-        )
-    files = [Path(name) for name in names if name.endswith(".json")]
-    engines = list(dict.fromkeys(name for name in names if not name.endswith(".json")))
-    if misplaced := sorted({one.id for one in checks()}.intersection(engines)):
-        raise ParameterError(
-            f"{misplaced[0]!r} is a check and no backend: choose it by --only {misplaced[0]}"
-        )
+    files = [Path(name) for name in names or () if name.endswith(".json")]
+    engines = [name for name in names or () if not name.endswith(".json")]
+    is_judged = expected is not None or badge is not None
+    _check_names(engines, files, is_judged, baseline)
     chosen = [one.id for one in checks(only or ())]
     places = arguments.by_suffix(out, ".html", ".json")
-    is_judged = expected is not None or badge is not None
-    if is_judged and (len(engines) != 1 or files or baseline):
-        raise ParameterError(
-            "--expected and --badge are of one engine: leave out other names and --baseline"
-        )
     # Files are read and places checked before anything runs.
-    known = Expected() if expected is None else read_expected(expected)
+    known = None if expected is None else read_expected(expected)
     before = None if baseline is None else read_columns(baseline)
     _check_places([*places.values(), *([] if badge is None else [badge])])
     is_apart = isolate or bool(timeout or memory or places)
@@ -149,47 +138,77 @@ def backend_check(
     settings = arguments.parsed_settings(changes)
     new = engine_columns(engines, settings, isolate=is_apart) if engines else []
     columns = with_columns(new, files)
-    limit_s = CHECK_LIMIT_S if timeout is None else timeout
-    with Progress(
-        "checks", len(chosen) * len(new), line_interval_s=LINE_INTERVAL_S
-    ) as progress:
-        for engine, group in groupby(new, key=lambda one: one.backend):
-            # Configurations of one engine share a process, which imports it once; two engines share none.
-            with Worker(limit_s, memory) as worker:
-                there = worker if is_apart or not _is_bundled(engine) else None
-                for column in group:
-                    for result in _run(column, chosen, there, progress):
-                        if form is Format.JSON:
-                            _print_line(result, column)
-                        if ".json" in places:
-                            # A run that is stopped leaves the results so far.
-                            _write(columns, {".json": places[".json"]})
+    limits = (CHECK_LIMIT_S if timeout is None else timeout, memory)
+    for result, column in _measured(new, chosen, limits, is_apart):
+        if form is Format.JSON:
+            more = {} if column.name == "default" else {"configuration": column.name}
+            print_json_lines([result.to_dict() | more])
+        if ".json" in places:
+            # A run that is stopped leaves the results so far.
+            _write(columns, {".json": places[".json"]})
     for path in _write(columns, places):
         message(path)
     if before is not None:
         return _is_worse(new, before, form)
-    _print(new, columns, form)
-    results = [one for column in new for one in column.results.values()]
-    has_failed = _has_failed(new, results)
-    if not is_judged:
-        return has_failed
-    if badge is not None:
-        badge.write_text(f"{json.dumps(badge_of(results, known))}\n", encoding="utf-8")
-    surprises = [(one.check, known.surprise(one)) for one in results]
-    for name, text in surprises:
-        if text:
-            message(f"not expected: {name} {text}")
-    return any(text for _, text in surprises) or not results
+    if form is not Format.JSON:
+        _print(new, columns, form)
+    has_failed = _has_failed(new)
+    return _is_surprising(new[0], known, badge) if is_judged else has_failed
 
 
-def _is_bundled(engine: str) -> bool:
+def _check_names(
+    engines: Sequence[str],
+    files: Sequence[Path],
+    is_judged: bool,
+    baseline: Path | None,
+) -> None:
+    from gauge_envs.tools.conformance import checks
+
+    if not (engines or files):
+        raise ParameterError(
+            "no backend is given: name one, as in gauge backend check mujoco; see gauge list backends"
+        )
+    if misplaced := sorted({one.id for one in checks()}.intersection(engines)):
+        raise ParameterError(
+            f"{misplaced[0]!r} is a check and no backend: choose it by --only {misplaced[0]}"
+        )
+    if is_judged and (len(engines) != 1 or files or baseline):
+        raise ParameterError(
+            "--expected and --badge are of one engine: leave out other names and --baseline"
+        )
+
+
+def _measured(
+    columns: Sequence[EngineColumn],
+    chosen: Sequence[str],
+    limits: tuple[float, float | None],
+    is_apart: bool,
+) -> Iterator[tuple[CheckResult, EngineColumn]]:
+    """Run the checks of columns and yield each result with its column.
+
+    Args:
+        columns: The columns.
+        chosen: Ids of the checks.
+        limits: Limits of a process: time of a check [s], and memory [GB].
+        is_apart: Whether engines of this package run in another process, too.
+    """
     from gauge_envs.backends.registry import is_bundled
+    from gauge_envs.runs.isolation import Worker
 
-    return is_bundled(engine)
+    total = len(chosen) * len(columns)
+    with Progress("checks", total, line_interval_s=LINE_INTERVAL_S) as progress:
+        for engine, group in groupby(columns, key=lambda one: one.backend):
+            # Configurations of one engine share a process, which imports it once; two engines share none.
+            with Worker(*limits) as worker:
+                there = worker if is_apart or not is_bundled(engine) else None
+                for column in group:
+                    for result in _run(column, chosen, there):
+                        progress.advance(f"{column.title}: {result.check}")
+                        yield result, column
 
 
 def _run(
-    column: EngineColumn, chosen: Sequence[str], worker: Any, progress: Progress
+    column: EngineColumn, chosen: Sequence[str], worker: Worker | None
 ) -> Iterator[CheckResult]:
     """Run the checks of a column, and those that always run; yield each result that the column keeps."""
     from gauge_envs.tools.conformance import checks
@@ -204,7 +223,6 @@ def _run(
             if result.check not in chosen and not result.is_bad:
                 del column.results[result.check]
                 continue
-            progress.advance(f"{column.title}: {result.check}")
             yield result
 
 
@@ -228,34 +246,27 @@ def _named_when_long(title: str) -> Iterator[list[str]]:
         is_done.set()
 
 
-def _print_line(result: CheckResult, column: EngineColumn) -> None:
-    more = {} if column.name == "default" else {"configuration": column.name}
-    print_json_lines([result.to_dict() | more])
-
-
 def _print(
     new: Sequence[EngineColumn], columns: Sequence[EngineColumn], form: Format
 ) -> None:
     """Print one engine on a screen, or a table of several."""
     from gauge_envs.tools.conformance.words import columns_document, engine_document
 
-    if form is Format.JSON:
-        return
     if len(columns) == 1 and new and new[0].results:
         print_document(engine_document([*new[0].results.values()]), form)
     else:
         print_document(columns_document(columns), form)
 
 
-def _has_failed(new: Sequence[EngineColumn], results: Sequence[CheckResult]) -> bool:
+def _has_failed(new: Sequence[EngineColumn]) -> bool:
     """Print the counts, and return whether a check failed or nothing was measured.
 
     Raises:
-        ParameterError: The engine refuses the settings in every scene.
-        ParameterError: The only engine cannot be used.
+        ParameterError: No engine can be used, or they refuse the settings in every scene.
     """
     from gauge_envs.tools.conformance.results import counts_text
 
+    results = [one for column in new for one in column.results.values()]
     reasons = [column.reason for column in new if column.reason]
     if reasons and not results:
         raise ParameterError(reasons[0])
@@ -273,6 +284,29 @@ def _has_failed(new: Sequence[EngineColumn], results: Sequence[CheckResult]) -> 
     is_measured = any(not one.missing for one in results)
     message(f"{counts_text(results)}{'' if is_measured else '; nothing was measured'}")
     return bool(reasons) or not is_measured or any(one.is_bad for one in results)
+
+
+def _is_surprising(
+    column: EngineColumn, expected: Expected | None, file: Path | None
+) -> bool:
+    """Write the badge, print what is not as expected, and return whether something is not.
+
+    Args:
+        column: The engine.
+        expected: What it is expected to fail and to decline; None: nothing, and every decline is expected.
+        file: File of the badge, or None.
+    """
+    from gauge_envs.pages.document import save_file
+    from gauge_envs.tools.conformance.results import Expected, badge
+
+    results = [*column.results.values()]
+    known = expected or Expected(declined={"*": "no list"})
+    if file is not None:
+        save_file(file, f"{json.dumps(badge(results, known))}\n")
+    surprises = [(one.check, text) for one in results if (text := known.surprise(one))]
+    for name, text in surprises:
+        message(f"not expected: {name} {text}")
+    return bool(surprises or column.reason) or all(one.missing for one in results)
 
 
 def _check_places(files: Sequence[Path]) -> None:

@@ -16,9 +16,6 @@ from gauge_envs.tools.bench.recording import DeclinedError, NotFiniteError, rais
 from gauge_envs.tools.conformance.lab import ContractError, Lab
 from gauge_envs.tools.conformance.model import Check, CheckResult, Status, checks
 
-CHECK_LIMIT_S = 600.0
-"""Default time limit of a check in another process [s]."""
-
 
 def run_checks(
     backend: Backend | str,
