@@ -1,116 +1,71 @@
-"""Write the tables of `docs/engines/conformance.md` from `scoring/conformance.json`.
+"""Write the table of `docs/engines/conformance.md` from `scoring/conformance.json`, and what the checks cover.
 
-    gauge backend check '*:*' --only '*' --out engines.json                     in each environment that has engines
-    gauge backend check engines.json genesis.json --out scoring/conformance.json
+    gauge backend check '*:default' '*:out_of_box' --out scoring/conformance.json
     python -m scripts build conformance
 
-A failure of a default configuration is listed with the hints of its check, which are likely causes and not verified.
+Engines that need environments of their own are joined by `gauge backend check ONE.json TWO.json --out ...`.
 """
-
-from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from gauge_envs.pages.text import markdown_text, pairs_text
-from gauge_envs.tools.conformance import checks
-from gauge_envs.tools.conformance.matrix import CANONICAL, MatrixColumn, read_columns
-from gauge_envs.tools.conformance.model import CheckResult, Status
-from gauge_envs.tools.conformance.words import (
-    error_text,
-    expected_text,
-    measured_text,
-    tally,
-)
+from gauge_envs.tools.conformance.coverage import coverage_tables
+
+from gauge_envs.backends import backend
+from gauge_envs.pages.markdown import as_markdown
+from gauge_envs.tools.conformance import Status, checks
+from gauge_envs.tools.conformance.results import EngineColumn, levels, read_columns
+from gauge_envs.tools.conformance.words import expected_text, verdict_text
 from scripts.generated import ROOT, SCORING, markdown_table, page_part
 
 PAGE = ROOT / "docs" / "engines" / "conformance.md"
+CHECKS_PAGE = ROOT / "docs" / "adding_a_check.md"
 SCRIPT = f"scripts/{Path(__file__).name}"
 SHOWN = ("default", "out_of_box")
-"""Configurations that the table of checks shows, one sign each."""
-
-SIGNS = {Status.PASS: "✓", Status.FAIL: "✗", Status.ERROR: "✗", Status.DECLINED: "-"}
+"""Configurations of a cell, in this order."""
 
 
-def failures(columns: Sequence[MatrixColumn]) -> Iterator[str]:
-    """Yield a line for each failure of a default configuration, or one that says that there is none."""
-    default = [column for column in columns if column.name == "default"]
-    bad = [
-        finding
-        for column in default
-        for finding in column.current().values()
-        if finding.is_bad
-    ]
-    if not bad:
-        yield "No default configuration fails a check or raises an error."
-    for finding in bad:
-        found = "an error"
-        if finding.measured is not None:
-            found = f"{measured_text(finding)}, {error_text(finding)} instead of {expected_text([finding])}"
-        hints = markdown_text(finding.diagnosis)
-        yield f"- {finding.backend}, `{finding.check}`: {found}. Hints of the check: {hints}"
-
-
-def configuration(column: MatrixColumn) -> list[str]:
-    """Return the cells of a configuration."""
-    settings = {
-        name: value
-        for name, value in column.settings.items()
-        if (name, value) != ("preset", column.name)
-    }
-    settings_text = f"`{pairs_text(settings)}`" if settings else ""
-    cost = "" if column.cpu_s is None else f"{column.cpu_s:.3g} s"
-    return [column.backend, f"`{column.name}`", settings_text, tally(column), cost]
-
-
-def sign(finding: CheckResult | None) -> str:
-    """Return the sign of a result; `-` also where a configuration was not run."""
-    return "-" if finding is None else SIGNS[finding.status]
-
-
-def check_table(columns: Sequence[MatrixColumn]) -> Iterator[str]:
-    """Yield the table: one check per phenomenon, and what a default fails, with a column for each engine."""
+def verdicts(columns: Sequence[EngineColumn]) -> Iterator[str]:
+    """Yield the lines of the table: counts, CPU time and levels, then one row for each check."""
     engines = list(dict.fromkeys(column.backend for column in columns))
-    found = {(column.backend, column.name): column.current() for column in columns}
-    failed = {
-        name
-        for (_, configuration), results in found.items()
-        if configuration == "default"
-        for name, one in results.items()
-        if one.is_bad
-    }
-    rows = []
-    for check in checks([*CANONICAL, *failed]):
-        of_check = {place: results.get(check.id) for place, results in found.items()}
+    found = {(one.backend, one.name): one for one in columns}
+    default = [found[engine, "default"] for engine in engines]
+    rows = [
+        ["passed", "", *map(_passed, default)],
+        ["CPU time [s]", "", *(f"{one.cpu_s:.3g}" for one in default)],
+    ]
+    of_level = [levels([*one.results.values()]) for one in default]
+    for level in of_level[0]:
+        rows.append([f"level {level}", "", *(one.get(level, "-") for one in of_level)])
+    for check in checks():
+        ran = [one.results[check.id] for one in default if check.id in one.results]
+        expected = next((text for one in ran if (text := expected_text(one))), "")
         cells = [
-            "".join(sign(of_check.get((engine, name))) for name in SHOWN)
+            " ".join(
+                verdict_text(column.results.get(check.id))
+                for name in SHOWN
+                if (column := found.get((engine, name)))
+            )
             for engine in engines
         ]
-        expected = expected_text(of_check.values())
-        rows.append(
-            [f"`{check.id}`", "exactly 0" if expected == "0 +- 0" else expected, *cells]
-        )
+        rows.append([f"`{check.id}`", expected, *cells])
     yield from markdown_table(["check", "expected", *engines], rows)
 
 
+def _passed(column: EngineColumn) -> str:
+    statuses = [one.status for one in column.results.values()]
+    ran = sum(status is not Status.DECLINED for status in statuses)
+    return f"{statuses.count(Status.PASS)} of {ran}"
+
+
 def contents() -> dict[Path, str]:
-    """Return the page with its generated part replaced."""
+    """Return the pages with their generated parts replaced."""
     columns = read_columns(SCORING / "conformance.json")
-    versions = {
-        f"{name} {text}" for column in columns for name, text in column.versions.items()
-    }
-    lines = [
-        *failures(columns),
-        "",
-        f"Run on {', '.join(sorted({column.made for column in columns}))} with {', '.join(sorted(versions))}.",
-        "",
-        *markdown_table(
-            ["engine", "configuration", "settings", "passed", "CPU time"],
-            map(configuration, columns),
-        ),
-        "",
-        "The checks of all engines with `default` and `out_of_box`, in this order:",
-        "",
-        *check_table(columns),
-    ]
-    return page_part(PAGE, "matrix", SCRIPT, "\n".join(lines))
+    pairs = {pair for column in columns for pair in column.versions.items()}
+    versions = ", ".join(f"{name} {text}" for name, text in sorted(pairs))
+    days = ", ".join(sorted({column.made for column in columns}))
+    lines = [f"Run on {days} with {versions}.", "", *verdicts(columns)]
+    coverage = "\n".join(map(as_markdown, coverage_tables(backend("mujoco"))))
+    return page_part(PAGE, "matrix", SCRIPT, "\n".join(lines)) | page_part(
+        CHECKS_PAGE, "coverage", SCRIPT, coverage
+    )

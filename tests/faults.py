@@ -1,4 +1,4 @@
-"""An engine with one planted fault, which shows that a conformance check can fail."""
+"""Mistakes that authors of engines make: a healthy engine with one of them, the check that names it, and its words."""
 
 from __future__ import annotations
 
@@ -6,9 +6,23 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends import Backend, LoopedSimulation, Simulation
-from gauge_envs.scene import Cloth, Motion, Plane, Pose, Scene
+from gauge_envs.scene import (
+    Box,
+    Compound,
+    Contact,
+    ContactMode,
+    Hinge,
+    Motion,
+    Plane,
+    Pose,
+    RigidBody,
+    Scene,
+    Sphere,
+    body_mass_properties,
+)
 from gauge_envs.scene.states import nominal_states
 
 
@@ -20,7 +34,7 @@ class Passed(Simulation):
         scene: The scene that the caller asked for.
     """
 
-    def __init__(self, inner, scene):
+    def __init__(self, inner: Simulation, scene: Scene):
         self.inner = inner
         self.settings = inner.settings
         self.world_count = inner.world_count
@@ -60,25 +74,6 @@ class Passed(Simulation):
         self.inner.close()
 
 
-@dataclass(frozen=True, kw_only=True)
-class Fault:
-    """A fault of an engine.
-
-    Attributes:
-        caught_by: Id of a check that fails.
-        says: Words of its diagnosis.
-        scene: What the engine builds instead of a scene.
-        simulation: Wrapper of its simulation.
-        worlds: How it joins the simulations of several worlds.
-    """
-
-    caught_by: str = ""
-    says: str = ""
-    scene: Callable[[Scene], Scene] = lambda scene: scene
-    simulation: type[Passed] = Passed
-    worlds: type[LoopedSimulation] = LoopedSimulation
-
-
 class Faulty(Backend):
     """An engine with a fault.
 
@@ -89,7 +84,7 @@ class Faulty(Backend):
 
     name = "faulty"
 
-    def __init__(self, healthy, planted):
+    def __init__(self, healthy: Backend, planted: Fault):
         self.features = healthy.features
         self.healthy = healthy
         self.planted = planted
@@ -109,7 +104,28 @@ class Faulty(Backend):
         return self.planted.worlds(worlds)
 
 
-# --- changes of a scene ---
+@dataclass(frozen=True, kw_only=True)
+class Fault:
+    """A fault of an engine.
+
+    Attributes:
+        caught_by: Id of the check that names it.
+        says: Words of its message.
+        scene: What the engine builds instead of a scene.
+        simulation: Wrapper of its simulation.
+        worlds: How it joins the simulations of several worlds.
+        engine: Class of the engine.
+    """
+
+    caught_by: str = ""
+    says: str = ""
+    scene: Callable[[Scene], Scene] = lambda scene: scene
+    simulation: type[Passed] = Passed
+    worlds: type[LoopedSimulation] = LoopedSimulation
+    engine: type[Faulty] = Faulty
+
+
+# --- the scene is read wrongly ---
 
 
 def change_bodies(change):
@@ -119,46 +135,178 @@ def change_bodies(change):
     )
 
 
-def change_contacts(**changes):
-    """Return a fault of numbers of each contact."""
-
-    def change(scene):
-        contacts = [
-            replace(one, **{key: do(getattr(one, key)) for key, do in changes.items()})
-            for one in scene.contacts
-        ]
-        return replace(scene, contacts=tuple(contacts))
-
-    return change
+def change_contacts(change):
+    """Return a fault of each contact."""
+    return lambda scene: replace(
+        scene, contacts=tuple(change(one) for one in scene.contacts)
+    )
 
 
-def _level(body):
+def _level_plane(body: RigidBody) -> RigidBody:
     if not isinstance(body.shape, Plane):
         return body
     return replace(body, pose=Pose(position_m=body.pose.position_m))
 
 
-def _scalar_last(body):
+def _scalar_last(body: RigidBody) -> RigidBody:
     x, y, z, w = body.pose.quaternion
     return replace(body, pose=replace(body.pose, quaternion=(w, x, y, z)))
 
 
-def _stiff_cloth(scene):
-    deformables = [
-        replace(one, stretch_stiffness_n_per_m=1.3 * one.stretch_stiffness_n_per_m)
-        if isinstance(one, Cloth)
-        else one
-        for one in scene.deformables
-    ]
-    return replace(scene, deformables=tuple(deformables))
+def _half_edges(body: RigidBody) -> RigidBody:
+    if not isinstance(body.shape, Box) or body.motion is not Motion.DYNAMIC:
+        return body
+    size_m = tuple(2.0 * edge for edge in body.shape.size_m)
+    return replace(body, shape=Box(size_m=size_m))
 
 
-# --- changes of a simulation ---
+def _sphere_inertia(body: RigidBody) -> RigidBody:
+    """Give a body the inertia of a sphere about it."""
+    if body.motion is not Motion.DYNAMIC or isinstance(body.shape, Sphere):
+        return body
+    _, inertia_kg_m2 = body_mass_properties(body)
+    mean = float(np.trace(inertia_kg_m2)) / 3.0
+    return replace(body, inertia_kg_m2=tuple(map(tuple, mean * np.eye(3))))
+
+
+def _first_part(body: RigidBody) -> RigidBody:
+    if not isinstance(body.shape, Compound):
+        return body
+    return replace(body, shape=replace(body.shape, parts=body.shape.parts[:1]))
+
+
+def _of_bodies(contact: Contact) -> Contact:
+    """Multiply the friction of two bodies that each have the friction of the pair."""
+    return replace(contact, friction=contact.friction**2)
+
+
+def _all_impacts(contact: Contact) -> Contact:
+    return replace(contact, mode=ContactMode.IMPACT)
+
+
+def _axis_of_body(scene: Scene) -> Scene:
+    """Turn the axes of hinges from the body's frame to the world's."""
+    joints = []
+    for joint in scene.joints:
+        if isinstance(joint, Hinge):
+            turned = scene.body(joint.body).pose.rotation.apply(joint.axis)
+            joint = replace(joint, axis=tuple(turned.tolist()))
+        joints.append(joint)
+    return replace(scene, joints=tuple(joints))
+
+
+# --- the simulation runs or reports wrongly ---
 
 
 class _HalfTime(Passed):
     def advance(self, seconds):
         super().advance(0.5 * seconds)
+
+
+class _OneStepACall(Passed):
+    def advance(self, seconds):
+        super().advance(1.0 / 180.0)
+
+
+class _Late(Passed):
+    """Reads states before the call of advance, not after it."""
+
+    before = None
+
+    def reset(self, starts=None, seed=0):
+        super().reset(starts, seed)
+        self.before = None
+
+    def advance(self, seconds):
+        names = [one.name for one in self.scene.bodies]
+        self.before = dict(zip(names, super().body_states(names)[0], strict=True))
+        super().advance(seconds)
+
+    def body_states(self, names):
+        if self.before is None:
+            return super().body_states(names)
+        return np.array([[self.before[name] for name in names]])
+
+
+class _SceneOrder(Passed):
+    def body_states(self, names):
+        order = [one.name for one in self.scene.bodies if one.name in names]
+        return super().body_states(order)
+
+
+class _OneBuffer(Passed):
+    buffer = None
+
+    def body_states(self, names):
+        states = super().body_states(names)
+        if self.buffer is None or self.buffer.shape != states.shape:
+            self.buffer = states
+        self.buffer[:] = states
+        return self.buffer
+
+
+class _Single(Passed):
+    def body_states(self, names):
+        return super().body_states(names).astype(np.float32)
+
+
+class _NoWorldAxis(Passed):
+    def body_states(self, names):
+        return super().body_states(names)[0]
+
+
+class _Millimetres(Passed):
+    def body_states(self, names):
+        states = super().body_states(names)
+        states[..., :3] *= 1e3
+        return states
+
+
+class _SpinInBodyFrame(Passed):
+    def body_states(self, names):
+        states = super().body_states(names)
+        for row in states.reshape(-1, 13):
+            turn = Rotation.from_quat(row[3:7], scalar_first=True)
+            row[10:] = turn.apply(row[10:], inverse=True)
+        return states
+
+
+class _VelocityOfCentre(Passed):
+    def body_states(self, names):
+        states = super().body_states(names)
+        for column, name in enumerate(names):
+            body = self.scene.body(name)
+            if body.motion is Motion.DYNAMIC:
+                centre_m, _ = body_mass_properties(body)
+                for row in states[:, column]:
+                    turn = Rotation.from_quat(row[3:7], scalar_first=True)
+                    row[7:10] += np.cross(row[10:], turn.apply(centre_m))
+        return states
+
+
+class _GravityInVelocity(Passed):
+    """Reports the velocity before the contacts of a step, g h for a body at rest."""
+
+    def body_states(self, names):
+        states = super().body_states(names)
+        for column, name in enumerate(names):
+            if self.scene.body(name).motion is Motion.DYNAMIC and self.scene.contacts:
+                states[:, column, 9] -= self.scene.gravity_m_per_s2 / 1800.0
+        return states
+
+
+class _Teleported(Passed):
+    def drive(self, body, targets):
+        targets = np.array(targets)
+        targets[:, 7:] = 0.0
+        super().drive(body, targets)
+
+
+class _NoAcceleration(Passed):
+    def drive(self, body, targets):
+        targets = np.array(targets)
+        targets[:, 13:] = 0.0
+        super().drive(body, targets)
 
 
 class _DrivesLate(Passed):
@@ -181,7 +329,42 @@ class _NoReset(Passed):
         pass
 
 
-class _NaNMass(Passed):
+class _WrenchOfOneCall(Passed):
+    pushed: tuple[str, ...] = ()
+
+    def apply_wrench(self, body, wrenches):
+        self.pushed = (*self.pushed, body)
+        super().apply_wrench(body, wrenches)
+
+    def advance(self, seconds):
+        super().advance(seconds)
+        for body in self.pushed:
+            super().apply_wrench(body, np.zeros((self.world_count, 6)))
+
+
+class _WrenchOfBody(Passed):
+    def apply_wrench(self, body, wrenches):
+        quaternion = self.inner.body_states([body])[0, 0, 3:7]
+        turn = Rotation.from_quat(quaternion, scalar_first=True)
+        parts = np.reshape(wrenches, (-1, 2, 3))
+        turned = np.array([turn.apply(one) for one in parts])
+        super().apply_wrench(body, turned.reshape(-1, 6))
+
+
+class _KeepsWrench(Passed):
+    last: tuple[str, np.ndarray] | None = None
+
+    def apply_wrench(self, body, wrenches):
+        self.last = (body, np.array(wrenches))
+        super().apply_wrench(body, wrenches)
+
+    def reset(self, starts=None, seed=0):
+        super().reset(starts, seed)
+        if self.last is not None:
+            super().apply_wrench(*self.last)
+
+
+class _NotFinite(Passed):
     """Reports states of NaN from the first step on."""
 
     has_stepped = False
@@ -199,6 +382,17 @@ class _NaNMass(Passed):
         for row, name in enumerate(names):
             if self.has_stepped and self.scene.body(name).motion is Motion.DYNAMIC:
                 states[:, row] = np.nan
+        return states
+
+
+class _Noisy(Passed):
+    """Adds noise of 1 um that no seed repeats."""
+
+    random = np.random.default_rng()
+
+    def body_states(self, names):
+        states = super().body_states(names)
+        states[..., :3] += 1e-6 * self.random.standard_normal(states[..., :3].shape)
         return states
 
 
@@ -251,76 +445,86 @@ class _StartsAsBefore(LoopedSimulation):
         self.before = None if starts is None else starts.copy()
 
 
+# --- the engine breaks the contract ---
+
+
+class _SupportsTrue(Faulty):
+    def supports(self, scene):
+        return True
+
+
+class _SupportsRaises(Faulty):
+    """Looks up the bodies of each pair, which may be deformable."""
+
+    def supports(self, scene):
+        for contact in scene.contacts:
+            for pair in scene.colliding_pairs(contact):
+                for name in pair:
+                    scene.body(name)
+        return super().supports(scene)
+
+
+class _ChangesScene(Faulty):
+    def build(self, scene, settings=None):
+        object.__setattr__(scene, "gravity_m_per_s2", -scene.gravity_m_per_s2)
+        return super().build(scene, settings)
+
+
 FAULTS = {
-    "gravity-upward": Fault(
-        caught_by="free-fall",
-        says="-1 times the gravity",
-        scene=lambda scene: replace(scene, gravity_m_per_s2=-scene.gravity_m_per_s2),
+    "arrays in float32": Fault(simulation=_Single),
+    "arrays without the axis of worlds": Fault(simulation=_NoWorldAxis),
+    "supports returns True": Fault(engine=_SupportsTrue),
+    "supports raises for deformable bodies": Fault(engine=_SupportsRaises),
+    "the scene is changed in place": Fault(engine=_ChangesScene),
+    "rows in the order of the scene": Fault(simulation=_SceneOrder),
+    "one array for all calls": Fault(simulation=_OneBuffer),
+    "positions in millimetres": Fault(simulation=_Millimetres),
+    "quaternions x, y, z, w": Fault(scene=change_bodies(_scalar_last)),
+    "angular velocity in the body frame": Fault(simulation=_SpinInBodyFrame),
+    "velocity of the centre of mass": Fault(simulation=_VelocityOfCentre),
+    "velocity before the contacts of a step": Fault(simulation=_GravityInVelocity),
+    "NaN": Fault(simulation=_NotFinite),
+    "noise": Fault(simulation=_Noisy),
+    "one step a call": Fault(simulation=_OneStepACall),
+    "half the time": Fault(simulation=_HalfTime),
+    "states before the call": Fault(simulation=_Late),
+    "gravity upward": Fault(
+        scene=lambda scene: replace(scene, gravity_m_per_s2=-scene.gravity_m_per_s2)
     ),
-    "friction-low": Fault(
-        caught_by="slide",
-        says="friction were 0.24",
-        scene=change_contacts(friction=lambda friction: 0.8 * friction),
+    "edges read as half edges": Fault(scene=change_bodies(_half_edges)),
+    "the inertia of a sphere": Fault(scene=change_bodies(_sphere_inertia)),
+    "the first part of a compound": Fault(scene=change_bodies(_first_part)),
+    "a leaning plane built level": Fault(scene=change_bodies(_level_plane)),
+    "hinge axis in the body frame": Fault(scene=_axis_of_body),
+    "frictions of two bodies multiplied": Fault(scene=change_contacts(_of_bodies)),
+    "restitution of sustained contacts": Fault(
+        scene=change_contacts(
+            lambda one: (
+                replace(one, mode=ContactMode.IMPACT, restitution=0.5)
+                if one.mode is ContactMode.SUSTAINED
+                else one
+            )
+        )
     ),
-    "restitution-none": Fault(
-        caught_by="rebound-0.5",
-        says="restitution",
-        scene=change_contacts(restitution=lambda restitution: 0.0),
+    "no restitution": Fault(
+        scene=change_contacts(lambda one: replace(one, restitution=0.0))
     ),
-    "plane-level": Fault(
-        caught_by="roll-ball",
-        says="leaning plane is level",
-        scene=change_bodies(_level),
+    "friction 20 % low": Fault(
+        scene=change_contacts(lambda one: replace(one, friction=0.8 * one.friction))
     ),
-    "quaternion-order": Fault(
-        caught_by="start-orientation",
-        says="scalar first",
-        scene=change_bodies(_scalar_last),
-    ),
-    "cloth-stretch": Fault(
-        caught_by="cloth-stretch", says="stretches 0.7", scene=_stiff_cloth
-    ),
-    "half-time": Fault(
-        caught_by="free-fall",
-        says="simulates 0.5 times the time",
-        simulation=_HalfTime,
-    ),
-    "drive-late": Fault(caught_by="driven-path", says="late", simulation=_DrivesLate),
-    "no-reset": Fault(
-        caught_by="reset-start", says="does not restore", simulation=_NoReset
-    ),
-    "nan-mass": Fault(caught_by="finite", says="mass", simulation=_NaNMass),
-    "starts-nowhere": Fault(
-        caught_by="starts-free",
-        says="largest in the velocity of the ball",
-        simulation=_IgnoresStarts,
-    ),
-    "starts-at-rest": Fault(
-        caught_by="starts-free",
-        says="largest in the velocity of the ball",
-        simulation=_StartsAtRest,
-    ),
-    "hinge-at-rest": Fault(
-        caught_by="starts-hinge",
-        says="largest in the velocity of the brick",
-        simulation=_StartsAtRest,
-    ),
-    "cloth-in-place": Fault(
-        caught_by="starts-cloth",
-        says="largest in the nodes of the cloth",
-        simulation=_StartsClothInPlace,
-    ),
-    "worlds-start-as-first": Fault(
-        caught_by="worlds-single", says="world", worlds=_StartsAsFirst
-    ),
-    "worlds-start-as-before": Fault(
-        caught_by="worlds-reset", says="world", worlds=_StartsAsBefore
-    ),
-    "worlds-drive-as-first": Fault(
-        caught_by="worlds-single", says="world", worlds=_DrivesAsFirst
-    ),
-    "worlds-push-as-first": Fault(
-        caught_by="worlds-wrench", says="world", worlds=_PushesAsFirst
-    ),
+    "a driven body without velocity": Fault(simulation=_Teleported),
+    "a driven body without acceleration": Fault(simulation=_NoAcceleration),
+    "a driven body an interval late": Fault(simulation=_DrivesLate),
+    "a wrench for one call": Fault(simulation=_WrenchOfOneCall),
+    "a wrench in the body frame": Fault(simulation=_WrenchOfBody),
+    "a wrench that reset keeps": Fault(simulation=_KeepsWrench),
+    "reset does nothing": Fault(simulation=_NoReset),
+    "starts ignored": Fault(simulation=_IgnoresStarts),
+    "starts at rest": Fault(simulation=_StartsAtRest),
+    "starts of a cloth ignored": Fault(simulation=_StartsClothInPlace),
+    "all worlds start as the first": Fault(worlds=_StartsAsFirst),
+    "all worlds driven as the first": Fault(worlds=_DrivesAsFirst),
+    "all worlds pushed as the first": Fault(worlds=_PushesAsFirst),
+    "worlds start as the time before": Fault(worlds=_StartsAsBefore),
 }
 """Faults by name."""
