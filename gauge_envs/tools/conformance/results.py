@@ -357,31 +357,31 @@ def read_columns(path: Path) -> list[EngineColumn]:
         raise ResultFileError(f"{path}: cannot be read ({error}); {hint}") from None
     if not isinstance(found, dict) or found.get("kind") != KIND:
         raise ResultFileError(f"{path}: has no columns of conformance checks; {hint}")
+    try:
+        return [_read_column(row) for row in found["columns"]]
+    except (KeyError, TypeError, ValueError) as error:
+        raise ResultFileError(f"{path}: is damaged ({error!r}); {hint}") from None
+
+
+def _read_column(row: Mapping[str, Any]) -> EngineColumn:
     known = {one.id: one for one in checks()}
-    columns = []
-    for row in found["columns"]:
-        values = {key: row[key] for key in _FIELDS if key in row}
-        column = EngineColumn(**values)
-        outdated = []
-        for name, stored in row["findings"].items():
-            check = known.get(name)
-            if check is None or stored["fingerprint"] != check.fingerprint:
-                outdated.append(name)
-                continue
-            outcome = {key: stored.get(key) for key in STORED}
-            status = Status(outcome["status"])
-            if status is Status.FAIL and outcome["measured"] is None:
-                outcome["measured"] = math.nan  # JSON has no number that is not finite.
-            outcome["missing"] = tuple(outcome["missing"] or ())
-            column.results[name] = CheckResult(
-                of=check,
-                backend=column.backend,
-                versions=column.versions,
-                **(outcome | {"status": status}),
-            )
-        column.outdated = tuple(outdated)
-        columns.append(column)
-    return columns
+    column = EngineColumn(**{key: row[key] for key in _FIELDS})
+    outdated = []
+    for name, stored in row["findings"].items():
+        check = known.get(name)
+        if check is None or stored["fingerprint"] != check.fingerprint:
+            outdated.append(name)
+            continue
+        outcome = {key: stored[key] for key in STORED}
+        outcome["status"] = status = Status(stored["status"])
+        outcome["missing"] = tuple(stored["missing"])
+        if status is Status.FAIL and stored["measured"] is None:
+            outcome["measured"] = math.nan  # JSON has no number that is not finite.
+        column.results[name] = CheckResult(
+            of=check, backend=column.backend, versions=column.versions, **outcome
+        )
+    column.outdated = tuple(outdated)
+    return column
 
 
 _FIELDS = (
