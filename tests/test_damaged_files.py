@@ -19,8 +19,7 @@ from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result_file import load_result
 from gauge_envs.scoring.trajectory_file import read_trajectory
 from gauge_envs.tools.assets.build import assets_folder
-from gauge_envs.tools.conformance.expected import read_expected
-from gauge_envs.tools.conformance.matrix import read_columns
+from gauge_envs.tools.conformance.results import read_columns, read_expected
 from gauge_envs.tools.sanity import configuration
 from gauge_envs.tools.sanity.run import read_baseline
 from gauge_envs.tools.sweep.spec import load_sweep_file
@@ -90,7 +89,10 @@ READERS = {
         lambda: b"frame,x,y\n" + b"".join(b"%d,2,3\n" % n for n in range(40)),
         lambda file: read_track(file, fps=30.0),
     ),
-    "expected.toml": (lambda: b'free-fall = "a reason"\n', read_expected),
+    "expected.toml": (
+        lambda: b'slide = { measured = 1.0, reason = "known" }\n',
+        read_expected,
+    ),
     "matrix.json": (content_of("scoring", "conformance.json"), read_columns),
     "sweep.toml": (content_of("examples", "sweep.toml"), load_sweep_file),
     "baseline.json": (json.dumps(BASELINE).encode, read_baseline),

@@ -12,7 +12,7 @@ def no_check(monkeypatch):
     def fail(*_):
         raise AssertionError("a check ran")
 
-    monkeypatch.setattr("gauge_envs.tools.conformance.matrix.run_column", fail)
+    monkeypatch.setattr("gauge_envs.tools.conformance.results.run_column", fail)
 
 
 @pytest.mark.usefixtures("no_check")
