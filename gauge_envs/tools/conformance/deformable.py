@@ -23,6 +23,7 @@ from gauge_envs.scene import (
     Attachment,
     Cloth,
     Deformable,
+    Motion,
     Pose,
     Region,
     Rope,
@@ -125,19 +126,45 @@ def clamped(
     )
 
 
-def side_by_side(scenes: Mapping[str, Scene]) -> Scene:
-    """Return the bodies of several clamped scenes in one, with new names and among bystanders."""
+RAMP_S = 0.5
+
+
+def side_by_side(
+    scenes: Mapping[str, Scene], speed_m_per_s: float = 0.0, late_s: float = 0.0
+) -> Scene:
+    """Return the bodies of several clamped scenes in one, with new names and among bystanders.
+
+    Their frame stands still for the duration of the last scene, and then moves. On a frame with a constant velocity
+    bodies hang as on one at rest (Galilei).
+
+    Args:
+        scenes: Scenes that `clamped` returns, by the new name of their body.
+        speed_m_per_s: Upward speed that the frame reaches within `RAMP_S`; 0 for a fixed frame.
+        late_s: Time for which it has this speed [s].
+    """
     bodies, attachments = [], []
     for number, (name, scene) in enumerate(scenes.items()):
         (body,) = scene.deformables
         place_m = np.add(body.pose.position_m, (0.0, APART_M * (number - 1), 0.0))
         bodies.append(placed(body, place_m, name))
         attachments += [replace(one, deformable=name) for one in scene.attachments]
-    return replace(
+    whole = replace(
         scene,
         bodies=(*BYSTANDERS, FRAME),
         deformables=tuple(bodies),
         attachments=tuple(attachments),
+    )
+    if not speed_m_per_s:
+        return whole
+    duration_s = RAMP_S + late_s + RAMP_S
+    amount_m = speed_m_per_s * (duration_s - RAMP_S)
+    start_s = scene.duration_s
+    rise = ramp(amount_m, start_s=start_s, duration_s=duration_s, ramp_s=RAMP_S)
+    return replace(
+        whole,
+        bodies=(*BYSTANDERS, replace(FRAME, motion=Motion.KINEMATIC)),
+        drivers=(driver(FRAME.name, "translate", (0.0, 0.0, 1.0), rise),),
+        duration_s=start_s + RAMP_S + late_s,
     )
 
 
@@ -207,7 +234,7 @@ def worst_law(
     """Measure the ratio of a stiffness to that of the scene that is furthest from 1.
 
     Args:
-        rollout: Recording of one or more bodies.
+        rollout: Recording of one or more bodies on `FRAME`, which may move.
         measure: Measurement of a recording of one body, of which the first sample is at rest.
         what: The stiffness, in words.
         windows_s: Times of the samples behind the first that the measurement gets [s]; one ratio for each.
@@ -218,11 +245,13 @@ def worst_law(
         for start_s, end_s in windows_s:
             part = rollout.between(start_s, end_s)
             samples = np.concatenate([[0], np.arange(part.start, part.stop)])
+            nodes_m = rollout.nodes_m[body.name]
+            nodes_m = nodes_m - rollout.displacement(FRAME.name)[:, None]
             alone = replace(
                 rollout,
                 scene=scene,
                 times_s=rollout.times_s[samples],
-                nodes_m={body.name: rollout.nodes_m[body.name][samples]},
+                nodes_m={body.name: nodes_m[samples]},
             )
             found = measure(alone)
             label = f"{body.name} ({start_s:g} to {end_s:g} s)"
