@@ -1,1 +1,320 @@
-"""TODO."""
+"""Many worlds at once: each world of a batch is the single simulation of its start and of its driven motion."""
+
+from collections.abc import Sequence
+from contextlib import ExitStack, chdir, closing
+from tempfile import TemporaryDirectory
+from typing import NamedTuple
+
+import numpy as np
+
+from gauge_envs.backends import LoopedSimulation, Simulation
+from gauge_envs.scene import Scene
+from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.states import nominal_states
+from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
+from gauge_envs.tools.bench.parts import ball
+from gauge_envs.tools.bench.recording import DeclinedError
+from gauge_envs.tools.conformance.lab import Lab, push
+from gauge_envs.tools.conformance.model import COUNT, Measurement, Tolerance, check
+from gauge_envs.tools.conformance.restart import (
+    BOUNCE,
+    CARRIED,
+    HUNG,
+    cloths,
+    gaps,
+    start_of,
+    widest,
+)
+
+WORLDS = range(16)
+SINGLES = (0, 1, 5, 10, 14, 15)
+"""Worlds that are compared with single simulations; the reversed order has the same ones."""
+INTERVALS = 36
+ALONE = Tolerance("single precision, in another order, over one rebound", absolute=1e-4)
+BATCH = "contract (Backend.build_worlds, Simulation.reset, Simulation.drive)"
+
+
+def _rigid(lab: Lab) -> Scene:
+    """Return a scene without contacts of boxes, whose many points enlarge each rounding."""
+    return widest(lab, BOUNCE, CARRIED, HUNG)
+
+
+def _starts(scene: Scene, numbers: Sequence[int]) -> FloatArray:
+    """Return the starts of worlds, of which no two are alike, shape [world_count, body_count, 13]."""
+    return np.array([start_of(scene, number / len(WORLDS)) for number in numbers])
+
+
+def _drive(
+    simulation: Simulation, scene: Scene, numbers: Sequence[int], at: int
+) -> None:
+    """Drive the plates of worlds in interval `at`, each with another acceleration."""
+    if not scene.drivers:
+        return
+    targets = np.zeros((len(numbers), 19))
+    targets[:, :7] = nominal_states(scene)[-2 if scene.joints else -1, :7]
+    rates, time_s = 6.5 + 0.1 * np.array(numbers), at * SAMPLE_INTERVAL_S
+    targets[:, 0] += 0.5 * rates * time_s**2
+    targets[:, 7], targets[:, 13] = rates * time_s, rates
+    targets.flags.writeable = False
+    simulation.drive("plate", targets)
+
+
+def _read(simulation: Simulation, scene: Scene) -> FloatArray:
+    """Return the states of the worlds, or the nodes of their cloth."""
+    if scene.deformables:
+        return np.array(simulation.nodes("cloth"))
+    return np.array(simulation.body_states([one.name for one in scene.bodies]))
+
+
+def _course(simulation: Simulation, scene: Scene, numbers: Sequence[int]) -> FloatArray:
+    """Run worlds, and return what is read after each interval, shape [interval_count, world_count, ...]."""
+    rows = []
+    for interval in range(12 if scene.deformables else INTERVALS):
+        _drive(simulation, scene, numbers, interval)
+        simulation.advance(SAMPLE_INTERVAL_S)
+        rows.append(_read(simulation, scene))
+    return np.array(rows)
+
+
+def _begun(simulation: Simulation, scene: Scene, numbers: Sequence[int]) -> FloatArray:
+    """Reset worlds to their starts, and return their course."""
+    simulation.reset(_starts(scene, numbers), 0)
+    return _course(simulation, scene, numbers)
+
+
+class _Batch(NamedTuple):
+    """Courses of the worlds of a scene."""
+
+    scene: Scene
+    singles: dict[int, FloatArray]
+    first: FloatArray
+    reversed: FloatArray
+    threads: FloatArray | None
+
+
+def _batches(lab: Lab) -> list[_Batch]:
+    """Return courses alone, together, after a reset in the reversed order, and of simulations in threads."""
+    found = []
+    for scene in (_rigid(lab), *cloths(lab)):
+        threads = None
+        with closing(lab.build(scene)) as one:
+            singles = {n: _begun(one, scene, [n])[:, 0] for n in SINGLES}
+            has_threads = one.releases_gil
+        if has_threads:
+            many = LoopedSimulation([lab.build(scene) for _ in SINGLES])
+            with closing(many):
+                threads = _begun(many, scene, SINGLES)
+        with closing(lab.build(scene, len(WORLDS))) as batch:
+            first = _begun(batch, scene, WORLDS)
+            last = _begun(batch, scene, WORLDS[::-1])
+        found.append(_Batch(scene, singles, first, last, threads))
+    return found
+
+
+def _gap(here: FloatArray, there: FloatArray) -> FloatArray:
+    """Return differences of states or nodes; what is not finite is infinitely far."""
+    gap = gaps(here, there) if here.shape[-1] == 13 else np.abs(here - there)
+    return np.nan_to_num(gap, nan=np.inf)
+
+
+def _compared(
+    batch: _Batch, courses: FloatArray, numbers: Sequence[int], what: str
+) -> Measurement:
+    """Measure how courses differ from those of single simulations, and name the world, body and interval."""
+    worst = Measurement(measured=0.0)
+    for number, single in batch.singles.items():
+        here = courses[:, numbers.index(number)]
+        gap = _gap(here, single)
+        if gap.max() <= worst.measured:
+            continue
+        hint = f"{what} {numbers.index(number)} differs by {gap.max():.3g}"
+        when = int((gap > ALONE.absolute).reshape(len(gap), -1).any(axis=1).argmax())
+        body = int(gap[when].max(axis=-1).argmax())
+        name = "cloth" if batch.scene.deformables else batch.scene.bodies[body].name
+        hint += f", first the {name} in interval {when + 1}"
+        for other, course in batch.singles.items():
+            if other != number and _gap(here, course).max() < 0.01 * gap.max():
+                hint += f"; it has the course of world {numbers.index(other)}"
+        worst = Measurement(measured=float(gap.max()), hint=hint)
+    return worst
+
+
+@check(
+    "worlds-single",
+    title="a world of a batch is a single simulation",
+    law="a world is that of its start and of its driven motion",
+    source=BATCH,
+    tolerance=ALONE,
+    cause="worlds have the start or the driven motion of another world, or one step for all is another step",
+)
+def worlds_single(lab: Lab) -> Measurement:
+    """16 worlds of a stick, a bouncing ball, one on a driven plate and a pendulum; and of falling sheets of cloth.
+
+    Largest difference of a state or node within 0.2 s from single simulations; the worlds start and move differently.
+    Simulations of engines with `releases_gil` also advance in threads at once.
+    """
+    found = []
+    for one in lab.once(_batches):
+        found.append(_compared(one, one.first, WORLDS, "world"))
+        if one.threads is not None:
+            found.append(_compared(one, one.threads, SINGLES, "in threads simulation"))
+    return max(found, key=lambda one: one.measured)
+
+
+@check(
+    "worlds-reset",
+    title="reset of all worlds to other starts",
+    law="a world is that of its start and of its driven motion",
+    source=BATCH,
+    tolerance=ALONE,
+    cause="reset(starts) must write the starts of all worlds, and forget their contacts, forces and earlier starts",
+)
+def worlds_reset(lab: Lab) -> Measurement:
+    """The worlds of `worlds-single` after 0.2 s, reset to their starts in the reversed order.
+
+    Largest difference of a state or node within 0.2 s after the reset from single simulations.
+    """
+    found = [
+        _compared(one, one.reversed, WORLDS[::-1], "world")
+        for one in lab.once(_batches)
+    ]
+    return max(found, key=lambda one: one.measured)
+
+
+@check(
+    "worlds-wrench",
+    title="a wrench in each world",
+    law="v = F t / m, w = M t / I",
+    source="Newton, Euler; contract (Simulation.apply_wrench)",
+    tolerance=Tolerance("a constant force has no model error", relative=1e-3),
+    cause="worlds have the wrench of another world or of another call, or lose it",
+    optional=True,
+)
+def worlds_wrench(lab: Lab) -> Measurement:
+    """16 worlds of a floating ball, each under three wrenches in turn, all different.
+
+    Gain of velocity or spin in ten intervals over force times time through mass, or torque times time through moment of
+    inertia, in the world and call that are farthest off.
+    """
+    one = ball("ball", (0.0, 0.0, 0.0))
+    inertia = 0.4 * one.mass_kg * 0.03**2
+    scene = Scene(bodies=(one,), duration_s=0.5, gravity_m_per_s2=0.0)
+    sizes = np.random.default_rng(0).uniform(0.5, 1.5, (3, len(WORLDS), 6))
+    wrenches = sizes * np.repeat([0.2, 1e-4], 3)
+    speeds = [np.zeros((len(WORLDS), 6))]
+    with lab.running(scene, len(WORLDS)) as simulation:
+        for rows in wrenches:
+            push(simulation, "ball", rows)
+            for _ in range(10):
+                simulation.advance(SAMPLE_INTERVAL_S)
+            speeds.append(_read(simulation, scene)[:, 0, 7:])
+    gains = np.diff(speeds, axis=0)
+    expected = wrenches * 10 * SAMPLE_INTERVAL_S
+    expected /= np.repeat([one.mass_kg, inertia], 3)
+    ratios = gains / expected
+    errors = np.nan_to_num(np.abs(ratios - 1.0), nan=np.inf)
+    call, world, axis = np.unravel_index(errors.argmax(), errors.shape)
+    part = slice(0, 3) if axis < 3 else slice(3, 6)
+    what = "force" if axis < 3 else "torque"
+    ratio = float(ratios[call, world, axis])
+    hint = f"{ratio:.3g} times the {what} of call {call + 1} acts in world {world}"
+    alike = np.isclose(expected[..., part], gains[call, world, part], rtol=5e-3)
+    for other_call, other in np.argwhere(alike.all(axis=-1)):
+        hint += f"; it is that of call {other_call + 1} in world {other}"
+    return Measurement(measured=ratio, expected=1.0, hint=hint)
+
+
+@check(
+    "worlds-neighbours",
+    title="worlds do not feel their neighbours",
+    law="a world is that of its start and of its driven motion",
+    source="contract (Backend.build_worlds, Simulation.diverged)",
+    tolerance=ALONE,
+    cause="worlds share forces, contacts, solver steps or a limit of their number",
+)
+def worlds_neighbours(lab: Lab) -> Measurement:
+    """Five worlds, of which the first, third and fifth change what they do: start, motion, wrench, and divergence.
+
+    Largest difference of a state of the second and fourth world within 0.2 s from the run before these changes.
+    """
+    scene, numbers = _rigid(lab), range(5)
+    watched, others = [1, 3], [0, 2, 4]
+    worst = Measurement(measured=0.0)
+    with ExitStack() as stack:
+        stack.enter_context(chdir(stack.enter_context(TemporaryDirectory())))
+        simulation = stack.enter_context(closing(lab.build(scene, 5)))
+        before = _begun(simulation, scene, numbers)[:, watched]
+        for what in ("start otherwise", "are pushed", "diverge", "have diverged"):
+            moved = (9, 1, 11, 3, 13) if what == "start otherwise" else numbers
+            starts = _starts(scene, moved)
+            if what == "diverge":
+                starts[others, 0, 7] = 1e12
+            simulation.reset(starts, 0)
+            if what == "are pushed":
+                wrenches = np.zeros((5, 6))
+                wrenches[others] = [0.3, -0.2, 0.4, 0.001, 0.002, -0.003]
+                try:
+                    push(simulation, "stick", wrenches)
+                except DeclinedError:
+                    continue
+            gap = _gap(_course(simulation, scene, moved)[:, watched], before).max()
+            if lost := [
+                number for number in watched if number in simulation.diverged()
+            ]:
+                hint = f"diverged() names world {lost[0]} when its neighbours {what}"
+                return Measurement(measured=np.inf, hint=hint)
+            if gap > worst.measured:
+                hint = (
+                    f"worlds 1 and 3 differ by {gap:.3g} when worlds 0, 2 and 4 {what}"
+                )
+                worst = Measurement(measured=float(gap), hint=hint)
+    return worst
+
+
+@check(
+    "worlds-shapes",
+    title="arrays of worlds",
+    law="shape = [N, ...], new arrays, inputs unchanged",
+    source="contract (gauge_envs.backends.simulation)",
+    tolerance=COUNT,
+    cause="the first axis of every array is the world",
+)
+def worlds_shapes(lab: Lab) -> Measurement:
+    """One and three worlds of a stick, a bouncing ball, one on a driven plate and a pendulum; and of cloth.
+
+    Number of faults: shapes of what is returned, arrays that change later, arrays of starts that `reset` changes or
+    needs later, a nominal start that not all worlds have, `diverged` that names healthy worlds.
+    """
+    faults = []
+    for scene in (_rigid(lab), *cloths(lab)):
+        names = [one.name for one in scene.bodies]
+        for count in (1, 3):
+            starts = _starts(scene, range(count))
+            given = starts.copy()
+            with closing(lab.build(scene, count)) as simulation:
+                simulation.reset(starts, 0)
+                states = simulation.body_states(names)
+                first, unchanged = np.array(states), np.array_equal(starts, given)
+                starts[:] = np.nan
+                _drive(simulation, scene, range(count), 0)
+                simulation.advance(SAMPLE_INTERVAL_S)
+                later, reasons = _read(simulation, scene), dict(simulation.diverged())
+                simulation.reset(None, 0)
+                nominal = _read(simulation, scene)
+                right = {
+                    f"world_count is {simulation.world_count}": simulation.world_count
+                    == count,
+                    f"body_states has shape {first.shape}": first.shape
+                    == (count, len(names), 13),
+                    f"an array has shape {later.shape}": later.shape
+                    == (count, *later.shape[-2:]),
+                    "body_states returns an array that changes later": np.array_equal(
+                        states, first
+                    ),
+                    "reset() changes the array of starts": unchanged,
+                    "reset() keeps the array of starts": np.isfinite(later).all(),
+                    f"diverged() is {reasons}": not reasons,
+                    "reset() gives worlds another start": not np.ptp(nominal, 0).any(),
+                }
+            faults += [f"{text} of {count}" for text, fine in right.items() if not fine]
+    return Measurement(measured=len(faults), hint="; ".join(faults))

@@ -1,1 +1,438 @@
-"""TODO."""
+"""The life of a simulation: it starts again, from other states, after a failure, and in another process."""
+
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import chdir, closing, suppress
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from gauge_envs.backends import Simulation, backend as find_backend
+from gauge_envs.errors import GaugeError
+from gauge_envs.runs.isolation import Worker
+from gauge_envs.scene import (
+    Box,
+    Cloth,
+    Compound,
+    ConvexUnion,
+    Cylinder,
+    Hinge,
+    Motion,
+    Part,
+    Pose,
+    RigidBody,
+    Scene,
+)
+from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.jitter import turn
+from gauge_envs.scene.states import nominal_states, scene_at
+from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
+from gauge_envs.tools.bench.parts import (
+    ball,
+    body,
+    box,
+    contact,
+    corners,
+    driven_box,
+    driver,
+    ground,
+    ramp,
+    thrown,
+)
+from gauge_envs.tools.bench.recording import DeclinedError, Recording, record
+from gauge_envs.tools.conformance.lab import Lab, push
+from gauge_envs.tools.conformance.model import EXACT, Measurement, Tolerance, check
+
+RUN_S = 0.2
+REPEATED = Tolerance(
+    "bit for bit, or poses to 1000 times the start error of Backend.repeatability"
+)
+STARTED = Tolerance("single precision, over one rebound", absolute=1e-4)
+RESET = "contract (Simulation.reset)"
+SAME: dict[str, Any] = {
+    "law": "same starts and seed, same trajectory",
+    "tolerance": REPEATED,
+}
+ANCHOR_M, AXIS = np.array([0.0, 1.5, 1.0]), np.array([0.6, 0.0, 0.8])
+LEANING = (20.0, 50.0, -100.0)
+BRICK_M = (0.1, 0.06, 0.03)
+STICK = thrown(
+    box("stick", (1.5, 0.0, 1.0), BRICK_M, euler_deg=LEANING),
+    (0.5, -0.3, 0.2),
+    (2, 5, -3),
+)
+BOUNCE: dict[str, Any] = {
+    "bodies": (
+        thrown(ball("ball", (0.5, 0.0, 0.1)), (0.2, 0.1, -0.5), (3, -4, 2)),
+        # Some engines derive constants from the longest fall, so this ball always starts as the scene says.
+        ball("high", (-1.0, 0.0, 3.0)),
+        ground(),
+    ),
+    "contacts": (contact(("ball", "high"), "ground", friction=0.3, restitution=0.5),),
+}
+CARRIED: dict[str, Any] = {
+    "bodies": (
+        ball("rider", (0.0, 0.0, 0.54)),
+        driven_box("plate", (0.0, 0.0, 0.5), (0.6, 0.4, 0.02)),
+    ),
+    "contacts": (contact("rider", "plate", friction=0.1),),
+    "drivers": (
+        driver(
+            "plate",
+            "translate",
+            (1.0, 0.0, 0.0),
+            ramp(0.3, start_s=0.0, duration_s=0.5, ramp_s=0.1),
+        ),
+    ),
+}
+HUNG: dict[str, Any] = {
+    "bodies": (box("bob", (0.2, 1.5, 0.9), BRICK_M, euler_deg=LEANING),),
+    "joints": (Hinge(body="bob", anchor_m=(0.0, 1.5, 1.0), axis=(0.6, 0.0, 0.8)),),
+}
+
+
+TUMBLING: dict[str, Any] = {
+    "bodies": (box("brick", (0.0, -1.0, 0.1), BRICK_M, euler_deg=LEANING),),
+    "contacts": (contact("brick", "ground", friction=0.4, restitution=0.4),),
+}
+
+
+def widest(lab: Lab, *parts: Mapping[str, Any]) -> Scene:
+    """Return a scene with a thrown stick and those of the parts that the engine can build."""
+    scene = Scene(bodies=(STICK,), duration_s=0.5)
+    for part in parts:
+        more = {key: getattr(scene, key) + value for key, value in part.items()}
+        wider = replace(scene, **more)
+        scene = wider if lab.supports(wider) else scene
+    return scene
+
+
+def lively(lab: Lab) -> Scene:
+    """Return a thrown stick, balls that bounce and ride on a driven plate, a pendulum, and a brick that tumbles."""
+    return widest(lab, BOUNCE, CARRIED, HUNG, TUMBLING)
+
+
+CLOTH = Scene(
+    bodies=(ground(),),
+    deformables=(
+        Cloth(
+            name="cloth",
+            pose=Pose.from_euler_deg((0.5, 0.0, 0.04), (0.0, 10.0, 20.0)),
+            size_m=(0.12, 0.09),
+            mass_kg=0.00216,
+            areal_density_kg_per_m2=0.2,
+            thickness_m=1e-3,
+            stretch_stiffness_n_per_m=110.0,
+            shear_stiffness_n_per_m=40.0,
+            bend_stiffness_n_m_per_rad=1e-4,
+        ),
+    ),
+    contacts=(contact("cloth", "ground", friction=0.4),),
+    duration_s=0.5,
+)
+
+
+def cloths(lab: Lab) -> Iterator[Scene]:
+    """Yield the scene of a sheet of cloth that falls on a plane, where the engine builds it."""
+    if lab.supports(CLOTH):
+        yield CLOTH
+
+
+def start_of(scene: Scene, share: float) -> FloatArray:
+    """Return initial states, the further from the nominal ones the larger a share of 0 to 1, shape [body_count, 13]."""
+    states = nominal_states(scene)
+    for row, one in zip(states, (*scene.bodies, *scene.deformables), strict=True):
+        if one.name in scene.hinges:
+            turn(row, 0.7 * share * AXIS, ANCHOR_M)
+            row[10:] = -1.5 * share * AXIS
+            row[7:10] = np.cross(row[10:], row[:3] - ANCHOR_M)
+        elif getattr(one, "motion", Motion.DYNAMIC) is Motion.DYNAMIC:
+            change = np.array([3, -2, 4, 40, -30, 80, 50, 20, -10, 300, -200, 100])
+            change = 0.01 * share * change * (one.name != "high")
+            turn(row, change[3:6], row[:3].copy())
+            row[:3] += change[:3]
+            row[7:] += change[6:] * isinstance(one, RigidBody)
+    return states
+
+
+def gaps(states: FloatArray, others: FloatArray) -> FloatArray:
+    """Return differences of states, shape [..., 13]; a quaternion and its negative are the same rotation."""
+    turned = np.array(others)
+    products = (states[..., 3:7] * others[..., 3:7]).sum(axis=-1, keepdims=True)
+    turned[..., 3:7] *= np.sign(products)
+    return np.abs(states - turned)
+
+
+def apart(first: Recording, second: Recording, when: str) -> dict[str, float]:
+    """Return by how much two recordings differ, by body and quantity in words."""
+    found = {}
+    for name, states in first.states.items():
+        gap = gaps(states, second.states[name])
+        found[f"the pose of the {name} {when}"] = float(gap[:, :7].max())
+        found[f"the velocity of the {name} {when}"] = float(gap[:, 7:].max())
+    for name, nodes_m in first.nodes_m.items():
+        gap = np.abs(nodes_m - second.nodes_m[name])
+        found[f"the nodes of the {name} {when}"] = float(gap.max())
+    return found
+
+
+def largest(parts: Mapping[str, float]) -> Measurement:
+    """Measure the largest difference and name it."""
+    worst = max(parts, key=lambda one: parts[one])
+    return Measurement(
+        measured=parts[worst], hint=f"{worst} differs by {parts[worst]:.3g}"
+    )
+
+
+def repeated(
+    lab: Lab, parts: Mapping[str, float], kinds: str = "bits run"
+) -> Measurement:
+    """Measure the largest difference of runs that must repeat if `Backend.repeatability` is of one of the kinds."""
+    declared = lab.backend.repeatability(lab.settings)
+    if declared.kind in kinds:
+        return largest(parts)
+    places = {one: gap for one, gap in parts.items() if "velocity" not in one}
+    return replace(largest(places), width=1e3 * declared.start_error)
+
+
+def _used(simulation: Simulation, scene: Scene, seed: int) -> None:
+    """Run a simulation from other starts, under a wrench where the engine applies one."""
+    simulation.reset(start_of(scene, 1.0)[None], seed)
+    if STICK in scene.bodies:
+        with suppress(DeclinedError):
+            push(simulation, "stick", [0.3, -0.2, 0.4, 0.001, 0.002, -0.003])
+    record(simulation, scene, 0.1)
+
+
+def _again(lab: Lab) -> list[tuple[Recording, list[Recording]]]:
+    """Return what is read of scenes before their first reset, and their runs with seeds 0, 1, 2, 0 and 1."""
+    found = []
+    for scene in (lively(lab), *cloths(lab)):
+        runs: list[Recording] = []
+        with closing(lab.build(scene)) as simulation:
+            built = record(simulation, scene, 0.0)
+            for seed in (0, 1, 2, 0, 1):
+                if len(runs) > 1:
+                    _used(simulation, scene, seed + 1)
+                simulation.reset(None, seed)
+                runs.append(record(simulation, scene, RUN_S))
+        found.append((built, runs))
+    return found
+
+
+@check(
+    "reset-start",
+    title="reset restores the start",
+    law="state after reset = state after build",
+    source=RESET,
+    tolerance=EXACT,
+    cause="reset() must write poses, velocities and nodes of all bodies, driven ones too, and forget earlier starts",
+)
+def reset_start(lab: Lab) -> Measurement:
+    """A thrown stick, a tumbling brick, a bouncing ball, one on a driven plate, a pendulum; a falling sheet of cloth.
+
+    Largest difference of a state or node from before the first reset: after that reset, after a reset with seed 1 that
+    follows a run, and after one with seed 2 that follows a run from other starts.
+    """
+    parts: dict[str, float] = {}
+    cases = ("after the first reset", "after a run", "after a run from other starts")
+    for built, runs in lab.once(_again):
+        for run, when in zip(runs, cases, strict=False):
+            parts |= apart(built, run.cut(0.0, 0.0), when)
+    return largest(parts)
+
+
+@check(
+    "reset-course",
+    title="the same seed gives the same trajectory",
+    source=RESET,
+    cause="reset() leaves something behind: warm starts, contacts, driving forces, wrenches, time or random numbers",
+    **SAME,
+)
+def reset_course(lab: Lab) -> Measurement:
+    """A thrown stick, a tumbling brick, a bouncing ball, one on a driven plate, a pendulum; a falling sheet of cloth.
+
+    Largest difference of a state or node within 0.2 s between runs of one simulation with the same seed, 0 or 1. Runs
+    from other starts and with seeds 1 and 2 lie between. Free flight may not depend on the seed by more than 0.1 mm.
+    """
+    parts: dict[str, float] = {}
+    for _, runs in lab.once(_again):
+        for seed in (0, 1):
+            parts |= apart(runs[seed], runs[seed + 3], f"with seed {seed} again")
+        for run in runs[1:3] if "stick" in runs[0].states else ():
+            gap = float(gaps(run.states["stick"], runs[0].states["stick"]).max())
+            if gap > STARTED.absolute:
+                hint = f"another seed moves a free stick by {gap:.3g}: a seed is no jitter of starts"
+                return Measurement(measured=gap, hint=hint)
+    return repeated(lab, parts)
+
+
+@check(
+    "wrench-reset",
+    title="reset ends wrenches and driven motion",
+    source="contract (Simulation.apply_wrench, Simulation.drive)",
+    cause="reset() must clear forces, torques and the targets of drive()",
+    **SAME,
+)
+def wrench_reset(lab: Lab) -> Measurement:
+    """A stick under a wrench, where the engine applies one, and a ball on a driven plate, among other bodies.
+
+    Largest difference of a state within 0.1 s after a reset, without wrench and `drive`, from the same before.
+    """
+    scene = lively(lab)
+    undriven = replace(scene, drivers=())
+    with lab.running(scene) as simulation:
+        before = record(simulation, undriven, 0.1)
+        _used(simulation, scene, 0)
+        simulation.reset(None, 0)
+        parts = apart(before, record(simulation, undriven, 0.1), "after the reset")
+    found = repeated(lab, parts)
+    for name, what in (("stick", "the wrench"), ("plate", "the motion of the plate")):
+        if f"of the {name} " in found.hint:
+            return replace(found, hint=f"{what} goes on: {found.hint}")
+    return found
+
+
+PLATE = Box(size_m=(0.05, 0.04, 0.02))
+SHAPES: tuple[Any, ...] = (
+    ConvexUnion(pieces_m=(corners((0.0, 0.0, 0.0), (0.08, 0.05, 0.03)),)),
+    Cylinder(radius_m=0.02, length_m=0.1),
+    Compound(
+        parts=(
+            Part(shape=PLATE, pose=Pose.from_euler_deg((0.0, 0.0, 0.0), LEANING)),
+            Part(shape=PLATE, pose=Pose(position_m=(0.06, 0.02, 0.01))),
+        )
+    ),
+)
+
+
+@check(
+    "starts-free",
+    title="reset takes initial states",
+    law="a reset with states is a scene that starts with them",
+    source=RESET,
+    tolerance=STARTED,
+    cause="reset(starts) must write pose and velocities of each body: of the origin, in the world frame",
+)
+def starts_free(lab: Lab) -> Measurement:
+    """Turned, thrown and moved bodies of all shapes, also driven and hinged ones; and a sheet of cloth.
+
+    Largest difference of a state or node within 0.2 s between a reset with initial states, which follows a run, and a
+    scene that is built with them.
+    """
+    solids: list[dict[str, Any]] = [
+        {"bodies": (body(type(shape).__name__, shape, Pose(position_m=(x, 3, 1))),)}
+        for x, shape in enumerate(SHAPES)
+    ]
+    parts: dict[str, float] = {}
+    for scene in (widest(lab, *solids, BOUNCE, CARRIED, HUNG), *cloths(lab)):
+        states = start_of(scene, 1.0)
+        for row, one in zip(states, scene.bodies, strict=False):
+            row[1] += 0.3 * (one.name in ("plate", "rider"))
+        there = scene_at(scene, states)
+        expected = lab.rollout(there, RUN_S)
+        with lab.running(scene) as simulation:
+            record(simulation, scene, 0.1)
+            simulation.reset(states[None], 0)
+            now = record(simulation, there, RUN_S)
+        parts |= apart(expected, now, "")
+    return largest(parts)
+
+
+@check(
+    "restart-after-nan",
+    title="a simulation that failed is healthy after reset",
+    source="contract (Simulation.reset, Simulation.diverged)",
+    cause="reset() leaves states, forces, contacts or caches that are not finite",
+    **SAME,
+)
+def restart_after_nan(lab: Lab) -> Measurement:
+    """A stick that starts with a velocity of NaN under a force of 1e30 N, among other bodies; then a reset.
+
+    Largest difference of a state within 0.2 s from the run before. The failure itself must show: as states that are not
+    finite, in `diverged`, or as an error.
+    """
+    scene = lively(lab)
+    starts = nominal_states(scene)
+    starts[0, 7:] = np.nan
+    # MuJoCo writes a file of warnings into the working directory.
+    with TemporaryDirectory() as folder, chdir(folder), lab.running(scene) as one:
+        before = record(one, scene, RUN_S)
+        one.reset(starts[None], 0)
+        with suppress(Exception):
+            for _ in range(3):
+                one.advance(SAMPLE_INTERVAL_S)
+            if np.isfinite(one.body_states(["stick"])).all() and not one.diverged():
+                hint = "a velocity of NaN became finite, and diverged() names no world"
+                return Measurement(measured=np.inf, hint=hint)
+            push(one, "stick", [1e30, 0.0, 0.0, 0.0, 1e30, 0.0])
+            one.advance(SAMPLE_INTERVAL_S)
+        one.reset(None, 0)
+        return repeated(lab, apart(before, record(one, scene, RUN_S), "after NaN"))
+
+
+def _resident_mb() -> float:
+    """Return the memory that this process occupies [MB]; 0 where the system has no /proc."""
+    file = Path("/proc/self/statm")
+    pages = int(file.read_text().split()[1]) if file.exists() else 0
+    return 1e-6 * pages * os.sysconf("SC_PAGE_SIZE") if pages else 0.0
+
+
+@check(
+    "life",
+    title="200 resets need no memory",
+    law="growth = 0",
+    source="a training run resets a simulation a million times",
+    unit="MB",
+    tolerance=Tolerance("Python's memory varies by 1 MB", absolute=4.0),
+    cause="reset() makes objects that nothing frees: contacts, shapes, solvers or states",
+)
+def life(lab: Lab) -> Measurement:
+    """A thrown stick, a tumbling brick, a bouncing ball, one on a driven plate, a pendulum, reset 200 times.
+
+    Growth of the resident memory from reset 50 to 200. The first interval after the last one must be that of the first.
+    """
+    scene = lively(lab)
+    with closing(lab.build(scene)) as simulation:
+        sizes_mb, runs = [], []
+        for _ in range(200):
+            simulation.reset(None, 0)
+            runs.append(record(simulation, scene, SAMPLE_INTERVAL_S))
+            sizes_mb.append(_resident_mb())
+    found = repeated(lab, apart(runs[0], runs[-1], "after 200 resets"))
+    if found.measured > (found.width or 0.0):
+        return replace(found, measured=np.inf, width=None)
+    return Measurement(measured=max(sizes_mb[-1] - sizes_mb[49], 0.0))
+
+
+def _course(backend: str, settings: Mapping[str, Any] | None) -> Recording:
+    """Return the run of an engine, in the process that calls it."""
+    lab = Lab(find_backend(backend), settings)
+    return lab.rollout(lively(lab), RUN_S)
+
+
+@check(
+    "second-process",
+    title="another process gives the same trajectory",
+    source=RESET,
+    cause="the engine takes random numbers, the time, addresses or the order of a set",
+    optional=True,
+    **SAME,
+)
+def second_process(lab: Lab) -> Measurement:
+    """A thrown stick, a tumbling brick, a bouncing ball, one on a driven plate, a pendulum.
+
+    Largest difference of a state within 0.2 s between this Python process and a second one, for an installed engine.
+    """
+    name, installed = lab.backend.name, None
+    with suppress(GaugeError):
+        installed = find_backend(name)
+    if type(installed) is not type(lab.backend):
+        raise DeclinedError(("no name starts the engine in another process",))
+    with Worker(300.0) as worker:
+        there = worker.call(_course, name, lab.settings)
+    here = lab.rollout(lively(lab), RUN_S)
+    return repeated(lab, apart(here, there, "in another process"), "bits")
