@@ -101,8 +101,8 @@ def thrown(
     """Return a body that starts with a velocity [m/s] and an angular velocity [rad/s]."""
     return replace(
         one,
-        linear_velocity_m_per_s=vector(np.asarray(velocity)),
-        angular_velocity_rad_per_s=vector(np.asarray(spin)),
+        linear_velocity_m_per_s=vector(velocity),
+        angular_velocity_rad_per_s=vector(spin),
     )
 
 

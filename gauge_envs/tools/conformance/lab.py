@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from copy import deepcopy
 from typing import Any, TypeVar
@@ -61,6 +61,14 @@ class Lab:
             ContractError: `supports` raised an error or returned no `Support`.
         """
         return not self._missing(scene)
+
+    def buildable(
+        self, cases: Sequence[T], scene_of: Callable[[Sequence[T]], Scene]
+    ) -> Sequence[T]:
+        """Return the cases that the engine can build, all in one scene; all of them if it can build none."""
+        if self.supports(scene_of(cases)):
+            return cases
+        return [one for one in cases if self.supports(scene_of([one]))] or cases
 
     def _missing(self, scene: Scene) -> tuple[str, ...]:
         try:

@@ -154,7 +154,7 @@ def check(
 ) -> Callable[[Callable[[Lab], Measurement]], Callable[[Lab], Measurement]]:
     """Return a decorator that registers a function of a lab as a check; see `Check` for the arguments.
 
-    The docstring of the function has two paragraphs: the scene, and the measured quantity with its method.
+    The last paragraph of the docstring of the function is the measured quantity with its method, the rest the scene.
 
     Raises:
         ParameterError: A check with this id exists already.
@@ -166,7 +166,7 @@ def check(
         if id in _CHECKS:
             raise ParameterError(f"check {id!r} exists already; choose another id")
         text = textwrap.dedent(inspect.getdoc(measure) or "")
-        scene, _, measures = text.partition("\n\n")
+        scene, _, measures = text.rpartition("\n\n")
         _CHECKS[id] = Check(
             id=id,
             title=title,
