@@ -1,1 +1,306 @@
-"""TODO."""
+"""What each call of the contract must keep: arrays, repeatability, start, time and settings."""
+
+from __future__ import annotations
+
+from contextlib import closing, suppress
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from gauge_envs.backends import Simulation
+from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Scene
+from gauge_envs.scene.geometry import FloatArray, length_of
+from gauge_envs.scene.states import nominal_states
+from gauge_envs.tools.bench.parts import box, contact, fixed_box, ground, thrown
+from gauge_envs.tools.bench.recording import DeclinedError, Recording, record
+from gauge_envs.tools.conformance.cloth import LIGHT_FABRIC, hanging_strip
+from gauge_envs.tools.conformance.lab import Lab, largest, ratio
+from gauge_envs.tools.conformance.model import COUNT, Measurement, Tolerance, check
+
+BRICK_M = (0.1, 0.06, 0.03)
+BODIES = (
+    box("brick", (0.5, -0.3, 2.0), BRICK_M, euler_deg=(20.0, 50.0, -100.0)),
+    fixed_box("wall", (-0.4, 0.2, 1.0), BRICK_M, euler_deg=(0.0, 0.0, 30.0)),
+    box("plate", (0.1, 0.7, 0.4), BRICK_M, euler_deg=(10.0, 0.0, 60.0)),
+    box("axle", (-1.3, 0.9, 0.6), BRICK_M, euler_deg=(-70.0, 10.0, 170.0)),
+    box("tile", (0.013, -0.27, -0.4), BRICK_M, euler_deg=(0.0, 90.0, 0.0)),
+)
+NAMES = [body.name for body in BODIES]
+SEVERAL = Scene(bodies=BODIES, duration_s=1.0)
+STRIP = hanging_strip(LIGHT_FABRIC)
+
+
+# --- arrays and repeatability ----------------------------------------------------------------------------------------
+
+
+def _arrays(simulation: Simulation, scene: Scene) -> dict[str, Any]:
+    names = [body.name for body in scene.bodies]
+    nodes = {f"nodes({one.name!r})": one.name for one in scene.deformables}
+    return {
+        "body_states": simulation.body_states(names),
+        "body_states of names in reverse order": simulation.body_states(names[::-1]),
+    } | {call: simulation.nodes(name) for call, name in nodes.items()}
+
+
+@check(
+    "order-of-names",
+    title="arrays of states and nodes",
+    law="a new float64 array [N, len(names), 13], row i of names[i]; nodes [N, n, 3]",
+    source="contract (Simulation.body_states, Simulation.nodes)",
+    tolerance=COUNT,
+    cause="body_states must return a new float64 array with a row for each name, in the order of the call",
+)
+def order_of_names(lab: Lab) -> Measurement:
+    """Fixed and free bodies, all turned; and a strip of cloth, if the engine builds cloth.
+
+    Number of faults of arrays: type, shape, order of rows, and changes after they were returned.
+    """
+    faults: list[str] = []
+    for scene in (SEVERAL, *filter(lab.supports, [STRIP])):
+        with lab.running(scene) as simulation:
+            given = _arrays(simulation, scene)
+            before = [np.array(array) for array in given.values()]
+            simulation.advance(0.1)
+            _arrays(simulation, scene)
+        for (call, array), old in zip(given.items(), before, strict=True):
+            kind = getattr(array, "dtype", type(array).__name__)
+            if not isinstance(array, np.ndarray) or kind != np.float64:
+                faults.append(f"{call}: {kind} instead of a NumPy array of float64")
+            width = 3 if "nodes" in call else 13
+            if (old.ndim, len(old), old.shape[-1]) != (3, 1, width):
+                faults.append(f"{call}: shape {old.shape} instead of (1, n, {width})")
+            if not np.array_equal(array, old):
+                faults.append(f"{call}: a returned array changes later; return a copy")
+        if not faults and np.abs(before[0] - before[1][:, ::-1]).max() > 1e-3:
+            faults.append("body_states: rows are not in the order of the names")
+    return Measurement(measured=len(faults), hint="; ".join(dict.fromkeys(faults)))
+
+
+SPEED_M_PER_S = np.array([1.2, -0.8, 0.5])
+SPINNING = thrown(box("brick", (0.0, 0.0, 0.2), BRICK_M), SPEED_M_PER_S, (8, -9, 11))
+FREE = Scene(bodies=(SPINNING,), duration_s=0.3)
+BOUNCE = replace(
+    FREE,
+    bodies=(SPINNING, ground()),
+    contacts=(contact("brick", "ground", friction=0.4, restitution=0.4),),
+)
+
+
+def _apart(first: Recording, second: Recording, columns: int) -> float:
+    """Return the largest difference of nodes, or of states in their first columns."""
+    pairs = [(nodes, second.nodes_m[name]) for name, nodes in first.nodes_m.items()]
+    for name, states in first.states.items():
+        both = np.array([states, second.states[name]])[..., :columns]
+        # A quaternion and its opposite are the same orientation.
+        both[..., 3:7] = np.abs(both[..., 3:7])
+        pairs.append((both[0], both[1]))
+    return max(float(np.abs(one - other).max()) for one, other in pairs)
+
+
+@check(
+    "determinism",
+    title="a scene moves alike in each simulation",
+    law="same scene and seed, same trajectory",
+    source="contract (Backend.build, Simulation.reset)",
+    tolerance=Tolerance("equal bits, or as Backend.repeatability says"),
+    cause="random numbers have no seed, or sums have a changing order, as atomic additions on a GPU",
+)
+def determinism(lab: Lab) -> Measurement:
+    """A spinning brick that falls on a plane, or freely without contacts; a strip of cloth, if the engine builds it.
+
+    Largest difference [m, 1, m/s, rad/s] from a second simulation, alone and beside another of lower gravity.
+    """
+    repeats = lab.backend.repeatability(lab.settings)
+    # An impact multiplies an error by some hundred.
+    width = 1e3 * repeats.start_error
+    columns = 7 if width else 13
+    cases = {}
+    for scene in (lab.first_supported(BOUNCE, FREE), *filter(lab.supports, [STRIP])):
+        first = lab.rollout(scene, 0.3)
+        text = "a second run: no seed, or sums in a changing order; it"
+        cases[text] = {"": _apart(first, lab.rollout(scene, 0.3), columns)}
+        other = replace(scene, gravity_m_per_s2=1.62)
+        with closing(lab.build(scene)) as simulation, lab.running(other) as beside:
+            simulation.reset(None, 0)
+            beside.advance(0.1)
+            again = record(simulation, scene, 0.3)
+        if cases[text][""] <= width:
+            text = "a run beside another simulation: they share gravity or state; it"
+            cases[text] = {"": _apart(first, again, columns)}
+    return replace(largest(cases), width=width)
+
+
+# --- start -----------------------------------------------------------------------------------------------------------
+
+STARTS = nominal_states(SEVERAL)
+
+
+def _start(lab: Lab) -> dict[str, FloatArray]:
+    """Return states of each body right after build and after a reset, less those of the scene."""
+    with closing(lab.build(SEVERAL)) as simulation:
+        calls = {"build": np.array(simulation.body_states(NAMES)[0])}
+        simulation.advance(0.1)
+        simulation.reset(None, 0)
+        calls["reset"] = np.array(simulation.body_states(NAMES)[0])
+    return {
+        f"the {name} after {call}": np.array([row, start])
+        for call, rows in calls.items()
+        for name, row, start in zip(NAMES, rows, STARTS, strict=True)
+    }
+
+
+@check(
+    "start-position",
+    title="bodies start at their positions",
+    law="RigidBody.pose.position_m",
+    source="contract (Backend.build, Simulation.reset)",
+    unit="mm",
+    tolerance=Tolerance("single precision rounds 1 m to 0.1 um", absolute=1e-3),
+    cause="body_states must report body origins [m] in the world frame, before the first step and after reset",
+)
+def start_position(lab: Lab) -> Measurement:
+    """Fixed and free bodies, all turned.
+
+    Largest distance of a body's origin from its start, right after build and after a reset.
+    """
+    cases = {}
+    for name, rows in lab.once(_start).items():
+        place, right = 1e3 * rows[:, :3]
+        left_mm = length_of(1e-3 * place - right)
+        cases[name] = {"": length_of(place - right), "positions are in mm": left_mm}
+    return largest(cases, "mm")
+
+
+@check(
+    "start-orientation",
+    title="bodies start at their orientations",
+    law="RigidBody.pose.quaternion",
+    source="contract (Simulation.body_states)",
+    tolerance=Tolerance("single precision rounds to 1e-7", absolute=1e-5),
+    cause="columns 3 to 6 of body_states are a unit quaternion w, x, y, z from the body to the world",
+)
+def start_orientation(lab: Lab) -> Measurement:
+    """Fixed and free bodies, all turned.
+
+    Largest distance of a quaternion of either sign from its start, right after build and after a reset.
+    """
+    cases = {}
+    for name, rows in lab.once(_start).items():
+        given, right = rows[:, 3:7]
+        tried = {
+            "": given,
+            "the quaternion is x, y, z, w, not w, x, y, z": np.roll(given, 1),
+            "the engine reads w, x, y, z as x, y, z, w": np.roll(given, -1),
+            "the rotation is inverse, world to body": given * [1, -1, -1, -1],
+        }
+        cases[name] = {
+            text: min(length_of(one - right), length_of(one + right))
+            for text, one in tried.items()
+        }
+    return largest(cases)
+
+
+def _resting(lab: Lab) -> Recording:
+    slab = fixed_box("slab", (0.0, 0.0, -0.05), (1.0, 1.0, 0.1))
+    brick = box("brick", (0.1, 0.0, 0.015), BRICK_M)
+    touch = contact("brick", "slab", friction=0.5)
+    return lab.rollout(Scene(bodies=(slab, brick), contacts=(touch,), duration_s=0.5))
+
+
+@check(
+    "start-rest",
+    title="bodies at rest report no velocity",
+    law="v = 0, omega = 0",
+    source="contract (Simulation.body_states)",
+    unit="mm/s",
+    tolerance=Tolerance("gravity gives 1 mm/s within 0.1 ms", absolute=0.1),
+    cause="build and reset must return the simulation at time 0, before any step",
+)
+def start_rest(lab: Lab) -> Measurement:
+    """Bodies that start at rest; and a brick that lies on a slab, if the engine builds contacts.
+
+    Largest reported velocity [mm/s, mrad/s] right after build and reset; and the mean of the brick from 0.4 to 0.5 s,
+    less that with which it moves.
+    """
+    cases = {
+        f"the velocity of {name}": {"": 1e3 * float(np.abs(rows[0, 7:]).max())}
+        for name, rows in lab.once(_start).items()
+    }
+    with suppress(DeclinedError):
+        late = lab.once(_resting).cut(0.4, 0.5)
+        moved = late.displacement("brick")[-1] / np.ptp(late.times_s)
+        off = 1e3 * length_of(late.velocity("brick").mean(axis=0) - moved)
+        rule = f"gravity times {off / G:.3g} ms: report it after the contacts of a step"
+        # Elsewhere a brick that falls is at fault.
+        if length_of(moved) < 0.01:
+            cases["the velocity of a brick that lies still"] = {"": off, rule: 0.0}
+    return largest(cases, "mm/s")
+
+
+# --- time and settings -----------------------------------------------------------------------------------------------
+
+CALLS = {"1/180 s": (1 / 180, 432), "1/30 s": (1 / 30, 72), "1 s": (1.0, 2)}
+
+
+@check(
+    "time",
+    title="advance simulates the given time",
+    law="path = v t",
+    source="Newton; contract (Simulation.advance)",
+    tolerance=Tolerance("a lost call of 432 is 0.2 %", absolute=1e-3),
+    cause="advance(seconds) must simulate any time: count steps, and carry over what is left",
+)
+def time(lab: Lab) -> Measurement:
+    """A thrown brick without gravity; 2 s or more in calls of 1/180 s, of 1/30 s and of 1 s.
+
+    Path over time and speed, the worst; the speed is that of the start or as reported, whichever explains the path.
+    """
+    ratios, late, lost = {}, [], []
+    scene = replace(FREE, gravity_m_per_s2=0.0)
+    for name, (interval_s, count) in CALLS.items():
+        rows = lab.rollout(scene, interval_s * count, interval_s=interval_s)
+        speeds = np.linalg.norm(rows.velocity("brick"), axis=1)
+        # A brake of the velocity is no fault of time.
+        reported = 0.5 * (speeds[1:] + speeds[:-1])
+        paths = np.linalg.norm(np.diff(rows.position("brick"), axis=0), axis=1)
+        lost.append((paths < 0.5 * np.median(paths)).sum())
+        given = count * length_of(SPEED_M_PER_S)
+        sums = np.array([speeds[:-1].sum(), reported.sum(), given])
+        shares = paths.sum() / interval_s / np.maximum(sums, 1e-9)
+        ratios[f"calls of {name}"] = float(shares[np.abs(shares - 1.0).argmin()])
+        late.append(count * (1.0 - shares[-1]))
+    found = ratio(ratios, "the simulated time")
+    hint = found.hint
+    if lost[0]:
+        hint += f"; {lost[0]} of 432 calls of 1/180 s lose time"
+    if np.allclose(late, 1.0, atol=0.1):
+        hint = "states are those before the last call of advance: an interval late"
+    return replace(found, hint=hint)
+
+
+STEPS_S = (1 / 360, 1 / 900)
+
+
+@check(
+    "settings-step",
+    title="settings have the step in force",
+    law="Simulation.settings['timestep_s'] is the step",
+    source="contract (Simulation.settings)",
+    tolerance=COUNT,
+    cause="read settings back from the engine; timestep_s must be its step",
+)
+def settings_step(lab: Lab) -> Measurement:
+    """A spinning brick that falls, with steps of 1/360 s and of 1/900 s.
+
+    Number of faults: another step in the settings than the requested step; the same motion with both.
+    """
+    faults, ends = [], []
+    for step_s in STEPS_S:
+        ends.append(lab.rollout(FREE, timestep_s=step_s).states["brick"])
+        given = lab.settings_in_force.get("timestep_s", np.nan)
+        if not abs(given / step_s - 1.0) < 1e-9:
+            faults.append(f"settings have timestep_s {given:.6g}, not {step_s:.6g}")
+    if np.array_equal(ends[0], ends[1]):
+        faults.append("two steps give the same motion: the engine ignores timestep_s")
+    return Measurement(measured=len(faults), hint="; ".join(faults))

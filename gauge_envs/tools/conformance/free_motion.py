@@ -1,1 +1,326 @@
-"""TODO."""
+"""Bodies that nothing touches: uniform motion, free fall, free rotation, and what is reported of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
+
+from gauge_envs.scene import (
+    GRAVITY_M_PER_S2 as G,
+    Box,
+    Capsule,
+    Compound,
+    ConvexUnion,
+    Cylinder,
+    Ellipsoid,
+    Part,
+    Pose,
+    RigidBody,
+    Scene,
+    Shape,
+    Sphere,
+    Vector,
+    mass_properties,
+)
+from gauge_envs.scene.geometry import FloatArray, length_of
+from gauge_envs.scoring.estimators import acceleration_m_per_s2
+from gauge_envs.tools.bench.parts import ball, body, corners, thrown
+from gauge_envs.tools.bench.recording import Recording
+from gauge_envs.tools.conformance.lab import Lab, largest, largest_mm, ratio
+from gauge_envs.tools.conformance.model import Measurement, Tolerance, check
+
+# --- solids ----------------------------------------------------------------------------------------------------------
+
+ZERO = (0.0, 0.0, 0.0)
+PARTS: dict[Box | Capsule | Ellipsoid, tuple[Vector, Vector]] = {
+    Box(size_m=(0.09, 0.03, 0.02)): ((0.05, 0.0, 0.0), (0.0, 20.0, 30.0)),
+    Capsule(radius_m=0.015, length_m=0.05): ((0.0, 0.04, 0.0), (70.0, 0.0, 0.0)),
+    Ellipsoid(radii_m=(0.02, 0.03, 0.04)): ((0.0, 0.0, 0.05), (0.0, 30.0, 0.0)),
+}
+SOLIDS: dict[str, Shape] = {
+    "box": Box(size_m=(0.1, 0.06, 0.03)),
+    "sphere": Sphere(radius_m=0.03),
+    "cylinder": Cylinder(radius_m=0.02, length_m=0.09),
+    "union of two blocks": ConvexUnion(
+        pieces_m=(
+            corners(ZERO, (0.09, 0.03, 0.02)),
+            corners((0.0, 0.03, 0.0), (0.02, 0.08, 0.02)),
+        )
+    ),
+    "compound of a box, a capsule and an ellipsoid": Compound(
+        parts=tuple(
+            Part(shape=shape, pose=Pose.from_euler_deg(*place))
+            for shape, place in PARTS.items()
+        )
+    ),
+}
+"""Solids with and without the origin at their centre of mass."""
+KILOGRAMS = (0.2, 1e-4, 0.0123, 100.0, 1.0)
+
+
+def solids(lab: Lab) -> Sequence[RigidBody]:
+    """Return a turned body of each solid that the engine builds, of different masses, 0.5 m apart."""
+    bodies = [
+        body(
+            name,
+            shape,
+            Pose.from_euler_deg((0.5 * at, 0.2, 3.0), (50.0 + 30.0 * at, -20.0, 70.0)),
+            mass_kg=KILOGRAMS[at],
+        )
+        for at, (name, shape) in enumerate(SOLIDS.items())
+    ]
+    return lab.buildable(bodies, lambda some: Scene(bodies=(*some,), duration_s=1.0))
+
+
+def centre_m(rollout: Recording, name: str) -> FloatArray:
+    """Return positions of the centre of mass of a body [m], shape [sample_count, 3]."""
+    centre, _ = mass_properties(rollout.scene.body(name).shape, 1.0)
+    return rollout.position(name) + rollout.rotation(name).apply(centre)
+
+
+# --- uniform motion --------------------------------------------------------------------------------------------------
+
+SPANS_S = ((0.0, 0.8), (0.8, 1.8), (2.1, 2.6))
+SPEEDS_M_PER_S = (20.0, -13.0, 0.1, -0.004, 0.001)
+RATES_RAD_PER_S = (200.0, 45.0, -5.0, 0.05)
+DIRECTION = np.array([0.6, -0.64, 0.48])
+
+
+def _glide(lab: Lab) -> Recording:
+    # Near the origin single precision resolves the steps of the slowest ball.
+    balls = [
+        thrown(ball(f"ball of {speed:g} m/s", ZERO), speed * DIRECTION)
+        for speed in SPEEDS_M_PER_S
+    ]
+    balls += [
+        thrown(ball(f"ball of {rate:g} rad/s", (2.0, 0.0, 1.0)), ZERO, rate * DIRECTION)
+        for rate in RATES_RAD_PER_S
+    ]
+    scene = Scene(bodies=tuple(balls), duration_s=2.6, gravity_m_per_s2=0.0)
+    return lab.rollout(scene)
+
+
+@check(
+    "glide-speed",
+    title="free bodies keep velocity and spin, fast, slow and late",
+    law="r = v t, angle = omega t",
+    source="Newton, Euler",
+    tolerance=Tolerance("single precision of orientations in 2.6 s", absolute=4e-3),
+    cause="a limit of speed, damping of free bodies, or sleep of slow bodies",
+)
+def glide_speed(lab: Lab) -> Measurement:
+    """Free balls without gravity for 2.6 s, thrown with 1 mm/s to 20 m/s or with a spin of 0.05 to 200 rad/s.
+
+    Displacement or rotation over the law, in the first 0.8 s, to 1.8 s and after 2.1 s; the worst.
+    """
+    rollout = lab.once(_glide)
+    ratios = {}
+    for each in rollout.scene.bodies:
+        turns = rollout.rotation(each.name)
+        steps = (turns[1:] * turns[:-1].inv()).as_rotvec()
+        steps += np.diff(rollout.position(each.name), axis=0)
+        # A ball either moves or spins.
+        law = np.add(each.linear_velocity_m_per_s, each.angular_velocity_rad_per_s)
+        for span in SPANS_S:
+            first, last = (rollout.sample_at(time_s) for time_s in span)
+            rate = steps[first:last].mean(axis=0) / rollout.interval_s
+            ratios[f"the {each.name}, {span[0]} to {span[1]} s"] = float(
+                rate @ law / (law @ law)
+            )
+    found = ratio(ratios, "the speed")
+    early, _, late = np.array([*ratios.values()]).reshape(-1, 3).T
+    reason = ""
+    if np.abs(late).min() < 1e-3:
+        reason = ": bodies below some speed stop, as the engine puts them to sleep"
+    elif (late < 0.999 * early).all():
+        reason = ": all balls are damped"
+    elif abs(early[0] - late[0]) < 1e-3 < abs(1.0 - early[0]):
+        reason = ": a limit of speed, from the start on"
+    return replace(found, hint=found.hint + reason)
+
+
+def _flight(lab: Lab, gravity: float, speed: float = 1.0) -> Recording:
+    """Record solids that fly for 0.5 s, each thrown another way, for some at a speed of 0 released."""
+    bodies = [
+        thrown(
+            each,
+            speed * np.roll([1.2, -0.8, 0.5], at),
+            speed * np.roll([2.0, 5.0, -3.0], at) * (1.0 + 0.4 * at),
+        )
+        for at, each in enumerate(solids(lab))
+    ]
+    scene = Scene(bodies=tuple(bodies), duration_s=0.5, gravity_m_per_s2=gravity)
+    return lab.rollout(scene)
+
+
+def _tumble(lab: Lab) -> Recording:
+    return _flight(lab, 0.0)
+
+
+@check(
+    "glide-reports",
+    title="reported velocities are those of the motion",
+    law="v = dx/dt, omega = dR/dt R^T",
+    source="contract (Simulation.body_states)",
+    unit="%",
+    tolerance=Tolerance("20 m/s at 50 m in single precision: 0.1 %", absolute=1.0),
+    cause="columns 7 to 12 are the velocity of the body's origin and the angular velocity, in the world frame",
+)
+def glide_reports(lab: Lab) -> Measurement:
+    """The balls of glide-speed; and thrown, spinning solids, some with their origin beside their centre of mass.
+
+    Largest difference of a reported rate from the central difference of poses, over the largest rate.
+    """
+    cases = {}
+    for rollout in (lab.once(_glide), lab.once(_tumble)):
+        for name, states in rollout.states.items():
+            turns = rollout.rotation(name)
+            spin = states[:, 10:]
+            arm = centre_m(rollout, name) - rollout.position(name)
+            rates = {
+                "velocity": (states[2:, :3] - states[:-2, :3], states[:, 7:10]),
+                "spin": ((turns[2:] * turns[:-2].inv()).as_rotvec(), spin),
+            }
+            for kind, (moved, given) in rates.items():
+                rate = moved / (2.0 * rollout.interval_s)
+                tried = {
+                    "": given,
+                    "it is in the body frame": turns.apply(given),
+                    "it has the wrong sign": -given,
+                    "it is in degrees": np.radians(given),
+                    "it is in mm/s": 1e-3 * given,
+                    "it is that of the centre of mass": given - np.cross(spin, arm),
+                }
+                percent = 100.0 / max(largest_mm(rate), 100.0)
+                cases[f"the {kind} of the {name}"] = {
+                    text: percent * largest_mm(one[1:-1] - rate)
+                    for text, one in tried.items()
+                }
+    return largest(cases, "%")
+
+
+@check(
+    "start-velocity-of-origin",
+    title="start velocity is that of the body's origin",
+    law="r_c = r_c0 + (v0 + omega0 x R c) t",
+    source="Newton; contract (RigidBody.linear_velocity_m_per_s)",
+    unit="mm",
+    tolerance=Tolerance("half the scatter of real trials", absolute=0.5),
+    cause="the centre of mass does not follow from the shape, or the start velocity is taken otherwise",
+)
+def start_velocity_of_origin(lab: Lab) -> Measurement:
+    """Thrown, spinning solids without gravity for 0.5 s, some with their origin beside their centre of mass.
+
+    Largest distance of a centre of mass from its straight line.
+    """
+    rollout = lab.once(_tumble)
+    cases = {}
+    for each in rollout.scene.bodies:
+        path = centre_m(rollout, each.name)
+        velocity = np.array(each.linear_velocity_m_per_s)
+        arm = path[0] - rollout.position(each.name)[0]
+        tried = {
+            "": velocity + np.cross(each.angular_velocity_rad_per_s, arm),
+            "its start velocity is given to the centre of mass": velocity,
+            "it starts at rest": 0.0 * velocity,
+        }
+        cases[f"the path of the {each.name}"] = {
+            text: largest_mm(path - path[0] - np.outer(rollout.times_s, one))
+            for text, one in tried.items()
+        }
+    return largest(cases, "mm")
+
+
+# --- rotation --------------------------------------------------------------------------------------------------------
+
+
+def _turned(one: RigidBody, spin: FloatArray, seconds: float) -> Rotation:
+    """Return the orientation R of a free body after a time: dR/dt = omega x R, omega = R I^-1 R' L, L constant."""
+    first = one.pose.matrix
+    _, inertia = mass_properties(one.shape, one.mass_kg)
+    momentum = first @ inertia @ first.T @ spin
+    inverse = np.linalg.inv(inertia)
+
+    def rate(_: float, flat: FloatArray) -> FloatArray:
+        turn = flat.reshape(3, 3)
+        now = turn @ inverse @ turn.T @ momentum
+        return np.cross(now, turn.T).T.ravel()
+
+    span = (0.0, seconds)
+    last = solve_ivp(rate, span, first.ravel(), rtol=1e-9, atol=1e-9).y[:, -1]
+    return Rotation.from_matrix(last.reshape(3, 3))
+
+
+@check(
+    "spin-momentum",
+    title="free rotation of all solids",
+    law="I domega/dt + omega x I omega = 0",
+    source="Euler; angular momentum, integrated numerically",
+    unit="%",
+    tolerance=Tolerance(
+        "1 % of the turn of a tumbling body is 2 degrees", absolute=1.0
+    ),
+    cause="the gyroscopic term, the inertia or its frame is wrong, or the body is damped",
+)
+def spin_momentum(lab: Lab) -> Measurement:
+    """Thrown, spinning solids of all kinds without gravity, each turned and thrown another way, for 0.5 s.
+
+    Angle between the orientation at the end and that by Euler's equations, over the turn by the start spin; the worst.
+    """
+    rollout = lab.once(_tumble)
+    seconds = float(rollout.times_s[-1])
+    cases = {}
+    for each in rollout.scene.bodies:
+        first, spin = each.pose.rotation, np.array(each.angular_velocity_rad_per_s)
+        constant = Rotation.from_rotvec(spin * seconds) * first
+        of_body = _turned(each, first.apply(spin), seconds)
+        tried = {
+            "": _turned(each, spin, seconds),
+            "it starts without spin": first,
+            "its start spin has the wrong sign": _turned(each, -spin, seconds),
+            "its start spin is taken in the body frame": of_body,
+            "its spin is constant, without the gyroscopic term": constant,
+        }
+        last, turn = rollout.rotation(each.name)[-1], length_of(spin) * seconds
+        cases[f"the orientation of the {each.name}"] = {
+            text: 100.0 / turn * float((last * one.inv()).magnitude())
+            for text, one in tried.items()
+        }
+    return largest(cases, "%")
+
+
+# --- fall ------------------------------------------------------------------------------------------------------------
+
+MOON_M_PER_S2 = 1.62
+
+
+@check(
+    "free-fall",
+    title="free fall of all solids",
+    law="a = g downward",
+    source="Galilei; contract (Scene.gravity_m_per_s2)",
+    tolerance=Tolerance("0.1 % is 0.4 mm at the first impact of a ball", absolute=1e-3),
+    cause="gravity is not the scene's in size or sign, or bodies are damped",
+)
+def free_fall(lab: Lab) -> Measurement:
+    """Turned solids: thrown with a spin at 9.80665 m/s^2, and released at rest at 1.62 m/s^2, for 0.5 s.
+
+    Acceleration of the centre of mass by a quadratic fit, downward and sideways, and gained speed; over the law.
+    """
+    ratios = {}
+    for gravity, speed in ((G, 1.0), (MOON_M_PER_S2, 0.0)):
+        rollout = _flight(lab, gravity, speed)
+        for name in rollout.states:
+            path = centre_m(rollout, name)
+            x, y, z = (acceleration_m_per_s2(rollout.times_s, axis) for axis in path.T)
+            case = f"the {name} at {gravity:g} m/s^2"
+            ratios[case] = -z / gravity
+            ratios[f"{case}, sideways"] = 1.0 + np.hypot(x, y) / gravity
+            if not speed:
+                gained = rollout.velocity(name)[-1, 2] / rollout.times_s[-1]
+                ratios[f"{case}, by its speed at the end"] = -float(gained) / gravity
+    return ratio(ratios, "the acceleration")

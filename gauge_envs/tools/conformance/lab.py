@@ -24,6 +24,7 @@ from gauge_envs.scene import Scene
 from gauge_envs.scene.diff import scene_changes
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 from gauge_envs.tools.bench.recording import DeclinedError, Recording, raised_at, record
+from gauge_envs.tools.conformance.model import Measurement
 
 T = TypeVar("T")
 
@@ -69,6 +70,10 @@ class Lab:
         if self.supports(scene_of(cases)):
             return cases
         return [one for one in cases if self.supports(scene_of([one]))] or cases
+
+    def first_supported(self, *scenes: Scene) -> Scene:
+        """Return the first scene that the engine can build, or the last scene if it can build none."""
+        return next((each for each in scenes if self.supports(each)), scenes[-1])
 
     def _missing(self, scene: Scene) -> tuple[str, ...]:
         try:
@@ -208,7 +213,33 @@ def worst_ratio(ratios: Mapping[str, float], what: str) -> tuple[float, str]:
     worst = max(errors, key=lambda name: errors[name])
     right = [name for name, error in errors.items() if error < 0.1 * errors[worst]]
     hint = f"{what} is {ratios[worst]:.4g} times what it should be for {worst}"
+    if len(right) > 3:
+        right = [*right[:2], f"{len(right) - 2} others"]
     return ratios[worst], f"{hint}; right for {', '.join(right)}" if right else hint
+
+
+def ratio(ratios: Mapping[str, float], what: str) -> Measurement:
+    """Measure the ratio that is furthest from 1; see `worst_ratio`."""
+    measured, hint = worst_ratio(ratios, what)
+    return Measurement(measured=measured, expected=1.0, hint=hint)
+
+
+def largest(cases: Mapping[str, Mapping[str, float]], unit: str = "") -> Measurement:
+    """Measure the largest error of some cases; a hint names it, and the known mistake that explains it.
+
+    Args:
+        cases: For each case its error by the law, and then what is left of it by known mistakes, in words. A mistake
+            explains an error of which it leaves a fifth or less.
+        unit: Unit of the errors.
+    """
+    errors = {case: next(iter(left.values())) for case, left in cases.items()}
+    worst = max(errors, key=lambda case: np.nan_to_num(errors[case], nan=np.inf))
+    error = errors[worst]
+    hint = f"{worst} is off by {error:.3g} {unit}".rstrip()
+    mistake = min(cases[worst], key=lambda text: cases[worst][text])
+    if cases[worst][mistake] <= 0.2 * error:
+        hint += f": {mistake}"
+    return Measurement(measured=error, hint=hint)
 
 
 def largest_mm(vectors_m: ArrayLike) -> float:
