@@ -254,7 +254,7 @@ def worst_law(
                 nodes_m={body.name: nodes_m[samples]},
             )
             found = measure(alone)
-            label = f"{body.name} ({start_s:g} to {end_s:g} s)"
+            label = f"{body.name} from {start_s:g} s"
             ratios[label] = found.measured / found.expected
     measured, hint = worst_ratio(ratios, what)
     return Measurement(measured=measured, expected=1.0, hint=hint)
@@ -288,7 +288,9 @@ def start_error(lab: Lab, bodies: Sequence[Deformable]) -> Measurement:
             # Engines mesh boxes along the axes of the world.
             euler_deg = vector(90.0 * np.round(np.divide(euler_deg, 90.0)))
         turned.append(replace(one, pose=Pose.from_euler_deg(place_m, euler_deg)))
-    scene = Scene(bodies=(FRAME,), deformables=tuple(turned), duration_s=0.1)
+    scene = Scene(
+        bodies=(FRAME, *BYSTANDERS), deformables=tuple(turned), duration_s=0.1
+    )
     errors_mm: dict[str, float] = {}
     with lab.running(scene) as simulation:
         for one in turned:
@@ -296,7 +298,7 @@ def start_error(lab: Lab, bodies: Sequence[Deformable]) -> Measurement:
             low_m, high_m = local_m.min(axis=0), local_m.max(axis=0)
             size_m = extent_m(one)
             off_m = np.abs([low_m + 0.5 * size_m, high_m - 0.5 * size_m]).max()
-            spans = " by ".join(f"{1e3 * edge:.4g}" for edge in high_m - low_m)
+            spans = " by ".join(f"{1e3 * edge:.1f}" for edge in high_m - low_m)
             text = f"{one.name} has its size at another place or orientation"
             if np.abs(high_m - low_m - size_m).max() > 0.1 * off_m:
                 text = f"{one.name} spans {spans} mm at the start"
@@ -551,7 +553,7 @@ def momentum_ratio(
             if last > first:
                 seconds = rollout.times_s[last] - rollout.times_s[first]
                 momentum = float((moment[last] - moment[first]) / seconds)
-                label = f"{body.name} (from {start_s:g} s)"
+                label = f"{body.name} from {start_s:g} s"
                 ratios[label] = momentum / (block.mass_kg * speed_m_per_s)
     measured, hint = worst_ratio(ratios, "the momentum")
     return Measurement(measured=measured, expected=1.0, hint=hint)

@@ -147,7 +147,7 @@ def _pulled(lab: Lab) -> Recording:
     cause="distance constraints are too soft, or Young's modulus is taken for the stretch stiffness",
 )
 def _rope_length(lab: Lab) -> Measurement:
-    """Three horizontal ropes, attached to a fixed body at one end and released, which swing for 1.3 s.
+    """Three horizontal ropes, attached to a fixed body at one end and released, which swing for 1 s.
 
     Length along the nodes over that of the scene, at its largest error; the worst.
     """
@@ -156,7 +156,7 @@ def _rope_length(lab: Lab) -> Measurement:
             f"rope of {length_m:g} m": clamped(
                 placed(_rope("rope", length_m), (0.0, 0.0, LEVEL_M)),
                 Region(axis="x", side="low"),
-                duration_s=1.3,
+                duration_s=1.0,
             )
             for length_m in LENGTHS_M
         }
@@ -256,9 +256,9 @@ def _rope_mass(lab: Lab) -> Measurement:
 def _rope_rests_on(lab: Lab) -> Measurement:
     """Three ropes and three rods of 4, 6 and 10 mm radius: on a fixed slab, a driven one that stands still, a free one.
 
-    Mean height of the lowest node over the slab in the last quarter of 1.3 s, minus the radius; the worst.
+    Mean height of the lowest node over the slab in the last quarter of 1 s, minus the radius; the worst.
     """
-    return rest_error(lab, _lines(lab), 1.3)
+    return rest_error(lab, _lines(lab), 1.0)
 
 
 @check("rope-strike", title="rope and rod take the momentum of a body", **STRIKE)
