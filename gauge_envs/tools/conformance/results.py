@@ -2,7 +2,6 @@
 
 import json
 import math
-import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -232,13 +231,6 @@ class EngineColumn:
     def cpu_s(self) -> float:
         """CPU time of all checks whose time is known [s]."""
         return sum(one.cpu_s or 0.0 for one in self.results.values())
-
-    def command(self, check: str) -> str:
-        """Return the command that repeats one check."""
-        words = ["gauge", "backend", "check", self.backend, "--only", check]
-        for name, value in self.settings.items():
-            words += ["--set", f"{name}={value}"]
-        return shlex.join(words)
 
 
 def engine_columns(

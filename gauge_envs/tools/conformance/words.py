@@ -79,7 +79,7 @@ def checks_table(checks: Sequence[Check]) -> Table:
 def engine_document(results: Sequence[CheckResult]) -> Document:
     """Return the results of one engine on one screen: counts, levels, failures, and what it declines.
 
-    The wide form and Markdown have all checks and the settings.
+    The wide form and Markdown have all checks.
     """
     versions = ", ".join(f"{key} {text}" for key, text in results[0].versions.items())
     answer = f"{results[0].backend} ({versions}): {counts_text(results)}"
@@ -108,7 +108,6 @@ def engine_document(results: Sequence[CheckResult]) -> Document:
             ),
         ),
         rows=results,
-        notes=tuple(_settings_lines(results)),
         wide_only=True,
     )
     rows = (one.to_dict() for one in results)
@@ -144,25 +143,6 @@ def _declined_lines(results: Sequence[CheckResult]) -> Iterator[str]:
 
 def _shortened(text: str, length: int = 160) -> str:
     return text if len(text) <= length else f"{text[:length].rsplit(' ', 1)[0]} ..."
-
-
-def _settings_lines(results: Sequence[CheckResult]) -> Iterator[str]:
-    """Yield the settings that all checks share, then the others of each group of checks."""
-    groups: dict[str, list[CheckResult]] = {}
-    for one in results:
-        if one.settings:
-            groups.setdefault(pairs_text(one.settings), []).append(one)
-    firsts = [group[0].settings for group in groups.values()]
-    shared = {
-        key: value
-        for key, value in (firsts[0] if firsts else {}).items()
-        if all(key in one and one[key] == value for one in firsts)
-    }
-    if shared:
-        yield f"Settings of all checks: {pairs_text(shared)}"
-    for group in groups.values():
-        if differing := pairs_text(group[0].settings, skip=tuple(shared)):
-            yield f"{', '.join(one.check for one in group)}: {differing}"
 
 
 def expected_text(result: CheckResult) -> str:
