@@ -6,11 +6,10 @@ import json
 import sys
 import threading
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from itertools import groupby
 from pathlib import Path
 from shlex import join
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Self
 
 import typer
 
@@ -216,34 +215,38 @@ def _run(
 
     ids = [one.id for one in checks([*chosen, *ALWAYS])]
     running = iter([*ids, ""])
-    with _named_when_long(column.title) as current:
-        current[0] = next(running)
+    with _Watch(column.title) as watch:
+        watch.see(next(running))
         for result in run_column(column, ids, worker):
-            current[0] = next(running)
+            watch.see(next(running))
             if result.check not in chosen and not result.is_bad:
                 del column.results[result.check]
                 continue
             yield result
 
 
-@contextmanager
-def _named_when_long(title: str) -> Iterator[list[str]]:
-    """Print a line for each minute that one check takes; the list has its id."""
-    current, is_done = [""], threading.Event()
+class _Watch:
+    """Prints a line for each minute that one check takes."""
 
-    def watch() -> None:
-        last, waited_s = "", 0.0
-        while not is_done.wait(LONG_S):
-            waited_s = waited_s + LONG_S if current[0] == last else LONG_S
-            last = current[0]
-            message(f"{title}: {last} has run for up to {waited_s:.0f} s")
+    def __init__(self, title: str) -> None:
+        self._title = title
+        self._timer = threading.Timer(0.0, print)
 
-    watcher = threading.Thread(target=watch, daemon=True)
-    watcher.start()
-    try:
-        yield current
-    finally:
-        is_done.set()
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._timer.cancel()
+
+    def see(self, check: str, waited_s: float = 0.0) -> None:
+        """Watch the check that runs now, which has run for a time [s]."""
+        if waited_s:
+            message(f"{self._title}: {check} has run for {waited_s:.0f} s")
+        self._timer.cancel()
+        arguments = (check, waited_s + LONG_S)
+        self._timer = threading.Timer(LONG_S, self.see, arguments)
+        self._timer.daemon = True
+        self._timer.start()
 
 
 def _print(

@@ -46,10 +46,10 @@ class Status(StrEnum):
     """The measured value is within the tolerance."""
     FAIL = "fail"
     """The measured value is outside the tolerance, or not finite."""
-    DECLINED = "declined"
-    """The engine reports that it cannot build the scene. This is no failure."""
     ERROR = "error"
     """The engine raised an exception, its process died, or it exceeded a limit."""
+    DECLINED = "declined"
+    """The engine reports that it cannot build the scene. This is no failure."""
 
 
 @dataclass(frozen=True)
