@@ -36,6 +36,9 @@ ALWAYS = ("determinism",)
 CHECK_LIMIT_S = 600.0
 """Default time limit of a check in another process [s]."""
 
+REFUSED = "the settings are refused"
+"""First words of the reason of a check whose scene the engine does not build with the given settings."""
+
 LONG_S = 60.0
 """Time after which a line names the check that runs [s]."""
 
@@ -147,6 +150,7 @@ def backend_check(
             _write(columns, {".json": places[".json"]})
     for path in _write(columns, places):
         message(path)
+    _check_measured(new)
     if before is not None:
         return _is_worse(new, before, form)
     if form is not Format.JSON:
@@ -219,7 +223,7 @@ def _run(
         watch.see(next(running))
         for result in run_column(column, ids, worker):
             watch.see(next(running))
-            if result.check not in chosen and not result.is_bad:
+            if result.check not in chosen and result.status != "fail":
                 del column.results[result.check]
                 continue
             yield result
@@ -261,32 +265,27 @@ def _print(
         print_document(columns_document(columns), form)
 
 
-def _has_failed(new: Sequence[EngineColumn]) -> bool:
-    """Print the counts, and return whether a check failed or nothing was measured.
+def _check_measured(new: Sequence[EngineColumn]) -> None:
+    """Raise a `ParameterError` where no engine can be used, or all refuse the settings in every scene."""
+    results = [one for column in new for one in column.results.values()]
+    reasons = [column.reason for column in new if column.reason]
+    refused = [one for one in results if str(*one.missing[:1]).startswith(REFUSED)]
+    if new and len(refused) == len(results):
+        raise ParameterError((reasons or refused[0].missing)[0])
 
-    Raises:
-        ParameterError: No engine can be used, or they refuse the settings in every scene.
-    """
+
+def _has_failed(new: Sequence[EngineColumn]) -> bool:
+    """Print the counts, and return whether a check failed or nothing was measured."""
     from gauge_envs.tools.conformance.results import counts_text
 
     results = [one for column in new for one in column.results.values()]
-    reasons = [column.reason for column in new if column.reason]
-    if reasons and not results:
-        raise ParameterError(reasons[0])
-    refusals = [
-        reason
-        for one in results
-        for reason in one.missing
-        if reason.startswith("the settings are refused")
-    ]
-    if refusals and len(refusals) == len(results):
-        raise ParameterError(refusals[0])
     if not new:
         message("no check ran")
         return False
     is_measured = any(not one.missing for one in results)
     message(f"{counts_text(results)}{'' if is_measured else '; nothing was measured'}")
-    return bool(reasons) or not is_measured or any(one.is_bad for one in results)
+    has_reason = any(column.reason for column in new)
+    return has_reason or not is_measured or any(one.is_bad for one in results)
 
 
 def _is_surprising(
