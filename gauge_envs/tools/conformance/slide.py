@@ -13,6 +13,7 @@ from gauge_envs.scene import (
     GRAVITY_M_PER_S2 as G,
     Box,
     Cylinder,
+    Motion,
     Pose,
     RigidBody,
     Scene,
@@ -48,8 +49,8 @@ def _board(
 ) -> RigidBody:
     """Return a fixed board whose x axis is downhill, turned about the vertical."""
     turn = Rotation.from_euler("ZY", [yaw_deg, slope_deg], degrees=True)
-    board = fixed_box(name, (0.0, 0.0, 0.0), size_m)
-    return replace(board, pose=Pose.from_rotation((0.0, y_m, 1.0), turn))
+    pose = Pose.from_rotation((0.0, y_m, 1.0), turn)
+    return body(name, Box(size_m=size_m), pose, mass_kg=1.0, motion=Motion.FIXED)
 
 
 def _on(
@@ -73,7 +74,7 @@ def _on(
 def _falls(rollout: Recording, name: str, support: str) -> str:
     """Return what is wrong where a body does not stay on its support; empty where it does."""
     fallen_m = -moved_m(rollout, name, support)[-1, 2]
-    if fallen_m < 0.005:
+    if fallen_m < 0.001:
         return ""
     cosine = math.cos(slope_of(rollout, support).angle_rad)
     if fallen_m > 0.45 * G * cosine * rollout.times_s[-1] ** 2:
