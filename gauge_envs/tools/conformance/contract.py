@@ -119,7 +119,8 @@ def determinism(lab: Lab) -> Measurement:
     cases = {}
     for scene in (lab.first_supported(BOUNCE, FREE), *filter(lab.supports, [STRIP])):
         first = lab.rollout(scene, 0.3)
-        text = "a second run: no seed, or sums in a changing order; it"
+        what = scene.deformables or scene.bodies
+        text = f"a second run of the {what[0].name}: no seed, or a changing order of sums; it"
         cases[text] = {"": _apart(first, lab.rollout(scene, 0.3), columns)}
         other = replace(scene, gravity_m_per_s2=1.62)
         with closing(lab.build(scene)) as simulation, lab.running(other) as beside:
@@ -127,7 +128,7 @@ def determinism(lab: Lab) -> Measurement:
             beside.advance(0.1)
             again = record(simulation, scene, 0.3)
         if cases[text][""] <= width:
-            text = "a run beside another simulation: they share gravity or state; it"
+            text = f"the {what[0].name} beside another simulation, which shares gravity or state,"
             cases[text] = {"": _apart(first, again, columns)}
     return replace(largest(cases), width=width)
 
@@ -255,17 +256,18 @@ CALLS = {"1/180 s": (1 / 180, 432), "1/30 s": (1 / 30, 72), "1 s": (1.0, 2)}
 def time(lab: Lab) -> Measurement:
     """A thrown brick without gravity; 2 s or more in calls of 1/180 s, of 1/30 s and of 1 s.
 
-    Path over time and speed, the worst; the speed is that of the start or as reported, whichever explains the path.
+    Horizontal path over time and speed, the worst. The speed is that of the start or as reported, whichever explains
+    the path.
     """
     ratios, late = {}, []
     scene = replace(FREE, gravity_m_per_s2=0.0)
     for name, (interval_s, count) in CALLS.items():
         rows = lab.rollout(scene, interval_s * count, interval_s=interval_s)
-        speeds = np.linalg.norm(rows.velocity("brick"), axis=1)
+        speeds = np.hypot(*rows.velocity("brick")[:, :2].T)
         # A brake of the velocity is no fault of time.
         reported = 0.5 * (speeds[1:] + speeds[:-1])
-        path = np.linalg.norm(np.diff(rows.position("brick"), axis=0), axis=1).sum()
-        given = count * length_of(SPEED_M_PER_S)
+        path = np.hypot(*np.diff(rows.position("brick")[:, :2], axis=0).T).sum()
+        given = count * np.hypot(*SPEED_M_PER_S[:2])
         sums = np.array([speeds[:-1].sum(), reported.sum(), given])
         shares = path / interval_s / np.maximum(sums, 1e-9)
         ratios[f"calls of {name}"] = float(shares[np.abs(shares - 1.0).argmin()])

@@ -229,7 +229,7 @@ def largest(cases: Mapping[str, Mapping[str, float]], unit: str = "") -> Measure
 
     Args:
         cases: For each case its error by the law, and then what is left of it by known mistakes, in words. A mistake
-            explains an error of which it leaves a fifth or less.
+            explains an error of which it leaves 3 % or less.
         unit: Unit of the errors.
     """
     errors = {case: next(iter(left.values())) for case, left in cases.items()}
@@ -237,7 +237,7 @@ def largest(cases: Mapping[str, Mapping[str, float]], unit: str = "") -> Measure
     error = errors[worst]
     hint = f"{worst} is off by {error:.3g} {unit}".rstrip()
     mistake = min(cases[worst], key=lambda text: cases[worst][text])
-    if cases[worst][mistake] <= 0.2 * error:
+    if cases[worst][mistake] <= 0.03 * error:
         hint += f": {mistake}"
     return Measurement(measured=error, hint=hint)
 
