@@ -189,38 +189,6 @@ def glide_reports(lab: Lab) -> Measurement:
     return largest(cases, "%")
 
 
-@check(
-    "start-velocity-of-origin",
-    title="start velocity is that of the body's origin",
-    law="r_c = r_c0 + (v0 + omega0 x R c) t",
-    source="Newton; contract (RigidBody.linear_velocity_m_per_s)",
-    unit="mm",
-    tolerance=Tolerance("half the scatter of real trials", absolute=0.5),
-    cause="the centre of mass does not follow from the shape, or the start velocity is taken otherwise",
-)
-def start_velocity_of_origin(lab: Lab) -> Measurement:
-    """Thrown, spinning solids without gravity for 0.5 s, some with their origin beside their centre of mass.
-
-    Largest distance of a centre of mass from its straight line.
-    """
-    rollout = lab.once(_tumble)
-    cases = {}
-    for each in rollout.scene.bodies:
-        path = centre_m(rollout, each.name)
-        velocity = np.array(each.linear_velocity_m_per_s)
-        arm = path[0] - rollout.position(each.name)[0]
-        tried = {
-            "": velocity + np.cross(each.angular_velocity_rad_per_s, arm),
-            "its start velocity is given to the centre of mass": velocity,
-            "it starts at rest": 0.0 * velocity,
-        }
-        cases[f"the path of the {each.name}"] = {
-            text: largest_mm(path - path[0] - np.outer(rollout.times_s, one))
-            for text, one in tried.items()
-        }
-    return largest(cases, "mm")
-
-
 # --- fall ------------------------------------------------------------------------------------------------------------
 
 FALLS = ((G, 8.0), (1.62, 0.0), (0.0, 1.0))
@@ -271,6 +239,38 @@ def free_fall(lab: Lab) -> Measurement:
 
 
 # --- rotation --------------------------------------------------------------------------------------------------------
+
+
+@check(
+    "start-velocity-of-origin",
+    title="start velocity is that of the body's origin",
+    law="r_c = r_c0 + (v0 + omega0 x R c) t",
+    source="Newton; contract (RigidBody.linear_velocity_m_per_s)",
+    unit="mm",
+    tolerance=Tolerance("half the scatter of real trials", absolute=0.5),
+    cause="the centre of mass does not follow from the shape, or the start velocity is taken otherwise",
+)
+def start_velocity_of_origin(lab: Lab) -> Measurement:
+    """Thrown, spinning solids without gravity for 0.5 s, some with their origin beside their centre of mass.
+
+    Largest distance of a centre of mass from its straight line.
+    """
+    rollout = lab.once(_tumble)
+    cases = {}
+    for each in rollout.scene.bodies:
+        path = centre_m(rollout, each.name)
+        velocity = np.array(each.linear_velocity_m_per_s)
+        arm = path[0] - rollout.position(each.name)[0]
+        tried = {
+            "": velocity + np.cross(each.angular_velocity_rad_per_s, arm),
+            "its start velocity is given to the centre of mass": velocity,
+            "it starts at rest": 0.0 * velocity,
+        }
+        cases[f"the path of the {each.name}"] = {
+            text: largest_mm(path - path[0] - np.outer(rollout.times_s, one))
+            for text, one in tried.items()
+        }
+    return largest(cases, "mm")
 
 
 def _turned(one: RigidBody, spin: FloatArray, seconds: float) -> Rotation:
