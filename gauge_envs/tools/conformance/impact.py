@@ -93,11 +93,16 @@ def rebound_of_balls(lab: Lab) -> Measurement:
     )
     balls = balls_above_ground(dict.fromkeys(names, DROP_M), spacing_m=0.3)
     rollout = lab.rollout(drop_scene(balls, contacts, seconds=DROPS_S, gravity=G))
-    cases = {}
-    for name, value in names.items():
-        rebound = _rebound(rollout, name)
-        cases[f"{name}: {rebound:.4g}"] = {"": abs(rebound - value)}
-    return largest(cases)
+    ratios = {name: _rebound(rollout, name) for name in names}
+    if not any(ratios.values()):
+        hint = "no ball leaves the ground again: restitution has no effect"
+        return Measurement(measured=max(names.values()), hint=hint)
+    return largest(
+        {
+            f"{name}: {ratios[name]:.4g}": {"": abs(ratios[name] - value)}
+            for name, value in names.items()
+        }
+    )
 
 
 @check(
