@@ -83,7 +83,8 @@ class Measurement:
     Attributes:
         measured: The measured value.
         expected: The value of the closed form, in the same unit.
-        hint: What this particular value shows. A failure prints it in place of the cause of the check; may be empty.
+        hint: What this particular value shows; may be empty. With a colon, as in `it falls through: the pair has no
+            contact`, it explains the failure. Otherwise the cause of the check follows.
         width: Largest admissible difference where it depends on the engine; None for that of the check.
     """
 

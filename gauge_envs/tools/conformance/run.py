@@ -120,10 +120,15 @@ def run_check(lab: Lab, one: Check) -> CheckResult:
             expected=expected,
             measured=measured,
             width=width,
-            diagnosis="" if passed else found.hint or one.cause,
+            diagnosis="" if passed else _message(found.hint, one.cause),
         )
     cpu_s = time.process_time() - started_s
     return replace(result, cpu_s=cpu_s, settings=lab.settings_in_force)
+
+
+def _message(hint: str, cause: str) -> str:
+    """Return what a failure shows, and its most likely cause where the hint does not explain it."""
+    return hint if ":" in hint else ". ".join(filter(None, (hint, cause)))
 
 
 def _error_text(error: BaseException) -> str:
