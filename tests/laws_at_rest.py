@@ -1,22 +1,35 @@
 """Laws of deformable bodies on one body whose clamp stands still, without the rest of their checks."""
 
+import math
+
 from gauge_envs.backends import backend
-from gauge_envs.tools.conformance import cloth, soft
+from gauge_envs.tools.conformance import cloth, foam, rope
 from gauge_envs.tools.conformance.lab import Lab
 
+SHEARED_FABRIC = cloth.fabric(0.25, 27.5, 5e-5)
 LAWS = {
-    "cloth-bending": (cloth._cantilever_lift, cloth.bending_stiffness),
-    "cloth-stretch": (cloth._hanging_lift, cloth.stretch_stiffness),
-    "cloth-shear": (cloth._shear_lift, cloth._shear_stiffness),
-    "foam-tension": (soft._foam_lift, soft._young),
-    "foam-poisson": (soft._foam_lift, soft._poisson),
-    "rod-bending": (soft._rod_lift, soft._rod_stiffness),
+    "cloth-bending": (
+        cloth.cantilever_strip(cloth.BENT_FABRIC),
+        cloth.bending_stiffness,
+        0.35,
+    ),
+    "cloth-stretch": (
+        cloth.hanging_strip(cloth.LIGHT_FABRIC),
+        cloth.stretch_stiffness,
+        0.2,
+    ),
+    "cloth-shear": (cloth.upright_sheet(SHEARED_FABRIC), cloth.shear_stiffness, 0.15),
+    "foam-tension": (foam.hanging_bar(), foam.young, 0.25),
+    "foam-poisson": (foam.hanging_bar(), foam.poisson, 0.25),
+    "rod-bending": (rope.clamped_rod(), rope.rod_stiffness, 0.3),
 }
+"""Scene, law, and the time after which it is settled [s]."""
 
 
 def ratio_at_rest(engine, check, settings=None):
     """Ratio of measured to expected for the first body of a check, while its frame stands still."""
-    lift, measure = LAWS[check]
-    rollout = Lab(backend(engine), settings).rollout(lift.scene, lift.still_s)
-    found = measure(lift.at_rest(rollout))
+    scene, law, settled_s = LAWS[check]
+    rollout = Lab(backend(engine), settings).rollout(scene)
+    (body,) = scene.deformables
+    found = law(rollout, body.name, settled_s, math.inf)
     return found.measured / found.expected

@@ -27,7 +27,7 @@ from gauge_envs.backends.shared.cloth_grid import ClothGrid
 from gauge_envs.scene.states import nominal_states
 from gauge_envs.tools.bench.parts import contact
 from gauge_envs.tools.conformance import Status, run_checks
-from gauge_envs.tools.conformance.lab import clamped, fabric, sheet
+from gauge_envs.tools.conformance.deformable import clamped, fabric, sheet
 
 FABRICS = ("rayon", "satin", "uniform", "nylon", "oxford", "leather")
 
