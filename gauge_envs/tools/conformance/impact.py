@@ -77,7 +77,7 @@ def _rebound(rollout: Recording, name: str) -> float:
     cause="check how Contact.restitution enters: as a coefficient or as damping, and whether two values are combined",
 )
 def rebound_of_balls(lab: Lab) -> Measurement:
-    """Balls dropped by 0.4 m on one plane, with restitutions of 0.2, 0.5, 0.75 and 0.95 with it.
+    """Balls dropped by 0.4 m on a plane, with restitutions of 0.2, 0.5, 0.75 and 0.95 with it.
 
     Outgoing over incoming speed of each, from the heights of its flights, less e; the worst of four.
     """
@@ -129,7 +129,7 @@ def rebound_flat(lab: Lab) -> Measurement:
     title="sustained pair does not rebound",
     law="v' = 0",
     source="contract (scene.ContactMode)",
-    tolerance=Tolerance("it then rises by at most 0.25 % of the drop", absolute=0.05),
+    tolerance=Tolerance("it then rises by 0.25 % or less of the drop", absolute=0.05),
     cause="restitution has no effect on a pair of the mode SUSTAINED: give the engine 0",
 )
 def rebound_sustained(lab: Lab) -> Measurement:
@@ -713,7 +713,7 @@ def _copies(parts: Sequence[str]) -> Scene:
     cause="the engine prefers a direction, a handedness, a place in a list, or a scale of length or mass",
 )
 def copies_alike(lab: Lab) -> Measurement:
-    """Four copies of one scene without gravity: upright, turned, mirrored and listed in reverse, twice as large.
+    """Four copies of a scene without gravity: upright, turned, mirrored and listed in reverse, twice as large.
 
     In each a brick hits a slab, a driven paddle hits a ball, a bar turns on a leaning hinge, and a box whirls on a
     string. What the engine does not build is left out.

@@ -188,7 +188,7 @@ def _cases() -> list[Case]:
 
 
 def _heights(cases: Sequence[Case]) -> Scene:
-    """Return bodies on supports, each pair in a column of its own; all that stand on the plane share it."""
+    """Return bodies on supports, each pair in a separate column; all that stand on the plane share it."""
     bodies, drivers = [ground()], []
     groups: list[tuple[list[str], list[str]]] = [([], ["ground"]), ([], ["ground"])]
     for index, (kind, support) in enumerate(cases):
@@ -219,7 +219,7 @@ def _heights(cases: Sequence[Case]) -> Scene:
 
 
 def _height_hint(errors_mm: Mapping[Case, float]) -> str:
-    """Return what heights are wrong: all, those of one body or of one support, or single ones."""
+    """Return what heights are wrong: all, those of a body or of a support, or of single pairs."""
     wrong = [case for case, mm in errors_mm.items() if not abs(mm) < SHIFT_MM]
     through = [case for case in wrong if errors_mm[case] < -1e3 * 0.3 * FALL_M]
     if through:
@@ -351,12 +351,12 @@ STACKS = {
     "0.1 kg, listed last": ((0.3, 0.075, 20.0), (0.3, 0.025, 0.1)),
     "1 kg": ((0.6, 0.025, 1.0), (0.6, 0.075, 20.0)),
 }
-"""Places x and z [m] and masses [kg] of two boxes each, by the lower one."""
+"""Places x and z [m] and masses [kg] of two boxes each, by the lower box."""
 
 
 @check(
     "mass-ratio",
-    title="heavy body on a light one",
+    title="heavy body on a light body",
     law="height = const",
     source="statics: rigid bodies carry any weight",
     unit="mm",
@@ -364,15 +364,15 @@ STACKS = {
     cause="contacts of a light body are too soft for the weight on it, or the solver ends before its forces balance",
 )
 def mass_ratio(lab: Lab) -> Measurement:
-    """Boxes of 20 kg on boxes of 0.1 kg and of 1 kg, on a plane; the heavy one listed first or last.
+    """Boxes of 20 kg on boxes of 0.1 kg and of 1 kg, on a plane; the heavy box listed first or last.
 
-    Lesser displacement upward of two boxes, mean over 0.4 to 0.5 s, the worst of three stacks.
+    Lesser displacement upward of two boxes, mean over 0.2 to 0.3 s, the worst of three stacks.
     """
     boxes = [one for stack in STACKS.values() for one in stack]
     places = [(x, 0.0, z) for x, z, _ in boxes]
-    scene = _boxes_at(places, seconds=0.5, masses_kg=[kg for *_, kg in boxes])
+    scene = _boxes_at(places, seconds=0.3, masses_kg=[kg for *_, kg in boxes])
     rollout = lab.rollout(scene)
-    late = rollout.between(0.4, 0.5)
+    late = rollout.between(0.2, 0.3)
     errors_mm = {}
     for index, name in enumerate(STACKS):
         pair = [rollout.displacement(f"box {2 * index + one}") for one in (0, 1)]
@@ -434,11 +434,11 @@ def wall(lab: Lab) -> Measurement:
     cause="contacts leave a velocity in each step, as a correction of penetration does",
 )
 def rest_long(lab: Lab) -> Measurement:
-    """A box that stands on another one on a plane, and a box beside them.
+    """A box that stands on another box on a plane, 20 mm off its middle.
 
     Largest displacement within 2.3 s of a point 50 mm from the middle of a box.
     """
-    places = ((0.0, 0.0, 0.025), (0.02, 0.0, 0.075), (0.3, 0.0, 0.025))
+    places = ((0.0, 0.0, 0.025), (0.02, 0.0, 0.075))
     rollout = lab.rollout(_boxes_at(places, seconds=2.3))
     moved_mm = {}
     for one in rollout.scene.dynamic_bodies:
