@@ -1,9 +1,10 @@
 """Many worlds at once: each world of a batch is the single simulation of its start and of its driven motion."""
 
 from collections.abc import Sequence
-from contextlib import ExitStack, chdir, closing
+from contextlib import chdir, closing, suppress
+from itertools import product
 from tempfile import TemporaryDirectory
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -14,13 +15,13 @@ from gauge_envs.scene.states import nominal_states
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 from gauge_envs.tools.bench.parts import ball
 from gauge_envs.tools.bench.recording import DeclinedError
-from gauge_envs.tools.conformance.lab import Lab, push
+from gauge_envs.tools.conformance.lab import Lab, largest, push
 from gauge_envs.tools.conformance.model import COUNT, Measurement, Tolerance, check
 from gauge_envs.tools.conformance.restart import (
     BOUNCE,
     CARRIED,
+    CLOTH,
     HUNG,
-    cloths,
     gaps,
     start_of,
     widest,
@@ -66,8 +67,17 @@ def _read(simulation: Simulation, scene: Scene) -> FloatArray:
     return np.array(simulation.body_states([one.name for one in scene.bodies]))
 
 
-def _course(simulation: Simulation, scene: Scene, numbers: Sequence[int]) -> FloatArray:
-    """Run worlds, and return what is read after each interval, shape [interval_count, world_count, ...]."""
+def _course(
+    simulation: Simulation,
+    scene: Scene,
+    numbers: Sequence[int],
+    starts: FloatArray | None = None,
+    wrenches: FloatArray | None = None,
+) -> FloatArray:
+    """Run worlds from their starts, under wrenches on the stick, and return what is read after each interval."""
+    simulation.reset(_starts(scene, numbers) if starts is None else starts, 0)
+    if wrenches is not None:
+        push(simulation, "stick", wrenches)
     rows = []
     for interval in range(12 if scene.deformables else INTERVALS):
         _drive(simulation, scene, numbers, interval)
@@ -76,66 +86,108 @@ def _course(simulation: Simulation, scene: Scene, numbers: Sequence[int]) -> Flo
     return np.array(rows)
 
 
-def _begun(simulation: Simulation, scene: Scene, numbers: Sequence[int]) -> FloatArray:
-    """Reset worlds to their starts, and return their course."""
-    simulation.reset(_starts(scene, numbers), 0)
-    return _course(simulation, scene, numbers)
+@check(
+    "worlds-shapes",
+    title="arrays of worlds",
+    law="shape = [N, ...], new arrays, inputs unchanged",
+    source="contract (gauge_envs.backends.simulation)",
+    tolerance=COUNT,
+    cause="arrays have the world as first axis, and belong to the caller",
+)
+def worlds_shapes(lab: Lab) -> Measurement:
+    """One and three worlds of a stick, a bouncing ball, one on a driven plate and a pendulum; and of cloth.
+
+    Number of faults: shapes of what is returned, arrays that change later, arrays of starts that `reset` changes or
+    needs later, a nominal start that not all worlds have, `diverged` that names healthy worlds.
+    """
+    faults: dict[str, None] = {}
+    for scene in (_rigid(lab), *filter(lab.supports, [CLOTH])):
+        names = [one.name for one in scene.bodies]
+        for count in (1, 3):
+            starts = _starts(scene, range(count))
+            given = starts.copy()
+            with closing(lab.build(scene, count)) as simulation:
+                simulation.reset(starts, 0)
+                states = simulation.body_states(names)
+                first, unchanged = np.array(states), np.array_equal(starts, given)
+                starts[:] = np.nan
+                _drive(simulation, scene, range(count), 0)
+                simulation.advance(SAMPLE_INTERVAL_S)
+                later, reasons = _read(simulation, scene), dict(simulation.diverged())
+                simulation.reset(None, 0)
+                nominal = _read(simulation, scene)
+                right = {
+                    f"world_count is {simulation.world_count}": simulation.world_count
+                    == count,
+                    f"body_states has shape {first.shape}": first.shape
+                    == (count, len(names), 13),
+                    f"an array has shape {later.shape}": later.shape
+                    == (count, *later.shape[-2:]),
+                    "body_states returns an array that changes later": np.array_equal(
+                        states, first
+                    ),
+                    "reset() changes the array of starts": unchanged,
+                    "reset() keeps the array of starts": np.isfinite(later).all(),
+                    f"diverged() is {reasons}": not reasons,
+                    "reset() gives worlds another start": not np.ptp(nominal, 0).any(),
+                }
+            faults |= {text: None for text, fine in right.items() if not fine}
+    return Measurement(measured=len(faults), hint="; ".join(faults))
 
 
-class _Batch(NamedTuple):
-    """Courses of the worlds of a scene."""
-
-    scene: Scene
-    singles: dict[int, FloatArray]
-    first: FloatArray
-    reversed: FloatArray
-    threads: FloatArray | None
+TOGETHER, THREADS, AGAIN = "world", "in threads simulation", "after the reset world"
+Runs = dict[str, tuple[Sequence[int], FloatArray]]
+"""What ran together -> numbers of the starts, and courses, shape [interval_count, world_count, ...]."""
 
 
-def _batches(lab: Lab) -> list[_Batch]:
-    """Return courses alone, together, after a reset in the reversed order, and of simulations in threads."""
+def _batches(lab: Lab) -> list[tuple[Scene, dict[int, FloatArray], Runs]]:
+    """Return scenes, the courses of single simulations by the number of their start, and those of batches."""
     found = []
-    for scene in (_rigid(lab), *cloths(lab)):
-        threads = None
+    for scene in (_rigid(lab), *filter(lab.supports, [CLOTH])):
+        runs: Runs = {}
         with closing(lab.build(scene)) as one:
-            singles = {n: _begun(one, scene, [n])[:, 0] for n in SINGLES}
-            has_threads = one.releases_gil
-        if has_threads:
-            many = LoopedSimulation([lab.build(scene) for _ in SINGLES])
-            with closing(many):
-                threads = _begun(many, scene, SINGLES)
+            singles = {n: _course(one, scene, [n])[:, 0] for n in SINGLES}
+            if one.releases_gil:
+                with closing(
+                    LoopedSimulation([lab.build(scene) for _ in SINGLES])
+                ) as many:
+                    runs[THREADS] = SINGLES, _course(many, scene, SINGLES)
         with closing(lab.build(scene, len(WORLDS))) as batch:
-            first = _begun(batch, scene, WORLDS)
-            last = _begun(batch, scene, WORLDS[::-1])
-        found.append(_Batch(scene, singles, first, last, threads))
+            for what, numbers in ((TOGETHER, WORLDS), (AGAIN, WORLDS[::-1])):
+                runs[what] = numbers, _course(batch, scene, numbers)
+        found.append((scene, singles, runs))
     return found
 
 
 def _gap(here: FloatArray, there: FloatArray) -> FloatArray:
-    """Return differences of states or nodes; what is not finite is infinitely far."""
+    """Return differences of states or nodes; what is not finite is far away."""
     gap = gaps(here, there) if here.shape[-1] == 13 else np.abs(here - there)
-    return np.nan_to_num(gap, nan=np.inf)
+    return np.nan_to_num(gap, nan=1e9, posinf=1e9)
 
 
-def _compared(
-    batch: _Batch, courses: FloatArray, numbers: Sequence[int], what: str
-) -> Measurement:
+def _compared(lab: Lab, *kinds: str) -> Measurement:
     """Measure how courses differ from those of single simulations, and name the world, body and interval."""
     worst = Measurement(measured=0.0)
-    for number, single in batch.singles.items():
-        here = courses[:, numbers.index(number)]
-        gap = _gap(here, single)
-        if gap.max() <= worst.measured:
-            continue
-        hint = f"{what} {numbers.index(number)} differs by {gap.max():.3g}"
-        when = int((gap > ALONE.absolute).reshape(len(gap), -1).any(axis=1).argmax())
-        body = int(gap[when].max(axis=-1).argmax())
-        name = "cloth" if batch.scene.deformables else batch.scene.bodies[body].name
-        hint += f", first the {name} in interval {when + 1}"
-        for other, course in batch.singles.items():
-            if other != number and _gap(here, course).max() < 0.01 * gap.max():
-                hint += f"; it has the course of world {numbers.index(other)}"
-        worst = Measurement(measured=float(gap.max()), hint=hint)
+    for scene, singles, runs in lab.once(_batches):
+        for what, number in product(kinds, SINGLES):
+            if what not in runs:
+                continue
+            numbers, courses = runs[what]
+            here = courses[:, numbers.index(number)]
+            gap = _gap(here, singles[number])
+            if gap.max() <= worst.measured:
+                continue
+            hint = f"{what} {numbers.index(number)} differs by {gap.max():.3g}"
+            when = int(
+                (gap > ALONE.absolute).reshape(len(gap), -1).any(axis=1).argmax()
+            )
+            body = int(gap[when].max(axis=-1).argmax())
+            name = "cloth" if scene.deformables else scene.bodies[body].name
+            hint += f", first the {name} in interval {when + 1}"
+            for other, course in singles.items():
+                if other != number and _gap(here, course).max() < 0.01 * gap.max():
+                    hint += f"; it has the course of world {numbers.index(other)}"
+            worst = Measurement(measured=float(gap.max()), hint=hint)
     return worst
 
 
@@ -153,12 +205,7 @@ def worlds_single(lab: Lab) -> Measurement:
     Largest difference of a state or node within 0.2 s from single simulations; the worlds start and move differently.
     Simulations of engines with `releases_gil` also advance in threads at once.
     """
-    found = []
-    for one in lab.once(_batches):
-        found.append(_compared(one, one.first, WORLDS, "world"))
-        if one.threads is not None:
-            found.append(_compared(one, one.threads, SINGLES, "in threads simulation"))
-    return max(found, key=lambda one: one.measured)
+    return _compared(lab, TOGETHER, THREADS)
 
 
 @check(
@@ -174,11 +221,7 @@ def worlds_reset(lab: Lab) -> Measurement:
 
     Largest difference of a state or node within 0.2 s after the reset from single simulations.
     """
-    found = [
-        _compared(one, one.reversed, WORLDS[::-1], "world")
-        for one in lab.once(_batches)
-    ]
-    return max(found, key=lambda one: one.measured)
+    return _compared(lab, AGAIN)
 
 
 @check(
@@ -214,8 +257,7 @@ def worlds_wrench(lab: Lab) -> Measurement:
     ratios = gains / expected
     errors = np.nan_to_num(np.abs(ratios - 1.0), nan=np.inf)
     call, world, axis = np.unravel_index(errors.argmax(), errors.shape)
-    part = slice(0, 3) if axis < 3 else slice(3, 6)
-    what = "force" if axis < 3 else "torque"
+    what, part = ("force", slice(3)) if axis < 3 else ("torque", slice(3, 6))
     ratio = float(ratios[call, world, axis])
     hint = f"{ratio:.3g} times the {what} of call {call + 1} acts in world {world}"
     alike = np.isclose(expected[..., part], gains[call, world, part], rtol=5e-3)
@@ -239,82 +281,26 @@ def worlds_neighbours(lab: Lab) -> Measurement:
     """
     scene, numbers = _rigid(lab), range(5)
     watched, others = [1, 3], [0, 2, 4]
-    worst = Measurement(measured=0.0)
-    with ExitStack() as stack:
-        stack.enter_context(chdir(stack.enter_context(TemporaryDirectory())))
-        simulation = stack.enter_context(closing(lab.build(scene, 5)))
-        before = _begun(simulation, scene, numbers)[:, watched]
-        for what in ("start otherwise", "are pushed", "diverge", "have diverged"):
-            moved = (9, 1, 11, 3, 13) if what == "start otherwise" else numbers
-            starts = _starts(scene, moved)
-            if what == "diverge":
-                starts[others, 0, 7] = 1e12
-            simulation.reset(starts, 0)
-            if what == "are pushed":
-                wrenches = np.zeros((5, 6))
-                wrenches[others] = [0.3, -0.2, 0.4, 0.001, 0.002, -0.003]
-                try:
-                    push(simulation, "stick", wrenches)
-                except DeclinedError:
-                    continue
-            gap = _gap(_course(simulation, scene, moved)[:, watched], before).max()
-            if lost := [
-                number for number in watched if number in simulation.diverged()
-            ]:
-                hint = f"diverged() names world {lost[0]} when its neighbours {what}"
-                return Measurement(measured=np.inf, hint=hint)
-            if gap > worst.measured:
-                hint = (
-                    f"worlds 1 and 3 differ by {gap:.3g} when worlds 0, 2 and 4 {what}"
-                )
-                worst = Measurement(measured=float(gap), hint=hint)
-    return worst
-
-
-@check(
-    "worlds-shapes",
-    title="arrays of worlds",
-    law="shape = [N, ...], new arrays, inputs unchanged",
-    source="contract (gauge_envs.backends.simulation)",
-    tolerance=COUNT,
-    cause="the first axis of every array is the world",
-)
-def worlds_shapes(lab: Lab) -> Measurement:
-    """One and three worlds of a stick, a bouncing ball, one on a driven plate and a pendulum; and of cloth.
-
-    Number of faults: shapes of what is returned, arrays that change later, arrays of starts that `reset` changes or
-    needs later, a nominal start that not all worlds have, `diverged` that names healthy worlds.
-    """
-    faults = []
-    for scene in (_rigid(lab), *cloths(lab)):
-        names = [one.name for one in scene.bodies]
-        for count in (1, 3):
-            starts = _starts(scene, range(count))
-            given = starts.copy()
-            with closing(lab.build(scene, count)) as simulation:
-                simulation.reset(starts, 0)
-                states = simulation.body_states(names)
-                first, unchanged = np.array(states), np.array_equal(starts, given)
-                starts[:] = np.nan
-                _drive(simulation, scene, range(count), 0)
-                simulation.advance(SAMPLE_INTERVAL_S)
-                later, reasons = _read(simulation, scene), dict(simulation.diverged())
-                simulation.reset(None, 0)
-                nominal = _read(simulation, scene)
-                right = {
-                    f"world_count is {simulation.world_count}": simulation.world_count
-                    == count,
-                    f"body_states has shape {first.shape}": first.shape
-                    == (count, len(names), 13),
-                    f"an array has shape {later.shape}": later.shape
-                    == (count, *later.shape[-2:]),
-                    "body_states returns an array that changes later": np.array_equal(
-                        states, first
-                    ),
-                    "reset() changes the array of starts": unchanged,
-                    "reset() keeps the array of starts": np.isfinite(later).all(),
-                    f"diverged() is {reasons}": not reasons,
-                    "reset() gives worlds another start": not np.ptp(nominal, 0).any(),
-                }
-            faults += [f"{text} of {count}" for text, fine in right.items() if not fine]
-    return Measurement(measured=len(faults), hint="; ".join(faults))
+    wrenches, fast = np.zeros((5, 6)), _starts(scene, numbers)
+    wrenches[others] = [0.3, -0.2, 0.4, 0.001, 0.002, -0.003]
+    fast[others, 0, 7] = 1e12
+    cases: tuple[tuple[str, Sequence[int], Any, Any], ...] = (
+        ("are as before", numbers, None, None),
+        ("start and move otherwise", (9, 1, 11, 3, 13), None, None),
+        ("are pushed", numbers, None, wrenches),
+        ("diverge", numbers, fast, None),
+        ("have diverged", numbers, None, None),
+    )
+    found = {}
+    with TemporaryDirectory() as folder, chdir(folder), lab.running(scene, 5) as five:
+        for what, *how in cases:
+            with suppress(DeclinedError):
+                courses = _course(five, scene, *how)[:, watched]
+                if what == "are as before":
+                    before = courses
+                is_lost = not five.diverged().keys().isdisjoint(watched)
+                gap = 1e9 if is_lost else float(_gap(courses, before).max())
+                text = f"world 1 or 3, where worlds 0, 2 and 4 {what},"
+                left = 0.0 if is_lost else gap
+                found[text] = {"": gap, "diverged() names it": left}
+    return largest(found)
