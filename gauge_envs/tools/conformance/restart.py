@@ -52,7 +52,7 @@ RUN_S = 0.2
 REPEATED = Tolerance(
     "bit for bit, or poses to 1000 times the start error of Backend.repeatability"
 )
-STARTED = Tolerance("single precision, over one rebound", absolute=1e-4)
+STARTED = Tolerance("single precision, over one rebound", absolute=5e-4)
 RESET = "contract (Simulation.reset)"
 SAME: dict[str, Any] = {
     "law": "same starts and seed, same trajectory",
@@ -268,7 +268,7 @@ def reset_course(lab: Lab) -> Measurement:
     """A thrown stick, a tumbling brick, a bouncing ball, one on a driven plate, a pendulum; a falling sheet of cloth.
 
     Largest difference of a state or node within 0.2 s between runs of one simulation with the same seed, 0 or 1. Runs
-    from other starts and with seeds 1 and 2 lie between. Free flight may not depend on the seed by more than 0.1 mm.
+    from other starts and with seeds 1 and 2 lie between. Free flight may not depend on the seed by more than 0.5 mm.
     """
     found: Gaps = {}
     for _, runs in lab.once(_again):
