@@ -70,6 +70,9 @@ class Passed(Simulation):
     def track(self, name, points_m):
         return self.inner.track(name, points_m)
 
+    def diverged(self):
+        return self.inner.diverged()
+
     def close(self):
         self.inner.close()
 
@@ -166,7 +169,7 @@ def _sphere_inertia(body: RigidBody) -> RigidBody:
         return body
     _, inertia_kg_m2 = body_mass_properties(body)
     mean = float(np.trace(inertia_kg_m2)) / 3.0
-    return replace(body, inertia_kg_m2=tuple(map(tuple, mean * np.eye(3))))
+    return replace(body, inertia_kg_m2=mean)
 
 
 def _first_part(body: RigidBody) -> RigidBody:
