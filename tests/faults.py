@@ -418,7 +418,9 @@ class _StartsAtRest(_IgnoresStarts):
 
 
 class _StartsClothInPlace(_IgnoresStarts):
-    rows = slice(1, None)
+    @property
+    def rows(self):
+        return slice(len(self.scene.bodies), None)
 
 
 class _StartsAsFirst(LoopedSimulation):
