@@ -129,7 +129,7 @@ def stretch_stiffness(
 
 
 DEPTHS_M = (0.041, 0.028, 0.053)
-"""Depths of three clamps: with cells of 25 mm, an error by 1.25 or 0.8 holds another line of nodes of one of them."""
+"""Depths of three clamps: with cells of 25 mm, an error by 1.25 or 0.8 holds another line of nodes of some strip."""
 
 
 def _hanging(lab: Lab) -> Recording:
@@ -357,10 +357,10 @@ def _friction(lab: Lab, slope_deg: float, friction: float) -> float:
     tolerance=Tolerance(
         "the many light contacts of a sheet flutter, and some are open", relative=0.05
     ),
-    cause="friction of cloth comes from one global constant, or is combined otherwise than that of rigid pairs",
+    cause="friction of cloth comes from a global constant, or is combined otherwise than that of rigid pairs",
 )
 def _cloth_slide(lab: Lab) -> Measurement:
-    """A sheet on a fixed slab that leans by 30 degrees, friction 0.3; one on a slab driven by 10 m/s^2, friction 0.2.
+    """A sheet on a fixed slab that leans by 30 degrees, friction 0.3; and on a slab driven by 10 m/s^2, friction 0.2.
 
     Friction from the mean acceleration of the nodes, quadratic fit, over that of the scene; the worse.
     """
@@ -373,7 +373,7 @@ def _cloth_slide(lab: Lab) -> Measurement:
 
 @check("cloth-rests-on", title="cloth lies on bodies", law="height = h / 2", **REST)
 def _cloth_rests_on(lab: Lab) -> Measurement:
-    """Three sheets, h = 2, 6 and 12 mm thick: on a fixed slab, on a driven one that stands still, and on a free one.
+    """Three sheets, h = 2, 6 and 12 mm thick: on a fixed slab, a driven slab that stands still, and a free slab.
 
     Mean height of the lowest node over the slab in the last quarter of 1.3 s, minus half the thickness; the worst.
     """
@@ -505,5 +505,5 @@ def _air_pressure(lab: Lab) -> Measurement:
         law_m = law.y[:2, -1]
         for name, axis in (("along the edge", 0), ("along the normal", 1)):
             if abs(law_m[axis]) > 1e-6:
-                ratios[f"{kind} drag {name}"] = float(moved_m[axis] / law_m[axis])
+                ratios[f"the {kind} force {name}"] = float(moved_m[axis] / law_m[axis])
     return ratio(ratios, "the displacement")

@@ -435,7 +435,7 @@ STRIKE: dict[str, Any] = {
         "no force acts from outside; a mesh has the mass at its nodes to 1 %",
         relative=0.01,
     ),
-    "cause": "the mass of the nodes is not mass_kg, or the contact pushes one of the two alone",
+    "cause": "the mass of the nodes is not mass_kg, or the contact pushes only body or block",
 }
 """Texts of the checks of momentum."""
 

@@ -95,7 +95,7 @@ LENGTHS_M = (0.3, 0.2, 0.25)
 
 
 def _swinging(lean_deg: float, duration_s: float) -> Scene:
-    """Return ropes of three lengths that are attached at one end, from a slope downward."""
+    """Return ropes of three lengths that are attached at an end, from a slope downward."""
     pose = Pose.from_euler_deg(LEVEL.position_m, (0.0, lean_deg, 0.0))
     end = Region(axis="x", side="low")
     ropes = {
@@ -118,11 +118,11 @@ def _swinging(lean_deg: float, duration_s: float) -> Scene:
     cause="distance constraints are too soft, or the rope does not hold the block that it is attached to",
 )
 def _rope_length(lab: Lab) -> Measurement:
-    """Three horizontal ropes between a fixed body and a free block at their end, which fall and swing for 1 s.
+    """Three horizontal ropes between a fixed body and a free block at their end, which fall and swing for 0.6 s.
 
     Length along the nodes to the block over that of the scene, at its largest error; the worst.
     """
-    scene = _swinging(0.0, 1.0)
+    scene = _swinging(0.0, 0.6)
     ropes: Any = scene.deformables
     ends_m = [one.pose.to_world([0.5 * one.length_m, 0.0, 0.0]) for one in ropes]
     blocks = tuple(
@@ -167,7 +167,7 @@ FIRST_ZERO = float(jn_zeros(0, 1)[0])
     cause="the mass at the ends is not half a segment's, or there is damping or bending stiffness",
 )
 def _rope_period(lab: Lab) -> Measurement:
-    """Three straight ropes of 0.3, 0.2 and 0.25 m that hang from one end, released at 4 degrees.
+    """Three straight ropes of 0.3, 0.2 and 0.25 m that hang from an end, released at 4 degrees.
 
     Period of the first mode, twice the time between its first two zeros, over that of the law; the worst.
     """
@@ -189,7 +189,7 @@ def _rope_period(lab: Lab) -> Measurement:
 
 @check("rope-rests-on", title="rope and rod lie on bodies", law="height = r", **REST)
 def _rope_rests_on(lab: Lab) -> Measurement:
-    """Three ropes and three rods of r = 4, 6 and 10 mm: on a fixed slab, a driven one that stands still, a free one.
+    """Three ropes and three rods of r = 4, 6 and 10 mm: on a fixed, a driven and a free slab; the driven slab stands still.
 
     Mean height of the lowest node over the slab in the last quarter of 1 s, minus the radius; the worst.
     """
