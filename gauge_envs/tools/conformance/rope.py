@@ -189,7 +189,7 @@ def _rope_period(lab: Lab) -> Measurement:
 
 @check("rope-rests-on", title="rope and rod lie on bodies", law="height = r", **REST)
 def _rope_rests_on(lab: Lab) -> Measurement:
-    """Three ropes and three rods of r = 4, 6 and 10 mm: on a fixed, a driven and a free slab; the driven slab stands still.
+    """Three ropes and three rods of r = 4, 6 and 10 mm: on a fixed, a driven (still) and a free slab.
 
     Mean height of the lowest node over the slab in the last quarter of 1 s, minus the radius; the worst.
     """
