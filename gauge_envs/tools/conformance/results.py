@@ -57,7 +57,8 @@ def levels(results: Sequence[CheckResult]) -> dict[str, str]:
         elif len(declined) == len(ran):
             found[level] = "declined"
         elif needed:
-            found[level] = f"incomplete, {', '.join(needed)} declined"
+            rest = f" and {len(needed) - 1} more" if needed[1:] else ""
+            found[level] = f"incomplete, {needed[0]}{rest} declined"
     return found
 
 
