@@ -42,8 +42,7 @@ BOBS: dict[str, tuple[Shape, Vector, Vector, float]] = {
     "fast ball": (Sphere(radius_m=0.02), (-0.6, 0.8, 0.0), (0.04, 0.03, 0.03), 0.0),
     "bar on a leaning axis": (BAR, (0.8, 0.0, 0.6), (0.078, 0.07, -0.104), 0.0),
     "block": (BLOCK, (0.6, 0.0, 0.8), (0.08, -0.05, -0.06), 0.0),
-    "balanced bar of 14 rad/s": (BAR, LEANING, ZERO, 14.0),
-    "balanced bar of -5 rad/s": (BAR, (0.0, 0.0, 1.0), ZERO, -5.0),
+    "balanced bar of -14 rad/s": (BAR, LEANING, ZERO, -14.0),
     "balanced bar of 0.05 rad/s": (BAR, LEANING, ZERO, 0.05),
 }
 """Shape, axis of the hinge, centre of mass from the anchor [m], and rate [rad/s] at the start."""
@@ -65,10 +64,7 @@ def _hinged(names: Sequence[str]) -> Scene:
     return Scene(bodies=tuple(bodies), joints=tuple(hinges), duration_s=4.0)
 
 
-Cases = dict[str, dict[str, float]]
-
-
-def _pendulums(lab: Lab) -> tuple[Cases, dict[str, float], Cases]:
+def _pendulums(lab: Lab) -> list[dict[str, float]]:
     """Return errors of the arm [mm], periods over the law, and changes of energy [%]."""
     scene = _hinged(lab.buildable([*BOBS], _hinged))
     runs = {"": lab.rollout(scene), " for 20 s": lab.rollout(_hinged(["ball"]), 20.0)}
@@ -90,16 +86,15 @@ def _pendulums(lab: Lab) -> tuple[Cases, dict[str, float], Cases]:
             path = centre_m(rollout, each.name)
             arms = path - rollout.scene.hinges[each.name].anchor_m
             off_m = np.abs([np.linalg.norm(arms, axis=1) - arm_m, arms @ axis]).max()
-            radii[f"the arm of the {name}"] = {"": 1e3 * float(off_m)}
+            radii[f"the arm of the {name}"] = 1e3 * float(off_m)
             _, tensor = mass_properties(shape, 1.0)
             spins = rollout.angular_velocity(each.name)
-            inner = rollout.rotation(each.name).apply(spins, inverse=True)
-            speeds = rollout.velocity(each.name) + np.cross(
-                spins, path - rollout.position(each.name)
-            )
-            energy = 0.5 * (
-                (speeds**2).sum(axis=1) + (inner @ tensor * inner).sum(axis=1)
-            )
+            centres = path - rollout.position(each.name)
+            speeds = rollout.velocity(each.name) + np.cross(spins, centres)
+            inner = each.pose.matrix.T @ axis
+            gyration_m = float(np.sqrt(inner @ tensor @ inner))
+            squares = (speeds**2).sum(axis=1) + (gyration_m * spins @ axis) ** 2
+            energy = 0.5 * squares
             scale = energy.max()
             energy += G * path[:, 2]
             if run == pushed:
@@ -109,10 +104,9 @@ def _pendulums(lab: Lab) -> tuple[Cases, dict[str, float], Cases]:
                 # Lowest direction across the axis.
                 low = axis[2] * np.array(axis) - [0.0, 0.0, 1.0]
                 across = length_of(low)
-                inner = each.pose.matrix.T @ axis
                 period = pendulum_period_s(
                     length_m=arm_m,
-                    gyration_m=float(np.sqrt(inner @ tensor @ inner)),
+                    gyration_m=gyration_m,
                     amplitude_rad=float(np.arccos(start @ low / across / arm_m)),
                     gravity_m_per_s2=G * across,
                 )
@@ -124,8 +118,8 @@ def _pendulums(lab: Lab) -> tuple[Cases, dict[str, float], Cases]:
                 # The trend between the first and the last 5 s, in 100 s.
                 trend = change[-900:].mean() - change[:900].mean()
                 percent = abs(trend) * 100.0 / 15.0
-            energies[f"the energy of the {name}"] = {"": float(percent)}
-    return radii, periods, energies
+            energies[f"the energy of the {name}"] = float(percent)
+    return [radii, periods, energies]
 
 
 @check(
@@ -229,9 +223,9 @@ def tether_length(lab: Lab) -> Measurement:
             fall = rollout.cut(0.0, SLACK_S)
             lack = G + acceleration_m_per_s2(fall.times_s, fall.position(name)[:, 2])
             lag_mm = 500.0 * abs(lack) * SLACK_S**2
-            cases["the fall while a string is slack"] = {"": lag_mm}
+            cases["the fall while a string is slack"] = lag_mm
             beyond = np.maximum(beyond, 0.0)
         aside = (name != "block") * arm[:, :2].T
         off_mm = 1e3 * float(np.abs([beyond, *aside]).max())
-        cases[f"the string of the {name}"] = {"": off_mm}
+        cases[f"the string of the {name}"] = off_mm
     return largest(cases, "mm")

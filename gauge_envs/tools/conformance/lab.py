@@ -224,20 +224,26 @@ def ratio(ratios: Mapping[str, float], what: str) -> Measurement:
     return Measurement(measured=measured, expected=1.0, hint=hint)
 
 
-def largest(cases: Mapping[str, Mapping[str, float]], unit: str = "") -> Measurement:
+def largest(
+    cases: Mapping[str, float | Mapping[str, float]], unit: str = ""
+) -> Measurement:
     """Measure the largest error of some cases; a hint names it, and the known mistake that explains it.
 
     Args:
-        cases: For each case its error by the law, and then what is left of it by known mistakes, in words. A mistake
+        cases: For each case its error by the law; or that and what is left of it by known mistakes, in words. A mistake
             explains an error of which it leaves 3 % or less.
         unit: Unit of the errors.
     """
-    errors = {case: next(iter(left.values())) for case, left in cases.items()}
+    known = {
+        case: left if isinstance(left, Mapping) else {"": left}
+        for case, left in cases.items()
+    }
+    errors = {case: next(iter(left.values())) for case, left in known.items()}
     worst = max(errors, key=lambda case: np.nan_to_num(errors[case], nan=np.inf))
     error = errors[worst]
     hint = f"{worst} is off by {error:.3g} {unit}".rstrip()
-    mistake = min(cases[worst], key=lambda text: cases[worst][text])
-    if cases[worst][mistake] <= 0.03 * error:
+    mistake = min(known[worst], key=lambda text: known[worst][text])
+    if known[worst][mistake] <= 0.03 * error:
         hint += f": {mistake}"
     return Measurement(measured=error, hint=hint)
 
