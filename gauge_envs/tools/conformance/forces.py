@@ -128,7 +128,7 @@ def stated_inertia(lab: Lab) -> Measurement:
 
 # --- contact forces --------------------------------------------------------------------------------------------------
 
-BRICK_M, BRICK_KG, UP = (0.1, 0.08, 0.03), 0.2, np.array([0.0, 0.0, 1.0])
+BRICK_M, BRICK_KG = (0.1, 0.08, 0.03), 0.2
 BRICKS = (
     box("resting", (0.0, 0.5, 0.015), BRICK_M),
     thrown(box("sliding", (-1.0, -0.5, 0.015), BRICK_M), (2.4, 0.7, 0.0)),
@@ -170,10 +170,8 @@ def contact_force(lab: Lab) -> Measurement:
             speeds.append(simulation.body_states(names)[0, :, 7:10])
             simulation.advance(SAMPLE_INTERVAL_S)
             forces.append(signs * read()[0] / BRICK_KG)
-    law = np.diff(speeds, axis=0) / SAMPLE_INTERVAL_S + G * UP
+    law = np.diff(speeds, axis=0) / SAMPLE_INTERVAL_S + [0.0, 0.0, G]
     off = np.linalg.norm(np.array(forces)[:-1] - law, axis=2).max(axis=0)
     shares = off / np.linalg.norm(law, axis=2).max(axis=0)
-    cases = zip(
-        (f"the force on the {name} brick" for name in names), shares, strict=True
-    )
+    cases = zip(map("the force on the {} brick".format, names), shares, strict=True)
     return largest(dict(cases))

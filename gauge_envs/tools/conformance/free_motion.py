@@ -20,7 +20,6 @@ from gauge_envs.scene import (
     Scene,
     Shape,
     Sphere,
-    Vector,
     mass_properties,
 )
 from gauge_envs.scene.geometry import FloatArray, length_of
@@ -33,11 +32,21 @@ from gauge_envs.tools.conformance.model import Measurement, Tolerance, check
 # --- solids ----------------------------------------------------------------------------------------------------------
 
 ZERO = (0.0, 0.0, 0.0)
-PARTS: dict[Box | Capsule | Ellipsoid, tuple[Vector, Vector]] = {
-    Box(size_m=(0.09, 0.03, 0.02)): ((0.05, 0.0, 0.0), (0.0, 20.0, 30.0)),
-    Capsule(radius_m=0.015, length_m=0.05): ((0.0, 0.04, 0.0), (70.0, 0.0, 0.0)),
-    Ellipsoid(radii_m=(0.02, 0.03, 0.04)): ((0.0, 0.0, 0.05), (0.0, 30.0, 0.0)),
-}
+turned = Pose.from_euler_deg
+PARTS = (
+    Part(
+        shape=Box(size_m=(0.09, 0.03, 0.02)),
+        pose=turned((0.05, 0.0, 0.0), (0.0, 20.0, 30.0)),
+    ),
+    Part(
+        shape=Capsule(radius_m=0.015, length_m=0.05),
+        pose=turned((0.0, 0.04, 0.0), (70.0, 0.0, 0.0)),
+    ),
+    Part(
+        shape=Ellipsoid(radii_m=(0.02, 0.03, 0.04)),
+        pose=turned((0.0, 0.0, 0.05), (0.0, 30.0, 0.0)),
+    ),
+)
 SOLIDS: dict[str, Shape] = {
     "box": Box(size_m=(0.1, 0.06, 0.03)),
     "sphere": Sphere(radius_m=0.03),
@@ -48,12 +57,7 @@ SOLIDS: dict[str, Shape] = {
             corners((0.0, 0.03, 0.0), (0.02, 0.08, 0.02)),
         )
     ),
-    "compound of a box, a capsule and an ellipsoid": Compound(
-        parts=tuple(
-            Part(shape=shape, pose=Pose.from_euler_deg(*place))
-            for shape, place in PARTS.items()
-        )
-    ),
+    "compound of a box, a capsule and an ellipsoid": Compound(parts=PARTS),
 }
 """Solids with and without the origin at their centre of mass."""
 KILOGRAMS = (0.2, 1e-4, 0.0123, 100.0, 1.0)
@@ -65,7 +69,7 @@ def solids(lab: Lab) -> Sequence[RigidBody]:
         body(
             name,
             shape,
-            Pose.from_euler_deg(
+            turned(
                 (0.5 * at - 1.3, 0.9 - 0.4 * at, 1.0), (50.0 + 30.0 * at, -20.0, 70.0)
             ),
             mass_kg=KILOGRAMS[at],

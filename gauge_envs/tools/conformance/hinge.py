@@ -93,8 +93,8 @@ def _pendulums(lab: Lab) -> list[dict[str, float]]:
             speeds = rollout.velocity(each.name) + np.cross(spins, centres)
             inner = each.pose.matrix.T @ axis
             gyration_m = float(np.sqrt(inner @ tensor @ inner))
-            squares = (speeds**2).sum(axis=1) + (gyration_m * spins @ axis) ** 2
-            energy = 0.5 * squares
+            turning = (gyration_m * spins @ axis) ** 2
+            energy = 0.5 * ((speeds**2).sum(axis=1) + turning)
             scale = energy.max()
             energy += G * path[:, 2]
             if run == pushed:
@@ -179,8 +179,7 @@ def pendulum_energy(lab: Lab) -> Measurement:
 
 STRINGS = {
     "slack ball": ((0.0, 0.0, 1.0), 0.3, 0.2),
-    "first ball": ((0.4, -0.1, 1.2), 0.36, 0.36),
-    "second ball": ((-0.3, 0.5, 0.8), 0.24, 0.24),
+    "resting ball": ((-0.3, 0.5, 0.8), 0.24, 0.24),
     "block": ((1.1, -0.2, 1.5), 0.3, 0.3),
 }
 """Anchor, length, and distance of the body at the start [m]."""
@@ -207,7 +206,7 @@ def _hanging(names: Sequence[str]) -> Scene:
     cause="the string is soft, pushes, or is not that of the scene in length, anchor or point of the body",
 )
 def tether_length(lab: Lab) -> Measurement:
-    """A ball that falls on a slack string; two that hang at rest; a block that hangs beside its centre of mass.
+    """A ball that falls on a slack string; one that hangs at rest; a block that hangs beside its centre of mass.
 
     Largest distance from the anchor beyond the length, or from it where taut; distance of a ball from the line below
     the anchor; and the fall that the slack ball lacks in 0.13 s, by its acceleration.

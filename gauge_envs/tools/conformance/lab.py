@@ -71,10 +71,6 @@ class Lab:
             return cases
         return [one for one in cases if self.supports(scene_of([one]))] or cases
 
-    def first_supported(self, *scenes: Scene) -> Scene:
-        """Return the first scene that the engine can build, or the last scene if it can build none."""
-        return next((each for each in scenes if self.supports(each)), scenes[-1])
-
     def _missing(self, scene: Scene) -> tuple[str, ...]:
         try:
             return scene_support(self.backend, deepcopy(scene)).missing
