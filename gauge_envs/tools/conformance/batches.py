@@ -129,7 +129,7 @@ def worlds_shapes(lab: Lab) -> Measurement:
                     "reset() changes the array of starts": unchanged,
                     "reset() keeps the array of starts": np.isfinite(later).all(),
                     f"diverged() is {reasons}": not reasons,
-                    "reset() gives worlds another start": not np.ptp(nominal, 0).any(),
+                    "worlds differ right after reset()": not np.ptp(nominal, 0).any(),
                 }
             faults |= {text: None for text, fine in right.items() if not fine}
     return Measurement(measured=len(faults), hint="; ".join(faults))
