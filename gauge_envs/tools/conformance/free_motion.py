@@ -70,7 +70,7 @@ def solids(lab: Lab) -> Sequence[RigidBody]:
             name,
             shape,
             turned(
-                (0.5 * at - 1.3, 0.9 - 0.4 * at, 1.0), (50.0 + 30.0 * at, -20.0, 70.0)
+                (0.5 * at - 0.8, 0.9 - 0.4 * at, 1.0), (50.0 + 30.0 * at, -20.0, 70.0)
             ),
             mass_kg=KILOGRAMS[at],
         )

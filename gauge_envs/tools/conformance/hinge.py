@@ -40,7 +40,7 @@ BLOCK = ConvexUnion(pieces_m=(corners((0.0, -0.02, -0.02), (0.12, 0.03, 0.02)),)
 BOBS: dict[str, tuple[Shape, Vector, Vector, float]] = {
     "ball": (Sphere(radius_m=0.05), (0.0, 1.0, 0.0), (0.173, 0.0, -0.1), 0.0),
     "fast ball": (Sphere(radius_m=0.02), (-0.6, 0.8, 0.0), (0.04, 0.03, 0.03), 0.0),
-    "bar on a leaning axis": (BAR, (0.8, 0.0, 0.6), (0.078, 0.07, -0.104), 0.0),
+    "block on a leaning axis": (BLOCK, (0.8, 0.0, 0.6), (0.078, 0.07, -0.104), 0.0),
     "block": (BLOCK, (0.6, 0.0, 0.8), (0.08, -0.05, -0.06), 0.0),
     "balanced bar of -14 rad/s": (BAR, LEANING, ZERO, -14.0),
     "balanced bar of 0.05 rad/s": (BAR, LEANING, ZERO, 0.05),
@@ -77,7 +77,7 @@ def _pendulums(lab: Lab) -> list[dict[str, float]]:
     pushed = " under a wrench"
     with suppress(DeclinedError):
         floating = replace(scene, gravity_m_per_s2=0.0)
-        runs[pushed] = lab.rollout(floating, 0.4, wrenches=wrenches)
+        runs[pushed] = lab.rollout(floating, 0.6, wrenches=wrenches)
     radii, periods, energies = {}, {}, {}
     for run, rollout in runs.items():
         for each in rollout.scene.bodies:
@@ -132,7 +132,7 @@ def _pendulums(lab: Lab) -> list[dict[str, float]]:
     cause="the joint is soft, or its anchor or axis is not that of the scene, in the world frame",
 )
 def hinge_radius(lab: Lab) -> Measurement:
-    """Turned balls, a block and bars on level and leaning hinges, for 4 s; a ball for 20 s.
+    """Turned balls, blocks and bars on level and leaning hinges, for 4 s; a ball for 20 s.
 
     Bars turn about their centres with 0.05 to 14 rad/s.
 
@@ -167,7 +167,7 @@ def pendulum_period(lab: Lab) -> Measurement:
     cause="the hinge or the body is damped, the step is too long, or apply_wrench fails for bodies with a hinge",
 )
 def pendulum_energy(lab: Lab) -> Measurement:
-    """The bodies of hinge-radius; without gravity too, pushed by forces like it and by torques, for 0.4 s.
+    """The bodies of hinge-radius; without gravity too, pushed by forces like it and by torques, for 0.6 s.
 
     Largest change of kinetic and potential energy over the largest kinetic energy. In 20 s: its trend from the mean of
     the first quarter to that of the last, in 100 s.
