@@ -48,9 +48,9 @@ PARTS = (
     ),
 )
 SOLIDS: dict[str, Shape] = {
-    "box": Box(size_m=(0.1, 0.06, 0.03)),
+    "turned box": Box(size_m=(0.1, 0.06, 0.03)),
     "sphere": Sphere(radius_m=0.03),
-    "cylinder": Cylinder(radius_m=0.02, length_m=0.09),
+    "turned cylinder": Cylinder(radius_m=0.02, length_m=0.09),
     "union of two blocks": ConvexUnion(
         pieces_m=(
             corners(ZERO, (0.09, 0.03, 0.02)),
