@@ -98,7 +98,7 @@ def determinism(lab: Lab) -> Measurement:
     again: Gaps = {}
     beside: Gaps = {}
     for scene in (
-        BOUNCE if lab.supports(BOUNCE) else FREE,
+        BOUNCE if lab.supports(BOUNCE) else lab.in_any_shape(FREE),
         *filter(lab.supports, [STRIP]),
     ):
         first = lab.rollout(scene, 0.3)
@@ -220,7 +220,7 @@ def time(lab: Lab) -> Measurement:
     the path.
     """
     ratios, late = {}, []
-    scene = replace(FREE, gravity_m_per_s2=0.0)
+    scene = lab.in_any_shape(replace(FREE, gravity_m_per_s2=0.0))
     for name, (interval_s, count) in CALLS.items():
         rows = lab.rollout(scene, interval_s * count, interval_s=interval_s)
         speeds = np.hypot(*rows.velocity("brick")[:, :2].T)
@@ -249,6 +249,7 @@ STEPS_S = (1 / 360, 1 / 900)
     source="contract (Simulation.settings)",
     tolerance=COUNT,
     cause="read settings back from the engine; timestep_s must be its step",
+    optional=True,
 )
 def settings_step(lab: Lab) -> Measurement:
     """A spinning brick that falls, with steps of 1/360 s and of 1/900 s.
@@ -256,8 +257,9 @@ def settings_step(lab: Lab) -> Measurement:
     Number of faults: another step in the settings than the requested step; the same motion with both.
     """
     faults, ends = [], []
+    scene = lab.in_any_shape(FREE)
     for step_s in STEPS_S:
-        ends.append(lab.rollout(FREE, timestep_s=step_s).states["brick"])
+        ends.append(lab.rollout(scene, timestep_s=step_s).states["brick"])
         given = lab.settings_in_force.get("timestep_s", np.nan)
         if not abs(given / step_s - 1.0) < 1e-9:
             faults.append(f"settings have timestep_s {given:.6g}, not {step_s:.6g}")

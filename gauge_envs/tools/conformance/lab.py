@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from copy import deepcopy
+from dataclasses import replace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -20,7 +21,7 @@ from gauge_envs.errors import (
     ParameterError,
     UnsupportedSceneError,
 )
-from gauge_envs.scene import Scene
+from gauge_envs.scene import Motion, Scene, Sphere
 from gauge_envs.scene.diff import scene_changes
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 from gauge_envs.tools.bench.recording import DeclinedError, Recording, raised_at, record
@@ -70,6 +71,18 @@ class Lab:
         if self.supports(scene_of(cases)):
             return cases
         return [one for one in cases if self.supports(scene_of([one]))] or cases
+
+    def in_any_shape(self, scene: Scene) -> Scene:
+        """Return a scene, with balls in place of its dynamic bodies where the engine builds only those."""
+        if self.supports(scene):
+            return scene
+        bodies = [
+            replace(one, shape=Sphere(radius_m=0.03))
+            if one.motion is Motion.DYNAMIC
+            else one
+            for one in scene.bodies
+        ]
+        return replace(scene, bodies=tuple(bodies))
 
     def _missing(self, scene: Scene) -> tuple[str, ...]:
         try:

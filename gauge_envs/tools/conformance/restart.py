@@ -113,7 +113,7 @@ TUMBLING: dict[str, Any] = {
 
 def widest(lab: Lab, *parts: Mapping[str, Any]) -> Scene:
     """Return a scene with a thrown stick and those of the parts that the engine can build."""
-    scene = Scene(bodies=(STICK,), duration_s=0.5)
+    scene = lab.in_any_shape(Scene(bodies=(STICK,), duration_s=0.5))
     for part in parts:
         more = {key: getattr(scene, key) + value for key, value in part.items()}
         wider = replace(scene, **more)
