@@ -95,7 +95,8 @@ def _pendulums(lab: Lab) -> list[dict[str, float]]:
             gyration_m = float(np.sqrt(inner @ tensor @ inner))
             turning = (gyration_m * spins @ axis) ** 2
             energy = 0.5 * ((speeds**2).sum(axis=1) + turning)
-            scale = energy.max()
+            # Nothing moves: not a number, which fails.
+            scale = energy.max() or np.nan
             energy += G * path[:, 2]
             if run == pushed:
                 turn = cumulative_trapezoid(spins @ axis, rollout.times_s, initial=0.0)
