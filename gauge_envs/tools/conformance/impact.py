@@ -252,6 +252,8 @@ VOLLEY = {
     "7 m/s": _Shot(7.0, 0.5, 0.1),
     "11 m/s": _Shot(11.0, 0.5, 0.1, -1),
     "16 m/s": _Shot(16.0, 0.8, 0.1),
+}
+LATE = {
     "0.5 m/s after 1.4 s": _Shot(0.5, 0.6, 1.4),
     "0.5 m/s after 2.3 s": _Shot(0.5, 0.6, 2.3, -1),
 }
@@ -274,7 +276,8 @@ def volley(lab: Lab) -> Measurement:
 
     Speed of separation over that of approach, over the restitution, for the last pair of a row; the worst of eleven.
     """
-    return _worst(_rebounds(lab.once(_volley), VOLLEY))
+    early, late = _rebounds(lab.once(_volley), VOLLEY), _rebounds(_fly(lab, LATE), LATE)
+    return _worst(early | late)
 
 
 @check(
