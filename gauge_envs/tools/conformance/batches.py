@@ -145,15 +145,18 @@ def _batches(lab: Lab) -> list[tuple[Scene, dict[int, FloatArray], Runs]]:
     found = []
     for scene in (_rigid(lab), *lab.once(cloths)):
         runs: Runs = {}
+        worlds = SINGLES[:3] if scene.deformables else WORLDS
         with closing(lab.build(scene)) as one:
-            singles = {n: _course(one, scene, [n])[:, 0] for n in SINGLES}
+            singles = {
+                n: _course(one, scene, [n])[:, 0] for n in SINGLES if n in worlds
+            }
             if one.releases_gil:
                 with closing(
                     LoopedSimulation([lab.build(scene) for _ in SINGLES])
                 ) as many:
                     runs[THREADS] = SINGLES, _course(many, scene, SINGLES)
-        with closing(lab.build(scene, len(WORLDS))) as batch:
-            for what, numbers in ((TOGETHER, WORLDS), (AGAIN, WORLDS[::-1])):
+        with closing(lab.build(scene, len(worlds))) as batch:
+            for what, numbers in ((TOGETHER, worlds), (AGAIN, worlds[::-1])):
                 runs[what] = numbers, _course(batch, scene, numbers)
         found.append((scene, singles, runs))
     return found
@@ -169,7 +172,7 @@ def _compared(lab: Lab, *kinds: str) -> Measurement:
     """Measure how courses differ from those of single simulations, and name the world, body and interval."""
     worst = Measurement(measured=0.0)
     for scene, singles, runs in lab.once(_batches):
-        for what, number in product(kinds, SINGLES):
+        for what, number in product(kinds, singles):
             if what not in runs:
                 continue
             numbers, courses = runs[what]
