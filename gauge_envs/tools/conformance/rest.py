@@ -169,20 +169,21 @@ def contact_listed(lab: Lab) -> Measurement:
     Number of listed pairs that fall by more than half of a free fall within 0.2 s, and of unlisted bodies that fall by
     less than nine tenths of it.
     """
-    missing, extra = [], []
+    missing: set[str] = set()
+    extra: set[str] = set()
     for rollout in lab.once(_rest):
         for one in rollout.scene.dynamic_bodies:
             fall = -float(rollout.displacement(one.name)[-1, 2]) / FALL_M
             if " over " not in one.name and fall > 0.5:
-                missing.append(one.name)
+                missing.add(one.name)
             if " over " in one.name and fall < 0.9:
-                extra.append(one.name)
+                extra.add(one.name)
     texts = {
         "listed pairs have no contact, the bodies fall through": missing,
         "bodies without a contact are stopped": extra,
     }
     hints = [
-        f"{len(names)} {text}: {', '.join(names[:4])}"
+        f"{len(names)} {text}: {', '.join(sorted(names)[:4])}"
         for text, names in texts.items()
         if names
     ]
