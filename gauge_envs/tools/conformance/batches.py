@@ -1,9 +1,8 @@
 """Many worlds at once: each world of a batch is the single simulation of its start and of its driven motion."""
 
 from collections.abc import Sequence
-from contextlib import chdir, closing, suppress
+from contextlib import closing, suppress
 from itertools import product
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -21,6 +20,7 @@ from gauge_envs.tools.conformance.restart import (
     BOUNCE,
     CARRIED,
     HUNG,
+    aside,
     cloths,
     gaps,
     start_of,
@@ -232,10 +232,7 @@ def worlds_reset(lab: Lab) -> Measurement:
     title="a wrench in each world",
     law="v = F t / m, w = M t / I",
     source="Newton, Euler; contract (Simulation.apply_wrench)",
-    tolerance=Tolerance(
-        "damping is judged alone; the wrench of another world is far more off",
-        relative=0.04,
-    ),
+    tolerance=Tolerance("a constant force has no model error", relative=1e-3),
     cause="worlds have the wrench of another world or of another call, or lose it",
     optional=True,
 )
@@ -298,7 +295,7 @@ def worlds_neighbours(lab: Lab) -> Measurement:
         ("have diverged", numbers, None, None),
     )
     found = {}
-    with TemporaryDirectory() as folder, chdir(folder), lab.running(scene, 5) as five:
+    with aside(), lab.running(scene, 5) as five:
         for what, *how in cases:
             with suppress(DeclinedError):
                 courses = _course(five, scene, *how)[:, watched]
