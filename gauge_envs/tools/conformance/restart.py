@@ -2,7 +2,7 @@
 
 import ctypes
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import chdir, closing, contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
