@@ -57,7 +57,7 @@ RUN_S = 0.2
 REPEATED = Tolerance(
     "bit for bit, or poses to 1000 times the start error of Backend.repeatability"
 )
-STARTED = Tolerance("single precision, over one rebound", absolute=5e-4)
+STARTED = Tolerance("single precision, over one rebound", absolute=1e-4)
 RESET = "contract (Simulation.reset)"
 SAME: dict[str, Any] = {
     "law": "same starts and seed, same trajectory",
