@@ -9,13 +9,12 @@ Engines that need environments of their own are joined by `gauge backend check O
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from gauge_envs.tools.conformance.coverage import coverage_tables
-
 from gauge_envs.backends import backend
 from gauge_envs.pages.markdown import as_markdown
 from gauge_envs.tools.conformance import Status, checks
 from gauge_envs.tools.conformance.results import EngineColumn, levels, read_columns
 from gauge_envs.tools.conformance.words import expected_text, verdict_text
+from scripts.conformance_coverage import coverage_tables
 from scripts.generated import ROOT, SCORING, markdown_table, page_part
 
 PAGE = ROOT / "docs" / "engines" / "conformance.md"
