@@ -4,7 +4,6 @@ The fits ignore nodes within one width of the clamp, which hinders contraction.
 """
 
 import math
-from dataclasses import replace
 
 import numpy as np
 
@@ -35,6 +34,7 @@ EDGE_M, LENGTH_M = 0.04, 0.2
 
 
 def _foam(
+    name: str,
     size_m: tuple[float, float, float],
     density: float,
     young_pa: float,
@@ -42,7 +42,7 @@ def _foam(
 ) -> SoftBody:
     """Return a block of foam."""
     return SoftBody(
-        name="foam",
+        name=name,
         shape=Box(size_m=size_m),
         pose=LEVEL,
         mass_kg=density * math.prod(size_m),
@@ -51,29 +51,29 @@ def _foam(
     )
 
 
-BAR = _foam((EDGE_M, EDGE_M, LENGTH_M), 100.0, 1e4, 0.3)
-OTHER_BAR = _foam((EDGE_M, EDGE_M, LENGTH_M), 1400.0, 1.48e5, 0.2)
+BAR_M = (EDGE_M, EDGE_M, LENGTH_M)
+BAR = _foam("light foam bar", BAR_M, 100.0, 1e4, 0.3)
+OTHER_BAR = _foam("heavy foam bar", BAR_M, 1400.0, 1.48e5, 0.2)
 """Bars of different foams, which sag by 2 mm: their largest strain is 2 %, and their period 80 ms."""
 
-CUBES = (
-    replace(_foam((0.04, 0.04, 0.04), 100.0, 2e4, 0.3), name="foam cube 0"),
-    replace(_foam((0.05, 0.04, 0.03), 150.0, 4e4, 0.2), name="foam cube 1"),
-    replace(_foam((0.04, 0.03, 0.05), 60.0, 1e4, 0.4), name="foam cube 2"),
+BLOCKS = (
+    _foam("foam block 0", (0.05, 0.04, 0.03), 150.0, 4e4, 0.2),
+    _foam("foam block 1", (0.04, 0.03, 0.05), 60.0, 1e4, 0.4),
 )
 """Blocks of different foams and sizes."""
 
 
 @check("foam-start", title="foam, start", **START)
 def _foam_start(lab: Lab) -> Measurement:
-    """Three blocks of foam of different sizes, at three places and orientations.
+    """Two blocks of foam of different sizes, at two places and orientations.
 
     Largest distance of the box of the nodes of a block at the start, in its frame, from its faces.
     """
-    return start_error(lab, CUBES)
+    # Engines mesh boxes along the axes of the world.
+    return start_error(lab, BLOCKS, turn_deg=(90.0, 0.0, -90.0))
 
 
 SETTLED_S, HUNG_S = 0.25, 0.6
-WINDOWS_S = ((SETTLED_S, HUNG_S), (1.1, 1.45))
 
 
 def hanging_bar(bar: SoftBody = BAR, depth_m: float = 0.0) -> Scene:
@@ -83,8 +83,8 @@ def hanging_bar(bar: SoftBody = BAR, depth_m: float = 0.0) -> Scene:
 
 
 def _hanging(lab: Lab) -> Recording:
-    bars = {"foam bar": hanging_bar(), "heavy foam bar": hanging_bar(OTHER_BAR, 0.055)}
-    return lab.rollout(side_by_side(bars, speed_m_per_s=3.0, late_s=0.35))
+    bars = (hanging_bar(), hanging_bar(OTHER_BAR, 0.055))
+    return lab.rollout(side_by_side(bars, HUNG_S - SETTLED_S))
 
 
 @check("foam-pinned-face", title="foam, clamps follow their driven body", **ATTACHED)
@@ -104,9 +104,9 @@ def _strain(
 
     With z from the lower end, u_z = (rho g / 2E) (z^2 + nu r^2 - L^2) and u_x = -nu (rho g / E) z x.
     """
-    bar, depth_m, rest_m, now_m = equilibrium(rollout, name, start_s, end_s)
+    bar, depth_m, rest_m, moved_m = equilibrium(rollout, name, start_s, end_s)
     free = rest_m[:, 2] < 0.5 * LENGTH_M - depth_m - EDGE_M + PLACE_TOLERANCE_M
-    rest_m, moved_m = rest_m[free], (now_m - rest_m)[free]
+    rest_m, moved_m = rest_m[free], moved_m[free]
     height_m, across_m = rest_m[:, 2] + 0.5 * LENGTH_M, rest_m[:, :2]
     columns = (0.5 * height_m**2, np.ones(len(rest_m)), np.square(across_m).sum(axis=1))
     rate = coefficient(moved_m[:, 2], *columns)
@@ -129,8 +129,8 @@ def poisson(rollout: Recording, name: str, start_s: float, end_s: float) -> Meas
 
 @check(
     "foam-tension",
-    title="foam, Young's modulus",
-    law="u_z = rho g (z^2 + nu r^2 - L^2) / (2 E)",
+    title="foam, Young's modulus and Poisson's ratio",
+    law="u_z = rho g (z^2 + nu r^2 - L^2) / (2 E), u_x = -nu rho g z x / E",
     source="prismatic bar under its weight (Timoshenko and Goodier)",
     tolerance=Tolerance(
         "laws differ by the largest strain: 2 % in equilibrium, 4 % at the lowest point",
@@ -139,46 +139,32 @@ def poisson(rollout: Recording, name: str, start_s: float, end_s: float) -> Meas
     cause="the engine's constants are not those of E and nu, the nodes lack mass, or its elements lock",
 )
 def _foam_tension(lab: Lab) -> Measurement:
-    """Two bars of two foams, 40 mm by 40 mm by 0.2 m, that hang on a frame at rest, which then moves up with 3 m/s.
+    """Two bars of two foams, 40 mm by 40 mm by 0.2 m, that hang on a frame at rest, which then moves up with 2 m/s.
 
-    E from the mean sag, at rest and on the moving frame, over that of the scene; the worst.
+    E from the mean sag, and Poisson's ratio from contraction over stretch, at rest and on the moving frame, over those
+    of the scene; the worst.
     """
-    return worst_law(lab.once(_hanging), young, "E", *WINDOWS_S)
-
-
-@check(
-    "foam-poisson",
-    title="foam, Poisson contraction",
-    law="u_x = -nu rho g z x / E",
-    source="prismatic bar under its weight (Timoshenko and Goodier)",
-    tolerance=Tolerance(
-        "displacements are a tenth of a millimetre, and the clamp acts over one width",
-        relative=0.1,
-    ),
-    cause="the engine's second constant (lambda, bulk modulus) is not that of E and nu",
-)
-def _foam_poisson(lab: Lab) -> Measurement:
-    """Two bars of two foams, 40 mm by 40 mm by 0.2 m, that hang on a frame at rest, which then moves up with 3 m/s.
-
-    Mean transverse contraction over mean stretch, over Poisson's ratio of the scene; the worst.
-    """
-    return worst_law(lab.once(_hanging), poisson, "Poisson's ratio", *WINDOWS_S)
+    found = (
+        worst_law(lab.once(_hanging), law, what, SETTLED_S, HUNG_S)
+        for what, law in (("E", young), ("Poisson's ratio", poisson))
+    )
+    return max(found, key=lambda one: abs(one.measured - 1.0))
 
 
 @check("foam-rests-on", title="foam stands on bodies", law="height = 0", **REST)
 def _foam_rests_on(lab: Lab) -> Measurement:
-    """Three blocks of foam: on a fixed slab, on a driven slab that stands still, and on a free slab.
+    """Two blocks of foam: on a fixed slab, and on a driven slab that stands still.
 
     Mean height of the lowest node over the slab from 60 to 80 ms; the worst.
     """
     # What has no contact falls by 18 mm within 60 ms.
-    return rest_error(lab, CUBES, 0.08)
+    return rest_error(lab, BLOCKS, 0.08)
 
 
 @check("foam-strike", title="foam takes the momentum of a body", **STRIKE)
 def _foam_strike(lab: Lab) -> Measurement:
-    """Three blocks of different foams without gravity, each struck by a free block.
+    """Two blocks of different foams without gravity, each struck by a free block.
 
     Momentum of foam and block over that of the block at the start, from 0.05 to 0.2 s; the worst.
     """
-    return momentum_ratio(lab, CUBES, 0.2)
+    return momentum_ratio(lab, BLOCKS, 0.2)
