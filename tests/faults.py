@@ -476,60 +476,214 @@ class _ChangesScene(Faulty):
 
 
 FAULTS = {
-    "arrays in float32": Fault(simulation=_Single),
-    "arrays without the axis of worlds": Fault(simulation=_NoWorldAxis),
-    "supports returns True": Fault(engine=_SupportsTrue),
-    "supports raises for deformable bodies": Fault(engine=_SupportsRaises),
-    "the scene is changed in place": Fault(engine=_ChangesScene),
-    "rows in the order of the scene": Fault(simulation=_SceneOrder),
-    "one array for all calls": Fault(simulation=_OneBuffer),
-    "positions in millimetres": Fault(simulation=_Millimetres),
-    "quaternions x, y, z, w": Fault(scene=change_bodies(_scalar_last)),
-    "angular velocity in the body frame": Fault(simulation=_SpinInBodyFrame),
-    "velocity of the centre of mass": Fault(simulation=_VelocityOfCentre),
-    "velocity before the contacts of a step": Fault(simulation=_GravityInVelocity),
-    "NaN": Fault(simulation=_NotFinite),
-    "noise": Fault(simulation=_Noisy),
-    "one step a call": Fault(simulation=_OneStepACall),
-    "half the time": Fault(simulation=_HalfTime),
-    "states before the call": Fault(simulation=_Late),
-    "gravity upward": Fault(
-        scene=lambda scene: replace(scene, gravity_m_per_s2=-scene.gravity_m_per_s2)
+    "arrays in float32": Fault(
+        caught_by="order-of-names",
+        says="float32 (1, 1, 13) instead of ndarray float64 (1, n, 13)",
+        simulation=_Single,
     ),
-    "edges read as half edges": Fault(scene=change_bodies(_half_edges)),
-    "the inertia of a sphere": Fault(scene=change_bodies(_sphere_inertia)),
-    "the first part of a compound": Fault(scene=change_bodies(_first_part)),
-    "a leaning plane built level": Fault(scene=change_bodies(_level_plane)),
-    "hinge axis in the body frame": Fault(scene=_axis_of_body),
-    "frictions of two bodies multiplied": Fault(scene=change_contacts(_of_bodies)),
+    "arrays without the axis of worlds": Fault(
+        caught_by="order-of-names",
+        says="(1, 13) instead of ndarray float64 (1, n, 13)",
+        simulation=_NoWorldAxis,
+    ),
+    "supports returns True": Fault(
+        caught_by="order-of-names",
+        says="supports returned a bool, expected a Support",
+        engine=_SupportsTrue,
+    ),
+    "supports raises for deformable bodies": Fault(
+        caught_by="reset-start",
+        says="supports() raised KeyError: 'cloth' (supports, faults.py",
+        engine=_SupportsRaises,
+    ),
+    "the scene is changed in place": Fault(
+        caught_by="order-of-names",
+        says="the engine changed the scene that it was given: scene: gravity",
+        engine=_ChangesScene,
+    ),
+    "rows in the order of the scene": Fault(
+        caught_by="order-of-names",
+        says="rows are not in the order of the names",
+        simulation=_SceneOrder,
+    ),
+    "one array for all calls": Fault(
+        caught_by="order-of-names",
+        says="a returned array changes later; return a copy",
+        simulation=_OneBuffer,
+    ),
+    "positions in millimetres": Fault(
+        caught_by="start-position",
+        says="body_states must report body origins [m]",
+        simulation=_Millimetres,
+    ),
+    "quaternions x, y, z, w": Fault(
+        caught_by="start-orientation",
+        says="a quaternion is w, x, y, z from the body to the world",
+        scene=change_bodies(_scalar_last),
+    ),
+    "angular velocity in the body frame": Fault(
+        caught_by="glide-reports",
+        says="the angular velocity, in the world frame",
+        simulation=_SpinInBodyFrame,
+    ),
+    "velocity of the centre of mass": Fault(
+        caught_by="glide-reports",
+        says="columns 7 to 12 are the velocity of the body's origin",
+        simulation=_VelocityOfCentre,
+    ),
+    "velocity before the contacts of a step": Fault(
+        caught_by="start-rest",
+        says="velocities are those after the contacts of a step",
+        simulation=_GravityInVelocity,
+    ),
+    "NaN": Fault(
+        caught_by="determinism",
+        says="not finite: after 0.00556 s 'brick' is not finite",
+        simulation=_NotFinite,
+    ),
+    "noise": Fault(
+        caught_by="determinism", says="random numbers have no seed", simulation=_Noisy
+    ),
+    "one step a call": Fault(
+        caught_by="time",
+        says="advance(seconds) must simulate any time",
+        simulation=_OneStepACall,
+    ),
+    "half the time": Fault(
+        caught_by="time",
+        says="the simulated time is 0.5 times what it should be",
+        simulation=_HalfTime,
+    ),
+    "states before the call": Fault(
+        caught_by="time",
+        says="states are those before the last call of advance",
+        simulation=_Late,
+    ),
+    "gravity upward": Fault(
+        caught_by="free-fall",
+        says="the acceleration is -1 times what it should be",
+        scene=lambda scene: replace(scene, gravity_m_per_s2=-scene.gravity_m_per_s2),
+    ),
+    "edges read as half edges": Fault(
+        caught_by="inertia",
+        says="the inertia is 4.001 times what it should be",
+        scene=change_bodies(_half_edges),
+    ),
+    "the inertia of a sphere": Fault(
+        caught_by="spin-momentum",
+        says="the inertia or its frame is wrong",
+        scene=change_bodies(_sphere_inertia),
+    ),
+    "the first part of a compound": Fault(
+        caught_by="start-velocity-of-origin",
+        says="the path of the compound",
+        scene=change_bodies(_first_part),
+    ),
+    "a leaning plane built level": Fault(
+        caught_by="roll-ball",
+        says="the plane is level",
+        scene=change_bodies(_level_plane),
+    ),
+    "hinge axis in the body frame": Fault(
+        caught_by="hinge-radius",
+        says="does not rotate the body about its hinge",
+        scene=_axis_of_body,
+    ),
+    "frictions of two bodies multiplied": Fault(
+        caught_by="pucks-friction",
+        says="the engine multiplies the values of two bodies",
+        scene=change_contacts(_of_bodies),
+    ),
     "restitution of sustained contacts": Fault(
+        caught_by="rebound-0.5",
+        says="a pair of the mode SUSTAINED",
         scene=change_contacts(
             lambda one: (
                 replace(one, mode=ContactMode.IMPACT, restitution=0.5)
                 if one.mode is ContactMode.SUSTAINED
                 else one
             )
-        )
+        ),
     ),
     "no restitution": Fault(
-        scene=change_contacts(lambda one: replace(one, restitution=0.0))
+        caught_by="rebound-0.5",
+        says="no ball leaves the ground again",
+        scene=change_contacts(lambda one: replace(one, restitution=0.0)),
     ),
     "friction 20 % low": Fault(
-        scene=change_contacts(lambda one: replace(one, friction=0.8 * one.friction))
+        caught_by="pucks-friction",
+        says="friction is not Contact.friction",
+        scene=change_contacts(lambda one: replace(one, friction=0.8 * one.friction)),
     ),
-    "a driven body without velocity": Fault(simulation=_Teleported),
-    "a driven body without acceleration": Fault(simulation=_NoAcceleration),
-    "a driven body an interval late": Fault(simulation=_DrivesLate),
-    "a wrench for one call": Fault(simulation=_WrenchOfOneCall),
-    "a wrench in the body frame": Fault(simulation=_WrenchOfBody),
-    "a wrench that reset keeps": Fault(simulation=_KeepsWrench),
-    "reset does nothing": Fault(simulation=_NoReset),
-    "starts ignored": Fault(simulation=_IgnoresStarts),
-    "starts at rest": Fault(simulation=_StartsAtRest),
-    "starts of a cloth ignored": Fault(simulation=_StartsClothInPlace),
-    "all worlds start as the first": Fault(worlds=_StartsAsFirst),
-    "all worlds driven as the first": Fault(worlds=_DrivesAsFirst),
-    "all worlds pushed as the first": Fault(worlds=_PushesAsFirst),
-    "worlds start as the time before": Fault(worlds=_StartsAsBefore),
+    "a driven body without velocity": Fault(
+        caught_by="driven-velocity",
+        says="it reports 0 times its velocity",
+        simulation=_Teleported,
+    ),
+    "a driven body without acceleration": Fault(
+        caught_by="driven-path",
+        says="the acceleration that drive() gives were 0",
+        simulation=_NoAcceleration,
+    ),
+    "a driven body an interval late": Fault(
+        caught_by="driven-path",
+        says="it comes one interval late",
+        simulation=_DrivesLate,
+    ),
+    "a wrench for one call": Fault(
+        caught_by="wrench-force",
+        says="apply_wrench acts in the world frame until another call",
+        simulation=_WrenchOfOneCall,
+    ),
+    "a wrench in the body frame": Fault(
+        caught_by="wrench-force",
+        says="apply_wrench acts in the world frame until another call",
+        simulation=_WrenchOfBody,
+    ),
+    "a wrench that reset keeps": Fault(
+        caught_by="wrench-reset",
+        says="reset() must clear forces, torques",
+        simulation=_KeepsWrench,
+    ),
+    "reset does nothing": Fault(
+        caught_by="start-position",
+        says="before the first step and after reset",
+        simulation=_NoReset,
+    ),
+    "starts ignored": Fault(
+        caught_by="starts-free",
+        says="reset(starts) must write pose and velocities of each body",
+        simulation=_IgnoresStarts,
+    ),
+    "starts at rest": Fault(
+        caught_by="starts-free",
+        says="reset(starts) must write pose and velocities of each body",
+        simulation=_StartsAtRest,
+    ),
+    "starts of a cloth ignored": Fault(
+        caught_by="starts-free",
+        says="the nodes of the cloth after reset(starts)",
+        simulation=_StartsClothInPlace,
+    ),
+    "all worlds start as the first": Fault(
+        caught_by="worlds-single",
+        says="worlds have the start or the driven motion of another world",
+        worlds=_StartsAsFirst,
+    ),
+    "all worlds driven as the first": Fault(
+        caught_by="worlds-single",
+        says="first the plate in interval 1",
+        worlds=_DrivesAsFirst,
+    ),
+    "all worlds pushed as the first": Fault(
+        caught_by="worlds-wrench",
+        says="worlds have the wrench of another world",
+        worlds=_PushesAsFirst,
+    ),
+    "worlds start as the time before": Fault(
+        caught_by="worlds-shapes",
+        says="worlds differ right after reset()",
+        worlds=_StartsAsBefore,
+    ),
 }
 """Faults by name."""

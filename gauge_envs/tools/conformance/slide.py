@@ -59,8 +59,8 @@ PUCKS: dict[str, tuple[float, float, float, float, Shape]] = {
     law="a = mu g, in each direction and at each speed",
     source="Coulomb",
     tolerance=FRICTION,
-    cause="friction depends on direction (0.71 or 1.41 times: a pyramid in place of a cone), on speed or shape, or on "
-    "which body is listed first",
+    cause="friction is not Contact.friction; where some directions are right, it is a pyramid in place of a cone (0.71 "
+    "or 1.41 times), or depends on speed, shape or the order of the pair",
 )
 def pucks_friction(lab: Lab) -> Measurement:
     """Six flat boxes and a ball without spin that slide on a fixed, level slab, which is turned by 25 degrees.

@@ -9,9 +9,14 @@ from gauge_envs.pages.document import Document, Paragraph, Part, Tone
 from gauge_envs.pages.html import Html, element
 from gauge_envs.pages.page import page
 from gauge_envs.pages.table import Column, Place, Table
-from gauge_envs.pages.text import Markdown, pairs_text, with_unit
+from gauge_envs.pages.text import pairs_text, with_unit
 from gauge_envs.runs.isolation import call_engine
-from gauge_envs.tools.conformance.model import Check, CheckResult, Status
+from gauge_envs.tools.conformance.model import (
+    Check,
+    CheckResult,
+    Status,
+    checks as all_checks,
+)
 from gauge_envs.tools.conformance.results import (
     Change,
     EngineColumn,
@@ -189,9 +194,7 @@ def _columns_table(columns: Sequence[EngineColumn]) -> Table:
 def _verdicts_table(columns: Sequence[EngineColumn]) -> Table:
     """Return one row for each check and one column for each engine: sign, and the value of a failure."""
     ran = [column for column in columns if column.results]
-    checks = {
-        name: one.of for column in ran for name, one in sorted(column.results.items())
-    }
+    found = {name for column in ran for name in column.results}
 
     def cell(column: EngineColumn) -> Callable[[Check], str]:
         return lambda check: verdict_text(column.results.get(check.id))
@@ -212,11 +215,11 @@ def _verdicts_table(columns: Sequence[EngineColumn]) -> Table:
 
     return Table(
         columns=(
-            Column("id", "check", lambda name: Markdown(f"`{name}`")),
+            Column("id", "check"),
             Column("", "expected", expected),
             *(Column("", one.title, cell(one), html=markup(one)) for one in ran),
         ),
-        rows=list(checks.values()),
+        rows=[one for one in all_checks() if one.id in found],
         look="matrix",
     )
 
