@@ -167,4 +167,4 @@ def test_checks_see_a_driven_body_that_physx_does_not_move(monkeypatch):
         "driven-path",
         "driven-slow",
     ]
-    assert results[0].measured == pytest.approx(100.0)
+    assert results[0].measured >= 99.0
