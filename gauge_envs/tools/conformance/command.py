@@ -112,7 +112,7 @@ def backend_check(
 ) -> bool:
     """Check engines against closed forms, with the most likely cause of each failure.
 
-    gauge list checks shows the checks. Exit code 1 when a check failed or raised an error, or nothing was measured.
+    gauge list checks shows the checks. Exit code 1 when a check that ran failed, or nothing was measured.
     With --expected: when a result is not as listed. With --baseline: when one became worse or its value moved by more
     than its tolerance. A declined check is no failure. Engines of other packages run in another process. All engines do
     so with --isolate, --timeout, --memory, --out or a configuration: one that crashes or hangs there costs one check.
@@ -141,13 +141,19 @@ def backend_check(
     new = engine_columns(engines, settings, isolate=is_apart) if engines else []
     columns = with_columns(new, files)
     limits = (CHECK_LIMIT_S if timeout is None else timeout, memory)
-    for result, column in _measured(new, chosen, limits, is_apart):
-        if form is Format.JSON:
-            more = {} if column.name == "default" else {"configuration": column.name}
-            print_json_lines([result.to_dict() | more])
-        if ".json" in places:
-            # A run that is stopped leaves the results so far.
-            _write(columns, {".json": places[".json"]})
+    try:
+        for result, column in _measured(new, chosen, limits, is_apart):
+            if form is Format.JSON:
+                is_default = column.name == "default"
+                more = {} if is_default else {"configuration": column.name}
+                print_json_lines([result.to_dict() | more])
+            if ".json" in places:
+                # A process that is killed leaves the results so far.
+                _write(columns, {".json": places[".json"]})
+    except KeyboardInterrupt:
+        if form is not Format.JSON and any(one.results for one in columns):
+            _print(new, columns, form)
+        raise
     for path in _write(columns, places):
         message(path)
     _check_measured(new)
@@ -156,7 +162,10 @@ def backend_check(
     if form is not Format.JSON:
         _print(new, columns, form)
     has_failed = _has_failed(new)
-    return _is_surprising(new[0], known, badge) if is_judged else has_failed
+    if not is_judged:
+        return has_failed
+    is_surprising = _is_surprising(new[0], known, badge)
+    return has_failed if known is None else is_surprising
 
 
 def _check_names(
@@ -305,6 +314,8 @@ def _is_surprising(
     known = expected or Expected(declined={"*": "no list"})
     if file is not None:
         save_file(file, f"{json.dumps(badge(results, known))}\n")
+    if expected is None:
+        return False
     surprises = [(one.check, text) for one in results if (text := known.surprise(one))]
     for name, text in surprises:
         message(f"not expected: {name} {text}")

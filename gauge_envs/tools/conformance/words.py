@@ -95,7 +95,12 @@ def engine_document(results: Sequence[CheckResult]) -> Document:
     if bad := sorted((one for one in results if one.is_bad), key=_urgency):
         columns = (
             Column("check", "check"),
-            Column("", "measured", _measured_text, style=lambda _: "bold red"),
+            Column(
+                "",
+                "measured",
+                lambda one: _measured_text(one) or one.status.value,
+                style=lambda _: "bold red",
+            ),
             Column("", "expected", expected_text),
             Column("", "", _message, place=Place.BELOW),
         )
@@ -111,6 +116,7 @@ def engine_document(results: Sequence[CheckResult]) -> Document:
                 lambda one: f"{_measured_text(one)} {one.status}".lstrip(),
                 style=lambda one: STYLES.get(one.status, ""),
             ),
+            Column("", "", _reason, place=Place.BELOW),
         ),
         rows=results,
         wide_only=True,
@@ -126,6 +132,10 @@ def _urgency(result: CheckResult) -> int:
     if result.diagnosis.startswith("not finite"):
         return 1
     return 2 if result.status is Status.ERROR else 3
+
+
+def _reason(result: CheckResult) -> str:
+    return "; ".join(result.missing) or result.diagnosis
 
 
 def _message(result: CheckResult) -> str:
@@ -203,7 +213,7 @@ def _verdicts_table(columns: Sequence[EngineColumn]) -> Table:
         def of(check: Check) -> Html:
             one = column.results.get(check.id)
             kind = "declined" if one is None else CLASSES.get(one.status, "wrong")
-            hint = "" if one is None else one.diagnosis or "; ".join(one.missing)
+            hint = "" if one is None else _reason(one)
             text = verdict_text(one)
             return element("span", text, class_=f"badge {kind}", title=hint or None)
 
