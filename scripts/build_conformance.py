@@ -20,15 +20,13 @@ from scripts.generated import ROOT, SCORING, markdown_table, page_part
 PAGE = ROOT / "docs" / "engines" / "conformance.md"
 CHECKS_PAGE = ROOT / "docs" / "adding_a_check.md"
 SCRIPT = f"scripts/{Path(__file__).name}"
-SHOWN = ("default", "out_of_box")
-"""Configurations of a cell, in this order."""
 
 
 def verdicts(columns: Sequence[EngineColumn]) -> Iterator[str]:
     """Yield the lines of the table: counts, CPU time and levels, then one row for each check."""
     engines = list(dict.fromkeys(column.backend for column in columns))
-    found = {(one.backend, one.name): one for one in columns}
-    default = [found[engine, "default"] for engine in engines]
+    found = {one.backend: one for one in columns if one.name == "default"}
+    default = [found[engine] for engine in engines]
     rows = [
         ["passed", "", *map(_passed, default)],
         ["CPU time [s]", "", *(f"{one.cpu_s:.3g}" for one in default)],
@@ -39,14 +37,7 @@ def verdicts(columns: Sequence[EngineColumn]) -> Iterator[str]:
     for check in checks():
         ran = [one.results[check.id] for one in default if check.id in one.results]
         expected = next((text for one in ran if (text := expected_text(one))), "")
-        cells = [
-            " ".join(
-                verdict_text(column.results.get(check.id))
-                for name in SHOWN
-                if (column := found.get((engine, name)))
-            )
-            for engine in engines
-        ]
+        cells = [verdict_text(one.results.get(check.id)) for one in default]
         rows.append([f"`{check.id}`", expected, *cells])
     yield from markdown_table(["check", "expected", *engines], rows)
 
