@@ -47,6 +47,6 @@ def __getattr__(name: str) -> Any:
     if name in _LEFT:
         raise ImportError(
             f"gauge_envs.backends.{name} belongs to the engine contract of gauge-envs 0.3. In 1.0 one class, "
-            "Simulation, holds N worlds, and nothing saves states; docs/adding_an_engine.md lists the changes"
+            "Simulation, holds N worlds, and nothing saves states; CHANGELOG.md lists the changes"
         )
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

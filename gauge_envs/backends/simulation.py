@@ -50,7 +50,7 @@ class Simulation(ABC):
                 raise BackendError(
                     f"{cls.__module__}.{cls.__name__}.{method} has no parameter {expected!r}: it follows the contract "
                     "of gauge-envs 0.3. In 1.0 a Simulation holds N worlds: reset(starts, seed), drive(body, targets) "
-                    "and arrays whose first axis is the world; docs/adding_an_engine.md lists the changes"
+                    "and arrays whose first axis is the world; CHANGELOG.md lists the changes"
                 )
 
     @abstractmethod

@@ -152,7 +152,7 @@ def test_an_engine_of_0_3_is_told_what_to_change(monkeypatch, tmp_path, source, 
     monkeypatch.delitem(sys.modules, "old_engine", raising=False)
     with pytest.raises(BackendError, match=words) as caught:
         backend("old")
-    assert "docs/adding_an_engine.md lists the changes" in str(caught.value)
+    assert "CHANGELOG.md lists the changes" in str(caught.value)
 
 
 def test_optional_methods_that_an_engine_lacks_say_so():
