@@ -159,9 +159,9 @@ BUNDLED = (
     Command(
         "backend check",
         "conformance.command:backend_check",
-        "Check engines against closed forms, with a diagnosis of each failure.",
+        "Check engines against closed forms, with the most likely cause of each failure.",
         line="conformance.lines:FindingLine",
-        version=2,
+        version=3,
     ),
     Command(
         "list backends",

@@ -26,7 +26,7 @@ HERE = {
     "score": "score slide.csv --id SlopeSlider-2-wood",
     "recipe fabrics": "recipe fabrics",
     "sanity": "sanity mujoco:out_of_box --only gravity,slide-wood",
-    "backend check": "backend check mujoco --only free-fall-drift",
+    "backend check": "backend check mujoco --only free-fall",
     **{name: name for name in KINDS},
 }
 """A command for each schema that is cheap to check here."""
@@ -192,7 +192,7 @@ def test_the_command_prints_the_schema(gauge):
     assert json.loads(listed) == {"name": "list", "version": 5}
     shown = json.loads(gauge("show", "backend check", "--schema").stdout)
     assert shown == output_schema("backend check")
-    assert shown["$id"] == "urn:gauge-envs:backend-check:2"
+    assert shown["$id"] == "urn:gauge-envs:backend-check:3"
     refused = gauge("show", "lst", "--schema")
     assert (refused.exit_code, refused.stdout) == (2, "")
     assert "did you mean list?" in refused.stderr
