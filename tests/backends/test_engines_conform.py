@@ -12,7 +12,7 @@ from places import ROOT
 
 from gauge_envs.tools.conformance import checks, run_checks
 
-BUDGET_S = 6.0
+BUDGET_S = 3.0
 """CPU time of the default run of an engine, as published [s]."""
 
 LEAST = 4

@@ -41,11 +41,13 @@ if TYPE_CHECKING:
         hanging_strip as hanging_strip,
         stretch_stiffness as stretch_stiffness,
     )
-    from gauge_envs.tools.conformance.lab import Lab as Lab
+    from gauge_envs.tools.conformance.lab import (
+        Lab as Lab,
+        Measurement as Measurement,
+    )
     from gauge_envs.tools.conformance.model import (
         Check as Check,
         CheckResult as CheckResult,
-        Measurement as Measurement,
         Status as Status,
         Tolerance as Tolerance,
         check as check,
@@ -64,11 +66,10 @@ else:
                 "hanging_strip",
                 "stretch_stiffness",
             ],
-            ".lab": ["Lab"],
+            ".lab": ["Lab", "Measurement"],
             ".model": [
                 "Check",
                 "CheckResult",
-                "Measurement",
                 "Status",
                 "Tolerance",
                 "check",

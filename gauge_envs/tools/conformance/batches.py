@@ -14,8 +14,8 @@ from gauge_envs.scene.states import nominal_states
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 from gauge_envs.tools.bench.parts import ball
 from gauge_envs.tools.bench.recording import DeclinedError
-from gauge_envs.tools.conformance.lab import Lab, largest, push
-from gauge_envs.tools.conformance.model import COUNT, Measurement, Tolerance, check
+from gauge_envs.tools.conformance.lab import Lab, Measurement, largest, push
+from gauge_envs.tools.conformance.model import COUNT, Tolerance, check
 from gauge_envs.tools.conformance.restart import (
     BOUNCE,
     CARRIED,

@@ -46,8 +46,8 @@ from gauge_envs.tools.conformance.deformable import (
     stiffness,
     worst_law,
 )
-from gauge_envs.tools.conformance.lab import Lab, ratio
-from gauge_envs.tools.conformance.model import Measurement, Tolerance, check
+from gauge_envs.tools.conformance.lab import Lab, Measurement, ratio
+from gauge_envs.tools.conformance.model import Tolerance, check
 
 LIGHT_FABRIC = fabric(0.2, 110.0, 1e-4)
 """Fabric of sheets whose stiffness does not matter."""

@@ -17,8 +17,8 @@ from gauge_envs.tools.bench.parts import box, contact, fixed_box, ground, thrown
 from gauge_envs.tools.bench.recording import DeclinedError, record
 from gauge_envs.tools.conformance.cloth import LIGHT_FABRIC, hanging_strip
 from gauge_envs.tools.conformance.free_motion import solids
-from gauge_envs.tools.conformance.lab import Lab, largest, ratio
-from gauge_envs.tools.conformance.model import COUNT, Measurement, Tolerance, check
+from gauge_envs.tools.conformance.lab import Lab, Measurement, largest, ratio
+from gauge_envs.tools.conformance.model import COUNT, Tolerance, check
 from gauge_envs.tools.conformance.restart import Gaps, apart, repeated
 
 BRICK_M = (0.1, 0.06, 0.03)

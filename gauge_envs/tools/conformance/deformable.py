@@ -45,8 +45,8 @@ from gauge_envs.tools.bench.parts import (
     thrown,
 )
 from gauge_envs.tools.bench.recording import Recording
-from gauge_envs.tools.conformance.lab import Lab, largest, ratio
-from gauge_envs.tools.conformance.model import Measurement, Tolerance
+from gauge_envs.tools.conformance.lab import Lab, Measurement, largest, ratio
+from gauge_envs.tools.conformance.model import Tolerance
 
 PLACE_TOLERANCE_M = 1e-5
 """Distance within which a node is on a line; single precision rounds positions to about 0.1 um at 1 m."""

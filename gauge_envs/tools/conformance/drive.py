@@ -31,11 +31,12 @@ from gauge_envs.tools.bench.recording import Recording
 from gauge_envs.tools.bench.slope import moved_m, slope_of
 from gauge_envs.tools.conformance.lab import (
     Lab,
+    Measurement,
     largest,
     largest_mm,
     ratio,
 )
-from gauge_envs.tools.conformance.model import Measurement, Tolerance, check
+from gauge_envs.tools.conformance.model import Tolerance, check
 
 BLOCK_M = (0.5, 0.3, 0.1)
 LINE, AXIS = (0.6, 0.0, 0.8), (0.48, 0.64, -0.6)

@@ -27,8 +27,8 @@ from gauge_envs.tools.conformance.deformable import (
     stiffness,
     worst_law,
 )
-from gauge_envs.tools.conformance.lab import Lab
-from gauge_envs.tools.conformance.model import Measurement, Tolerance, check
+from gauge_envs.tools.conformance.lab import Lab, Measurement
+from gauge_envs.tools.conformance.model import Tolerance, check
 
 EDGE_M, LENGTH_M = 0.04, 0.2
 

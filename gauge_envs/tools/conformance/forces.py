@@ -18,8 +18,8 @@ from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 from gauge_envs.tools.bench.parts import box, contact, fixed_box, thrown
 from gauge_envs.tools.bench.recording import DeclinedError, Recording, record
 from gauge_envs.tools.conformance.free_motion import DIRECTION, centre_m, solids
-from gauge_envs.tools.conformance.lab import Lab, largest, push, ratio
-from gauge_envs.tools.conformance.model import Measurement, Tolerance, check
+from gauge_envs.tools.conformance.lab import Lab, Measurement, largest, push, ratio
+from gauge_envs.tools.conformance.model import Tolerance, check
 
 PUSH_S = 0.1
 RATE_RAD_PER_S2 = 0.4

@@ -26,8 +26,14 @@ from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.scoring.estimators import acceleration_m_per_s2
 from gauge_envs.tools.bench.parts import ball, body, corners, thrown
 from gauge_envs.tools.bench.recording import Recording
-from gauge_envs.tools.conformance.lab import Lab, largest, largest_mm, ratio
-from gauge_envs.tools.conformance.model import Measurement, Tolerance, check
+from gauge_envs.tools.conformance.lab import (
+    Lab,
+    Measurement,
+    largest,
+    largest_mm,
+    ratio,
+)
+from gauge_envs.tools.conformance.model import Tolerance, check
 
 # --- solids ----------------------------------------------------------------------------------------------------------
 

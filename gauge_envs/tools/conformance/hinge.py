@@ -31,8 +31,8 @@ from gauge_envs.scoring.estimators import (
 from gauge_envs.tools.bench.parts import ball, body, corners, thrown
 from gauge_envs.tools.bench.recording import DeclinedError
 from gauge_envs.tools.conformance.free_motion import ZERO, centre_m
-from gauge_envs.tools.conformance.lab import Lab, largest, ratio
-from gauge_envs.tools.conformance.model import Measurement, Tolerance, check
+from gauge_envs.tools.conformance.lab import Lab, Measurement, largest, ratio
+from gauge_envs.tools.conformance.model import Tolerance, check
 
 BAR, LEANING = Box(size_m=(0.03, 0.04, 0.3)), (0.48, 0.6, 0.64)
 BLOCK = ConvexUnion(pieces_m=(corners((0.0, -0.02, -0.02), (0.12, 0.03, 0.02)),))

@@ -37,8 +37,8 @@ from gauge_envs.tools.bench.parts import (
     thrown,
 )
 from gauge_envs.tools.bench.recording import Recording
-from gauge_envs.tools.conformance.lab import Lab, ratio
-from gauge_envs.tools.conformance.model import Measurement, Tolerance, check
+from gauge_envs.tools.conformance.lab import Lab, Measurement, ratio
+from gauge_envs.tools.conformance.model import Tolerance, check
 
 NEWTON = "Newton's law of restitution"
 REBOUND = Tolerance(

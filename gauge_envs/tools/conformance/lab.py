@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from copy import deepcopy
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -25,9 +25,26 @@ from gauge_envs.scene import Motion, Scene, Sphere
 from gauge_envs.scene.diff import scene_changes
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 from gauge_envs.tools.bench.recording import DeclinedError, Recording, raised_at, record
-from gauge_envs.tools.conformance.model import Measurement
 
 T = TypeVar("T")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measurement:
+    """Measured and expected value of a check.
+
+    Attributes:
+        measured: The measured value.
+        expected: The value of the closed form, in the same unit.
+        hint: What this particular value shows; may be empty. With a colon, as in `it falls through: the pair has no
+            contact`, it explains the failure. Otherwise the cause of the check follows.
+        width: Largest admissible difference where it depends on the engine; None for that of the check.
+    """
+
+    measured: float
+    expected: float = 0.0
+    hint: str = ""
+    width: float | None = None
 
 
 class ContractError(GaugeError):

@@ -11,13 +11,11 @@ from dataclasses import KW_ONLY, dataclass, field
 from enum import StrEnum
 from fnmatch import fnmatchcase
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from gauge_envs.errors import ParameterError, UnknownNameError
 from gauge_envs.files import json_ready, versions
-
-if TYPE_CHECKING:
-    from gauge_envs.tools.conformance.lab import Lab
+from gauge_envs.tools.conformance.lab import Lab, Measurement
 
 PHENOMENA = {
     "contract": "rigid",
@@ -74,24 +72,6 @@ class Tolerance:
 
 EXACT = Tolerance("the contract requires equality bit for bit")
 COUNT = Tolerance("it is a count of faults")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Measurement:
-    """Measured and expected value of a check.
-
-    Attributes:
-        measured: The measured value.
-        expected: The value of the closed form, in the same unit.
-        hint: What this particular value shows; may be empty. With a colon, as in `it falls through: the pair has no
-            contact`, it explains the failure. Otherwise the cause of the check follows.
-        width: Largest admissible difference where it depends on the engine; None for that of the check.
-    """
-
-    measured: float
-    expected: float = 0.0
-    hint: str = ""
-    width: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -31,8 +31,8 @@ from gauge_envs.tools.bench.parts import (
     ramp,
 )
 from gauge_envs.tools.bench.recording import Recording
-from gauge_envs.tools.conformance.lab import Lab, largest_mm
-from gauge_envs.tools.conformance.model import COUNT, Measurement, Tolerance, check
+from gauge_envs.tools.conformance.lab import Lab, Measurement, largest_mm
+from gauge_envs.tools.conformance.model import COUNT, Tolerance, check
 
 SCATTER_MM = 0.5
 SCATTER = Tolerance("half the scatter of the real trials", absolute=SCATTER_MM)

@@ -50,8 +50,8 @@ from gauge_envs.tools.bench.recording import (
 )
 from gauge_envs.tools.conformance.cloth import LIGHT_FABRIC
 from gauge_envs.tools.conformance.deformable import sheet
-from gauge_envs.tools.conformance.lab import Lab, largest, push
-from gauge_envs.tools.conformance.model import EXACT, Measurement, Tolerance, check
+from gauge_envs.tools.conformance.lab import Lab, Measurement, largest, push
+from gauge_envs.tools.conformance.model import EXACT, Tolerance, check
 
 RUN_S = 0.2
 REPEATED = Tolerance(

@@ -32,8 +32,8 @@ from gauge_envs.tools.conformance.deformable import (
     stiffness,
     worst_law,
 )
-from gauge_envs.tools.conformance.lab import Lab, ratio
-from gauge_envs.tools.conformance.model import Measurement, Tolerance, check
+from gauge_envs.tools.conformance.lab import Lab, Measurement, ratio
+from gauge_envs.tools.conformance.model import Tolerance, check
 
 LEVEL_ROD = Pose.from_euler_deg(LEVEL.position_m, (0.0, 90.0, 0.0))
 

@@ -30,8 +30,8 @@ from gauge_envs.tools.bench.slope import (
 )
 from gauge_envs.tools.bench.turning import ROLL, SPIN, turning_arm_m, turning_scene
 from gauge_envs.tools.conformance.drive import CUBE_M, unless_off, worst_friction
-from gauge_envs.tools.conformance.lab import Lab, largest_mm, ratio
-from gauge_envs.tools.conformance.model import Measurement, Tolerance, check
+from gauge_envs.tools.conformance.lab import Lab, Measurement, largest_mm, ratio
+from gauge_envs.tools.conformance.model import Tolerance, check
 
 FRICTION = Tolerance(
     "single real slides are 5 to 14 % from the published coefficient; an engine must be well below that",
