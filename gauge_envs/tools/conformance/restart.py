@@ -281,7 +281,7 @@ def reset_course(lab: Lab) -> Measurement:
     """A thrown stick, a tumbling brick, a bouncing ball, one on a driven plate, a pendulum; a falling sheet of cloth.
 
     Largest difference of a state or node within 0.2 s between runs of one simulation with the same seed, 0 or 1. Runs
-    from other starts and with seeds 1 and 2 lie between. Free flight may not depend on the seed by more than 0.5 mm.
+    from other starts and with seeds 1 and 2 lie between. Free flight may not depend on the seed by more than 0.1 mm.
     """
     found: Gaps = {}
     for _, runs in lab.once(_again):

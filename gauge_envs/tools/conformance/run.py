@@ -128,7 +128,7 @@ def run_check(lab: Lab, one: Check) -> CheckResult:
 
 def _message(hint: str, cause: str) -> str:
     """Return what a failure shows, and its most likely cause where the hint does not explain it."""
-    return hint if ":" in hint else ". ".join(filter(None, (hint, cause)))
+    return hint if ":" in hint else "; ".join(filter(None, (hint, cause)))
 
 
 def _error_text(error: BaseException) -> str:
