@@ -183,10 +183,6 @@ def _of_bodies(contact: Contact) -> Contact:
     return replace(contact, friction=contact.friction**2)
 
 
-def _all_impacts(contact: Contact) -> Contact:
-    return replace(contact, mode=ContactMode.IMPACT)
-
-
 def _axis_of_body(scene: Scene) -> Scene:
     """Turn the axes of hinges from the body's frame to the world's."""
     joints = []

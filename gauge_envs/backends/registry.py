@@ -1,6 +1,6 @@
 """Registry of backends, which installed packages provide through an entry-point group; see `gauge_envs.registry`."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
@@ -133,14 +133,25 @@ def versions_of(name: str) -> dict[str, str]:
     Raises:
         GaugeError: As `backend`; or a `BackendError`, `versions` does not work.
     """
-    engine = backend(name)
-    with engine_call(name, "versions"):
-        versions = dict(engine.versions())
-    if not all(isinstance(part, str) for pair in versions.items() for part in pair):
+    return checked_versions(backend(name))
+
+
+def checked_versions(engine: Backend) -> dict[str, str]:
+    """Return the versions of an engine's packages.
+
+    Raises:
+        BackendError: `versions` raises an error, or returns anything but texts by package.
+    """
+    with engine_call(engine.name, "versions"):
+        versions = engine.versions()
+    if not isinstance(versions, Mapping) or not all(
+        isinstance(part, str) for pair in versions.items() for part in pair
+    ):
         raise BackendError(
-            f"backend {name!r}: versions returned {versions!r}, expected texts by package"
+            f"backend {engine.name!r}: versions returned {versions!r}, expected texts by package, as "
+            f'{{"{engine.name}": "1.0"}}'
         )
-    return versions
+    return dict(versions)
 
 
 def backend_for(name: str, model_file: Path | None) -> Backend:

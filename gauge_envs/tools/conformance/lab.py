@@ -230,24 +230,20 @@ def push(simulation: Simulation, body: str, wrench: ArrayLike) -> None:
         raise DeclinedError((str(error),)) from error
 
 
-def worst_ratio(ratios: Mapping[str, float], what: str) -> tuple[float, str]:
-    """Return the ratio that is furthest from 1, and a hint that names what it belongs to and what is right."""
+def ratio(ratios: Mapping[str, float], what: str) -> Measurement:
+    """Measure the ratio that is furthest from 1; a hint names what it belongs to and what is right."""
     errors = {
-        name: abs(ratio - 1.0) if np.isfinite(ratio) else np.inf
-        for name, ratio in ratios.items()
+        name: abs(one - 1.0) if np.isfinite(one) else np.inf
+        for name, one in ratios.items()
     }
     worst = max(errors, key=lambda name: errors[name])
     right = [name for name, error in errors.items() if error < 0.1 * errors[worst]]
     hint = f"{what} is {ratios[worst]:.4g} times what it should be for {worst}"
     if len(right) > 3:
         right = [*right[:2], f"{len(right) - 2} others"]
-    return ratios[worst], f"{hint}; right for {', '.join(right)}" if right else hint
-
-
-def ratio(ratios: Mapping[str, float], what: str) -> Measurement:
-    """Measure the ratio that is furthest from 1; see `worst_ratio`."""
-    measured, hint = worst_ratio(ratios, what)
-    return Measurement(measured=measured, expected=1.0, hint=hint)
+    if right:
+        hint += f"; right for {', '.join(right)}"
+    return Measurement(measured=ratios[worst], expected=1.0, hint=hint)
 
 
 def largest(

@@ -9,7 +9,7 @@ from functools import cache
 from typing import Any
 
 from gauge_envs.backends import Backend, backend as find_backend
-from gauge_envs.backends.registry import versions_of
+from gauge_envs.backends.registry import checked_versions, versions_of
 from gauge_envs.errors import GaugeError
 from gauge_envs.runs.isolation import CrashError, Worker
 from gauge_envs.tools.bench.recording import DeclinedError, NotFiniteError, raised_at
@@ -50,7 +50,7 @@ def run_checks(
         run = lambda one: _run_there(worker, task, one, versions)  # noqa: E731
     else:
         engine = find_backend(backend) if isinstance(backend, str) else backend
-        versions = engine.versions()
+        versions = checked_versions(engine)
         lab = Lab(engine, settings)
         run = lambda one: run_check(lab, one)  # noqa: E731
     return _results(run, chosen, dict(versions))

@@ -7,7 +7,7 @@ import pytest
 from faults import FAULTS, Fault, Faulty, Passed
 
 from gauge_envs.backends import Repeatability, Support, backend
-from gauge_envs.errors import ParameterError, UnknownNameError
+from gauge_envs.errors import BackendError, ParameterError, UnknownNameError
 from gauge_envs.tools.conformance import Status, checks, run_checks
 
 MUJOCO = backend("mujoco")
@@ -115,6 +115,16 @@ def test_an_exception_costs_its_checks():
     assert found["free-fall"].status is Status.PASS
     text = found["cloth-stretch"].diagnosis
     assert "supports() was true, but build() raised KeyError: 'mesh' (build, " in text
+
+
+class VersionOfText(Faulty):
+    def versions(self):
+        return "1.0"
+
+
+def test_versions_that_are_no_texts_by_package_are_named():
+    with pytest.raises(BackendError, match=r"versions returned '1.0', expected texts"):
+        run_checks(VersionOfText(MUJOCO, Fault()), only=["time"])
 
 
 def test_a_panic_is_a_result_and_ctrl_c_ends_the_run(monkeypatch):
