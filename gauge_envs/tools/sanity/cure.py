@@ -155,6 +155,7 @@ def applied(configuration: TrainingConfiguration, changes: Settings) -> Applied:
         source=configuration.source,
         spec=robot.spec,
         pair=robot.pair,
+        file=robot.file,
     )
     return read, _stated_elsewhere(robot, changes, geoms)
 

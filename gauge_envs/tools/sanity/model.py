@@ -349,6 +349,7 @@ class PhenomenonResult:
         geoms: Geoms whose contact constants decide the row; empty when all contacts have the same.
         parts: Outcome for each part that the row judges; empty when it judges one alone.
         consequence: What a flag means for a policy, in one sentence; empty when the title says it.
+        place: Element of the target that decides a row on its own model, with file and line; empty otherwise.
     """
 
     phenomenon: str
@@ -366,6 +367,7 @@ class PhenomenonResult:
     geoms: str = ""
     parts: tuple[PartOutcome, ...] = ()
     consequence: str = ""
+    place: str = ""
 
     @property
     def is_flag(self) -> bool:

@@ -6,6 +6,7 @@ collide are considered: `mjData.contact` lists only those that touch at the mome
 """
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -71,6 +72,7 @@ def mujoco_configuration(
     pair: tuple[str, str] | None = None,
     frame_skip: int | None = None,
     spec: mujoco.MjSpec | None = None,
+    file: Path | None = None,
 ) -> TrainingConfiguration:
     """Return the training configuration of a MuJoCo model, after a trial of its settings.
 
@@ -81,6 +83,7 @@ def mujoco_configuration(
         pair: Names of two geoms whose constants the experiments get, instead of all sets on ground.
         frame_skip: Steps of the engine for one action; None when unknown.
         spec: The model before it was compiled, with the ids of the compiled one; None when it is not known.
+        file: File of the model; None when it is not known.
     """
     options, pairs, up = option_settings(model), contact_pairs(model), _up(model)
     used = (
@@ -103,7 +106,7 @@ def mujoco_configuration(
     if overrides_contacts(model):
         origin = "option, flag override"
     inapplicable = _inapplicable(model, groups)
-    robot = Robot(model=model, pairs=pairs, up=up, spec=spec, pair=pair)
+    robot = Robot(model=model, pairs=pairs, up=up, spec=spec, pair=pair, file=file)
     try:
         standing = find_standing(model, pairs, up)
         foot = read_foot(model, pairs, groups, standing)

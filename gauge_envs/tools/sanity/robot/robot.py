@@ -1,10 +1,13 @@
 """The target's own model: its robot, what is known of it, and a copy with changes as a user would paste them."""
 
+from __future__ import annotations
+
 import copy
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property, wraps
-from typing import Any, Concatenate, ParamSpec, TypeVar
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar
 
 import mujoco
 import numpy as np
@@ -29,6 +32,9 @@ from gauge_envs.tools.sanity.robot.mujoco_feet import (
     joints_of,
     stance_of,
 )
+
+if TYPE_CHECKING:
+    from gauge_envs.tools.sanity.rows import Finding, Place, Row
 
 GEOM_FIELDS = {
     "contact_solref": "solref",
@@ -69,6 +75,7 @@ class Robot:
         standing: The robot that stands on the ground; None when there is none.
         spec: The model before it was compiled; None when only the compiled one is known.
         pair: Names of two geoms whose constants count; None for all on the ground.
+        file: File of the model; None when it is not known.
         known: What was measured of it, by the id of a row, or by function and arguments; see `once`.
     """
 
@@ -78,7 +85,21 @@ class Robot:
     standing: Standing | None = None
     spec: mujoco.MjSpec | None = None
     pair: tuple[str, str] | None = None
+    file: Path | None = None
     known: dict[Any, Any] = field(default_factory=dict, init=False)
+
+    def finding(self, row: Row) -> Finding:
+        """Return what a row measures of this model, measured once."""
+        if row.id not in self.known:
+            self.known[row.id] = row.measure(self)
+        found: Finding = self.known[row.id]
+        return found
+
+    def place_text(self, place: Place) -> str:
+        """Return an element of the model in words: its kind, and its name or number."""
+        kind, number = place
+        name = getattr(self.model, kind)(number).name
+        return f'{kind} "{name}"' if name else f"{kind} {number}"
 
     @cached_property
     def _trial_model(self) -> mujoco.MjModel:

@@ -75,6 +75,7 @@ def _read_env(
         pair=pair,
         frame_skip=getattr(inner, "frame_skip", None),
         spec=_spec_of(inner, model),
+        file=_file_of(inner),
     )
 
 
@@ -87,6 +88,12 @@ def _spec_of(inner: Any, model: mujoco.MjModel) -> mujoco.MjSpec | None:
     except (AttributeError, ValueError):
         return None
     return spec if np.array_equal(same.geom_bodyid, model.geom_bodyid) else None
+
+
+def _file_of(inner: Any) -> Path | None:
+    """Return the file of an environment's model; None when it is not known."""
+    stated = getattr(inner, "fullpath", None)
+    return None if stated is None else Path(stated)
 
 
 def _env_name(env: gymnasium.Env) -> str:

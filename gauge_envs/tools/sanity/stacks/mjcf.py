@@ -129,7 +129,12 @@ def read_model_file(path: Path, pair: GeomPair | None = None) -> TrainingConfigu
             f"{path}: MuJoCo cannot load it: {' '.join(str(error).split())}{hint}"
         ) from None
     return mujoco_configuration(
-        model, name=path.name, source=f"model file {path}", pair=pair, spec=spec
+        model,
+        name=path.name,
+        source=f"model file {path}",
+        pair=pair,
+        spec=spec,
+        file=path,
     )
 
 
