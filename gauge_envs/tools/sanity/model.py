@@ -274,20 +274,39 @@ class Reality:
 
 
 @dataclass(frozen=True, kw_only=True)
+class ChangePart:
+    """A part of a change, such as one attribute.
+
+    Attributes:
+        text: The part in the target's language, such as `<option cone="elliptic"/>`.
+        corrects: Ids of the flagged rows that are inside after this part alone.
+    """
+
+    text: str
+    corrects: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
 class Cure:
-    """The change of a few settings that mends most phenomena, as measured.
+    """The change of a few settings that corrects most flagged rows, as measured.
 
     Attributes:
         changes: Changed settings with their new values.
-        line: The change in the target's own language, and what it mends.
+        line: The change in the target's language, and what it corrects.
         flag_count: Number of visible or wrong rows before the change.
         mended: Value of each of these rows that is inside after the change; None where it was not measured.
+        lines: The change as lines of a diff, which start with `- ` or `+ `.
+        parts: The parts of the change, each with what it corrects alone.
+        speed_ratio: Steps a second of the target after the change, over those before; None when not measured.
     """
 
     changes: Settings
     line: str
     flag_count: int
     mended: Mapping[str, float | None] = field(default_factory=dict)
+    lines: tuple[str, ...] = ()
+    parts: tuple[ChangePart, ...] = ()
+    speed_ratio: float | None = None
 
     @property
     def mended_count(self) -> int:
@@ -402,7 +421,9 @@ class Report:
         versions: Versions of the engine's packages, of gauge-envs and of its dependencies.
         wall_s: Time that the check took [s].
         cure: The change that mends most rows; None when no row is flagged or no change mends one.
-        tried: Changes that are no cure, and how far each came.
+        tried: Changes that were tried and not chosen, and how far each came.
+        trade: The best of these with its price, when no change corrects a row without harm; empty otherwise.
+        unstated: Properties that the target's model leaves open, in one sentence; empty for none.
         notes: What limits the check, such as an expired time limit.
         asked: Ids of rows that were asked for one by one.
     """
@@ -413,6 +434,8 @@ class Report:
     wall_s: float
     cure: Cure | None = None
     tried: tuple[str, ...] = ()
+    trade: str = ""
+    unstated: str = ""
     notes: tuple[str, ...] = ()
     asked: tuple[str, ...] = ()
 
