@@ -15,7 +15,7 @@ from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.experiments.variants import find_variant
 from gauge_envs.runs.isolation import Worker
-from gauge_envs.scene import Scene
+from gauge_envs.scene import RigidBody, Scene
 from gauge_envs.scene.geometry import FloatArray, vector
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 from gauge_envs.tools.bench.recording import DeclinedError, Recording, record
@@ -49,8 +49,8 @@ class Scenario:
         nodes_of: Deformable bodies whose nodes are recorded.
         engine_settings: Settings that belong to the scene, by name of the backend; those of a configuration come first.
         wrenches: Force and torque on each body that is pushed all the time [N, N m], shape [6].
-        released: Body that rests on a fixed one at the start. It starts apart by the margin of a configuration, at
-            which it settles; from a touching pose it would be thrown up.
+        released: Bodies that rest on a fixed one at the start. They start apart by the margin of a configuration, at
+            which they settle; from a touching pose they would be thrown up.
         ends_beyond_m: Displacement of a body with which the scene is lost and its simulation ends [m].
         rest_m_per_s: Speed below which all bodies are at rest, and its simulation ends too [m/s].
     """
@@ -64,7 +64,7 @@ class Scenario:
     nodes_of: tuple[str, ...] = ()
     engine_settings: Mapping[str, Settings] = field(default_factory=dict)
     wrenches: Mapping[str, FloatArray] = field(default_factory=dict)
-    released: str = ""
+    released: tuple[str, ...] = ()
     ends_beyond_m: float = math.inf
     rest_m_per_s: float = 0.0
 
@@ -79,19 +79,20 @@ class Scenario:
         return self.change(load_experiment(self.variant, self.parameters).scene)
 
     def scene_with(self, settings: Settings) -> Scene:
-        """Return the scene with the released body at the height at which the margin of settings lets it settle."""
+        """Return the scene with released bodies at the height at which the margin of settings lets them settle."""
         apart_m = settings.get("contact_margin_m") or 0.0
-        if not (self.released and apart_m > 0.0):
+
+        def lifted(body: RigidBody) -> RigidBody:
+            if body.name not in self.released:
+                return body
+            place_m = body.pose.position_m + body.pose.rotation.apply(
+                [0.0, 0.0, apart_m]
+            )
+            return replace(body, pose=replace(body.pose, position_m=vector(place_m)))
+
+        if apart_m <= 0.0:
             return self.scene
-        body = self.scene.body(self.released)
-        place_m = vector(
-            body.pose.position_m + body.pose.rotation.apply([0.0, 0.0, apart_m])
-        )
-        lifted = replace(body, pose=replace(body.pose, position_m=place_m))
-        return replace(
-            self.scene,
-            bodies=tuple(lifted if one is body else one for one in self.scene.bodies),
-        )
+        return replace(self.scene, bodies=tuple(map(lifted, self.scene.bodies)))
 
 
 def run_scenario(backend: Backend, scenario: Scenario, settings: Settings) -> Recording:

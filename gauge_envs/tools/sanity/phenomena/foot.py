@@ -154,7 +154,7 @@ def _scenario(
             lift_m=lift_m,
             seconds=seconds,
         ),
-        released="" if lift_m else FOOT,
+        released=() if lift_m else (FOOT,),
         engine_settings=dict.fromkeys(SOFTENED_BY_INVERSE_WEIGHT, softening),
     )
 

@@ -57,7 +57,7 @@ def _hold_scenario(material: str) -> Scenario:
         variant=f"SlopeSlider-1-{material}",
         seconds=HOLD_S,
         interval_s=CALM_INTERVAL_S,
-        released="cube",
+        released=("cube",),
     )
 
 
@@ -157,7 +157,7 @@ def thrown(material: str) -> Phenomenon:
             at_rest.scenario,
             name=f"release-{material}",
             interval_s=Scenario.interval_s,
-            released="",
+            released=(),
         ),
         reality=rigid_law(
             "a body that is laid down stays there", 0.5, "the edge of 50 mm of the cube"
@@ -232,7 +232,7 @@ def slide(material: str) -> Phenomenon:
         name=f"slide-{material}",
         variant=f"SlopeSlider-2-{material}",
         seconds=SLIDE_S,
-        released="cube",
+        released=("cube",),
         parameters={"cube.friction": friction},
     )
     shown = f"the cube has the friction that they show, mu = {friction:.3f}"
@@ -297,7 +297,7 @@ def carry(material: str) -> Phenomenon:
         variant=f"Turntable-1-{material}",
         seconds=TURN_S,
         interval_s=CALM_INTERVAL_S,
-        released="cube",
+        released=("cube",),
     )
 
     def slip_mm(rollout: Recording) -> FloatArray:
@@ -324,7 +324,7 @@ def carry(material: str) -> Phenomenon:
 def slip() -> Phenomenon:
     """Return the slip of a cube when the turntable reverses."""
     scenario = Scenario(
-        name="stop", variant="Turntable-3-metal", seconds=TURN_S, released="cube"
+        name="stop", variant="Turntable-3-metal", seconds=TURN_S, released=("cube",)
     )
     radius_mm = recorded("turntable", "radius_at_start_mm")["value"]
 

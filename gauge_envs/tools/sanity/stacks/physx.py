@@ -122,6 +122,12 @@ class PhysxValues:
                 f"what meets the ground more slowly than {threshold:g} m/s, as after a fall of {fall_mm:.3g} mm, does "
                 "not bounce, whatever its restitution"
             )
+        if step_s := self.settings.get("timestep_s"):
+            # A contact stops a body within a step, so its force is m v / h.
+            self.notes.append(
+                f"a contact force is an impulse over the step: 1 kg that lands at 1 m/s reads {1.0 / step_s:.4g} N at "
+                f"{1e3 * step_s:g} ms, twice that at half of it; compare impulses"
+            )
         return TrainingConfiguration(
             name=name,
             source=source,

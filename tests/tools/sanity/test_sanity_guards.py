@@ -1,0 +1,61 @@
+"""The guard against hops: closed forms, MuJoCo's stiff and soft contacts, and engines with rigid contacts."""
+
+import math
+
+import pytest
+
+from gauge_envs.backends import backend
+from gauge_envs.scene import GRAVITY_M_PER_S2 as G
+from gauge_envs.tools.sanity.guards import (
+    CUBES,
+    FRICTION,
+    hop,
+    hop_mm,
+    hops_more,
+)
+from gauge_envs.tools.sanity.measure import Measurements
+
+MUJOCO = Measurements(backend("mujoco"))
+DEFAULT = {"preset": "out_of_box"}
+
+
+@pytest.mark.parametrize("cone", ["pyramidal", "elliptic"])
+@pytest.mark.parametrize("impratio", [1.0, 10.0, 100.0])
+def test_time_constants_of_two_steps_lift_what_slides(cone, impratio):
+    settings = DEFAULT | {"cone": cone, "impratio": impratio}
+    soft, stiff, short = (
+        hop_mm(MUJOCO, settings | {"contact_solref": (time_s, 1.0)})
+        for time_s in (0.02, 0.004, 0.002)
+    )
+    fastest = max(speed for speed, _, _ in CUBES)
+    lifted = 1e3 * (FRICTION * fastest) ** 2 / (2.0 * G)
+    assert stiff == pytest.approx(lifted, rel=0.15)
+    # MuJoCo raises shorter time constants to two steps.
+    assert short == stiff
+    assert 1.0 < soft < 0.2 * lifted
+    assert hops_more(soft, stiff) and not hops_more(stiff, soft)
+
+
+def test_the_preset_stays_on_the_ground_and_stops_by_coulombs_law():
+    measured = MUJOCO.measure(hop(), {})
+    assert measured.value < 1.0 and not measured.remark
+    slippery = MUJOCO.measure(hop(), {"friction_scale": 0.8})
+    assert slippery.remark.startswith("a cube of 1 m/s slides 1.2")
+    assert hop_mm(MUJOCO, {"friction_scale": 0.8}) == math.inf
+
+
+def test_what_is_not_measured_is_no_reason_to_refuse():
+    refused = hop_mm(MUJOCO, {"colour": "red"})
+    assert math.isnan(refused) and not hops_more(1.0, refused)
+    assert not hops_more(refused, 0.5)
+    diverging = {
+        "timestep_s": 0.01,
+        "refsafe": False,
+        "contact_solref": (0.002, 1.0),
+    }
+    assert hops_more(5.0, hop_mm(MUJOCO, diverging))
+
+
+def test_rigid_contacts_stay_on_the_ground():
+    pytest.importorskip("rapier3d", reason="Rapier is not installed")
+    assert hop_mm(Measurements("rapier"), {}) < 0.1
