@@ -35,10 +35,7 @@ from gauge_envs.tools.sanity.robot.joints import (
     stiffness,
 )
 from gauge_envs.tools.sanity.robot.motions import (
-    FREE_S,
-    HOLD_S,
     HoldMotion,
-    follow_sines,
     hold_pose,
 )
 from gauge_envs.tools.sanity.robot.mujoco_feet import joints_of
@@ -88,21 +85,6 @@ def _advisory(robot: Robot) -> str:
     if robot.standing is None or len(robot.standing.feet) >= LEAST_FEET:
         return ""
     return f"a robot with {len(robot.standing.feet)} feet balances with a policy alone"
-
-
-@row("robot-holds")
-def _finite(robot: Robot) -> Finding:
-    if not robot.model.nv:
-        return Finding(declined="the model has no joint")
-    diverged_s, motion = hold_pose(robot).diverged_s, "it is held"
-    if np.isinf(diverged_s):
-        diverged_s, motion = follow_sines(robot), "its joints follow sines of 0.2 rad"
-    if np.isinf(diverged_s):
-        return Finding(value=1.0)
-    return Finding(
-        value=min(diverged_s / HOLD_S, 0.5),
-        remark=f"diverges at {diverged_s:.3g} s while {motion}, with a step of {robot.model.opt.timestep:g} s",
-    )
 
 
 @row("robot-stands")
@@ -176,31 +158,6 @@ def _slip(robot: Robot) -> Finding:
     return Finding(
         value=motion.slip_mm_per_s,
         remark=f"{slope_deg:.3g} degrees, and friction {friction:.3g} holds up to {held_deg:.3g}",
-    )
-
-
-@row("robot-energy")
-def _energy(robot: Robot) -> Finding:
-    bare = robot.without("contact", "limit", "equality")
-    # MuJoCo's energy has no term for what carries a body against gravity.
-    bare.body_gravcomp[:] = 0.0
-    # Of servos the damping is left, without the limit that makes it a switch.
-    bare.actuator_gainprm[:], bare.actuator_biasprm[:, :2] = 0.0, 0.0
-    bare.actuator_forcerange[:] = [-1e9, 1e9]
-    bare.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_ENERGY)
-    data, values = start(robot, bare), []
-    moving = slice(6 if robot.is_floating else 0, None)
-    data.qvel[moving] = np.random.default_rng(0).uniform(-1.0, 1.0, len(data.qvel))[
-        moving
-    ]
-    for _ in range(max(1, round(FREE_S / bare.opt.timestep))):
-        mujoco.mj_step(bare, data)
-        values.append(data.energy.copy())
-    energies = np.asarray(values)
-    largest = float(energies[:, 1].max())
-    gained = float((energies.sum(axis=1) - energies[0].sum()).max())
-    return Finding(
-        value=gained / max(largest, 1e-9) if np.isfinite(energies).all() else np.inf
     )
 
 

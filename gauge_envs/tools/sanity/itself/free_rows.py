@@ -1,0 +1,278 @@
+"""Rows on conserved quantities of free motion, on the solver, and on what the file states without effect."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.tools.sanity.itself.rest_rows import name_of, objects
+from gauge_envs.tools.sanity.itself.runs import (
+    REST_S,
+    finer_solver,
+    has_diverged,
+    refined,
+    seconds,
+    settled,
+    start_data,
+)
+from gauge_envs.tools.sanity.robot.mujoco_feet import joints_of
+from gauge_envs.tools.sanity.robot.robot import Robot, disable_bit
+from gauge_envs.tools.sanity.rows import (
+    Finding,
+    NotApplicableError,
+    row,
+)
+
+FLIGHT_S, TURN_RAD_PER_S, ROBOT_RAD_PER_S = 2.0, 2.0 * np.pi, 3.0
+"""Time of a flight [s], and the spin of an object, one turn in a second, and of a robot with joints [rad/s]."""
+
+
+def _in_flight(model: mujoco.MjModel) -> mujoco.MjModel:
+    """Return a copy with an exact solver, without contact, gravity and air, and without what brakes free joints."""
+    flying = finer_solver(model)
+    flying.opt.disableflags |= disable_bit("contact")
+    flying.opt.gravity[:] = flying.opt.wind[:] = 0.0
+    flying.opt.density = flying.opt.viscosity = 0.0
+    is_free = joints_of(model, "FREE")
+    dofs = is_free[model.dof_jntid]
+    flying.dof_damping[dofs] = flying.dof_armature[dofs] = 0.0
+    flying.dof_frictionloss[dofs] = 0.0
+    flying.jnt_stiffness[is_free] = 0.0
+    return flying
+
+
+def _momenta(model: mujoco.MjModel, joints: list[int]) -> tuple[FloatArray, float]:
+    """Return angular momenta before and after a flight, shape [2, joint_count, 3], and the time of divergence [s]."""
+    data = start_data(model)
+    data.qvel[:] = 0.0
+    roots, alone = model.jnt_bodyid[joints], objects(model)
+    for joint, root in zip(joints, roots.tolist(), strict=True):
+        dof = int(model.jnt_dofadr[joint])
+        rate = TURN_RAD_PER_S if root in alone else ROBOT_RAD_PER_S
+        data.qvel[dof + 3 : dof + 6] = rate / np.sqrt(3.0)
+
+    def momenta() -> FloatArray:
+        mujoco.mj_forward(model, data)
+        mujoco.mj_subtreeVel(model, data)
+        return data.subtree_angmom[roots].copy()
+
+    before, begin_s = momenta(), float(data.time)
+    while data.time - begin_s < seconds(model, FLIGHT_S):
+        mujoco.mj_step(model, data)
+        if has_diverged(data):
+            return np.array([before, before]), float(data.time) - begin_s
+    return np.array([before, momenta()]), np.inf
+
+
+@row(
+    "model-spin",
+    title="change of the angular momentum of a body in free flight in 2 s, over its size",
+    unit="1",
+    interval=(0.0, 0.05),
+    source="angular momentum of a free body is conserved; air takes a few percent of the spin of a thrown object",
+    consequence="What is thrown or jumps turns faster or slower in the air than momentum allows.",
+)
+def spin(robot: Robot) -> Finding:
+    """Return the change of angular momentum of free bodies without contact, that a refined run does not show."""
+    model = robot.model
+    free = np.flatnonzero(joints_of(model, "FREE")).tolist()
+    free = [joint for joint in free if model.body_subtreemass[model.jnt_bodyid[joint]]]
+    if not free:
+        raise NotApplicableError("no body of the model is free")
+    flying = _in_flight(model)
+    (before, after), diverged_s = _momenta(flying, free)
+    step_s = f"{model.opt.timestep:g} s"
+    if np.isfinite(diverged_s):
+        return Finding(
+            value=np.inf,
+            remark=f"the state diverges after {diverged_s:.3g} s of flight with a step of {step_s}",
+        )
+    sizes = np.linalg.norm(before, axis=-1)
+    losses = np.linalg.norm(after - before, axis=-1) / np.maximum(sizes, 1e-12)
+    worst = int(losses.argmax())
+    body = int(model.jnt_bodyid[free[worst]])
+    if losses[worst] > 0.05:
+        (first, last), _ = _momenta(refined(flying), free)
+        finer = np.linalg.norm(last[worst] - first[worst]) / max(sizes[worst], 1e-12)
+        if finer > 0.5 * losses[worst]:
+            raise NotApplicableError("other forces act on what is free in flight")
+    ratio = np.linalg.norm(after[worst]) / max(sizes[worst], 1e-12)
+    return Finding(
+        value=float(losses[worst]),
+        place=("body", body),
+        remark=f"{name_of(robot, 'body', body)} has {ratio:.3g} times its angular momentum after {FLIGHT_S:g} s of "
+        f"flight with a step of {step_s}",
+    )
+
+
+ENERGY_S = 1.0
+"""Time of the free motion whose energy is read [s]."""
+
+
+@row(
+    "robot-energy",
+    title="energy that a free motion gains in 1 s, over its largest kinetic energy",
+    unit="1",
+    interval=(0.0, 0.1),
+    source="without contact and motors, with the damping and friction of joints and servos, energy only falls",
+    consequence="The policy is paid for motions that the engine feeds.",
+)
+def energy(robot: Robot) -> Finding:
+    """Return the growth of kinetic and potential energy from the first to the last tenth of a free motion."""
+    model = robot.model
+    if not model.nv:
+        raise NotApplicableError("the model has no joint")
+    bare = _in_flight(model)
+    bare.opt.gravity[:] = model.opt.gravity
+    for feature in ("limit", "equality"):
+        bare.opt.disableflags |= disable_bit(feature)
+    # MuJoCo's energy has no term for what carries a body against gravity. Of servos the damping is left.
+    bare.body_gravcomp[:] = 0.0
+    bare.actuator_gainprm[:], bare.actuator_biasprm[:, :2] = 0.0, 0.0
+    bare.actuator_forcerange[:] = [-1e9, 1e9]
+    bare.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_ENERGY)
+    data = start_data(bare)
+    is_free = joints_of(model, "FREE")[model.dof_jntid]
+    rates = np.random.default_rng(0).uniform(-1.0, 1.0, model.nv)
+    data.qvel[:] = np.where(is_free, 0.0, rates)
+    begin_s, values = float(data.time), []
+    while data.time - begin_s < seconds(bare, ENERGY_S):
+        mujoco.mj_step(bare, data)
+        values.append(data.energy.copy())
+        if has_diverged(data):
+            return Finding(
+                value=np.inf,
+                remark=f"a free motion of its joints diverges after {data.time - begin_s:.3g} s",
+            )
+    energies_j = np.asarray(values)
+    tenth = max(1, len(values) // 10)
+    totals_j = energies_j.sum(axis=1)
+    gained_j = float(totals_j[-tenth:].mean() - totals_j[:tenth].mean())
+    largest_j = float(energies_j[:, 1].max())
+    value = max(gained_j, 0.0) / max(largest_j, 1e-9)
+    return Finding(
+        value=value,
+        remark=f"a free motion of its joints gains {gained_j:.3g} J; its kinetic energy is at most {largest_j:.3g} J",
+    )
+
+
+SOLVED_STATES = 20
+"""States of the run at rest in which the solver is compared."""
+
+
+@row(
+    "model-solver",
+    title="error of constraint forces by the solver, in states of the run at rest",
+    unit="1",
+    interval=(0.0, 0.05),
+    source="Newton's method with 1e-10 and a dense Jacobian: all solvers of MuJoCo minimize one convex function",
+    consequence="Contacts and joints push with forces that the model does not state.",
+)
+def solver(robot: Robot) -> Finding:
+    """Return the error of constraint forces over their size, in the norm of the inverse mass matrix.
+
+    Both solvers get the same states and the same forces of the step before, so that no chaos counts.
+    """
+    model = robot.model
+    settled(robot)
+    exact = finer_solver(model)
+    data, rough, finer = start_data(model), mujoco.MjData(model), mujoco.MjData(exact)
+    spec = mujoco.mjtState.mjSTATE_INTEGRATION
+    state = np.zeros(mujoco.mj_stateSize(model, spec))
+    interval = max(
+        1, round(seconds(model, REST_S) / SOLVED_STATES / model.opt.timestep)
+    )
+    errors: list[float] = []
+    sizes: list[float] = []
+    for _ in range(SOLVED_STATES):
+        for _ in range(interval):
+            mujoco.mj_step(model, data)
+        mujoco.mj_getState(model, data, state, spec)
+        for target, one in ((model, rough), (exact, finer)):
+            mujoco.mj_setState(target, one, state, spec)
+            mujoco.mj_forward(target, one)
+        for several, change in (
+            (errors, rough.qacc - finer.qacc),
+            (sizes, finer.qacc - finer.qacc_smooth),
+        ):
+            weighted = np.zeros(model.nv)
+            mujoco.mj_mulM(exact, finer, weighted, change)
+            several.append(float(change @ weighted))
+    if not any(sizes):
+        raise NotApplicableError("no constraint acts at rest")
+    value = float(np.sqrt(max(sum(errors), 0.0) / sum(sizes)))
+    solver_name = mujoco.mjtSolver(model.opt.solver).name.removeprefix("mjSOL_")
+    jacobian = "a sparse" if mujoco.mj_isSparse(model) else "a dense"
+    return Finding(
+        value=value,
+        remark=f"forces of {solver_name} with {model.opt.iterations} iterations and {jacobian} Jacobian are "
+        f"{100.0 * value:.3g} % off",
+    )
+
+
+ROLLING = 1e-4
+"""Rolling friction of a geom that states none, with which no row is needed."""
+
+ROUND = [
+    int(getattr(mujoco.mjtGeom, f"mjGEOM_{name}"))
+    for name in ("SPHERE", "CAPSULE", "CYLINDER", "ELLIPSOID")
+]
+
+
+@row(
+    "model-stated",
+    title="statements of the file without effect: rolling friction with condim below 6, weight carried for some links",
+    unit="1",
+    interval=(0.0, 0.5),
+    source="MuJoCo: rolling friction acts with condim 6; gravcomp of a body does not reach its children",
+    consequence="The model does not do what its file says.",
+    is_usual=True,
+)
+def stated(robot: Robot) -> Finding:
+    """Return how many elements state what does not act."""
+    remarks = {**_idle_rolling(robot), **_half_carried(robot)}
+    names = [name_of(robot, *place) for place in remarks]
+    return Finding(
+        value=float(len(remarks)),
+        place=next(iter(remarks), None),
+        parts=dict.fromkeys(names, 1.0),
+        remark="; ".join(list(remarks.values())[:3]),
+    )
+
+
+def _idle_rolling(robot: Robot) -> dict[tuple[str, int], str]:
+    """Return round free bodies that state a rolling friction which none of their contacts has."""
+    model, found = robot.model, {}
+    for body in objects(model):
+        geoms = np.flatnonzero(model.geom_bodyid == body)
+        if not np.isin(model.geom_type[geoms], ROUND).all():
+            continue
+        for geom in geoms.tolist():
+            rows = (robot.pairs.geoms == geom).any(axis=1)
+            friction = float(model.geom_friction[geom, 2])
+            condims = robot.pairs.constants[rows, 0]
+            if friction > 2.0 * ROLLING and rows.any() and condims.max() < 6:
+                name = name_of(robot, "geom", geom)
+                found["geom", geom] = (
+                    f"rolling friction {friction:g} is stated for {name}, and condim {condims.max():g} ignores it"
+                )
+    return found
+
+
+def _half_carried(robot: Robot) -> dict[tuple[str, int], str]:
+    """Return links whose parent is carried against gravity and that motors move without being carried."""
+    model, found = robot.model, {}
+    moved = model.jnt_bodyid[model.actuator_trnid[model.actuator_trntype == 0, 0]]
+    for body in np.unique(moved).tolist():
+        parent = int(model.body_parentid[body])
+        if (
+            model.body_gravcomp[parent] > 0.0
+            and not model.body_gravcomp[body]
+            and model.body_mass[body] > 0.0
+        ):
+            found["body", body] = (
+                f"gravcomp {model.body_gravcomp[parent]:g} is stated for {name_of(robot, 'body', parent)}, not for "
+                f"{name_of(robot, 'body', body)} ({model.body_mass[body]:.3g} kg)"
+            )
+    return found

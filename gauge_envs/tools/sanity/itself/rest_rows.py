@@ -1,0 +1,402 @@
+"""Rows on the model at rest: overlap, constraints that open, sleep, motion that a finer run does not show, cloth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+
+from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.tools.sanity.itself.runs import (
+    EQUALITY,
+    LATE,
+    LIMIT_JOINT,
+    REST_S,
+    SAMPLES,
+    SLEEP,
+    has_diverged,
+    refined_rest,
+    rest,
+    seconds,
+    settled,
+    start_data,
+)
+from gauge_envs.tools.sanity.robot.mujoco_feet import joints_of
+from gauge_envs.tools.sanity.robot.robot import Robot
+from gauge_envs.tools.sanity.rows import (
+    Finding,
+    NotApplicableError,
+    NotMeasuredError,
+    Place,
+    row,
+)
+
+
+def name_of(robot: Robot, kind: str, number: int) -> str:
+    """Return the name of an element, or its kind and number."""
+    return getattr(robot.model, kind)(number).name or f"{kind} {number}"
+
+
+def body_size_m(model: mujoco.MjModel, body: int) -> float:
+    """Return the edge of the cube whose bounding sphere is that of a body [m]; infinite for one without bounds."""
+    geoms = np.flatnonzero(model.geom_bodyid == body)
+    geoms = geoms[model.geom_contype[geoms] | model.geom_conaffinity[geoms] != 0]
+    if not len(geoms) or not model.geom_rbound[geoms].all():
+        return np.inf
+    offsets_m = np.linalg.norm(model.geom_pos[geoms] - model.body_ipos[body], axis=-1)
+    radius_m = (offsets_m + model.geom_rbound[geoms]).max()
+    return float(2.0 * radius_m / np.sqrt(3.0))
+
+
+def objects(model: mujoco.MjModel) -> list[int]:
+    """Return bodies that move freely, and alone."""
+    bodies = model.jnt_bodyid[joints_of(model, "FREE")]
+    is_alone = model.body_subtreemass[bodies] == model.body_mass[bodies]
+    alone: list[int] = bodies[is_alone].tolist()
+    return alone
+
+
+TOWER = 20.0
+"""Load of a contact over the weight of its lighter side, up to which softness is a setting of all contacts.
+
+The lowest of twenty equal blocks carries as much. The row on the sink at rest judges the setting itself.
+"""
+
+
+@row(
+    "model-overlap",
+    title="depth by which a heavy body crushes a light one at rest, over the light one's size",
+    unit="1",
+    interval=(0.0, 0.01),
+    source="solids yield at strains of 0.2 % (steel) to 2 % (plastics); MuJoCo softens a contact as its lighter body",
+    consequence="Stacks sink into each other, and what stands on them is lower than in reality.",
+)
+def overlap(robot: Robot) -> Finding:
+    """Return the largest depth of contacts whose load is many times what their lighter body weighs.
+
+    A contact of MuJoCo with impedance d and stiffness k carries the force m d k r / (1 - d) at a depth r, with the
+    mass m that it accelerates ("Computation", constraint model): d k r / (1 - d) over gravity is load over weight.
+    """
+    run = settled(robot)
+    model, data = run.model, run.data
+    free = objects(model)
+    gravity = float(np.linalg.norm(model.opt.gravity)) or np.inf
+    value, pair, depth_mm = 0.0, (0, 0), 0.0
+    parts: dict[str, float] = {}
+    for contact in data.contact[: data.ncon]:
+        if min(contact.geom) < 0 or contact.efc_address < 0 or contact.dist >= 0.0:
+            continue
+        bodies = sorted(
+            (int(model.geom_bodyid[geom]) for geom in contact.geom),
+            key=lambda body: (body_size_m(model, body), body),
+        )
+        if bodies[0] not in free:
+            continue
+        stiffness, _, impedance, _ = data.efc_KBIP[contact.efc_address]
+        load = impedance * stiffness * -contact.dist / max(1.0 - impedance, 1e-9)
+        if load < TOWER * gravity:
+            continue
+        ratio = -contact.dist / body_size_m(model, bodies[0])
+        names = " and ".join(name_of(robot, "body", body) for body in bodies)
+        parts[names] = max(parts.get(names, 0.0), ratio)
+        if ratio > value:
+            value, pair, depth_mm = ratio, (bodies[0], bodies[1]), -1e3 * contact.dist
+    if not parts:
+        return Finding(value=0.0)
+    masses = [
+        f"{name_of(robot, 'body', body)} ({model.body_mass[body]:.3g} kg)"
+        if model.body_mass[body]
+        else name_of(robot, "body", body)
+        for body in pair
+    ]
+    return Finding(
+        value=value,
+        parts=parts,
+        place=("body", pair[0]),
+        remark=f"{masses[0]}, {1e3 * body_size_m(model, pair[0]):.3g} mm large, overlaps {masses[1]} by "
+        f"{depth_mm:.3g} mm at rest",
+    )
+
+
+JOINED = (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD))
+COUPLED = int(mujoco.mjtEq.mjEQ_JOINT)
+
+SOFT_S = 0.02
+"""Time constant of constraints by default [s]: who states a longer one, or a stiffness, may mean a spring."""
+
+
+@row(
+    "model-constraints",
+    title="opening of a connection or stop of the model under its load, over the size of what it joins, or in radians",
+    unit="1",
+    interval=(0.0, 0.05),
+    source="bearings and stops of machines yield by less than 1 %; MuJoCo's limits by up to 0.02 rad under a robot",
+    consequence="Parts that are joined come apart under load, so that forces and motions are those of a rubber band.",
+)
+def constraints(robot: Robot) -> Finding:
+    """Return the largest residual of connections, welds, tendons, couplings without motors and limits at rest."""
+    run = settled(robot)
+    found, parts = Finding(value=0.0), dict[str, float]()
+    has_hand = any(
+        int(run.model.eq_type[number]) in JOINED and not _is_judged(run.model, number)
+        for number in range(run.model.neq)
+    )
+    for (kind, number), (begin, values, force) in run.openings.items():
+        if has_hand if kind != EQUALITY else not _is_judged(run.model, number):
+            continue
+        # What is open from the start and does not open further is no matter of load.
+        before, *_ = _opening(robot, kind, number, begin)
+        after, place, name, text = _opening(robot, kind, number, values, force)
+        value = max(after - before, 0.0)
+        parts[name] = max(parts.get(name, 0.0), value)
+        if value > found.value:
+            found = Finding(
+                value=value,
+                place=place,
+                remark=f"{name}: {text}",
+                is_usual=kind == EQUALITY and _is_soft(run.model, number),
+            )
+    if not parts:
+        raise NotApplicableError("no connection and no limit carries a load")
+    return replace(found, parts=parts)
+
+
+def _is_judged(model: mujoco.MjModel, number: int) -> bool:
+    """Return whether an equality is a part of the machine: no weld to a mocap body, no coupling of a motor, no flex."""
+    kind = int(model.eq_type[number])
+    ends = [int(model.eq_obj1id[number]), int(model.eq_obj2id[number])]
+    if kind in JOINED:
+        return not any(model.body_mocapid[body] >= 0 for body in _bodies(model, number))
+    if kind == COUPLED:
+        return not np.isin(model.actuator_trnid[:, 0], ends).any()
+    return kind == int(mujoco.mjtEq.mjEQ_TENDON)
+
+
+def _bodies(model: mujoco.MjModel, number: int) -> list[int]:
+    """Return the bodies of a connection or weld."""
+    ends = [int(model.eq_obj1id[number]), int(model.eq_obj2id[number])]
+    if int(model.eq_objtype[number]) == int(mujoco.mjtObj.mjOBJ_SITE):
+        ends = [int(model.site_bodyid[site]) for site in ends]
+    return ends
+
+
+def _is_soft(model: mujoco.MjModel, number: int) -> bool:
+    """Return whether an equality states constants that are softer than MuJoCo's default."""
+    constant = float(model.eq_solref[number, 0])
+    return not 0.0 < constant <= SOFT_S or model.eq_solimp[number, 1] < 0.9
+
+
+def _opening(
+    robot: Robot, kind: int, number: int, values: FloatArray, force: float = 0.0
+) -> tuple[float, Place, str, str]:
+    """Return the opening of a constraint as a ratio, its element, the names of its ends, and the opening in words."""
+    model, residual = robot.model, abs(float(values[0]))
+    if kind != EQUALITY:
+        residual = max(-float(values[0]), 0.0)
+    if kind == LIMIT_JOINT:
+        place, room_m = ("joint", number), 1.0
+        text = f"{residual:.3g} rad beyond its range under {force:.3g} N m"
+        if joints_of(model, "SLIDE")[number]:
+            room_m = float(np.ptp(model.jnt_range[number])) or np.inf
+            text = f"{1e3 * residual:.3g} mm beyond its range under {force:.3g} N"
+        return residual / room_m, place, name_of(robot, *place), text
+    place = ("equality", number)
+    if kind == EQUALITY and int(model.eq_type[number]) in JOINED:
+        bodies = _bodies(model, number)
+        sizes_m = [body_size_m(model, body) for body in bodies if body]
+        sizes_m = [size_m for size_m in sizes_m if np.isfinite(size_m)]
+        gap_m = float(np.linalg.norm(values[:3]))
+        names = " and ".join(name_of(robot, "body", body) for body in bodies)
+        size_m = max(sizes_m, default=float(model.stat.meansize))
+        return (
+            gap_m / size_m,
+            place,
+            names,
+            f"{1e3 * gap_m:.3g} mm apart under {force:.3g} N",
+        )
+    first = int(model.eq_obj1id[number]) if kind == EQUALITY else number
+    if kind == EQUALITY and int(model.eq_type[number]) == COUPLED:
+        text = f"{residual:.3g} rad or m off its coupling under {force:.3g}"
+        return residual, place, name_of(robot, "joint", first), text
+    length_m = float(model.tendon_length0[first]) or np.inf
+    text = f"{1e3 * residual:.3g} mm off its length under {force:.3g} N"
+    place = place if kind == EQUALITY else ("tendon", first)
+    return residual / length_m, place, name_of(robot, "tendon", first), text
+
+
+@row(
+    "model-sleep",
+    title="speed of a body that sleeps and should move",
+    unit="mm/s",
+    interval=(0.0, 1.0),
+    source="the same model without sleep; 1 mm/s is MuJoCo's default tolerance of sleep",
+    consequence="What should drift, tip or slide stands still, so that the policy counts on it.",
+)
+def sleeping(robot: Robot) -> Finding:
+    """Return the largest mean speed in the refined run of a body that sleeps in the target's own."""
+    if not robot.model.opt.enableflags & SLEEP:
+        raise NotApplicableError("the model does not let bodies sleep")
+    run, finer = settled(robot), refined_rest(robot)
+    begins = np.argmin(run.is_awake, axis=0)
+    asleep = np.flatnonzero(~run.is_awake[-1] & (robot.model.body_dofnum > 0))
+    speeds = {
+        body: float(
+            np.linalg.norm(
+                finer.points_m[-1, body] - finer.points_m[begins[body], body], axis=-1
+            ).max()
+        )
+        / (run.sample_s * max(SAMPLES - 1 - begins[body], LATE))
+        for body in asleep.tolist()
+    }
+    if not speeds:
+        return Finding(value=0.0)
+    body = max(speeds, key=speeds.__getitem__)
+    return Finding(
+        value=1e3 * speeds[body],
+        place=("body", body),
+        parts={name_of(robot, "body", b): 1e3 * v for b, v in speeds.items()},
+        remark=f"{name_of(robot, 'body', body)} sleeps; awake it moves at {1e3 * speeds[body]:.3g} mm/s",
+    )
+
+
+STILL_MM_PER_S, DECAY = 1.0, 0.8
+"""Speed below which all of a tree counts as at rest in the refined run [mm/s]."""
+
+
+@row(
+    "model-creep",
+    title="speed at rest of a body that rests in the same model with a tenth of the step and an exact solver",
+    unit="mm/s",
+    interval=(0.0, 2.0),
+    source="the refined run rests; a foot that moves by 1 mm in a stance of 0.5 s",
+    consequence="What rests creeps or hops, so that stances and grasps drift.",
+)
+def creep(robot: Robot) -> Finding:
+    """Return the largest root mean square of the speed, late in the run, of a body that rests in the refined run."""
+    run, finer = settled(robot), refined_rest(robot)
+    if np.isfinite(finer.diverged_s):
+        raise NotMeasuredError("the refined run diverges")
+    late, before = (SAMPLES - LATE, SAMPLES), (SAMPLES - 2 * LATE, SAMPLES - LATE)
+    speeds = 1e3 * run.speeds_m_per_s(*late)
+    still = 1e3 * finer.speeds_m_per_s(*late)
+    speeds[speeds < 1e3 * DECAY * run.speeds_m_per_s(*before)] = 0.0
+    roots = robot.model.body_rootid
+    busiest = np.zeros(len(roots))
+    np.maximum.at(busiest, roots, still)
+    rests = (busiest[roots] < STILL_MM_PER_S) & (robot.model.body_dofnum > 0)
+    if not rests.any():
+        raise NotApplicableError("nothing rests after 2 s without actions")
+    body = int(np.argmax(np.where(rests, speeds, -1.0)))
+    return Finding(
+        value=float(speeds[body]),
+        place=("body", body),
+        remark=f"{name_of(robot, 'body', body)} moves at {speeds[body]:.3g} mm/s; with a finer step it rests "
+        f"({still[body]:.2g} mm/s)",
+    )
+
+
+def flex_name(model: mujoco.MjModel, flex: int) -> str:
+    """Return the name of a flex, or its number."""
+    name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_FLEX, flex)
+    return name or f"flex {flex}"
+
+
+def _worst_flex(robot: Robot, values: FloatArray) -> tuple[float, int]:
+    """Return the largest value that a flex has for a tenth of the run, and the flex."""
+    often = np.quantile(values, 0.9, axis=0)
+    flex = int(often.argmax())
+    return float(often[flex]), flex
+
+
+@row(
+    "model-cloth",
+    title="stretch of edges that the model holds at their length, at rest under gravity",
+    unit="1",
+    interval=(0.0, 0.05),
+    source="an edge with an equality has no elasticity; woven cloth stretches by less than 5 % under its weight",
+    consequence="Cloth or rope flows like rubber, so that a grasp lifts a part of it.",
+)
+def cloth(robot: Robot) -> Finding:
+    """Return the strain of the edges of flexes whose length an equality holds."""
+    run = settled(robot)
+    if not robot.model.nflex or not robot.model.flex_edgeequality.any():
+        raise NotApplicableError("the model has no flex whose edges keep their length")
+    strain, flex = _worst_flex(robot, run.stretches)
+    name = flex_name(robot.model, flex)
+    return Finding(
+        value=strain,
+        remark=f"edges of {name} stretch by {100.0 * strain:.3g} % under gravity",
+    )
+
+
+@row(
+    "model-cloth-sink",
+    title="depth of the model's cloth in what carries it, over its thickness",
+    unit="1",
+    interval=(0.0, 1.0),
+    source="two solids do not share a place; MuJoCo's flex is as thick as twice its radius",
+    consequence="Cloth passes into or through what it lies on.",
+)
+def cloth_sink(robot: Robot) -> Finding:
+    """Return the depth of flexes in rigid bodies."""
+    run = settled(robot)
+    if not robot.model.nflex:
+        raise NotApplicableError("the model has no flex")
+    thicknesses_m = 2.0 * np.maximum(robot.model.flex_radius, 1e-3)
+    ratio, flex = _worst_flex(robot, run.sinks_m / thicknesses_m)
+    name = flex_name(robot.model, flex)
+    return Finding(
+        value=ratio,
+        remark=f"{name} is {1e3 * ratio * thicknesses_m[flex]:.3g} mm inside what carries it",
+    )
+
+
+SINE_HZ, SINE_S, SINE_SHARE = 1.0, 1.0, 0.25
+"""Frequency and time of sines of the commands, and their amplitude over the range of a command."""
+
+SINE_RAD = 0.2
+"""Amplitude of a command without a range."""
+
+
+def _diverged_on_sines_s(robot: Robot) -> float:
+    """Return the time at which the state diverges while the commands follow sines [s]; infinite if it does not."""
+    model, data = robot.model, start_data(robot.model)
+    begin, begin_s = data.ctrl.copy(), float(data.time)
+    low, high = model.actuator_ctrlrange.T
+    is_limited = model.actuator_ctrllimited.astype(bool)
+    sizes = np.where(is_limited, SINE_SHARE * (high - low), SINE_RAD)
+    phases = np.arange(model.nu)
+    while data.time - begin_s < seconds(model, SINE_S):
+        turn = 2.0 * np.pi * SINE_HZ * (data.time - begin_s)
+        data.ctrl[:] = begin + sizes * (np.sin(turn + phases) - np.sin(phases))
+        mujoco.mj_step(model, data)
+        if has_diverged(data):
+            return max(float(data.time) - begin_s, float(model.opt.timestep))
+    return np.inf
+
+
+@row(
+    "robot-holds",
+    title="time for which the state stays finite at rest, over 2 s, then while its commands follow sines",
+    unit="1",
+    interval=(1.0, np.inf),
+    source="the model's own run, from its start, without actions",
+    consequence="Training meets NaN or is reset in each episode.",
+)
+def holds(robot: Robot) -> Finding:
+    """Return the time for which the state stays finite, over that of the run."""
+    if not robot.model.nv:
+        raise NotApplicableError("the model has no joint")
+    diverged_s, motion = rest(robot).diverged_s, "at rest"
+    if np.isinf(diverged_s):
+        diverged_s, motion = (
+            _diverged_on_sines_s(robot),
+            "while its commands follow sines",
+        )
+    if np.isinf(diverged_s):
+        return Finding(value=1.0)
+    return Finding(
+        value=min(diverged_s / REST_S, 0.3),
+        remark=f"the state diverges after {diverged_s:.3g} s {motion}, with a step of {robot.model.opt.timestep:g} s",
+    )

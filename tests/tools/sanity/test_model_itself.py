@@ -1,0 +1,124 @@
+"""Rows on the model itself: planted faults with their size from mechanics, and right models without a flag."""
+
+import mujoco
+import pytest
+from robot_faults import good_xml
+
+from gauge_envs.tools.sanity import configuration
+from gauge_envs.tools.sanity.model import Verdict
+from gauge_envs.tools.sanity.own_rows import ROWS
+from gauge_envs.tools.sanity.rows import row_result
+
+FLOOR = '<geom name="floor" type="plane" size="5 5 1"/>'
+
+FREE = '<body name="{0}" pos="{1}"><freejoint/><geom name="{0}" {2}/></body>'
+
+BOX = 'type="box" size=".05 .05 .05" mass="{}"'
+
+
+def mjcf(bodies, option="", rest=""):
+    return f"<mujoco><option {option}</option><worldbody>{bodies}</worldbody>{rest}</mujoco>"
+
+
+def stack(heavy_kg, option=">", count=2, solref=".02 1"):
+    boxes = [
+        FREE.format(
+            f"box{n}", f"0 0 {0.05 + 0.1 * n}", BOX.format(heavy_kg if n else 1)
+        )
+        for n in range(count)
+    ]
+    return mjcf(FLOOR + "".join(boxes), option)
+
+
+def hang(hook_kg, mass_kg):
+    hook = '<body name="hook" pos="0 0 1"><joint type="slide" axis="0 0 1"/><geom size=".05" mass="{}"/></body>'.format(
+        hook_kg
+    )
+    load = FREE.format("load", "0 0 .8", f'size=".05" mass="{mass_kg}"')
+    connects = (
+        '<connect body1="hook" anchor="0 0 0"/>'
+        '<connect body1="load" body2="hook" anchor="0 0 .2"/>'
+    )
+    return mjcf(hook + load, ">", f"<equality>{connects}</equality>")
+
+
+ROD = FREE.format("rod", "0 0 1", 'type="box" size=".2 .01 .01" mass="1"')
+
+SLEEP = '<flag sleep="enable"/>'
+
+DRIFT = mjcf(
+    FREE.format("ball", "0 0 1", 'size=".05"'),
+    f'gravity="0 0 0" sleep_tolerance=".01">{SLEEP}',
+    '<keyframe><key qvel=".005 0 0 0 0 0"/></keyframe>',
+)
+
+CLOTH = """<flexcomp name="towel" type="grid" count="7 7 1" spacing=".05 .05 .05" dim="2" radius=".002" mass="{}"
+ pos="0 0 .4"><edge equality="true"/><contact selfcollide="none"/></flexcomp>
+ <geom type="sphere" size=".03" pos=".013 .011 .35"/>"""
+
+ARM = """<body name="upper" gravcomp="1"><joint name="j1" axis="0 1 0" armature=".1"/><geom size=".03" mass="2"/>
+ <body name="fore" pos=".4 0 0" {}><joint name="j2" axis="0 1 0" armature=".1"/><geom size=".03" mass="1"/></body>
+ </body>"""
+
+MOTORS = '<actuator><position joint="j1" kp="250" kv="9"/><position joint="j2" kp="100" kv="9"/></actuator>'
+
+BALL = FREE.format("ball", "0 0 .1", 'size=".1" friction="1 .005 .01" condim="{}"')
+
+
+def result(name, xml):
+    robot = configuration(mujoco.MjModel.from_xml_string(xml)).robot
+    return row_result(ROWS[name], robot)
+
+
+@pytest.mark.parametrize(
+    ("name", "xml", "value", "words"),
+    [
+        ("model-overlap", stack(2000), None, "box0 (1 kg)"),
+        ("model-constraints", hang(0.02, 20), None, "hook"),
+        ("model-sleep", DRIFT, 5.0, "ball sleeps"),
+        # Explicit steps of 20 ms make a rod that turns once a second gain 29 % of its momentum in 2 s.
+        ("model-spin", mjcf(ROD, 'timestep=".02">'), 0.29, "rod"),
+        ("model-cloth", mjcf(CLOTH.format(0.2), ">"), None, "towel"),
+        (
+            "model-creep",
+            # A spring of 10^5 / s^2 has a period of 20 ms: a step of 5 ms keeps it swinging.
+            stack(1, 'timestep=".005">', 3, "-100000 -100"),
+            None,
+            "box",
+        ),
+        ("model-stated", mjcf(ARM.format(""), ">", MOTORS), 1.0, "not for fore"),
+        ("model-stated", mjcf(FLOOR + BALL.format(3), ">"), 1.0, "rolling"),
+    ],
+)
+def test_a_fault_is_named_with_its_size(name, xml, value, words):
+    row = result(name, xml)
+    assert row.verdict.is_off, row
+    assert words in row.remark
+    assert value is None or row.configured == pytest.approx(value, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    "xml",
+    [
+        good_xml(),
+        stack(1),
+        stack(10),
+        hang(1, 1),
+        mjcf(ROD, ">"),
+        mjcf(ROD, 'timestep=".02" integrator="RK4">'),
+        mjcf(ARM.format('gravcomp="1"'), ">", MOTORS),
+        mjcf(FLOOR + BALL.format(6), ">"),
+        mjcf(FLOOR + FREE.format("ball", "0 0 .1", 'size=".1"'), f">{SLEEP}"),
+    ],
+)
+def test_a_right_model_has_no_flag(xml):
+    robot = configuration(mujoco.MjModel.from_xml_string(xml)).robot
+    itself = [row for row in ROWS.values() if "itself" in row.measure.__module__]
+    rows = [row_result(row, robot) for row in itself]
+    assert [row.remark for row in rows if row.verdict.is_off] == []
+
+
+def test_the_solver_is_compared_with_an_exact_one():
+    rough = result("model-solver", stack(10, 'iterations="1" solver="CG">'))
+    exact = result("model-solver", stack(10))
+    assert rough.verdict is Verdict.WRONG and rough.configured > exact.configured
