@@ -6,16 +6,19 @@ steps hop by 58 mm, MuJoCo's default of ten steps by 5 mm, and this package's pr
 """
 
 import math
-from itertools import product
-
-import numpy as np
+from functools import cache, partial
 
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Scene
 from gauge_envs.tools.bench.parts import box, contact, ground, thrown
 from gauge_envs.tools.bench.recording import Recording
 from gauge_envs.tools.sanity.measure import Measurements
 from gauge_envs.tools.sanity.model import Settings, Verdict
-from gauge_envs.tools.sanity.phenomena.base import Phenomenon, rigid_law
+from gauge_envs.tools.sanity.phenomena.base import (
+    Phenomenon,
+    lowest_m,
+    replaced,
+    rigid_law,
+)
 from gauge_envs.tools.sanity.scenario import Scenario
 
 FRICTION = 0.257
@@ -35,71 +38,62 @@ cone and with `impratio` 1 to 100."""
 STOP_TOLERANCE = 0.1
 """Relative tolerance of a stopping distance: the friction of real cubes scatters by up to 8 % (slope_slider_30deg)."""
 
-CORNERS = 0.5 * np.array(list(product((-1.0, 1.0), repeat=3)))
 
-
-def _cubes(_: Scene) -> Scene:
-    bodies = tuple(
-        thrown(
-            box(
-                f"cube-{place}", (0.0, 0.3 * place, 0.5 * edge), (edge,) * 3, mass_kg=kg
-            ),
-            (speed, 0.0, 0.0),
-        )
-        for place, (speed, edge, kg) in enumerate(CUBES)
-    )
-    touch = contact(tuple(cube.name for cube in bodies), "ground", friction=FRICTION)
-    return Scene(bodies=(*bodies, ground()), contacts=(touch,), duration_s=SLIDE_S)
-
-
-def _highest_mm(rollout: Recording) -> float:
-    """Return the largest height that the lowest corner of a cube gains [mm]."""
-    heights_m = [
-        rollout.displacement(f"cube-{place}")[:, 2]
-        + edge
-        * (
-            0.5
-            + (rollout.rotation(f"cube-{place}").as_matrix()[:, 2] @ CORNERS.T).min(
-                axis=1
-            )
-        )
-        for place, (_, edge, _) in enumerate(CUBES)
-    ]
-    return 1e3 * float(np.max(heights_m))
-
-
-def _wrong_stop(rollout: Recording) -> str:
-    """Return which stopping distance is not Coulomb's v^2 / (2 mu g); empty when all are."""
-    for place, (speed, _, _) in enumerate(CUBES):
-        share = (
-            2.0 * FRICTION * G * rollout.displacement(f"cube-{place}")[-1, 0] / speed**2
-        )
-        if speed < FRICTION * G * SLIDE_S and abs(share - 1.0) > STOP_TOLERANCE:
-            return f"a cube of {speed:g} m/s slides {share:.2f} of Coulomb's distance"
-    return ""
-
-
+@cache
 def hop() -> Phenomenon:
     """Return the height to which cubes hop while they slide."""
+    cubes = {
+        thrown(
+            box(
+                f"{speed} m/s, {edge} m",
+                (0.0, speed + 10.0 * edge, 0.5 * edge),
+                (edge,) * 3,
+                mass_kg=kg,
+            ),
+            (speed, 0.0, 0.0),
+        ): speed
+        for speed, edge, kg in CUBES
+    }
+    names = tuple(cube.name for cube in cubes)
+    scene = Scene(
+        bodies=(*cubes, ground()),
+        contacts=(contact(names, "ground", friction=FRICTION),),
+        duration_s=SLIDE_S,
+    )
+
+    def highest_mm(rollout: Recording) -> float:
+        heights = (lowest_m(rollout, cube.name, cube.shape.corners_m) for cube in cubes)
+        return 1e3 * max(float((one - one[0]).max()) for one in heights)
+
+    def wrong_stop(rollout: Recording) -> str:
+        """Return which stopping distance is not Coulomb's v^2 / (2 mu g); empty when all are."""
+        for cube, speed in cubes.items():
+            way_m = rollout.displacement(cube.name)[-1, 0]
+            share = 2.0 * FRICTION * G * way_m / speed**2
+            if speed < FRICTION * G * SLIDE_S and abs(share - 1.0) > STOP_TOLERANCE:
+                return (
+                    f"a cube of {speed:g} m/s slides {share:.2f} of Coulomb's distance"
+                )
+        return ""
+
     return Phenomenon(
-        id="slide-hop",
-        title="height to which a cube hops while it slides at up to 4 m/s",
-        scenario=Scenario(
-            name="slide-hop",
-            released=tuple(f"cube-{place}" for place in range(len(CUBES))),
-            variant="SlopeSlider-2-wood",
-            seconds=SLIDE_S,
-            change=_cubes,
+        "height to which a cube hops while it slides at up to 4 m/s",
+        Scenario(
+            "slide-hop",
+            "SlopeSlider-2-wood",
+            SLIDE_S,
+            change=partial(replaced, scene=scene),
+            released=names,
         ),
-        unit="mm",
-        reality=rigid_law(
+        "mm",
+        rigid_law(
             "a rigid body that slides on a plane stays on it",
             MIN_HOP_MM,
             "the edge of 20 mm of a cube",
         ),
+        highest_mm,
+        wrong_stop,
         needs_friction=True,
-        value=_highest_mm,
-        failure=_wrong_stop,
     )
 
 

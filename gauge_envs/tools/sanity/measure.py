@@ -25,6 +25,7 @@ from gauge_envs.tools.sanity.model import (
 )
 from gauge_envs.tools.sanity.phenomena import GRASP, phenomenon as phenomenon_of
 from gauge_envs.tools.sanity.phenomena.base import Phenomenon
+from gauge_envs.tools.sanity.robot.foot import FootGeometry
 from gauge_envs.tools.sanity.scenario import Scenario, run_scenario, settings_in_force
 
 SIMULATION_LIMIT_S = 600.0
@@ -47,75 +48,9 @@ OF_CONTACTS = (
 NEUTRAL = {"mujoco": {"contact_margin_m": 0.0, "contact_gap_m": 0.0}}
 """Values that are those of an engine where a setting is not stated, by the name of the engine."""
 
-_Run = Callable[[Backend, Scenario, Settings], Any]
-
-
-class EngineDiedError(DivergedError):
-    """The process of an engine died, or exceeded its time limit."""
-
 
 class TimeLimitError(GaugeError):
     """The time of a check is used up, and another rollout would be needed."""
-
-
-class Engine:
-    """A backend that runs scenarios. An installed backend of another package runs in another process.
-
-    Args:
-        engine: The backend, or the name of an installed one.
-        time_limit_s: Time limit of a simulation in another process [s].
-    """
-
-    def __init__(
-        self, engine: Backend | str, time_limit_s: float = SIMULATION_LIMIT_S
-    ) -> None:
-        self._worker = Worker(time_limit_s)
-        self._backend: Backend | None = None
-        if isinstance(engine, str):
-            if engine in backend_names() and not is_bundled(engine):
-                self.name = engine
-                try:
-                    self.versions = self._worker.call(versions_of, engine)
-                except CrashError as error:
-                    raise CrashError(
-                        f"backend {engine!r} cannot be imported: {error}"
-                    ) from None
-                return
-            engine = backend(engine)
-        self._backend = engine
-        self.name, self.versions = engine.name, engine.versions()
-
-    def close(self) -> None:
-        """End the process of the engine."""
-        self._worker.close()
-
-    def call(self, function: _Run, scenario: Scenario, settings: Settings) -> Any:
-        """Return the value of a function of the backend, a scenario and settings."""
-        if self._backend is not None:
-            return function(self._backend, scenario, settings)
-        try:
-            value, missing, divergence = self._worker.call(
-                _outcome_of, function, self.name, scenario, settings
-            )
-        except GaugeError as error:
-            raise EngineDiedError(str(error)) from None
-        if missing is not None:
-            raise DeclinedError(missing)
-        if divergence is not None:
-            raise DivergedError(divergence)
-        return value
-
-
-def _outcome_of(
-    function: _Run, name: str, scenario: Scenario, settings: Settings
-) -> tuple[Any, tuple[str, ...] | None, str | None]:
-    """Return the value of a function of a backend and a scenario, or why it declined or diverged."""
-    try:
-        return function(backend(name), scenario, settings), None, None
-    except DeclinedError as error:
-        return None, error.missing, None
-    except DivergedError as error:
-        return None, None, str(error)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,7 +63,6 @@ class Measured:
         verdict: The verdict.
         remark: Why nothing was measured, or a failure that no real trial shows; empty otherwise.
         rollout: The rollout; None when the backend declined or the rollout diverged.
-        engine_died: Whether the process of the engine died or exceeded its time limit.
     """
 
     value: float | None = None
@@ -136,77 +70,98 @@ class Measured:
     verdict: Verdict
     remark: str = ""
     rollout: Recording | None = None
-    engine_died: bool = False
+
+
+_Run = Callable[[Backend, Scenario, Settings], Any]
+
+
+def _outcome_of(
+    function: _Run, engine: Backend | str, scenario: Scenario, settings: Settings
+) -> Any:
+    """Return the value of a function of a backend, or a `Measured` that says why it declined or diverged."""
+    try:
+        if isinstance(engine, str):
+            engine = backend(engine)
+        return function(engine, scenario, settings)
+    except DeclinedError as error:
+        return Measured(verdict=Verdict.DECLINED, remark=str(error))
+    except DivergedError as error:
+        return Measured(verdict=Verdict.WRONG, remark=f"diverged: {error}")
 
 
 class Measurements:
     """Measures phenomena on one engine, and caches rollouts by scenario and settings.
 
+    An installed backend of another package runs in another process.
+
     Args:
         engine: A backend, or the name of an installed one.
         time_limit_s: Time after which no rollout starts any more [s]; None for no limit. It bounds each simulation in
             another process too, to a second at least, in which a process starts.
+
+    Attributes:
+        engine: Name of the engine.
+        versions: Versions of the engine's packages.
     """
 
     def __init__(
         self, engine: Backend | str, *, time_limit_s: float | None = None
     ) -> None:
         limit_s = math.inf if time_limit_s is None else time_limit_s
-        self._engine = Engine(engine, min(max(limit_s, 1.0), SIMULATION_LIMIT_S))
         self._ends_s = time.monotonic() + limit_s
+        self._worker = Worker(min(max(limit_s, 1.0), SIMULATION_LIMIT_S))
         self._known: dict[tuple[str, str, str], Any] = {}
-
-    @property
-    def engine(self) -> str:
-        """Name of the engine."""
-        return self._engine.name
-
-    @property
-    def versions(self) -> Mapping[str, str]:
-        """Versions of the engine's packages."""
-        return self._engine.versions
+        self._backend: Backend | None = None
+        self.versions: Mapping[str, str]
+        if (
+            isinstance(engine, str)
+            and engine in backend_names()
+            and not is_bundled(engine)
+        ):
+            self.engine = engine
+            try:
+                self.versions = self._worker.call(versions_of, engine)
+            except CrashError as error:
+                cause = f"backend {engine!r} cannot be imported: {error}"
+                raise CrashError(cause) from None
+            return
+        self._backend = backend(engine) if isinstance(engine, str) else engine
+        self.engine, self.versions = self._backend.name, self._backend.versions()
 
     def close(self) -> None:
         """End the process of the engine."""
-        self._engine.close()
-
-    def in_force(self, scenario: Scenario, settings: Settings) -> dict[str, Any]:
-        """Return every numerical setting that a scenario runs with."""
-        found = self._outcome(settings_in_force, scenario, settings)
-        if isinstance(found, EngineDiedError):
-            raise DeclinedError((str(found),))
-        if isinstance(found, DeclinedError):
-            raise found
-        return dict(found)
+        self._worker.close()
 
     def measure(self, phenomenon: Phenomenon, settings: Settings) -> Measured:
         """Measure a phenomenon; an outcome also exists when the backend declines or the rollout diverges."""
-        rollout = self._rollout(phenomenon.scenario, settings)
-        if isinstance(rollout, DeclinedError):
-            return Measured(verdict=Verdict.DECLINED, remark=str(rollout))
-        if isinstance(rollout, DivergedError):
-            died = isinstance(rollout, EngineDiedError)
-            remark = str(rollout) if died else f"diverged: {rollout}"
-            return Measured(verdict=Verdict.WRONG, remark=remark, engine_died=died)
-        return judged(phenomenon, rollout)
+        outcome = self._rollout(phenomenon.scenario, settings)
+        return outcome if isinstance(outcome, Measured) else judged(phenomenon, outcome)
 
-    def _rollout(
-        self, scenario: Scenario, settings: Settings
-    ) -> Recording | DeclinedError | DivergedError:
+    def _rollout(self, scenario: Scenario, settings: Settings) -> Recording | Measured:
         """Return the rollout of a scenario, or why there is none."""
-        if _key(self.engine, run_scenario, scenario, settings) in self._known:
-            return self._outcome(run_scenario, scenario, settings)
-        if time.monotonic() >= self._ends_s:
-            raise TimeLimitError("the time limit is reached")
-        # A stated step gives every rollout of the scenario the same sampling rule.
         step: dict[str, Any] = {}
-        if settings.get("timestep_s") is None:
-            try:
+        if self._key(run_scenario, scenario, settings) not in self._known:
+            if time.monotonic() >= self._ends_s:
+                raise TimeLimitError("the time limit is reached")
+            # A stated step gives every rollout of the scenario the same sampling rule.
+            if settings.get("timestep_s") is None:
                 force = self.in_force(scenario, settings)
-            except DeclinedError as declined:
-                return declined
-            step = {k: v for k, v in force.items() if k == "timestep_s"}
-        return self._outcome(run_scenario, scenario, settings, step)
+                if isinstance(force, Measured):
+                    return force
+                step = {k: v for k, v in force.items() if k == "timestep_s"}
+        outcome: Recording | Measured = self._outcome(
+            run_scenario, scenario, settings, step
+        )
+        return outcome
+
+    def in_force(
+        self, scenario: Scenario, settings: Settings
+    ) -> dict[str, Any] | Measured:
+        """Return every numerical setting that a scenario runs with, or why there is none."""
+        outcome: dict[str, Any] | Measured = self._outcome(
+            settings_in_force, scenario, settings
+        )
+        return outcome
 
     def _outcome(
         self,
@@ -215,35 +170,37 @@ class Measurements:
         settings: Settings,
         more: Settings | None = None,
     ) -> Any:
-        """Return what a function gives for a scenario and settings, or the error with which it ends."""
-        key = _key(self.engine, function, scenario, settings)
+        """Return what a function gives for a scenario and settings, or why it gives nothing."""
+        key = self._key(function, scenario, settings)
         if key not in self._known:
-            try:
-                self._known[key] = self._engine.call(
-                    function, scenario, {**settings, **(more or {})}
-                )
-            except (DeclinedError, DivergedError) as outcome:
-                self._known[key] = outcome
+            given = scenario, {**settings, **(more or {})}
+            self._known[key] = self._called(function, *given)
         return self._known[key]
 
+    def _called(self, function: _Run, scenario: Scenario, settings: Settings) -> Any:
+        if self._backend is not None:
+            return _outcome_of(function, self._backend, scenario, settings)
+        try:
+            return self._worker.call(
+                _outcome_of, function, self.engine, scenario, settings
+            )
+        except GaugeError as error:
+            died = Verdict.WRONG if function is run_scenario else Verdict.DECLINED
+            return Measured(verdict=died, remark=str(error))
 
-def _key(
-    engine: str, function: _Run, scenario: Scenario, settings: Settings
-) -> tuple[str, str, str]:
-    if not scenario.scene.contacts:
-        settings = {
+    def _key(
+        self, function: _Run, scenario: Scenario, settings: Settings
+    ) -> tuple[str, str, str]:
+        """Return a text of the settings that matter to a function of a scenario."""
+        neutral, touches = NEUTRAL.get(self.engine, {}), scenario.scene.contacts
+        stated = {
             name: value
             for name, value in settings.items()
-            if not name.startswith(OF_CONTACTS)
+            if (touches or not name.startswith(OF_CONTACTS))
+            and (name not in neutral or value != neutral[name])
         }
-    neutral = NEUTRAL.get(engine, {})
-    stated = {
-        name: value
-        for name, value in settings.items()
-        if name not in neutral or value != neutral[name]
-    }
-    text = json.dumps(json_ready(stated), sort_keys=True)
-    return function.__name__, scenario.name, text
+        text = json.dumps(json_ready(stated), sort_keys=True)
+        return function.__name__, scenario.name, text
 
 
 def judged(phenomenon: Phenomenon, rollout: Recording) -> Measured:
@@ -251,11 +208,8 @@ def judged(phenomenon: Phenomenon, rollout: Recording) -> Measured:
     failure = "" if phenomenon.failure is None else phenomenon.failure(rollout)
     value, reality = float(phenomenon.value(rollout)), phenomenon.reality
     if not math.isfinite(value):
-        return Measured(
-            verdict=Verdict.WRONG,
-            remark=failure or "it does not happen",
-            rollout=rollout,
-        )
+        remark = failure or "it does not happen"
+        return Measured(verdict=Verdict.WRONG, remark=remark, rollout=rollout)
     deviation = abs(value - reality.value) / reality.tolerance
     if failure:
         deviation = max(deviation, FAILURE_DEVIATION)
@@ -300,11 +254,14 @@ def result_of(
     )
 
 
-SEVERITY = (Verdict.DECLINED, Verdict.INSIDE, Verdict.VISIBLE, Verdict.WRONG)
-"""Verdicts, the worst last."""
-
 NO_ROBOT = "the target states no geoms of a robot, so it has no foot"
 """Reason why rows on a foot do not apply to settings without a model."""
+
+NO_IMPACT = "the target states no impact constant: its contacts are critically damped or stiffer"
+"""Reason why a rebound does not count."""
+
+Sets = Mapping[str, Settings]
+"""Settings of sets of contact constants, by the geoms that touch with them."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -321,7 +278,7 @@ class Subject:
 
     measurements: Measurements
     phenomenon: Phenomenon
-    sets: Mapping[str, Settings] = field(default_factory=dict)
+    sets: Sets = field(default_factory=dict)
     inapplicable: str = ""
     advisory: str = ""
 
@@ -333,6 +290,10 @@ class Subject:
         }
 
 
+class _InapplicableError(Exception):
+    """A phenomenon does not apply to a target; the message is the reason."""
+
+
 def subject_of(
     measurements: Measurements,
     configuration: TrainingConfiguration,
@@ -340,61 +301,65 @@ def subject_of(
 ) -> Subject:
     """Return a phenomenon with the sets of contact constants that it applies to."""
     subject = Subject(measurements=measurements, phenomenon=phenomenon)
-    for need in phenomenon.needs:
-        if need in configuration.inapplicable:
-            return replace(subject, inapplicable=configuration.inapplicable[need])
-    judged_contacts = (
-        configuration.of_hand(is_flat=phenomenon.id == "grasp-torsion")
-        if phenomenon.id in GRASP
-        else configuration
-    )
-    if judged_contacts is None:
-        return replace(
-            subject,
-            inapplicable="round fingertips: their torsional friction alone holds a torque",
-        )
-    sets = {
-        geoms: _relevant(phenomenon, settings)
-        for geoms, settings in judged_contacts.contact_sets.items()
-    }
+    foot = configuration.foot_geometry
+    try:
+        sets = _sets_of(configuration, phenomenon)
+    except _InapplicableError as reason:
+        return replace(subject, inapplicable=str(reason))
     if phenomenon.needs_foot:
-        geometry = configuration.foot_geometry
-        if geometry is None:
-            return replace(subject, inapplicable=NO_ROBOT)
-        subject = replace(subject, phenomenon=phenomenon_of(phenomenon.id, geometry))
-        sets = {
-            geoms: settings
-            for geoms, settings in sets.items()
-            if geoms in geometry.sets
-        }
-        if not sets:
-            return replace(
-                subject, inapplicable="the chosen geoms are no foot on the ground"
-            )
-    if Need.CONTACT not in phenomenon.needs:
-        sets = dict([next(iter(sets.items()))])
-    if phenomenon.needs_friction:
-        frictionless = [
-            geoms for geoms, settings in sets.items() if settings.get("condim") == 1
-        ]
-        sets = {
-            geoms: settings
-            for geoms, settings in sets.items()
-            if geoms not in frictionless
-        }
-        if not sets:
-            reason = f"condim 1: contacts of {'; '.join(frictionless) or 'the target'} have no friction on purpose"
-            return replace(subject, inapplicable=reason)
-    subject = replace(subject, sets=sets, advisory=subject.phenomenon.advisory)
+        made = phenomenon_of(phenomenon.id, foot)
+        subject = replace(subject, phenomenon=made)
+    subject = replace(subject, sets=sets)
     return _impact(subject, configuration) if phenomenon.is_impact else subject
 
 
-def _relevant(phenomenon: Phenomenon, settings: Settings) -> Settings:
-    """Return settings without torsional and rolling friction for many bodies: bricks that lie flat do not need them."""
-    if not phenomenon.has_many_bodies or settings.get("condim", 3) < 3:
-        return settings
-    several = ("condim", "torsional_friction_m", "rolling_friction_m")
-    return {name: value for name, value in settings.items() if name not in several}
+def _sets_of(configuration: TrainingConfiguration, phenomenon: Phenomenon) -> Sets:
+    """Return the sets of contact constants that a phenomenon applies to; raise an error with the reason if none."""
+    for need in phenomenon.needs:
+        if need in configuration.inapplicable:
+            raise _InapplicableError(configuration.inapplicable[need])
+    judged_contacts: TrainingConfiguration | None = configuration
+    if phenomenon.id in GRASP:
+        is_flat = phenomenon.id == "grasp-torsion"
+        judged_contacts = configuration.of_hand(is_flat=is_flat)
+    if judged_contacts is None:
+        raise _InapplicableError(
+            "round fingertips: their torsional friction alone holds a torque"
+        )
+    sets: Sets = judged_contacts.contact_sets
+    if phenomenon.has_many_bodies:
+        sets = {geoms: _flat(settings) for geoms, settings in sets.items()}
+    if phenomenon.needs_foot:
+        sets = _of_foot(configuration.foot_geometry, sets)
+    if Need.CONTACT not in phenomenon.needs:
+        sets = dict([*sets.items()][:1])
+    return _with_friction(sets) if phenomenon.needs_friction else sets
+
+
+def _flat(settings: Settings) -> Settings:
+    """Return settings without torsional and rolling friction: many bricks that lie flat do not need them."""
+    turning = {"condim", "torsional_friction_m", "rolling_friction_m"}
+    kept = {name: settings[name] for name in settings if name not in turning}
+    return kept if settings.get("condim", 3) >= 3 else settings
+
+
+def _of_foot(foot: FootGeometry | None, sets: Sets) -> Sets:
+    if foot is None:
+        raise _InapplicableError(NO_ROBOT)
+    standing = {geoms: sets[geoms] for geoms in sets if geoms in foot.sets}
+    if not standing:
+        raise _InapplicableError("the chosen geoms are no foot on the ground")
+    return standing
+
+
+def _with_friction(sets: Sets) -> Sets:
+    rubbing = {geoms: sets[geoms] for geoms in sets if sets[geoms].get("condim") != 1}
+    if not rubbing:
+        named = "; ".join(sets) or "the target"
+        raise _InapplicableError(
+            f"condim 1: contacts of {named} have no friction on purpose"
+        )
+    return rubbing
 
 
 def _impact(subject: Subject, configuration: TrainingConfiguration) -> Subject:
@@ -402,43 +367,36 @@ def _impact(subject: Subject, configuration: TrainingConfiguration) -> Subject:
     foot = configuration.foot_contact
     if foot is not None and not any(foot.restitution):
         return replace(subject, advisory="the target states a restitution of 0")
+    scenario, sets = subject.phenomenon.scenario, subject.sets
     stating = {
         geoms: settings
-        for geoms, settings in subject.sets.items()
-        if _states_impact(subject, settings)
+        for geoms, settings in sets.items()
+        if _states_impact(subject.measurements.in_force(scenario, settings))
     }
-    reason = "the target states no impact constant: its contacts are critically damped or stiffer"
-    return replace(
-        subject, sets=stating or subject.sets, advisory="" if stating else reason
-    )
+    advisory = "" if stating else NO_IMPACT
+    return replace(subject, sets=stating or sets, advisory=advisory)
 
 
-def worst_of(outcomes: Mapping[str, Measured]) -> tuple[str, Measured]:
-    """Return the geoms and the outcome of the worst verdict; of equal verdicts, the one farthest from reality."""
-    return max(
-        outcomes.items(),
-        key=lambda item: (SEVERITY.index(item[1].verdict), item[1].deviation),
-    )
-
-
-def _states_impact(subject: Subject, settings: Settings) -> bool:
+def _states_impact(force: dict[str, Any] | Measured) -> bool:
     """Return whether contacts have a rebound: one solref without it replaces an engine's restitution."""
-    try:
-        force = subject.measurements.in_force(subject.phenomenon.scenario, settings)
-    except DeclinedError:
+    if isinstance(force, Measured):
         return True
     if force.get("newton_material"):
         return False
     if "impact_steps" in force:
         # Genesis: without a recipe for impacts, all contacts have the damping of lasting ones.
-        return force["impact_steps"] is not None or bool(
-            force["sustained_dampratio"] < 1.0
-        )
-    solref = force.get("contact_solref")
-    if solref is None:
-        return True
-    first, second = solref
-    if first > 0.0:
-        return bool(second < 1.0)
+        damping = force["sustained_dampratio"]
+        return force["impact_steps"] is not None or bool(damping < 1.0)
+    first, second = force.get("contact_solref") or (1.0, 0.0)
     # In the direct format, minus stiffness and damping, the damping ratio is b / (2 sqrt(k)).
-    return bool(-second < 2.0 * (-first) ** 0.5)
+    return bool(second < 1.0 if first > 0.0 else -second < 2.0 * (-first) ** 0.5)
+
+
+def worst_of(outcomes: Mapping[str, Measured]) -> tuple[str, Measured]:
+    """Return the geoms and the outcome that is farthest from reality; of those that were not measured if all."""
+
+    def distance(item: tuple[str, Measured]) -> float:
+        _, outcome = item
+        return -1.0 if outcome.verdict is Verdict.DECLINED else outcome.deviation
+
+    return max(outcomes.items(), key=distance)

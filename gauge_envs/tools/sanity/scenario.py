@@ -31,11 +31,7 @@ TRIAL_LIMIT_S = 300.0
 """Time limit of that check in another process [s]."""
 
 
-def _unchanged(scene: Scene) -> Scene:
-    return scene
-
-
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Scenario:
     """A scene of the suite and the time for which it is simulated.
 
@@ -45,7 +41,7 @@ class Scenario:
         seconds: Simulated time [s].
         parameters: Parameter set of the variant.
         interval_s: Longest time between samples, unless a step is longer [s].
-        change: Function that changes the scene, for example removes a body.
+        change: Function that changes the scene, for example removes a body; None for no change.
         nodes_of: Deformable bodies whose nodes are recorded.
         engine_settings: Settings that belong to the scene, by name of the backend; those of a configuration come first.
         wrenches: Force and torque on each body that is pushed all the time [N, N m], shape [6].
@@ -60,7 +56,7 @@ class Scenario:
     seconds: float
     parameters: Parameters = "calibrated"
     interval_s: float = 0.002
-    change: Callable[[Scene], Scene] = field(default=_unchanged)
+    change: Callable[[Scene], Scene] | None = None
     nodes_of: tuple[str, ...] = ()
     engine_settings: Mapping[str, Settings] = field(default_factory=dict)
     wrenches: Mapping[str, FloatArray] = field(default_factory=dict)
@@ -76,23 +72,22 @@ class Scenario:
     @cached_property
     def scene(self) -> Scene:
         """The scene, driven as the task file states."""
-        return self.change(load_experiment(self.variant, self.parameters).scene)
+        scene = load_experiment(self.variant, self.parameters).scene
+        return self.change(scene) if self.change else scene
 
     def scene_with(self, settings: Settings) -> Scene:
         """Return the scene with released bodies at the height at which the margin of settings lets them settle."""
         apart_m = settings.get("contact_margin_m") or 0.0
 
         def lifted(body: RigidBody) -> RigidBody:
+            pose = body.pose
             if body.name not in self.released:
                 return body
-            place_m = body.pose.position_m + body.pose.rotation.apply(
-                [0.0, 0.0, apart_m]
-            )
-            return replace(body, pose=replace(body.pose, position_m=vector(place_m)))
+            place_m = pose.position_m + pose.rotation.apply([0.0, 0.0, apart_m])
+            return replace(body, pose=replace(pose, position_m=vector(place_m)))
 
-        if apart_m <= 0.0:
-            return self.scene
-        return replace(self.scene, bodies=tuple(map(lifted, self.scene.bodies)))
+        bodies = tuple(map(lifted, self.scene.bodies))
+        return replace(self.scene, bodies=bodies) if apart_m > 0.0 else self.scene
 
 
 def run_scenario(backend: Backend, scenario: Scenario, settings: Settings) -> Recording:
@@ -110,19 +105,19 @@ def run_scenario(backend: Backend, scenario: Scenario, settings: Settings) -> Re
         interval_s = float(
             simulation.settings.get("drive_interval_s", SAMPLE_INTERVAL_S)
         )
-        if interval_s > scenario.seconds / FEWEST_SAMPLES:
-            raise DeclinedError(
-                (
-                    f"a step of {interval_s:g} s is too long for a scene of {scenario.seconds:g} s",
-                )
+        seconds = scenario.seconds
+        if interval_s > seconds / FEWEST_SAMPLES:
+            reason = (
+                f"a step of {interval_s:g} s is too long for a scene of {seconds:g} s"
             )
+            raise DeclinedError((reason,))
         simulation.reset(None, 0)
         for name, wrench in scenario.wrenches.items():
             simulation.apply_wrench(name, wrench[None])
         return record(
             simulation,
             scenario.scene_with(settings),
-            scenario.seconds,
+            seconds,
             interval_s=interval_s,
             nodes_of=scenario.nodes_of,
             speed_limit_m_per_s=scenario.scene.speed_limit_m_per_s,
@@ -143,17 +138,14 @@ def _built(backend: Backend, scenario: Scenario, settings: Settings) -> Simulati
     support = scene_support(backend, scenario.scene)
     if not support:
         raise DeclinedError(support.missing)
-    scene_settings = scenario.engine_settings.get(backend.name, {})
+    given = with_drive_interval(settings, scenario.interval_s)
+    given = {**scenario.engine_settings.get(backend.name, {}), **given}
     try:
-        return backend.build(
-            scenario.scene_with(settings),
-            {**scene_settings, **with_drive_interval(settings, scenario.interval_s)},
-        )
-    except ParameterError as error:
-        raise DeclinedError((str(error),)) from error
+        return backend.build(scenario.scene_with(settings), given)
     # Engines refuse combinations of settings by exceptions of any kind; another scene may accept them.
     except Exception as error:
-        raise DeclinedError((f"{type(error).__name__}: {error}",)) from error
+        kind = "" if isinstance(error, ParameterError) else f"{type(error).__name__}: "
+        raise DeclinedError((f"{kind}{error}",)) from error
 
 
 def check_settings(name: str, settings: Settings) -> None:
@@ -170,6 +162,5 @@ def check_settings(name: str, settings: Settings) -> None:
 
 def _build_once(name: str, settings: Settings) -> None:
     # An action of an environment takes a whole number of steps, so the step serves as the interval of the suite.
-    backend(name).build(
-        load_experiment(TRIAL_VARIANT).scene, with_drive_interval(settings, 0.0)
-    ).close()
+    scene = load_experiment(TRIAL_VARIANT).scene
+    backend(name).build(scene, with_drive_interval(settings, 0.0)).close()

@@ -48,10 +48,6 @@ DEFORMABLE: Mapping[str, Sequence[str]] = _TABLES["deformable"]
 """The same for deformable bodies."""
 
 
-def _known(*, include_deformables: bool) -> tuple[str, ...]:
-    return (*RIGID, *GRASP, *DEFORMABLE) if include_deformables else tuple(RIGID)
-
-
 @cache
 def phenomenon(name: str, foot: FootGeometry | None = None) -> Phenomenon:
     """Return a phenomenon by its id.
@@ -69,17 +65,9 @@ def phenomenon(name: str, foot: FootGeometry | None = None) -> Phenomenon:
 def phenomena(
     only: Sequence[str] = (), *, include_deformables: bool = False
 ) -> tuple[Phenomenon, ...]:
-    """Return all phenomena in a fixed order, or those whose id matches one of the patterns.
-
-    Args:
-        only: Ids or patterns such as `creep-*`; all when empty.
-        include_deformables: Whether to include phenomena of deformable bodies and of grasps.
-    """
-    return tuple(
-        map(
-            phenomenon, _matching(only, _known(include_deformables=include_deformables))
-        )
-    )
+    """Return the phenomena of `selection`."""
+    chosen = selection(only, include_deformables=include_deformables)
+    return tuple(phenomenon(name) for name in chosen if name not in STATED_IDS)
 
 
 def selection(
@@ -91,26 +79,13 @@ def selection(
         only: Ids or patterns such as `creep-*`, also several in one text with commas; all when empty.
         include_deformables: Whether to include phenomena of deformable bodies and of grasps.
     """
-    return _matching(
-        patterns_of(only),
-        (
-            *STATED_IDS,
-            *_known(include_deformables=include_deformables),
-        ),
-    )
-
-
-def patterns_of(only: Sequence[str]) -> list[str]:
-    """Return the patterns of texts, each of which may hold several with commas."""
-    return [part.strip() for text in only for part in text.split(",") if part.strip()]
-
-
-def _matching(patterns: Sequence[str], known: tuple[str, ...]) -> tuple[str, ...]:
-    for pattern in patterns:
-        if not any(fnmatchcase(name, pattern) for name in known):
+    more = (*GRASP, *DEFORMABLE) if include_deformables else ()
+    known = (*STATED_IDS, *RIGID, *more)
+    patterns = [part.strip() for text in only for part in text.split(",")]
+    chosen = set() if any(patterns) else {*known}
+    for pattern in filter(None, patterns):
+        matching = {name for name in known if fnmatchcase(name, pattern)}
+        if not matching:
             raise UnknownNameError("phenomenon", pattern, known)
-    return tuple(
-        name
-        for name in known
-        if not patterns or any(fnmatchcase(name, pattern) for pattern in patterns)
-    )
+        chosen |= matching
+    return tuple(name for name in known if name in chosen)

@@ -3,10 +3,14 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
+from itertools import compress
 from typing import Any
+
+import numpy as np
 
 from gauge_envs.files import data_folder, toml_document
 from gauge_envs.references.published import published_baselines
+from gauge_envs.scene import Scene
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scoring.estimators import acceleration_m_per_s2
 from gauge_envs.tools.bench.recording import Recording
@@ -14,12 +18,11 @@ from gauge_envs.tools.sanity.model import Need, Reality
 from gauge_envs.tools.sanity.scenario import Scenario
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Phenomenon:
     """Behaviour of real objects, measured by one number.
 
     Attributes:
-        id: Stable name, which the list of phenomena gives.
         title: Title of a few words.
         scenario: Scenario that shows the phenomenon.
         unit: Unit of the number; `1` for a pure number.
@@ -30,10 +33,9 @@ class Phenomenon:
         needs_foot: Whether the scene is built from the foot of the target.
         needs_space: Whether the phenomenon means nothing to a robot that moves in a plane along an axis of the world.
         is_impact: Whether the number depends on a restitution that the target may not state.
-        advisory: Why the row never counts for the whole configuration; empty when it counts.
+        id: Stable name, which the list of phenomena gives.
     """
 
-    id: str = ""
     title: str
     scenario: Scenario
     unit: str
@@ -44,7 +46,7 @@ class Phenomenon:
     needs_foot: bool = False
     needs_space: bool = False
     is_impact: bool = False
-    advisory: str = ""
+    id: str = ""
 
     @property
     def has_many_bodies(self) -> bool:
@@ -54,17 +56,9 @@ class Phenomenon:
     @property
     def needs(self) -> tuple[Need, ...]:
         """What a target must have for the phenomenon to apply."""
-        scene = self.scenario.scene
-        needed = {
-            Need.CONTACT: bool(scene.contacts),
-            Need.FRICTION: self.needs_friction,
-            Need.FOOT: self.needs_foot,
-            Need.SPACE: self.needs_space,
-        }
-        return (
-            Need.GRAVITY,
-            *(need for need, is_needed in needed.items() if is_needed),
-        )
+        touches = bool(self.scenario.scene.contacts)
+        flags = True, touches, self.needs_friction, self.needs_foot, self.needs_space
+        return tuple(compress(Need, flags))
 
 
 MANY_BODIES = 20
@@ -89,6 +83,11 @@ def recorded(recording: str, fact: str) -> dict[str, Any]:
     return facts("recordings/recordings")[recording]["facts"][fact]
 
 
+def one_trial(value: float, scatter: float, source: str) -> Reality:
+    """Return the reality of one recorded trial, with the standard uncertainty of its measurement."""
+    return Reality.measured(value, scatter=scatter, trial_count=1, source=source)
+
+
 def recorded_reality(
     recording: str, fact: str, *, trial: str = "one recorded trial", more: str = ""
 ) -> Reality:
@@ -101,10 +100,7 @@ def recorded_reality(
         more: End of the source.
     """
     found = recorded(recording, fact)
-    source = f"{trial} ({RECORDINGS}){more}"
-    return Reality.measured(
-        found["value"], scatter=found["sigma"], trial_count=1, source=source
-    )
+    return one_trial(found["value"], found["sigma"], f"{trial} ({RECORDINGS}){more}")
 
 
 def position_scatter_mm(variant: str) -> float:
@@ -113,10 +109,7 @@ def position_scatter_mm(variant: str) -> float:
     mean(R)^2 + std(R)^2 is the mean square distance of a trial from the mean trial, over three axes (scoring/README).
     """
     baseline = published_baselines(variant)["rmse"]
-    assert baseline.std is not None, (
-        "every RMSE is published with its standard deviation"
-    )
-    return float(((baseline.mean**2 + baseline.std**2) / 3.0) ** 0.5)
+    return float(((baseline.mean**2 + (baseline.std or 0.0) ** 2) / 3.0) ** 0.5)
 
 
 def acceleration(
@@ -125,6 +118,19 @@ def acceleration(
     """Return the mean acceleration of a displacement, shape [sample_count], between two times [m/s^2]."""
     part = rollout.between(start_s, end_s)
     return 1e-3 * acceleration_m_per_s2(rollout.times_s[part], displacement_mm[part])
+
+
+def lowest_m(rollout: Recording, body: str, points_m: FloatArray) -> FloatArray:
+    """Return the height of the lowest of a body's points [m], shape [sample_count].
+
+    Args:
+        rollout: The rollout.
+        body: Name of the body.
+        points_m: The points in the body's frame [m], shape [point_count, 3].
+    """
+    turns = rollout.rotation(body).as_matrix()
+    heights_m = np.einsum("ti,pi->tp", turns[:, 2], points_m)
+    return np.asarray(heights_m.min(axis=1) + rollout.position(body)[:, 2])
 
 
 def rigid_law(source: str, millimetres: float, of: str) -> Reality:
@@ -137,3 +143,8 @@ def rigid_law(source: str, millimetres: float, of: str) -> Reality:
     """
     rationale = f"the eye sees {millimetres:g} mm on {of}"
     return Reality.law(0.0, tolerance=millimetres, source=source, rationale=rationale)
+
+
+def replaced(_: Scene, *, scene: Scene) -> Scene:
+    """Return another scene in place of that of a variant; with `partial`, it can be sent to another process."""
+    return scene

@@ -5,6 +5,7 @@ states for it, and slides with that of the measured wooden cube. The values are 
 is how far a real body may differ from them. Without a configuration, the rows have the foot of a small quadruped.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -13,7 +14,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.scene import (
-    GRAVITY_M_PER_S2,
+    GRAVITY_M_PER_S2 as G,
     Contact,
     Motion,
     Plane,
@@ -23,9 +24,8 @@ from gauge_envs.scene import (
 )
 from gauge_envs.scene.geometry import FloatArray, vector
 from gauge_envs.tools.bench.recording import Recording
-from gauge_envs.tools.bench.slope import moved_m
 from gauge_envs.tools.sanity.model import COVERAGE, Reality
-from gauge_envs.tools.sanity.phenomena.base import Phenomenon
+from gauge_envs.tools.sanity.phenomena.base import Phenomenon, lowest_m, replaced
 from gauge_envs.tools.sanity.phenomena.friction import (
     CALM_INTERVAL_S,
     HOLD_S,
@@ -38,7 +38,7 @@ from gauge_envs.tools.sanity.phenomena.friction import (
 from gauge_envs.tools.sanity.robot.foot import REFERENCE_FOOT, FootGeometry
 from gauge_envs.tools.sanity.scenario import Scenario
 
-FOOT, GROUND = "foot", "ground"
+FOOT, GROUND = PAIR = ("foot", "ground")
 """Names of the two bodies."""
 
 MATERIAL = "wood"
@@ -96,20 +96,22 @@ def foot_scene(
         seconds: Duration of the experiment [s].
     """
     turn = Rotation.from_euler("y", slope_deg, degrees=True)
+    start = Pose.from_rotation(vector(turn.apply([0.0, 0.0, lift_m])), turn)
+    level = Pose.from_rotation((0.0, 0.0, 0.0), turn)
     return Scene(
         bodies=(
             RigidBody(
                 name=FOOT,
                 shape=foot.shape,
                 motion=Motion.DYNAMIC,
-                pose=Pose.from_rotation(vector(turn.apply([0.0, 0.0, lift_m])), turn),
+                pose=start,
                 mass_kg=foot.mass_kg,
             ),
             RigidBody(
                 name=GROUND,
                 shape=Plane(),
                 motion=Motion.FIXED,
-                pose=Pose.from_rotation((0.0, 0.0, 0.0), turn),
+                pose=level,
                 mass_kg=0.0,
             ),
         ),
@@ -122,40 +124,30 @@ def foot_scene(
     )
 
 
-def _replaced(
-    _: Scene, *, foot: FootGeometry, friction: float, **options: float
-) -> Scene:
-    """Return the scene of a foot instead of a cube on a board; it can be sent to another process."""
-    return foot_scene(foot, friction=friction, **options)
-
-
 def _scenario(
     kind: str,
     foot: FootGeometry,
-    *,
     seconds: float,
-    slope_deg: float,
+    slope_deg: float = 0.0,
     lift_m: float = 0.0,
-    is_calm: bool = False,
 ) -> Scenario:
-    softening = (
-        {} if foot.softening is None else {"inverse_weight_scale": foot.softening}
-    )
-    return Scenario(
-        name=f"foot-{kind}-{foot.digest}",
-        variant=f"SlopeSlider-{1 if is_calm else 2}-{MATERIAL}",
+    scene = foot_scene(
+        foot,
+        friction=_friction(foot),
+        slope_deg=slope_deg,
+        lift_m=lift_m,
         seconds=seconds,
+    )
+    softer = {} if foot.softening is None else {"inverse_weight_scale": foot.softening}
+    is_calm = kind == "hold"
+    return Scenario(
+        f"foot-{kind}-{foot.digest}",
+        f"SlopeSlider-{1 if is_calm else 2}-{MATERIAL}",
+        seconds,
         interval_s=CALM_INTERVAL_S if is_calm else Scenario.interval_s,
-        change=partial(
-            _replaced,
-            foot=foot,
-            friction=_friction(foot),
-            slope_deg=slope_deg,
-            lift_m=lift_m,
-            seconds=seconds,
-        ),
+        change=partial(replaced, scene=scene),
         released=() if lift_m else (FOOT,),
-        engine_settings=dict.fromkeys(SOFTENED_BY_INVERSE_WEIGHT, softening),
+        engine_settings=dict.fromkeys(SOFTENED_BY_INVERSE_WEIGHT, softer),
     )
 
 
@@ -164,27 +156,10 @@ def _friction(foot: FootGeometry) -> float:
 
 
 def _source(law: str, foot: FootGeometry) -> str:
-    whose = (
-        f"of the measured cube of {MATERIAL}"
-        if foot.friction is None
-        else "that the target states for its foot"
-    )
+    whose = "that the target states for its foot"
+    if foot.friction is None:
+        whose = f"of the measured cube of {MATERIAL}"
     return f"{law}, with mu = {_friction(foot):.3g} {whose}; the foot is {foot.description}; {foot.assumption}"
-
-
-# --- readings --------------------------------------------------------------------------------------------------------
-
-
-def _downhill_mm(rollout: Recording) -> FloatArray:
-    """Return displacements of the foot down the ground [mm], shape [sample_count]."""
-    return 1e3 * moved_m(rollout, FOOT, GROUND)[:, 0]
-
-
-def _lowest_mm(rollout: Recording, foot: FootGeometry) -> FloatArray:
-    """Return the height of the lowest sole above level ground [mm], shape [sample_count]."""
-    turns = rollout.rotation(FOOT).as_matrix()
-    heights = np.einsum("ti,pi->tp", turns[:, 2], foot.soles_m)
-    return 1e3 * (heights.min(axis=1) + rollout.position(FOOT)[:, 2])
 
 
 # --- on a slope ------------------------------------------------------------------------------------------------------
@@ -196,51 +171,41 @@ def creep(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
     slope = min(HOLD_DEG, steepest)
     made = creeping(
         f"foot of the robot: creep on {slope:.3g} degrees with a friction of {_friction(foot):.3g}",
-        _scenario("hold", foot, seconds=HOLD_S, slope_deg=slope, is_calm=True),
-        _downhill_mm,
-        source=_source(f"law: Coulomb, tan {slope:.3g} deg < mu", foot),
-        rationale=f"measured: the published trials of the {MATERIAL} cube allow no faster creep (paper, Table 5)",
+        _scenario("hold", foot, HOLD_S, slope),
+        PAIR,
+        _source(f"law: Coulomb, tan {slope:.3g} deg < mu", foot),
+        f"measured: the published trials of the {MATERIAL} cube allow no faster creep (paper, Table 5)",
     )
     return replace(made, needs_foot=True)
 
 
 def push(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
     """Return the acceleration of a foot that is pushed a little more than its friction holds."""
+    slope_deg = float(np.degrees(np.arctan(PUSH * real_friction(MATERIAL))))
     title = f"acceleration when pushed with {PUSH:g} times its friction"
-    return _sliding(
-        foot,
-        "push",
-        title,
-        float(np.degrees(np.arctan(PUSH * real_friction(MATERIAL)))),
-    )
+    return _sliding(foot, "push", title, slope_deg)
 
 
 def slide(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
     """Return the acceleration of a foot on a steep slope."""
-    return _sliding(
-        foot, "slide", f"acceleration on {SLIDE_DEG:.0f} degrees", SLIDE_DEG
-    )
+    title = f"acceleration on {SLIDE_DEG:.0f} degrees"
+    return _sliding(foot, "slide", title, SLIDE_DEG)
 
 
 def _sliding(
     geometry: FootGeometry, kind: str, title: str, slope_deg: float
 ) -> Phenomenon:
-    slope, friction, foot = (
-        np.radians(slope_deg),
-        real_friction(MATERIAL),
-        replace(geometry, friction=None),
-    )
+    foot = replace(geometry, friction=None)
+    slope, friction = np.radians(slope_deg), _friction(foot)
     real = Reality.law(
-        GRAVITY_M_PER_S2 * float(np.sin(slope) - friction * np.cos(slope)),
+        G * float(np.sin(slope) - friction * np.cos(slope)),
         tolerance=real_slides(MATERIAL).tolerance,
         source=_source(f"law: g (sin a - mu cos a) on {slope_deg:.3g} deg", foot),
         rationale=f"measured: covers {COVERAGE:.0%} of real slides of the {MATERIAL} cube on {SLIDE_DEG:.0f} degrees",
     )
-    scenario = _scenario(kind, foot, seconds=SLIDE_S, slope_deg=slope_deg)
-    return replace(
-        sliding(f"foot of the robot: {title}", scenario, _downhill_mm, real),
-        needs_foot=True,
-    )
+    scenario = _scenario(kind, foot, SLIDE_S, slope_deg)
+    made = sliding(f"foot of the robot: {title}", scenario, PAIR, real)
+    return replace(made, needs_foot=True)
 
 
 # --- landing ---------------------------------------------------------------------------------------------------------
@@ -249,22 +214,21 @@ def _sliding(
 def _landed(
     foot: FootGeometry,
     title: str,
+    unit: str,
     law: str,
     tolerance: float,
     rationale: str,
+    value: Callable[[Recording], float],
     **attributes: Any,
 ) -> Phenomenon:
     """Return a row on a foot that was dropped, whose value is 0 by a law."""
-    scenario = _scenario(
-        "landing", foot, seconds=LANDING_S, slope_deg=0.0, lift_m=DROP_M
-    )
     source = _source(law, foot)
     return Phenomenon(
-        title=f"foot of the robot: {title}",
-        scenario=scenario,
-        reality=Reality.law(
-            0.0, tolerance=tolerance, source=source, rationale=rationale
-        ),
+        f"foot of the robot: {title}",
+        _scenario("landing", foot, LANDING_S, lift_m=DROP_M),
+        unit,
+        Reality.law(0.0, tolerance=tolerance, source=source, rationale=rationale),
+        value,
         needs_foot=True,
         **attributes,
     )
@@ -275,11 +239,11 @@ def depth(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
     return _landed(
         foot,
         f"depth in the ground after a drop of {1e3 * DROP_M:.0f} mm",
+        "mm",
         "rigid bodies do not overlap",
         DEPTH_MM,
         "a rubber ball of 20 mm radius (2 MPa) that lands with 3 kg is compressed as much (Hertz)",
-        unit="mm",
-        value=lambda rollout: -_lowest_mm(rollout, foot).min(),
+        lambda rollout: -1e3 * float(lowest_m(rollout, FOOT, foot.soles_m).min()),
     )
 
 
@@ -287,46 +251,42 @@ def rebound(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
     """Return the speed of a foot after a landing over that before."""
 
     def ratio(rollout: Recording) -> float:
-        heights = _lowest_mm(rollout, foot)
-        hop = max(float(heights[int(np.argmin(heights)) :].max()), 0.0)
-        return float(np.sqrt(hop / (1e3 * DROP_M)))
+        heights_m: FloatArray = lowest_m(rollout, FOOT, foot.soles_m)
+        hop_m = max(float(heights_m[heights_m.argmin() :].max()), 0.0)
+        return float(np.sqrt(hop_m / DROP_M))
 
     return _landed(
         foot,
         "speed after a landing over that before",
+        "1",
         STAYS,
         HOP,
         f"a hop of {1e3 * HOP**2 * DROP_M:.0f} mm, which the eye sees",
-        unit="1",
+        ratio,
         is_impact=True,
-        value=ratio,
     )
 
 
 def rest(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
     """Return the time of a foot from a landing to rest."""
+    fall_s = float(np.sqrt(2.0 * DROP_M / G))
 
     def last_s(rollout: Recording) -> float:
         """Return the last time at which the foot moves [s]."""
-        moving = np.flatnonzero(np.abs(rollout.velocity(FOOT)[:, 2]) > AT_REST_M_PER_S)
-        return float(rollout.times_s[moving[-1]]) if len(moving) else 0.0
+        is_moving = np.abs(rollout.velocity(FOOT)[:, 2]) > AT_REST_M_PER_S
+        return float(rollout.times_s[is_moving].max(initial=0.0))
 
     def failure(rollout: Recording) -> str:
-        return (
-            "it still moves at the end"
-            if last_s(rollout) > rollout.times_s[-1] - STILL_S
-            else ""
-        )
+        is_late = last_s(rollout) > rollout.times_s[-1] - STILL_S
+        return "it still moves at the end" if is_late else ""
 
     return _landed(
         foot,
         "time from a landing to rest",
+        "s",
         STAYS,
         STANCE_S,
         "the stance of a trot; a foot that lands longer never rests before the next step",
-        unit="s",
-        value=lambda rollout: max(
-            last_s(rollout) - float(np.sqrt(2.0 * DROP_M / GRAVITY_M_PER_S2)), 0.0
-        ),
+        lambda rollout: max(last_s(rollout) - fall_s, 0.0),
         failure=failure,
     )

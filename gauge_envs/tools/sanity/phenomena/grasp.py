@@ -6,7 +6,6 @@ The contacts have the target's constants, and friction 0.5.
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Scene
 from gauge_envs.scene.geometry import FloatArray
@@ -21,7 +20,7 @@ from gauge_envs.tools.bench.grasp import (
 from gauge_envs.tools.bench.recording import Recording
 from gauge_envs.tools.bench.turning import turning_scene
 from gauge_envs.tools.sanity.model import Reality
-from gauge_envs.tools.sanity.phenomena.base import Phenomenon
+from gauge_envs.tools.sanity.phenomena.base import Phenomenon, replaced
 from gauge_envs.tools.sanity.scenario import Scenario
 
 ROLLS_M_PER_S, RADIUS_M = 0.3, 0.03
@@ -31,99 +30,78 @@ MOST_ROLLING_MM = 7.0
 """Largest rolling friction of the published pairs, which hard rubber on steel has."""
 
 
-def _replaced(_: Scene, *, scene: Scene) -> Scene:
-    return scene
-
-
 def _row(
     name: str,
     scene: Scene,
     value: Callable[[Recording], float],
-    *,
+    title: str,
+    unit: str,
+    reality: Reality,
     wrenches: Mapping[str, FloatArray] = {},
-    **texts: Any,
 ) -> Phenomenon:
-    change = partial(_replaced, scene=scene)
     scenario = Scenario(
-        name=name,
-        variant="SlopeSlider-1-wood",
-        seconds=scene.duration_s,
-        change=change,
+        name,
+        "SlopeSlider-1-wood",
+        scene.duration_s,
+        change=partial(replaced, scene=scene),
         wrenches=wrenches,
     )
-    return Phenomenon(scenario=scenario, value=value, needs_friction=True, **texts)
+    return Phenomenon(title, scenario, unit, reality, value, needs_friction=True)
 
 
-HANDS: Mapping[str, tuple[Scene, Callable[[Recording], float], str, str, Reality]] = {
-    "grasp-creep": (
-        HELD,
-        pad_creep_um_per_s,
-        "a held box creeps out of its grasp",
-        "um/s",
-        Reality.law(
-            0.0,
-            tolerance=10.0,
-            source="Coulomb: v = 0 if m g < 2 mu N",
-            rationale="0.1 mm, as for a cube that holds, in a carry of 10 s",
-        ),
-    ),
-    "grasp-sink": (
-        HELD,
-        pad_depth_um,
-        "pads sink into a held box",
-        "um",
-        Reality.law(
-            0.0,
-            tolerance=200.0,
-            source="rigid bodies: depth = 0",
-            rationale="as for a height at rest",
-        ),
-    ),
-    "grasp-torsion": (
-        TURNED,
-        spin_torque_share,
-        "torque that a pair of pads holds",
-        "1",
-        # The torque over mu N times the side of a pad is the mean distance of the pressure from the centre: 0.383 for
-        # even pressure, (sqrt 2 + ln(1 + sqrt 2)) / 6, and 0.707 for pressure at the corners.
-        Reality.law(
-            0.545,
-            tolerance=0.16845,
-            source="Coulomb, integrated over a square face; rigid bodies leave the pressure open: mean distance of the "
-            "pressure from the centre: 0.383 (even, (sqrt 2 + ln(1 + sqrt 2)) / 6) to 0.707 (corners)",
-            rationale="between even pressure, 0.38, and corners alone, 0.71",
-        ),
-    ),
-}
-"""Scene, reading, title, unit and law of what a robot's hand is judged by, by id."""
-
-
-def grasped(id: str) -> Phenomenon:
-    """Return a row on a box whose pads press with twice its weight.
+def creep() -> Phenomenon:
+    """Return the creep of a box whose pads press with twice its weight.
 
     A hand that lifts its box with an acceleration a loads its pads as gravity g + a loads those of a hand at rest, so
     that the friction m (g + a) / (2 N) is needed. Here it is half of the pads' own: they hold while a is below g.
     """
-    scene, measure, title, unit, reality = HANDS[id]
-    name = id if id == "grasp-torsion" else "grasp"
-    return _row(
-        name,
-        scene,
-        measure,
-        wrenches=PRESSED,
-        title=title,
-        unit=unit,
-        reality=reality,
+    law = Reality.law(
+        0.0,
+        tolerance=10.0,
+        source="Coulomb: v = 0 if m g < 2 mu N",
+        rationale="0.1 mm, as for a cube that holds, in a carry of 10 s",
     )
+    title = "a held box creeps out of its grasp"
+    return _row("grasp", HELD, pad_creep_um_per_s, title, "um/s", law, PRESSED)
+
+
+def sink() -> Phenomenon:
+    """Return the depth of these pads in the box."""
+    law = Reality.law(
+        0.0,
+        tolerance=200.0,
+        source="rigid bodies: depth = 0",
+        rationale="as for a height at rest",
+    )
+    title = "pads sink into a held box"
+    return _row("grasp", HELD, pad_depth_um, title, "um", law, PRESSED)
+
+
+def torsion() -> Phenomenon:
+    """Return the torque that these pads hold.
+
+    The torque over mu N times the side of a pad is the mean distance of the pressure from the centre: 0.383 for even
+    pressure, (sqrt 2 + ln(1 + sqrt 2)) / 6, and 0.707 for pressure at the corners.
+    """
+    law = Reality.law(
+        0.545,
+        tolerance=0.16845,
+        source="Coulomb, integrated over a square face; rigid bodies leave the pressure open: mean distance of the "
+        "pressure from the centre: 0.383 (even, (sqrt 2 + ln(1 + sqrt 2)) / 6) to 0.707 (corners)",
+        rationale="between even pressure, 0.38, and corners alone, 0.71",
+    )
+    title = "torque that a pair of pads holds"
+    return _row("grasp-torsion", TURNED, spin_torque_share, title, "1", law, PRESSED)
 
 
 def rolling() -> Phenomenon:
     """Return the torque against rolling over the normal force, from the energy that a ball loses on its path."""
-    source, reason = (
-        "hard rubber on steel: CDA3000, table 7.22",
-        "the largest of the pairs of gauge list materials",
+    law = Reality.law(
+        0.0,
+        tolerance=MOST_ROLLING_MM,
+        source="hard rubber on steel: CDA3000, table 7.22",
+        rationale="the largest of the pairs of gauge list materials",
     )
-    law = Reality.law(0.0, tolerance=MOST_ROLLING_MM, source=source, rationale=reason)
     real = replace(law, limits=f"at most {MOST_ROLLING_MM:g}")
 
     def arm_mm(rollout: Recording) -> float:
@@ -134,11 +112,4 @@ def rolling() -> Phenomenon:
 
     scene = turning_scene(0.5, ROLLS_M_PER_S, (0.0, ROLLS_M_PER_S / RADIUS_M, 0.0))
     title = "torque against rolling over the normal force"
-    return _row(
-        "roll",
-        scene,
-        arm_mm,
-        title=title,
-        unit="mm",
-        reality=real,
-    )
+    return _row("roll", scene, arm_mm, title, "mm", real)
