@@ -13,6 +13,9 @@ SCATTER = 0.02
 MOST_DRIFT_PER_S = 0.05
 """Largest change of the depth within a second, over the depth, of a plate that counts as settled."""
 
+SEEN_HOP_M = 0.01
+"""Hop of a fast plate that is worth a sentence [m]: MuJoCo's default hops by half of it."""
+
 LEAST_DRIFT_M_PER_S = 1e-6
 """Change of the depth that is rounding [m/s]."""
 
@@ -36,6 +39,7 @@ class Measured:
         slide: Friction of plates that cannot turn, as that of bodies that hold contact.
         hopping: Friction of plates that can tip, hop and spin.
         hop_m: How far these leave the slope [m].
+        fast_hop_m: How far plates leave level ground that slide at up to 4 m/s [m].
         rebound: Restitution of drops.
         rest: Plate at rest.
         creep_m_s: Creep on a slope that friction holds [m/s].
@@ -45,6 +49,7 @@ class Measured:
     slide: Spread
     hopping: Spread
     hop_m: float
+    fast_hop_m: float
     rebound: Spread
     rest: Rest
     creep_m_s: float
@@ -91,6 +96,7 @@ def measured(
         slide=probe.slide(build, slope),
         hopping=hopping,
         hop_m=hop_m,
+        fast_hop_m=probe.fast_hop_m(build),
         rebound=probe.drop(build),
         rest=probe.rest(build),
         creep_m_s=probe.creep(build, slope),
@@ -125,6 +131,11 @@ def scatter_texts(found: Measured) -> list[str]:
         texts.append(
             f"Plates that can tip hop by up to {1e3 * found.hop_m:.2g} mm while they slide, and have friction "
             f"{hopping.low:.3g} to {hopping.high:.3g} (mean {hopping.mean:.3g}); higher bodies can lose more."
+        )
+    if found.fast_hop_m > SEEN_HOP_M:
+        texts.append(
+            f"Plates that slide at up to 4 m/s hop by {1e3 * found.fast_hop_m:.2g} mm: these contacts take much of the "
+            "speed in one step, and friction lifts what slides; a softer contact or a shorter step hops less."
         )
     if rebound.high - rebound.low > SCATTER:
         texts.append(

@@ -30,6 +30,7 @@ from gauge_envs.scene import (
 from gauge_envs.scene.geometry import FloatArray, vector
 from gauge_envs.scoring.estimators import steady_speed_m_per_s
 from gauge_envs.tools.bench.drop import RADIUS_M, balls_above_ground, bounce_of, fall_s
+from gauge_envs.tools.bench.parts import thrown
 from gauge_envs.tools.bench.recording import Recording, record
 from gauge_envs.tools.bench.slope import creep_m_per_s, friction_of_slide, moved_m
 from gauge_envs.tools.bench.turning import INERTIA_SHARES, ROLL, SPIN, turning_arm_m
@@ -64,6 +65,9 @@ HOP_TURNS_DEG = (0.0, 15.0, 30.0, 45.0)
 
 HOP_TIPS_RAD = np.outer((-1e-3, 1e-3), (1.0, 2.0, 0.0)) / math.sqrt(5.0)
 """Their tips at the start, as rotation vectors along no edge or diagonal [rad]: if level, rounding decides on hops."""
+
+FAST_M_PER_S = (1.0, 2.0, 4.0)
+"""Speeds of plates that slide on level ground [m/s]: of a push, of a foot that slips, and of a throw."""
 
 PLATE_DISTANCE_M = 0.3
 """Distance of neighbouring plates [m]."""
@@ -184,6 +188,17 @@ class Probe:
         ]
         found, lifts_m = zip(*self._frictions(build, plates, lean), strict=True)
         return Spread.of(found), max(lifts_m)
+
+    def fast_hop_m(self, build: Build) -> float:
+        """Return how far plates hop that slide fast on level ground [m]; contacts that stop a body in a step lift it.
+
+        A hop of (mu v)^2 / (2 g) is that of a contact which takes the sliding speed v in one step.
+        """
+        plates = [
+            thrown(self._plate(LEVEL, place=place), (speed_m_per_s, 0.0, 0.0))
+            for place, speed_m_per_s in enumerate(FAST_M_PER_S)
+        ]
+        return max(lift_m for _, lift_m in self._frictions(build, plates, LEVEL))
 
     def creep(self, build: Build, friction: float) -> float:
         """Return the speed [m/s] of a plate on a slope that friction holds."""

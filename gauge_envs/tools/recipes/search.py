@@ -112,7 +112,8 @@ class Recipe:
             "restitution": "rebound",
         }
         values: dict[str, float | None] = {
-            "hop_m": None if found is None else found.hop_m
+            "hop_m": None if found is None else found.hop_m,
+            "fast_hop_m": None if found is None else found.fast_hop_m,
         }
         for (name, attribute), end in product(spreads.items(), ("low", "high")):
             values[f"{name}_{end}"] = (

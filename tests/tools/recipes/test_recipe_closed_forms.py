@@ -9,6 +9,8 @@ from gauge_envs.backends.shared.spring_damper import (
     damping_ratio_of,
     spring_damper_restitution,
 )
+from gauge_envs.scene import GRAVITY_M_PER_S2 as G
+from gauge_envs.tools.recipes.aim import Aim
 from gauge_envs.tools.recipes.closed_forms import mujoco_impedance
 from gauge_envs.tools.recipes.engines.mujoco import MuJoCoSettings
 from gauge_envs.tools.recipes.measure import probe_of
@@ -78,6 +80,20 @@ def test_the_friction_of_a_plate_that_cannot_turn_is_that_of_its_contacts():
     assert (slide.low, slide.high) == pytest.approx((0.3, 0.3), abs=1e-4)
     assert hop_m > 2e-3
     assert hopping.low <= hopping.mean <= hopping.high < 0.3
+
+
+@pytest.mark.parametrize("step_s", [0.002, 0.01])
+def test_what_slides_fast_on_a_hard_contact_stays_down(step_s):
+    """A contact that takes the speed in a step lifts it with mu v."""
+    settings = MuJoCoSettings.aimed(Aim(friction=0.3, mass_kg=0.5, timestep_s=step_s))
+    probe = probe_of(settings, 0.5)
+    assert probe.fast_hop_m(settings.build(0.5)) < 0.01
+    assert probe.slide(settings.build(0.5), 0.3).mean == pytest.approx(0.3, rel=1e-3)
+    stiff = settings.model_copy(
+        update={"solref": (2.0 * step_s, 1.0), "solreffriction": (0.0, 0.0)}
+    )
+    lifted_m = (0.3 * 4.0) ** 2 / (2.0 * G)
+    assert probe.fast_hop_m(stiff.build(0.5)) == pytest.approx(lifted_m, rel=0.1)
 
 
 def test_the_impedance_runs_from_d0_to_dwidth():
