@@ -1,4 +1,4 @@
-"""Guides on adding a check, a phenomenon and a stack: files work, commands run, planted faults are found."""
+"""Guides on adding a check and a phenomenon: files work, commands run, planted faults are found."""
 
 import ast
 import importlib
@@ -16,9 +16,8 @@ from typer.testing import CliRunner
 
 from gauge_envs.backends import backend
 from gauge_envs.cli.app import app
-from gauge_envs.errors import TargetError
 from gauge_envs.tools.conformance import Status, model, run_checks
-from gauge_envs.tools.sanity import Verdict, check, configuration, phenomena, stacks
+from gauge_envs.tools.sanity import Verdict, check, phenomena
 from gauge_envs.tools.sanity.phenomena import phenomenon
 
 RUNNER = CliRunner()
@@ -81,9 +80,7 @@ def value_of(code, names):
     return eval(compile(ast.Expression(statement.value), "guide", "eval"), names)
 
 
-@pytest.mark.parametrize(
-    "page", ["adding_a_check.md", "adding_a_phenomenon.md", "adding_a_stack.md"]
-)
+@pytest.mark.parametrize("page", ["adding_a_check.md", "adding_a_phenomenon.md"])
 def test_the_tests_that_a_guide_runs_exist(page):
     lines = [
         line
@@ -169,51 +166,3 @@ def test_the_phenomenon_reads_a_known_motion(parts, monkeypatch):
     )
     assert drift.value(moved(drift.scenario, times, cube=across)) == pytest.approx(7.0)
     assert phenomenon("slide-wood").scenario.name != drift.scenario.name
-
-
-# --- a stack ---------------------------------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def tiny(parts, monkeypatch):
-    text = (ROOT / "docs" / "adding_a_stack.md").read_text()
-    (name,) = re.findall(r'Add `"(\w+)"` to `STACKS`', text)
-    assert parts[0].__name__ == f"{stacks.__name__}.{name}"
-    monkeypatch.setattr(stacks, "STACKS", (name, *stacks.STACKS))
-    return parts
-
-
-@guide("adding_a_stack.md")
-def test_the_stack_is_read_and_its_change_is_printed(tiny):
-    (content,) = blocks("adding_a_stack.md", "yaml")
-    Path("run.tiny").write_text(content)
-    read = configuration(Path("run.tiny"))
-    assert read.settings == {"timestep_s": 0.005, "iterations": 20, "cone": "pyramidal"}
-    assert (read.frame_skip, read.gravity_m_per_s2) == (4, (0.0, 0.0, -9.81))
-    (printed,) = outputs("adding_a_stack.md", "gauge sanity")
-    text = (ROOT / "docs" / "adding_a_stack.md").read_text()
-    (stated,) = re.findall(r"It prints `(.*?)`", text)
-    assert printed.startswith(stated)
-
-
-@guide("adding_a_stack.md")
-@pytest.mark.parametrize(
-    ("content", "says"),
-    [
-        ("physics: {rate_hz: 0}", r"physics\.rate_hz is 0: give a positive number"),
-        (
-            "physics: {friction_cone: round}",
-            r"physics\.friction_cone is 'round': choose one of elliptic",
-        ),
-        (
-            "physics: {solver_steps: 1.5}",
-            r"physics\.solver_steps is 1\.5, and a whole number is expected",
-        ),
-        ("physics: !!python/object/apply:os.getcwd []", r"it is no YAML: .*os\.getcwd"),
-        ("physics: 4", "physics is 4, and a table is expected"),
-    ],
-)
-def test_the_stack_refuses_what_it_cannot_read(tiny, content, says):
-    Path("run.tiny").write_text(content)
-    with pytest.raises(TargetError, match=says):
-        configuration(Path("run.tiny"))

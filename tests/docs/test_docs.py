@@ -37,7 +37,6 @@ PAGES += STUDIES
 RUN_ELSEWHERE = {
     "adding_a_check.md",
     "adding_a_phenomenon.md",
-    "adding_a_stack.md",
     "adding_an_engine.md",
     "assets.md",
     "ecosystem.md",

@@ -7,8 +7,6 @@ pytest.importorskip("genesis", reason="extra 'genesis' is not installed")
 import genesis as gs
 
 from gauge_envs.tools.sanity import configuration
-from gauge_envs.tools.sanity.stacks import reader_of
-from gauge_envs.tools.sanity.stacks.genesis import options_settings
 
 
 def saved(folder, **rigid):
@@ -36,7 +34,6 @@ def engine():
 
 def test_saved_options_are_those_of_the_scene(engine, tmp_path):
     path = saved(tmp_path, iterations=7, constraint_timeconst=0.03)
-    assert "Genesis" in reader_of(path).accepts
     read = configuration(path)
     assert (read.backend, read.language) == ("genesis", "genesis")
     assert read.gravity_m_per_s2 == (0.0, 0.0, -3.7)
@@ -48,14 +45,3 @@ def test_saved_options_are_those_of_the_scene(engine, tmp_path):
         "impact_steps": None,
     }
     assert {name: read.settings[name] for name in expected} == expected
-
-
-def test_a_settings_file_is_no_file_of_options(tmp_path):
-    path = tmp_path / "settings.json"
-    path.write_text('{"backend": "mujoco"}')
-    assert reader_of(path).accepts.startswith("a settings file")
-
-
-def test_short_time_constants_are_raised_to_two_steps():
-    options = {"sim": {"dt": 0.02}, "rigid": {"constraint_timeconst": None}}
-    assert options_settings(options)["sustained_timeconst_s"] == pytest.approx(0.04)

@@ -15,16 +15,6 @@ def checked(target, *only):
     return [json.loads(line) for line in result.stdout.splitlines()][1:], result
 
 
-@pytest.mark.slow
-def test_another_process_measures_the_same_bits(installed):
-    installed("well")
-    here, there = (
-        checked("mujoco:out_of_box", "creep-wood")[0],
-        checked("well:out_of_box", "creep-wood")[0],
-    )
-    assert here == there != []
-
-
 def test_an_engine_that_dies_costs_one_phenomenon(installed):
     installed("fall-crash", "supports-crash")
     (slide, rebound), result = checked("fall-crash", "creep-wood", "rebound")

@@ -5,7 +5,6 @@ from dataclasses import replace
 from io import StringIO
 
 import pytest
-from approval import refused_commands
 from places import ROOT
 from rich.console import Console
 
@@ -213,26 +212,6 @@ def test_the_command_on_a_real_configuration(gauge):
     assert row["configured"] < -1.0
     assert abs(row["default"]) < 0.1
     assert gauge(*arguments, "--fail-on", "never").exit_code == 0
-
-
-def test_requests_that_cannot_be_met(gauge, approved):
-    refusals = refused_commands(
-        gauge,
-        "sanity",
-        "sanity CartPole-v1",
-        "sanity HalfCheetah-v5 --pair floor",
-        "sanity HalfCheetah-v5 --pair floor,nose",
-        "sanity mujoco --pair a,b",
-        "sanity mujoco --only gravity,nope",
-        "sanity mujoco --baseline nowhere.json",
-        "sanity mujoco --against mujoco --baseline nowhere.json",
-        "sanity mujoco --against mujoco --out page.html",
-        "sanity mujoco:nope",
-        "sanity absent/env.yaml",
-        "sanity nowhere.xml",
-        "sanity nowhere.toml",
-    )
-    approved("sanity/refusals", refusals)
 
 
 @pytest.mark.slow

@@ -1,18 +1,18 @@
 """What is read from a training configuration: a model's contacts as MuJoCo itself makes them, and its options."""
 
+import json
 import re
 
 import gymnasium
 import mujoco
 import numpy as np
 import pytest
-from places import ROOT
 from sanity_cases import read_text
 
 from gauge_envs import load_experiment
 from gauge_envs.backends import backend
 from gauge_envs.backends.mujoco.settings import PRESETS, SettingsMuJoCo
-from gauge_envs.errors import ParameterError, TargetError
+from gauge_envs.errors import TargetError
 from gauge_envs.tools.bench.model_settings import COLUMNS, contact_pairs
 from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
 from gauge_envs.tools.sanity.stacks import configuration
@@ -175,54 +175,6 @@ def test_contact_constants_of_a_model_reach_every_contact():
         }
 
 
-def test_a_wall_of_bricks_has_the_constants_in_its_broad_phase_too():
-    settings = {
-        "contact_solref": (0.01, 0.8),
-        "contact_margin_m": 0.004,
-        "contact_gap_m": 0.002,
-        "condim": 4,
-    }
-    simulation = built("WallBreaking-wood", settings)
-    simulation.advance(1 / 180)
-    bricks = {simulation.model.geom(name).id for name in ("brick-1", "brick-2")}
-    assert bricks <= set(np.unique(simulation.data.contact.geom))
-    free = simulation.data.contact.geom.min(axis=1) >= min(bricks)
-    assert free.sum() > 100
-    for values, expected in (
-        (simulation.data.contact.includemargin, 0.004),
-        (simulation.data.contact.dim, 4),
-    ):
-        np.testing.assert_allclose(values[free], expected)
-    np.testing.assert_allclose(
-        simulation.data.contact.solref[free], np.tile([0.01, 0.8], (free.sum(), 1))
-    )
-
-
-def test_friction_settings():
-    real, scaled, given = (
-        built("SlopeSlider-1-wood", settings).model.pair_friction
-        for settings in (
-            {},
-            {"friction_scale": 0.5},
-            {"o_friction": [0.1, 0.2, 0.3, 0.4, 0.5]},
-        )
-    )
-    np.testing.assert_allclose(scaled[:, :2], 0.5 * real[:, :2])
-    np.testing.assert_allclose(
-        given, np.tile([0.1, 0.2, 0.3, 0.4, 0.5], (len(real), 1))
-    )
-
-
-def test_restitution_ends_where_contacts_are_given():
-    recipe, given = (
-        built("BouncingBall-rubber", settings).model
-        for settings in ({}, {"contact_solref": [0.02, 1.0]})
-    )
-    assert (recipe.pair_solref[:, 1] < -1.0).all()
-    assert given.pair_solref.tolist() == [[0.02, 1.0]]
-    assert not given.pair_solreffriction.any()
-
-
 def test_groups_that_differ_are_reported_and_can_be_picked():
     model = heap()
     read = configuration(model)
@@ -242,21 +194,6 @@ def test_groups_that_differ_are_reported_and_can_be_picked():
         configuration(model, pair=("floor", "nose"))
     with pytest.raises(TargetError, match="'a1' and 'c' cannot collide"):
         configuration(model, pair=("a1", "c"))
-
-
-def test_sliding_friction_alone_makes_no_difference():
-    hopper = configuration("Hopper-v5")
-    assert [group.is_used for group in hopper.contact_groups] == [
-        True,
-        True,
-        False,
-        False,
-    ]
-    assert {
-        group.constants["friction"][0]
-        for group in hopper.contact_groups
-        if group.is_used
-    } == {1.0, 2.0}
 
 
 def test_override_gives_all_contacts_its_own_constants_friction_included():
@@ -289,79 +226,6 @@ def test_what_is_not_carried_over_is_reported(xml, note):
     assert any(re.search(note, line) for line in notes), notes
 
 
-def test_files_backends_and_objects(tmp_path):
-    path = tmp_path / "robot.xml"
-    (tmp_path / "part.xml").write_text(
-        "<mujoco><worldbody><body><freejoint/><geom size='.1'/></body></worldbody></mujoco>"
-    )
-    path.write_text("""<mujoco><option timestep=".004"/><include file="part.xml"/>
-      <worldbody><geom type="plane" size="1 1 1"/></worldbody></mujoco>""")
-    read = configuration(path)
-    assert (read.name, read.settings["timestep_s"], read.frame_skip) == (
-        "robot.xml",
-        0.004,
-        None,
-    )
-    assert (
-        configuration(mujoco.MjModel.from_xml_path(str(path))).settings == read.settings
-    )
-    env = gymnasium.make("HalfCheetah-v5")
-    assert configuration(env) == configuration("HalfCheetah-v5")
-    assert configuration(read) is read
-    assert configuration("mujoco:out_of_box").settings == {"preset": "out_of_box"}
-    assert configuration("mujoco").settings == {}
-    toml = tmp_path / "mine.toml"
-    toml.write_text(
-        'backend = "mujoco"\npreset = "stack"\n[settings]\ntimestep_s = 0.003\nimpratio = 5.0\n'
-    )
-    mine = configuration(str(toml))
-    assert mine.settings == {"timestep_s": 0.003, "impratio": 5.0, "preset": "stack"}
-    assert mine.origins == dict.fromkeys(mine.settings, "mine.toml")
-
-
-class Robot(gymnasium.Env):
-    """An environment of somebody else, with a model and nothing more."""
-
-    def __init__(self):
-        self.model = mujoco.MjModel.from_xml_string(
-            "<mujoco><option timestep='.005'/></mujoco>"
-        )
-
-
-def test_environments_of_somebody_else(tmp_path, monkeypatch):
-    read = configuration(Robot())
-    assert (read.name, read.frame_skip, read.settings["timestep_s"]) == (
-        "Robot",
-        None,
-        0.005,
-    )
-    (tmp_path / "robots.py").write_text(
-        "import gymnasium, mujoco\nclass Robot(gymnasium.Env):\n    frame_skip = 4\n"
-        "    model = mujoco.MjModel.from_xml_string('<mujoco/>')\n"
-        "    action_space = observation_space = gymnasium.spaces.Discrete(1)\n"
-        "gymnasium.register('Robot-v0', Robot)\ngymnasium.register('Broken-v0', 'nowhere:Robot')\n"
-    )
-    monkeypatch.syspath_prepend(tmp_path)
-    read = configuration("robots:Robot-v0")
-    assert (read.name, read.frame_skip, read.settings["timestep_s"]) == (
-        "robots:Robot-v0",
-        4,
-        0.002,
-    )
-    with pytest.raises(
-        TargetError, match=r"'robots:Broken-v0': gymnasium.make fails: .*nowhere"
-    ):
-        configuration("robots:Broken-v0")
-
-
-@pytest.mark.parametrize(
-    "name", ["good", pytest.param("newton", marks=pytest.mark.slow)]
-)
-def test_examples_are_read(name):
-    read = configuration(ROOT / "examples" / "sanity" / f"{name}.toml")
-    assert read.settings["timestep_s"] == 0.002
-
-
 @pytest.mark.parametrize("name", ["GAUGE/SlopeSlider-1-wood", "SlopeSlider-1-wood"])
 def test_an_id_of_this_suite_has_its_own_settings(name):
     settings = configuration(name).settings
@@ -382,95 +246,6 @@ def test_the_out_of_box_preset_is_what_a_model_has_that_states_nothing():
         SettingsMuJoCo(preset="out_of_box", drive_interval_s=0.002, **read)
         == PRESETS["out_of_box"]
     )
-
-
-@pytest.mark.parametrize(
-    ("target", "message"),
-    [
-        ("Nope-v1", r"'Nope-v1': gymnasium.make fails: .*Nope"),
-        (3, "int cannot be checked"),
-    ],
-)
-def test_what_cannot_be_read_says_why(target, message):
-    with pytest.raises(TargetError, match=message):
-        configuration(target)
-
-
-GENESIS = '{"sim": {"dt": %s, "gravity": [0, 0, 9.81]}, "rigid": {"integrator": %s}}'
-
-
-@pytest.mark.parametrize(
-    ("name", "text", "message"),
-    [
-        (
-            "a.toml",
-            'backend = "mujoco"\nsetings = {}',
-            "setings: unknown key; keys: backend, preset, settings",
-        ),
-        ("a.toml", "preset = 'contact'", "backend: missing key"),
-        (
-            "a.toml",
-            'backend = "mujoco"\n[settings]\ncone = "round"',
-            "'cone'.*given: 'round'",
-        ),
-        ("a.toml", "backend = ", r"a\.toml: ."),
-        ("a.json", "[1]", "the file: "),
-        ("a.json", GENESIS % ("[]", "0"), "sim.dt is a list, and a number is expected"),
-        (
-            "a.json",
-            GENESIS % ("0.01", "[3]"),
-            "rigid.integrator is a list, and a number is expected",
-        ),
-        (
-            "a.json",
-            GENESIS.replace("9.81", '"down"') % ("0.01", "0"),
-            "sim.gravity is 'down', and a number",
-        ),
-        (
-            "a.xml",
-            "<mujoco><option speed='3'/></mujoco>",
-            "MuJoCo cannot load it: .*speed",
-        ),
-        (
-            "a.urdf",
-            "<robot name='a'><link name='b'><collision><geometry><mesh filename='package://a/b.stl'/></geometry>"
-            "</collision></link></robot>",
-            "MuJoCo cannot load it: .*; state files of package:// relative to this one",
-        ),
-    ],
-)
-def test_a_wrong_file_is_named_with_its_key(tmp_path, name, text, message):
-    path = tmp_path / name
-    path.write_text(text, errors="surrogateescape")
-    with pytest.raises(TargetError, match=message):
-        configuration(path)
-
-
-# --- the step ---------------------------------------------------------------------------------------------------------
-
-
-def test_a_training_step_runs_with_a_drive_interval_of_its_own():
-    settings = {"timestep_s": 0.003, "drive_interval_s": 0.003}
-    simulation = built("BouncingBall-rubber", settings)
-    for _ in range(50):
-        simulation.advance(0.003)
-    assert simulation.data.time == pytest.approx(0.15)
-
-
-@pytest.mark.parametrize(
-    "settings",
-    [
-        {"timestep_s": 0.01},
-        {"timestep_s": 0.003},
-        {"timestep_s": 0.002, "drive_interval_s": 0.003},
-    ],
-)
-def test_a_step_must_divide_the_drive_interval(settings):
-    with pytest.raises(
-        ParameterError,
-        match=r"'timestep_s': drive_interval_s, 1/\d+\.?\d* s, is .* steps",
-    ):
-        built("BouncingBall-rubber", settings)
 
 
 # --- the whole chain --------------------------------------------------------------------------------------------------
@@ -528,13 +303,177 @@ def test_a_cube_moves_as_in_the_model_that_the_settings_are_from(name):
     assert np.linalg.norm(place - start) > 1e-4
 
 
-@pytest.mark.parametrize("name", ["robot.xml", "robot.mjcf"])
-def test_a_model_file_finds_its_meshes_by_either_name(tmp_path, name):
-    corners = [f"v {x} {y} {z}" for x in (0, 1) for y in (0, 1) for z in (0, 1)]
-    faces = "f 1 2 3\nf 5 7 6\nf 1 5 2\nf 3 4 7"
-    (tmp_path / "box.obj").write_text("\n".join([*corners, faces]))
-    (
-        tmp_path / name
-    ).write_text("""<mujoco><asset><mesh name="box" file="box.obj"/></asset><worldbody><body>
-      <joint/><geom type="mesh" mesh="box"/></body></worldbody></mujoco>""")
-    assert configuration(tmp_path / name).robot.model.nmesh == 1
+# --- kinds of targets ------------------------------------------------------------------------------------------------
+
+
+def test_files_backends_and_objects(tmp_path):
+    path = tmp_path / "robot.xml"
+    (tmp_path / "part.xml").write_text(
+        "<mujoco><worldbody><body><freejoint/><geom size='.1'/></body></worldbody></mujoco>"
+    )
+    path.write_text(
+        """<mujoco><option timestep=".004"/><include file="part.xml"/>
+      <worldbody><geom type="plane" size="1 1 1"/></worldbody></mujoco>""",
+        encoding="utf-8-sig",
+    )
+    read = configuration(path)
+    assert (read.name, read.settings["timestep_s"]) == ("robot.xml", 0.004)
+    model = mujoco.MjModel.from_xml_path(str(path))
+    assert configuration(model).settings == read.settings
+    data = mujoco.MjData(model)
+    data.qpos[2] = 0.7
+    robot = configuration((model, data)).robot
+    assert robot.start_qpos.tolist() == data.qpos.tolist()
+    assert configuration(model).robot.start_qpos is None
+    env = gymnasium.make("HalfCheetah-v5")
+    assert configuration(env) == configuration("HalfCheetah-v5")
+    assert configuration(read) is read
+    assert configuration("mujoco:out_of_box").settings == {"preset": "out_of_box"}
+    assert configuration("mujoco").settings == {}
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+def test_settings_files(tmp_path, encoding):
+    toml, file = tmp_path / "mine.toml", tmp_path / "mine.json"
+    toml.write_text(
+        'backend = "mujoco"\npreset = "stack"\n[settings]\nimpratio = 5.0\n', encoding
+    )
+    content = {"backend": "mujoco", "preset": "stack", "settings": {"impratio": 5.0}}
+    file.write_text(json.dumps(content), encoding)
+    for path in (toml, file):
+        mine = configuration(str(path))
+        assert mine.settings == {"impratio": 5.0, "preset": "stack"}
+        assert mine.origins == dict.fromkeys(mine.settings, path.name)
+
+
+def test_an_environment_of_somebody_else(tmp_path, monkeypatch):
+    (tmp_path / "robots.py").write_text(
+        "import gymnasium, mujoco\nclass Robot(gymnasium.Env):\n    frame_skip = 4\n"
+        "    model = mujoco.MjModel.from_xml_string('<mujoco/>')\n"
+        "    action_space = observation_space = gymnasium.spaces.Discrete(1)\n"
+        "gymnasium.register('Robot-v0', Robot)\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    read = configuration("robots:Robot-v0")
+    assert (read.name, read.frame_skip) == ("robots:Robot-v0", 4)
+
+
+# --- what cannot be read ---------------------------------------------------------------------------------------------
+
+ARM = """<mujoco>
+<asset>
+  <mesh name="base" file="{mesh}"/>
+</asset>
+<worldbody>
+  <body name="arm"><joint/><geom {geom}/></body>
+</worldbody>{more}
+</mujoco>"""
+
+
+def arm(mesh="tetra.obj", geom='size=".1"', more=""):
+    return ARM.format(mesh=mesh, geom=geom, more=more)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        (
+            "a.xml",
+            arm("parts/base.stl"),
+            r'a\.xml:3: mesh "base" needs .*parts/base\.stl, which is not there: copy it there, or set meshdir',
+        ),
+        ("a.xml", arm("/home/ann/base.stl"), "a.xml:3: .*not one of another machine"),
+        ("a.xml", arm(r"C:\ann\base.stl"), "a.xml:3: .*not one of another machine"),
+        ("a.xml", arm("pointer.stl"), r"a\.xml:3: .*is a pointer of Git LFS"),
+        (
+            "a.urdf",
+            "<robot name='a'><link name='b'><collision><geometry>\n<mesh filename='package://a/b.stl'/></geometry>"
+            "</collision></link></robot>",
+            "a.urdf:2: <mesh> needs .*without package://",
+        ),
+        ("a.xml", arm(geom='size=".1"')[:120], r"a\.xml:6: the XML is not well-formed"),
+        ("a.xml", arm(geom='size=".1'), r"a\.xml:[67]: the XML is not well-formed"),
+        ("a.xml", arm(geom='siz=".1"'), "a.xml:6: <geom>: unrecognized .*'siz'"),
+        ("a.xml", arm(geom='size="a"'), "a.xml:6: <geom>: bad format .*'size'"),
+        (
+            "a.xml",
+            arm(geom='size=".1" mass="0"'),
+            'a.xml:6: body "arm": mass and inertia .*: give it a geom with mass',
+        ),
+        (
+            "a.xml",
+            arm(more='\n<actuator><motor name="m" joint="elbow"/></actuator>'),
+            "a.xml:8: motor \"m\": .*'elbow'",
+        ),
+        (
+            "a.xml",
+            arm(more='\n<include file="absent.xml"/>'),
+            r"a\.xml:8: <include> needs .*absent\.xml, which is not there: copy it",
+        ),
+        (
+            "a.xml",
+            arm(more='\n<include file="part.xml"/>'),
+            r"part\.xml:3: <geom>: unrecognized attribute: 'hue'",
+        ),
+        ("a.xml", "<html/>", "starts with <mujoco>"),
+        ("a.xml", "", "a.xml: is empty"),
+        ("a.xml", "<mujoco/>".encode("utf-16"), "is in UTF-16.*: save it as UTF-8"),
+        (
+            "a.urdf",
+            "<robot xmlns:xacro='x'><link name='b'><inertial><mass value='${m}'/></inertial></link></robot>",
+            r"run xacro a\.urdf > robot\.urdf",
+        ),
+        ("a.toml", "backend = ", r"a\.toml: Invalid value"),
+        ("a.toml", "preset = 'contact'", "backend: missing key"),
+        ("a.toml", "backend = 'mujoco'\nsetings = {}", "setings: unknown key; keys:"),
+        ("a.toml", 'backend = "mujoco"\n[settings]\ncone = "round"', "given: 'round'"),
+        ("a.json", "[1]", "the file: "),
+        (
+            "a.json",
+            '{"sim": {"dt": []}, "rigid": {}}',
+            "sim.dt is a list, and a number",
+        ),
+        (
+            "a.json",
+            '{"sim": {"gravity": [0, 0, "down"]}, "rigid": {}}',
+            "sim.gravity is 'down', and a number",
+        ),
+    ],
+)
+def test_a_file_that_cannot_be_read_names_the_line_and_what_to_do(
+    tmp_path, name, text, message
+):
+    (tmp_path / "tetra.obj").write_text(
+        "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"
+    )
+    (tmp_path / "pointer.stl").write_text("version https://git-lfs.github.com/spec/v1")
+    (tmp_path / "part.xml").write_text(
+        "<mujoco>\n<worldbody>\n<geom hue='1'/></worldbody></mujoco>"
+    )
+    path = tmp_path / name
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    with pytest.raises(TargetError, match=message):
+        configuration(path)
+
+
+@pytest.mark.parametrize(
+    ("target", "message"),
+    [
+        ("Nope-v1", r"'Nope-v1': gymnasium.make fails: .*Nope.*; give a Gymnasium id"),
+        (
+            "CartPole-v1",
+            r"CartPole-v1 is gymnasium\..*, which has no MuJoCo model; give",
+        ),
+        ("nowhere.xml", "nowhere.xml: there is no such file"),
+        ("absent/env.yaml", "env.yaml: there is no such file"),
+        (3, "int cannot be checked; give a Gymnasium id"),
+    ],
+)
+def test_what_is_no_target_says_why(target, message):
+    with pytest.raises(TargetError, match=message):
+        configuration(target)
+
+
+def test_pairs_of_geoms_are_those_of_a_model():
+    with pytest.raises(TargetError, match="pairs of geoms are those of a MuJoCo model"):
+        configuration("mujoco", pair=("a", "b"))

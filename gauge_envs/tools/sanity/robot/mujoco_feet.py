@@ -29,7 +29,6 @@ from gauge_envs.tools.bench.model_settings import (
     can_move,
     contact_settings,
 )
-from gauge_envs.tools.sanity.gauge_probe import STANDING, driven
 from gauge_envs.tools.sanity.model import ContactGroup
 from gauge_envs.tools.sanity.robot.foot import COPIES, FootGeometry
 
@@ -44,6 +43,9 @@ UPRIGHT = 0.7
 
 FLAT = 1e-3
 """Component of a unit vector below which a face or an edge counts as level."""
+
+STANDING = ("home", "stand", "standing")
+"""Names of keyframes in which robots stand."""
 
 HELD_M_PER_S = 1e-3
 """Speed of falling below which the damping of a joint counts as holding a robot [m/s]."""
@@ -222,6 +224,39 @@ def shortened(names: list[str]) -> list[str]:
         if len(names) <= MOST_GEOMS
         else [*names[: MOST_GEOMS - 1], f"{len(names) - MOST_GEOMS + 1} more"]
     )
+
+
+def driven(model: mujoco.MjModel) -> tuple[set[int], set[int]]:
+    """Return the joints on which actuators act, and the bodies on which they act by tendons, at sites or directly."""
+    joints, bodies = set(), set()
+    for kind, target in zip(
+        model.actuator_trntype, model.actuator_trnid[:, 0].tolist(), strict=True
+    ):
+        name = mujoco.mjtTrn(int(kind)).name
+        if name == "mjTRN_JOINT":
+            joints.add(target)
+        elif name == "mjTRN_JOINTINPARENT":
+            bodies.add(int(model.jnt_bodyid[target]))
+        elif name == "mjTRN_BODY":
+            bodies.add(target)
+        elif name == "mjTRN_TENDON":
+            bodies |= _tendon_bodies(model, target)
+        else:
+            bodies.add(int(model.site_bodyid[target]))
+    return joints, bodies
+
+
+def _tendon_bodies(model: mujoco.MjModel, tendon: int) -> set[int]:
+    """Return the bodies of the joints and sites that a tendon wraps."""
+    owners = {"mjWRAP_JOINT": model.jnt_bodyid, "mjWRAP_SITE": model.site_bodyid}
+    first = model.tendon_adr[tendon]
+    wraps = range(first, first + model.tendon_num[tendon])
+    kinds = {wrap: mujoco.mjtWrap(int(model.wrap_type[wrap])).name for wrap in wraps}
+    return {
+        int(owners[kind][model.wrap_objid[wrap]])
+        for wrap, kind in kinds.items()
+        if kind in owners
+    }
 
 
 # --- stance ----------------------------------------------------------------------------------------------------------

@@ -1,30 +1,37 @@
-"""Training stacks: what can be checked, how it is read, and the dialect in which its changes are written.
-
-Each module has the readers of one stack, `READERS`, and its dialects, `DIALECTS`.
-"""
+"""Training stacks: what can be checked, how it is read, and the dialect in which its changes are written."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gauge_envs.errors import TargetError
 from gauge_envs.tools.sanity.model import TrainingConfiguration
 from gauge_envs.tools.sanity.stacks.dialect import Dialect
-from gauge_envs.tools.sanity.stacks.reader import GeomPair, NotATargetError, Reader
 
 if TYPE_CHECKING:
     from gauge_envs.tools.sanity.stacks.gymnasium_env import Target
+    from gauge_envs.tools.sanity.stacks.mjcf import GeomPair
 
-__all__ = ["Dialect", "accepted", "configuration", "dialect", "reader_of"]
+__all__ = ["Dialect", "configuration", "dialect"]
 
-STACKS = (
-    *("mjcf", "maniskill", "genesis", "probe", "settings", "isaac_lab"),
-    # It takes every text.
-    "gymnasium_env",
-)
-"""Modules of the stacks; the first reader that matches a target reads it."""
+READERS = {
+    **dict.fromkeys((".xml", ".mjcf", ".urdf"), "mjcf.read_model_file"),
+    **dict.fromkeys((".yaml", ".yml"), "isaac_lab.read_file"),
+    ".toml": "settings.read_file",
+    ".json": "probe.read_file",
+}
+"""Module and function that reads a file, by its suffix."""
+
+DIALECTS = {
+    "toml": "dialect.TOML",
+    "mjcf": "mjcf.MJCF",
+    "genesis": "genesis.GENESIS",
+    "maniskill": "maniskill.MANISKILL",
+    "isaac_lab": "isaac_lab.ISAAC_LAB",
+    "isaac_lab_3": "isaac_lab.ISAAC_LAB_3",
+}
 
 
 def configuration(
@@ -41,8 +48,9 @@ def configuration(
             a backend, with or without a preset (`mujoco:out_of_box`, `newton`);
             the `params/env.yaml` of a training run with Isaac Lab, or the folder of the run;
             the saved options of a Genesis scene;
-            a `mujoco.MjModel` or a `gymnasium.Env`;
             a file that the probe writes in the Python of another stack (`NAME.gaugeprobe.json`);
+            a `mujoco.MjModel`, a pair of it and its `mujoco.MjData`, in whose pose rows on the model start, or a
+            `gymnasium.Env`;
             a configuration, which is returned unchanged.
         pair: Names of two geoms of a model whose contact constants the experiments get, instead of the most frequent
             ones of moving geoms on the ground.
@@ -55,48 +63,37 @@ def configuration(
     """
     if isinstance(target, TrainingConfiguration):
         return target
-    reader = reader_of(target)
-    if reader is None:
-        raise TargetError(
-            f"{type(target).__name__} cannot be checked; give {accepted()}"
-        )
-    if pair is not None and not reader.has_geoms:
+    if isinstance(target, str | Path):
+        read = _read_text(target, pair)
+    else:
+        read = _part("gymnasium_env.read_object")(target, pair)
+    if pair is not None and not read.is_model:
         raise TargetError(
             f"{target}: pairs of geoms are those of a MuJoCo model, and the target has none"
         )
-    try:
-        return reader.read(target, pair) if reader.has_geoms else reader.read(target)
-    except NotATargetError as error:
-        raise TargetError(f"{error}; give {accepted()}") from error
+    return read
 
 
-def reader_of(target: Any) -> Reader | None:
-    """Return the first reader that matches a target; None when none does."""
-    return next((reader for reader in _readers() if reader.matches(target)), None)
-
-
-def accepted() -> str:
-    """Return what can be checked, as a list in words."""
-    *first, last = (
-        reader.accepts for reader in _readers(("gymnasium_env", *STACKS[:-1]))
-    )
-    return f"{', '.join(first)}, or {last}"
+def _read_text(target: str | Path, pair: GeomPair | None) -> TrainingConfiguration:
+    """Return the configuration of a file, a folder of a run, a backend or a Gymnasium id."""
+    path = Path(target)
+    if path.is_dir():
+        path = _part("isaac_lab.file_of_run")(path)
+    reader = READERS.get(path.suffix.lower())
+    if reader is not None:
+        read: TrainingConfiguration = _part(reader)(path, pair)
+        return read
+    return _part("settings.read_backend")(str(target)) or _part(
+        "gymnasium_env.read_id"
+    )(str(target), pair)
 
 
 def dialect(name: str) -> Dialect:
     """Return a dialect by the name that a `TrainingConfiguration` states as its language."""
-    return next(
-        one
-        for stack in STACKS
-        for one in getattr(_stack(stack), "DIALECTS", ())
-        if one.name == name
-    )
+    found: Dialect = _part(DIALECTS[name])
+    return found
 
 
-def _readers(stacks: Sequence[str] = ()) -> Iterator[Reader]:
-    for stack in stacks or STACKS:
-        yield from getattr(_stack(stack), "READERS", ())
-
-
-def _stack(name: str) -> Any:
-    return import_module(f"{__name__}.{name}")
+def _part(name: str) -> Any:
+    module, part = name.split(".")
+    return getattr(import_module(f"{__name__}.{module}"), part)

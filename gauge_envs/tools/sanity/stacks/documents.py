@@ -1,84 +1,92 @@
 """Read files that a user names, and typed values of their tables.
 
-A training run dumps its configuration with tags of Python. Two of them are data: a tuple, and a slice, which Isaac Lab
-writes for every selection of joints. A slice is read as None. Every other tag of Python is refused.
+A training run dumps its configuration with tags of Python. Two of them are data: a tuple, and a slice, which is read as
+None. Nothing of a file is run.
 """
 
 from __future__ import annotations
 
+import codecs
 import math
 import re
-from collections.abc import Callable, Collection, Mapping, Sequence
-from functools import cache
+from collections.abc import Callable, Collection, Mapping
+from contextlib import suppress
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NoReturn
 
 from gauge_envs.errors import TargetError, needs_extra
-from gauge_envs.files import printable
+from gauge_envs.files import os_errors
 from gauge_envs.tools.sanity.model import Settings
 
-T = TypeVar("T")
-
 PYTHON = "tag:yaml.org,2002:python/"
-TUPLE, SLICE = f"{PYTHON}tuple", f"{PYTHON}object/apply:builtins.slice"
 
 
-@cache
-def _yaml() -> tuple[Any, Any]:
-    """Return PyYAML, and a loader of plain values and tuples, and of slices as None."""
-    with needs_extra("a YAML file", "sanity"):
-        import yaml
-    base = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-    loader: Any = type("_Loader", (base,), {})
-    loader.add_constructor(
-        TUPLE, lambda loader, node: tuple(loader.construct_sequence(node, deep=True))
-    )
-    loader.add_constructor(SLICE, lambda loader, node: None)
-    return yaml, loader
+def file_text(path: Path) -> str:
+    """Return the text of a file in UTF-8, or in UTF-16 with a byte-order mark, as Windows writes it.
 
-
-def file_content(path: Path) -> bytes:
-    """Return the content of a file that a user names."""
+    Raises:
+        TargetError: The file is not there, is empty, or is no text.
+    """
+    if not path.exists():
+        raise TargetError(f"{path}: there is no such file")
+    with os_errors(lambda cause: TargetError(f"{path}: cannot be read: {cause}")):
+        content = path.read_bytes()
+    is_wide = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     try:
-        return path.read_bytes()
-    except FileNotFoundError:
-        raise TargetError(f"{path}: there is no such file") from None
-    except OSError as error:
-        raise TargetError(
-            f"{path}: cannot be read: {error.strerror or error}"
-        ) from None
+        text = content.decode("utf-16" if is_wide else "utf-8-sig")
+    except UnicodeDecodeError:
+        raise TargetError(f"{path}: is no text in UTF-8: save it as UTF-8") from None
+    if not text.strip():
+        raise TargetError(f"{path}: is empty")
+    return text
 
 
-def file_value(path: Path, parse: Callable[[bytes], Any]) -> Any:
-    """Return the value of a file that a user names, by a function that raises `ValueError` for what it cannot parse."""
-    content = file_content(path)
+def file_value(path: Path, parse: Callable[[str], Any]) -> Any:
+    """Return the value of a file, by a function that raises `ValueError` for what it cannot parse."""
+    text = file_text(path)
     try:
-        return parse(content)
+        return parse(text)
     except ValueError as error:
         raise TargetError(f"{path}: {error}") from None
 
 
-def read_yaml(path: Path) -> Any:
-    """Return the value of a YAML file; see `yaml_document`."""
-    return file_value(path, yaml_document)
+def yaml_document(text: str) -> Any:
+    """Return the value of a YAML document.
 
+    Raises:
+        ValueError: The document is damaged, or has a tag that is no data.
+    """
+    with needs_extra("a YAML file", "sanity"):
+        import yaml
 
-def yaml_document(content: bytes | str) -> Any:
-    """Return the value of a YAML document; raise `ValueError` where it is damaged, or has a tag that is no data."""
-    yaml, loader = _yaml()
+    class Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
+        """Loader of plain values, tuples and slices."""
+
+    Loader.add_constructor(
+        f"{PYTHON}tuple",
+        lambda loader, node: tuple(loader.construct_sequence(node, deep=True)),
+    )
+    Loader.add_constructor(
+        f"{PYTHON}object/apply:builtins.slice", lambda loader, node: None
+    )
     try:
-        return yaml.load(content, Loader=loader)
+        return yaml.load(text, Loader=Loader)
+    except yaml.MarkedYAMLError as error:
+        line = f"line {error.problem_mark.line + 1}: " if error.problem_mark else ""
+        advice = ""
+        if PYTHON in str(error):
+            advice = "; a tag of Python is not run: write the value itself"
+        raise ValueError(f"{line}it is no YAML: {error.problem}{advice}") from None
     # Constructors of plain values assume well-formed dates and numbers.
     except (
         yaml.YAMLError,
-        ArithmeticError,
+        ValueError,
         AttributeError,
         LookupError,
         TypeError,
     ) as error:
-        raise ValueError(
-            f"it is no YAML: {printable(' '.join(str(error).split()))}"
-        ) from None
+        cause = " ".join(str(error).split())
+        raise ValueError(f"it is no YAML: {cause}") from None
 
 
 # --- tables ----------------------------------------------------------------------------------------------------------
@@ -86,14 +94,11 @@ def yaml_document(content: bytes | str) -> Any:
 REFERENCE = re.compile(r"\$\{([A-Za-z_][\w.]*)\}")
 """A value that stands at another place of the same file, as Hydra writes it."""
 
-MOST_REFERENCES = 16
-"""Longest chain of such values."""
-
 
 class Table:
     """A nested table. Keys are paths with dots, such as `sim.physx.solver_type`.
 
-    A key that is absent or null has no value: its reader returns None.
+    A key that is absent or null has no value: its reader returns None. A value of another kind is a `TargetError`.
 
     Args:
         values: The table.
@@ -127,22 +132,27 @@ class Table:
 
     def value(self, key: str) -> Any:
         """Return a value of any kind; None when it is absent or null."""
-        return self._resolved(_at(self.values, key), self.name(key))
+        value = _at(self.values, key)
+        if isinstance(value, str) and (reference := REFERENCE.fullmatch(value)):
+            value = _at(self._root, reference[1])
+        if isinstance(value, str) and "${" in value:
+            raise TargetError(
+                f"{self.source}: {self.name(key)} is {value[:80]!r}, which Hydra fills in: give the file with all "
+                "values that the training run writes"
+            )
+        return value
 
     def table(self, key: str) -> Table | None:
         """Return a table."""
         value = self.value(key)
-        return (
-            None
-            if value is None
-            else Table(value, source=self.source, path=self.name(key), root=self._root)
-        )
+        if value is None:
+            return None
+        return Table(value, source=self.source, path=self.name(key), root=self._root)
 
     def part(self, key: str) -> Table:
         """Return a table; an empty one when it is absent."""
-        return self.table(key) or Table(
-            {}, source=self.source, path=self.name(key), root=self._root
-        )
+        empty = Table({}, source=self.source, path=self.name(key), root=self._root)
+        return self.table(key) or empty
 
     def number(self, key: str) -> float | None:
         """Return a number, which may be infinite."""
@@ -154,88 +164,49 @@ class Table:
         number = self.number(key)
         if number is None:
             return None
-        if not math.isfinite(number) or number != int(number):
-            raise self._wrong(key, number, "a whole number")
-        return int(number)
+        return int(number) if number.is_integer() else self._fail(key, "a whole number")
 
     def flag(self, key: str) -> bool | None:
         """Return a Boolean value."""
-        return self._of(bool, key, "true or false")
-
-    def text(self, key: str) -> str | None:
-        """Return a text."""
-        return self._of(str, key, "a text")
-
-    def _of(self, kind: type[T], key: str, what: str) -> T | None:
         value = self.value(key)
-        if value is None or isinstance(value, kind):
+        if value is None or isinstance(value, bool):
             return value
-        raise self._wrong(key, value, what)
+        self._fail(key, "true or false")
 
     def choice(self, key: str, known: Collection[str]) -> str | None:
         """Return one of some texts."""
         value = self.value(key)
         if value is None or (isinstance(value, str) and value in known):
             return value
-        raise TargetError(
-            f"{self.source}: {self.name(key)} is {_kind(value)}: choose one of {', '.join(known)}"
-        )
+        self._fail(key, f"one of {', '.join(known)}")
 
     def numbers(self, key: str, count: int) -> tuple[float, ...] | None:
         """Return a list of some numbers."""
         value = self.value(key)
         if value is None:
             return None
-        if (
-            not isinstance(value, Sequence)
-            or isinstance(value, str)
-            or len(value) != count
-        ):
-            raise self._wrong(key, value, f"a list of {count} numbers")
-        return tuple(self._number(one, key) for one in value)
+        if not isinstance(value, list | tuple) or len(value) != count:
+            self._fail(key, f"a list of {count} numbers")
+        return tuple(self._number(number, key) for number in value)
 
     def _number(self, value: Any, key: str) -> float:
         # YAML reads 1e-3, without a dot, as text.
-        if isinstance(value, str):
-            try:
-                value = float(value)
-            except ValueError:
-                raise self._wrong(key, value, "a number") from None
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise self._wrong(key, value, "a number")
-        try:
-            number = float(value)
-        except OverflowError:
-            raise self._wrong(key, "a number of many digits", "a number") from None
-        if math.isnan(number):
-            raise self._wrong(key, value, "a number")
-        return number
+        with suppress(ValueError, TypeError, OverflowError):
+            number = math.nan if isinstance(value, bool) else float(value)
+            if not math.isnan(number):
+                return number
+        self._fail(key, "a number", value)
 
-    def _resolved(self, value: Any, name: str) -> Any:
-        """Return the value that a reference stands for; other values unchanged."""
-        for _ in range(MOST_REFERENCES):
-            found = REFERENCE.fullmatch(value) if isinstance(value, str) else None
-            if found is None:
-                break
-            value = _at(self._root, found[1])
-        if isinstance(value, str) and "${" in value:
-            raise TargetError(
-                f"{self.source}: {name} is {printable(value)[:80]!r}, which Hydra fills in: give the file with all "
-                "values that the training run writes"
-            )
-        return value
-
-    def _wrong(self, key: str, value: Any, expected: str) -> TargetError:
-        return TargetError(
+    def _fail(self, key: str, expected: str, value: Any = None) -> NoReturn:
+        value = self.value(key) if value is None else value
+        raise TargetError(
             f"{self.source}: {self.name(key)} is {_kind(value)}, and {expected} is expected"
         )
 
 
 def _at(values: Any, key: str) -> Any:
     for part in key.split("."):
-        if not isinstance(values, Mapping):
-            return None
-        values = values.get(part)
+        values = values.get(part) if isinstance(values, Mapping) else None
     return values
 
 

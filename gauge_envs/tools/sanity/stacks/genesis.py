@@ -1,68 +1,70 @@
-"""Genesis: the saved options of a scene, `scene.options.model_dump_json()`."""
+"""Genesis: the options of a scene, in a probe file or as `scene.options.model_dump_json()` writes them."""
 
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any
 
-from gauge_envs.files import json_document
-from gauge_envs.tools.sanity.model import (
-    Need,
-    Settings,
-    TrainingConfiguration,
-)
+from gauge_envs.tools.sanity.model import Need, Settings, TrainingConfiguration
 from gauge_envs.tools.sanity.scenario import check_settings
 from gauge_envs.tools.sanity.stacks.dialect import (
     Dialect,
-    Kind,
     Setting,
+    joined,
+    number_text,
 )
-from gauge_envs.tools.sanity.stacks.documents import Table, file_value
-from gauge_envs.tools.sanity.stacks.reader import Reader, named_content
+from gauge_envs.tools.sanity.stacks.documents import Table
 
 
-def _choice(*names: str) -> Kind:
-    """Return a choice that a file states by its number."""
+def _choice(*names: str) -> Callable[[Table, str], Any]:
+    """Return a function that reads a choice, which a file states by its name or number."""
 
-    def read(table: Table, key: str) -> str | None:
+    def read(table: Table, key: str) -> Any:
         value = table.value(key)
-        return (
-            value
-            if value is None or isinstance(value, str)
-            else dict(enumerate(names)).get(table.whole(key) or 0)
-        )
+        is_name = value is None or isinstance(value, str)
+        return value if is_name else dict(enumerate(names)).get(table.whole(key) or 0)
 
-    return Kind(read)
+    return read
 
 
-VALUE, SWITCH = Kind(Table.value), Kind(lambda table, key: bool(table.value(key)))
-
-INTEGRATORS = _choice("Euler", "implicitfast", "approximate_implicitfast")
+def _python_text(value: Any) -> str:
+    return f'"{value}"' if isinstance(value, str) else number_text(value)
 
 
 def _option(
-    name: str, kind: Kind = VALUE, *, key: str = "", default: Any = None
+    name: str,
+    read: Callable[[Table, str], Any] = Table.value,
+    *,
+    key: str = "",
+    default: Any = None,
 ) -> Setting:
     """Return an argument of `RigidOptions` with the documented default of Genesis 1.4.5."""
-    return Setting(name, "rigid", key or name, kind, default=default)
+    return Setting(name, "rigid", key or name, read, default=default)
 
+
+INTEGRATORS = ("Euler", "implicitfast", "approximate_implicitfast")
 
 GENESIS = Dialect(
     name="genesis",
     settings=(
-        _option("integrator", INTEGRATORS, default="approximate_implicitfast"),
+        _option(
+            "integrator", _choice(*INTEGRATORS), default="approximate_implicitfast"
+        ),
         _option("constraint_solver", _choice("CG", "Newton"), default="Newton"),
         _option("friction_cone", _choice("pyramidal", "elliptic"), default="pyramidal"),
         _option("contact_resolution", _choice("convex", "signorini")),
         _option("iterations", default=25),
-        _option("tolerance"),
+        _option("tolerance", default=1e-5),
         _option("line_search_iterations", key="ls_iterations", default=50),
         _option("line_search_tolerance", key="ls_tolerance", default=1e-2),
         _option("noslip_iterations", default=0),
         _option("impratio"),
         _option("pruning_tolerance", key="contact_pruning_tolerance", default=0.02),
         _option("multi_contact", key="enable_multi_contact", default=True),
-        _option("box_box_detection", SWITCH),
-        _option("gjk", SWITCH, key="use_gjk_collision"),
+        _option("box_box_detection", default=False),
+        _option("gjk", key="use_gjk_collision", default=False),
     ),
+    pattern="{key}={value}",
+    text=_python_text,
+    join=joined(" and "),
     gravity="sim_options=gs.options.SimOptions(gravity=({}))",
 )
 
@@ -76,16 +78,8 @@ LEAST_STEPS = 2.0
 """Genesis raises the time constant of a pair of geoms to so many steps."""
 
 
-def options_settings(options: Settings) -> dict[str, Any]:
-    """Return settings of the backend `genesis` for options of a scene.
-
-    Args:
-        options: Options by the names of `gs.Scene`'s arguments without `_options`: `sim`, `rigid`.
-    """
-    simulation, rigid = (
-        Table(options.get(part) or {}, source="options", path=part)
-        for part in ("sim", "rigid")
-    )
+def options_settings(simulation: Table, rigid: Table) -> dict[str, Any]:
+    """Return settings of the backend `genesis` for the options `sim` and `rigid` of a scene."""
     # The rigid solver inherits the simulation's step, which substeps divide, or has a shorter one of its own.
     shared_s = (simulation.number("dt") or DEFAULT_STEP_S) / (
         simulation.number("substeps") or 1
@@ -96,7 +90,6 @@ def options_settings(options: Settings) -> dict[str, Any]:
     if read["contact_resolution"] is None:
         is_signorini = is_elliptic and read["constraint_solver"] == "Newton"
         read["contact_resolution"] = "signorini" if is_signorini else "convex"
-    read["tolerance"] = read["tolerance"] or 1e-5
     read["impratio"] = read["impratio"] or (100.0 if is_elliptic else 1.0)
     timeconst_s = DEFAULT_TIMECONST_S
     if "constraint_timeconst" in rigid.values:
@@ -106,58 +99,47 @@ def options_settings(options: Settings) -> dict[str, Any]:
         "precision": PRECISION,
         "timestep_s": step_s,
         **read,
-        "sustained_timeconst_s": max(float(timeconst_s), LEAST_STEPS * step_s),
+        "sustained_timeconst_s": max(timeconst_s, LEAST_STEPS * step_s),
         "sustained_dampratio": 1.0,
         "sustained_impedance": DEFAULT_IMPEDANCE,
         "impact_steps": None,
     }
 
 
-def _is_options_file(target: Any) -> bool:
-    try:
-        values = json_document(named_content(target, (".json",)))
-    except ValueError:
-        return False
-    return isinstance(values, dict) and all(
-        isinstance(values.get(part), dict) for part in ("sim", "rigid")
-    )
+def genesis_configuration(
+    options: Settings, *, name: str, source: str
+) -> TrainingConfiguration:
+    """Return the training configuration of a scene.
 
-
-def _read_options(target: Any) -> TrainingConfiguration:
-    path = Path(target)
-    options = file_value(path, json_document)
+    Args:
+        options: Options by the names of `gs.Scene`'s arguments without `_options`: `sim`, `rigid`.
+        name: Name of the configuration.
+        source: Description of where it is from.
+    """
+    table = Table(options, source=name)
+    simulation, rigid = table.part("sim"), table.part("rigid")
+    settings = options_settings(simulation, rigid)
+    x, y, z = simulation.numbers("gravity", 3) or DEFAULT_GRAVITY
     notes = ["options state no precision: judged in single precision, the default"]
-    settings = options_settings(options)
-    simulation = Table(options["sim"], source=path.name, path="sim")
-    gravity = simulation.numbers("gravity", 3) or DEFAULT_GRAVITY
-    rigid = options["rigid"]
-    inapplicable = {} if any(gravity) else {Need.GRAVITY: "the scene has no gravity"}
-    if rigid.get("enable_collision") is False or rigid.get("disable_constraint"):
+    notes += [
+        f"{key} is not carried over"
+        for key in ("enable_mujoco_compatibility", "use_hibernation")
+        if rigid.value(key)
+    ]
+    inapplicable = {}
+    if not any((x, y, z)):
+        inapplicable[Need.GRAVITY] = "the scene has no gravity"
+    if rigid.value("enable_collision") is False or rigid.value("disable_constraint"):
         inapplicable[Need.CONTACT] = "the scene switches contacts off"
-    for name in ("enable_mujoco_compatibility", "use_hibernation"):
-        if rigid.get(name):
-            notes.append(f"{name} is not carried over")
     check_settings("genesis", settings)
     return TrainingConfiguration(
-        name=path.name,
-        source=f"options file {path}",
+        name=name,
+        source=source,
         backend="genesis",
         settings=settings,
         origins=dict.fromkeys(settings, "options"),
         notes=tuple(notes),
         inapplicable=inapplicable,
-        gravity_m_per_s2=(gravity[0], gravity[1], gravity[2]),
+        gravity_m_per_s2=(x, y, z),
         language=GENESIS.name,
     )
-
-
-DIALECTS = (GENESIS,)
-
-READERS = (
-    Reader(
-        "saved options of a Genesis scene (options.json)",
-        _is_options_file,
-        _read_options,
-        has_geoms=False,
-    ),
-)

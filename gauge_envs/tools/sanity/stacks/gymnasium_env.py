@@ -13,17 +13,44 @@ from gauge_envs.errors import MissingExtraError, TargetError
 from gauge_envs.experiments.variants import variants
 from gauge_envs.tools.sanity.model import Settings, TrainingConfiguration
 from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
-from gauge_envs.tools.sanity.stacks.mjcf import model_name
-from gauge_envs.tools.sanity.stacks.reader import GeomPair, NotATargetError, Reader
+from gauge_envs.tools.sanity.stacks.mjcf import GeomPair, model_name, read_model
 
-Target: TypeAlias = str | Path | mujoco.MjModel | gymnasium.Env | Settings
+Target: TypeAlias = (
+    str
+    | Path
+    | mujoco.MjModel
+    | tuple[mujoco.MjModel, mujoco.MjData]
+    | gymnasium.Env
+    | Settings
+)
 """A target of a sanity check; see `gauge_envs.tools.sanity.configuration`."""
+
+ACCEPTED = (
+    "a Gymnasium id with a MuJoCo model (HalfCheetah-v5), a model file (.xml, .mjcf, .urdf), a mujoco.MjModel or a "
+    "pair (model, data), an env, a probe file (NAME.gaugeprobe.json, see gauge sanity probe), the params/env.yaml of "
+    "Isaac Lab, options of a Genesis scene (options.json), a settings file (.toml, .json), or a backend with or "
+    "without a preset (mujoco:out_of_box)"
+)
+"""What can be checked, in words."""
 
 UNDECLARED = ("imageio", "packaging")
 """Packages that Gymnasium's MuJoCo environments import without declaring them."""
 
 
-def _read_id(name: str, pair: GeomPair | None) -> TrainingConfiguration:
+def read_object(target: Any, pair: GeomPair | None) -> TrainingConfiguration:
+    """Return the configuration of a model, of a pair of model and data, or of an environment."""
+    if isinstance(target, gymnasium.Env):
+        spec = target.spec
+        name = type(target.unwrapped).__name__ if spec is None else spec.id
+        return _read_env(target, name, pair)
+    model, data = target if isinstance(target, tuple) else (target, None)
+    if isinstance(model, mujoco.MjModel) and isinstance(data, mujoco.MjData | None):
+        return read_model(model, data, pair)
+    raise TargetError(f"{type(target).__name__} cannot be checked; give {ACCEPTED}")
+
+
+def read_id(name: str, pair: GeomPair | None) -> TrainingConfiguration:
+    """Return the configuration of an environment by its id."""
     suite_ids = {variant.name: variant.id for variant in variants()}
     try:
         env = gymnasium.make(suite_ids.get(name, name))
@@ -31,8 +58,8 @@ def _read_id(name: str, pair: GeomPair | None) -> TrainingConfiguration:
         if isinstance(error, ImportError) and error.name in UNDECLARED:
             raise MissingExtraError(name, "sanity", error) from error
         cause = " ".join(str(error).split())
-        raise NotATargetError(
-            f"{name!r}: gymnasium.make fails: {cause} ({type(error).__name__})"
+        raise TargetError(
+            f"{name!r}: gymnasium.make fails: {cause} ({type(error).__name__}); give {ACCEPTED}"
         ) from error
     try:
         return _read_env(env, name, pair)
@@ -47,15 +74,8 @@ def _read_env(
     # A control task has a simulation of its own, any other environment of this suite that of its rollout.
     simulation = getattr(getattr(inner, "rollout", inner), "simulation", None)
     if isinstance(simulation, Simulation):
-        if pair is not None:
-            raise TargetError(
-                f"{name}: an environment of this suite has no geoms to choose from"
-            )
-        settings = {
-            key: value
-            for key, value in simulation.settings.items()
-            if key != "drive_interval_s"
-        }
+        settings = dict(simulation.settings)
+        settings.pop("drive_interval_s", None)
         return TrainingConfiguration(
             name=name,
             source="environment of this suite",
@@ -66,50 +86,28 @@ def _read_env(
     model = getattr(inner, "model", None)
     if not isinstance(model, mujoco.MjModel):
         kind = f"{type(inner).__module__}.{type(inner).__qualname__}"
-        raise NotATargetError(f"{name} is {kind}, which has no MuJoCo model")
-    source = f"Gymnasium environment, model {model_name(model)!r}, MuJoCo {mujoco.__version__}"
+        raise TargetError(
+            f"{name} is {kind}, which has no MuJoCo model; give {ACCEPTED}"
+        )
+    stated = getattr(inner, "fullpath", None)
+    file = None if stated is None else Path(stated)
     return mujoco_configuration(
         model,
         name=name,
-        source=source,
+        source=f"Gymnasium environment, model {model_name(model)!r}, MuJoCo {mujoco.__version__}",
         pair=pair,
         frame_skip=getattr(inner, "frame_skip", None),
-        spec=_spec_of(inner, model),
-        file=_file_of(inner),
+        spec=None if file is None else _spec_of(file, model),
+        file=file,
     )
 
 
-def _spec_of(inner: Any, model: mujoco.MjModel) -> mujoco.MjSpec | None:
+def _spec_of(file: Path, model: mujoco.MjModel) -> mujoco.MjSpec | None:
     """Return the model of an environment before it was compiled; None when its file gives another one."""
     try:
         with warnings.catch_warnings(action="ignore"):
-            spec = mujoco.MjSpec.from_file(str(inner.fullpath))
+            spec = mujoco.MjSpec.from_file(str(file))
             same = spec.compile()
-    except (AttributeError, ValueError):
+    except ValueError:
         return None
     return spec if np.array_equal(same.geom_bodyid, model.geom_bodyid) else None
-
-
-def _file_of(inner: Any) -> Path | None:
-    """Return the file of an environment's model; None when it is not known."""
-    stated = getattr(inner, "fullpath", None)
-    return None if stated is None else Path(stated)
-
-
-def _env_name(env: gymnasium.Env) -> str:
-    return type(env.unwrapped).__name__ if env.spec is None else env.spec.id
-
-
-READERS = (
-    # It takes every text, so it is the last reader of texts.
-    Reader(
-        "a Gymnasium id with a MuJoCo model (HalfCheetah-v5)",
-        lambda target: isinstance(target, str | Path),
-        lambda target, pair: _read_id(str(target), pair),
-    ),
-    Reader(
-        "an env",
-        lambda target: isinstance(target, gymnasium.Env),
-        lambda target, pair: _read_env(target, _env_name(target), pair),
-    ),
-)

@@ -5,36 +5,33 @@ more, which a reader of this file cannot see; notes say where that matters. Chan
 `__post_init__` of a configuration class: `self.sim.physx.bounce_threshold_velocity = 0.2`.
 """
 
+import math
 from collections.abc import Mapping
-from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from gauge_envs.errors import TargetError
 from gauge_envs.tools.sanity.model import UNREAD, Need, Settings, TrainingConfiguration
 from gauge_envs.tools.sanity.stacks.dialect import (
-    FLAG,
-    NUMBER,
-    WHOLE,
     Dialect,
-    Kind,
-    Place,
+    Entries,
     Setting,
+    joined,
     number_text,
 )
-from gauge_envs.tools.sanity.stacks.documents import Table, read_yaml
+from gauge_envs.tools.sanity.stacks.documents import Table, file_value, yaml_document
 from gauge_envs.tools.sanity.stacks.physx import (
     COEFFICIENTS,
-    DEGREES,
-    SOLVER,
+    SOLVERS,
     Material,
     PhysxValues,
+    coefficient_range,
     combined,
-    drawn_range,
+    constant,
+    radians,
+    solver_name,
     stated_material,
 )
-from gauge_envs.tools.sanity.stacks.reader import Reader, has_suffix
 
 SPAWN = "scene.robot.spawn"
 
@@ -54,100 +51,124 @@ SAME_LENGTH = 1e-6
 """Relative difference of two length scales that counts as none."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class IsaacLab(Dialect):
-    """Lines of Python, of which the length scale takes two."""
+def _length_m(physx: Table, key: str) -> float | None:
+    """Return the length scale that gives both lengths of friction [m]; None where no scale gives both."""
+    offset_m, distance_m = map(physx.number, FRICTION_SCALE)
+    if offset_m is None or distance_m is None:
+        return None
+    per_offset, per_distance = FRICTION_SCALE.values()
+    length_m = offset_m / per_offset
+    is_same = abs(distance_m / per_distance - length_m) <= SAME_LENGTH * length_m
+    return round(length_m, 12) if length_m > 0.0 and is_same else None
 
-    def _entry(self, one: Setting, value: Any) -> str:
-        if one.name != "tolerance_length_m":
-            return super()._entry(one, value)
-        lines = {
-            key: number_text(ratio * value) for key, ratio in FRICTION_SCALE.items()
-        }
+
+def _lines(entries: Entries) -> str:
+    """Return lines of Python, properties of colliders as one call."""
+    lines = {place: several for place, several in entries.items() if place != COLLIDER}
+    if COLLIDER in entries:
+        call = f"sim_utils.CollisionPropertiesCfg({', '.join(entries[COLLIDER])})"
+        lines[COLLIDER] = [f"self.{COLLIDER} = {call}"]
+    return joined("; ")(lines)
+
+
+# Settings whose key, kind of value and place are regular: name, key, and kind.
+SCENE = {
+    "bounce_threshold_m_per_s": ("bounce_threshold_velocity", Table.number),
+    "continuous_detection": ("enable_ccd", Table.flag),
+    "enhanced_determinism": ("enable_enhanced_determinism", Table.flag),
+}
+# The robot's articulation states them, or else its rigid bodies.
+ACTOR = {
+    "position_iterations": ("solver_position_iteration_count", Table.whole),
+    "velocity_iterations": ("solver_velocity_iteration_count", Table.whole),
+    "sleep_threshold_m2_per_s2": ("sleep_threshold", Table.number),
+}
+BODY = {
+    "linear_damping_per_s": "linear_damping",
+    "angular_damping_per_s": "angular_damping",
+    "max_linear_velocity_m_per_s": "max_linear_velocity",
+    "max_depenetration_velocity_m_per_s": "max_depenetration_velocity",
+}
+COLLISION = {
+    "contact_offset_m": "contact_offset",
+    "rest_offset_m": "rest_offset",
+    "patch_radius_m": "torsional_patch_radius",
+    "min_patch_radius_m": "min_torsional_patch_radius",
+}
+
+
+def _dialect(name: str, physx: str) -> Dialect:
+    """Return the dialect of a version, which has its PhysxCfg at a place of its own."""
+
+    def both_lengths(length_m: float) -> str:
         return "; ".join(
-            f"self.{one.place}.{key} = {text}" for key, text in lines.items()
+            f"self.{physx}.{key} = {number_text(ratio * length_m)}"
+            for key, ratio in FRICTION_SCALE.items()
         )
 
-
-def _of_actor(name: str, key: str, kind: Kind = NUMBER) -> Setting:
-    """Return a property of the robot's articulation, which its rigid bodies state where it has none."""
-    return Setting(
-        name, SPAWN, f"articulation_props.{key}", kind, others=(f"rigid_props.{key}",)
-    )
-
-
-def _of_collider(name: str, key: str) -> Setting:
-    """Return a property of the robot's colliders, which stands with the others in one call."""
-    return Setting(name, COLLIDER, key, pattern="{key}={value}")
-
-
-def _dialect(name: str, physx: str) -> IsaacLab:
-    """Return the dialect of a version, which has its PhysxCfg at a place of its own."""
-    return IsaacLab(
+    return Dialect(
         name=name,
         settings=(
             Setting("timestep_s", "sim", "dt"),
-            Setting("solver", physx, "solver_type", SOLVER),
-            Setting("bounce_threshold_m_per_s", physx, "bounce_threshold_velocity"),
-            Setting("continuous_detection", physx, "enable_ccd", FLAG),
-            Setting("enhanced_determinism", physx, "enable_enhanced_determinism", FLAG),
-            Setting("tolerance_length_m", physx, "friction_offset_threshold"),
-            _of_actor("position_iterations", "solver_position_iteration_count", WHOLE),
-            _of_actor("velocity_iterations", "solver_velocity_iteration_count", WHOLE),
-            Setting("linear_damping_per_s", SPAWN, "rigid_props.linear_damping"),
-            Setting("angular_damping_per_s", SPAWN, "rigid_props.angular_damping"),
             Setting(
-                "max_linear_velocity_m_per_s", SPAWN, "rigid_props.max_linear_velocity"
+                "solver",
+                physx,
+                "solver_type",
+                solver_name,
+                lambda solver: str(SOLVERS.index(solver)),
             ),
+            *(Setting(name, physx, key, read) for name, (key, read) in SCENE.items()),
             Setting(
-                "max_depenetration_velocity_m_per_s",
-                SPAWN,
-                "rigid_props.max_depenetration_velocity",
+                "tolerance_length_m",
+                physx,
+                "friction_offset_threshold",
+                _length_m,
+                both_lengths,
+                "{value}",
             ),
-            _of_actor("sleep_threshold_m2_per_s2", "sleep_threshold"),
-            _of_collider("contact_offset_m", "contact_offset"),
-            _of_collider("rest_offset_m", "rest_offset"),
-            _of_collider("patch_radius_m", "torsional_patch_radius"),
-            _of_collider("min_patch_radius_m", "min_torsional_patch_radius"),
+            *(
+                Setting(
+                    name,
+                    SPAWN,
+                    f"articulation_props.{key}",
+                    read,
+                    others=(f"rigid_props.{key}",),
+                )
+                for name, (key, read) in ACTOR.items()
+            ),
+            *(Setting(name, SPAWN, f"rigid_props.{key}") for name, key in BODY.items()),
             Setting(
                 "max_angular_velocity_rad_per_s",
                 SPAWN,
                 "rigid_props.max_angular_velocity",
-                DEGREES,
+                radians,
+                lambda speed: number_text(math.degrees(speed)),
+            ),
+            *(
+                Setting(name, COLLIDER, key, pattern="{key}={value}")
+                for name, key in COLLISION.items()
             ),
         ),
         pattern="self.{place}.{key} = {value}",
-        other="self.{key} = {value}",
-        places={
-            COLLIDER: Place(
-                form=f"self.{COLLIDER} = sim_utils.CollisionPropertiesCfg({{}})"
-            )
-        },
-        comes_last=True,
-        joint="; ",
+        join=_lines,
         text=number_text,
-        other_text=number_text,
         gravity="self.sim.gravity = ({})",
         is_closed=True,
     )
 
 
-PHYSX = {"isaac_lab": "sim.physx", "isaac_lab_3": "sim.physics"}
-"""Place of the PhysxCfg by dialect: Isaac Lab 3 has another one."""
-
-DIALECTS = tuple(_dialect(name, place) for name, place in PHYSX.items())
+ISAAC_LAB = _dialect("isaac_lab", "sim.physx")
+ISAAC_LAB_3 = _dialect("isaac_lab_3", "sim.physics")
+"""Isaac Lab 3 has its PhysxCfg at another place."""
 
 RUN_FILES = ("params/env.yaml", ".hydra/config.yaml")
 """Files in the folder of a training run."""
 
-DEFAULT = Material.constant("body", "no material: Isaac Sim's default", friction=0.5)
+DEFAULT = constant("no material: Isaac Sim's default", friction=0.5)
 """Material of a body for which neither the file nor an asset states one."""
 
-DEFAULT_GROUND = Material.constant(
-    "ground",
-    "no material: Isaac Sim's default ground plane",
-    friction=0.5,
-    restitution=0.8,
+DEFAULT_GROUND = constant(
+    "no material: Isaac Sim's default ground plane", friction=0.5, restitution=0.8
 )
 """Material that Isaac Sim's default ground plane brings along."""
 
@@ -159,7 +180,8 @@ NOT_CARRIED_OVER = {
 """Flags of `sim.physx` that SAPIEN does not expose, and what they switch on."""
 
 KNOWN_PHYSX = (
-    *(one.key for one in DIALECTS[0].settings if one.place == PHYSX["isaac_lab"]),
+    "solver_type",
+    *(key for key, _ in SCENE.values()),
     *(
         f"{end}_{kind}_iteration_count"
         for kind in ASSET_ITERATIONS
@@ -171,12 +193,6 @@ KNOWN_PHYSX = (
 
 BUFFERS = ("gpu_", "use_gpu", "class_type", "enable_scene_query_support")
 """Starts of keys of `sim.physx` that do not change the physics."""
-
-ISAAC_LAB_3_MARKS = (
-    "physics.bounce_threshold_velocity",
-    "physics.min_position_iteration_count",
-)
-"""Keys of `sim` that show settings of PhysX where Isaac Lab 3 has them."""
 
 OTHER_ENGINES = ("newton_cfg", "physics", "mujoco")
 """Keys of `sim` with settings of other engines."""
@@ -192,30 +208,40 @@ def isaac_lab_configuration(
         name: Name of the configuration.
         source: Description of where it is from.
     """
-    whole = Table(cfg, source=name)
-    table = whole
-    if "sim" not in whole and "env.sim" in whole:
-        table = Table(whole.value("env"), source=name, path="env", root=cfg)
-    sim = table.table("sim")
-    if sim is None or "dt" not in sim:
+    table = Table(cfg, source=name)
+    if "sim" not in table and "env.sim" in table:
+        table = Table(table.value("env"), source=name, path="env", root=cfg)
+    sim = table.part("sim")
+    if "dt" not in sim:
         raise TargetError(
             f"{name}: there is no sim.dt: give the params/env.yaml of a training run with Isaac Lab"
         )
     physx = _physx(sim)
-    dialect = DIALECTS[0 if physx.path.endswith("physx") else 1]
-    values = PhysxValues("isaac", dialect)
-    _take_scene(sim, physx, dialect, values)
+    dialect = ISAAC_LAB if physx.path.endswith("physx") else ISAAC_LAB_3
+    values = PhysxValues(dialect=dialect, settings={"preset": "isaac"})
     robot = _robot(table)
-    _take_actor(physx, robot, dialect, values)
+    spawn = None if robot is None else robot.table("spawn")
+    if spawn is None:
+        values.notes.append(
+            "no robot is found: what bodies state for themselves is that of Isaac Sim's schema"
+        )
+        spawn = Table({}, source=name, path=SPAWN)
+    place = "sim.physx" if dialect is ISAAC_LAB else "sim.physics"
+    places = {"sim": sim, place: physx, SPAWN: spawn}
+    if collider := spawn.table("collision_props"):
+        places[COLLIDER] = collider
+    values.take_places(places)
+    for kind in ASSET_ITERATIONS:
+        _clamp_iterations(physx, kind, values)
+    _note_scene(sim, physx, spawn, values)
     ground, foot = _materials(table, sim, robot, values)
     return values.configuration(
         table,
-        name=name,
         source=source,
         gravity_m_per_s2=sim.numbers("gravity", 3),
         frame_skip=table.whole("decimation"),
         foot_contact=combined(ground, foot),
-        inapplicable=_inapplicable(table, ground, foot),
+        inapplicable=_springs(table, ground, foot),
     )
 
 
@@ -224,155 +250,94 @@ def isaac_lab_configuration(
 
 def _physx(sim: Table) -> Table:
     """Return the settings of PhysX; Isaac Lab 3 has them at another place."""
-    physx = sim.table("physx")
-    if physx is None and any(key in sim for key in ISAAC_LAB_3_MARKS):
-        physx = sim.table("physics")
+    physx, other = sim.table("physx"), sim.value("physics")
+    if physx is None and isinstance(other, Mapping):
+        is_physx = "bounce_threshold_velocity" in other
+        physx = sim.table("physics") if is_physx else None
     if physx is None:
-        others = [key for key in OTHER_ENGINES if key in sim]
-        reason = (
-            f"there is {sim.name(others[0])} instead"
-            if others
-            else "it states no solver"
-        )
+        others = [sim.name(key) for key in OTHER_ENGINES if key in sim]
+        reason = f"there is {others[0]} instead" if others else "it states no solver"
         raise TargetError(
             f"{sim.source}: there is no {sim.name('physx')}, and {reason}: only PhysX is read of Isaac Lab"
         )
     return physx
 
 
-def _take_scene(
-    sim: Table, physx: Table, dialect: Dialect, values: PhysxValues
-) -> None:
-    """Take what is stated for the whole scene: the step, the solver and the length scale of friction."""
-    for name, value, origin in dialect.read({"sim": sim, PHYSX[dialect.name]: physx}):
-        if name == "tolerance_length_m":
-            values.take(
-                name,
-                _length_m(physx, values),
-                f"{origin} over {FRICTION_SCALE['friction_offset_threshold']}",
-            )
-        else:
-            values.take(name, value, origin)
+def _note_scene(sim: Table, physx: Table, spawn: Table, values: PhysxValues) -> None:
+    """Note what the file states and no setting has."""
+    if "tolerance_length_m" not in values.settings and all(
+        key in physx for key in FRICTION_SCALE
+    ):
+        stated = " and ".join(f"{k} {physx.number(k):g} m" for k in FRICTION_SCALE)
+        values.notes.append(
+            f"{stated} are not carried over: SAPIEN leaves them at 0.04 and 0.025 of one length scale, here 1 m"
+        )
     for key, effect in NOT_CARRIED_OVER.items():
         if physx.flag(key):
             values.notes.append(
                 f"{physx.name(key)} is not carried over: SAPIEN does not expose {effect}"
             )
     unknown = [
-        key
+        physx.name(str(key))
         for key in physx.values
         if key not in KNOWN_PHYSX and not str(key).startswith(BUFFERS)
     ]
     if unknown:
-        keys = ", ".join(physx.name(str(key))[:80] for key in unknown[:4])
         values.notes.append(
-            f"{UNREAD}: {keys}; Isaac Lab ignores keys that its PhysxCfg lacks"
+            f"{UNREAD}: {', '.join(unknown[:4])}; Isaac Lab ignores keys that its PhysxCfg lacks"
         )
     if str(sim.value("device") or "").startswith("cuda"):
         values.notes.append("training ran PhysX on the GPU; here it runs on the CPU")
-
-
-def _length_m(physx: Table, values: PhysxValues) -> float | None:
-    """Return the length scale that gives the two lengths of friction [m]; a note where no scale gives both."""
-    offset_m, distance_m = map(physx.number, FRICTION_SCALE)
-    if offset_m is None or distance_m is None:
-        return None
-    per_offset, per_distance = FRICTION_SCALE.values()
-    length = offset_m / per_offset
-    if length > 0.0 and abs(distance_m / per_distance - length) <= SAME_LENGTH * length:
-        return round(length, 12)
-    values.notes.append(
-        f"friction_offset_threshold {offset_m:g} m and friction_correlation_distance {distance_m:g} m are not "
-        "carried over: SAPIEN leaves them at 0.04 and 0.025 of one length scale, here 1 m"
-    )
-    return None
-
-
-def _robot(table: Table) -> Table | None:
-    """Return the robot: the asset of that name, or else the first articulation of the scene."""
-    scene = table.part("scene")
-    for key in ("scene.robot", "robot", "robot_cfg"):
-        if isinstance(table.value(key), Mapping):
-            return table.table(key)
-    found = (
-        key
-        for key, value in scene.values.items()
-        if isinstance(value, Mapping) and "actuators" in value
-    )
-    first = next(found, None)
-    return None if first is None else scene.table(str(first))
-
-
-def _take_actor(
-    physx: Table, robot: Table | None, dialect: Dialect, values: PhysxValues
-) -> None:
-    """Take what the robot states for itself: iterations, damping, limits and offsets."""
-    spawn = None if robot is None else robot.table("spawn")
-    if spawn is None:
-        values.notes.append(
-            "no robot is found: what bodies state for themselves is that of Isaac Sim's schema"
-        )
-        spawn = Table({}, source=physx.source, path=SPAWN)
-    places = {SPAWN: spawn, COLLIDER: spawn.table("collision_props")}
-    for name, value, origin in dialect.read(
-        {place: table for place, table in places.items() if table is not None}
-    ):
-        kind = name.removesuffix("_iterations")
-        if kind in ASSET_ITERATIONS:
-            values.take(name, *_iterations(physx, kind, value, origin, values))
-        else:
-            values.take(name, value, origin)
     if spawn.flag("rigid_props.disable_gravity"):
         values.notes.append(
             f"{spawn.name('rigid_props.disable_gravity')} is not carried over: the experiments have it"
         )
 
 
-def _iterations(
-    physx: Table, kind: str, stated: int | None, origin: str, values: PhysxValues
-) -> tuple[int, str]:
-    """Return the robot's count of iterations, clamped into the range of the scene, and its origin."""
-    count = ASSET_ITERATIONS[kind] if stated is None else stated
-    smallest_key, largest_key = (
-        f"min_{kind}_iteration_count",
-        f"max_{kind}_iteration_count",
-    )
-    low, high = physx.whole(smallest_key), physx.whole(largest_key)
+def _robot(table: Table) -> Table | None:
+    """Return the robot: the asset of that name, or else the first articulation of the scene."""
+    scene = table.part("scene")
+    others = [f"scene.{key}" for key in scene.values if f"{key}.actuators" in scene]
+    keys = ["scene.robot", "robot", "robot_cfg", *others]
+    found = (key for key in keys if isinstance(table.value(key), Mapping))
+    first = next(found, None)
+    return None if first is None else table.table(first)
+
+
+def _clamp_iterations(physx: Table, kind: str, values: PhysxValues) -> None:
+    """Clamp the robot's count of iterations into the range of the scene."""
+    name = f"{kind}_iterations"
+    count, origin = values.settings.get(name), values.origins.get(name)
+    low, high = (physx.whole(f"{end}_{kind}_iteration_count") for end in ("min", "max"))
     if low is not None and high is not None and low > high:
         raise TargetError(
-            f"{physx.source}: {physx.name(smallest_key)} is {low}, more than the maximum of {high}: exchange them"
+            f"{physx.source}: {physx.name(f'min_{kind}_iteration_count')} is {low}, more than the maximum of {high}: "
+            "exchange them"
         )
-    used = min(max(count, 0 if low is None else low), 255 if high is None else high)
-    if stated is None:
+    stated = ASSET_ITERATIONS[kind] if count is None else count
+    used = min(max(stated, low or 0), 255 if high is None else high)
+    if count is None:
         origin = "Isaac Sim's schema"
         values.notes.append(
             f"the robot states no count of {kind} iterations, so its asset decides; {used} is used"
         )
-    return used, origin if used == count else f"{origin}, clamped to {physx.path}"
-
-
-def _inapplicable(table: Table, ground: Material, foot: Material) -> dict[Need, str]:
-    """Return what the engine cannot represent and what then cannot be judged."""
-    for key in (
-        "scene.terrain.physics_material",
-        "terrain.physics_material",
-        "sim.physics_material",
-    ):
-        material = table.table(key)
-        is_used = material is not None and material.path in (ground.origin, foot.origin)
-        if (
-            material is not None
-            and is_used
-            and (material.number("compliant_contact_stiffness") or 0.0) > 0.0
-        ):
-            name = material.name("compliant_contact_stiffness")
-            return {
-                Need.CONTACT: f"{name} makes contacts springs, which SAPIEN does not expose"
-            }
-    return {}
+    clamped = "" if used == stated else f", clamped to {physx.path}"
+    values.take(name, used, f"{origin}{clamped}")
 
 
 # --- materials -------------------------------------------------------------------------------------------------------
+
+
+def _springs(table: Table, ground: Material, foot: Material) -> dict[Need, str]:
+    """Return what cannot be judged where a material that counts makes contacts springs."""
+    for key in ("scene.terrain", "terrain", "sim"):
+        material = table.part(f"{key}.physics_material")
+        stiffness = material.number("compliant_contact_stiffness")
+        if stiffness and material.path in (ground.origin, foot.origin):
+            name = material.name("compliant_contact_stiffness")
+            reason = f"{name} makes contacts springs, which SAPIEN does not expose"
+            return {Need.CONTACT: reason}
+    return {}
 
 
 def _materials(
@@ -381,65 +346,52 @@ def _materials(
     """Return the materials of the ground and of the robot, before they are combined."""
     default = stated_material(sim.table("physics_material"), "body", DEFAULT)
     ground = _ground(table, replace(default, body="ground"), values)
-    robot_material = None if robot is None else robot.table("spawn.physics_material")
-    if robot_material is None:
+    stated = None if robot is None else robot.table("spawn.physics_material")
+    if stated is None:
         values.notes.append(
             "a material that the robot's asset itself binds is not seen"
         )
-    foot = stated_material(
-        robot_material, "robot", default if robot_material is None else DEFAULT
-    )
+    foot = stated_material(stated, "robot", DEFAULT if stated else default)
     return ground, _randomized(table, foot, values)
 
 
 def _ground(table: Table, default: Material, values: PhysxValues) -> Material:
     terrain = table.table("scene.terrain") or table.table("terrain")
-    if terrain is not None:
-        material, kind = terrain.table("physics_material"), terrain.text("terrain_type")
-        if kind == "usd":
-            values.notes.append(
-                f"{terrain.name('usd_path')} decides the material of the ground, which is not seen"
-            )
-            return default
-        if material is None:
-            return DEFAULT_GROUND if kind == "plane" else default
-        return stated_material(material, "ground", DEFAULT)
-    plane = _ground_plane(table.part("scene"))
-    if plane is None:
-        values.notes.append(
-            "no ground is found in the file: the default material of the simulation is used for it"
+    is_plane = terrain is None or terrain.value("terrain_type") == "plane"
+    if terrain is None:
+        scene = table.part("scene")
+        planes = (
+            scene.part(f"{key}.spawn")
+            for key, value in scene.values.items()
+            if isinstance(value, Mapping) and isinstance(value.get("spawn"), Mapping)
         )
+        terrain = next(
+            (p for p in planes if "spawn_ground_plane" in str(p.value("func"))), None
+        )
+    unseen = ""
+    if terrain is None:
+        unseen = "no ground is found in the file: the default material of the simulation is used for it"
+    elif terrain.value("terrain_type") == "usd":
+        unseen = f"{terrain.name('usd_path')} decides the material of the ground, which is not seen"
+    if terrain is None or unseen:
+        values.notes.append(unseen)
         return default
-    material = plane.table("physics_material")
-    return stated_material(
-        material, "ground", DEFAULT_GROUND if material is None else DEFAULT
-    )
-
-
-def _ground_plane(scene: Table) -> Table | None:
-    """Return what makes the first ground plane of a scene; None when there is none."""
-    for key in scene.values:
-        spawn = scene.value(f"{key}.spawn") if "." not in str(key) else None
-        if isinstance(spawn, Mapping) and str(spawn.get("func", "")).endswith(
-            "spawn_ground_plane"
-        ):
-            return scene.table(f"{key}.spawn")
-    return None
+    material = terrain.table("physics_material")
+    if material is None:
+        return DEFAULT_GROUND if is_plane else default
+    return stated_material(material, "ground", DEFAULT)
 
 
 def _randomized(table: Table, foot: Material, values: PhysxValues) -> Material:
     """Return the robot's material with the ranges that an event draws from, if there is one."""
     events = table.part("events")
     for key, value in events.values.items():
-        if not isinstance(value, Mapping) or "static_friction_range" not in (
-            params := events.part(f"{key}.params")
-        ):
+        if not isinstance(value, Mapping):
             continue
-        term, asset, bodies = (
-            events.name(str(key)),
-            params.text("asset_cfg.name"),
-            params.value("asset_cfg.body_names"),
-        )
+        term, params = events.name(str(key)), events.part(f"{key}.params")
+        if "static_friction_range" not in params:
+            continue
+        asset, bodies = (params.value(f"asset_cfg.{k}") for k in ("name", "body_names"))
         if asset not in (None, "robot"):
             values.notes.append(
                 f"{term} changes the material of {asset!r}, which is not used"
@@ -450,49 +402,26 @@ def _randomized(table: Table, foot: Material, values: PhysxValues) -> Material:
                 f"{term} changes {bodies!r} only; they are taken for the feet"
             )
         ranges = {
-            key: drawn_range(params, f"{key}_range") or foot.ranges[key]
+            key: coefficient_range(params, f"{key}_range") or foot.ranges[key]
             for key in COEFFICIENTS
         }
         return replace(foot, body="robot", origin=term, ranges=ranges)
     return foot
 
 
-# --- reader ----------------------------------------------------------------------------------------------------------
+# --- files -----------------------------------------------------------------------------------------------------------
 
 
-def _file(target: Path) -> Path:
-    """Return the file of a target: itself, or the first one of a training run's folder."""
-    with suppress(OSError):
-        return next(
-            (target / name for name in RUN_FILES if (target / name).is_file()), target
-        )
-    return target
+def file_of_run(folder: Path) -> Path:
+    """Return the file of the folder of a training run, or the folder itself."""
+    files = (folder / name for name in RUN_FILES)
+    return next((file for file in files if file.is_file()), folder)
 
 
-def _matches(target: Any) -> bool:
-    return isinstance(target, str | Path) and has_suffix(".yaml", ".yml")(
-        _file(Path(target))
-    )
-
-
-def _read(target: Any) -> TrainingConfiguration:
-    path = _file(Path(target))
-    # Every run calls its file the same; its folder tells runs apart.
-    run = (
-        path.parent.parent.name
-        if f"{path.parent.name}/{path.name}" in RUN_FILES
-        else ""
-    )
-    return isaac_lab_configuration(
-        read_yaml(path), name=run or path.name, source=f"Isaac Lab, file {path}"
-    )
-
-
-READERS = (
-    Reader(
-        "the params/env.yaml of a training run with Isaac Lab",
-        _matches,
-        _read,
-        has_geoms=False,
-    ),
-)
+def read_file(path: Path, pair: object = None) -> TrainingConfiguration:
+    """Return the configuration of a file; a run, whose files are all called the same, has the name of its folder."""
+    is_of_run = f"{path.parent.name}/{path.name}" in RUN_FILES
+    name = path.parent.parent.name if is_of_run else path.name
+    cfg = file_value(path, yaml_document)
+    source = f"Isaac Lab, file {path}"
+    return isaac_lab_configuration(cfg, name=name or path.name, source=source)

@@ -3,36 +3,34 @@
 Changes are a SimConfig: `SimConfig(sim_freq=200, scene_config=SceneConfig(bounce_threshold=0.2))`.
 """
 
+from typing import Any
+
 from gauge_envs.errors import TargetError
-from gauge_envs.tools.sanity.model import Settings, TrainingConfiguration
+from gauge_envs.tools.sanity.model import TrainingConfiguration
 from gauge_envs.tools.sanity.stacks.dialect import (
-    FLAG,
-    WHOLE,
     Dialect,
-    Kind,
-    Place,
+    Entries,
     Setting,
     number_text,
 )
 from gauge_envs.tools.sanity.stacks.documents import Table
 from gauge_envs.tools.sanity.stacks.physx import (
-    SOLVERS,
-    Material,
     PhysxValues,
     combined,
+    constant,
+    solver_name,
     stated_material,
 )
 
 LINK_DAMPING_PER_S = 0.05
 """Linear and angular damping of links that SAPIEN starts with; a SimConfig has no field for it."""
 
-MATERIAL = Material.constant(
-    "body", "sim_config.default_materials_config", friction=0.3
-)
+MATERIAL = constant("sim_config.default_materials_config", friction=0.3)
 """Default material of ManiSkill 3."""
 
 
 def _step_s(table: Table, key: str) -> float:
+    """Return the step [s], which is stated by its inverse."""
     rate = table.number(key)
     if rate is None or not 0.0 < rate < float("inf"):
         raise TargetError(
@@ -41,56 +39,71 @@ def _step_s(table: Table, key: str) -> float:
     return 1.0 / rate
 
 
-def _solver(table: Table, key: str) -> str | None:
-    uses_tgs = table.flag(key)
-    return None if uses_tgs is None else SOLVERS[uses_tgs]
+def _sim_config(entries: Entries) -> str:
+    """Return a SimConfig, and calls for settings of links, which it has no field for."""
+    fields = list(entries.get("sim_config", ()))
+    if "scene_config" in entries:
+        scene = ", ".join(entries["scene_config"])
+        fields.append(f"scene_config=SceneConfig({scene})")
+    config = [f"SimConfig({', '.join(fields)})"] if fields else []
+    return " and ".join([*config, *entries.get("links", ())])
 
-
-RATE = Kind(_step_s, lambda step_s: str(round(1.0 / step_s)))
-"""Step, stated by its inverse."""
-
-TGS = Kind(_solver, lambda name: str(name == "TGS"))
-"""Solver, stated by a flag."""
 
 SCENE, LINKS = "scene_config", "links"
 
 DAMPING = "[link.set_{key}({value}) for link in self.agent.robot.links]"
-"""Call for a setting of links, which a SimConfig has no field for."""
 
 MANISKILL = Dialect(
     name="maniskill",
     settings=(
-        Setting("timestep_s", "sim_config", "sim_freq", RATE),
+        Setting(
+            "timestep_s",
+            "sim_config",
+            "sim_freq",
+            _step_s,
+            lambda step_s: str(round(1.0 / step_s)),
+        ),
         Setting("bounce_threshold_m_per_s", SCENE, "bounce_threshold"),
         Setting("sleep_threshold_m2_per_s2", SCENE, "sleep_threshold"),
         Setting("contact_offset_m", SCENE, "contact_offset"),
         Setting("rest_offset_m", SCENE, "rest_offset"),
-        Setting("position_iterations", SCENE, "solver_position_iterations", WHOLE),
-        Setting("velocity_iterations", SCENE, "solver_velocity_iterations", WHOLE),
-        Setting("persistent_manifolds", SCENE, "enable_pcm", FLAG),
-        Setting("continuous_detection", SCENE, "enable_ccd", FLAG),
-        Setting("enhanced_determinism", SCENE, "enable_enhanced_determinism", FLAG),
         Setting(
-            "friction_every_iteration", SCENE, "enable_friction_every_iteration", FLAG
+            "position_iterations", SCENE, "solver_position_iterations", Table.whole
         ),
-        Setting("solver", SCENE, "enable_tgs", TGS),
+        Setting(
+            "velocity_iterations", SCENE, "solver_velocity_iterations", Table.whole
+        ),
+        Setting("persistent_manifolds", SCENE, "enable_pcm", Table.flag),
+        Setting("continuous_detection", SCENE, "enable_ccd", Table.flag),
+        Setting(
+            "enhanced_determinism", SCENE, "enable_enhanced_determinism", Table.flag
+        ),
+        Setting(
+            "friction_every_iteration",
+            SCENE,
+            "enable_friction_every_iteration",
+            Table.flag,
+        ),
+        Setting(
+            "solver",
+            SCENE,
+            "enable_tgs",
+            solver_name,
+            lambda solver: str(solver == "TGS"),
+        ),
         Setting("link_linear_damping_per_s", LINKS, "linear_damping", pattern=DAMPING),
         Setting("angular_damping_per_s", LINKS, "angular_damping", pattern=DAMPING),
     ),
-    other="{key}={value}",
-    places={
-        SCENE: Place(form="scene_config=SceneConfig({})", within="sim_config"),
-        "sim_config": Place(form="SimConfig({})"),
-    },
+    pattern="{key}={value}",
+    join=_sim_config,
     text=number_text,
-    other_text=number_text,
     gravity="SimConfig(scene_config=SceneConfig(gravity=[{}]))",
     is_closed=True,
 )
 
 
 def maniskill_configuration(
-    sim_config: Settings, *, name: str, source: str
+    sim_config: Any, *, name: str, source: str
 ) -> TrainingConfiguration:
     """Return the training configuration of a SimConfig.
 
@@ -100,31 +113,25 @@ def maniskill_configuration(
         source: Description of where it is from.
     """
     table = Table(sim_config, source=name, path="sim_config")
-    scene = table.part("scene_config")
-    values = PhysxValues("out_of_box", MANISKILL)
+    scene = table.part(SCENE)
+    values = PhysxValues(dialect=MANISKILL, settings={"preset": "out_of_box"})
     values.take_places({"sim_config": table, SCENE: scene})
     values.origins["timestep_s"] = "1 / sim_config.sim_freq"
-    stated = table.table("default_materials_config")
-    ground, robot = (
-        stated_material(stated, body, MATERIAL) for body in ("ground", "robot")
-    )
-    values.take_articulation()
+    material = table.table("default_materials_config")
     for setting in ("link_linear_damping_per_s", "angular_damping_per_s"):
         values.take(setting, LINK_DAMPING_PER_S, "SAPIEN's default for links")
     values.notes.append(
         "materials that a task gives its own objects, and friction of joints, are not seen"
     )
-    control = table.number("control_freq")
+    steps_hz = table.number("sim_freq") or 0.0
+    control_hz = table.number("control_freq") or 0.0
     return values.configuration(
         table,
-        name=name,
         source=source,
         gravity_m_per_s2=scene.numbers("gravity", 3),
-        frame_skip=None
-        if not control or control < 0.0
-        else round((table.number("sim_freq") or 0.0) / control),
-        foot_contact=combined(ground, robot),
+        frame_skip=round(steps_hz / control_hz) if control_hz > 0.0 else None,
+        foot_contact=combined(
+            stated_material(material, "ground", MATERIAL),
+            stated_material(material, "robot", MATERIAL),
+        ),
     )
-
-
-DIALECTS = (MANISKILL,)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from gauge_envs.errors import ParameterError, TargetError
@@ -19,7 +19,7 @@ from gauge_envs.tools.sanity.model import (
     range_text,
 )
 from gauge_envs.tools.sanity.scenario import check_settings
-from gauge_envs.tools.sanity.stacks.dialect import Dialect, Kind, number_text
+from gauge_envs.tools.sanity.stacks.dialect import Dialect
 from gauge_envs.tools.sanity.stacks.documents import Table
 
 LEAST_NOTED_M_PER_S = 0.1
@@ -32,68 +32,41 @@ LARGEST = {
 }
 """Values that stand for no limit."""
 
-SOLVERS = ("PGS", "TGS")
-"""Solvers by PhysX's number of them."""
 
-
-def _solver_name(table: Table, key: str) -> str | None:
-    number = table.whole(key)
-    if number not in (None, 0, 1):
-        raise TargetError(
-            f"{table.source}: {table.name(key)} is {number}: give 0 (PGS) or 1 (TGS)"
-        )
-    return None if number is None else SOLVERS[number]
-
-
-SOLVER = Kind(_solver_name, lambda name: str(SOLVERS.index(name)))
-"""Solver, stated by PhysX's number of it."""
-
-
-def _radians(table: Table, key: str) -> float | None:
-    degrees = table.number(key)
-    return None if degrees is None else math.radians(degrees)
-
-
-DEGREES = Kind(_radians, lambda value: number_text(math.degrees(value)))
-"""Angular velocity [rad/s], stated in degrees."""
-
-
+@dataclass(kw_only=True)
 class PhysxValues:
     """Settings of the backend `physx`, with their origins, and notes on what has no setting.
 
-    Args:
-        preset: Preset that supplies what the target does not state.
+    Attributes:
         dialect: Dialect of the target.
+        settings: Settings; the preset supplies what the target does not state.
+        origins: Origin of each setting.
+        notes: What is not carried over.
     """
 
-    def __init__(self, preset: str, dialect: Dialect) -> None:
-        self.settings: dict[str, Any] = {"preset": preset}
-        self.origins = {"preset": "not stated: this package's preset"}
-        self.notes: list[str] = []
-        self._dialect = dialect
+    dialect: Dialect
+    settings: dict[str, Any]
+    origins: dict[str, str] = field(
+        default_factory=lambda: {"preset": "not stated: this package's preset"}
+    )
+    notes: list[str] = field(default_factory=list)
 
     def take(self, name: str, value: Any, origin: str) -> None:
         """Set a setting; None leaves it to the preset."""
         if value is not None:
-            self.settings[name] = (
-                min(value, LARGEST[name]) if name in LARGEST else value
-            )
+            limit = LARGEST.get(name)
+            self.settings[name] = value if limit is None else min(value, limit)
             self.origins[name] = origin
 
     def take_places(self, tables: Mapping[str, Table]) -> None:
         """Set the settings that stand at some places of the target."""
-        for name, value, origin in self._dialect.read(tables):
+        for name, value, origin in self.dialect.read(tables):
             self.take(name, value, origin)
-
-    def take_articulation(self) -> None:
-        """Set the kind of hinges of a robot."""
-        self.take("hinges", "articulation", "a robot is an articulation")
 
     def configuration(
         self,
         table: Table,
         *,
-        name: str,
         source: str,
         gravity_m_per_s2: tuple[float, ...] | None,
         frame_skip: int | None,
@@ -101,12 +74,9 @@ class PhysxValues:
         inapplicable: Mapping[Need, str] | None = None,
     ) -> TrainingConfiguration:
         """Return the configuration, after a trial of its settings."""
-        self.take_articulation()
-        self.take(
-            "sustained_restitution",
-            any(foot_contact.restitution),
-            "the stated restitution",
-        )
+        self.take("hinges", "articulation", "a robot is an articulation")
+        bounces = any(foot_contact.restitution)
+        self.take("sustained_restitution", bounces, "the stated restitution")
         try:
             check_settings("physx", self.settings)
         except ParameterError as error:
@@ -115,8 +85,8 @@ class PhysxValues:
         x, y, z = gravity_m_per_s2 or (0.0, 0.0, -GRAVITY_M_PER_S2)
         if not any((x, y, z)):
             reasons[Need.GRAVITY] = "the target has no gravity"
-        threshold = self.settings.get("bounce_threshold_m_per_s")
-        if threshold is not None and threshold >= LEAST_NOTED_M_PER_S:
+        threshold = self.settings.get("bounce_threshold_m_per_s") or 0.0
+        if threshold >= LEAST_NOTED_M_PER_S:
             fall_mm = 1e3 * threshold**2 / (2.0 * GRAVITY_M_PER_S2)
             self.notes.append(
                 f"what meets the ground more slowly than {threshold:g} m/s, as after a fall of {fall_mm:.3g} mm, does "
@@ -129,7 +99,7 @@ class PhysxValues:
                 f"{1e3 * step_s:g} ms, twice that at half of it; compare impulses"
             )
         return TrainingConfiguration(
-            name=name,
+            name=table.source,
             source=source,
             backend="physx",
             settings=self.settings,
@@ -137,30 +107,45 @@ class PhysxValues:
             frame_skip=frame_skip,
             notes=tuple(self.notes),
             inapplicable=reasons,
-            gravity_m_per_s2=None if gravity_m_per_s2 is None else (x, y, z),
-            language=self._dialect.name,
+            gravity_m_per_s2=(x, y, z),
+            language=self.dialect.name,
             foot_contact=foot_contact,
         )
 
 
+# --- kinds of values -------------------------------------------------------------------------------------------------
+
+SOLVERS = ("PGS", "TGS")
+"""Solvers by PhysX's number of them."""
+
+
+def solver_name(table: Table, key: str) -> str | None:
+    """Return the solver that a number, or a flag that stands for TGS, states."""
+    value = table.value(key)
+    if value not in (None, 0, 1):
+        raise TargetError(
+            f"{table.source}: {table.name(key)} is {value!r}: give 0 (PGS) or 1 (TGS)"
+        )
+    return None if value is None else SOLVERS[int(value)]
+
+
+def radians(table: Table, key: str) -> float | None:
+    """Return an angular velocity [rad/s] that is stated in degrees."""
+    degrees = table.number(key)
+    return None if degrees is None else math.radians(degrees)
+
+
 # --- materials -------------------------------------------------------------------------------------------------------
 
-Range = tuple[float, float]
-"""Least and greatest value; equal where training does not randomize."""
-
-COEFFICIENTS = ("static_friction", "dynamic_friction", "restitution")
-"""Coefficients of a material."""
-
-AVERAGE = "average"
-"""Rule of a material that states none."""
-
-MODES: dict[str, Callable[[float, float], float]] = {
-    AVERAGE: lambda a, b: 0.5 * (a + b),
+MODES: Mapping[str, Callable[[float, float], float]] = {
+    "average": lambda a, b: 0.5 * (a + b),
     "min": min,
     "multiply": lambda a, b: a * b,
     "max": max,
 }
-"""Rules of combination. Of two different ones, PhysX takes the one that comes later here."""
+"""Rules by which PhysX combines two coefficients; of the rules of two bodies, the later one counts."""
+
+COEFFICIENTS = ("static_friction", "dynamic_friction", "restitution")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -170,87 +155,75 @@ class Material:
     Attributes:
         body: Name of the body: `ground`, `robot`.
         origin: Key that states the material, or what stands in for it.
-        ranges: Range of each of the `COEFFICIENTS`.
+        ranges: Least and greatest value of each of the `COEFFICIENTS`.
         friction_mode: Rule of combination of friction.
         restitution_mode: Rule of combination of restitution.
     """
 
     body: str
     origin: str
-    ranges: Mapping[str, Range]
-    friction_mode: str = AVERAGE
-    restitution_mode: str = AVERAGE
-
-    @classmethod
-    def constant(
-        cls, body: str, origin: str, *, friction: float, restitution: float = 0.0
-    ) -> Material:
-        """Return a material with one coefficient of friction that is not randomized."""
-        values = zip(COEFFICIENTS, (friction, friction, restitution), strict=True)
-        return cls(
-            body=body,
-            origin=origin,
-            ranges={name: (value, value) for name, value in values},
-        )
+    ranges: Mapping[str, tuple[float, float]]
+    friction_mode: str = "average"
+    restitution_mode: str = "average"
 
     @property
     def text(self) -> str:
         """Body, friction and origin in words."""
-        return (
-            f"{self.body} {range_text(self.ranges['dynamic_friction'])} ({self.origin})"
-        )
+        friction = range_text(self.ranges["dynamic_friction"])
+        return f"{self.body} {friction} ({self.origin})"
+
+
+def constant(origin: str, friction: float, restitution: float = 0.0) -> Material:
+    """Return a material with one coefficient of friction that is not randomized."""
+    values = (friction, friction, restitution)
+    ranges = {n: (v, v) for n, v in zip(COEFFICIENTS, values, strict=True)}
+    return Material(body="body", origin=origin, ranges=ranges)
 
 
 def stated_material(table: Table | None, body: str, default: Material) -> Material:
     """Return a material with the coefficients of a table; what the table lacks is that of `default`."""
     if table is None:
         return replace(default, body=body)
-    ranges = dict(default.ranges)
-    for key in COEFFICIENTS:
-        number = table.number(key)
-        if number is not None and not 0.0 <= number < math.inf:
-            raise TargetError(
-                f"{table.source}: {table.name(key)} is {number:g}: give 0 or more"
-            )
-        if number is not None:
-            ranges[key] = number, number
-    return Material(
-        body=body,
-        origin=table.path,
-        ranges=ranges,
-        friction_mode=table.choice("friction_combine_mode", MODES)
-        or default.friction_mode,
-        restitution_mode=table.choice("restitution_combine_mode", MODES)
-        or default.restitution_mode,
-    )
+    ranges = {k: coefficient_range(table, k) or default.ranges[k] for k in COEFFICIENTS}
+    modes = {
+        f"{kind}_mode": table.choice(f"{kind}_combine_mode", MODES)
+        or getattr(default, f"{kind}_mode")
+        for kind in ("friction", "restitution")
+    }
+    return Material(body=body, origin=table.path, ranges=ranges, **modes)
 
 
-def drawn_range(table: Table, key: str) -> Range | None:
-    """Return the range from which training draws a coefficient; None when it is not stated."""
-    ends = table.numbers(key, 2)
-    if ends is None:
+def coefficient_range(table: Table, key: str) -> tuple[float, float] | None:
+    """Return the range of a coefficient, which is one number or its two ends; None when it is not stated."""
+    value = table.value(key)
+    if value is None:
         return None
-    low, high = sorted(ends)
-    if not 0.0 <= low <= high < math.inf:
+    is_number = not isinstance(value, list | tuple)
+    ends = [table.number(key)] if is_number else table.numbers(key, 2)
+    known = [end for end in ends or () if end is not None]
+    if not 0.0 <= min(known) <= max(known) < math.inf:
         raise TargetError(
-            f"{table.source}: {table.name(key)} is {low:g} to {high:g}: give numbers of 0 or more"
+            f"{table.source}: {table.name(key)} is {min(known):g}: give 0 or more"
         )
-    return low, high
+    return min(known), max(known)
 
 
 def combined(ground: Material, foot: Material) -> FootContact:
     """Return what a foot meets on the ground."""
-    names = list(MODES)
-    friction = max(ground.friction_mode, foot.friction_mode, key=names.index)
-    restitution = max(ground.restitution_mode, foot.restitution_mode, key=names.index)
-    found = []
-    for key, mode in zip(COEFFICIENTS, (friction, friction, restitution), strict=True):
+    ranks = list(MODES)
+    friction, restitution = (
+        max(getattr(ground, mode), getattr(foot, mode), key=ranks.index)
+        for mode in ("friction_mode", "restitution_mode")
+    )
+    ranges = {}
+    for key in COEFFICIENTS:
+        rule = MODES[restitution if key == "restitution" else friction]
         (low, high), (other_low, other_high) = ground.ranges[key], foot.ranges[key]
-        found.append((MODES[mode](low, other_low), MODES[mode](high, other_high)))
+        ranges[key] = rule(low, other_low), rule(high, other_high)
+    differs = "" if restitution == friction else f", restitution by {restitution}"
     return FootContact(
-        static_friction=found[0],
-        friction=found[1],
-        restitution=found[2],
-        source=f"{ground.text} and {foot.text}, friction by {friction}"
-        + ("" if restitution == friction else f", restitution by {restitution}"),
+        static_friction=ranges["static_friction"],
+        friction=ranges["dynamic_friction"],
+        restitution=ranges["restitution"],
+        source=f"{ground.text} and {foot.text}, friction by {friction}{differs}",
     )

@@ -1,182 +1,115 @@
-"""Probe files: settings of a training environment in which this package is not installed.
+"""Files in JSON: what the probe writes in another stack's Python, options of Genesis, and settings of this package.
 
-The program that `gauge sanity probe` prints writes them. They hold numbers and texts; nothing of them is executed.
+The program that `gauge sanity probe` prints writes a model of MuJoCo as MJCF, and other stacks as their settings.
+Nothing of a file is run.
 """
 
 from __future__ import annotations
 
+import json
 import re
-from collections.abc import Mapping
+import xml.etree.ElementTree as ET
 from dataclasses import replace
-from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Any
 
 import mujoco
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from gauge_envs.errors import ParameterError, TargetError, first_fault
-from gauge_envs.files import json_document
-from gauge_envs.tools.sanity.gauge_probe import (
-    SUFFIX,
-    VERSION,
-)
-from gauge_envs.tools.sanity.model import (
-    TrainingConfiguration,
-)
-from gauge_envs.tools.sanity.robot.mujoco_model import (
-    ABSENT_PARTS,
-    mujoco_configuration,
-)
-from gauge_envs.tools.sanity.robot.saved_model import ModelData, build_saved_model
-from gauge_envs.tools.sanity.stacks.documents import file_value, yaml_document
-from gauge_envs.tools.sanity.stacks.reader import GeomPair, Reader, has_suffix
-
-MUJOCO = "mujoco-model"
-"""Kind of files with a model of MuJoCo, which has geoms to choose from."""
+from gauge_envs.errors import TargetError
+from gauge_envs.tools.sanity.gauge_probe import FORMAT, VERSION
+from gauge_envs.tools.sanity.model import Settings, TrainingConfiguration
+from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
+from gauge_envs.tools.sanity.stacks.documents import file_value
+from gauge_envs.tools.sanity.stacks.genesis import genesis_configuration
+from gauge_envs.tools.sanity.stacks.isaac_lab import isaac_lab_configuration
+from gauge_envs.tools.sanity.stacks.maniskill import maniskill_configuration
+from gauge_envs.tools.sanity.stacks.mjcf import GeomPair
+from gauge_envs.tools.sanity.stacks.settings import read_settings
 
 STACKS = {
-    "isaaclab-cfg": ("isaac_lab", "cfg"),
-    "maniskill-sim-config": ("maniskill", "sim_config"),
+    "isaac_lab": isaac_lab_configuration,
+    "maniskill": maniskill_configuration,
+    "genesis": genesis_configuration,
 }
-"""Stack of each other kind of files, and the key of its configuration."""
-
-START = re.compile(rb'\s*\{\s*"format"\s*:\s*"gauge-probe"')
-"""Start of a probe file whatever its name."""
+"""Function that reads the settings of a probe file, by its kind."""
 
 MARGINS_SINCE = (3, 9)
-MARGINS_TEXT = ".".join(map(str, MARGINS_SINCE))
-"""First version in which the margins of two geoms add up, and gaps come on top of them."""
-
-ENGINES = {"mjx": "MJX", "mujoco_warp": "MuJoCo Warp"}
-"""Engines that run a model in training, by implementation."""
-
-_Model = TypeVar("_Model", bound=BaseModel)
+"""First version of MuJoCo in which the margins of two geoms add up, and gaps come on top of them."""
 
 
-class _ProbeFile(BaseModel):
-    """Content of a probe file; what `data` holds depends on `kind`."""
+def read_file(path: Path, pair: GeomPair | None = None) -> TrainingConfiguration:
+    """Return the configuration of a file in JSON.
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    format: Literal["gauge-probe"]
-    version: int
-    kind: Annotated[str, Field(max_length=64)]
-    engine: Annotated[str, Field(max_length=64)]
-    name: Annotated[str, Field(max_length=400)]
-    source: Annotated[str, Field(max_length=400)]
-    versions: dict[str, Annotated[str, Field(max_length=64)]]
-    data: dict[str, Any]
-
-
-def _validated(
-    kind: type[_Model], values: Any, where: str, *, strict: bool = False
-) -> _Model:
-    try:
-        return kind.model_validate(values, strict=strict)
-    except ValidationError as error:
-        key, reason = first_fault(error)
-        raise TargetError(f"{where}: {key or 'the file'}: {reason}") from None
-
-
-def _read(path: Path, pair: GeomPair | None) -> TrainingConfiguration:
-    file = _validated(_ProbeFile, file_value(path, json_document), str(path))
-    if file.version != VERSION:
+    Raises:
+        TargetError: The file is none of the kinds, or of another version of the probe.
+    """
+    file = file_value(path, json.loads)
+    if not isinstance(file, dict) or "format" not in file:
+        if isinstance(file, dict) and "sim" in file and "rigid" in file:
+            source = f"options file {path}"
+            return genesis_configuration(file, name=path.name, source=source)
+        return read_settings(path, file)
+    if (file["format"], file.get("version")) != (FORMAT, VERSION):
         raise TargetError(
-            f"{path}: version {file.version} of the format, this gauge-envs reads version {VERSION}: run `gauge sanity "
-            "probe` again here, and its output where the policy is trained"
+            f"{path}: version {file.get('version')} of the probe, and this gauge-envs reads version {VERSION}: run "
+            "gauge sanity probe here, and its program again where the policy is trained"
         )
-    if file.kind != MUJOCO and file.kind not in STACKS:
-        raise TargetError(
-            f"{path}: kind {file.kind!r} is not known; known are {', '.join((MUJOCO, *STACKS))}"
-        )
-    if file.kind != MUJOCO and pair is not None:
-        raise TargetError(
-            f"{path}: pairs of geoms are those of a MuJoCo model, and the target has none"
-        )
-    try:
-        read = (
-            _read_mujoco(file, path, pair)
-            if file.kind == MUJOCO
-            else _read_stack(file, path)
-        )
-    except ParameterError as error:
-        raise TargetError(f"{path}: {error}") from error
-    return replace(
-        read, name=file.name, source=f"probe file {path.name}: {file.source}"
-    )
+    source = f"probe file {path.name}: {file['source']}"
+    if file["kind"] in STACKS:
+        read = STACKS[file["kind"]](file["data"], name=str(path), source=source)
+        return replace(read, name=file["name"])
+    return _read_model(path, file, source, pair)
 
 
-def _read_mujoco(
-    file: _ProbeFile, path: Path, pair: GeomPair | None
+def _read_model(
+    path: Path, file: Settings, source: str, pair: GeomPair | None
 ) -> TrainingConfiguration:
-    data = _validated(ModelData, file.data, f"{path}: data", strict=True)
-    model, notes = build_saved_model(data, str(path))
-    trained = file.versions.get("mujoco")
-    if trained is not None and trained != mujoco.__version__:
-        notes.append(
-            f"training runs with MuJoCo {trained}; the rows are measured with MuJoCo {mujoco.__version__}"
-        )
-    if data.implementation in ENGINES:
-        engine = ENGINES[data.implementation]
-        notes.append(
-            f"training runs on {engine}; the rows are measured with MuJoCo's C engine"
-        )
-    if _release(trained) < MARGINS_SINCE and any(
-        data.arrays["geom_margin"] + data.arrays["geom_gap"]
-    ):
-        notes.append(
-            f"margins and gaps of two geoms are combined as since MuJoCo {MARGINS_TEXT}, not as in training"
-        )
-    notes += [note for count, note in ABSENT_PARTS.items() if data.counts.get(count)]
-    read = mujoco_configuration(
-        model, name=file.name, source=file.source, pair=pair, frame_skip=data.frame_skip
-    )
-    return replace(
-        read,
-        notes=(*read.notes, *notes),
-        # Its actuators have no gains.
-        robot=None,
-    )
-
-
-def _release(version: str | None) -> tuple[int, ...]:
-    """Return the first two numbers of a version; large ones for a version that is unknown."""
-    found = re.match(r"(\d{1,4})\.(\d{1,4})", version or "")
-    return (int(found[1]), int(found[2])) if found else MARGINS_SINCE
-
-
-def _read_stack(file: _ProbeFile, path: Path) -> TrainingConfiguration:
-    stack, key = STACKS[file.kind]
-    found, text = file.data.get(key), file.data.get("env_yaml")
-    if stack == "isaac_lab" and isinstance(text, str):
-        try:
-            found = yaml_document(text)
-        except ValueError as error:
-            raise TargetError(f"{path}: {error}") from None
-    elif not isinstance(found, Mapping):
-        raise TargetError(f"{path}: data.{key}: expected an object")
-    read = getattr(
-        import_module(f"gauge_envs.tools.sanity.stacks.{stack}"),
-        f"{stack}_configuration",
-    )
-    return read(found, name=str(path), source=file.source)
-
-
-def _is_probe_file(target: Any) -> bool:
-    if not has_suffix(".json")(target):
-        return False
+    trained, here = file["versions"]["mujoco"], mujoco.__version__
+    text, notes = _known_options(file["data"])
     try:
-        content = Path(target).read_bytes()
-    except OSError:
-        content = b""
-    return str(target).endswith(SUFFIX) or START.match(content[:200]) is not None
+        model = mujoco.MjModel.from_xml_string(text)
+    except ValueError as error:
+        cause = " ".join(str(error).split())
+        raise TargetError(
+            f"{path}: MuJoCo {here} cannot load the model of MuJoCo {trained}: {cause}"
+        ) from None
+    if trained != here:
+        notes.append(
+            f"training runs with MuJoCo {trained}; the rows are measured with MuJoCo {here}"
+        )
+    release = tuple(map(int, re.findall(r"\d+", trained)[:2]))
+    if release < MARGINS_SINCE and (model.geom_margin.any() or model.geom_gap.any()):
+        notes.append(
+            "margins and gaps of two geoms are combined as since MuJoCo 3.9, not as in training"
+        )
+    if file["engine"] != "MuJoCo":
+        notes.append(
+            f"training runs on {file['engine']}; the rows are measured with MuJoCo's C engine"
+        )
+    read = mujoco_configuration(
+        model,
+        name=file["name"],
+        source=source,
+        pair=pair,
+        frame_skip=file["frame_skip"],
+    )
+    return replace(read, notes=(*read.notes, *notes, *file["notes"]))
 
 
-READERS = (
-    Reader(
-        f"a probe file of another environment (NAME{SUFFIX}, see gauge sanity probe)",
-        _is_probe_file,
-        lambda target, pair: _read(Path(target), pair),
-    ),
-)
+def _known_options(text: str) -> tuple[str, list[str]]:
+    """Return a model without options and flags that the installed MuJoCo lacks, and a note on those that matter."""
+    root = ET.fromstring(text)
+    option = root.find("option")
+    kinds: Any = (mujoco.mjtDisableBit, mujoco.mjtEnableBit)
+    flags = {name.split("_")[-1].lower() for kind in kinds for name in kind.__members__}
+    options = {*dir(mujoco.MjModel.from_xml_string("<mujoco/>").opt)}
+    notes = []
+    for element in () if option is None else (option, *option):
+        known = flags if element.tag == "flag" else {*options, "actuatorgroupdisable"}
+        for name in set(element.attrib) - known:
+            value = element.attrib.pop(name)
+            if value != "enable":
+                notes.append(
+                    f"MuJoCo {mujoco.__version__} has no option {name}, which is {value} in training"
+                )
+    return ET.tostring(root, encoding="unicode"), notes

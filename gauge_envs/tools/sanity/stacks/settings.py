@@ -7,12 +7,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from gauge_envs.backends import backend_names
 from gauge_envs.errors import ParameterError, TargetError, first_fault
-from gauge_envs.files import json_document, toml_document
 from gauge_envs.tools.sanity.model import TrainingConfiguration
 from gauge_envs.tools.sanity.scenario import check_settings
-from gauge_envs.tools.sanity.stacks.dialect import TOML
 from gauge_envs.tools.sanity.stacks.documents import file_value
-from gauge_envs.tools.sanity.stacks.reader import Reader, has_suffix
 
 
 class _SettingsFile(BaseModel):
@@ -25,63 +22,50 @@ class _SettingsFile(BaseModel):
     settings: dict[str, Any] = Field(default_factory=dict)
 
 
-def _read_file(target: Any) -> TrainingConfiguration:
-    path = Path(target)
-    values = file_value(
-        path, toml_document if path.suffix.lower() == ".toml" else json_document
-    )
+def read_file(path: Path, pair: object = None) -> TrainingConfiguration:
+    """Return the configuration of a settings file in TOML."""
+    import tomllib
+
+    return read_settings(path, file_value(path, tomllib.loads))
+
+
+def read_settings(path: Path, values: Any) -> TrainingConfiguration:
+    """Return the configuration of the values of a settings file."""
     try:
         file = _SettingsFile.model_validate(values)
+        settings = file.settings | ({"preset": file.preset} if file.preset else {})
+        check_settings(file.backend, settings)
     except ValidationError as error:
         key, reason = first_fault(error)
         keys = ", ".join(_SettingsFile.model_fields)
         raise TargetError(
             f"{path}: {key or 'the file'}: {reason}; keys: {keys}"
         ) from None
-    settings = file.settings | ({} if file.preset is None else {"preset": file.preset})
-    try:
-        check_settings(file.backend, settings)
     except ParameterError as error:
         raise TargetError(f"{path}: {error}") from error
-    return TrainingConfiguration(
-        name=path.name,
-        source=f"settings file {path}",
-        backend=file.backend,
-        settings=settings,
-        origins=dict.fromkeys(settings, path.name),
+    return _configuration(
+        path.name, f"settings file {path}", file.backend, settings, path.name
     )
 
 
-def _read_backend(target: Any) -> TrainingConfiguration:
-    """Return the configuration of `backend` or `backend:preset`."""
-    name, _, preset = str(target).partition(":")
+def read_backend(target: str) -> TrainingConfiguration | None:
+    """Return the configuration of `backend` or `backend:preset`; None for any other text."""
+    name, _, preset = target.partition(":")
+    if name not in backend_names():
+        return None
     settings = {"preset": preset} if preset else {}
     check_settings(name, settings)
+    source = f"backend {name}, {f'preset {preset}' if preset else 'default settings'}"
+    return _configuration(target, source, name, settings, "command")
+
+
+def _configuration(
+    name: str, source: str, backend: str, settings: dict[str, Any], origin: str
+) -> TrainingConfiguration:
     return TrainingConfiguration(
-        name=str(target),
-        source=f"backend {name}, {f'preset {preset}' if preset else 'default settings'}",
-        backend=name,
+        name=name,
+        source=source,
+        backend=backend,
         settings=settings,
-        origins=dict.fromkeys(settings, "command"),
+        origins=dict.fromkeys(settings, origin),
     )
-
-
-DIALECTS = (TOML,)
-
-READERS = (
-    Reader(
-        "a settings file (.toml, .json)",
-        has_suffix(".toml", ".json"),
-        _read_file,
-        has_geoms=False,
-    ),
-    Reader(
-        "a backend with or without a preset (mujoco:out_of_box)",
-        lambda target: (
-            isinstance(target, str | Path)
-            and str(target).partition(":")[0] in backend_names()
-        ),
-        _read_backend,
-        has_geoms=False,
-    ),
-)
