@@ -6,7 +6,7 @@ steps hop by 58 mm, MuJoCo's default of ten steps by 5 mm, and this package's pr
 """
 
 import math
-from functools import cache, partial
+from functools import cache
 
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Scene
 from gauge_envs.tools.bench.parts import box, contact, ground, thrown
@@ -16,7 +16,6 @@ from gauge_envs.tools.sanity.model import Settings, Verdict
 from gauge_envs.tools.sanity.phenomena.base import (
     Phenomenon,
     lowest_m,
-    replaced,
     rigid_law,
 )
 from gauge_envs.tools.sanity.scenario import Scenario
@@ -82,7 +81,7 @@ def hop() -> Phenomenon:
             "slide-hop",
             "SlopeSlider-2-wood",
             SLIDE_S,
-            change=partial(replaced, scene=scene),
+            given=scene,
             released=names,
         ),
         "mm",

@@ -25,7 +25,6 @@ from gauge_envs.tools.sanity.model import (
 )
 from gauge_envs.tools.sanity.phenomena import GRASP, phenomenon as phenomenon_of
 from gauge_envs.tools.sanity.phenomena.base import Phenomenon
-from gauge_envs.tools.sanity.robot.foot import FootGeometry
 from gauge_envs.tools.sanity.scenario import Scenario, run_scenario, settings_in_force
 
 SIMULATION_LIMIT_S = 600.0
@@ -76,7 +75,7 @@ _Run = Callable[[Backend, Scenario, Settings], Any]
 
 
 def _outcome_of(
-    function: _Run, engine: Backend | str, scenario: Scenario, settings: Settings
+    engine: Backend | str, function: _Run, scenario: Scenario, settings: Settings
 ) -> Any:
     """Return the value of a function of a backend, or a `Measured` that says why it declined or diverged."""
     try:
@@ -134,59 +133,34 @@ class Measurements:
 
     def measure(self, phenomenon: Phenomenon, settings: Settings) -> Measured:
         """Measure a phenomenon; an outcome also exists when the backend declines or the rollout diverges."""
-        outcome = self._rollout(phenomenon.scenario, settings)
+        outcome = self._outcome(run_scenario, phenomenon.scenario, settings)
         return outcome if isinstance(outcome, Measured) else judged(phenomenon, outcome)
-
-    def _rollout(self, scenario: Scenario, settings: Settings) -> Recording | Measured:
-        """Return the rollout of a scenario, or why there is none."""
-        step: dict[str, Any] = {}
-        if self._key(run_scenario, scenario, settings) not in self._known:
-            if time.monotonic() >= self._ends_s:
-                raise TimeLimitError("the time limit is reached")
-            # A stated step gives every rollout of the scenario the same sampling rule.
-            if settings.get("timestep_s") is None:
-                force = self.in_force(scenario, settings)
-                if isinstance(force, Measured):
-                    return force
-                step = {k: v for k, v in force.items() if k == "timestep_s"}
-        outcome: Recording | Measured = self._outcome(
-            run_scenario, scenario, settings, step
-        )
-        return outcome
 
     def in_force(
         self, scenario: Scenario, settings: Settings
     ) -> dict[str, Any] | Measured:
         """Return every numerical setting that a scenario runs with, or why there is none."""
-        outcome: dict[str, Any] | Measured = self._outcome(
-            settings_in_force, scenario, settings
-        )
-        return outcome
+        force: dict[str, Any] | Measured
+        force = self._outcome(settings_in_force, scenario, settings)
+        return force
 
-    def _outcome(
-        self,
-        function: _Run,
-        scenario: Scenario,
-        settings: Settings,
-        more: Settings | None = None,
-    ) -> Any:
+    def _outcome(self, function: _Run, scenario: Scenario, settings: Settings) -> Any:
         """Return what a function gives for a scenario and settings, or why it gives nothing."""
         key = self._key(function, scenario, settings)
         if key not in self._known:
-            given = scenario, {**settings, **(more or {})}
-            self._known[key] = self._called(function, *given)
+            if function is run_scenario and time.monotonic() >= self._ends_s:
+                raise TimeLimitError("the time limit is reached")
+            self._known[key] = self._called(function, scenario, settings)
         return self._known[key]
 
-    def _called(self, function: _Run, scenario: Scenario, settings: Settings) -> Any:
+    def _called(self, *task: Any) -> Any:
+        """Return the outcome of a function, a scenario and settings."""
         if self._backend is not None:
-            return _outcome_of(function, self._backend, scenario, settings)
+            return _outcome_of(self._backend, *task)
         try:
-            return self._worker.call(
-                _outcome_of, function, self.engine, scenario, settings
-            )
+            return self._worker.call(_outcome_of, self.engine, *task)
         except GaugeError as error:
-            died = Verdict.WRONG if function is run_scenario else Verdict.DECLINED
-            return Measured(verdict=died, remark=str(error))
+            return Measured(verdict=Verdict.WRONG, remark=str(error))
 
     def _key(
         self, function: _Run, scenario: Scenario, settings: Settings
@@ -290,10 +264,6 @@ class Subject:
         }
 
 
-class _InapplicableError(Exception):
-    """A phenomenon does not apply to a target; the message is the reason."""
-
-
 def subject_of(
     measurements: Measurements,
     configuration: TrainingConfiguration,
@@ -301,39 +271,46 @@ def subject_of(
 ) -> Subject:
     """Return a phenomenon with the sets of contact constants that it applies to."""
     subject = Subject(measurements=measurements, phenomenon=phenomenon)
-    foot = configuration.foot_geometry
-    try:
-        sets = _sets_of(configuration, phenomenon)
-    except _InapplicableError as reason:
-        return replace(subject, inapplicable=str(reason))
+    reasons = configuration.inapplicable
+    for need in phenomenon.needs:
+        if need in reasons:
+            return replace(subject, inapplicable=reasons[need])
+    sets = _sets_of(configuration, phenomenon)
+    if isinstance(sets, str):
+        return replace(subject, inapplicable=sets)
     if phenomenon.needs_foot:
-        made = phenomenon_of(phenomenon.id, foot)
-        subject = replace(subject, phenomenon=made)
-    subject = replace(subject, sets=sets)
+        phenomenon = phenomenon_of(phenomenon.id, configuration.foot_geometry)
+    subject = replace(subject, phenomenon=phenomenon, sets=sets)
     return _impact(subject, configuration) if phenomenon.is_impact else subject
 
 
-def _sets_of(configuration: TrainingConfiguration, phenomenon: Phenomenon) -> Sets:
-    """Return the sets of contact constants that a phenomenon applies to; raise an error with the reason if none."""
-    for need in phenomenon.needs:
-        if need in configuration.inapplicable:
-            raise _InapplicableError(configuration.inapplicable[need])
-    judged_contacts: TrainingConfiguration | None = configuration
+def _sets_of(
+    configuration: TrainingConfiguration, phenomenon: Phenomenon
+) -> Sets | str:
+    """Return the sets of contact constants that a phenomenon applies to, or why there is none."""
+    contacts: TrainingConfiguration | None = configuration
     if phenomenon.id in GRASP:
-        is_flat = phenomenon.id == "grasp-torsion"
-        judged_contacts = configuration.of_hand(is_flat=is_flat)
-    if judged_contacts is None:
-        raise _InapplicableError(
-            "round fingertips: their torsional friction alone holds a torque"
-        )
-    sets: Sets = judged_contacts.contact_sets
+        contacts = configuration.of_hand(is_flat=phenomenon.id == "grasp-torsion")
+    if contacts is None:
+        return "round fingertips: their torsional friction alone holds a torque"
+    sets: Sets = contacts.contact_sets
     if phenomenon.has_many_bodies:
         sets = {geoms: _flat(settings) for geoms, settings in sets.items()}
     if phenomenon.needs_foot:
-        sets = _of_foot(configuration.foot_geometry, sets)
+        foot = configuration.foot_geometry
+        if foot is None:
+            return NO_ROBOT
+        sets = {geoms: sets[geoms] for geoms in sets if geoms in foot.sets}
+        if not sets:
+            return "the chosen geoms are no foot on the ground"
     if Need.CONTACT not in phenomenon.needs:
         sets = dict([*sets.items()][:1])
-    return _with_friction(sets) if phenomenon.needs_friction else sets
+    if phenomenon.needs_friction:
+        named = "; ".join(sets) or "the target"
+        sets = {geoms: sets[geoms] for geoms in sets if sets[geoms].get("condim") != 1}
+        if not sets:
+            return f"condim 1: contacts of {named} have no friction on purpose"
+    return sets
 
 
 def _flat(settings: Settings) -> Settings:
@@ -341,25 +318,6 @@ def _flat(settings: Settings) -> Settings:
     turning = {"condim", "torsional_friction_m", "rolling_friction_m"}
     kept = {name: settings[name] for name in settings if name not in turning}
     return kept if settings.get("condim", 3) >= 3 else settings
-
-
-def _of_foot(foot: FootGeometry | None, sets: Sets) -> Sets:
-    if foot is None:
-        raise _InapplicableError(NO_ROBOT)
-    standing = {geoms: sets[geoms] for geoms in sets if geoms in foot.sets}
-    if not standing:
-        raise _InapplicableError("the chosen geoms are no foot on the ground")
-    return standing
-
-
-def _with_friction(sets: Sets) -> Sets:
-    rubbing = {geoms: sets[geoms] for geoms in sets if sets[geoms].get("condim") != 1}
-    if not rubbing:
-        named = "; ".join(sets) or "the target"
-        raise _InapplicableError(
-            f"condim 1: contacts of {named} have no friction on purpose"
-        )
-    return rubbing
 
 
 def _impact(subject: Subject, configuration: TrainingConfiguration) -> Subject:

@@ -230,7 +230,7 @@ class Reality:
 
     @classmethod
     def measured(
-        cls, value: float, *, scatter: float, trial_count: int, source: str
+        cls, value: float, scatter: float, trial_count: int, source: str
     ) -> Reality:
         """Return what real trials gave, with the interval that covers 95 % of further trials.
 
@@ -261,7 +261,7 @@ class Reality:
 
     @classmethod
     def law(
-        cls, value: float, *, tolerance: float, source: str, rationale: str
+        cls, value: float, tolerance: float, source: str, rationale: str
     ) -> Reality:
         """Return what a law states, with a tolerance and its reason."""
         return cls(

@@ -42,6 +42,7 @@ class Scenario:
         parameters: Parameter set of the variant.
         interval_s: Longest time between samples, unless a step is longer [s].
         change: Function that changes the scene, for example removes a body; None for no change.
+        given: Scene in place of that of the variant; None for the variant's.
         nodes_of: Deformable bodies whose nodes are recorded.
         engine_settings: Settings that belong to the scene, by name of the backend; those of a configuration come first.
         wrenches: Force and torque on each body that is pushed all the time [N, N m], shape [6].
@@ -57,6 +58,7 @@ class Scenario:
     parameters: Parameters = "calibrated"
     interval_s: float = 0.002
     change: Callable[[Scene], Scene] | None = None
+    given: Scene | None = None
     nodes_of: tuple[str, ...] = ()
     engine_settings: Mapping[str, Settings] = field(default_factory=dict)
     wrenches: Mapping[str, FloatArray] = field(default_factory=dict)
@@ -72,7 +74,7 @@ class Scenario:
     @cached_property
     def scene(self) -> Scene:
         """The scene, driven as the task file states."""
-        scene = load_experiment(self.variant, self.parameters).scene
+        scene = self.given or load_experiment(self.variant, self.parameters).scene
         return self.change(scene) if self.change else scene
 
     def scene_with(self, settings: Settings) -> Scene:
@@ -101,16 +103,21 @@ def run_scenario(backend: Backend, scenario: Scenario, settings: Settings) -> Re
         scenario: The scenario.
         settings: Settings of the backend; the backend's default for the scene completes them.
     """
+    if settings.get("timestep_s") is None:
+        # A stated step gives every rollout of the scenario the same sampling rule.
+        force = settings_in_force(backend, scenario, settings)
+        step = {k: v for k, v in force.items() if k == "timestep_s"}
+        settings = {**settings, **step}
     with closing(_built(backend, scenario, settings)) as simulation:
         interval_s = float(
             simulation.settings.get("drive_interval_s", SAMPLE_INTERVAL_S)
         )
         seconds = scenario.seconds
         if interval_s > seconds / FEWEST_SAMPLES:
-            reason = (
+            long = (
                 f"a step of {interval_s:g} s is too long for a scene of {seconds:g} s"
             )
-            raise DeclinedError((reason,))
+            raise DeclinedError((long,))
         simulation.reset(None, 0)
         for name, wrench in scenario.wrenches.items():
             simulation.apply_wrench(name, wrench[None])

@@ -28,7 +28,7 @@ def test_an_engine_that_dies_costs_one_phenomenon(installed):
         == "the engine's process died with signal 11 (segmentation fault)"
     )
     (row,), result = checked("supports-crash", "creep-wood")
-    assert (row["verdict"], result.exit_code) == ("declined", 3)
+    assert (row["verdict"], result.exit_code) == ("wrong", 1)
     assert "segmentation fault" in row["remark"]
 
 

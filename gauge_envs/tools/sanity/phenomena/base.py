@@ -9,8 +9,6 @@ from typing import Any
 import numpy as np
 
 from gauge_envs.files import data_folder, toml_document
-from gauge_envs.references.published import published_baselines
-from gauge_envs.scene import Scene
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scoring.estimators import acceleration_m_per_s2
 from gauge_envs.tools.bench.recording import Recording
@@ -85,7 +83,7 @@ def recorded(recording: str, fact: str) -> dict[str, Any]:
 
 def one_trial(value: float, scatter: float, source: str) -> Reality:
     """Return the reality of one recorded trial, with the standard uncertainty of its measurement."""
-    return Reality.measured(value, scatter=scatter, trial_count=1, source=source)
+    return Reality.measured(value, scatter, 1, source)
 
 
 def recorded_reality(
@@ -101,15 +99,6 @@ def recorded_reality(
     """
     found = recorded(recording, fact)
     return one_trial(found["value"], found["sigma"], f"{trial} ({RECORDINGS}){more}")
-
-
-def position_scatter_mm(variant: str) -> float:
-    """Return the standard deviation of a recorded position along one axis [mm], from the published E_RMSE.
-
-    mean(R)^2 + std(R)^2 is the mean square distance of a trial from the mean trial, over three axes (scoring/README).
-    """
-    baseline = published_baselines(variant)["rmse"]
-    return float(((baseline.mean**2 + (baseline.std or 0.0) ** 2) / 3.0) ** 0.5)
 
 
 def acceleration(
@@ -142,9 +131,4 @@ def rigid_law(source: str, millimetres: float, of: str) -> Reality:
         of: Length that shows how small the tolerance is.
     """
     rationale = f"the eye sees {millimetres:g} mm on {of}"
-    return Reality.law(0.0, tolerance=millimetres, source=source, rationale=rationale)
-
-
-def replaced(_: Scene, *, scene: Scene) -> Scene:
-    """Return another scene in place of that of a variant; with `partial`, it can be sent to another process."""
-    return scene
+    return Reality.law(0.0, millimetres, source, rationale)

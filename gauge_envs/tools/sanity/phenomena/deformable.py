@@ -98,9 +98,9 @@ def cloth_sag() -> Phenomenon:
         "mm",
         Reality.law(
             law_mm,
-            tolerance=SAG_TOLERANCE * law_mm,
-            source=f"rho g (L s - s^2 / 2) / K_s with the measured K_s = {stiffness:.1f} N/m",
-            rationale=f"{SAG_TOLERANCE:.0%} of the sag: an effective stiffness that is off by as much",
+            SAG_TOLERANCE * law_mm,
+            f"rho g (L s - s^2 / 2) / K_s with the measured K_s = {stiffness:.1f} N/m",
+            f"{SAG_TOLERANCE:.0%} of the sag: an effective stiffness that is off by as much",
         ),
         sag_mm,
     )

@@ -7,25 +7,17 @@ is how far a real body may differ from them. Without a configuration, the rows h
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.scene import (
-    GRAVITY_M_PER_S2 as G,
-    Contact,
-    Motion,
-    Plane,
-    Pose,
-    RigidBody,
-    Scene,
-)
+from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Pose, Scene
 from gauge_envs.scene.geometry import FloatArray, vector
+from gauge_envs.tools.bench.parts import body, contact, ground
 from gauge_envs.tools.bench.recording import Recording
 from gauge_envs.tools.sanity.model import COVERAGE, Reality
-from gauge_envs.tools.sanity.phenomena.base import Phenomenon, lowest_m, replaced
+from gauge_envs.tools.sanity.phenomena.base import Phenomenon, lowest_m
 from gauge_envs.tools.sanity.phenomena.friction import (
     CALM_INTERVAL_S,
     HOLD_S,
@@ -100,26 +92,10 @@ def foot_scene(
     level = Pose.from_rotation((0.0, 0.0, 0.0), turn)
     return Scene(
         bodies=(
-            RigidBody(
-                name=FOOT,
-                shape=foot.shape,
-                motion=Motion.DYNAMIC,
-                pose=start,
-                mass_kg=foot.mass_kg,
-            ),
-            RigidBody(
-                name=GROUND,
-                shape=Plane(),
-                motion=Motion.FIXED,
-                pose=level,
-                mass_kg=0.0,
-            ),
+            body(FOOT, foot.shape, start, mass_kg=foot.mass_kg),
+            replace(ground(), pose=level),
         ),
-        contacts=(
-            Contact(
-                first=(FOOT,), second=(GROUND,), friction=friction, restitution=0.0
-            ),
-        ),
+        contacts=(contact(FOOT, GROUND, friction=friction),),
         duration_s=seconds,
     )
 
@@ -145,7 +121,7 @@ def _scenario(
         f"SlopeSlider-{1 if is_calm else 2}-{MATERIAL}",
         seconds,
         interval_s=CALM_INTERVAL_S if is_calm else Scenario.interval_s,
-        change=partial(replaced, scene=scene),
+        given=scene,
         released=() if lift_m else (FOOT,),
         engine_settings=dict.fromkeys(SOFTENED_BY_INVERSE_WEIGHT, softer),
     )
@@ -199,9 +175,9 @@ def _sliding(
     slope, friction = np.radians(slope_deg), _friction(foot)
     real = Reality.law(
         G * float(np.sin(slope) - friction * np.cos(slope)),
-        tolerance=real_slides(MATERIAL).tolerance,
-        source=_source(f"law: g (sin a - mu cos a) on {slope_deg:.3g} deg", foot),
-        rationale=f"measured: covers {COVERAGE:.0%} of real slides of the {MATERIAL} cube on {SLIDE_DEG:.0f} degrees",
+        real_slides(MATERIAL).tolerance,
+        _source(f"law: g (sin a - mu cos a) on {slope_deg:.3g} deg", foot),
+        f"measured: covers {COVERAGE:.0%} of real slides of the {MATERIAL} cube on {SLIDE_DEG:.0f} degrees",
     )
     scenario = _scenario(kind, foot, SLIDE_S, slope_deg)
     made = sliding(f"foot of the robot: {title}", scenario, PAIR, real)
@@ -227,7 +203,7 @@ def _landed(
         f"foot of the robot: {title}",
         _scenario("landing", foot, LANDING_S, lift_m=DROP_M),
         unit,
-        Reality.law(0.0, tolerance=tolerance, source=source, rationale=rationale),
+        Reality.law(0.0, tolerance, source, rationale),
         value,
         needs_foot=True,
         **attributes,

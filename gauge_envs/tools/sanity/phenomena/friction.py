@@ -20,7 +20,6 @@ from gauge_envs.tools.sanity.phenomena.base import (
     Phenomenon,
     acceleration,
     facts,
-    position_scatter_mm,
     rigid_law,
 )
 from gauge_envs.tools.sanity.scenario import Scenario
@@ -95,7 +94,7 @@ def creeping(
         path_mm = _downhill_mm(rollout, *pair)[late]
         return steady_speed_m_per_s(rollout.times_s[late], path_mm)
 
-    law = Reality.law(0.0, tolerance=bound, source=source, rationale=rationale)
+    law = Reality.law(0.0, bound, source, rationale)
     return Phenomenon(title, scenario, "mm/s", law, speed_mm_per_s, needs_friction=True)
 
 
@@ -174,9 +173,9 @@ def real_slides(material: str, source: str = "") -> Reality:
     found = trials["acceleration_m_s2"]
     return Reality.measured(
         found["mean"],
-        scatter=found["std"],
-        trial_count=trials["trial_count"],
-        source=source,
+        found["std"],
+        trials["trial_count"],
+        source,
     )
 
 
@@ -227,9 +226,9 @@ def turned_slide(material: str) -> Phenomenon:
         needs_space=True,
         reality=Reality.law(
             scene.gravity_m_per_s2 * float(push),
-            tolerance=straight.reality.tolerance,
-            source=f"g (sin 30 - mu cos 30) with mu = {friction:.3f}, in every direction",
-            rationale=f"covers {COVERAGE:.0%} of further real slides on the board that is not turned",
+            straight.reality.tolerance,
+            f"g (sin 30 - mu cos 30) with mu = {friction:.3f}, in every direction",
+            f"covers {COVERAGE:.0%} of further real slides on the board that is not turned",
         ),
     )
 
@@ -240,6 +239,9 @@ def turned_slide(material: str) -> Phenomenon:
 def carry(material: str) -> Phenomenon:
     """Return the slip of a cube on a slow turntable."""
     variant = f"Turntable-1-{material}"
+    rmse = published_baselines(variant)["rmse"]
+    # mean(R)^2 + std(R)^2 is the mean square distance of a trial from the mean trial, over three axes (scoring/README).
+    scatter_mm = ((rmse.mean**2 + (rmse.std or 0.0) ** 2) / 3.0) ** 0.5
 
     def slip_mm(rollout: Recording) -> float:
         arm_m = rollout.position("cube") - rollout.position("plate")
@@ -259,9 +261,9 @@ def carry(material: str) -> Phenomenon:
         Reality.law(
             0.0,
             # The plane of the plate has two axes.
-            tolerance=float(np.sqrt(2.0)) * position_scatter_mm(variant),
-            source="Coulomb, omega^2 r < mu g",
-            rationale="standard deviation of a position of this cube on this table in real trials (paper, Table 5)",
+            float(np.sqrt(2.0) * scatter_mm),
+            "Coulomb, omega^2 r < mu g",
+            "standard deviation of a position of this cube on this table in real trials (paper, Table 5)",
         ),
         slip_mm,
         needs_friction=True,

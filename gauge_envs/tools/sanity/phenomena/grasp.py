@@ -5,7 +5,6 @@ The contacts have the target's constants, and friction 0.5.
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import partial
 
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Scene
 from gauge_envs.scene.geometry import FloatArray
@@ -20,7 +19,7 @@ from gauge_envs.tools.bench.grasp import (
 from gauge_envs.tools.bench.recording import Recording
 from gauge_envs.tools.bench.turning import turning_scene
 from gauge_envs.tools.sanity.model import Reality
-from gauge_envs.tools.sanity.phenomena.base import Phenomenon, replaced
+from gauge_envs.tools.sanity.phenomena.base import Phenomenon
 from gauge_envs.tools.sanity.scenario import Scenario
 
 ROLLS_M_PER_S, RADIUS_M = 0.3, 0.03
@@ -43,7 +42,7 @@ def _row(
         name,
         "SlopeSlider-1-wood",
         scene.duration_s,
-        change=partial(replaced, scene=scene),
+        given=scene,
         wrenches=wrenches,
     )
     return Phenomenon(title, scenario, unit, reality, value, needs_friction=True)
@@ -57,9 +56,9 @@ def creep() -> Phenomenon:
     """
     law = Reality.law(
         0.0,
-        tolerance=10.0,
-        source="Coulomb: v = 0 if m g < 2 mu N",
-        rationale="0.1 mm, as for a cube that holds, in a carry of 10 s",
+        10.0,
+        "Coulomb: v = 0 if m g < 2 mu N",
+        "0.1 mm, as for a cube that holds, in a carry of 10 s",
     )
     title = "a held box creeps out of its grasp"
     return _row("grasp", HELD, pad_creep_um_per_s, title, "um/s", law, PRESSED)
@@ -69,9 +68,9 @@ def sink() -> Phenomenon:
     """Return the depth of these pads in the box."""
     law = Reality.law(
         0.0,
-        tolerance=200.0,
-        source="rigid bodies: depth = 0",
-        rationale="as for a height at rest",
+        200.0,
+        "rigid bodies: depth = 0",
+        "as for a height at rest",
     )
     title = "pads sink into a held box"
     return _row("grasp", HELD, pad_depth_um, title, "um", law, PRESSED)
@@ -85,10 +84,10 @@ def torsion() -> Phenomenon:
     """
     law = Reality.law(
         0.545,
-        tolerance=0.16845,
-        source="Coulomb, integrated over a square face; rigid bodies leave the pressure open: mean distance of the "
+        0.16845,
+        "Coulomb, integrated over a square face; rigid bodies leave the pressure open: mean distance of the "
         "pressure from the centre: 0.383 (even, (sqrt 2 + ln(1 + sqrt 2)) / 6) to 0.707 (corners)",
-        rationale="between even pressure, 0.38, and corners alone, 0.71",
+        "between even pressure, 0.38, and corners alone, 0.71",
     )
     title = "torque that a pair of pads holds"
     return _row("grasp-torsion", TURNED, spin_torque_share, title, "1", law, PRESSED)
@@ -98,9 +97,9 @@ def rolling() -> Phenomenon:
     """Return the torque against rolling over the normal force, from the energy that a ball loses on its path."""
     law = Reality.law(
         0.0,
-        tolerance=MOST_ROLLING_MM,
-        source="hard rubber on steel: CDA3000, table 7.22",
-        rationale="the largest of the pairs of gauge list materials",
+        MOST_ROLLING_MM,
+        "hard rubber on steel: CDA3000, table 7.22",
+        "the largest of the pairs of gauge list materials",
     )
     real = replace(law, limits=f"at most {MOST_ROLLING_MM:g}")
 
