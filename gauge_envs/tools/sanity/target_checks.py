@@ -87,18 +87,9 @@ def target_rows(
 def robot_row(name: str, robot: Robot | None) -> PhenomenonResult:
     """Return a row on the target's own model; one that is not measured without a model."""
     from gauge_envs.tools.sanity.own_rows import ROWS
-    from gauge_envs.tools.sanity.robot.finding import Finding, judged_row
-    from gauge_envs.tools.sanity.robot.rows import ROWS as OLD
     from gauge_envs.tools.sanity.rows import row_result
 
-    if name in ROWS:
-        return row_result(ROWS[name], robot)
-    return judged_row(
-        name,
-        Finding(declined="the target's own model is not read")
-        if robot is None
-        else OLD[name](robot),
-    )
+    return row_result(ROWS[name], robot)
 
 
 def _declined(row: PhenomenonResult, remark: str) -> PhenomenonResult:

@@ -31,10 +31,10 @@ STATED_IDS = (GRAVITY_ID, CONTROL_ID, *ROBOT_IDS)
 """Rows that run none of the suite's experiments."""
 
 UNCHANGED_IDS = frozenset(ROBOT_IDS) - {
-    *("robot-holds", "robot-stands", "robot-saturation", "robot-slip"),
     *("model-overlap", "model-constraints", "model-sleep", "model-creep"),
     *("model-cloth", "model-cloth-sink", "model-solver", "model-spin"),
-    *("robot-energy", "robot-servo", "robot-lag", "robot-frictionloss"),
+    *("robot-holds", "robot-energy"),
+    *("robot-stands", "robot-slip", "robot-torque", "robot-drive"),
 }
 """Rows on the robot that no setting of the engine changes."""
 

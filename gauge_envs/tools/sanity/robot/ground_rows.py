@@ -1,341 +1,259 @@
-"""Judge the contacts of feet and fingers that a model states, its ground, and contacts of its parts with each other."""
+"""Judge the contacts of a robot's feet with the ground, and of its parts with each other."""
 
-import copy
-from dataclasses import replace
+from __future__ import annotations
+
+from collections.abc import Iterator
 
 import mujoco
 import numpy as np
 
 from gauge_envs.pages.text import vector_text
-from gauge_envs.scene import GRAVITY_M_PER_S2
-from gauge_envs.tools.bench.model_settings import COLUMNS, can_move
-from gauge_envs.tools.sanity.robot.finding import (
-    NOT_STANDING,
-    Finding,
-    body_name,
-    limits_of,
-    row,
-    standing_of,
-)
-from gauge_envs.tools.sanity.robot.joints import start
+from gauge_envs.tools.sanity.robot.joints import Case, start, worst_case
 from gauge_envs.tools.sanity.robot.mujoco_feet import (
     SOLE_WITHIN,
+    Standing,
     geom_name,
     joints_of,
-    shortened,
     support_m,
 )
-from gauge_envs.tools.sanity.robot.robot import (
-    Robot,
-    disable_bit,
-    grasp_kinds,
-    joints_of_motors,
-    once,
-    random_poses,
-    switched_off,
+from gauge_envs.tools.sanity.robot.robot import Robot, random_poses, switched_off
+from gauge_envs.tools.sanity.rows import Finding, NotApplicableError, row
+
+NOT_STANDING = "no robot of the model stands on the ground under its own weight"
+
+
+def standing_of(robot: Robot) -> Standing:
+    """Return the robot that stands; rows that need one do not apply to a model without."""
+    if robot.standing is None:
+        raise NotApplicableError(NOT_STANDING)
+    return robot.standing
+
+
+@row(
+    "robot-feet",
+    title="limbs that stand in the ground and cannot touch it, or a ground that nothing of the robot touches",
+    unit="1",
+    interval=(0.0, 0.5),
+    source="contype, conaffinity and pairs of the model; the lowest geoms in the pose in which it stands",
+    consequence="The limb passes through the ground, so that the policy learns to walk without it.",
 )
-
-WEIGHTLESS = 0.01
-"""Gravity over that of the earth below which no ground carries anything."""
-
-LEAST_TIP_M = 0.0025
-"""Size below which a geom is a point of a larger pad; MuJoCo's default torsional friction of 5 mm fits it [m]."""
-
-MOST_TORSION_M = 0.1
-"""Torsional or rolling friction from which on, beyond the sliding one, the three are in another order [m]."""
-
-TRIED = 32
-"""Random poses in which the overlap of two parts is tried."""
-
-
-def limbs_of(robot: Robot) -> list[list[int]]:
-    """Return the bodies of each limb: those behind a body from which at least two limbs part.
-
-    A rod whose end an equality holds closes a chain, and is no limb.
-    """
+def feet(robot: Robot) -> Finding:
+    """Return the number of limbs that reach the ground and cannot touch it."""
     model = robot.model
-    is_body = model.eq_objtype == int(mujoco.mjtObj.mjOBJ_BODY)
-    tied = {*model.eq_obj1id[is_body].tolist(), *model.eq_obj2id[is_body].tolist()}
-    children = {
-        body: [b for b in robot.bodies if int(model.body_parentid[b]) == body]
-        for body in robot.bodies
+    if (plane := _untouched_plane(robot)) is not None:
+        name = geom_name(model, plane)
+        return Finding(
+            value=1.0,
+            remark=f"no geom of the robot can touch {name}: it falls through it",
+            place=("geom", plane),
+        )
+    standing = standing_of(robot)
+    lows = {geom: float(point[2]) for geom, point in standing.support_m.items()}
+    deep = min(lows.values()) + SOLE_WITHIN * standing.height_m
+    carrying = {
+        body for geom in lows for body in _chain(model, int(model.geom_bodyid[geom]))
     }
-    parting = {body for body, several in children.items() if len(several) > 1}
-    limbs = []
-    for leaf in (body for body, several in children.items() if not several):
-        if leaf in tied:
-            continue
-        chain = [leaf]
-        while (
-            parent := int(model.body_parentid[chain[-1]])
-        ) in children and parent not in parting:
-            chain.append(parent)
-        limbs.append(chain)
-    return limbs
+    is_solid = (model.geom_contype | model.geom_conaffinity) != 0
+    lame: dict[int, int] = {}
+    for geom in np.flatnonzero(np.isin(model.geom_bodyid, robot.bodies)).tolist():
+        limb = _chain(model, int(model.geom_bodyid[geom]))
+        low = float(support_m(model, standing.stance, geom)[2])
+        near = [lows[one] for one in lows if int(model.geom_bodyid[one]) in limb[:2]]
+        # Drawn geoms of a limb that touches are no fault; those that collide and reach deeper than it touches are.
+        is_apart = limb[0] not in carrying and not near and low <= deep
+        is_deeper = (
+            is_solid[geom]
+            and near
+            and low < min(near) - SOLE_WITHIN * standing.height_m
+        )
+        if geom not in lows and (is_apart or is_deeper):
+            lame[limb[0]] = geom
+    names = [geom_name(model, geom) for geom in lame.values()]
+    return Finding(
+        value=float(len(lame)),
+        remark=f"{', '.join(names[:3])} reach the ground and cannot touch it"
+        if lame
+        else "",
+        place=("geom", next(iter(lame.values()))) if lame else None,
+        parts=dict.fromkeys(names, 1.0),
+    )
+
+
+def _chain(model: mujoco.MjModel, body: int) -> list[int]:
+    """Return a body and all that carry it, but the world."""
+    chain = []
+    while body:
+        chain.append(body)
+        body = int(model.body_parentid[body])
+    return chain
 
 
 def _untouched_plane(robot: Robot) -> int | None:
     """Return the plane of the world that no geom of a robot with a free joint can touch; None without one."""
     model = robot.model
     is_plane = model.geom_type == int(mujoco.mjtGeom.mjGEOM_PLANE)
-    planes = np.flatnonzero(is_plane & (model.geom_bodyid == 0)).tolist()
+    is_plane &= (model.geom_bodyid == 0) & (
+        (model.geom_contype | model.geom_conaffinity) != 0
+    )
+    planes = np.flatnonzero(is_plane).tolist()
     is_free = joints_of(model, "FREE") & np.isin(model.jnt_bodyid, robot.bodies)
-    has_motors = bool(len(joints_of_motors(model)))
-    if not (planes and is_free.any() and has_motors):
+    is_heavy = bool(np.any(model.opt.gravity)) and not switched_off(
+        model, "gravity", "contact"
+    )
+    trees = model.body_treeid[model.jnt_bodyid[is_free]]
+    if not planes or not is_heavy or not robot.driven_trees & set(trees.tolist()):
         return None
     touching = set(np.unique(robot.pairs.geoms).tolist())
     return None if touching & set(planes) else planes[0]
 
 
-@row("robot-feet")
-def _feet(robot: Robot) -> Finding:
-    if (plane := _untouched_plane(robot)) is not None:
-        name = geom_name(robot.model, plane)
-        own = np.isin(robot.model.geom_bodyid, robot.bodies)
-        if not (robot.model.geom_contype | robot.model.geom_conaffinity)[own].any():
-            return Finding(
-                value=1.0,
-                remark=f"no shape of the robot can touch anything, so that it falls through {name}",
-            )
-        return Finding(
-            value=1.0,
-            remark=f"{name}: the robot falls through it",
-        )
-    model, standing = robot.model, standing_of(robot)
-    within = SOLE_WITHIN * standing.height_m
-    geoms = [geom for body in robot.bodies for geom in geoms_of(robot, body)]
-    lows = {geom: float(support_m(model, standing.stance, geom)[2]) for geom in geoms}
-    touching = {geom: low for geom, low in lows.items() if geom in standing.support_m}
-    lowest, ground = min(lows.values()), min(touching.values())
-    lame = []
-    for limb in limbs_of(robot):
-        geoms = [geom for body in limb for geom in geoms_of(robot, body)]
-        reach = min((lows[geom] for geom in geoms), default=np.inf)
-        if (
-            reach <= lowest + within
-            and min(touching.get(geom, np.inf) for geom in geoms) > ground + within
-        ):
-            lame += [geom for geom in geoms if lows[geom] <= reach + within]
-    if not lame and ground > lowest + within:
-        lame = [geom for geom, low in lows.items() if low <= lowest + within]
-    names = ", ".join(shortened([geom_name(robot.model, geom) for geom in lame]))
-    return Finding(
-        value=float(len(lame)),
-        parts={geom_name(model, geom): 1.0 for geom in lame},
-        remark=f"{names}: no partner on the ground" if lame else "",
-        is_usual=True,
-    )
+# --- friction --------------------------------------------------------------------------------------------------------
+
+LOW_FRICTION, HIGH_FRICTION = 0.05, 3.0
+"""Friction of feet: wet ice on rubber has 0.05 and more, racing tyres less than 3."""
+
+LOST_FRICTION = 2.0
+"""Friction that a foot meets over that which its ground states, from which on the statement has no effect."""
 
 
-def pair_name(robot: Robot, number: int) -> str:
-    """Return the names of the two geoms of a row of `pairs`."""
-    geoms = robot.pairs.geoms[number].tolist()
-    return " with ".join(geom_name(robot.model, geom) for geom in geoms)
-
-
-def geoms_of(robot: Robot, body: int) -> list[int]:
-    """Return the geoms of a body."""
-    first = int(robot.model.body_geomadr[body])
-    return list(range(first, first + int(robot.model.body_geomnum[body])))
-
-
-def fingers(robot: Robot) -> list[int]:
-    """Return the bodies of the fingers of a robot: the last ones of limbs that part from one body.
-
-    Limbs that part from a floating body are legs.
-    """
-    if robot.standing is not None:
-        return []
-    model = robot.model
-    floating = {*model.jnt_bodyid[joints_of(model, "FREE")].tolist()}
-    limbs = limbs_of(robot)
-    origins = [int(model.body_parentid[limb[-1]]) for limb in limbs]
-    return [
-        limb[0]
-        for limb, origin in zip(limbs, origins, strict=True)
-        if origins.count(origin) > 1 and origin not in floating
-    ]
-
-
-def _finger_friction(robot: Robot) -> Finding:
-    """Return the least friction that a finger meets on what it can hold, or states where the model has no such body."""
-    model, tips = robot.model, {g for b in fingers(robot) for g in geoms_of(robot, b)}
-    if not tips:
-        return Finding(declined=f"{NOT_STANDING}, and none has fingers")
-    grips: dict[int, float] = {}
-    for number in np.flatnonzero(grasp_kinds(model, robot.pairs)).tolist():
-        condim, friction = robot.pairs.constants[number, :2]
-        for geom in tips & set(robot.pairs.geoms[number].tolist()):
-            met = float(friction) if condim > 1 else 0.0
-            grips[geom] = min(met, grips.get(geom, np.inf))
-    touching = tips & set(robot.pairs.geoms.ravel().tolist())
-    has_friction = model.geom_condim > 1
-    grips = grips or {
-        geom: float(model.geom_friction[geom, 0] * has_friction[geom])
-        for geom in touching
-    }
-    if not grips:
-        return Finding(declined="no finger can touch anything")
-    slipperiest = min(grips, key=grips.__getitem__)
-    name = geom_name(model, slipperiest)
-
-    return Finding(
-        value=grips[slipperiest],
-        parts={geom_name(model, geom): grip for geom, grip in grips.items()},
-        remark=f"{name}, a finger",
-    )
-
-
-@row("robot-friction")
-def _friction(robot: Robot) -> Finding:
+@row(
+    "robot-friction",
+    title="friction of a foot on the ground over the limits of real soles, or over the one that its ground states",
+    unit="1",
+    interval=(0.0, 1.0),
+    source="wet ice 0.05, racing tyres below 3; MuJoCo takes the greater one of two geoms of equal priority",
+    consequence="The foot slips or grips as on no floor, so that the policy pushes in ways that no real foot can.",
+    is_usual=True,
+)
+def friction(robot: Robot) -> Finding:
+    """Return the foot whose friction is farthest beyond the limits."""
     if not robot.foot_rows:
-        return _finger_friction(robot)
-    constants = robot.pairs.constants
-    grips = {
-        row: 0.0 if constants[row, 0] == 1 else constants[row, 1]
-        for row in robot.foot_rows
-    }
-    row = min(
-        grips, key=lambda one: grips[one] if min(grips.values()) < 0.1 else -grips[one]
-    )
-    slippery = [one for one, grip in grips.items() if not 0.1 <= grip <= 2.0]
-    names = pair_name(robot, row)
-    rule = (
-        f"condim {constants[row, 0]:.0f}"
-        if constants[row, 0] == 1
-        else "max of both, priority or explicit pair"
-    )
-    return Finding(
-        value=float(grips[row]),
-        parts={pair_name(robot, one): float(grip) for one, grip in grips.items()},
-        remark=f"{names}: {rule}"
-        + (f", and {len(slippery) - 1} more pairs" if len(slippery) > 1 else ""),
+        raise NotApplicableError(NOT_STANDING)
+    return worst_case(
+        case for number in robot.foot_rows for case in _frictions(robot, number)
     )
 
 
-@row("robot-floor-friction")
-def _floor_friction(robot: Robot) -> Finding:
-    if not robot.foot_rows:
-        return Finding(declined=NOT_STANDING)
-    model, found = robot.model, Finding(value=1.0)
-    ratios: dict[str, float] = {}
+def _frictions(robot: Robot, number: int) -> Iterator[Case]:
+    model, two = robot.model, robot.pairs.geoms[number].tolist()
+    condim, met = robot.pairs.constants[number, :2].tolist()
+    met = met if condim > 1 else 0.0
+    names = " on ".join(geom_name(model, geom) for geom in reversed(two))
+    foot = next(geom for geom in two if int(model.geom_bodyid[geom]) in robot.bodies)
+    ground = two[0] if two[1] == foot else two[1]
+    ratio = max(LOW_FRICTION / max(met, 1e-9), met / HIGH_FRICTION)
+    text = f"{names}: friction {met:g}" + (" by condim 1" if condim == 1 else "")
+    yield Case(ratio, ("geom", foot), names, text)
+    stated = float(model.geom_friction[ground, 0])
     # What a geom takes from the default of all is no statement about it.
     common = 1.0 if robot.spec is None else float(robot.spec.default.geom.friction[0])
-    explicit = {
-        tuple(sorted(p))
-        for p in zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True)
-    }
-    for contact in robot.foot_rows:
-        pair = tuple(robot.pairs.geoms[contact].tolist())
-        stated = [float(model.geom_friction[geom, 0]) for geom in pair]
-        alike = model.geom_priority[pair[0]] == model.geom_priority[pair[1]]
-        met, smallest = (
-            float(robot.pairs.constants[contact, COLUMNS["friction"].start]),
-            max(min(stated), 1e-3),
+    is_lost = (
+        stated != common and model.geom_priority[foot] == model.geom_priority[ground]
+    )
+    if is_lost and not model.npair:
+        text = f"{geom_name(model, ground)} states friction {stated:g}, {geom_name(model, foot)} meets {met:g}"
+        yield Case(
+            met / max(stated, 1e-3) / LOST_FRICTION, ("geom", ground), names, text
         )
-        is_stated = abs(min(stated) - common) > 1e-9
-        if pair in explicit or not alike or not is_stated:
+
+
+LARGEST_LEVER_M, LEAST_TIP_M = 0.1, 0.0025
+"""Torsional friction from which on, beyond the sliding one, the three are in another order, and the size of a geom that
+is a point of a larger pad [m]."""
+
+
+@row(
+    "robot-torsion",
+    title="lever of torsional or rolling friction of feet, or of fingers, over their size, where condim lets it act",
+    unit="1",
+    interval=(0.0, 2.0),
+    source="an even disc has a lever of two thirds of its radius, and no contact is larger than the part",
+    consequence="Feet and fingers hold as if glued: they neither turn nor roll, so that the policy relies on it.",
+)
+def torsion(robot: Robot) -> Finding:
+    """Return the geom of a robot whose friction against turning is largest for its size."""
+    model, cases = robot.model, []
+    is_felt = np.isin(model.geom_bodyid, robot.bodies)
+    is_felt &= model.geom_rbound > LEAST_TIP_M
+    for number in robot.foot_rows or range(len(robot.pairs.geoms)):
+        condim, sliding, *levers = robot.pairs.constants[number, [0, 1, 3, 4, 5]]
+        own = [geom for geom in robot.pairs.geoms[number].tolist() if is_felt[geom]]
+        if condim < 4 or not own:
             continue
-        ratios[pair_name(robot, contact)] = met / smallest
-        geom = pair[int(np.argmin(stated))]
-        if met / smallest > found.value:
-            found = Finding(
-                value=met / smallest,
-                remark=f"{geom_name(robot.model, geom)} states {min(stated):g}, and the foot meets {met:g}",
+        lever_m = float(max(levers[: 1 if condim == 4 else 3]))
+        geom = min(own, key=lambda one: float(model.geom_rbound[one]))
+        size_m = float(model.geom_rbound[geom])
+        name = geom_name(model, geom)
+        text = f"{name} resists turning with a lever of {1e3 * lever_m:.3g} mm and is {1e3 * size_m:.3g} mm large"
+        if lever_m > max(float(sliding), LARGEST_LEVER_M):
+            numbers = vector_text(model.geom_friction[geom])
+            text += (
+                f"; friction {numbers} is not in the order sliding, torsion, rolling"
             )
-    return replace(found, parts=ratios)
+        cases.append(Case(lever_m / size_m, ("geom", geom), name, text))
+    if not cases:
+        raise NotApplicableError("no contact of the robot has condim 4 or 6")
+    return worst_case(cases, limit=2.0)
 
 
-@row("robot-torsion")
-def _torsion(robot: Robot) -> Finding:
-    model, pairs = robot.model, robot.pairs
-    _, largest = limits_of("robot-torsion")
-    friction = model.geom_friction
-    is_turned = friction[:, 1:].max(axis=1) > np.maximum(friction[:, 0], MOST_TORSION_M)
-    is_turned &= np.isin(model.geom_bodyid, robot.bodies)
-    turned = [g for g in np.unique(pairs.geoms).tolist() if is_turned[g]]
-    if turned:
-        several = [geom_name(model, geom) for geom in turned]
-        return Finding(
-            value=2.0 * largest,
-            parts=dict.fromkeys(several, 2.0 * largest),
-            remark=f"{several[0]}: friction {vector_text(friction[turned[0]])}, as in another order",
+# --- overlap ---------------------------------------------------------------------------------------------------------
+
+TRIED = 32
+"""Random poses in which the overlap of two parts is tried."""
+
+
+@row(
+    "robot-overlap",
+    title="depth to which parts of the robot overlap where it starts, so that contacts push them apart",
+    unit="mm",
+    interval=(0.0, 2.0),
+    source="rigid parts do not overlap; without a keyframe it counts where they do in half of all poses",
+    consequence="Contacts push parts apart or block their joint from the first step.",
+)
+def overlap(robot: Robot) -> Finding:
+    """Return the deepest contact between parts of a robot, with what is fixed to the world, where it starts."""
+    model = robot.model
+    if switched_off(model, "contact", "constraint"):
+        raise NotApplicableError("contacts are switched off")
+    data = start(robot)
+    found = _overlaps(robot, data)
+    if found and not model.nkey:
+        # A pose of zeros is rarely the one in which code starts.
+        poses = [_overlaps(robot, one) for one in random_poses(model, TRIED)]
+        found = {
+            pair: one
+            for pair, one in found.items()
+            if 2 * sum(pair in pose for pose in poses) >= TRIED
+        }
+    cases = []
+    for (first, second), (depth_m, push_n) in found.items():
+        names = " and ".join(
+            model.body(body).name or f"body {body}" for body in (first, second)
         )
-    rows = robot.foot_rows
-    if not rows:
-        tips = {geom for body in fingers(robot) for geom in geoms_of(robot, body)}
-        touching = [bool(tips & set(two)) for two in pairs.geoms.tolist()]
-        rows = np.flatnonzero(touching).tolist()
-    if not rows:
-        return Finding(declined="no foot and no finger of the robot can touch")
-    levers: dict[str, float] = {}
-    worst, found = -1.0, Finding()
-    for number in rows:
-        condim = int(pairs.constants[number, 0])
-        friction = pairs.constants[number, COLUMNS["friction"]]
-        torsion_m = float(friction[2]) if condim >= 4 else 0.0
-        rolling_m = float(friction[3:].max()) if condim >= 6 else 0.0
-        two = pairs.geoms[number].tolist()
-        parts = [geom for geom in two if int(model.geom_bodyid[geom]) in robot.bodies]
-        reach_m = min(float(model.geom_rbound[geom]) or np.inf for geom in parts or two)
-        reach_m = max(reach_m, LEAST_TIP_M)
-        lever = max(torsion_m, rolling_m) / max(reach_m, 1e-6)
-        names = pair_name(robot, number)
-        levers[names] = lever
-        if lever > worst:
-            worst = lever
-            kind = "torsional" if torsion_m >= rolling_m else "rolling"
-            found = Finding(
-                value=lever,
-                parts=levers,
-                remark=f"{names}: {kind} friction {max(torsion_m, rolling_m):g} m on {1e3 * reach_m:.3g} mm",
-            )
-    return found
-
-
-@row("floor-tilt")
-def _floor_tilt(robot: Robot) -> Finding:
-    model, gravity = robot.model, robot.model.opt.gravity
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    is_colliding = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
-    is_plane = (
-        is_colliding
-        & (model.geom_type == int(mujoco.mjtGeom.mjGEOM_PLANE))
-        & ~can_move(model)
-    )
-    planes = np.flatnonzero(is_plane).tolist()
-    if not planes or np.linalg.norm(gravity) < WEIGHTLESS * GRAVITY_M_PER_S2:
-        return Finding(declined="the model has no plane, or no gravity")
-    cosines = {}
-    for plane in planes:
-        normal = data.geom_xmat[plane].reshape(3, 3)[:, 2]
-        cosines[plane] = float(-normal @ gravity / np.linalg.norm(gravity))
-    # Walls and ramps beside a floor are no fault.
-    geom = max(cosines, key=cosines.__getitem__)
-    angle = float(np.degrees(np.arccos(np.clip(cosines[geom], -1.0, 1.0))))
-    return Finding(
-        value=angle if angle > 1e-4 else 0.0,
-        remark=geom_name(robot.model, geom),
-    )
-
-
-@once
-def overlaps(robot: Robot) -> dict[tuple[int, int], tuple[float, float]]:
-    """Return depth [m] and normal force [N] of contacts between bodies of a robot in the pose in which it starts."""
-    return _overlaps(robot, start(robot))
+        text = f"{names} overlap by {1e3 * depth_m:.3g} mm and push each other apart with {push_n:.3g} N"
+        cases.append(Case(1e3 * depth_m, ("body", second), names, text))
+    return worst_case(cases, limit=2.0)
 
 
 def _overlaps(
     robot: Robot, data: mujoco.MjData
 ) -> dict[tuple[int, int], tuple[float, float]]:
+    """Return depth [m] and normal force [N] of contacts between bodies of a robot, and with what is fixed."""
     model, force = robot.model, np.zeros(6)
     found: dict[tuple[int, int], tuple[float, float]] = {}
+    grounds = (int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD))
     for number in range(data.ncon):
         contact = data.contact[number]
         first, second = sorted(int(model.geom_bodyid[geom]) for geom in contact.geom)
-        is_inside = contact.dist < 0.0 and contact.exclude == 0
-        if not {first, second} <= set(robot.bodies) or not is_inside:
+        is_own = second in robot.bodies and (
+            first in robot.bodies or _carries(robot, first, second)
+        )
+        if (
+            not is_own
+            or contact.dist >= 0.0
+            or contact.exclude
+            or np.isin(model.geom_type[contact.geom], grounds).any()
+        ):
             continue
         mujoco.mj_contactForce(model, data, number, force)
         depth_m, push_n = found.get((first, second), (0.0, 0.0))
@@ -346,57 +264,9 @@ def _overlaps(
     return found
 
 
-def _without_contacts(robot: Robot) -> Finding:
-    """Return how deep parts pass through each other in random poses, since contacts are switched off."""
-    model = copy.copy(robot.model)
-    model.opt.disableflags &= ~disable_bit("contact")
-    parts: dict[str, float] = {}
-    count = 0
-    for data in random_poses(model, TRIED):
-        found = _overlaps(robot, data)
-        count += bool(found)
-        for pair, (depth_m, _) in found.items():
-            name = " and ".join(body_name(robot, body) for body in pair)
-            parts[name] = max(parts.get(name, 0.0), 1e3 * depth_m)
-    if not parts:
-        return Finding()
-    worst = max(parts, key=parts.__getitem__)
-    return Finding(
-        value=parts[worst],
-        parts=parts,
-        remark=f"contacts are switched off: {worst} pass through each other, parts do in {count} of "
-        f"{TRIED} random poses",
-        is_usual=True,
-    )
-
-
-@row("robot-overlap")
-def _overlap(robot: Robot) -> Finding:
-    if switched_off(robot.model, "contact"):
-        return _without_contacts(robot)
-    found = overlaps(robot)
-    names = {
-        pair: " and ".join(body_name(robot, body) for body in pair) for pair in found
-    }
-    parts = {names[pair]: 1e3 * depth_m for pair, (depth_m, _) in found.items()}
-    if not found:
-        return Finding()
-    worst = max(found, key=lambda pair: found[pair][0])
-    depth_m, _ = found[worst]
-    push_n = sum(one for _, one in found.values())
-    advisory = ""
-    if not robot.model.nkey and 1e3 * depth_m > limits_of("robot-overlap")[1]:
-        # A pose of zeros is rarely the one in which code starts.
-        poses = [_overlaps(robot, one) for one in random_poses(robot.model, TRIED)]
-        often = max(sum(pair in one for one in poses) for pair in found)
-        if often < 0.5 * TRIED:
-            advisory = (
-                "no keyframe states where it starts, and no two of these parts overlap in more than "
-                f"{often} of {TRIED} random poses"
-            )
-    return Finding(
-        value=1e3 * depth_m,
-        parts=parts,
-        remark=f"{names[worst]}; {push_n:.3g} N push parts apart at the first step",
-        advisory=advisory,
-    )
+def _carries(robot: Robot, base: int, body: int) -> bool:
+    """Return whether a fixed body is the base of a robot that does not stand: the last fixed one of its parents."""
+    model, chain = robot.model, _chain(robot.model, body)
+    fixed = [one for one in chain if model.body_weldid[one] == 0]
+    is_base = model.body_weldid[base] == 0 and (base in fixed or base == 0)
+    return bool(robot.standing is None and is_base)

@@ -1,377 +1,505 @@
-"""Judge what drives and brakes the joints of a model."""
+"""Judge what drives and brakes the joints of a robot."""
 
-from collections.abc import Callable
-from dataclasses import replace
+from __future__ import annotations
+
+from collections.abc import Iterator
 
 import mujoco
 import numpy as np
 
-from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.tools.sanity.robot.finding import (
-    Finding,
-    body_name,
-    by_joint,
-    joint_name,
-    limits_of,
-    name_of,
-    row,
-)
+from gauge_envs.scene import GRAVITY_M_PER_S2
+from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.tools.sanity.robot.joints import (
-    drags_nm,
-    driven_dofs,
-    growth,
+    Case,
+    Drive,
+    drags,
+    drives,
     joint_inertias,
-    largest_weights_nm,
-    loads_nm,
-    servo_gains,
+    largest_loads,
+    loads,
+    reaches_m,
+    root_of,
     servos,
     start,
-    stiffness,
+    worst_case,
 )
-from gauge_envs.tools.sanity.robot.mujoco_feet import joints_of
-from gauge_envs.tools.sanity.robot.robot import Robot, couplings_of
+from gauge_envs.tools.sanity.robot.mujoco_feet import (
+    LIQUID_KG_PER_M3,
+    acts_on_joints,
+    joints_of,
+)
+from gauge_envs.tools.sanity.robot.robot import Robot
+from gauge_envs.tools.sanity.rows import ROWS, Finding, NotApplicableError, row
 
-LEAST_RAD_PER_S2 = 100.0
-"""Least acceleration that the largest torque gives to the armature alone [rad/s^2]."""
+# --- friction, damping and armature ----------------------------------------------------------------------------------
 
-FULL_ACTION_RAD_PER_S = 3.0
-"""Speed of a joint below which a leg cannot step: half a radian in a swing of 0.2 s is 2.5 rad/s."""
+SLOW_PER_S, SLOW_PER_S2 = 0.1, 0.5
+"""Speed and acceleration that any joint reaches: 60 degrees in 10 s, from rest in 0.2 s [rad/s, rad/s^2]."""
 
+STEP_PER_S, STEP_PER_S2 = 3.0, 30.0
+"""Speed and acceleration of a leg that steps: half a radian in a swing of 0.2 s, from rest in 0.1 s."""
 
-MOST_GIVE = 1.0
-"""Largest displacement at which a stop or a coupling is tried [rad or m]."""
-
-GIVE_STEPS = 14
-"""Number of halvings in which the displacement under a load is found, to less than 0.1 mrad."""
-
-OBJECT_RATE_PER_S = 1.0
-"""Share of its speed that a free object may lose in 1 s."""
+FALL_PER_S = 1.0
+"""Speed at which a leg without power gives way under the whole robot [rad/s]: 1 m falls with 3 rad/s."""
 
 
-@row("robot-servo")
-def _servo(robot: Robot) -> Finding:
-    model = robot.model
-    if not model.nv or not (
-        servos(model).any() or model.dof_damping.any() or model.jnt_stiffness.any()
-    ):
-        return Finding(declined="no joint has a servo, damping or stiffness")
-    value = growth(robot)
-    if value <= limits_of("robot-servo")[1]:
-        return Finding(value=value)
-    return Finding(
-        value=value,
-        remark=f"step {model.opt.timestep:g} s",
+@row(
+    "robot-joint",
+    title="friction, damping and armature of a joint over all that gravity and its motor can do there",
+    unit="1",
+    interval=(0.0, 1.0),
+    source="force balance of a slow motion: 0.1 rad/s from rest in 0.2 s, in a leg 3 rad/s in 0.1 s; a leg without "
+    "power gives way to the whole robot; a rotor has no more inertia than the whole robot where no torque moves it",
+    consequence="The joint does not move as any real joint does, so that the policy learns torques that no motor has.",
+)
+def joint(robot: Robot) -> Finding:
+    """Return the joint whose friction, damping or armature is farthest beyond what moves it."""
+    if not drives(robot):
+        raise NotApplicableError("no motor acts on a joint")
+    return worst_case(case for drive in drives(robot) for case in _brakes(drive))
+
+
+def _brakes(drive: Drive) -> Iterator[Case]:
+    model, (force, angle, inertia) = drive.robot.model, drive.units
+    root, reaches = root_of(model, drive.body), reaches_m(drive.robot)
+    robot_kg, robot_m = float(model.body_subtreemass[root]), float(reaches[root])
+    dry = float(model.dof_frictionloss[drive.dof])
+    if min(drive.damping, dry, drive.armature) < 0.0:
+        text = f"{drive.name} has a negative damping, friction or armature, which feeds its motion"
+        yield Case(np.inf, drive.place, drive.name, text)
+    stated = (
+        f"friction {dry:.3g} {force}, damping {drive.damping:.3g} {force} s/{angle} and armature {drive.armature:.3g} "
+        f"{inertia}"
     )
-
-
-@row("robot-torque")
-def _torque(robot: Robot) -> Finding:
-    driven = driven_dofs(robot)
-    limits_nm = {dof: limit for dof, limit in driven.items() if np.isfinite(limit)}
-    if not limits_nm:
-        return Finding(declined="no driven hinge states the limit of its torque")
-    at_start = robot.is_floating
-    bias_nm = np.abs(start(robot).qfrc_bias) if at_start else largest_weights_nm(robot)
-    weights_nm = {dof: float(bias_nm[dof]) for dof in limits_nm}
-    ratios = {
-        dof: min(limit / max(weights_nm[dof], 1e-3), 1e6)
-        for dof, limit in limits_nm.items()
-    }
-    weakest = min(ratios, key=ratios.__getitem__)
-    joint = joint_name(robot, weakest)
-    return Finding(
-        value=ratios[weakest],
-        parts=by_joint(robot, ratios),
-        remark=f"{joint}: {limits_nm[weakest]:.3g} Nm against {weights_nm[weakest]:.3g} Nm",
-        # A robot on the ground carries its weight; one on a base need never be in its heaviest pose.
-        is_usual=not at_start,
+    speed, acceleration = (
+        (STEP_PER_S, STEP_PER_S2) if drive.is_leg else (SLOW_PER_S, SLOW_PER_S2)
     )
-
-
-@row("robot-stiffness")
-def _stiffness(robot: Robot) -> Finding:
-    errors_mrad = {
-        dof: 1e3 * limit_nm / stiffness(robot.model, dof)
-        for dof, limit_nm in driven_dofs(robot).items()
-        if np.isfinite(limit_nm) and stiffness(robot.model, dof) > 0.0
-    }
-    if not errors_mrad:
-        return Finding(
-            declined="no joint has a servo and states the limit of its torque"
+    brake = (
+        float(drags(drive.robot, speed)[drive.dof])
+        + drive.armature * acceleration * drive.scale
+    )
+    yield Case(
+        brake / drive.push,
+        drive.place,
+        drive.name,
+        f"{drive.name} takes {brake:.3g} {force} at {speed * drive.scale:g} {angle}/s: {stated}; its motor makes "
+        f"{drive.push:.3g} {force}",
+    )
+    g = length_of(model.opt.gravity)
+    limb = float(model.body_subtreemass[drive.body]) * g * float(reaches[drive.body])
+    acting = float(drags(drive.robot, FALL_PER_S)[drive.dof])
+    if np.isfinite(drive.push) and drive.is_hinge:
+        text = f"{drive.name} states a friction of {dry:.3g} N m; "
+        text += f"its motor makes {drive.push:.3g} N m and gravity {limb:.2g}"
+        if acting < drive.push:
+            text += f"; MuJoCo makes a drag of it, {acting:.2g} N m at 1 rad/s, as the link is light"
+        yield Case(
+            dry / (drive.push + limb),
+            drive.place,
+            drive.name,
+            text,
+            acting < drive.push,
         )
-    dof = min(errors_mrad, key=errors_mrad.__getitem__)
-    name, gain = joint_name(robot, dof), stiffness(robot.model, dof)
-    return Finding(
-        value=errors_mrad[dof],
-        parts=by_joint(robot, errors_mrad),
-        remark=f"{name}: kp {gain:.3g} Nm/rad",
+    weight = robot_kg * g * float(reaches[drive.body])
+    if drive.is_leg and drive.is_hinge and weight:
+        fall = dry + drive.damping * FALL_PER_S
+        yield Case(
+            fall / weight,
+            drive.place,
+            drive.name,
+            f"{drive.name} takes {fall:.3g} N m to turn by {FALL_PER_S:g} rad/s: {stated}; the whole robot of "
+            f"{robot_kg:.3g} kg makes {weight:.2g} N m there, its limb {largest_loads(drive.robot)[drive.dof]:.2g} N m",
+        )
+    if not np.isfinite(drive.limit):
+        whole = robot_kg * (robot_m**2 if drive.is_hinge else 1.0)
+        text = f"{drive.name} has an armature of {drive.armature:.3g} {inertia}, the robot of {robot_kg:.3g} kg "
+        text += (
+            f"stretched to {robot_m:.2g} m {whole:.2g} {inertia}"
+            if drive.is_hinge
+            else "less"
+        )
+        yield Case(
+            drive.armature / whole,
+            drive.place,
+            drive.name,
+            f"{text}; no torque limit is stated",
+        )
+
+
+# --- servos ----------------------------------------------------------------------------------------------------------
+
+LEAST_ERROR_RAD = 0.005
+"""Error from which on a servo may give all its torque [rad].
+
+It is 6 mrad and more in models of makers; gears and encoders of hobby servos play by 2 to 15 mrad.
+"""
+
+RINGING, RINGING_S, ENDLESS_S = 0.05, 1.0, 60.0
+"""Damping ratio and decay times of a servo that rings: at 0.05 a step overshoots by 85 %; makers have 0.089."""
+
+SLOW_S = 2.0
+"""Time in which any servo covers half of a small step [s]: 10 times that of the slowest hobby servo."""
+
+SAG_RAD = 0.6
+"""Error at which a servo carries its limb [rad]: twice that of the softest model of a maker, TALOS with 0.296."""
+
+COMMANDS, COMMANDS_RAD = 30.0, 20.0
+"""Range of commands over that of the joint, and the range itself: degrees are 57 times too large."""
+
+GROWTH, GROWTH_STEPS, SMALL = 3.0, 400, 1e-3
+"""Growth of the speed of a small motion [rad/s] in some steps: a loop that is stable has none."""
+
+
+@row(
+    "robot-drive",
+    title="response of a servo over the limit of a drive that works: growth, ringing, lag, sag, stiffness, commands",
+    unit="1",
+    interval=(0.0, 1.0),
+    source="a motion without gravity and contact never grows; closed forms of a loop of second order",
+    consequence="The joint does not do what the policy commands, so that the policy learns to work against its servo.",
+)
+def drive(robot: Robot) -> Finding:
+    """Return the servo farthest beyond the limit of its kind."""
+    several = [one for one in drives(robot) if one.kp > 0.0]
+    if not several and not servos(robot.model).any():
+        raise NotApplicableError("no servo holds a position")
+    # Friction, damping or armature beyond all measure is one cause, which robot-joint names.
+    braked = (
+        {
+            name
+            for name, ratio in robot.finding(ROWS["robot-joint"]).parts.items()
+            if ratio > 1.0 and several
+        }
+        if several
+        else set()
+    )
+    several = [one for one in several if one.name not in braked]
+    return worst_case(
+        [
+            *_growth(robot),
+            *_switches(several),
+            *(case for one in several for case in _response(one)),
+        ]
     )
 
 
-def _drag(robot: Robot, name: str, share: Callable[[int, float], float]) -> Finding:
-    """Return the driven joint with the largest share of its torque."""
-    model, values = robot.model, getattr(robot.model, f"dof_{name}")
-    is_own = np.isin(model.dof_bodyid, robot.bodies)
-    feeding = np.flatnonzero(is_own & (values < 0.0)).tolist()
-    if feeding:
-        least = min(feeding, key=lambda dof: float(values[dof]))
-        return Finding(
-            value=float(values[least]),
-            parts=by_joint(robot, {dof: values[dof] for dof in feeding}),
-            remark=f"negative {name} {values[least]:.3g} of {joint_name(robot, least)} feeds the motion",
-        )
-    limits = loads_nm(robot)
-    if not limits:
-        return Finding(
-            declined="no joint states the limit of its torque, or has a servo"
-        )
-    shares = {dof: share(dof, limit) for dof, limit in limits.items()}
-    worst = max(shares, key=shares.__getitem__)
-    remark = f"{joint_name(robot, worst)}: {name} {values[worst]:.3g} with {limits[worst]:.3g} Nm"
-    if name == "damping" and values[worst] > 0.0:
-        fastest_rad_per_s = limits[worst] / float(values[worst])
-        remark += f", which turn it by at most {fastest_rad_per_s:.2g} rad/s"
-    return Finding(
-        value=shares[worst],
-        parts=by_joint(robot, shares),
-        remark=remark,
-        # Of dry friction at the largest torque nothing moves; how fast a joint should turn is another matter.
-        is_usual=name == "damping" or shares[worst] < 1.0,
+def _growth(robot: Robot) -> Iterator[Case]:
+    """Yield the growth of a small motion about the start, where all servos are at rest."""
+    off = ("contact", "gravity", "limit", "frictionloss", "spring", "equality")
+    model = robot.without(*off)
+    is_affine = model.actuator_biastype == int(mujoco.mjtBias.mjBIAS_AFFINE)
+    if (model.actuator_biastype == int(mujoco.mjtBias.mjBIAS_MUSCLE)).any():
+        return
+    model.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_ENERGY)
+    data, speeds = start(robot, model), list[float]()
+    low, high = model.actuator_ctrlrange.T
+    data.ctrl[:] = np.where(
+        model.actuator_ctrllimited != 0, np.clip(0.0, low, high), 0.0
     )
-
-
-@row("robot-damping")
-def _damping(robot: Robot) -> Finding:
-    damping = robot.model.dof_damping
-    rates = {
-        dof: float(damping[dof] + servo_gains(robot.model, 2)[dof])
-        for dof in driven_dofs(robot)
-    }
-    feeding = {dof: one for dof, one in rates.items() if one < 0.0 <= damping[dof]}
-    if feeding:
-        worst = min(feeding, key=feeding.__getitem__)
-        name = joint_name(robot, worst)
-        return Finding(
-            value=feeding[worst],
-            parts=by_joint(robot, feeding),
-            remark=f"the servo of {name} feeds the motion that it should brake, by {feeding[worst]:.3g} Nm s",
-        )
-    return _drag(
-        robot,
-        "damping",
-        lambda dof, limit: FULL_ACTION_RAD_PER_S * float(damping[dof]) / limit,
+    forces = (
+        model.actuator_gainprm[:, 0] * data.ctrl
+        + model.actuator_biasprm[:, 1] * data.actuator_length
     )
+    model.actuator_biasprm[is_affine, 0] = -forces[is_affine]
+    data.qvel[:] = SMALL * np.random.default_rng(0).uniform(-1.0, 1.0, model.nv)
+    while len(speeds) < GROWTH_STEPS and max(speeds, default=0.0) < np.inf:
+        last = data.qvel.copy()
+        mujoco.mj_step(model, data)
+        is_bad = data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number
+        speeds.append(np.inf if is_bad else float(np.sqrt(data.energy[1])))
+    growth = max(speeds[len(speeds) // 2 :]) / max(speeds[0], 1e-300)
+    number = int(model.dof_jntid[np.argmax(np.abs(last))])
+    name = model.joint(number).name or f"joint {number}"
+    text = (
+        f"a motion of {name} grows {growth:.2g}-fold in {len(speeds) * model.opt.timestep:.2g} s with a step of "
+        f"{1e3 * model.opt.timestep:g} ms"
+    )
+    yield Case(growth / GROWTH, ("joint", number), name, text)
 
 
-@row("robot-frictionloss")
-def _frictionloss(robot: Robot) -> Finding:
-    drags = drags_nm(robot)
-    return _drag(robot, "frictionloss", lambda dof, limit: drags[dof][0] / limit)
+def _switches(several: list[Drive]) -> Iterator[Case]:
+    """Yield servos that give all their torque from a tiny error on, where at least half of them do.
+
+    A stiff gripper whose force is limited grips with this force: it is right.
+    """
+    hinges = [one for one in several if one.is_hinge and np.isfinite(one.limit)]
+    errors = [one.limit / one.kp for one in hinges]
+    if not errors or np.median(errors) >= LEAST_ERROR_RAD:
+        return
+    for one, error in zip(hinges, errors, strict=True):
+        text = (
+            f"{one.name}: with kp {one.kp:.4g} N m/rad its {one.limit:.3g} N m are reached {1e3 * error:.2g} mrad "
+            "beside the command, so that it works like a switch"
+        )
+        yield Case(LEAST_ERROR_RAD / error, one.place, one.name, text, True)
 
 
-@row("robot-armature")
-def _armature(robot: Robot) -> Finding:
-    model, found = robot.model, Finding()
-    ratios: dict[int, float] = {}
-    inertias = joint_inertias(robot)
-    loads = loads_nm(robot)
-    for dof in driven_dofs(robot):
-        armature, limit_nm = float(model.dof_armature[dof]), loads.get(dof, 0.0)
-        limb = max(float(inertias[dof]) - armature, 1e-9)
-        # Turned about its own axis a wrist has next to no inertia: what counts there is that its motor can turn it.
-        if armature * LEAST_RAD_PER_S2 <= limit_nm:
+def _response(one: Drive) -> Iterator[Case]:
+    model, (force, angle, _) = one.robot.model, one.units
+    damping = one.damping + one.kv
+    # The damping that acts on a swing: with dry friction, as the engine makes it.
+    acting = float(drags(one.robot, 1.0)[one.dof]) / one.scale + one.kv
+    ratio = max(acting, 1e-9) / (2.0 * np.sqrt(one.kp * one.inertia))
+    decay_s = 2.0 * one.inertia / max(acting, 1e-9)
+    swing = f"for {decay_s:.2g} s" if decay_s < ENDLESS_S else "without end"
+    yield Case(
+        min(RINGING / ratio, decay_s / RINGING_S),
+        one.place,
+        one.name,
+        f"{one.name} swings about each command {swing}: kp {one.kp:.3g} {force}/{angle} with a damping of "
+        f"{acting:.2g} {force} s/{angle}",
+        True,
+    )
+    # Overdamped, a servo covers half of a step in ln(2) damping / kp.
+    half_s = float(np.log(2.0)) * damping / one.kp
+    limit_s, standing = SLOW_S, one.robot.standing
+    if one.is_leg and standing is not None:
+        limit_s = float(np.sqrt(standing.height_m / GRAVITY_M_PER_S2))
+    text = f"{one.name} covers half of a small step in {half_s:.2g} s: "
+    text += f"damping {damping:.3g} {force} s/{angle} and kp {one.kp:.3g}"
+    if one.is_leg:
+        text += f"; the robot falls in {limit_s:.2g} s"
+    yield Case(half_s / limit_s, one.place, one.name, text, True)
+    weight = float(largest_loads(one.robot)[one.dof])
+    sag = weight / one.kp
+    root = model.body_dofnum[root_of(model, one.body)]
+    if one.is_hinge and (root < 6 or one.kp == 1.0) and not _is_overweight(one):
+        text = f"{one.name} sags by {sag:.2g} rad: kp {one.kp:.3g} N m/rad carries {weight:.3g} N m"
+        if one.kp == 1.0:
+            text += ", and 1 is MuJoCo's kp where none is stated"
+        yield Case(sag / SAG_RAD, one.place, one.name, text, True)
+    yield from _commands(one)
+
+
+def _commands(one: Drive) -> Iterator[Case]:
+    """Yield the range of commands of a servo over that of its joint."""
+    model = one.robot.model
+    is_its = (
+        acts_on_joints(model)
+        & (model.actuator_trnid[:, 0] == one.joint)
+        & servos(model)
+    )
+    for actuator in np.flatnonzero(is_its & (model.actuator_ctrllimited != 0)).tolist():
+        gain, bias = (
+            float(model.actuator_gainprm[actuator, 0]),
+            model.actuator_biasprm[actuator],
+        )
+        gear = float(model.actuator_gear[actuator, 0])
+        if not (model.jnt_limited[one.joint] and one.is_hinge and gain * gear):
             continue
-        ratio = armature / limb
-        if limit_nm:
-            turned = f"{limit_nm:.3g} Nm turn it by {limit_nm / armature:.2g} rad/s^2"
-        else:
-            turned = "no torque is stated"
-        ratios[dof] = ratio
-        if ratio > found.value:
-            found = Finding(
-                value=ratio,
-                remark=f"{joint_name(robot, dof)}: {armature:.3g} kg m^2 with a limb of {limb:.2g}; {turned}",
-            )
-    return replace(found, parts=by_joint(robot, ratios))
+        ends = (gain * model.actuator_ctrlrange[actuator] + bias[0]) / (-bias[1] * gear)
+        low, high = model.jnt_range[one.joint]
+        text = (
+            f"commands of {one.name} go from {ends.min():.3g} to {ends.max():.3g} {one.units[1]}, the joint from "
+            f"{low:.3g} to {high:.3g}"
+        )
+        yield Case(
+            float(np.ptp(ends) / (high - low)) / COMMANDS,
+            one.place,
+            one.name,
+            text,
+            True,
+        )
+
+
+# --- weight ----------------------------------------------------------------------------------------------------------
+
+
+@row(
+    "robot-torque",
+    title="force that holds a joint where the robot rests over the largest one that its motor states",
+    unit="1",
+    interval=(0.0, 1.0),
+    source="inverse dynamics at rest in the pose of the keyframe; of a robot on feet, the mean torque as it falls",
+    consequence="The motors do not hold the robot's own weight, so that the policy drags it.",
+)
+def torque(robot: Robot) -> Finding:
+    """Return the joint whose motor is weakest where the robot rests."""
+    from gauge_envs.tools.sanity.robot.rollout import fallen_saturations
+
+    model = robot.model
+    several = [
+        one
+        for one in drives(robot)
+        if np.isfinite(one.limit) and not _is_overweight(one)
+    ]
+    if not several:
+        raise NotApplicableError("no motor of a joint states the limit of its torque")
+    if robot.standing is not None:
+        needed = fallen_saturations(robot)
+        verb = "the robot falls while"
+    else:
+        if np.isin(
+            model.eq_type, [int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD)]
+        ).any():
+            raise NotApplicableError("closed chains share the weight")
+        data = start(robot)
+        rest = np.minimum(
+            loads(model, data),
+            np.abs(data.qfrc_bias - data.qfrc_passive - data.qfrc_constraint),
+        )
+        several = [one for one in several if model.nkey or one.kp]
+        needed = {one.dof: float(rest[one.dof]) for one in several}
+        verb = "at rest"
+    return worst_case(
+        Case(
+            needed.get(one.dof, 0.0) / one.limit,
+            one.place,
+            one.name,
+            f"{verb} {one.name} takes {needed.get(one.dof, 0.0):.3g} {one.units[0]}, its motor makes {one.limit:.3g}; "
+            f"{_heaviest(one)}",
+        )
+        for one in several
+    )
+
+
+def _carried(one: Drive) -> list[int]:
+    """Return the bodies that a joint carries."""
+    parents, carried = one.robot.model.body_parentid.tolist(), [one.body]
+    for body in range(one.body + 1, len(parents)):
+        if parents[body] in carried:
+            carried.append(body)
+    return carried
+
+
+def _is_overweight(one: Drive) -> bool:
+    """Return whether a joint carries a body whose mass is wrong, which robot-mass names."""
+    model, masses = one.robot.model, one.robot.finding(ROWS["robot-mass"]).parts
+    return any(
+        masses.get(model.body(body).name or f"body {body}", 0.0) > 1.0
+        for body in _carried(one)
+    )
+
+
+def _heaviest(one: Drive) -> str:
+    """Return the heaviest body that a joint carries, with its mass."""
+    model = one.robot.model
+    body = max(_carried(one), key=lambda number: float(model.body_mass[number]))
+    return f"{model.body(body).name or f'body {body}'} weighs {model.body_mass[body]:.3g} kg"
 
 
 # --- couplings and free joints ---------------------------------------------------------------------------------------
 
+YIELD_SHARE = 0.3
+"""Part of its range by which a coupling may yield."""
 
-def give(
+LARGEST_GIVE, HALVINGS = 1.0, 14
+"""Largest displacement at which a coupling is tried [rad or m], and the halvings that find it to 0.1 mrad."""
+
+
+@row(
+    "robot-coupling",
+    title="part of its range by which a coupled joint yields to the motor, or begins beside its coupling",
+    unit="1",
+    interval=(0.0, YIELD_SHARE),
+    source="0.001 to 0.02 in grippers of makers whose linkage is stiff, 0.14 to 0.23 with MuJoCo's default solref",
+    consequence="One finger closes and the other gives way, so that a grasp holds less than the real one.",
+)
+def coupling(robot: Robot) -> Finding:
+    """Return the coupling between joints that yields farthest to the force of a motor."""
+    model = robot.without("contact", "limit", "frictionloss")
+    data, cases = start(robot, model), []
+    begin = data.qpos.copy()
+    pushes = np.zeros(model.nv)
+    for one in drives(robot):
+        pushes[one.dof] = one.push if np.isfinite(one.push) else 0.0
+    for number in np.flatnonzero(
+        model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT)
+    ).tolist():
+        joints = [int(model.eq_obj1id[number]), int(model.eq_obj2id[number])]
+        if joints[1] < 0 or not model.eq_active0[number]:
+            continue
+        dofs, places = model.jnt_dofadr[joints], model.jnt_qposadr[joints]
+        load = float(pushes[dofs].max())
+        lead = float(begin[places[1]] - model.qpos0[places[1]])
+        coupled = float(
+            model.qpos0[places[0]] + np.polyval(model.eq_data[number, 4::-1], lead)
+        )
+        span = float(np.ptp(model.jnt_range[joints[0]])) or 1.0
+        name = model.joint(joints[0]).name or f"joint {joints[0]}"
+        follows = f"{name}, which follows {model.joint(joints[1]).name or f'joint {joints[1]}'},"
+        place = ("equality", number)
+        if load > 0.0:
+            give = _give(
+                model, data, begin, (int(places[0]), int(dofs[0])), coupled, load
+            )
+            text = f"{follows} yields by {give:.2g} of a range of {span:.3g} under {load:.3g} of the motor"
+            cases.append(Case(give / span, place, name, text, True))
+        off = abs(coupled - float(begin[places[0]]))
+        text = f"{follows} begins {off:.2g} beside its coupling"
+        cases.append(Case(off / span, place, name, text))
+    if not cases:
+        raise NotApplicableError("no equality couples joints")
+    return worst_case(cases, limit=YIELD_SHARE)
+
+
+def _give(
     model: mujoco.MjModel,
     data: mujoco.MjData,
-    moved: Callable[[float], None],
-    dof: int,
+    begin: FloatArray,
+    address: tuple[int, int],
+    coupled: float,
     load: float,
 ) -> float:
-    """Return the displacement at which the constraints of a model at rest hold a load, at most 1 rad or m.
+    """Return the displacement at which the constraints of a model at rest hold a load [rad or m].
 
     Args:
         model: The model.
         data: Its data, whose positions change.
-        moved: Sets the positions to a displacement [rad or m].
-        dof: Degree of freedom on which the load acts.
-        load: The load [Nm or N].
+        begin: Positions at the start, shape [nq].
+        address: Place of the joint in the positions, and its degree of freedom.
+        coupled: Position to which it is coupled.
+        load: The load [N m or N].
     """
-    low, high = 0.0, MOST_GIVE
-    for _ in range(GIVE_STEPS):
+    low, high = 0.0, LARGEST_GIVE
+    for _ in range(HALVINGS):
         middle = 0.5 * (low + high)
-        moved(middle)
+        data.qpos[:] = begin
+        data.qpos[address[0]] = coupled + middle
         data.qvel[:], data.qacc[:] = 0.0, 0.0
         mujoco.mj_inverse(model, data)
-        is_held = abs(float(data.qfrc_constraint[dof])) >= load
-        low, high = (low, middle) if is_held else (middle, high)
+        is_enough = abs(float(data.qfrc_constraint[address[1]])) >= load
+        low, high = (low, middle) if is_enough else (middle, high)
     return high
 
 
-@row("robot-coupling")
-def _coupling(robot: Robot) -> Finding:
-    model = robot.without("contact", "limit", "frictionloss")
-    is_joint = couplings_of(model)
-    couplings = [
-        number
-        for number in np.flatnonzero(is_joint).tolist()
-        if model.eq_obj2id[number] >= 0
-        and int(model.jnt_bodyid[model.eq_obj1id[number]]) in robot.bodies
-    ]
-    data, gives = start(robot, model), {}
-    begin, forces = data.qpos.copy(), _motor_forces(model, data)
-    zeros: dict[str, float] = {}
-    largest = limits_of("robot-coupling")[1]
-    for number in couplings:
-        joint, other = int(model.eq_obj1id[number]), int(model.eq_obj2id[number])
-        dofs = [int(model.jnt_dofadr[one]) for one in (joint, other)]
-        load = max(float(forces[dof]) for dof in dofs)
-        place, lead = int(model.jnt_qposadr[joint]), int(model.jnt_qposadr[other])
-        name = joint_name(robot, dofs[0])
-        if load <= 0.0:
-            continue
-        if not data.eq_active[number]:
-            gives[name] = 1.0
-            continue
-        coupled = _coupled(model, number, float(begin[lead]))
-
-        def apart(distance: float, place: int = place, at: float = coupled) -> None:
-            data.qpos[:] = begin
-            data.qpos[place] = at + distance
-
-        span = float(np.ptp(model.jnt_range[joint])) or 1.0
-        gives[name] = give(model, data, apart, dofs[0], load) / span
-        off = _off(model, number, float(begin[place]), float(begin[lead]))
-        if abs(off) / span > largest:
-            zeros[f"{name} from its coupled place"] = abs(off) / span
-    if zeros:
-        part = max(zeros, key=zeros.__getitem__)
-        return Finding(
-            value=zeros[part],
-            parts=gives | zeros,
-            remark=part,
-        )
-    if not gives:
-        return Finding(
-            declined="no equality couples a joint to one that a motor drives"
-        )
-    name = max(gives, key=gives.__getitem__)
-    return Finding(
-        value=gives[name],
-        parts=gives,
-        remark=name,
-        is_usual=True,
-    )
+FREE_SHARE = 0.05
+"""Share of its speed that a free base may lose in 1 s: air takes less from anything heavier than a balloon."""
 
 
-def _coupled(model: mujoco.MjModel, number: int, lead: float) -> float:
-    """Return the place to which an equality couples a joint while the other one is at a place [rad or m]."""
-    joint, other = int(model.eq_obj1id[number]), int(model.eq_obj2id[number])
-    zero, lead_zero = model.qpos0[model.jnt_qposadr[[joint, other]]]
-    coefficients = model.eq_data[number, :5]
-    return float(zero + np.polyval(coefficients[::-1], lead - lead_zero))
-
-
-def _off(model: mujoco.MjModel, number: int, place: float, lead: float) -> float:
-    """Return the distance of a coupling from the place of its joint, or by how far it leaves the joint's range.
-
-    Args:
-        model: The model.
-        number: The equality.
-        place: Place of the coupled joint at the start [rad or m].
-        lead: Place of the joint that it follows [rad or m].
-
-    Returns:
-        The larger one [rad or m].
-    """
-    joint, other = int(model.eq_obj1id[number]), int(model.eq_obj2id[number])
-    apart = _coupled(model, number, lead) - place
-    if not (model.jnt_limited[joint] and model.jnt_limited[other]):
-        return apart
-    low, high = model.jnt_range[joint]
-    ends = [_coupled(model, number, float(end)) for end in model.jnt_range[other]]
-    # A joint that leaves its range on one side, and does not reach the other side, has another zero.
-    beyond = [max(ends) - high, min(ends) - low]
-    is_one_side = beyond[0] * beyond[1] > 0.0
-    # A coupling of another ratio leaves it on both sides, by more than the range itself.
-    is_far = min(beyond[0], -beyond[1]) > high - low
-    shift = min(beyond, key=abs) if is_one_side or is_far else 0.0
-    return max(apart, shift, key=abs)
-
-
-def _motor_forces(model: mujoco.MjModel, data: mujoco.MjData) -> FloatArray:
-    """Return the largest force of all motors on each degree of freedom, through joints and tendons [Nm or N]."""
-    mujoco.mj_forward(model, data)
-    moments = np.zeros((model.nu, model.nv))
-    rows = (data.moment_rownnz, data.moment_rowadr, data.moment_colind)
-    if model.nu:
-        mujoco.mju_sparse2dense(moments, data.actuator_moment.ravel(), *rows)
-    largest = np.abs(model.actuator_forcerange).max(axis=1, initial=0.0)
-    spans = np.abs(model.actuator_ctrlrange).max(axis=1, initial=0.0)
-    unlimited = np.abs(model.actuator_gainprm[:, 0]) * np.where(spans, spans, 1.0)
-    is_limited = model.actuator_forcelimited != 0
-    return np.abs(moments).T @ np.where(is_limited, largest, unlimited)
-
-
-@row("robot-free")
-def _free(robot: Robot) -> Finding:
+@row(
+    "robot-free",
+    title="speed that a free joint takes in 1 s of 1 m/s or 1 rad/s, or inertia that it adds, over the robot's",
+    unit="1",
+    interval=(0.0, FREE_SHARE),
+    source='nothing holds a base in the air; defaults of joints apply to <joint type="free"> and not to <freejoint>',
+    consequence="The base is braked in the air, so that the policy learns to turn and to fall slower than the robot.",
+)
+def free(robot: Robot) -> Finding:
+    """Return the free joint with the largest friction, damping or armature."""
     model = robot.model
+    frees = np.flatnonzero(joints_of(model, "FREE")).tolist()
+    if not frees or model.opt.density > LIQUID_KG_PER_M3:
+        raise NotApplicableError("no joint is free in air")
     inertia = joint_inertias(robot) - model.dof_armature
-    parts: dict[str, float] = {}
-    stated: dict[str, str] = {}
-    # Objects that are braked, and a base that a spring holds.
-    on_purpose: set[str] = set()
-    for joint in np.flatnonzero(joints_of(model, "FREE")).tolist():
-        first = int(model.jnt_dofadr[joint])
+    legged = {root_of(model, one.body) for one in drives(robot)}
+    cases = []
+    for number in frees:
+        body, first = int(model.jnt_bodyid[number]), int(model.jnt_dofadr[number])
         six = slice(first, first + 6)
-        body = int(model.jnt_bodyid[joint])
-        if body not in robot.bodies:
-            rate_per_s = float(model.dof_damping[first] / model.body_subtreemass[body])
-            name = f"{name_of(robot, joint)} of {body_name(robot, body)}"
-            on_purpose.add(name)
-            # An object may be braked to keep it from rolling.
-            parts[name] = limits_of("robot-free")[1] * rate_per_s / OBJECT_RATE_PER_S
-            stated[name] = (
-                f"damping {model.dof_damping[first]:g} for {model.body_subtreemass[body]:.3g} kg"
-            )
-            continue
-        # What a speed of 1 m/s or 1 rad/s loses in 1 s, and what the inertia has too much.
-        shares = model.dof_damping[six] + model.dof_frictionloss[six]
-        shares = np.maximum(shares, model.dof_armature[six]) / inertia[six]
-        name = name_of(robot, joint)
-        parts[name] = float(shares.max())
-        if model.jnt_stiffness[joint] > 0.0:
-            on_purpose.add(name)
-        numbers = (model.dof_damping, model.dof_frictionloss, model.dof_armature)
-        damping, dry, armature = (float(one[first]) for one in numbers)
-        stated[name] = (
-            f"damping {damping:g}, frictionloss {dry:g} and armature {armature:g}"
+        damping, dry, armature = (
+            np.reshape(array, (model.nv, -1))[six, 0]
+            for array in (model.dof_damping, model.dof_frictionloss, model.dof_armature)
         )
-    if not parts:
-        return Finding(declined="the model has no free joint")
-    worst = max(parts, key=parts.__getitem__)
-    return Finding(
-        value=parts[worst],
-        parts=parts,
-        remark=f"the free joint {worst} has {stated[worst]}, as by a default of other joints"
-        if parts[worst]
-        else "",
-        is_usual=worst in on_purpose,
-    )
+        is_robot = body in legged
+        # A ball may be braked to keep it from rolling: of a body counts what slows its fall to a crawl within 1 s.
+        share = float(np.max(np.maximum(damping + dry, armature) / inertia[six]))
+        if not is_robot:
+            share = FREE_SHARE * float(damping[0] / model.body_subtreemass[body])
+        name = model.joint(number).name or model.body(body).name or f"joint {number}"
+        text = (
+            f"the free joint of {model.body(body).name or f'body {body}'} has damping {damping[0]:g}, frictionloss "
+            f"{dry[0]:g} and armature {armature[0]:g}, which brake it in the air"
+        )
+        cases.append(Case(share, ("joint", number), name, text, not is_robot))
+    return worst_case(cases, limit=FREE_SHARE)

@@ -1,25 +1,203 @@
-"""Joints of a robot: what drives, brakes and loads each of them."""
+"""What drives, brakes and loads the joints of a robot."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
 
 from gauge_envs.scene.geometry import BoolArray, FloatArray
-from gauge_envs.tools.sanity.robot.finding import standing_of
-from gauge_envs.tools.sanity.robot.mujoco_feet import joints_of
-from gauge_envs.tools.sanity.robot.robot import (
-    JOINT_TRANSMISSIONS,
-    Robot,
-    acts_on_joints,
-    once,
-    random_poses,
-)
+from gauge_envs.tools.sanity.robot.mujoco_feet import acts_on_joints, joints_of
+from gauge_envs.tools.sanity.robot.robot import Robot, once, random_poses
+from gauge_envs.tools.sanity.rows import Finding, Place
 
 SERVO_ERROR_RAD = 0.5
-"""Error at which a servo without a limit asks for its largest torque [rad]."""
+"""Error at which a servo without a torque limit is read [rad]: a quarter of the range of a common joint."""
+
+POSES = 64
+"""Random poses in which weights are read."""
+
+
+class Case(NamedTuple):
+    """One part of a row.
+
+    Attributes:
+        ratio: Its value over the limit of its kind.
+        place: Element of the model.
+        name: Name of the part.
+        text: What happens there, with its numbers.
+        is_usual: Whether the limit says what is usual.
+    """
+
+    ratio: float
+    place: Place
+    name: str
+    text: str
+    is_usual: bool = False
+
+
+def worst_case(cases: Iterable[Case], limit: float = 1.0) -> Finding:
+    """Return the finding of the largest case, with the number of other parts beyond the limit of the row."""
+    several = list(cases)
+    if not several:
+        return Finding(value=0.0)
+    worst = max(several, key=lambda case: case.ratio)
+    parts: dict[str, float] = {}
+    for case in several:
+        parts[case.name] = max(case.ratio, parts.get(case.name, 0.0))
+    if worst.ratio <= limit:
+        return Finding(value=worst.ratio, parts=parts)
+    others = sum(ratio > limit for ratio in parts.values()) - 1
+    return Finding(
+        value=worst.ratio,
+        remark=worst.text + (f"; {others} more like it" if others else ""),
+        place=worst.place,
+        parts=parts,
+        is_usual=worst.is_usual,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Drive:
+    """A hinge or slide that an actuator moves, in N m and rad or in N and m.
+
+    Attributes:
+        robot: The robot.
+        joint: Id of the joint.
+        dof: Its degree of freedom.
+        limit: Largest force of its actuators; infinite where none is stated.
+        kp: Stiffness of its position servos; 0 without one.
+        kv: Damping of its servos.
+    """
+
+    robot: Robot
+    joint: int
+    dof: int
+    limit: float
+    kp: float
+    kv: float
+
+    @property
+    def name(self) -> str:
+        """Name of the joint, or its number."""
+        return self.robot.model.joint(self.joint).name or f"joint {self.joint}"
+
+    @property
+    def body(self) -> int:
+        """Body that the joint moves."""
+        return int(self.robot.model.jnt_bodyid[self.joint])
+
+    @property
+    def is_hinge(self) -> bool:
+        """Whether the joint is a hinge."""
+        return bool(joints_of(self.robot.model, "HINGE")[self.joint])
+
+    @property
+    def units(self) -> tuple[str, str, str]:
+        """Units of its forces, angles and inertias."""
+        return ("N m", "rad", "kg m^2") if self.is_hinge else ("N", "m", "kg")
+
+    @property
+    def damping(self) -> float:
+        """Damping of the joint without its servo."""
+        return float(np.ravel(self.robot.model.dof_damping[self.dof])[0])
+
+    @property
+    def armature(self) -> float:
+        """Inertia of the rotor, as the joint feels it."""
+        return float(self.robot.model.dof_armature[self.dof])
+
+    @property
+    def inertia(self) -> float:
+        """Inertia about the joint where the robot starts, all others locked, with the armature."""
+        return float(joint_inertias(self.robot)[self.dof])
+
+    @property
+    def push(self) -> float:
+        """Largest force of the motor: its limit, or that of the servo at an error of 0.5 rad; infinite if neither."""
+        if np.isfinite(self.limit) or not self.kp:
+            return self.limit
+        return self.kp * SERVO_ERROR_RAD * self.scale
+
+    @property
+    def scale(self) -> float:
+        """1 for a hinge; 0.1 m for a slide, whose strokes are those of a lever of this length."""
+        return 1.0 if self.is_hinge else 0.1
+
+    @cached_property
+    def is_leg(self) -> bool:
+        """Whether the joint is between the trunk of a robot that stands and one of its feet."""
+        standing, model = self.robot.standing, self.robot.model
+        for body in () if standing is None else standing.feet:
+            while body and body != self.body:
+                body = int(model.body_parentid[body])
+            if body:
+                return True
+        return False
+
+    @property
+    def place(self) -> Place:
+        """The joint, as the place of a finding."""
+        return "joint", self.joint
+
+
+@once
+def drives(robot: Robot) -> list[Drive]:
+    """Return the joints of a robot that actuators move."""
+    model = robot.model
+    limits, kp, kv = (np.zeros(model.njnt) for _ in range(3))
+    for actuator in np.flatnonzero(acts_on_joints(model)).tolist():
+        joint = int(model.actuator_trnid[actuator, 0])
+        gear = abs(float(model.actuator_gear[actuator, 0]))
+        bias = model.actuator_biasprm[actuator]
+        limits[joint] += gear * _largest(model, actuator)
+        if model.actuator_biastype[actuator] == int(mujoco.mjtBias.mjBIAS_AFFINE):
+            kp[joint] += gear**2 * max(-float(bias[1]), 0.0)
+            kv[joint] -= gear**2 * float(bias[2])
+    is_capped = model.jnt_actfrclimited != 0
+    capped = np.abs(model.jnt_actfrcrange).max(axis=1, initial=0.0)
+    limits[is_capped] = np.minimum(limits, capped)[is_capped]
+    is_driven = (limits > 0.0) & joints_of(model, "HINGE", "SLIDE")
+    is_driven &= np.isin(model.jnt_bodyid, robot.bodies)
+    return [
+        Drive(
+            robot=robot,
+            joint=joint,
+            dof=int(model.jnt_dofadr[joint]),
+            limit=float(limits[joint]),
+            kp=float(kp[joint]),
+            kv=float(kv[joint]),
+        )
+        for joint in np.flatnonzero(is_driven).tolist()
+    ]
+
+
+def _largest(model: mujoco.MjModel, actuator: int) -> float:
+    """Return the largest force of an actuator that its model states, before its gear; infinite where it states none."""
+    largest = np.inf
+    if model.actuator_forcelimited[actuator]:
+        largest = float(np.abs(model.actuator_forcerange[actuator]).max())
+    is_plain = not model.actuator_biasprm[actuator].any()
+    is_plain &= model.actuator_gaintype[actuator] == int(mujoco.mjtGain.mjGAIN_FIXED)
+    if model.actuator_ctrllimited[actuator] and is_plain:
+        gain = abs(float(model.actuator_gainprm[actuator, 0]))
+        span = float(np.abs(model.actuator_ctrlrange[actuator]).max())
+        largest = min(largest, gain * span)
+    return largest
+
+
+def servos(model: mujoco.MjModel) -> BoolArray:
+    """Return which actuators hold a position, shape [nu]."""
+    affine = model.actuator_biastype == int(mujoco.mjtBias.mjBIAS_AFFINE)
+    return affine & (model.actuator_biasprm[:, 1] < 0.0)
 
 
 def start(robot: Robot, model: mujoco.MjModel | None = None) -> mujoco.MjData:
-    """Return the pose in which the robot works, with the controls that hold it there.
+    """Return the pose in which a robot starts, with the controls that hold it there.
 
     It is the pose in which it stands; of a fixed base the keyframe `home` or the first one, else that of the model.
     Joints that the model puts outside their ranges are in the middle of these.
@@ -29,7 +207,8 @@ def start(robot: Robot, model: mujoco.MjModel | None = None) -> mujoco.MjData:
     if robot.standing is not None:
         data.qpos[:] = robot.standing.stance.qpos
     elif model.nkey:
-        data.qpos[:] = model.key_qpos[home_key(model)]
+        home = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "home")
+        data.qpos[:] = model.key_qpos[max(home, 0)]
     else:
         positions = data.qpos[model.jnt_qposadr]
         low, high = model.jnt_range.T
@@ -48,233 +227,66 @@ def start(robot: Robot, model: mujoco.MjModel | None = None) -> mujoco.MjData:
     return data
 
 
-def home_key(model: mujoco.MjModel) -> int:
-    """Return the keyframe `home`, or the first one."""
-    return max(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "home"), 0)
-
-
-def servos(model: mujoco.MjModel) -> BoolArray:
-    """Return which actuators hold a position, shape [nu]."""
-    affine = model.actuator_biastype == int(mujoco.mjtBias.mjBIAS_AFFINE)
-    return affine & (model.actuator_biasprm[:, 1] < 0.0)
-
-
-def torque_limits(model: mujoco.MjModel) -> FloatArray:
-    """Return the largest force of actuators and joint on each degree of freedom [N or Nm], as `motor_limits` does."""
-    limits = motor_limits(model)
-    for joint in np.flatnonzero(model.jnt_actfrclimited).tolist():
-        dof = int(model.jnt_dofadr[joint])
-        limits[dof] = min(limits[dof], np.abs(model.jnt_actfrcrange[joint]).max())
-    return limits
-
-
-def motor_limits(model: mujoco.MjModel) -> FloatArray:
-    """Return the largest force of the actuators on each degree of freedom [N or Nm], shape [nv].
-
-    It is infinite where no limit is stated, and 0 where nothing acts.
-    """
-    limits = np.zeros(model.nv)
-    for actuator in range(model.nu):
-        joint = int(model.actuator_trnid[actuator, 0])
-        if (
-            int(model.actuator_trntype[actuator]) not in JOINT_TRANSMISSIONS
-            or joint < 0
-        ):
-            continue
-        largest = np.inf
-        if model.actuator_forcelimited[actuator]:
-            largest = float(np.abs(model.actuator_forcerange[actuator]).max())
-        elif (
-            model.actuator_ctrllimited[actuator]
-            and not model.actuator_biasprm[actuator].any()
-        ):
-            largest = float(
-                abs(model.actuator_gainprm[actuator, 0])
-                * np.abs(model.actuator_ctrlrange[actuator]).max()
-            )
-        dof = int(model.jnt_dofadr[joint])
-        limits[dof] += abs(float(model.actuator_gear[actuator, 0])) * largest
-    return limits
-
-
-def driven_dofs(robot: Robot) -> dict[int, float]:
-    """Return the limits of hinges of a robot that an actuator drives, by degree of freedom [Nm].
-
-    Joints that place the robot in the world are none of its motors.
-    """
-    model = robot.model
-    is_hinge = joints_of(model, "HINGE")[model.dof_jntid]
-    is_driven = is_hinge & np.isin(model.dof_bodyid, robot.bodies)
-    is_driven &= ~np.isin(model.dof_bodyid, placed_bodies(model))
-    limits = enumerate(torque_limits(model).tolist())
-    return {dof: limit for dof, limit in limits if limit and is_driven[dof]}
-
-
-def placed_bodies(model: mujoco.MjModel) -> list[int]:
-    """Return bodies that slides and hinges place in the world: no part lies between, and at least two slides move them.
-
-    They stand for wheels, or for an arm that is not there.
-    """
-    is_slide = joints_of(model, "SLIDE")
-    slides = np.zeros(model.nbody, int)
-    np.add.at(slides, model.jnt_bodyid[is_slide], 1)
-    is_bare = np.ones(model.nbody, bool)
-    found = []
-    for body in range(1, model.nbody):
-        parent = int(model.body_parentid[body])
-        if not is_bare[parent]:
-            is_bare[body] = False
-            continue
-        slides[body] += slides[parent]
-        is_bare[body] = model.body_geomnum[body] == 0
-        if slides[body] >= 2 and model.body_jntnum[body]:
-            found.append(body)
-    return found
-
-
 @once
 def joint_inertias(robot: Robot) -> FloatArray:
-    """Return the inertia about each degree of freedom where the robot works, all others locked, shape [nv]."""
+    """Return the inertia about each degree of freedom where the robot starts, all others locked, shape [nv]."""
     full = np.zeros((robot.model.nv, robot.model.nv))
     mujoco.mj_fullM(robot.model, start(robot), full)
     return np.diag(full).copy()
 
 
-def driven_joints(robot: Robot) -> list[int]:
-    """Return the joints of these hinges."""
-    joints: list[int] = robot.model.dof_jntid[list(driven_dofs(robot))].tolist()
-    return joints
-
-
-def growth(robot: Robot) -> float:
-    """Return the largest ratio by which a small motion about the pose grows in one step, without contact and gravity.
-
-    It is the spectral radius of the engine's own step: gains, damping, inertia, step and integrator together.
-    """
-    free = robot.without("contact", "gravity", "limit", "frictionloss")
-    data, nv = start(robot, free), free.nv
-    base, ctrl, matrix = data.qpos.copy(), data.ctrl.copy(), np.zeros((2 * nv, 2 * nv))
-
-    def stepped(change: FloatArray) -> FloatArray:
-        mujoco.mj_resetData(free, data)
-        data.qpos[:], data.ctrl[:] = base, ctrl
-        mujoco.mj_integratePos(free, data.qpos, change[:nv], 1.0)
-        data.qvel[:] = change[nv:]
-        mujoco.mj_step(free, data)
-        moved = np.zeros(nv)
-        mujoco.mj_differentiatePos(free, moved, 1.0, base, data.qpos)
-        return np.concatenate([moved, data.qvel])
-
-    for column, change in enumerate(1e-5 * np.eye(2 * nv)):
-        matrix[:, column] = (stepped(change) - stepped(-change)) / 2e-5
-    return (
-        float(np.abs(np.linalg.eigvals(matrix)).max())
-        if np.isfinite(matrix).all()
-        else np.inf
+def loads(model: mujoco.MjModel, data: mujoco.MjData) -> FloatArray:
+    """Return the force that holds each degree of freedom at rest against gravity and springs, shape [nv]."""
+    passive = data.qfrc_passive + data.qfrc_gravcomp * (
+        model.jnt_actgravcomp[model.dof_jntid] != 0
     )
+    return np.abs(data.qfrc_bias - passive)
 
 
 @once
-def drags_nm(robot: Robot) -> dict[int, tuple[float, float]]:
-    """Return the dry and the viscous part of the torque that turns each driven hinge without power, in the engine.
+def largest_loads(robot: Robot) -> FloatArray:
+    """Return the largest of these forces in random poses, shape [nv]."""
+    poses = random_poses(robot.model, POSES)
+    return np.max([loads(robot.model, data) for data in poses], axis=0)
 
-    The viscous part is that at 1 rad/s [Nm]. Where a link is light, the engine makes its dry friction a drag.
+
+@once
+def reaches_m(robot: Robot) -> FloatArray:
+    """Return the length of the limb from each body on, stretched, shape [nbody]: no pose reaches farther."""
+    model = robot.model
+    reaches = np.zeros(model.nbody)
+    ends = np.linalg.norm(model.geom_pos, axis=1) + model.geom_rbound
+    np.maximum.at(reaches, model.geom_bodyid, ends)
+    for body in range(model.nbody - 1, 0, -1):
+        parent = int(model.body_parentid[body])
+        arm = float(np.linalg.norm(model.body_pos[body])) + reaches[body]
+        reaches[parent] = max(reaches[parent], arm)
+    return reaches
+
+
+@once
+def drags(robot: Robot, speed: float) -> FloatArray:
+    """Return the force that turns each drive of a robot at a speed without power, in the engine, shape [nv].
+
+    Where a link is light, the engine makes a drag of its dry friction, so that what the file states does not act.
+
+    Args:
+        robot: The robot.
+        speed: Speed of hinges [rad/s]; slides have a tenth of it in m/s.
     """
     bare = robot.without(
         "contact", "gravity", "limit", "equality", "actuation", "spring"
     )
     bare.opt.density = bare.opt.viscosity = 0.0
-    data, found = start(robot, bare), {}
+    data, forces = start(robot, bare), np.zeros(bare.nv)
     data.qacc[:] = 0.0
-    for dof in driven_dofs(robot):
-        torques_nm = []
-        for rate_rad_per_s in (3.0, 6.0):
-            data.qvel[:] = rate_rad_per_s * (np.arange(bare.nv) == dof)
-            mujoco.mj_inverse(bare, data)
-            torques_nm.append(float(data.qfrc_inverse[dof]))
-        slow_nm, fast_nm = torques_nm
-        stated_nm = float(bare.dof_frictionloss[dof])
-        dry_nm = max(min(2.0 * slow_nm - fast_nm, stated_nm), 0.0)
-        found[dof] = dry_nm, max((fast_nm - slow_nm) / 3.0, 0.0)
-    return found
+    for one in drives(robot):
+        data.qvel[:] = speed * one.scale * (np.arange(bare.nv) == one.dof)
+        mujoco.mj_inverse(bare, data)
+        forces[one.dof] = data.qfrc_inverse[one.dof]
+    return forces
 
 
-@once
-def largest_weights_nm(robot: Robot) -> FloatArray:
-    """Return the largest torque of gravity on each degree of freedom in random poses [Nm], shape [nv]."""
-    poses = random_poses(robot.model, 64)
-    return np.max(
-        [np.abs(data.qfrc_bias - data.qfrc_gravcomp) for data in poses], axis=0
-    )
-
-
-def springs(model: mujoco.MjModel) -> FloatArray:
-    """Return the stiffness of the spring of each joint [N/m or Nm/rad], shape [njnt]."""
-    # MuJoCo 4 has coefficients of a polynomial, earlier versions one number.
-    linear: FloatArray = model.jnt_stiffness.reshape(model.njnt, -1)[:, 0]
-    return linear
-
-
-def floor_m(robot: Robot) -> float:
-    """Return the height of the highest plane under the feet [m]; that of the lowest foot over other ground."""
-    standing, model = standing_of(robot), robot.model
-    is_plane = model.geom_type == int(mujoco.mjtGeom.mjGEOM_PLANE)
-    touched = np.unique(robot.pairs.geoms[robot.foot_rows])
-    heights_m = standing.stance.positions_m[touched[is_plane[touched]], 2]
-    lowest_m = min(float(point[2]) for point in standing.support_m.values())
-    return float(heights_m.max()) if len(heights_m) else lowest_m
-
-
-def feet_above_ground_m(robot: Robot) -> float:
-    """Return the height of the lowest foot above the ground in the pose in which a robot starts [m]."""
-    support_m = standing_of(robot).support_m
-    return min(float(point[2]) for point in support_m.values()) - floor_m(robot)
-
-
-def dof_of(robot: Robot, actuator: int) -> int:
-    """Return the degree of freedom on which an actuator acts."""
-    return int(robot.model.jnt_dofadr[robot.model.actuator_trnid[actuator, 0]])
-
-
-def motors_of(robot: Robot) -> list[int]:
-    """Return actuators on hinges that count as driven."""
-    model = robot.model
-    is_driven = np.isin(model.actuator_trnid[:, 0], driven_joints(robot))
-    return np.flatnonzero(is_driven & acts_on_joints(model)).tolist()
-
-
-def position_servos(robot: Robot) -> list[int]:
-    """Return servos on hinges of the robot."""
-    is_servo = servos(robot.model)
-    return [actuator for actuator in motors_of(robot) if is_servo[actuator]]
-
-
-def servo_gains(model: mujoco.MjModel, column: int) -> FloatArray:
-    """Return a gain of the servos on each degree of freedom, shape [nv].
-
-    Args:
-        model: The model.
-        column: 1 for the stiffness [Nm/rad], 2 for the damping [Nm s/rad].
-    """
-    gains = np.zeros(model.nv)
-    actuators = servos(model) & acts_on_joints(model)
-    gears = model.actuator_gear[actuators, 0]
-    dofs = model.jnt_dofadr[model.actuator_trnid[actuators, 0]]
-    np.subtract.at(gains, dofs, gears**2 * model.actuator_biasprm[actuators, column])
-    return gains
-
-
-def stiffness(model: mujoco.MjModel, dof: int) -> float:
-    """Return the stiffness of the servos on a degree of freedom [Nm/rad]."""
-    return float(servo_gains(model, 1)[dof])
-
-
-def loads_nm(robot: Robot) -> dict[int, float]:
-    """Return the largest torque of the motor of each driven hinge; without a limit that of its servo [Nm]."""
-    loads: dict[int, float] = {}
-    for dof, limit_nm in driven_dofs(robot).items():
-        if not np.isfinite(limit_nm):
-            limit_nm = SERVO_ERROR_RAD * stiffness(robot.model, dof)
-        if limit_nm > 0.0:
-            loads[dof] = limit_nm
-    return loads
+def root_of(model: mujoco.MjModel, body: int) -> int:
+    """Return the first body of the tree of bodies of which a body is part."""
+    return int(model.tree_bodyadr[model.body_treeid[body]])

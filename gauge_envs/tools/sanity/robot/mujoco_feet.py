@@ -50,6 +50,9 @@ STANDING = ("home", "stand", "standing")
 HELD_M_PER_S = 1e-3
 """Speed of falling below which the damping of a joint counts as holding a robot [m/s]."""
 
+LIQUID_KG_PER_M3 = 10.0
+"""Density of the medium from which on a robot swims; air has 1.2 [kg/m^3]."""
+
 MOST_GEOMS = 4
 """Most geoms of a foot or of a group that are listed; of more, the others are counted."""
 
@@ -113,8 +116,8 @@ def find_standing(model: mujoco.MjModel, pairs: ContactPairs, up: Vector) -> Sta
     """Return the heaviest robot of a model that stands, with its feet.
 
     A robot can rise and fall: its first joint is free, or a vertical slide that nothing drives or holds. It has an
-    actuator, unless the model has none. Its feet are the bodies that can touch the ground and lie lowest in the
-    pose of `stance_of`.
+    actuator, or joints in a model without actuators. Its feet are the bodies that can touch the ground and lie
+    lowest in the pose of `stance_of`.
 
     Args:
         model: The compiled model.
@@ -125,14 +128,20 @@ def find_standing(model: mujoco.MjModel, pairs: ContactPairs, up: Vector) -> Sta
     touching = [int(geom) for geom in geoms[can_move(model)[geoms]]]
     if not touching:
         raise NoFootError("the model has no ground that a moving geom can touch")
+    if model.opt.density > LIQUID_KG_PER_M3:
+        raise NoFootError("the robot swims: the model's medium is a liquid")
     stance = stance_of(model, np.asarray(up))
-    robot_of = [first_moving_body(model, int(body)) for body in model.geom_bodyid]
-    robots = {robot_of[geom] for geom in touching}
-    joints, bodies = driven(model)
-    moved = bodies | {int(model.jnt_bodyid[joint]) for joint in joints}
-    if moved:
-        robots &= {first_moving_body(model, body) for body in moved}
-    standing = [body for body in robots if _can_fall(model, stance, body, joints)]
+    trees = model.body_treeid[model.geom_bodyid]
+    robots = set(trees[touching].tolist())
+    if moved := driven_trees(model):
+        robots &= moved
+    driven_joints = set(model.actuator_trnid[acts_on_joints(model), 0].tolist())
+    standing = [
+        int(model.tree_bodyadr[tree])
+        for tree in robots
+        if _is_robot(model, tree, moved)
+        and _can_fall(model, stance, int(model.tree_bodyadr[tree]), driven_joints)
+    ]
     if not standing:
         raise NoFootError(
             "no robot of the model stands on the ground under its own weight"
@@ -141,10 +150,10 @@ def find_standing(model: mujoco.MjModel, pairs: ContactPairs, up: Vector) -> Sta
     support = {
         geom: support_m(model, stance, geom)
         for geom in touching
-        if robot_of[geom] == robot
+        if trees[geom] == model.body_treeid[robot]
     }
     lowest = {geom: float(point[2]) for geom, point in support.items()}
-    robot_geoms = [geom for geom, body in enumerate(robot_of) if body == robot]
+    robot_geoms = np.flatnonzero(trees == model.body_treeid[robot])
     top = float(
         (stance.positions_m[robot_geoms, 2] + model.geom_rbound[robot_geoms]).max()
     )
@@ -226,39 +235,6 @@ def shortened(names: list[str]) -> list[str]:
     )
 
 
-def driven(model: mujoco.MjModel) -> tuple[set[int], set[int]]:
-    """Return the joints on which actuators act, and the bodies on which they act by tendons, at sites or directly."""
-    joints, bodies = set(), set()
-    for kind, target in zip(
-        model.actuator_trntype, model.actuator_trnid[:, 0].tolist(), strict=True
-    ):
-        name = mujoco.mjtTrn(int(kind)).name
-        if name == "mjTRN_JOINT":
-            joints.add(target)
-        elif name == "mjTRN_JOINTINPARENT":
-            bodies.add(int(model.jnt_bodyid[target]))
-        elif name == "mjTRN_BODY":
-            bodies.add(target)
-        elif name == "mjTRN_TENDON":
-            bodies |= _tendon_bodies(model, target)
-        else:
-            bodies.add(int(model.site_bodyid[target]))
-    return joints, bodies
-
-
-def _tendon_bodies(model: mujoco.MjModel, tendon: int) -> set[int]:
-    """Return the bodies of the joints and sites that a tendon wraps."""
-    owners = {"mjWRAP_JOINT": model.jnt_bodyid, "mjWRAP_SITE": model.site_bodyid}
-    first = model.tendon_adr[tendon]
-    wraps = range(first, first + model.tendon_num[tendon])
-    kinds = {wrap: mujoco.mjtWrap(int(model.wrap_type[wrap])).name for wrap in wraps}
-    return {
-        int(owners[kind][model.wrap_objid[wrap]])
-        for wrap, kind in kinds.items()
-        if kind in owners
-    }
-
-
 # --- stance ----------------------------------------------------------------------------------------------------------
 
 
@@ -303,14 +279,25 @@ def joints_of(model: mujoco.MjModel, *kinds: str) -> BoolArray:
     return np.isin(model.jnt_type, numbers)
 
 
-def first_moving_body(model: mujoco.MjModel, body: int) -> int:
-    """Return the body nearest to the world that moves a body; the body itself when nothing moves it."""
-    first = body
-    while body:
-        if model.body_dofnum[body]:
-            first = body
-        body = int(model.body_parentid[body])
-    return int(first)
+def driven_trees(model: mujoco.MjModel) -> set[int]:
+    """Return the trees of bodies that actuators move, through joints, tendons, sites or bodies."""
+    if not model.nu:
+        return set()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    dofs = data.moment_colind[data.actuator_moment.ravel() != 0.0]
+    return set(model.dof_treeid[dofs].tolist())
+
+
+def acts_on_joints(model: mujoco.MjModel) -> BoolArray:
+    """Return which actuators act on a joint, shape [nu]."""
+    kinds = mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT
+    return np.isin(model.actuator_trntype, [int(kind) for kind in kinds])
+
+
+def _is_robot(model: mujoco.MjModel, tree: int, moved: set[int]) -> bool:
+    """Return whether a tree of bodies is a robot: actuators move it, or it has joints. A free box has neither."""
+    return tree in moved or int(model.tree_bodynum[tree]) > 1
 
 
 def _can_fall(

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property, wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar
+from typing import Any, Concatenate, ParamSpec, TypeVar
 
 import mujoco
 import numpy as np
@@ -22,19 +22,17 @@ from gauge_envs.backends.mujoco.model import (
     SOLVERS,
 )
 from gauge_envs.scene import Vector
-from gauge_envs.scene.geometry import BoolArray, FloatArray
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.bench.model_settings import ContactPairs
 from gauge_envs.tools.sanity.model import Settings
 from gauge_envs.tools.sanity.robot.mujoco_feet import (
     Standing,
-    first_moving_body,
+    acts_on_joints,
+    driven_trees,
     ground_rows,
     joints_of,
     stance_of,
 )
-
-if TYPE_CHECKING:
-    from gauge_envs.tools.sanity.rows import Finding, Place, Row
 
 GEOM_FIELDS = {
     "contact_solref": "solref",
@@ -56,12 +54,6 @@ CHANGED_ARRAYS = (
 """Arrays of the model that a row may change in a copy."""
 
 OPTIONS = {"integrator": INTEGRATORS, "cone": CONES, "solver": SOLVERS}
-
-JOINT_TRANSMISSIONS = (
-    int(mujoco.mjtTrn.mjTRN_JOINT),
-    int(mujoco.mjtTrn.mjTRN_JOINTINPARENT),
-)
-"""Transmissions of actuators that act on a joint."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -90,14 +82,13 @@ class Robot:
     start_qpos: FloatArray | None = None
     known: dict[Any, Any] = field(default_factory=dict, init=False)
 
-    def finding(self, row: Row) -> Finding:
-        """Return what a row measures of this model, measured once."""
+    def finding(self, row: Any) -> Any:
+        """Return the `Finding` of a `Row` on this model, measured once."""
         if row.id not in self.known:
             self.known[row.id] = row.measure(self)
-        found: Finding = self.known[row.id]
-        return found
+        return self.known[row.id]
 
-    def place_text(self, place: Place) -> str:
+    def place_text(self, place: tuple[str, int]) -> str:
         """Return an element of the model in words: its kind, and its name or number."""
         kind, number = place
         name = getattr(self.model, kind)(number).name
@@ -124,28 +115,22 @@ class Robot:
         return model
 
     @cached_property
-    def bodies(self) -> list[int]:
-        """Bodies of the robot that stands; without one, those that motors move, and without motors, all that move.
+    def driven_trees(self) -> set[int]:
+        """Trees of bodies that actuators move; see `driven_trees`."""
+        return driven_trees(self.model)
 
-        Trees of bodies without any shape are left out, as motors stand there for joints that the robot lacks. So are
-        trees that no motor moves and that touch nothing, as pictures of a second robot.
-        """
+    @cached_property
+    def bodies(self) -> list[int]:
+        """Bodies of the robot that stands; without one, those of arms that actuators move; else all that move."""
         model = self.model
-        roots = [first_moving_body(model, body) for body in range(model.nbody)]
+        trees = model.body_treeid
         if self.standing is not None:
-            return [
-                body for body, root in enumerate(roots) if root == self.standing.body
-            ]
-        moving = [b for b in range(1, model.nbody) if model.body_dofnum[roots[b]]]
-        driven = model.jnt_bodyid[joints_of_motors(model)]
-        arms = np.intersect1d(
-            model.body_rootid[driven], model.body_rootid[model.geom_bodyid]
-        )
-        felt = model.geom_bodyid[np.unique(self.pairs.geoms)]
-        real = {roots[body] for body in (*driven, *felt)}
-        is_linked = model.neq or model.ntendon
-        parts = [b for b in moving if is_linked or roots[b] in real]
-        return [b for b in parts if model.body_rootid[b] in arms] or moving
+            return np.flatnonzero(trees == trees[self.standing.body]).tolist()
+        moving = trees >= 0
+        is_driven = moving & np.isin(trees, list(self.driven_trees))
+        # Fingers of a palm that does not move are trees of one arm.
+        is_arm = moving & np.isin(model.body_rootid, model.body_rootid[is_driven])
+        return np.flatnonzero(is_arm if is_arm.any() else moving).tolist()
 
     @cached_property
     def foot_rows(self) -> list[int]:
@@ -158,19 +143,6 @@ class Robot:
             for row in ground_rows(self.pairs)
             if feet & set(self.pairs.geoms[row].tolist())
         ]
-
-    @property
-    def mass_kg(self) -> float:
-        """Mass of all its links [kg]."""
-        return float(self.model.body_mass[self.bodies].sum())
-
-    @property
-    def is_floating(self) -> bool:
-        """Whether the robot stands and its first joint is free."""
-        if self.standing is None:
-            return False
-        first = self.model.body_jntadr[self.standing.body]
-        return bool(joints_of(self.model, "FREE")[first])
 
     @cached_property
     def plane_normal(self) -> FloatArray | None:
@@ -331,74 +303,10 @@ def set_option(option: Any, name: str, value: Any) -> None:
         option.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_OVERRIDE)
 
 
-def acts_on_joints(model: mujoco.MjModel) -> BoolArray:
-    """Return which actuators act on a joint, shape [nu]."""
-    return np.isin(model.actuator_trntype, JOINT_TRANSMISSIONS)
-
-
 def joints_of_motors(model: mujoco.MjModel) -> NDArray[np.int_]:
     """Return the joint of each actuator that acts on a joint."""
     joints: NDArray[np.int_] = model.actuator_trnid[acts_on_joints(model), 0]
     return joints
-
-
-def couplings_of(model: mujoco.MjModel) -> BoolArray:
-    """Return which equalities couple joints, shape [neq]."""
-    couplings: BoolArray = model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT)
-    return couplings
-
-
-def coupled_pairs(model: mujoco.MjModel) -> NDArray[np.int_]:
-    """Return the two joints of each equality that couples joints, the second one -1 without one, shape [count, 2]."""
-    ends: NDArray[np.int_] = np.column_stack([model.eq_obj1id, model.eq_obj2id])
-    return ends[couplings_of(model)]
-
-
-def coupled_joints(model: mujoco.MjModel, joint: int) -> list[int]:
-    """Return a joint, those that equalities couple to it, those coupled to these, and so on."""
-    pairs = coupled_pairs(model)
-    # An equality without a second joint holds its joint at a place.
-    pairs = pairs[(pairs >= 0).all(axis=1)]
-    moving = np.array([joint])
-    for _ in pairs:
-        touched = pairs[np.isin(pairs, moving).any(axis=1)]
-        moving = np.union1d(moving, touched)
-    found: list[int] = moving.tolist()
-    return found
-
-
-def loop_joints(model: mujoco.MjModel, joint: int) -> list[int]:
-    """Return the joints of the closed chains of which a joint is part, those of chains that share one, and so on.
-
-    A chain is closed by an equality that holds two bodies, or sites of theirs, at one place.
-    """
-    closes = np.isin(model.eq_type, [mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD])
-    of_sites = model.eq_objtype == int(mujoco.mjtObj.mjOBJ_SITE)
-    chains = []
-    for one in np.flatnonzero(closes & model.eq_active0.astype(bool)).tolist():
-        ends = [int(model.eq_obj1id[one]), int(model.eq_obj2id[one])]
-        if of_sites[one]:
-            ends = model.site_bodyid[ends].tolist()
-        bodies = ancestors(model, ends[0]) ^ ancestors(model, ends[1])
-        chains.append(
-            {*np.flatnonzero(np.isin(model.jnt_bodyid, list(bodies))).tolist()}
-        )
-    found: set[int] = set()
-    joined = [chain for chain in chains if joint in chain]
-    while joined:
-        found = found.union(*joined)
-        chains = [chain for chain in chains if not chain <= found]
-        joined = [chain for chain in chains if chain & found]
-    return sorted(found)
-
-
-def ancestors(model: mujoco.MjModel, body: int) -> set[int]:
-    """Return a body and all that carry it, but the world."""
-    found = set()
-    while body > 0:
-        found.add(body)
-        body = int(model.body_parentid[body])
-    return found
 
 
 def grasp_kinds(model: mujoco.MjModel, pairs: ContactPairs) -> NDArray[np.int_]:
