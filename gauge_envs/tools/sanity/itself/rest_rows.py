@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import mujoco
 import numpy as np
 
@@ -18,6 +16,7 @@ from gauge_envs.tools.sanity.itself.runs import (
     has_diverged,
     refined_rest,
     rest,
+    rest_from_refined,
     seconds,
     settled,
     start_data,
@@ -27,7 +26,6 @@ from gauge_envs.tools.sanity.robot.robot import Robot
 from gauge_envs.tools.sanity.rows import (
     Finding,
     NotApplicableError,
-    NotMeasuredError,
     Place,
     row,
 )
@@ -80,43 +78,38 @@ def overlap(robot: Robot) -> Finding:
     """
     run = settled(robot)
     model, data = run.model, run.data
-    free = objects(model)
+    free, speeds = objects(model), 1e3 * run.speeds_m_per_s
     gravity = float(np.linalg.norm(model.opt.gravity)) or np.inf
-    value, pair, depth_mm = 0.0, (0, 0), 0.0
-    parts: dict[str, float] = {}
+    found = Finding(value=0.0)
     for contact in data.contact[: data.ncon]:
-        if min(contact.geom) < 0 or contact.efc_address < 0 or contact.dist >= 0.0:
+        if min(contact.geom) < 0 or contact.efc_address < 0:
             continue
-        bodies = sorted(
-            (int(model.geom_bodyid[geom]) for geom in contact.geom),
-            key=lambda body: (body_size_m(model, body), body),
-        )
-        if bodies[0] not in free:
-            continue
+        sizes_m = {
+            body: body_size_m(model, body)
+            for body in model.geom_bodyid[contact.geom].tolist()
+        }
+        small, large = sorted(sizes_m, key=lambda body: (sizes_m[body], body))
         stiffness, _, impedance, _ = data.efc_KBIP[contact.efc_address]
-        load = impedance * stiffness * -contact.dist / max(1.0 - impedance, 1e-9)
-        if load < TOWER * gravity:
+        depth_m = -float(contact.dist)
+        load = impedance * stiffness * depth_m / max(1.0 - impedance, 1e-9)
+        ratio = depth_m / sizes_m[small]
+        if (
+            small not in free
+            or speeds[small] > RESTING_MM_PER_S
+            or load < TOWER * gravity
+            or ratio < found.value
+        ):
             continue
-        ratio = -contact.dist / body_size_m(model, bodies[0])
-        names = " and ".join(name_of(robot, "body", body) for body in bodies)
-        parts[names] = max(parts.get(names, 0.0), ratio)
-        if ratio > value:
-            value, pair, depth_mm = ratio, (bodies[0], bodies[1]), -1e3 * contact.dist
-    if not parts:
-        return Finding(value=0.0)
-    masses = [
-        f"{name_of(robot, 'body', body)} ({model.body_mass[body]:.3g} kg)"
-        if model.body_mass[body]
-        else name_of(robot, "body", body)
-        for body in pair
-    ]
-    return Finding(
-        value=value,
-        parts=parts,
-        place=("body", pair[0]),
-        remark=f"{masses[0]}, {1e3 * body_size_m(model, pair[0]):.3g} mm large, overlaps {masses[1]} by "
-        f"{depth_mm:.3g} mm at rest",
-    )
+        names = [
+            f"{name_of(robot, 'body', body)} ({model.body_mass[body]:.3g} kg)"
+            for body in (small, large)
+        ]
+        found = Finding(
+            value=ratio,
+            place=("body", small),
+            remark=f"{names[0]} overlaps {names[1]} by {1e3 * depth_m:.3g} mm, and is {1e3 * sizes_m[small]:.3g} mm large",
+        )
+    return found
 
 
 JOINED = (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD))
@@ -137,29 +130,27 @@ SOFT_S = 0.02
 def constraints(robot: Robot) -> Finding:
     """Return the largest residual of connections, welds, tendons, couplings without motors and limits at rest."""
     run = settled(robot)
-    found, parts = Finding(value=0.0), dict[str, float]()
-    has_hand = any(
-        int(run.model.eq_type[number]) in JOINED and not _is_judged(run.model, number)
-        for number in range(run.model.neq)
+    model, found = run.model, Finding(value=0.0)
+    judged = [_is_judged(model, number) for number in range(model.neq)]
+    is_led = any(
+        int(kind) in JOINED and not is_judged
+        for kind, is_judged in zip(model.eq_type, judged, strict=True)
     )
     for (kind, number), (begin, values, force) in run.openings.items():
-        if has_hand if kind != EQUALITY else not _is_judged(run.model, number):
+        # A body that code places leads the rest into its limits.
+        if is_led if kind != EQUALITY else not judged[number]:
             continue
         # What is open from the start and does not open further is no matter of load.
-        before, *_ = _opening(robot, kind, number, begin)
-        after, place, name, text = _opening(robot, kind, number, values, force)
-        value = max(after - before, 0.0)
-        parts[name] = max(parts.get(name, 0.0), value)
-        if value > found.value:
+        before, *_ = _opening(robot, kind, number, begin, force)
+        after, place, remark = _opening(robot, kind, number, values, force)
+        if after - before > found.value:
             found = Finding(
-                value=value,
+                value=after - before,
                 place=place,
-                remark=f"{name}: {text}",
-                is_usual=kind == EQUALITY and _is_soft(run.model, number),
+                remark=remark,
+                is_usual=kind == EQUALITY and _is_soft(model, number),
             )
-    if not parts:
-        raise NotApplicableError("no connection and no limit carries a load")
-    return replace(found, parts=parts)
+    return found
 
 
 def _is_judged(model: mujoco.MjModel, number: int) -> bool:
@@ -188,41 +179,37 @@ def _is_soft(model: mujoco.MjModel, number: int) -> bool:
 
 
 def _opening(
-    robot: Robot, kind: int, number: int, values: FloatArray, force: float = 0.0
-) -> tuple[float, Place, str, str]:
-    """Return the opening of a constraint as a ratio, its element, the names of its ends, and the opening in words."""
-    model, residual = robot.model, abs(float(values[0]))
-    if kind != EQUALITY:
-        residual = max(-float(values[0]), 0.0)
-    if kind == LIMIT_JOINT:
-        place, room_m = ("joint", number), 1.0
-        text = f"{residual:.3g} rad beyond its range under {force:.3g} N m"
-        if joints_of(model, "SLIDE")[number]:
-            room_m = float(np.ptp(model.jnt_range[number])) or np.inf
-            text = f"{1e3 * residual:.3g} mm beyond its range under {force:.3g} N"
-        return residual / room_m, place, name_of(robot, *place), text
-    place = ("equality", number)
-    if kind == EQUALITY and int(model.eq_type[number]) in JOINED:
+    robot: Robot, kind: int, number: int, values: FloatArray, force: float
+) -> tuple[float, Place, str]:
+    """Return the opening of a constraint as a ratio, the element, and what happens there."""
+    model, is_equality = robot.model, kind == EQUALITY
+    eq_type = int(model.eq_type[number]) if is_equality else -1
+    if eq_type in JOINED:
         bodies = _bodies(model, number)
         sizes_m = [body_size_m(model, body) for body in bodies if body]
-        sizes_m = [size_m for size_m in sizes_m if np.isfinite(size_m)]
+        size_m = max(filter(np.isfinite, sizes_m), default=float(model.stat.meansize))
         gap_m = float(np.linalg.norm(values[:3]))
         names = " and ".join(name_of(robot, "body", body) for body in bodies)
-        size_m = max(sizes_m, default=float(model.stat.meansize))
-        return (
-            gap_m / size_m,
-            place,
-            names,
-            f"{1e3 * gap_m:.3g} mm apart under {force:.3g} N",
-        )
-    first = int(model.eq_obj1id[number]) if kind == EQUALITY else number
-    if kind == EQUALITY and int(model.eq_type[number]) == COUPLED:
-        text = f"{residual:.3g} rad or m off its coupling under {force:.3g}"
-        return residual, place, name_of(robot, "joint", first), text
-    length_m = float(model.tendon_length0[first]) or np.inf
-    text = f"{1e3 * residual:.3g} mm off its length under {force:.3g} N"
-    place = place if kind == EQUALITY else ("tendon", first)
-    return residual / length_m, place, name_of(robot, "tendon", first), text
+        text = f"{names} are {1e3 * gap_m:.3g} mm apart under {force:.3g} N"
+        return gap_m / size_m, ("equality", number), text
+    element = int(model.eq_obj1id[number]) if is_equality else number
+    noun = "joint" if kind == LIMIT_JOINT or eq_type == COUPLED else "tendon"
+    # The distance to a limit is negative beyond it.
+    residual = abs(float(values[0])) if is_equality else max(-float(values[0]), 0.0)
+    scale, unit = 1.0, "rad"
+    if noun == "tendon":
+        scale, unit = float(model.tendon_length0[element]), "m"
+    elif joints_of(model, "SLIDE")[element]:
+        scale, unit = float(np.ptp(model.jnt_range[element])), "m"
+    text = "off its coupling" if is_equality else "beyond its range"
+    load = f"{force:.3g} {'N' if unit == 'm' else 'N m'}"
+    name = name_of(robot, noun, element)
+    ratio = residual / (scale or float(model.stat.meansize))
+    return (
+        ratio,
+        (noun, element),
+        f"{name} is {residual:.3g} {unit} {text} under {load}",
+    )
 
 
 @row(
@@ -238,30 +225,28 @@ def sleeping(robot: Robot) -> Finding:
     if not robot.model.opt.enableflags & SLEEP:
         raise NotApplicableError("the model does not let bodies sleep")
     run, finer = settled(robot), refined_rest(robot)
-    begins = np.argmin(run.is_awake, axis=0)
-    asleep = np.flatnonzero(~run.is_awake[-1] & (robot.model.body_dofnum > 0))
-    speeds = {
-        body: float(
-            np.linalg.norm(
-                finer.points_m[-1, body] - finer.points_m[begins[body], body], axis=-1
-            ).max()
-        )
-        / (run.sample_s * max(SAMPLES - 1 - begins[body], LATE))
-        for body in asleep.tolist()
-    }
-    if not speeds:
-        return Finding(value=0.0)
-    body = max(speeds, key=speeds.__getitem__)
-    return Finding(
-        value=1e3 * speeds[body],
-        place=("body", body),
-        parts={name_of(robot, "body", b): 1e3 * v for b, v in speeds.items()},
-        remark=f"{name_of(robot, 'body', body)} sleeps; awake it moves at {1e3 * speeds[body]:.3g} mm/s",
-    )
+    found = Finding(value=0.0)
+    for body in np.flatnonzero(~run.is_awake[-1]).tolist():
+        begin = int(np.flatnonzero(run.is_awake[:, body]).max(initial=-1)) + 1
+        paths = finer.points_m[:, body]
+        # Where the two runs differ before the body sleeps, chaos parted them.
+        gap_m = np.abs(paths[begin] - run.points_m[begin, body]).max()
+        moved_m = float(np.linalg.norm(paths[-1] - paths[begin], axis=-1).max())
+        speed = 1e3 * moved_m / (run.sample_s * max(SAMPLES - 1 - begin, LATE))
+        if speed > found.value and gap_m < SAME_M:
+            found = Finding(
+                value=speed,
+                place=("body", body),
+                remark=f"{name_of(robot, 'body', body)} sleeps; awake it moves at {speed:.3g} mm/s",
+            )
+    return found
 
 
-STILL_MM_PER_S, DECAY = 1.0, 0.8
-"""Speed below which all of a tree counts as at rest in the refined run [mm/s]."""
+SAME_M = 1e-3
+"""Distance up to which two runs are in one place [m]."""
+
+STILL_MM_PER_S, RESTING_MM_PER_S = 1.0, 10.0
+"""Speeds below which all of a tree counts as at rest in the refined run, and a body in the run of the model [mm/s]."""
 
 
 @row(
@@ -273,14 +258,16 @@ STILL_MM_PER_S, DECAY = 1.0, 0.8
     consequence="What rests creeps or hops, so that stances and grasps drift.",
 )
 def creep(robot: Robot) -> Finding:
-    """Return the largest root mean square of the speed, late in the run, of a body that rests in the refined run."""
-    run, finer = settled(robot), refined_rest(robot)
+    """Return the largest speed of a body that rests in the refined run, from whose state the model's own run goes on.
+
+    The common state leaves out that piles and falls end differently with each step.
+    """
+    settled(robot)
+    finer = refined_rest(robot)
     if np.isfinite(finer.diverged_s):
-        raise NotMeasuredError("the refined run diverges")
-    late, before = (SAMPLES - LATE, SAMPLES), (SAMPLES - 2 * LATE, SAMPLES - LATE)
-    speeds = 1e3 * run.speeds_m_per_s(*late)
-    still = 1e3 * finer.speeds_m_per_s(*late)
-    speeds[speeds < 1e3 * DECAY * run.speeds_m_per_s(*before)] = 0.0
+        raise NotApplicableError("the refined run diverges")
+    run = rest_from_refined(robot)
+    speeds, still = 1e3 * run.speeds_m_per_s, 1e3 * finer.speeds_m_per_s
     roots = robot.model.body_rootid
     busiest = np.zeros(len(roots))
     np.maximum.at(busiest, roots, still)

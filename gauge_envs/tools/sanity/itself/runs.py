@@ -7,6 +7,7 @@ controls of the keyframe, else position servos the command that holds the start,
 from __future__ import annotations
 
 import copy
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import mujoco
@@ -14,7 +15,7 @@ import numpy as np
 
 from gauge_envs.scene.geometry import BoolArray, FloatArray
 from gauge_envs.tools.sanity.robot.robot import Robot, disable_bit, once
-from gauge_envs.tools.sanity.rows import NotApplicableError, NotMeasuredError
+from gauge_envs.tools.sanity.rows import NotApplicableError
 
 REST_S = 2.0
 """Time of a run at rest [s]: a body dropped by 0.1 m falls for 0.14 s, and a default contact settles in 0.1 s."""
@@ -37,6 +38,9 @@ EQUALITY = int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
 LIMIT_JOINT = int(mujoco.mjtConstraint.mjCNSTR_LIMIT_JOINT)
 LIMIT_TENDON = int(mujoco.mjtConstraint.mjCNSTR_LIMIT_TENDON)
 
+STATE = mujoco.mjtState.mjSTATE_INTEGRATION
+"""All that a step depends on."""
+
 DIVERGED = [
     int(getattr(mujoco.mjtWarning, f"mjWARN_BAD{name}"))
     for name in ("QPOS", "QVEL", "QACC")
@@ -55,6 +59,7 @@ class Run:
         is_awake: Whether each body was awake, shape [sample_count, nbody].
         stretches: Largest strain of the inextensible edges of each flex, shape [sample_count, nflex].
         sinks_m: Largest depth of each flex in what it touches [m], shape [sample_count, nflex].
+        late_state: State at the start of the last quarter, of MuJoCo's kind `mjSTATE_INTEGRATION`.
         openings: Residuals [m or rad] at the start and at the end, and force [N or N m] of each constraint that acts
             to the end, by type and id.
         sample_s: Time between samples [s].
@@ -67,13 +72,15 @@ class Run:
     is_awake: BoolArray
     stretches: FloatArray
     sinks_m: FloatArray
+    late_state: FloatArray
     openings: dict[tuple[int, int], tuple[FloatArray, FloatArray, float]]
     sample_s: float
     diverged_s: float = np.inf
 
-    def speeds_m_per_s(self, begin: int, end: int) -> FloatArray:
-        """Return the root mean square of the speeds of the bodies between two samples [m/s], shape [nbody]."""
-        velocities = np.diff(self.points_m[begin:end], axis=0) / self.sample_s
+    @property
+    def speeds_m_per_s(self) -> FloatArray:
+        """Root mean square of the speeds of the bodies in the last eighth [m/s], shape [nbody]."""
+        velocities = np.diff(self.points_m[-LATE // 2 :], axis=0) / self.sample_s
         return np.asarray(np.sqrt((velocities**2).sum(-1).mean((0, 2))))
 
 
@@ -153,6 +160,13 @@ def refined(model: mujoco.MjModel) -> mujoco.MjModel:
 
 
 @once
+def rest_from_refined(robot: Robot) -> Run:
+    """Return the last quarter of the run of the model as it is, from the state of the refined run."""
+    late_s = 0.25 * seconds(robot.model, REST_S)
+    return _run(robot.model, late_s, refined_rest(robot).late_state, LATE)
+
+
+@once
 def rest(robot: Robot) -> Run:
     """Return the run of the model as it is."""
     return _run(robot.model, seconds(robot.model, REST_S))
@@ -170,27 +184,37 @@ def settled(robot: Robot) -> Run:
         raise NotApplicableError("the model has no joint")
     run = rest(robot)
     if np.isfinite(run.diverged_s):
-        raise NotMeasuredError(f"the state diverges at {run.diverged_s:.3g} s")
+        raise NotApplicableError(f"the state diverges at {run.diverged_s:.3g} s")
     return run
 
 
-def _run(model: mujoco.MjModel, rest_s: float) -> Run:
+def _run(
+    model: mujoco.MjModel,
+    rest_s: float,
+    state: FloatArray | None = None,
+    samples: int = SAMPLES,
+) -> Run:
+    """Return a run from the model's start, or from a state."""
     data = start_data(model)
+    if state is not None:
+        mujoco.mj_setState(model, data, state, STATE)
+        mujoco.mj_forward(model, data)
     run = Run(
         model=model,
         data=data,
-        points_m=np.full((SAMPLES, model.nbody, 3, 3), np.nan),
-        is_awake=np.ones((SAMPLES, model.nbody), bool),
-        stretches=np.zeros((SAMPLES, model.nflex)),
-        sinks_m=np.zeros((SAMPLES, model.nflex)),
+        points_m=np.full((samples, model.nbody, 3, 3), np.nan),
+        is_awake=np.ones((samples, model.nbody), bool),
+        stretches=np.zeros((samples, model.nflex)),
+        sinks_m=np.zeros((samples, model.nflex)),
+        late_state=np.zeros(mujoco.mj_stateSize(model, STATE)),
         openings={},
-        sample_s=rest_s / SAMPLES,
+        sample_s=rest_s / samples,
     )
     masses_kg = np.maximum(model.body_mass, 1e-12)
     radii_m = np.sqrt(model.body_inertia.max(axis=1) / masses_kg)[:, None, None]
     begin, late = _residuals(model, data), []
     begin_s = float(data.time)
-    for sample in range(SAMPLES):
+    for sample in range(samples):
         until_s = begin_s + (sample + 1) * run.sample_s - 0.5 * model.opt.timestep
         while data.time < until_s:
             mujoco.mj_step(model, data)
@@ -202,16 +226,28 @@ def _run(model: mujoco.MjModel, rest_s: float) -> Run:
             run.is_awake[sample] = data.body_awake != 0
         if model.nflex:
             _add_flexes(run, sample)
-        if sample >= SAMPLES - LATE:
+        if sample == samples - LATE:
+            mujoco.mj_getState(model, data, run.late_state, STATE)
+        if sample >= samples - LATE:
             late.append(_residuals(model, data))
-    for key in late[-1]:
-        several = [residuals[key] for residuals in late if key in residuals]
-        if len(several) == LATE:
-            values = np.median([values for values, _ in several], axis=0)
-            first = begin[key][0] if key in begin else np.zeros(len(values))
-            force = float(np.median([force for _, force in several]))
-            run.openings[key] = (first, values, force)
+    run.openings.update(_openings(begin, late))
     return run
+
+
+Residuals = dict[tuple[int, int], tuple[FloatArray, float]]
+"""Residuals [m or rad] and force [N or N m] of each equality and limit, by type and id."""
+
+
+def _openings(
+    begin: Residuals, late: list[Residuals]
+) -> Iterator[tuple[tuple[int, int], tuple[FloatArray, FloatArray, float]]]:
+    """Yield first and late residuals and the force of each constraint that acts in all late samples."""
+    for key in late[-1]:
+        values, forces = zip(*(one[key] for one in late if key in one), strict=True)
+        if len(values) == len(late):
+            median = np.median(values, axis=0)
+            first = begin[key][0] if key in begin else np.zeros(len(median))
+            yield key, (first, median, float(np.median(forces)))
 
 
 def _add_flexes(run: Run, sample: int) -> None:
@@ -231,10 +267,8 @@ def _add_flexes(run: Run, sample: int) -> None:
             run.sinks_m[sample, flex] = depth_m
 
 
-def _residuals(
-    model: mujoco.MjModel, data: mujoco.MjData
-) -> dict[tuple[int, int], tuple[FloatArray, float]]:
-    """Return residuals [m or rad] and force [N or N m] of each equality and limit, by type and id."""
+def _residuals(model: mujoco.MjModel, data: mujoco.MjData) -> Residuals:
+    """Return the residuals and forces of a state."""
     found = {}
     for kind in (EQUALITY, LIMIT_JOINT, LIMIT_TENDON):
         rows = np.flatnonzero(data.efc_type == kind)
