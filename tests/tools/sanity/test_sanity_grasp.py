@@ -1,18 +1,12 @@
 """What a hand holds: readings against closed forms, contacts of a hand, and advice that mends."""
 
-import json
-import re
-import shlex
-
 import mujoco
 import numpy as np
 import pytest
-from places import ROOT
 from sanity_cases import moved
 
 from gauge_envs.backends import backend
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G
-from gauge_envs.tools.conformance import run_checks
 from gauge_envs.tools.recipes.materials import published_pairs
 from gauge_envs.tools.sanity.measure import Measurements
 from gauge_envs.tools.sanity.model import Verdict
@@ -103,28 +97,11 @@ def test_rolling_friction_is_read_from_the_path(arm_mm):
 
 
 def test_the_limit_of_rolling_is_the_largest_published_value():
-    (name, most), *_ = sorted(
-        (
-            (row["name"], float(row["rolling_mm"]))
-            for row in published_pairs()
-            if row["rolling_mm"] != "-"
-        ),
-        key=lambda pair: -pair[1],
-    )
-    assert (name, most) == ("hard-rubber-on-steel", MOST_ROLLING_MM)
+    rolling = [pair["rolling_mm"] for pair in published_pairs()]
+    assert max(float(arm) for arm in rolling if arm != "-") == MOST_ROLLING_MM
 
 
 # --- MuJoCo ----------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-def test_the_preset_has_the_values_of_the_conformance_checks():
-    names = ("grasp-creep", "grasp-sink")
-    known = {one.check: one.measured for one in run_checks("mujoco", only=names)}
-    for name in names:
-        assert MUJOCO.measure(phenomenon(name), {}).value == pytest.approx(
-            known[name], rel=1e-3
-        ), name
 
 
 @pytest.mark.parametrize(
@@ -212,17 +189,10 @@ def test_round_fingertips_without_torsional_friction_are_named(pad, spins):
     )
 
 
-def test_flat_pads_are_not_named():
-    assert checked(hand(**GOOD))[1].notes == ()
-
-
 def test_a_good_hand_has_no_flag():
     verdicts, report = checked(hand(**GOOD))
-    assert (
-        set(verdicts) == set(GRASP)
-        and set(verdicts.values()) == {Verdict.INSIDE}
-        and report.cure is None
-    )
+    assert verdicts == dict.fromkeys(GRASP, Verdict.INSIDE)
+    assert (report.cure, report.notes) == (None, ())
 
 
 FAULTS = {
@@ -247,18 +217,3 @@ def test_advice_that_is_followed_mends_the_hand(name):
     robot = report.configuration.robot
     mended, _ = checked(robot.changed(report.cure.changes)[0])
     assert set(mended.values()) == {Verdict.INSIDE}
-
-
-@pytest.mark.slow
-def test_the_command_of_the_page_finds_the_creep_of_mujoco_out_of_the_box(gauge):
-    page = (ROOT / "docs" / "sanity.md").read_text()
-    (command,) = re.findall(r"\ngauge (sanity [^\n]*grasp[^\n]*)\n", page)
-    outcome = gauge(*shlex.split(command), "--json")
-    rows = [json.loads(line) for line in outcome.stdout.splitlines()]
-    verdicts = {
-        row["phenomenon"]: row["verdict"] for row in rows if "phenomenon" in row
-    }
-    assert outcome.exit_code == 1 and set(verdicts) == set(GRASP)
-    assert [name for name, verdict in verdicts.items() if verdict != "inside"] == [
-        "grasp-creep"
-    ]

@@ -25,6 +25,7 @@ from gauge_envs.scene import Vector
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.bench.model_settings import ContactPairs
 from gauge_envs.tools.sanity.model import Settings
+from gauge_envs.tools.sanity.robot.mjcf_text import ModelText
 from gauge_envs.tools.sanity.robot.mujoco_feet import (
     Standing,
     acts_on_joints,
@@ -42,6 +43,15 @@ GEOM_FIELDS = {
     "condim": "condim",
 }
 """Attributes of a geom by the names of settings."""
+
+ELEMENT_FIELDS = GEOM_FIELDS | {
+    "equality_solref": "solref",
+    "equality_solimp": "solimp",
+}
+"""Attributes of geoms and of equalities by the names of settings."""
+
+ARRAYS = {"equality": "eq"}
+"""Begin of the names of arrays of a kind of element, where it is not the kind."""
 
 PAIRED = ("contact_solref", "contact_solimp")
 """Settings that explicit pairs state instead of their geoms, in the same form."""
@@ -92,7 +102,21 @@ class Robot:
         """Return an element of the model in words: its kind, and its name or number."""
         kind, number = place
         name = getattr(self.model, kind)(number).name
-        return f'{kind} "{name}"' if name else f"{kind} {number}"
+        text = f'{kind} "{name}"' if name else f"{kind} {number}"
+        if self.text is None:
+            return text
+        element = self.text.element(self.model, kind, number)
+        return text if element is None else f"{text} ({self.text.line(element)})"
+
+    @cached_property
+    def text(self) -> ModelText | None:
+        """Text of the model's files; None where it is not known."""
+        if self.file is None or self.spec is None:
+            return None
+        try:
+            return ModelText(self.file)
+        except (OSError, ValueError, KeyError):
+            return None
 
     @cached_property
     def _trial_model(self) -> mujoco.MjModel:
@@ -163,7 +187,9 @@ class Robot:
 
         Without a spec, these are the geoms with the most frequent value.
         """
-        field = GEOM_FIELDS[name]
+        field = GEOM_FIELDS.get(name)
+        if field is None:
+            return []
         if self.spec is None:
             values = getattr(self.model, f"geom_{field}").reshape(self.model.ngeom, -1)
             _, several, counts = np.unique(
@@ -192,36 +218,44 @@ class Robot:
         ]
         return set(np.unique(self.pairs.geoms[rows]).tolist())
 
-    def needs_default(self, name: str, value: Any) -> bool:
-        """Return whether a default changes a geom on the ground."""
-        array = getattr(self.model, f"geom_{GEOM_FIELDS[name]}")
-        return any(
-            not np.array_equal(array[g], value)
-            for g in self.reached_by_default(name)
-            if g in self.grounded
-        )
+    def changed(
+        self, changes: Settings
+    ) -> tuple[mujoco.MjModel, dict[str, list[Place]]]:
+        """Return a copy of the model with changes, and for each attribute of elements those that change.
 
-    def changed(self, changes: Settings) -> tuple[mujoco.MjModel, dict[str, list[int]]]:
-        """Return a copy of the model with changes, and the geoms on the ground that state attributes of their own.
-
-        Options are set; attributes of geoms reach those that take them from the default class, and each geom on the
-        ground that states its own is changed too.
+        Options are set. Attributes of geoms reach those that can touch the ground, and with them all that take them
+        from the default class; those of equalities reach the ones like the one that opens.
         """
-        stating: dict[str, list[int]] = {}
         model = copy.copy(self.model)
+        places: dict[str, list[Place]] = {}
         for name, value in changes.items():
-            if name not in GEOM_FIELDS:
+            field = ELEMENT_FIELDS.get(name)
+            if field is None:
                 set_option(model.opt, name, value)
                 continue
-            array = getattr(model, f"geom_{GEOM_FIELDS[name]}")
+            new, places[name] = of_one_geom(name, value), []
+            for kind, several in self._holders(name).items():
+                array = getattr(model, f"{ARRAYS.get(kind, kind)}_{field}")
+                for number in several:
+                    if not np.array_equal(array[number], new):
+                        places[name].append((kind, number))
+                        array[number] = new
             reached = self.reached_by_default(name)
-            others = self.grounded - set(reached)
-            stating[name] = sorted(
-                geom for geom in others if not np.array_equal(array[geom], value)
-            )
-            array[[*reached, *stating[name]]] = of_one_geom(name, value)
-            self._change_pairs(model, name, value)
-        return model, {name: geoms for name, geoms in stating.items() if geoms}
+            if any(("geom", number) in places[name] for number in reached):
+                getattr(model, f"geom_{field}")[reached] = new
+        return model, places
+
+    def _holders(self, name: str) -> dict[str, list[int]]:
+        """Return the elements whose attribute is to change, by their kind."""
+        if name in GEOM_FIELDS:
+            pairs = self.explicit_ground_pairs if name in PAIRED else []
+            return {"geom": sorted(self.grounded), "pair": pairs}
+        place = getattr(self.known.get("model-constraints"), "place", None)
+        if place is None or place[0] != "equality":
+            return {}
+        constants = np.column_stack([self.model.eq_solref, self.model.eq_solimp])
+        alike = (constants == constants[place[1]]).all(axis=1)
+        return {"equality": np.flatnonzero(alike).tolist()}
 
     @cached_property
     def explicit_ground_pairs(self) -> list[int]:
@@ -230,12 +264,6 @@ class Robot:
         pairs = {tuple(sorted(pair)) for pair in self.pairs.geoms[ground].tolist()}
         several = zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True)
         return [n for n, pair in enumerate(several) if tuple(sorted(pair)) in pairs]
-
-    def _change_pairs(self, model: mujoco.MjModel, name: str, value: Any) -> None:
-        """Give explicit pairs with the ground the constants, which their geoms do not decide."""
-        if name in PAIRED:
-            array = getattr(model, f"pair_{GEOM_FIELDS[name]}")
-            array[self.explicit_ground_pairs] = value
 
 
 def of_one_geom(name: str, value: Any) -> Any:

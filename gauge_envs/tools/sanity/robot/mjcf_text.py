@@ -1,0 +1,359 @@
+"""Find elements of a model in the text of its files, and change attributes there, so that a diff shows only these."""
+
+from __future__ import annotations
+
+import difflib
+import os
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import mujoco
+
+MARKUP = re.compile(
+    r"<!--.*?-->|<[?!][^>]*>"
+    r"""|<(?P<close>/?)(?P<tag>[\w:.-]+)(?P<inside>(?:[^>"'/]|/(?!>)|"[^"]*"|'[^']*')*)(?P<end>/?>)""",
+    re.DOTALL,
+)
+"""Comments and declarations, which are passed over, and tags."""
+
+ATTRIBUTE = re.compile(r"""([\w:.-]+)\s*=\s*("[^"]*"|'[^']*')""")
+
+TAGS = {"joint": ("joint", "freejoint"), "body": ("body", "link")}
+"""Tags of a kind of element that has several, with that of a URDF."""
+
+SECTIONS = {
+    **{name: name for name in ("actuator", "equality", "tendon", "sensor")},
+    "pair": "contact",
+    "key": "keyframe",
+}
+"""Section of the model in which elements of a kind stand, in the order of the compiled model."""
+
+COUNTS = {"actuator": "nu", "equality": "neq", "joint": "njnt"}
+"""Number of elements of a kind in the compiled model, where it is not `n` and the kind."""
+
+FIRST = ("compiler", "option", "size", "statistic", "visual")
+"""Sections in front of which no other one is inserted."""
+
+INCLUDE_DEPTH = 20
+"""Most files that include each other."""
+
+
+@dataclass(eq=False)
+class Element:
+    """An element of a model file.
+
+    Attributes:
+        tag: Its tag.
+        file: Its file.
+        start: Place of its start tag in the text of the file.
+        inside: Place behind its last attribute.
+        stop: Place behind its start tag.
+        places: Begin and end of the value of each attribute, with its quotes.
+        values: Its attributes.
+        parent: The element that holds it; None for the root.
+        children: What it holds; what is included follows its `<include>`.
+    """
+
+    tag: str
+    file: Path
+    start: int = 0
+    inside: int = 0
+    stop: int = 0
+    places: dict[str, tuple[int, int]] = field(default_factory=dict)
+    values: dict[str, str] = field(default_factory=dict)
+    parent: Element | None = None
+    children: list[Element] = field(default_factory=list)
+
+    def inner(self) -> Iterator[Element]:
+        """Yield all elements inside, in the order of the text."""
+        for child in self.children:
+            yield child
+            yield from child.inner()
+
+    def outer(self) -> Iterator[Element]:
+        """Yield this element, the one that holds it, and so on."""
+        yield self
+        if self.parent is not None:
+            yield from self.parent.outer()
+
+    def at(self, *tags: str) -> list[Element]:
+        """Return elements inside by the tags on the way to them."""
+        several = [self]
+        for tag in tags:
+            several = [
+                child for one in several for child in one.children if child.tag == tag
+            ]
+        return several
+
+
+class ModelText:
+    """Texts of a model file and of the files that it includes.
+
+    Args:
+        file: The model file.
+
+    Raises:
+        OSError: A file cannot be read.
+        ValueError: A file is not text in UTF-8, or has no element.
+    """
+
+    def __init__(self, file: Path) -> None:
+        self.file = file
+        self.texts: dict[Path, str] = {}
+        self.root = self._read(file, 0)
+
+    def _read(self, file: Path, depth: int) -> Element:
+        """Return the root of a file."""
+        if depth > INCLUDE_DEPTH:
+            raise ValueError(f"{file} includes itself")
+        text = self.texts[file] = file.read_bytes().decode("utf-8")
+        top = above = Element("", file)
+        for mark in MARKUP.finditer(text):
+            if mark["tag"] is None:
+                continue
+            if mark["close"]:
+                above = above.parent or top
+                continue
+            one = _element(mark, file, above)
+            above.children.append(one)
+            if one.tag == "include":
+                included = self._read(
+                    self.file.parent / one.values["file"], depth + 1
+                ).children
+                for child in included:
+                    child.parent = above
+                above.children += included
+            if mark["end"] == ">":
+                above = one
+        if not top.children:
+            raise ValueError(f"{file} has no element")
+        return top.children[0]
+
+    def line(self, element: Element) -> str:
+        """Return file and line of an element, such as `go1.xml:88`."""
+        number = self.texts[element.file].count("\n", 0, element.start) + 1
+        return f"{element.file.name}:{number}"
+
+    def element(self, model: mujoco.MjModel, kind: str, number: int) -> Element | None:
+        """Return an element of the compiled model; None where it is not sure which one it is.
+
+        Args:
+            model: The compiled model.
+            kind: Kind of the element, such as `joint`.
+            number: Its id.
+        """
+        count = getattr(model, COUNTS.get(kind, f"n{kind}"))
+        names = [getattr(model, kind)(index).name for index in range(count)]
+        several = self._several(kind)
+        texts = [one.values.get("name", "") for one in several]
+        if texts == names:
+            return several[number]
+        is_sure = bool(names[number]) and texts.count(names[number]) == 1
+        return several[texts.index(names[number])] if is_sure else None
+
+    def _several(self, kind: str) -> list[Element]:
+        """Return elements of a kind, those of each body before those of the bodies that it carries."""
+        if kind in SECTIONS:
+            inside = self.root.at(SECTIONS[kind])
+            tags = (kind,) if kind in ("pair", "key") else ()
+            return [c for one in inside for c in one.children if not tags or c.tag in tags]
+        bodies: dict[Element, int] = {}
+        several = []
+        for one in self.root.inner():
+            if one.tag == "body":
+                bodies[one] = len(bodies) + 1
+            holder = one.parent.tag if one.parent else ""
+            if one.tag in TAGS.get(kind, (kind,)) and holder not in NO_HOLDERS:
+                several.append(one)
+
+        def body(one: Element) -> int:
+            return next((bodies[o] for o in one.outer() if o in bodies), 0)
+
+        return sorted(several, key=body)
+
+
+class TextChange:
+    """Changes of attributes in the text of a model file.
+
+    Args:
+        model: Texts of the model.
+    """
+
+    def __init__(self, model: ModelText) -> None:
+        self.model = model
+        self._values: dict[tuple[Element, str], str] = {}
+        self._inserted: list[tuple[int, int, str]] = []
+
+    def state(
+        self, element: Element | None, kind: str, values: Mapping[str, str]
+    ) -> str:
+        """Give an element an attribute where it takes it from, and return file and line; empty for the default of all.
+
+        Args:
+            element: The element; None for the default of all.
+            kind: Its kind, in the default of all its tag.
+            values: The attribute and its new value.
+        """
+        for one in self._sources(element, kind):
+            for key in values.keys() & one.values.keys():
+                self._values[one, key] = values[key]
+                is_of_all = one in self.model.root.at("default", kind)
+                return "" if is_of_all else self.model.line(one)
+        self.put(("default", kind), values)
+        return ""
+
+    def _sources(self, element: Element | None, kind: str) -> Iterator[Element]:
+        """Yield an element and those of its classes, the nearest first, and at last those of the default of all."""
+        if element is not None:
+            yield element
+            names = (
+                one.values.get("childclass" if step else "class")
+                for step, one in enumerate(element.outer())
+            )
+            name = next(filter(None, names), None)
+            for one in self.model.root.inner():
+                if one.tag == "default" and one.values.get("class") == name:
+                    for above in one.outer():
+                        yield from reversed(above.at(kind))
+        yield from reversed(self.model.root.at("default", kind))
+
+    def put(self, tags: tuple[str, ...], values: Mapping[str, str]) -> None:
+        """Give a section attributes: in place, or in one that is inserted.
+
+        Args:
+            tags: Tags on the way to it, such as `option` and `flag`.
+            values: The attributes.
+        """
+        several = self.model.root.at(*tags)
+        left = dict(values)
+        for key in values:
+            stating = [one for one in several if key in one.values]
+            # A later section of the options counts; the default of all must stand in front of classes.
+            if stating and (stating[-1].file == self.model.file or tags[0] == "default"):
+                self._set(stating[-1], key, left.pop(key))
+        if not left:
+            return
+        tops = self.model.root.at(tags[0])
+        is_default = tags[0] == "default"
+        first = tops[:1] if is_default else tops[-1:]
+        if first and first[0].file == self.model.file:
+            inside = first[0].at(*tags[1:])
+            if inside:
+                for key, value in left.items():
+                    self._set(inside[-1], key, value)
+            else:
+                self._insert_inside(first[0], _tag(tags[1:], left))
+            return
+        places = [one for one in self.model.root.children if one.file == self.model.file]
+        includes = [one for one in places if one.tag == "include"]
+        if includes and not is_default:
+            self._insert(includes[-1], _tag(tags, left), is_behind=True)
+            return
+        others = [one for one in places if one.tag not in FIRST]
+        self._insert((others or places)[0], _tag(tags, left))
+
+    def move(self, folder: Path) -> None:
+        """State included files and the folders of meshes and textures as seen from another folder."""
+        source, target = self.model.file.parent.resolve(), folder.resolve()
+        if source == target:
+            return
+        for one in self.model.root.inner():
+            if one.tag == "include" and one.file == self.model.file:
+                self._set(one, "file", os.path.relpath(source / one.values["file"], target))
+        folders = {}
+        for key in ("meshdir", "texturedir"):
+            stated = ""
+            for one in self.model.root.at("compiler"):
+                stated = one.values.get(key, one.values.get("assetdir", stated))
+            folders[key] = os.path.relpath(source / stated, target)
+        if any(one.values.get("file") for one in self.model.root.inner() if one.tag != "include"):
+            self.put(("compiler",), folders)
+
+    def _set(self, element: Element, key: str, value: str) -> None:
+        self._values[element, key] = value
+
+    def _indent(self, element: Element) -> str:
+        """Return the white space in front of an element on its line."""
+        before = self.model.texts[element.file][: element.start].rpartition("\n")[2]
+        return before if before.isspace() else ""
+
+    def _insert(self, element: Element, text: str, *, is_behind: bool = False) -> None:
+        """Insert text on a line before an element, or behind its start tag."""
+        gap = "\n" + self._indent(element)
+        place = element.stop if is_behind else element.start
+        self._inserted.append((place, place, gap + text if is_behind else text + gap))
+
+    def _insert_inside(self, element: Element, text: str) -> None:
+        """Insert text as the first child of an element."""
+        if element.children:
+            self._insert(element.children[0], text)
+            return
+        gap = "\n" + self._indent(element)
+        is_empty = self.model.texts[self.model.file].startswith("/", element.inside)
+        end = f"{gap}</{element.tag}>" if is_empty else ""
+        self._inserted.append((element.inside, element.stop, f">{gap}  {text}{end}"))
+
+    @property
+    def elsewhere(self) -> list[str]:
+        """Changes of included files, which are not written, in words."""
+        return [
+            f'{self.model.line(element)}: {key}="{value}"'
+            for (element, key), value in self._values.items()
+            if element.file != self.model.file
+        ]
+
+    @property
+    def text(self) -> str:
+        """Text of the model file with all changes."""
+        edits = []
+        for (element, key), value in self._values.items():
+            if element.file != self.model.file:
+                continue
+            if key in element.places:
+                edits.append((*element.places[key], f'"{value}"'))
+            else:
+                edits.append((element.inside, element.inside, f' {key}="{value}"'))
+        before, parts, done = self.model.texts[self.model.file], [], 0
+        for start, stop, new in sorted([*edits, *self._inserted], key=lambda e: e[:2]):
+            parts += [before[done:start], new]
+            done = stop
+        return "".join([*parts, before[done:]])
+
+    @property
+    def diff(self) -> tuple[str, ...]:
+        """Changed lines, which start with `- ` or `+ `."""
+        texts = (self.model.texts[self.model.file].splitlines(), self.text.splitlines())
+        lines = [*difflib.unified_diff(*texts, n=0, lineterm="")][2:]
+        return tuple(
+            f"{line[0]} {line[1:].strip()}" for line in lines if line[0] in "+-"
+        )
+
+
+NO_HOLDERS = ("default", "equality", "fixed", "spatial", "contact", "transmission")
+"""Elements inside of which a tag names no element of the kind."""
+
+
+def _element(mark: re.Match[str], file: Path, above: Element) -> Element:
+    start = mark.start("inside")
+    found = [*ATTRIBUTE.finditer(mark["inside"])]
+    return Element(
+        mark["tag"],
+        file,
+        mark.start(),
+        start + len(mark["inside"].rstrip()),
+        mark.end(),
+        {one[1]: (start + one.start(2), start + one.end(2)) for one in found},
+        {one[1]: one[2][1:-1] for one in found},
+        above,
+    )
+
+
+def _tag(tags: tuple[str, ...], values: Mapping[str, str]) -> str:
+    """Return an element inside of others as text."""
+    attributes = "".join(f' {key}="{value}"' for key, value in values.items())
+    text = f"<{tags[-1]}{attributes}/>"
+    for tag in reversed(tags[:-1]):
+        text = f"<{tag}>{text}</{tag}>"
+    return text
