@@ -12,11 +12,14 @@ from gauge_envs.tools.sanity.stacks.dialect import Dialect
 STEP_S = 0.002
 """Recommended step [s]."""
 
-STIFF_SOLREF, DEFAULT_SOLREF = (0.004, 1.0), (0.02, 1.0)
-"""Recommended and documented time constant [s] and damping ratio of contacts of MuJoCo."""
+STIFF_SOLREF, FIRM_SOLREF, DEFAULT_SOLREF = (0.004, 1.0), (0.01, 1.0), (0.02, 1.0)
+"""Recommended, medium and documented time constant [s] and damping ratio of contacts of MuJoCo."""
 
 STIFF_SOLIMP = (0.95, 0.95, 0.001, 0.5, 2.0)
 """Recommended impedance of contacts of MuJoCo."""
+
+STIFF_EQUALITY = (0.999, 0.999, 0.001, 0.5, 2.0)
+"""Impedance of equalities that open by a thousandth of what one without stiffness would."""
 
 RECOMMENDED_MUJOCO: Settings = {
     "timestep_s": STEP_S,
@@ -52,14 +55,19 @@ CANDIDATES: Mapping[str, Sequence[Settings]] = {
         {"condim": 3},
         {"cone": "elliptic"},
         {"contact_solref": DEFAULT_SOLREF},
+        {"contact_solref": FIRM_SOLREF},
         {"contact_solref": STIFF_SOLREF},
         {"contact_solimp": STIFF_SOLIMP},
         {"impratio": 10.0, "contact_solimp": STIFF_SOLIMP},
         {"cone": "elliptic", "impratio": 10.0},
         {"cone": "elliptic", "impratio": 10.0, "contact_margin_m": 0.0},
+        {"cone": "elliptic", "contact_solref": FIRM_SOLREF},
         {"cone": "elliptic", "contact_solref": STIFF_SOLREF},
         {"contact_solref": STIFF_SOLREF, "contact_solimp": STIFF_SOLIMP},
+        {"integrator": "implicitfast"},
+        {"integrator": "RK4"},
         {"timestep_s": STEP_S},
+        {"timestep_s": STEP_S, "integrator": "implicitfast"},
         RECOMMENDED_MUJOCO,
     ),
     "physx": (
@@ -82,25 +90,49 @@ ABSENT = {"contact_margin_m": 0.0, "refsafe": True, "condim": 3}
 """Values in effect where a target states none."""
 
 
+ROW_CANDIDATES: Mapping[str, Sequence[Settings]] = {
+    "model-sleep": ({"sleep_tolerance": 1e-5}, {"sleep": False}),
+    "model-constraints": (
+        {"equality_solref": STIFF_SOLREF},
+        {"equality_solimp": STIFF_EQUALITY},
+        {"equality_solref": STIFF_SOLREF, "equality_solimp": STIFF_EQUALITY},
+    ),
+}
+"""Changes for single rows, which are tried alone, and the last one with each of the others."""
+
+
 def candidates_of(
-    configuration: TrainingConfiguration, dialect: Dialect
+    configuration: TrainingConfiguration, dialect: Dialect, flags: Sequence[str]
 ) -> list[dict[str, Any]]:
-    """Return the changes that differ from the settings of a configuration and that its dialect can state."""
+    """Return the changes that differ from the settings of a configuration and that its dialect can state.
+
+    Args:
+        configuration: The configuration.
+        dialect: Dialect of the target.
+        flags: Ids of the flagged rows.
+    """
     sets = [configuration.settings, *configuration.contact_sets.values()]
-    least: Settings = {}
+    least: dict[str, Any] = {}
     if sets[0].get("iterations", math.inf) < FEW_ITERATIONS["iterations"]:
         # Other changes let a body slide that starts to move, and not one that has rested.
-        least = FEW_ITERATIONS
-    found: list[dict[str, Any]] = []
-    for changes in CANDIDATES.get(configuration.backend, ()):
+        least |= FEW_ITERATIONS
+    single = [one for name in flags for one in ROW_CANDIDATES.get(name, ())]
+    for name in flags:
+        least |= ROW_CANDIDATES.get(name, ({},))[-1]
+    general = CANDIDATES.get(configuration.backend, ())
+    step_s = sets[0].get("timestep_s")
+    if configuration.backend == "mujoco" and step_s is not None:
+        general = (*general, {"timestep_s": step_s / 2.0})
+    several: list[dict[str, Any]] = []
+    for changes in (*single, *({**least, **one} for one in general)):
         new = {
             name: value
-            for name, value in {**least, **changes}.items()
+            for name, value in changes.items()
             if dialect.writes(name) and any(_is_new(name, value, one) for one in sets)
         }
-        if new and new not in found:
-            found.append(new)
-    return found
+        if new and new not in several:
+            several.append(new)
+    return several
 
 
 def _is_new(name: str, value: Any, settings: Settings) -> bool:

@@ -1,4 +1,4 @@
-"""Write the mended model of a target: the cure of a check in its file, compiled and checked before it is there."""
+"""Write the model of a target with the change that its check found, compiled and checked again before it is there."""
 
 from __future__ import annotations
 
@@ -7,13 +7,14 @@ from secrets import token_hex
 
 from gauge_envs.errors import ParameterError, ResultFileError, TargetError
 from gauge_envs.files import check_replaceable, os_errors
+from gauge_envs.tools.sanity.cure import written_change
 from gauge_envs.tools.sanity.model import Report
 from gauge_envs.tools.sanity.run import check
-from gauge_envs.tools.sanity.stacks import configuration as configuration_of
+from gauge_envs.tools.sanity.stacks import configuration as configuration_of, dialect
 
 
 def check_can_mend(file: Path) -> None:
-    """Check that a mended model can have the name of a file."""
+    """Check that a changed model can have the name of a file."""
     if file.suffix != ".xml":
         raise ParameterError(
             f"--fix {file}: expected the name of an MJCF file, as OUT.xml"
@@ -25,7 +26,7 @@ def check_can_mend(file: Path) -> None:
 
 
 def write_mended(report: Report, file: Path) -> str:
-    """Write the model of a report with its cure, unless the written file shows flags that the cure does not leave.
+    """Write the text of a report's model with the change, unless the written file has flags that the change removes.
 
     Args:
         report: Report of a check with the rows that are run again.
@@ -35,33 +36,38 @@ def write_mended(report: Report, file: Path) -> str:
         What was written, or why nothing was, in words.
 
     Raises:
-        TargetError: The target is not a model whose file is known, or the written model behaves otherwise.
+        TargetError: The target's text is not known or not MJCF, another file states what changes, or the written model
+            does not compile or has further flags.
     """
-    from gauge_envs.tools.sanity.robot.mended_model import mended_xml
-
     checked, cure = report.configuration, report.cure
     before = set(report.flags)
     if cure is None:
-        reason = "no change mends a flag" if before else "nothing is flagged"
+        reason = "no change corrects a flag" if before else "nothing is flagged"
         return f"{file} is not written: {reason}"
-    if checked.robot is None or checked.robot.spec is None:
+    words = dialect(checked.language)
+    robot = checked.robot
+    text = robot and written_change(robot, words, cure.changes).text
+    if text is None or text.model.root.tag != "mujoco":
         raise TargetError(
-            f"{checked.name}: --fix writes models whose MJCF file is the target: paste the change instead"
+            f"{checked.name}: --fix changes the text of an MJCF file, which the target is not: paste the change instead"
         )
-    text = mended_xml(checked.robot, cure.changes, [cure.line], file.parent)
+    if text.elsewhere:
+        raise TargetError(
+            f"{file} is not written: change {', '.join(text.elsewhere)}, which {text.model.file.name} includes"
+        )
+    text.move(file.parent)
     part = file.with_name(f".{token_hex(8)}.{file.name}")
     with os_errors(
         lambda cause: ResultFileError(f"{file}: cannot be written: {cause}")
     ):
         file.parent.mkdir(parents=True, exist_ok=True)
         try:
-            part.write_text(text, encoding="utf-8", newline="\n")
+            part.write_text(text.text(text.model.file), encoding="utf-8", newline="")
             after = _flags(part, report)
-            new, left = after - before, after & before
-            if new or len(left) > cure.flag_count - cure.mended_count:
+            left = after - (before - set(cure.mended))
+            if left:
                 raise TargetError(
-                    f"{file} is not written: the mended model, read again, has the flags "
-                    f"{', '.join(sorted(new | left))}"
+                    f"{file} is not written: the changed model, read again, has the flags {', '.join(sorted(left))}"
                 )
             part.replace(file)
         finally:

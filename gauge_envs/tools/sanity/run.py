@@ -111,8 +111,9 @@ def check(
             )
         cure: Cure | None = None
         tried: tuple[str, ...] = ()
+        trade = ""
         if explain:
-            cure, tried = run.cure(rows)
+            cure, tried, trade = run.cure(rows)
     notes = []
     if run.is_cut_short:
         notes.append(
@@ -131,6 +132,7 @@ def check(
         wall_s=time.perf_counter() - started,
         cure=cure,
         tried=tried,
+        trade=trade,
         notes=tuple(notes),
         asked=tuple(name for name in chosen if name in only),
     )
@@ -166,12 +168,12 @@ class _Run:
 
     def cure(
         self, rows: Sequence[PhenomenonResult]
-    ) -> tuple[Cure | None, tuple[str, ...]]:
-        """Return the change that corrects most flags, None without a flag or a cure, and what else was tried."""
+    ) -> tuple[Cure | None, tuple[str, ...], str]:
+        """Return the change that corrects most flags, what else was tried, and the best trade; see `find_cure`."""
         words = dialect(self._configuration.language)
         search = (self._configuration, words, self._measurements, rows)
         found = self._in_time(partial(find_cure, *search))
-        return (None, ()) if found is None else found
+        return (None, (), "") if found is None else found
 
     def _in_time(self, work: Callable[[], Any]) -> Any:
         """Return the result of work; None when the time limit is reached."""

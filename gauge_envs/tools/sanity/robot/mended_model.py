@@ -37,6 +37,11 @@ class WrittenChange:
     in_default: list[str] = field(default_factory=list)
     elsewhere: list[str] = field(default_factory=list)
 
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """Changed lines, which start with `- ` or `+ `; empty where the text is not known."""
+        return () if self.text is None else self.text.diff
+
 
 def write_change(
     robot: Robot, changes: Settings, assignments: Mapping[str, Assignment]
@@ -50,24 +55,21 @@ def write_change(
     """
     text = None if robot.text is None else TextChange(robot.text)
     written = WrittenChange(text=text)
-    sections: dict[tuple[str, ...], dict[str, str]] = {}
+    sections: dict[str, dict[str, str]] = {}
     _, places = robot.changed(changes)
     for name, (place, key, value) in assignments.items():
         if name not in ELEMENT_FIELDS:
             written.in_default.append(name)
-            tags = ("option", "flag") if place == "flag" else (place,)
-            sections.setdefault(tags, {})[key] = value
+            sections.setdefault(place, {})[key] = value
             continue
-        stated = [
-            _stated(robot, text, name, one, {key: value}) for one in places[name]
-        ]
+        stated = [_stated(robot, text, name, one, {key: value}) for one in places[name]]
         written.in_default += [name] * ("" in stated)
         if named := [*dict.fromkeys(filter(None, stated))]:
             listed = first_names(named, MAX_NAMES)
             written.elsewhere.append(f'{key}="{value}" in {listed}')
-    for tags, values in sections.items():
+    for place, values in sections.items():
         if text is not None:
-            text.put(tags, values)
+            text.put(("option", "flag") if place == "flag" else (place,), values)
     return written
 
 
@@ -80,7 +82,7 @@ def _stated(
 ) -> str:
     """Write an attribute of an element, and return where; empty for the default of all."""
     kind, number = place
-    element = text and text.model.element(robot.model, kind, number)
+    element = None if text is None else text.model.element(robot.model, kind, number)
     is_of_all = kind == "geom" and number in robot.reached_by_default(name)
     if text is not None and (element is not None or is_of_all):
         return text.state(element, kind, values)

@@ -158,7 +158,9 @@ class ModelText:
         if kind in SECTIONS:
             inside = self.root.at(SECTIONS[kind])
             tags = (kind,) if kind in ("pair", "key") else ()
-            return [c for one in inside for c in one.children if not tags or c.tag in tags]
+            return [
+                c for one in inside for c in one.children if not tags or c.tag in tags
+            ]
         bodies: dict[Element, int] = {}
         several = []
         for one in self.root.inner():
@@ -231,7 +233,9 @@ class TextChange:
         for key in values:
             stating = [one for one in several if key in one.values]
             # A later section of the options counts; the default of all must stand in front of classes.
-            if stating and (stating[-1].file == self.model.file or tags[0] == "default"):
+            if stating and (
+                stating[-1].file == self.model.file or tags[0] == "default"
+            ):
                 self._set(stating[-1], key, left.pop(key))
         if not left:
             return
@@ -246,7 +250,9 @@ class TextChange:
             else:
                 self._insert_inside(first[0], _tag(tags[1:], left))
             return
-        places = [one for one in self.model.root.children if one.file == self.model.file]
+        places = [
+            one for one in self.model.root.children if one.file == self.model.file
+        ]
         includes = [one for one in places if one.tag == "include"]
         if includes and not is_default:
             self._insert(includes[-1], _tag(tags, left), is_behind=True)
@@ -261,14 +267,20 @@ class TextChange:
             return
         for one in self.model.root.inner():
             if one.tag == "include" and one.file == self.model.file:
-                self._set(one, "file", os.path.relpath(source / one.values["file"], target))
+                self._set(
+                    one, "file", os.path.relpath(source / one.values["file"], target)
+                )
         folders = {}
         for key in ("meshdir", "texturedir"):
             stated = ""
             for one in self.model.root.at("compiler"):
                 stated = one.values.get(key, one.values.get("assetdir", stated))
             folders[key] = os.path.relpath(source / stated, target)
-        if any(one.values.get("file") for one in self.model.root.inner() if one.tag != "include"):
+        if any(
+            one.values.get("file")
+            for one in self.model.root.inner()
+            if one.tag != "include"
+        ):
             self.put(("compiler",), folders)
 
     def _set(self, element: Element, key: str, value: str) -> None:
@@ -297,38 +309,37 @@ class TextChange:
 
     @property
     def elsewhere(self) -> list[str]:
-        """Changes of included files, which are not written, in words."""
+        """Changes of included files, in words."""
         return [
-            f'{self.model.line(element)}: {key}="{value}"'
+            f'{key}="{value}" in {self.model.line(element)}'
             for (element, key), value in self._values.items()
             if element.file != self.model.file
         ]
 
-    @property
-    def text(self) -> str:
-        """Text of the model file with all changes."""
-        edits = []
+    def text(self, file: Path) -> str:
+        """Return the text of a file with all changes."""
+        edits = self._inserted * (file == self.model.file)
         for (element, key), value in self._values.items():
-            if element.file != self.model.file:
+            if element.file != file:
                 continue
             if key in element.places:
                 edits.append((*element.places[key], f'"{value}"'))
             else:
                 edits.append((element.inside, element.inside, f' {key}="{value}"'))
-        before, parts, done = self.model.texts[self.model.file], [], 0
-        for start, stop, new in sorted([*edits, *self._inserted], key=lambda e: e[:2]):
+        before, done, parts = self.model.texts[file], 0, []
+        for start, stop, new in sorted(edits, key=lambda edit: edit[:2]):
             parts += [before[done:start], new]
             done = stop
         return "".join([*parts, before[done:]])
 
     @property
     def diff(self) -> tuple[str, ...]:
-        """Changed lines, which start with `- ` or `+ `."""
-        texts = (self.model.texts[self.model.file].splitlines(), self.text.splitlines())
-        lines = [*difflib.unified_diff(*texts, n=0, lineterm="")][2:]
-        return tuple(
-            f"{line[0]} {line[1:].strip()}" for line in lines if line[0] in "+-"
-        )
+        """Changed lines of all files, which start with `- ` or `+ `."""
+        lines: list[str] = []
+        for file, before in self.model.texts.items():
+            texts = before.splitlines(), self.text(file).splitlines()
+            lines += [*difflib.unified_diff(*texts, n=0, lineterm="")][2:]
+        return tuple(f"{one[0]} {one[1:].strip()}" for one in lines if one[0] in "+-")
 
 
 NO_HOLDERS = ("default", "equality", "fixed", "spatial", "contact", "transmission")
