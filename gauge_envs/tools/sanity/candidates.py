@@ -13,23 +13,26 @@ STEP_S = 0.002
 """Recommended step [s]."""
 
 STIFF_SOLREF, FIRM_SOLREF, DEFAULT_SOLREF = (0.004, 1.0), (0.01, 1.0), (0.02, 1.0)
-"""Recommended, medium and documented time constant [s] and damping ratio of contacts of MuJoCo."""
+"""Short, medium and documented time constant [s] and damping ratio of contacts of MuJoCo.
 
-STIFF_SOLIMP = (0.95, 0.95, 0.001, 0.5, 2.0)
-"""Recommended impedance of contacts of MuJoCo."""
+A time constant below ten steps makes bodies hop that slide fast; see `guards`.
+"""
+
+HARD_SOLIMP = (0.99, 0.99, 0.001, 0.5, 2.0)
+"""Impedance with which contacts of MuJoCo yield by a hundredth of what holds a body without them."""
 
 STIFF_EQUALITY = (0.999, 0.999, 0.001, 0.5, 2.0)
-"""Impedance of equalities that open by a thousandth of what one without stiffness would."""
+"""The same of equalities, by a thousandth."""
 
 RECOMMENDED_MUJOCO: Settings = {
     "timestep_s": STEP_S,
     "integrator": "implicitfast",
     "cone": "elliptic",
-    "impratio": 100.0,
+    "impratio": 10.0,
     "iterations": 100,
     "ls_iterations": 50,
-    "contact_solref": STIFF_SOLREF,
-    "contact_solimp": STIFF_SOLIMP,
+    "contact_solref": DEFAULT_SOLREF,
+    "contact_solimp": HARD_SOLIMP,
     "contact_margin_m": 0.0,
     "refsafe": True,
 }
@@ -53,22 +56,25 @@ CANDIDATES: Mapping[str, Sequence[Settings]] = {
         {"refsafe": True},
         {"contact_margin_m": 0.0},
         {"condim": 3},
-        {"cone": "elliptic"},
         {"contact_solref": DEFAULT_SOLREF},
+        {"contact_solimp": HARD_SOLIMP},
         {"contact_solref": FIRM_SOLREF},
+        {"contact_solref": DEFAULT_SOLREF, "contact_solimp": HARD_SOLIMP},
+        {"cone": "elliptic"},
+        {"cone": "elliptic", "contact_solimp": HARD_SOLIMP},
+        {"cone": "elliptic", "contact_solref": FIRM_SOLREF},
         {"contact_solref": STIFF_SOLREF},
-        {"contact_solimp": STIFF_SOLIMP},
-        {"impratio": 10.0, "contact_solimp": STIFF_SOLIMP},
+        {"cone": "elliptic", "contact_solref": STIFF_SOLREF},
+        {"impratio": 10.0, "contact_solimp": HARD_SOLIMP},
         {"cone": "elliptic", "impratio": 10.0},
         {"cone": "elliptic", "impratio": 10.0, "contact_margin_m": 0.0},
-        {"cone": "elliptic", "contact_solref": FIRM_SOLREF},
-        {"cone": "elliptic", "contact_solref": STIFF_SOLREF},
-        {"contact_solref": STIFF_SOLREF, "contact_solimp": STIFF_SOLIMP},
         {"integrator": "implicitfast"},
         {"integrator": "RK4"},
         {"timestep_s": STEP_S},
         {"timestep_s": STEP_S, "integrator": "implicitfast"},
         RECOMMENDED_MUJOCO,
+        {**RECOMMENDED_MUJOCO, "contact_solref": STIFF_SOLREF},
+        {**RECOMMENDED_MUJOCO, "timestep_s": 0.001, "contact_solref": FIRM_SOLREF},
     ),
     "physx": (
         {"bounce_threshold_m_per_s": 0.1},

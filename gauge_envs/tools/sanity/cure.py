@@ -41,7 +41,13 @@ CHANGED_ROBOT_IDS = frozenset(
 GROWTH = 1.0
 """Growth of a deviation that makes a flagged row worse, in half-widths of the interval of reality."""
 
-SPEED_BLOCKS, BLOCK_S = 5, 0.02
+MAX_RESTORED = 2
+"""Most settings that are left out and restored one by one; after them all are restored."""
+
+MAX_SLOW = 4
+"""Most measurements of rows on scenes of many bodies, and on the target's own model, that rank changes."""
+
+SPEED_BLOCKS, BLOCK_S = 4, 0.02
 """Number and least time [s] of the pieces in which the speed of a model is measured; the fastest one counts."""
 
 
@@ -66,8 +72,8 @@ def find_cure(
 ) -> tuple[Cure | None, tuple[str, ...], str]:
     """Return the smallest change that corrects most flags and harms no row, what else was tried, and the best trade.
 
-    The change is None when none corrects a flag without harm. The trade is then the change that corrects most, with
-    its price; it is empty when no change corrects a flag.
+    The change is None when none corrects a flag without harm. The trade is the change that corrects most, with its
+    price; it is empty when the change without harm corrects as many flags.
 
     Args:
         configuration: The checked configuration.
@@ -111,7 +117,7 @@ class _Search:
     def run(self) -> tuple[Cure | None, tuple[str, ...], str]:
         """Return what `find_cure` does."""
         tried: list[str] = []
-        trade = ""
+        best, trade = 0, ""
         if not self._flags:
             return None, (), ""
         candidates = candidates_of(self._configuration, self._dialect, self._flags)
@@ -124,9 +130,11 @@ class _Search:
             effect = self._effect(corrected)
             if harm := self._harm(changes, corrected):
                 tried.append(f"{pasted}: {effect}, but {', '.join(harm)}")
-                trade = trade or tried[-1]
+                if len(corrected) > best:
+                    best, trade = len(corrected), tried[-1]
                 continue
-            return self._cure(changes, corrected), tuple(tried), ""
+            cure = self._cure(changes, corrected)
+            return cure, tuple(tried), trade if best > cure.mended_count else ""
         return None, tuple(tried), trade
 
     # --- measurements ------------------------------------------------------------------------------------------------
@@ -139,10 +147,17 @@ class _Search:
 
     def _outcome(self, changes: Settings, name: str) -> Outcome:
         """Return the outcome of a row after changes."""
-        key = str(sorted(changes.items())), name
+        key = _key(changes, name)
         if key not in self._known:
             self._known[key] = self._measured(self._changed(changes), name)
         return self._known[key]
+
+    def _is_slow(self, name: str) -> bool:
+        """Return whether a row is on the target's own model or on a scene of many bodies."""
+        return name in STATED_IDS or phenomenon(name).has_many_bodies
+
+    def _is_known(self, changes: Settings, name: str) -> bool:
+        return _key(changes, name) in self._known
 
     def _measured(self, changed: TrainingConfiguration, name: str) -> Outcome:
         if name in STATED_IDS:
@@ -165,19 +180,22 @@ class _Search:
         Of equal ones, those with fewer settings come first, then the order of the candidates counts. A row is measured
         only while its candidate may still correct the most, and rows on scenes of many bodies last.
         """
-        slow = [
-            name
-            for name in self._flags
-            if name in STATED_IDS or phenomenon(name).has_many_bodies
-        ]
-        names = sorted(self._flags, key=lambda name: name in slow)
+        names = sorted(self._flags, key=self._is_slow)
         queue = [(0, len(one), index, 0) for index, one in enumerate(candidates)]
         heapify(queue)
+        slow_count = 0
         while queue:
             failed, size, index, count = heappop(queue)
             changes = candidates[index]
             if count == len(names):
-                yield changes, [one for one in names if self._corrects(changes, one)]
+                known = (one for one in names if self._is_known(changes, one))
+                yield changes, [one for one in known if self._corrects(changes, one)]
+                continue
+            is_slow = self._is_slow(names[count])
+            if is_slow and not self._is_known(changes, names[count]):
+                slow_count += 1
+            if is_slow and slow_count > MAX_SLOW:
+                heappush(queue, (failed + len(names) - count, size, index, len(names)))
                 continue
             try:
                 failed += not self._corrects(changes, names[count])
@@ -187,47 +205,37 @@ class _Search:
             heappush(queue, (failed, size, index, count + 1))
 
     def _harm(self, changes: Settings, corrected: Sequence[str]) -> list[str]:
-        """Return rows that a change makes worse, and how far bodies that slide hop after it, in words."""
-        worse = [
-            self._came(name, changes)
-            for name, before in self._before.items()
-            if name not in corrected and _is_worse(before, self._outcome(changes, name))
-        ]
+        """Return rows that a change makes worse, and how far sliding bodies hop after it, in words; slow rows last."""
+        worse = []
         if self._configuration.backend == "mujoco":
-            hops_mm = [
-                max(
-                    hop_mm(self._measurements, settings)
-                    for settings in one.contact_sets.values()
+            before_mm, after_mm = (
+                max(hop_mm(self._measurements, one) for one in sets.values())
+                for sets in (
+                    self._configuration.contact_sets,
+                    self._changed(changes).contact_sets,
                 )
-                for one in (self._configuration, self._changed(changes))
-            ]
-            if hops_more(*hops_mm):
-                worse.append(
-                    f"sliding bodies hop {hops_mm[0]:.2g} to {hops_mm[1]:.2g} mm"
-                )
+            )
+            if hops_more(before_mm, after_mm):
+                worse.append(f"sliding bodies hop {before_mm:.2g} to {after_mm:.2g} mm")
+        for name in sorted(self._before, key=self._is_slow):
+            if worse and self._is_slow(name):
+                break
+            after = None if name in corrected else self._outcome(changes, name)
+            if after is not None and _is_worse(self._before[name], after):
+                worse.append(self._came(name, changes))
         return worse
 
     # --- the chosen change -------------------------------------------------------------------------------------------
 
     def _cure(self, changes: Settings, corrected: Sequence[str]) -> Cure:
         """Return a change without the settings that it does not need, and what each of the others corrects alone."""
-        for name in [*changes]:
-            fewer = {key: value for key, value in changes.items() if key != name}
-            if (
-                fewer
-                and all(self._corrects(fewer, row) for row in corrected)
-                and not self._harm(fewer, corrected)
-            ):
-                changes = fewer
+        changes = self._minimal(changes, corrected)
         parts = []
         for name, value in changes.items():
             alone = {name: value}
-            corrects = [row for row in corrected if self._corrects(alone, row)]
-            parts.append(
-                ChangePart(
-                    text=self._dialect.paste_text(alone), corrects=tuple(corrects)
-                )
-            )
+            corrects = self._quick(corrected, alone) if len(changes) > 1 else corrected
+            text = self._dialect.paste_text(alone)
+            parts.append(ChangePart(text=text, corrects=tuple(corrects)))
         robot, written = self._configuration.robot, self._written(changes)
         return Cure(
             changes=changes,
@@ -238,6 +246,39 @@ class _Search:
             parts=tuple(parts),
             speed_ratio=None if robot is None else speed_ratio(robot, changes),
         )
+
+    def _minimal(self, changes: Settings, corrected: Sequence[str]) -> Settings:
+        """Return a change without the settings that it does not need to correct rows."""
+        quick = [name for name in corrected if not self._is_slow(name)] or [*corrected]
+        least, left_out = dict(changes), {}
+        for name in [*changes, *changes]:
+            fewer = {key: value for key, value in least.items() if key != name}
+            needed = next((r for r in quick if not self._corrects(fewer, r)), None)
+            if needed is not None:
+                # What one change needs, the next one often needs too.
+                quick.remove(needed)
+                quick.insert(0, needed)
+            elif fewer and name in least:
+                left_out[name] = least.pop(name)
+        count = len(left_out)
+        while left_out and not (
+            all(self._corrects(least, row) for row in corrected)
+            and not self._harm(least, corrected)
+        ):
+            name, value = left_out.popitem()
+            least[name] = value
+            if len(left_out) < count - MAX_RESTORED:
+                return changes
+        return least
+
+    def _quick(self, corrected: Sequence[str], alone: Settings) -> list[str]:
+        """Return rows that one setting corrects alone; slow ones only where it corrects all others."""
+        rows = [name for name in corrected if not self._is_slow(name)]
+        several = [name for name in rows if self._corrects(alone, name)]
+        slow = [name for name in corrected if self._is_slow(name)]
+        if len(several) == len(rows):
+            several += [name for name in slow if self._corrects(alone, name)]
+        return several
 
     def _written(self, changes: Settings) -> WrittenChange | None:
         """Return a change in the text of the target's model; None without a model."""
@@ -269,6 +310,10 @@ class _Search:
         default = {name: changes[name] for name in written.in_default}
         pasted = self._dialect.paste_text(default) if default else ""
         return " and ".join(filter(None, [pasted, *written.elsewhere]))
+
+
+def _key(changes: Settings, name: str) -> tuple[str, str]:
+    return str(sorted(changes.items())), name
 
 
 def _is_worse(before: Outcome, after: Outcome) -> bool:

@@ -1,6 +1,8 @@
 """The cure: planted contact faults are corrected by the first line and by the written file, and two targets differ."""
 
 import json
+import re
+from difflib import SequenceMatcher
 
 import mujoco
 import pytest
@@ -14,7 +16,6 @@ OPTION = 'timestep="0.002" integrator="implicitfast"'
 FLAT = f'{OPTION} cone="elliptic" impratio="100"'
 
 PLANTED = {
-    "gravity": ({"option": f'{FLAT} gravity="0 0 -9"'}, "gravity", "gravity"),
     "margin": ({"geom": GOOD["geom"] + ' margin="0.01"'}, "rest-height", "margin"),
     "solimp": (
         {"geom": 'solref="0.02 1" solimp="0 0.8 0.01"'},
@@ -27,7 +28,7 @@ PLANTED = {
     "impratio": (
         {"option": f'{OPTION} cone="elliptic" impratio="0.01"'},
         "creep-wood",
-        "impratio",
+        "solimp",
     ),
     "iterations": (
         {"option": 'timestep="0.004" iterations="1" ls_iterations="5"', "geom": ""},
@@ -46,7 +47,7 @@ def test_a_planted_fault_is_corrected_by_the_first_line(name):
     report = check(model, only=[row])
     assert [*report.flags] == [row]
     assert report.cure is not None and attribute in report.cure.line
-    changed, _ = applied(report.configuration, report.cure.changes)
+    changed = applied(report.configuration, report.cure.changes)
     assert not check(changed, only=[row]).flags
 
 
@@ -66,25 +67,88 @@ PAIRS = "".join(
     f'<pair geom1="floor" geom2="{leg}_foot" solref="0.2 1"/>'
     for leg in ("FL", "FR", "RL", "RR")
 )
-PICTURE = '<asset><texture name="one" type="2d" file="absent.png"/></asset>'
+
+
+def written(gauge, folder, text, row, out="out/fixed.xml"):
+    """Return the lines of a model that `--fix` changes, as pairs of before and after."""
+    (folder / "robot.xml").write_text(text)
+    outcome = gauge("sanity", "robot.xml", "--only", row, "--fix", out)
+    assert outcome.exit_code == 1 and "1 of 1 flags are gone" in outcome.stderr
+    assert gauge("sanity", out, "--only", row).exit_code == 0
+    lines = (folder / out).read_text().splitlines()
+    blocks = SequenceMatcher(None, text.splitlines(), lines).get_opcodes()
+    return [
+        (text.splitlines()[a:b], lines[c:d])
+        for kind, a, b, c, d in blocks
+        if kind != "equal"
+    ]
 
 
 @pytest.mark.parametrize("name", ["solimp", "foot", "pairs", "step"])
-def test_the_fixed_file_has_the_change_and_no_flag(name, gauge, tmp_path):
+def test_the_written_text_differs_in_attributes_alone(name, gauge, tmp_path):
     changes, row, _ = PLANTED.get(name, ({}, "rest-height", "solref"))
-    text = quadruped_xml(**changes).replace("<worldbody>", f"{PICTURE}<worldbody>")
+    text = quadruped_xml(**changes)
     if name == "pairs":
         text = text.replace("</mujoco>", f"<contact>{PAIRS}</contact></mujoco>")
+    number = re.compile(r'(timestep|solref|solimp)="[^"]*"')
+    differing = written(gauge, tmp_path, text, row)
+    assert differing
+    for before, after in differing:
+        assert [number.sub("", one) for one in before] == [
+            number.sub("", one) for one in after
+        ]
+
+
+def test_what_a_file_does_not_state_is_inserted(gauge, tmp_path):
+    text = quadruped_xml(option="", geom="", friction=0.6)
+    text = text.replace("<option />", "").replace(
+        '<geom friction="0.6 0.005 0.0001" />', ""
+    )
+    ((before, after),) = written(gauge, tmp_path, text, "slide-turned")
+    assert ' cone="elliptic"' in "".join(after)
+
+
+def test_an_included_file_is_named(gauge, tmp_path):
+    """Only the main file is written; a class of an included file is changed there by the user."""
+    text = quadruped_xml(**PLANTED["solref"][0])
     (tmp_path / "robot.xml").write_text(text)
-    outcome = gauge("sanity", "robot.xml", "--only", row, "--fix", "out/fixed.xml")
-    assert outcome.exit_code == 1
-    assert "1 of 1 flags are gone" in outcome.stderr
-    fixed = (tmp_path / "out" / "fixed.xml").read_text()
-    assert "<!-- gauge sanity: " in fixed and 'file="absent.png"' in fixed
-    assert gauge("sanity", "out/fixed.xml", "--only", row).exit_code == 0
+    (tmp_path / "scene.xml").write_text(
+        '<mujoco>\n  <include file="robot.xml"/>\n</mujoco>'
+    )
+    outcome = gauge("sanity", "scene.xml", "--only", "rest-height", "--fix", "new.xml")
+    assert "in robot.xml:2, which scene.xml includes" in outcome.stderr
+    assert not (tmp_path / "new.xml").exists()
 
 
-def test_nothing_is_written_without_a_cure(gauge, tmp_path):
+def test_places_are_lines_of_the_text():
+    robot = configuration("HalfCheetah-v5").robot
+    joint = robot.model.joint("bfoot").id
+    assert robot.place_text(("joint", joint)).startswith(
+        'joint "bfoot" (half_cheetah.xml:'
+    )
+
+
+def test_a_change_keeps_what_states_the_task(tmp_path):
+    """On a slope by a tilted gravity, a pyramid of friction is 63 % off in its diagonal."""
+    text = """<mujoco>
+  <option timestep="0.002" gravity="3.4684 3.4684 -8.4957"/>
+  <worldbody>
+    <geom name="board" type="plane" size="5 5 0.1" friction="0.4"/>
+    <body pos="0 0 0.05"><freejoint/><geom type="box" size="0.05 0.05 0.05" friction="0.4" mass="1"/></body>
+  </worldbody>
+</mujoco>"""
+    (tmp_path / "slope.xml").write_text(text)
+    report = check(str(tmp_path / "slope.xml"), only=["gravity", "slide-turned"])
+    assert set(report.flags) == {"gravity", "slide-turned"}
+    assert report.cure.changes == {"cone": "elliptic"}
+    assert report.cure.parts[0].corrects == ("slide-turned",)
+    assert report.cure.lines == (
+        '- <option timestep="0.002" gravity="3.4684 3.4684 -8.4957"/>',
+        '+ <option timestep="0.002" gravity="3.4684 3.4684 -8.4957" cone="elliptic"/>',
+    )
+
+
+def test_nothing_is_written_without_a_flag(gauge, tmp_path):
     (tmp_path / "robot.xml").write_text(quadruped_xml())
     outcome = gauge("sanity", "robot.xml", "--only", "gravity", "--fix", "fixed.xml")
     assert outcome.exit_code == 0

@@ -60,16 +60,20 @@ def write_change(
     for name, (place, key, value) in assignments.items():
         if name not in ELEMENT_FIELDS:
             written.in_default.append(name)
-            sections.setdefault(place, {})[key] = value
+            tags = "option flag" if place == "flag" else place
+            sections.setdefault(tags, {})[key] = value
             continue
         stated = [_stated(robot, text, name, one, {key: value}) for one in places[name]]
-        written.in_default += [name] * ("" in stated)
+        if None in stated:
+            sections.setdefault(f"default {place}", {})[key] = value
+        if {None, ""} & {*stated}:
+            written.in_default.append(name)
         if named := [*dict.fromkeys(filter(None, stated))]:
             listed = first_names(named, MAX_NAMES)
             written.elsewhere.append(f'{key}="{value}" in {listed}')
-    for place, values in sections.items():
+    for tags, values in sections.items():
         if text is not None:
-            text.put(("option", "flag") if place == "flag" else (place,), values)
+            text.put(tuple(tags.split()), values)
     return written
 
 
@@ -79,14 +83,14 @@ def _stated(
     name: str,
     place: Place,
     values: Mapping[str, str],
-) -> str:
-    """Write an attribute of an element, and return where; empty for the default of all."""
+) -> str | None:
+    """Write an attribute of an element, and return where; None where the default of all is to state it newly."""
     kind, number = place
     element = None if text is None else text.model.element(robot.model, kind, number)
     is_of_all = kind == "geom" and number in robot.reached_by_default(name)
     if text is not None and (element is not None or is_of_all):
         return text.state(element, kind, values)
-    return "" if is_of_all else robot.place_text(place)
+    return None if is_of_all else robot.place_text(place)
 
 
 def drop_pictures(spec: mujoco.MjSpec) -> None:

@@ -190,21 +190,23 @@ class TextChange:
 
     def state(
         self, element: Element | None, kind: str, values: Mapping[str, str]
-    ) -> str:
-        """Give an element an attribute where it takes it from, and return file and line; empty for the default of all.
+    ) -> str | None:
+        """Give an element an attribute where it takes it from.
 
         Args:
             element: The element; None for the default of all.
-            kind: Its kind, in the default of all its tag.
+            kind: Its tag in the default of all.
             values: The attribute and its new value.
+
+        Returns:
+            File and line, empty in the default of all; None where nothing states it, and nothing is changed.
         """
         for one in self._sources(element, kind):
             for key in values.keys() & one.values.keys():
                 self._values[one, key] = values[key]
                 is_of_all = one in self.model.root.at("default", kind)
                 return "" if is_of_all else self.model.line(one)
-        self.put(("default", kind), values)
-        return ""
+        return None
 
     def _sources(self, element: Element | None, kind: str) -> Iterator[Element]:
         """Yield an element and those of its classes, the nearest first, and at last those of the default of all."""
