@@ -11,12 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from gauge_envs.errors import GaugeError
 from gauge_envs.tools.sanity.candidates import candidates_of
 from gauge_envs.tools.sanity.guards import hop_mm, hops_more
-from gauge_envs.tools.sanity.measure import (
-    SEVERITY,
-    Measurements,
-    subject_of,
-    worst_of,
-)
+from gauge_envs.tools.sanity.measure import Measurements, subject_of, worst_of
 from gauge_envs.tools.sanity.model import (
     ChangePart,
     Cure,
@@ -25,18 +20,19 @@ from gauge_envs.tools.sanity.model import (
     TrainingConfiguration,
     Verdict,
 )
-from gauge_envs.tools.sanity.phenomena import STATED_IDS, phenomenon
+from gauge_envs.tools.sanity.phenomena import (
+    CONTROL_ID,
+    GRAVITY_ID,
+    STATED_IDS,
+    UNCHANGED_IDS,
+    phenomenon,
+)
 from gauge_envs.tools.sanity.stacks.dialect import Dialect
 from gauge_envs.tools.sanity.target_checks import target_rows
 
 if TYPE_CHECKING:
     from gauge_envs.tools.sanity.robot.mended_model import WrittenChange
     from gauge_envs.tools.sanity.robot.robot import Robot
-
-CHANGED_ROBOT_IDS = frozenset(
-    f"robot-{name}" for name in ("holds", "energy", "slip", "servo", "lag")
-)
-"""Rows on the robot that settings of the engine change; others are left out of the judgement."""
 
 GROWTH = 1.0
 """Growth of a deviation that makes a flagged row worse, in half-widths of the interval of reality."""
@@ -84,13 +80,6 @@ def find_cure(
     return _Search(configuration, dialect, measurements, rows).run()
 
 
-def _is_changed(name: str) -> bool:
-    """Return whether settings of the engine change a row."""
-    return (
-        name not in STATED_IDS or name.startswith("model-") or name in CHANGED_ROBOT_IDS
-    )
-
-
 class _Search:
     """Applies changes and judges them; see `find_cure` for the arguments."""
 
@@ -103,7 +92,8 @@ class _Search:
     ) -> None:
         self._configuration, self._dialect = configuration, dialect
         self._measurements = measurements
-        judged = [row for row in rows if _is_changed(row.phenomenon)]
+        unchanged = {GRAVITY_ID, CONTROL_ID, *UNCHANGED_IDS}
+        judged = [row for row in rows if row.phenomenon not in unchanged]
         self._units = {row.phenomenon: row.unit for row in judged}
         self._before = {
             row.phenomenon: Outcome(row.verdict, row.configured, row.deviation)
@@ -320,8 +310,8 @@ def _is_worse(before: Outcome, after: Outcome) -> bool:
     """Return whether a row has a worse verdict, or is farther from reality by half the width of its interval."""
     if before.verdict is Verdict.INSIDE:
         return after.verdict.is_off
-    severity = SEVERITY.index(after.verdict) - SEVERITY.index(before.verdict)
-    return severity > 0 or after.deviation > before.deviation + GROWTH
+    is_wrong = after.verdict is Verdict.WRONG and before.verdict is Verdict.VISIBLE
+    return is_wrong or after.deviation > before.deviation + GROWTH
 
 
 def applied(
@@ -363,11 +353,11 @@ def written_change(robot: Robot, dialect: Dialect, changes: Settings) -> Written
     """
     from gauge_envs.tools.sanity.robot.mended_model import write_change
 
-    assignments = {}
-    for name, value in changes.items():
-        one = dialect.setting(name, value)
-        text = "disable" if value is None else (one.kind.text or dialect.text)(value)
-        assignments[name] = (one.place, one.key, text)
+    assignments = {
+        one.name: (one.place, one.key, (one.text or dialect.text)(changes[one.name]))
+        for one in dialect.settings
+        if one.name in changes
+    }
     return write_change(robot, changes, assignments)
 
 

@@ -4,17 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
-
-import mujoco
 
 from gauge_envs.errors import first_names
 from gauge_envs.tools.sanity.model import Settings
 from gauge_envs.tools.sanity.robot.mjcf_text import TextChange
 from gauge_envs.tools.sanity.robot.robot import ELEMENT_FIELDS, Robot
-
-if TYPE_CHECKING:
-    from gauge_envs.tools.sanity.rows import Place
 
 MAX_NAMES = 6
 """Most elements that a text names one by one."""
@@ -81,7 +75,7 @@ def _stated(
     robot: Robot,
     text: TextChange | None,
     name: str,
-    place: Place,
+    place: tuple[str, int],
     values: Mapping[str, str],
 ) -> str | None:
     """Write an attribute of an element, and return where; None where the default of all is to state it newly."""
@@ -91,11 +85,3 @@ def _stated(
     if text is not None and (element is not None or is_of_all):
         return text.state(element, kind, values)
     return None if is_of_all else robot.place_text(place)
-
-
-def drop_pictures(spec: mujoco.MjSpec) -> None:
-    """Replace the pictures of textures by one pixel, which no row reads: they can be 30 times as large as the model."""
-    for texture in spec.textures:
-        if texture.file:
-            texture.file, texture.builtin = "", mujoco.mjtBuiltin.mjBUILTIN_FLAT
-            texture.width = texture.height = 1

@@ -220,14 +220,14 @@ class Robot:
 
     def changed(
         self, changes: Settings
-    ) -> tuple[mujoco.MjModel, dict[str, list[Place]]]:
+    ) -> tuple[mujoco.MjModel, dict[str, list[tuple[str, int]]]]:
         """Return a copy of the model with changes, and for each attribute of elements those that change.
 
         Options are set. Attributes of geoms reach those that can touch the ground, and with them all that take them
         from the default class; those of equalities reach the ones like the one that opens.
         """
         model = copy.copy(self.model)
-        places: dict[str, list[Place]] = {}
+        places: dict[str, list[tuple[str, int]]] = {}
         for name, value in changes.items():
             field = ELEMENT_FIELDS.get(name)
             if field is None:

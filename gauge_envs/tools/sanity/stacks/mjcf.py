@@ -50,10 +50,12 @@ MODEL_SETTINGS = (
     Setting("contact_margin_m", "geom", "margin"),
     Setting("contact_gap_m", "geom", "gap"),
     Setting("condim", "geom", "condim"),
+    Setting("equality_solref", "equality", "solref"),
+    Setting("equality_solimp", "equality", "solimp"),
     # It is left out, and switches with it what overrides the contacts of all geoms.
     Setting("o_friction", "flag", "override", text=lambda value: "disable"),
 )
-"""Attributes of `<option>`, of its `<flag>`, and of `<geom>`; the MuJoCo backend reads them of compiled models."""
+"""Attributes of `<option>`, of its `<flag>`, and of the defaults of all."""
 
 
 def _attribute(value: Any) -> str:
@@ -62,17 +64,18 @@ def _attribute(value: Any) -> str:
 
 
 def _elements(entries: Entries) -> str:
-    """Return `<option>` with its flags, `<geom>` as the default of all, and settings that are no attributes."""
-    option, flags, geom = (
-        " ".join(entries.get(place, ())) for place in ("option", "flag", "geom")
-    )
+    """Return `<option>` with its flags, the defaults of all, and settings that are no attributes."""
+    option, flags = (" ".join(entries.get(place, ())) for place in ("option", "flag"))
     parts = []
     if flags:
         parts.append(f"<option {option}".rstrip() + f"><flag {flags}/></option>")
     elif option:
         parts.append(f"<option {option}/>")
-    if geom:
-        parts.append(f"<default><geom {geom}/></default>")
+    parts += [
+        f"<default><{kind} {' '.join(entries[kind])}/></default>"
+        for kind in ("geom", "equality")
+        if kind in entries
+    ]
     return " and ".join([*parts, *entries.get("", ())])
 
 
