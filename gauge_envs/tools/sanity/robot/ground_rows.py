@@ -12,6 +12,7 @@ from gauge_envs.tools.sanity.robot.joints import Case, start, worst_case
 from gauge_envs.tools.sanity.robot.mujoco_feet import (
     SOLE_WITHIN,
     Standing,
+    chain_of,
     geom_name,
     joints_of,
     support_m,
@@ -51,12 +52,12 @@ def feet(robot: Robot) -> Finding:
     lows = {geom: float(point[2]) for geom, point in standing.support_m.items()}
     deep = min(lows.values()) + SOLE_WITHIN * standing.height_m
     carrying = {
-        body for geom in lows for body in _chain(model, int(model.geom_bodyid[geom]))
+        body for geom in lows for body in chain_of(model, int(model.geom_bodyid[geom]))
     }
     is_solid = (model.geom_contype | model.geom_conaffinity) != 0
     lame: dict[int, int] = {}
     for geom in np.flatnonzero(np.isin(model.geom_bodyid, robot.bodies)).tolist():
-        limb = _chain(model, int(model.geom_bodyid[geom]))
+        limb = chain_of(model, int(model.geom_bodyid[geom]))
         low = float(support_m(model, standing.stance, geom)[2])
         near = [lows[one] for one in lows if int(model.geom_bodyid[one]) in limb[:2]]
         # Drawn geoms of a limb that touches are no fault; those that collide and reach deeper than it touches are.
@@ -77,15 +78,6 @@ def feet(robot: Robot) -> Finding:
         place=("geom", next(iter(lame.values()))) if lame else None,
         parts=dict.fromkeys(names, 1.0),
     )
-
-
-def _chain(model: mujoco.MjModel, body: int) -> list[int]:
-    """Return a body and all that carry it, but the world."""
-    chain = []
-    while body:
-        chain.append(body)
-        body = int(model.body_parentid[body])
-    return chain
 
 
 def _untouched_plane(robot: Robot) -> int | None:
@@ -266,7 +258,7 @@ def _overlaps(
 
 def _carries(robot: Robot, base: int, body: int) -> bool:
     """Return whether a fixed body is the base of a robot that does not stand: the last fixed one of its parents."""
-    model, chain = robot.model, _chain(robot.model, body)
+    model, chain = robot.model, chain_of(robot.model, body)
     fixed = [one for one in chain if model.body_weldid[one] == 0]
     is_base = model.body_weldid[base] == 0 and (base in fixed or base == 0)
     return bool(robot.standing is None and is_base)

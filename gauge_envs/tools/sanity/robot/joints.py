@@ -11,7 +11,11 @@ import mujoco
 import numpy as np
 
 from gauge_envs.scene.geometry import BoolArray, FloatArray
-from gauge_envs.tools.sanity.robot.mujoco_feet import acts_on_joints, joints_of
+from gauge_envs.tools.sanity.robot.mujoco_feet import (
+    acts_on_joints,
+    chain_of,
+    joints_of,
+)
 from gauge_envs.tools.sanity.robot.robot import Robot, once, random_poses
 from gauge_envs.tools.sanity.rows import Finding, Place
 
@@ -132,12 +136,8 @@ class Drive:
     def is_leg(self) -> bool:
         """Whether the joint is between the trunk of a robot that stands and one of its feet."""
         standing, model = self.robot.standing, self.robot.model
-        for body in () if standing is None else standing.feet:
-            while body and body != self.body:
-                body = int(model.body_parentid[body])
-            if body:
-                return True
-        return False
+        feet = () if standing is None else standing.feet
+        return any(self.body in chain_of(model, foot) for foot in feet)
 
     @property
     def place(self) -> Place:

@@ -58,14 +58,14 @@ MOST_GEOMS = 4
 
 Solid = Box | Sphere | Cylinder | Capsule | Ellipsoid | ConvexUnion
 
-SOLIDS: Mapping[str, tuple[str, Callable[[float, float, float], Solid]]] = {
-    "SPHERE": ("sphere", lambda x, *_: Sphere(radius_m=x)),
-    "CAPSULE": ("capsule", lambda x, y, _: Capsule(radius_m=x, length_m=2.0 * y)),
-    "ELLIPSOID": ("ellipsoid", lambda *radii: Ellipsoid(radii_m=radii)),
-    "CYLINDER": ("cylinder", lambda x, y, _: Cylinder(radius_m=x, length_m=2.0 * y)),
-    "BOX": ("box", lambda x, y, z: Box(size_m=(2.0 * x, 2.0 * y, 2.0 * z))),
+SOLIDS: Mapping[str, Callable[[float, float, float], Solid]] = {
+    "SPHERE": lambda x, *_: Sphere(radius_m=x),
+    "CAPSULE": lambda x, y, _: Capsule(radius_m=x, length_m=2.0 * y),
+    "ELLIPSOID": lambda *radii: Ellipsoid(radii_m=radii),
+    "CYLINDER": lambda x, y, _: Cylinder(radius_m=x, length_m=2.0 * y),
+    "BOX": lambda x, y, z: Box(size_m=(2.0 * x, 2.0 * y, 2.0 * z)),
 }
-"""Types of geoms that a foot may have beside meshes: their name, and the solid of a size."""
+"""Solid of a size for each type of geom that a foot may have beside meshes."""
 
 
 class NoFootError(Exception):
@@ -125,47 +125,41 @@ def find_standing(model: mujoco.MjModel, pairs: ContactPairs, up: Vector) -> Sta
         up: Unit vector away from the ground, shape [3].
     """
     geoms = np.unique(pairs.geoms[ground_rows(pairs)])
-    touching = [int(geom) for geom in geoms[can_move(model)[geoms]]]
+    touching = geoms[can_move(model)[geoms]].tolist()
     if not touching:
         raise NoFootError("the model has no ground that a moving geom can touch")
     if model.opt.density > LIQUID_KG_PER_M3:
         raise NoFootError("the robot swims: the model's medium is a liquid")
-    stance = stance_of(model, np.asarray(up))
+    stance, moved = stance_of(model, np.asarray(up)), driven_trees(model)
     trees = model.body_treeid[model.geom_bodyid]
-    robots = set(trees[touching].tolist())
-    if moved := driven_trees(model):
-        robots &= moved
-    driven_joints = set(model.actuator_trnid[acts_on_joints(model), 0].tolist())
     standing = [
         int(model.tree_bodyadr[tree])
-        for tree in robots
-        if _is_robot(model, tree, moved)
-        and _can_fall(model, stance, int(model.tree_bodyadr[tree]), driven_joints)
+        for tree in set(trees[touching].tolist())
+        # A free box is a body; a robot has motors, or joints in a model without motors.
+        if (tree in moved if moved else model.tree_bodynum[tree] > 1)
+        and _can_fall(model, stance, int(model.tree_bodyadr[tree]))
     ]
     if not standing:
         raise NoFootError(
             "no robot of the model stands on the ground under its own weight"
         )
     robot = max(standing, key=lambda body: (model.body_subtreemass[body], -body))
-    support = {
-        geom: support_m(model, stance, geom)
-        for geom in touching
-        if trees[geom] == model.body_treeid[robot]
+    own = np.flatnonzero(trees == model.body_treeid[robot])
+    support = {geom: support_m(model, stance, geom) for geom in touching if geom in own}
+    ground_m = min(float(point[2]) for point in support.values())
+    top_m = float((stance.positions_m[own, 2] + model.geom_rbound[own]).max())
+    height_m = max(top_m - ground_m, 1e-3)
+    lowest_m = {
+        geom: float(point[2])
+        for geom, point in support.items()
+        if point[2] <= ground_m + STANDS_WITHIN * height_m
     }
-    lowest = {geom: float(point[2]) for geom, point in support.items()}
-    robot_geoms = np.flatnonzero(trees == model.body_treeid[robot])
-    top = float(
-        (stance.positions_m[robot_geoms, 2] + model.geom_rbound[robot_geoms]).max()
-    )
-    height = max(top - min(lowest.values()), 1e-3)
-    standing_geoms = {
-        g: z
-        for g, z in lowest.items()
-        if z <= min(lowest.values()) + STANDS_WITHIN * height
-    }
-    feet = _feet(model, standing_geoms, SOLE_WITHIN * height)
     return Standing(
-        body=robot, stance=stance, height_m=height, support_m=support, feet=feet
+        body=robot,
+        stance=stance,
+        height_m=height_m,
+        support_m=support,
+        feet=_feet(model, lowest_m, SOLE_WITHIN * height_m),
     )
 
 
@@ -184,33 +178,31 @@ def read_foot(
         standing: The robot.
     """
     feet, support = standing.feet, standing.support_m
-    body = min(
-        feet, key=lambda one: (min(float(support[geom][2]) for geom in feet[one]), one)
-    )
-    mass = float(model.body_subtreemass[standing.body])
-    rows = [
-        row
-        for row in ground_rows(pairs)
-        if set(pairs.geoms[row].tolist()) & set(feet[body])
-    ]
+    body = min(feet, key=lambda one: (min(support[geom][2] for geom in feet[one]), one))
+    mass_kg = float(model.body_subtreemass[standing.body])
+    rows = ground_rows(pairs)
+    soles = [geom for geoms in feet.values() for geom in geoms]
+    felt = rows[np.isin(pairs.geoms[rows], soles).any(axis=1)]
+    lowest = rows[np.isin(pairs.geoms[rows], feet[body]).any(axis=1)]
+    settings = [contact_settings(model, pairs.constants[row]) for row in felt]
+    names: dict[str, str] = {}
+    for group in groups:
+        # Groups with the same settings are one set, with the name of the first.
+        if group.is_used and group.settings in settings:
+            names.setdefault(repr(group.settings), group.geoms)
     return FootGeometry(
         name=model.body(body).name or f"body {body}",
         geoms=_geoms_text(model, feet[body]),
         parts=_parts(
             model, standing.stance, {geom: support[geom] for geom in feet[body]}
         ),
-        load_kg=mass / len(feet),
-        robot_mass_kg=mass,
+        load_kg=mass_kg / len(feet),
+        robot_mass_kg=mass_kg,
         foot_count=len(feet),
         pose=standing.stance.label,
-        sets=_sets(
-            model,
-            pairs,
-            groups,
-            {geom for several in feet.values() for geom in several},
-        ),
-        softening=float(model.body_invweight0[body, 0]) * COPIES * mass / len(feet),
-        friction=float(pairs.constants[rows, COLUMNS["friction"].start].min()),
+        sets=tuple(names.values()),
+        softening=float(model.body_invweight0[body, 0]) * COPIES * mass_kg / len(feet),
+        friction=float(pairs.constants[lowest, COLUMNS["friction"].start].min()),
     )
 
 
@@ -295,22 +287,16 @@ def acts_on_joints(model: mujoco.MjModel) -> BoolArray:
     return np.isin(model.actuator_trntype, [int(kind) for kind in kinds])
 
 
-def _is_robot(model: mujoco.MjModel, tree: int, moved: set[int]) -> bool:
-    """Return whether a tree of bodies is a robot: actuators move it, or it has joints. A free box has neither."""
-    return tree in moved or int(model.tree_bodynum[tree]) > 1
-
-
-def _can_fall(
-    model: mujoco.MjModel, stance: Stance, body: int, driven_joints: set[int]
-) -> bool:
+def _can_fall(model: mujoco.MjModel, stance: Stance, body: int) -> bool:
     """Return whether the first joints of a body let it rise and fall."""
-    weight = float(model.body_subtreemass[body]) * GRAVITY_M_PER_S2
+    weight_n = float(model.body_subtreemass[body]) * GRAVITY_M_PER_S2
     is_free, is_slide = joints_of(model, "FREE"), joints_of(model, "SLIDE")
+    driven = model.actuator_trnid[acts_on_joints(model), 0]
     first = int(model.body_jntadr[body])
     for joint in range(first, first + int(model.body_jntnum[body])):
-        damping = model.dof_damping[model.jnt_dofadr[joint]]
+        damping = np.ravel(model.dof_damping[model.jnt_dofadr[joint]])[0]
         is_upright = abs(stance.joint_axes[joint, 2]) > UPRIGHT
-        is_held = joint in driven_joints or weight <= HELD_M_PER_S * damping
+        is_held = joint in driven or weight_n <= HELD_M_PER_S * damping
         if is_free[joint] or (is_slide[joint] and is_upright and not is_held):
             return True
     return False
@@ -321,16 +307,13 @@ def support_m(model: mujoco.MjModel, stance: Stance, geom: int) -> FloatArray:
     down = -stance.rotations[geom].as_matrix()[2]
     down[np.abs(down) < FLAT] = 0.0
     size, kind = model.geom_size[geom], _kind(model, geom)
+    end = np.array([0.0, 0.0, size[1] * np.sign(down[2])])
     point = down * model.geom_rbound[geom]
     if kind == "CAPSULE":
-        point = size[0] * down + [0.0, 0.0, size[1] * np.sign(down[2])]
+        point = size[0] * down + end
     elif kind == "CYLINDER":
-        aside = np.array([down[0], down[1], 0.0])
-        point = size[0] * aside / max(length_of(aside), FLAT) + [
-            0.0,
-            0.0,
-            size[1] * np.sign(down[2]),
-        ]
+        aside = down * [1.0, 1.0, 0.0]
+        point = size[0] * aside / max(length_of(aside), FLAT) + end
     elif kind == "ELLIPSOID":
         point = size**2 * down / np.linalg.norm(size * down)
     elif kind == "BOX":
@@ -338,9 +321,8 @@ def support_m(model: mujoco.MjModel, stance: Stance, geom: int) -> FloatArray:
     elif kind == "MESH":
         vertices = _vertices_m(model, geom)
         depths = vertices @ down
-        point = vertices[
-            depths > depths.max() - FLAT * float(model.geom_rbound[geom])
-        ].mean(axis=0)
+        is_deep = depths > depths.max() - FLAT * float(model.geom_rbound[geom])
+        point = vertices[is_deep].mean(axis=0)
     return stance.positions_m[geom] + stance.rotations[geom].apply(point)
 
 
@@ -354,19 +336,25 @@ def _feet(
     bodies: dict[int, list[int]] = {}
     for geom in lowest_m:
         bodies.setdefault(int(model.geom_bodyid[geom]), []).append(geom)
-    carrying = set()
-    for body in bodies:
-        while body := int(model.body_parentid[body]):
-            carrying.add(body)
+    carrying = {one for body in bodies for one in chain_of(model, body)[1:]}
     return {
         body: [
             geom
             for geom in geoms
-            if lowest_m[geom] <= min(lowest_m[other] for other in geoms) + within_m
+            if lowest_m[geom] <= min(map(lowest_m.__getitem__, geoms)) + within_m
         ]
         for body, geoms in bodies.items()
         if body not in carrying
     }
+
+
+def chain_of(model: mujoco.MjModel, body: int) -> list[int]:
+    """Return a body and all that carry it, but the world."""
+    chain = []
+    while body:
+        chain.append(body)
+        body = int(model.body_parentid[body])
+    return chain
 
 
 # --- solids ----------------------------------------------------------------------------------------------------------
@@ -391,7 +379,7 @@ def _parts(
 def _solid(model: mujoco.MjModel, geom: int) -> Solid:
     kind = _kind(model, geom)
     if kind in SOLIDS:
-        return SOLIDS[kind][1](*model.geom_size[geom].tolist())
+        return SOLIDS[kind](*model.geom_size[geom].tolist())
     if kind != "MESH":
         raise NoFootError(
             f"the foot is a geom of type {kind.lower()}, which the scenes cannot have"
@@ -419,28 +407,11 @@ def _vertices_m(model: mujoco.MjModel, geom: int) -> FloatArray:
 
 
 def _geoms_text(model: mujoco.MjModel, geoms: Sequence[int]) -> str:
-    names = [geom_name(model, geom) for geom in geoms]
-    known = {"MESH": "hull of a mesh"} | {
-        kind: name for kind, (name, _) in SOLIDS.items()
-    }
-    kinds = [known.get(_kind(model, geom), "geom") for geom in geoms]
     return ", ".join(
-        shortened([f"{name} ({kind})" for name, kind in zip(names, kinds, strict=True)])
+        shortened(
+            [
+                f"{geom_name(model, geom)} ({_kind(model, geom).lower()})"
+                for geom in geoms
+            ]
+        )
     )
-
-
-def _sets(
-    model: mujoco.MjModel,
-    pairs: ContactPairs,
-    groups: Sequence[ContactGroup],
-    feet: set[int],
-) -> tuple[str, ...]:
-    """Return the names of the judged sets of contact constants that feet have on the ground."""
-    rows = [row for row in ground_rows(pairs) if set(pairs.geoms[row].tolist()) & feet]
-    foot_settings = [contact_settings(model, pairs.constants[row]) for row in rows]
-    names: dict[str, str] = {}
-    for group in groups:
-        # Groups with the same settings are one set, with the name of the first.
-        if group.is_used and group.settings in foot_settings:
-            names.setdefault(repr(group.settings), group.geoms)
-    return tuple(names.values())

@@ -7,7 +7,6 @@ collide are considered: `mjData.contact` lists only those that touch at the mome
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -42,6 +41,9 @@ from gauge_envs.tools.sanity.scenario import check_settings
 
 GRAVITY_TOLERANCE = 0.01
 """A gravity that differs from the standard one by less than this ratio gets no note."""
+
+VECTORS = ("friction", "solref", "solreffriction", "solimp")
+"""Constants of a contact that have several numbers."""
 
 MOST_GROUPS = 4
 """Most groups with other constants that get a note each."""
@@ -86,25 +88,18 @@ def mujoco_configuration(
         file: File of the model; None when it is not known.
     """
     options, pairs, up = option_settings(model), contact_pairs(model), _up(model)
-    used = (
-        None
-        if not len(pairs.geoms) and pair is None
-        else _used_constants(model, pairs, pair)
-    )
-    groups = (
-        () if used is None else _groups(model, pairs, used, all_on_ground=pair is None)
-    )
-    contact = (
-        default_contact_settings() if used is None else contact_settings(model, used)
-    )
-    settings = options | contact
-    check_settings("mujoco", settings)
-    origin = next(
-        (group.geoms for group in groups if group.is_used),
-        "MuJoCo's defaults: nothing collides",
-    )
+    groups: tuple[ContactGroup, ...] = ()
+    contact = default_contact_settings()
+    origin = "MuJoCo's defaults: nothing collides"
+    if len(pairs.geoms) or pair is not None:
+        used = _used_constants(model, pairs, pair)
+        groups = _groups(model, pairs, used, all_on_ground=pair is None)
+        contact = contact_settings(model, used)
+        origin = next(group.geoms for group in groups if group.is_used)
     if overrides_contacts(model):
         origin = "option, flag override"
+    settings = options | contact
+    check_settings("mujoco", settings)
     inapplicable = _inapplicable(model, groups)
     robot = Robot(model=model, pairs=pairs, up=up, spec=spec, pair=pair, file=file)
     try:
@@ -118,9 +113,8 @@ def mujoco_configuration(
         inapplicable[Need.CONTACT] = (
             "the robot is fixed to the world and touches nothing in 200 random poses"
         )
-    if (normal := robot.plane_normal) is not None and np.abs(
-        normal
-    ).max() > ALONG_AN_AXIS:
+    normal = robot.plane_normal
+    if normal is not None and np.abs(normal).max() > ALONG_AN_AXIS:
         inapplicable[Need.SPACE] = (
             "the robot moves in a plane along an axis of the world, where slide-* judges it"
         )
@@ -217,24 +211,18 @@ def _groups(
         rows = np.flatnonzero(inverse == number)
         constants = pairs.constants[rows[0]]
         kind = PairKind(int(pairs.kinds[rows[0]]))
-        is_used = bool(
-            (
-                effective_constants(model, constants)
-                == effective_constants(model, used)
-            ).all()
-        )
-        several = {
-            name: constants[columns].tolist() for name, columns in COLUMNS.items()
-        }
+        same = effective_constants(model, constants) == effective_constants(model, used)
         named = {
-            name: values if len(values) > 1 else values[0]
-            for name, values in several.items()
+            name: constants[columns].tolist()
+            if name in VECTORS
+            else float(constants[columns][0])
+            for name, columns in COLUMNS.items()
         }
         group = ContactGroup(
             geoms=_geoms_text(model, pairs.geoms[rows], kind),
             pair_count=len(rows),
             constants=named | {"condim": int(constants[0])},
-            is_used=is_used or (all_on_ground and kind == pairs.kinds.min()),
+            is_used=bool(same.all()) or (all_on_ground and kind == pairs.kinds.min()),
             is_held=bool(grasped[rows[0]]),
             is_point=bool(grasped[rows[0]] == 2),
             settings=contact_settings(model, constants),
@@ -247,19 +235,16 @@ def _groups(
 
 
 def _option_notes(model: mujoco.MjModel) -> list[str]:
-    option = model.opt
-    notes = []
+    option, notes = model.opt, []
+    gravity = option.gravity - np.array([0.0, 0.0, -GRAVITY_M_PER_S2])
     if option.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY:
         notes.append("the model switches gravity off; rows that need it are declined")
-    elif (
-        np.abs(option.gravity - np.array([0.0, 0.0, -GRAVITY_M_PER_S2])).max()
-        > GRAVITY_TOLERANCE * GRAVITY_M_PER_S2
-    ):
-        gravity = f"({', '.join(f'{g:g}' for g in option.gravity)})"
+    elif np.abs(gravity).max() > GRAVITY_TOLERANCE * GRAVITY_M_PER_S2:
+        size = f"({', '.join(f'{one:g}' for one in option.gravity)})"
         if not option.gravity[:2].any():
-            gravity = f"{0.0 - float(option.gravity[2]):g}"
+            size = f"{0.0 - float(option.gravity[2]):g}"
         notes.append(
-            f"gravity of the model is {gravity} m/s^2; the experiments have {GRAVITY_M_PER_S2:g} m/s^2"
+            f"gravity of the model is {size} m/s^2; the experiments have {GRAVITY_M_PER_S2:g} m/s^2"
         )
     off = [name for name, bit in REQUIRED_FEATURES.items() if option.disableflags & bit]
     if off:
@@ -276,38 +261,18 @@ def _option_notes(model: mujoco.MjModel) -> list[str]:
 
 
 def _contact_notes(groups: tuple[ContactGroup, ...]) -> list[str]:
+    """Return notes on groups of contacts whose constants no experiment gets."""
     if not groups:
         return ["no two geoms can collide: rows on contact are declined"]
-    used = next(group for group in groups if group.is_used).constants
     others = [group for group in groups if not group.is_used]
-    notes = []
-    for group in others[:MOST_GROUPS]:
-        changed = [
-            name
-            for name in COLUMNS
-            if name != "friction" and group.constants[name] != used[name]
-        ]
-        if (
-            group.constants["friction"][2:] != used["friction"][2:]
-            and group.constants["condim"] > 3
-        ):
-            changed.append("friction")
-        differences = ", ".join(
-            f"{name} {_constant_text(group.constants[name])}" for name in changed
-        )
-        noun = "pair" if group.pair_count == 1 else "pairs"
-        notes.append(
-            f"not used: {group.geoms} ({group.pair_count} {noun}) with {differences}"
-        )
-    if len(others) > MOST_GROUPS:
-        notes.append(
-            f"not used: {len(others) - MOST_GROUPS} more groups of contacts with other constants"
-        )
+    notes = [
+        f"not used: {group.geoms}, with solref {vector_text(group.constants['solref'])}, solimp "
+        f"{vector_text(group.constants['solimp'])} and condim {group.constants['condim']}"
+        for group in others[:MOST_GROUPS]
+    ]
+    if more := len(others[MOST_GROUPS:]):
+        notes.append(f"not used: {more} more groups of contacts with other constants")
     return notes
-
-
-def _constant_text(value: Any) -> str:
-    return vector_text(value) if isinstance(value, list) else f"{value:g}"
 
 
 # --- names -----------------------------------------------------------------------------------------------------------
