@@ -36,13 +36,12 @@ PAGES += STUDIES
 
 RUN_ELSEWHERE = {
     "adding_a_check.md",
-    "adding_a_phenomenon.md",
     "adding_an_engine.md",
     "assets.md",
     "ecosystem.md",
 }
 """Pages whose code other tests run, as it needs an example package or takes long."""
-COMPILED_ONLY = {"sanity.md", "sanity_stacks.md", "sweeps.md"}
+COMPILED_ONLY = {"sanity.md", "sweeps.md"}
 """Pages whose code needs a user's own environment or results, or an engine that may be absent."""
 
 

@@ -149,7 +149,7 @@ def sanity(target):
     return {
         row.phenomenon: [row.configured, row.unit, row.verdict.value]
         for row in check(target, explain=False).rows
-        if row.applies and not row.phenomenon.startswith("robot-")
+        if row.applies and not row.phenomenon.startswith(("model-", "robot-"))
     }
 
 

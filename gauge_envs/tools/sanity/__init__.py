@@ -1,12 +1,12 @@
-"""Sanity check of a training configuration: which physics it gets wrong, and which change corrects most.
+"""Sanity check of a training configuration: which physics it gets wrong, and which change of settings corrects most.
 
 A target passes through the modules in this order, which `run` calls.
 
-1. `stacks`: a reader returns a `TrainingConfiguration`; `robot` reads models of MuJoCo.
-2. `phenomena` state scenes and reality; `measure` runs them by `scenario`, and gives verdicts.
-3. `target_checks` judge what is stated: gravity, the time of one action, and the robot's own model.
-4. `cure` applies documented changes and measures again.
-5. `words` write the report; `comparison` compares two.
+1. `stacks`: a reader returns a `TrainingConfiguration`, with the target's own model where it has one.
+2. `itself` and `robot` run and judge this model; `rows` defines their rows.
+3. `phenomena` are scenes of measured objects; `measure` runs them by `scenario`, and gives verdicts.
+4. `cure` applies documented changes and measures again; `mended` writes the changed file.
+5. `report` prints one screen; `comparison` compares two reports.
 
 Example:
     >>> from gauge_envs.tools.sanity import check
@@ -37,6 +37,10 @@ if TYPE_CHECKING:
     from gauge_envs.tools.sanity.run import check as check
     from gauge_envs.tools.sanity.stacks import configuration as configuration
     from gauge_envs.tools.sanity.stacks.gymnasium_env import Target as Target
+    from gauge_envs.tools.sanity.wrapper import (
+        SanityWarning as SanityWarning,
+        SanityWrapper as SanityWrapper,
+    )
 else:
     __getattr__, __all__ = lazy_names(
         __name__,
@@ -58,5 +62,6 @@ else:
             ".run": ["check"],
             ".stacks": ["configuration"],
             ".stacks.gymnasium_env": ["Target"],
+            ".wrapper": ["SanityWarning", "SanityWrapper"],
         },
     )

@@ -1,4 +1,4 @@
-"""Compare the reports of two targets row by row, value beside value.
+"""Compare two reports row by row, and a report with the JSON of an earlier run.
 
 Example:
     >>> from gauge_envs.tools.sanity import check
@@ -7,13 +7,117 @@ Example:
     [False]
 """
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
+from gauge_envs.errors import TargetError
+from gauge_envs.files import json_document, os_errors
 from gauge_envs.pages.document import Document, Paragraph, Tone
 from gauge_envs.pages.table import Column, Table
-from gauge_envs.pages.text import counted, with_unit
-from gauge_envs.tools.sanity.model import PhenomenonResult, Report, Verdict
-from gauge_envs.tools.sanity.words import STYLES, measured_text
+from gauge_envs.pages.text import counted, quantity_text, with_unit
+from gauge_envs.tools.sanity.model import (
+    INSIDE_WITHIN,
+    PhenomenonResult,
+    Report,
+    Verdict,
+    deviation_of,
+)
+
+# --- an earlier run --------------------------------------------------------------------------------------------------
+
+GROWTH = 1.0
+"""Growth of a deviation, in half-widths of the interval of reality, from which on a flagged row is a regression."""
+
+Baseline = Mapping[tuple[str, str], float]
+"""Deviation of each part of each row of an earlier run, by the row's id and the part's name; `""` is the row itself."""
+
+
+def read_baseline(path: Path) -> dict[tuple[str, str], float]:
+    """Return the deviations of an earlier run, as `regressions` takes them.
+
+    Args:
+        path: File with the output of `gauge sanity TARGET --json`.
+
+    Raises:
+        TargetError: The file is not the output of this version.
+    """
+    with os_errors(lambda cause: TargetError(f"{path}: cannot be read: {cause}")):
+        content = path.read_bytes()
+    deviations = {}
+    try:
+        lines = [json_document(line) for line in content.splitlines() if line.strip()]
+        for row in lines:
+            if "phenomenon" not in row:
+                continue
+            for part in _parts(row):
+                deviations[row["phenomenon"], part["name"]] = part["deviation"]
+    except (TypeError, ValueError, KeyError) as error:
+        raise TargetError(
+            f"{path}: expected the output of this version's gauge sanity TARGET --json: {error}"
+        ) from None
+    if not deviations:
+        raise TargetError(
+            f"{path}: has no row; write it with gauge sanity TARGET --json > {path}"
+        )
+    return deviations
+
+
+def _parts(row: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return the parts of a stored row with their deviations; JSON has null for an infinite one."""
+    reality, verdict = row["reality"], Verdict(row["verdict"])
+    whole = deviation_of(
+        verdict, row["configured"], reality["value"], reality["tolerance"]
+    )
+    parts = row["parts"] or [
+        {"name": "", "verdict": row["verdict"], "deviation": whole}
+    ]
+    return [
+        part | {"deviation": _deviation(part["verdict"], part["deviation"])}
+        for part in parts
+    ]
+
+
+def _deviation(verdict: str, deviation: float | None) -> float:
+    if not Verdict(verdict).is_off:
+        return INSIDE_WITHIN
+    return math.inf if deviation is None else deviation
+
+
+def regressions(report: Report, baseline: Baseline, *, least: Verdict) -> list[str]:
+    """Return in words each flagged row or part that is farther from reality than in the baseline.
+
+    Farther is by more than a half-width of the interval, or out of the interval. What the baseline does not have is
+    compared with `inside`.
+
+    Args:
+        report: The report.
+        baseline: Deviations of the earlier run.
+        least: Least bad verdict that counts.
+    """
+    counted_verdicts = {Verdict.WRONG, least}
+    worse = []
+    for row in report.flags.values():
+        whole = ("", row.configured, row.verdict, row.deviation)
+        several = [
+            (part.name, part.value, part.verdict, part.deviation) for part in row.parts
+        ]
+        for name, value, verdict, deviation in several or [whole]:
+            before = baseline.get((row.phenomenon, name), INSIDE_WITHIN)
+            grown = deviation > before + GROWTH or before <= INSIDE_WITHIN
+            if verdict not in counted_verdicts or not grown:
+                continue
+            where = f"{row.phenomenon}, {name}" if name else row.phenomenon
+            shown = with_unit(_value_text(value), row.unit)
+            worse.append(
+                f"{where}: {shown}, {deviation:.3g} half-widths from reality; the baseline has {before:.3g}"
+            )
+    return worse
+
+
+# --- two targets -----------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,43 +202,30 @@ def _row(first: PhenomenonResult, second: PhenomenonResult) -> DifferenceRow:
     )
 
 
-def difference_document(found: Difference) -> Document:
-    """Return how many rows change, and the table; its rows are both names, then each row."""
-    changed = [row.id for row in found.rows if row.is_changed]
-    text = f"{len(changed)} of {counted(len(found.rows), 'row')} change"
+def difference_document(compared: Difference) -> Document:
+    """Return how many rows differ, and the table; its JSON rows are both names, then each row."""
+    changed = [row.id for row in compared.rows if row.is_changed]
+    text = f"{len(changed)} of {counted(len(compared.rows), 'row')} change"
     if changed:
         text += f": {', '.join(changed)}"
-    names = {"first": found.first, "second": found.second}
-    answer, table = Paragraph(text, Tone.ANSWER), _table(found)
-    rows = [names, *map(vars, found.rows)]
-    return Document(
-        parts=(answer, Paragraph(""), table), rows=rows, markdown=(answer, table)
-    )
-
-
-def _table(found: Difference) -> Table:
-    def apart(row: DifferenceRow) -> str:
-        if row.first is None or row.second is None:
-            return "-"
-        return with_unit(f"{row.second - row.first:+.3g}", row.unit)
-
-    return Table(
+    table = Table(
         columns=(
             Column("id", "id"),
             Column("title", "quantity", wide_only=True),
-            Column("first", found.first, measured_text, is_number=True),
-            Column("second", found.second, measured_text, is_number=True),
-            Column("", "difference", apart, is_number=True),
-            *(
-                Column(
-                    name,
-                    "verdict",
-                    lambda verdict: verdict.value,
-                    style=STYLES.__getitem__,
-                )
-                for name in ("first_verdict", "second_verdict")
-            ),
+            Column("first", compared.first, _value_text, is_number=True),
+            Column("second", compared.second, _value_text, is_number=True),
+            Column("first_verdict", "verdict", lambda verdict: verdict.value),
+            Column("second_verdict", "verdict", lambda verdict: verdict.value),
             Column("is_changed", "", lambda is_changed: "changed" * is_changed),
         ),
-        rows=found.rows,
+        rows=compared.rows,
     )
+    names = {"first": compared.first, "second": compared.second}
+    return Document(
+        parts=(Paragraph(text, Tone.ANSWER), table),
+        rows=[names, *map(vars, compared.rows)],
+    )
+
+
+def _value_text(value: float | None) -> str:
+    return "-" if value is None else quantity_text(value)

@@ -389,6 +389,11 @@ class PhenomenonResult:
     place: str = ""
 
     @property
+    def is_own(self) -> bool:
+        """Whether the row is on the target itself, and runs none of the suite's experiments."""
+        return not self.experiment
+
+    @property
     def is_flag(self) -> bool:
         """Whether the row is visible or wrong, and counts."""
         return self.verdict.is_off and not self.advisory

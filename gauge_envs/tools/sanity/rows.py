@@ -18,9 +18,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
+import mujoco
 import numpy as np
 
 from gauge_envs.pages.text import quantity_text
@@ -159,23 +160,20 @@ def row_result(row: Row, robot: Robot | None) -> PhenomenonResult:
         row: The row.
         robot: The target's own model; None where it is not known.
     """
-    shared = {
-        "phenomenon": row.id,
-        "title": row.title,
-        "unit": row.unit,
-        "reality": row.reality,
-    }
+    result = PhenomenonResult(
+        phenomenon=row.id,
+        title=row.title,
+        unit=row.unit,
+        reality=row.reality,
+        verdict=Verdict.DECLINED,
+    )
     try:
         if robot is None:
             raise NotApplicableError("the target's own model is not read")
         found = robot.finding(row)
-    except (NotApplicableError, NotMeasuredError) as reason:
-        return PhenomenonResult(
-            **shared,
-            verdict=Verdict.DECLINED,
-            remark=str(reason),
-            applies=isinstance(reason, NotMeasuredError),
-        )
+    except (NotApplicableError, NotMeasuredError, mujoco.FatalError) as reason:
+        applies = not isinstance(reason, NotApplicableError)
+        return replace(result, remark=str(reason), applies=applies)
 
     def judged(value: float) -> Verdict:
         verdict = Verdict.of(row.deviation(value))
@@ -183,8 +181,8 @@ def row_result(row: Row, robot: Robot | None) -> PhenomenonResult:
         return Verdict.VISIBLE if is_usual and verdict.is_off else verdict
 
     verdict = judged(found.value)
-    return PhenomenonResult(
-        **shared,
+    return replace(
+        result,
         configured=found.value if np.isfinite(found.value) else None,
         verdict=verdict,
         remark=found.remark,

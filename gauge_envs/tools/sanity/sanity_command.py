@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from enum import StrEnum
-from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -24,6 +23,7 @@ from gauge_envs.errors import ParameterError
 if TYPE_CHECKING:
     from gauge_envs.pages.table import Table
     from gauge_envs.tools.sanity import Report
+    from gauge_envs.tools.sanity.comparison import Baseline
 
 
 class FailOn(StrEnum):
@@ -58,7 +58,7 @@ FixOption = Annotated[
     Path | None,
     arguments.option(
         arguments.OUTPUT,
-        "Write the model with the change that mends most, checked again: contact and solver settings.",
+        "Write the model file with the change of settings, checked again.",
         metavar="OUT.xml",
     ),
 ]
@@ -109,27 +109,41 @@ def sanity(
     fail_on: FailOnOption = None,
     baseline: BaselineOption = None,
     fix: FixOption = None,
+    every: Annotated[
+        bool,
+        arguments.option(arguments.OUTPUT, "Also the table of all rows.", "--all"),
+    ] = False,
+    details: Annotated[
+        bool,
+        arguments.option(
+            arguments.OUTPUT,
+            "Also what was read, sources, and the changes that were tried.",
+            "--details",
+        ),
+    ] = False,
     out: OutOption = None,
     form: arguments.Form = Format.TEXT,
 ) -> int:
-    """Report which physics a training configuration gets wrong, and what corrects it.
+    """Report what is wrong in a training configuration, and the change of settings that corrects most.
 
-    Runs measured objects with the numerical settings of the target and of this package's presets, and compares both
-    with real trials and laws; gauge list phenomena shows them. Deformable bodies, which take longer, are checked where
-    a pattern of --only is '*' or names them alone. Exit code 0 when all that was asked for was measured and passed, 1
-    for a row as bad as --fail-on states or farther from reality than in --baseline, 3 when rows were not measured.
+    Runs the target's own model, then measured objects with its numerical settings, and compares both with mechanics and
+    real trials; gauge list phenomena shows all rows. Deformable bodies are checked where a pattern of --only is '*' or
+    names them alone. Exit code 0 when all that was asked for was measured and passed, 1 for a row as bad as --fail-on
+    names or farther from reality than in --baseline, 3 when rows were not measured.
     """
     from gauge_envs.tools.sanity import check, configuration
+    from gauge_envs.tools.sanity.comparison import read_baseline
     from gauge_envs.tools.sanity.mended import check_can_mend, write_mended
-    from gauge_envs.tools.sanity.phenomena import selection
+    from gauge_envs.tools.sanity.report import sanity_document
+    from gauge_envs.tools.sanity.selection import chooses_deformables, selection
 
     if target is None:
         raise ParameterError(
             "no target is given: name one, as in gauge sanity HalfCheetah-v5"
         )
-    common: dict[str, Any] = {
+    chosen: dict[str, Any] = {
         "only": only or [],
-        "include_deformables": _with_deformables(only or []),
+        "include_deformables": chooses_deformables(only or []),
     }
     files = arguments.by_suffix(out, ".md", ".json")
     if against is not None:
@@ -137,15 +151,9 @@ def sanity(
             raise ParameterError(
                 "--against goes with none of --baseline, --pair and --fix: leave them out"
             )
-        return _compare(
-            target,
-            against,
-            common | {"time_limit_s": timeout},
-            fail_on,
-            files,
-            form,
-        )
-    exit_code = _judged_by(fail_on, baseline)
+        options = chosen | {"time_limit_s": timeout}
+        return _compare(target, against, options, fail_on, files, form)
+    earlier = None if baseline is None else read_baseline(baseline)
     if fix is not None:
         check_can_mend(fix)
     geoms = None if pair is None else tuple(pair)
@@ -154,75 +162,35 @@ def sanity(
             f"--pair {','.join(geoms)}: expected the names of two geoms, as floor,foot"
         )
     checked = configuration(target, pair=geoms)
-    with Progress("phenomena", len(selection(**common))) as progress:
+    with Progress("rows", len(selection(**chosen))) as progress:
         report = check(
             checked,
             notify=lambda row: progress.advance(row.phenomenon),
             time_limit_s=timeout,
-            **common,
+            **chosen,
         )
-    _print_report(report, form, files)
+    document = sanity_document(report, details=details, every=every)
+    print_document(document, form, files=files)
     if fix is not None:
         message(write_mended(report, fix), "fix")
-    return exit_code(report)
+    if _is_bad(report, fail_on or FailOn.VISIBLE, earlier):
+        return EXIT_FAILED
+    return EXIT_INCOMPLETE if report.unmeasured else 0
 
 
-def _with_deformables(patterns: Sequence[str]) -> bool:
-    """Return whether a pattern chooses deformable bodies: it is '*', or matches no row of rigid bodies."""
-    from gauge_envs.tools.sanity.phenomena import selection
-
-    return any(
-        pattern == "*" or not any(fnmatchcase(name, pattern) for name in selection())
-        for pattern in patterns
-    )
-
-
-def _print_report(report: Report, form: Format, files: Mapping[str, Path]) -> None:
-    from gauge_envs.backends.mujoco.versions import SPARSE_FAULT
-    from gauge_envs.pages.document import Document, Paragraph, Tone
-    from gauge_envs.tools.sanity.model import UNREAD
-    from gauge_envs.tools.sanity.words import is_clean, sanity_document, top_line
-
-    shown = sanity_document(report)
-    if form is Format.TEXT and is_clean(report):
-        line = Paragraph(
-            f"{report.configuration.name}: {top_line(report)}; {report.wall_s:.0f} s"
-        )
-        unread = [
-            Paragraph(f"note: {n}", Tone.WARNING)
-            for n in report.configuration.notes
-            if n.startswith(UNREAD) or SPARSE_FAULT in n
-        ]
-        shown = Document(
-            parts=(line, *unread), rows=shown.rows, markdown=shown.markdown
-        )
-    print_document(shown, form, files=files)
-
-
-def _judged_by(
-    fail_on: FailOn | None, baseline: Path | None
-) -> Callable[[Report], int]:
-    """Return what decides the exit code of a check, and prints regressions from a baseline."""
+def _is_bad(report: Report, fail_on: FailOn, baseline: Baseline | None) -> bool:
+    """Return whether a row is as bad as `fail_on`, and with a baseline, worse than there; regressions are printed."""
     from gauge_envs.tools.sanity import Verdict
-    from gauge_envs.tools.sanity.run import read_baseline, regressions
-    from gauge_envs.tools.sanity.words import regression_text
+    from gauge_envs.tools.sanity.comparison import regressions
 
-    before = None if baseline is None else read_baseline(baseline)
     least = Verdict.WRONG if fail_on is FailOn.WRONG else Verdict.VISIBLE
-    bad = {FailOn.WRONG: (Verdict.WRONG,), FailOn.NEVER: ()}.get(
-        fail_on or FailOn.VISIBLE, (Verdict.WRONG, Verdict.VISIBLE)
-    )
-
-    def exit_code(report: Report) -> int:
-        is_bad = any(row.verdict in bad for row in report.flags.values())
-        if before is not None:
-            worse = regressions(report, before, least=least)
-            for one in worse:
-                message(regression_text(one), "regression")
-            is_bad = bool(worse)
-        return EXIT_FAILED if is_bad else EXIT_INCOMPLETE if report.unmeasured else 0
-
-    return exit_code
+    if baseline is not None:
+        worse = regressions(report, baseline, least=least)
+        for text in worse:
+            message(text, "regression")
+        return bool(worse)
+    bad = {Verdict.WRONG, least} if fail_on is not FailOn.NEVER else set()
+    return any(row.verdict in bad for row in report.flags.values())
 
 
 def _compare(
@@ -238,21 +206,21 @@ def _compare(
     from gauge_envs.tools.sanity.comparison import difference_document
 
     reports = [check(target, explain=False, **options) for target in (first, second)]
-    found = difference(*reports)
-    print_document(difference_document(found), form, files=files)
-    changed = [row for row in found.rows if row.is_changed]
+    compared = difference(*reports)
+    print_document(difference_document(compared), form, files=files)
+    changed = [row for row in compared.rows if row.is_changed]
     if fail_on is FailOn.WRONG:
         changed = [row for row in changed if row.is_wrong]
     if changed and fail_on is not FailOn.NEVER:
         return EXIT_FAILED
-    is_measured = any(row.is_measured for row in found.rows)
+    is_measured = any(row.is_measured for row in compared.rows)
     return 0 if is_measured else EXIT_INCOMPLETE
 
 
 def list_phenomena(patterns: Sequence[str]) -> list[Table]:
-    """Return the table of phenomena, those of deformable bodies only for patterns that choose them."""
-    from gauge_envs.tools.sanity.words import phenomena_table
+    """Return the table of rows, those of deformable bodies only for patterns that choose them."""
+    from gauge_envs.tools.sanity.report import phenomena_table
+    from gauge_envs.tools.sanity.selection import chooses_deformables
 
-    return [
-        phenomena_table(include_deformables=_with_deformables(patterns), only=patterns)
-    ]
+    deformables = chooses_deformables(patterns)
+    return [phenomena_table(include_deformables=deformables, only=patterns)]

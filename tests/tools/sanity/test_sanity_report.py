@@ -1,221 +1,278 @@
-"""The sanity check as people and programs read it: a table and JSON lines."""
+"""The sanity check as people and programs read it: screen, exit codes, JSON, baseline, wrapper and action."""
 
 import json
+import os
+import subprocess
+import sys
+import warnings
 from dataclasses import replace
 from io import StringIO
 
+import gymnasium
 import pytest
+import yaml
 from places import ROOT
 from rich.console import Console
+from typer.testing import CliRunner
 
-from gauge_envs.pages.markdown import as_markdown
+from gauge_envs.cli.app import app
+from gauge_envs.pages.document import as_rows
 from gauge_envs.pages.terminal import Terminal
+from gauge_envs.tools import sanity
+from gauge_envs.tools.sanity import SanityWarning, SanityWrapper
 from gauge_envs.tools.sanity.model import (
-    ContactGroup,
+    ChangePart,
     Cure,
-    PartOutcome,
     PhenomenonResult,
     Reality,
     Report,
     TrainingConfiguration,
     Verdict,
 )
-from gauge_envs.tools.sanity.phenomena.base import facts
-from gauge_envs.tools.sanity.words import sanity_document, top_line
+from gauge_envs.tools.sanity.report import sanity_document
 
-CONSTANTS = {
-    "condim": 3,
-    "friction": [0.4, 0.4, 0.1, 0.1, 0.1],
-    "solref": [0.02, 1.0],
-    "solreffriction": [0.0, 0.0],
-    "solimp": [0.0, 0.8, 0.01, 0.5, 2.0],
-    "margin": 0.0,
-    "gap": 0.0,
-}
-CONFIGURATION = TrainingConfiguration(
-    name="Robot-v0",
-    source="a <model> of [mine]",
-    backend="mujoco",
-    settings={
-        "timestep_s": 0.01,
-        "refsafe": False,
-        "contact_solimp": [0.0, 0.8, 0.01, 0.5, 2.0],
-        "cone": "pyramidal",
-    },
-    origins={
-        "timestep_s": "option",
-        "refsafe": "option",
-        "cone": "option",
-        "contact_solimp": "floor with foot",
-    },
-    frame_skip=5,
-    contact_groups=(
-        ContactGroup(
-            geoms="floor with foot", pair_count=8, constants=CONSTANTS, is_used=True
-        ),
-        ContactGroup(
-            geoms="arms with each other",
-            pair_count=2,
-            constants=CONSTANTS | {"condim": 1},
-        ),
-    ),
-    notes=("not used: arms with each other & more",),
-)
 CREEP = PhenomenonResult(
     phenomenon="creep-wood",
     title="creep of a <cube> [of wood]",
     experiment="GAUGE/SlopeSlider-1-wood",
     unit="mm/s",
-    reality=Reality.law(
-        0.0, tolerance=0.5, source="paper, Table 5 & more", rationale="cubes <rest>"
-    ),
+    reality=Reality.law(0.0, tolerance=0.5, source="paper", rationale="cubes <rest>"),
     default=0.002,
     configured=-28.0,
     verdict=Verdict.WRONG,
     default_verdict=Verdict.INSIDE,
 )
-SLIDE = replace(
-    CREEP,
-    phenomenon="slide",
-    title="slide",
-    configured=1.5,
-    verdict=Verdict.VISIBLE,
-)
-PERIOD = replace(
-    CREEP,
-    phenomenon="period",
-    title="period",
-    configured=0.1,
-    verdict=Verdict.INSIDE,
-)
+SLIDE = replace(CREEP, phenomenon="slide", configured=1.1, verdict=Verdict.VISIBLE)
+PERIOD = replace(CREEP, phenomenon="period", configured=0.1, verdict=Verdict.INSIDE)
 WALL = replace(
     CREEP,
     phenomenon="wall",
-    title="wall",
     configured=None,
-    default=None,
     verdict=Verdict.DECLINED,
-    default_verdict=Verdict.DECLINED,
     remark="'brick' is too heavy",
 )
-
-ADVICE = replace(
+NOTHING = replace(WALL, phenomenon="slip", remark="no gravity", applies=False)
+ADVICE = replace(CREEP, phenomenon="rebound", advisory="no impact constant is given")
+SPIN = replace(
     CREEP,
-    phenomenon="rebound",
-    title="rebound",
-    advisory="no impact constant is stated",
+    phenomenon="model-spin",
+    title="angular momentum that a free body loses",
+    experiment="",
+    remark="box loses 62 % in 2 s, a refined run 0.1 %",
+    place='body "box" (toss.xml:6)',
+    consequence="What is thrown stops to turn.",
 )
-NOTHING = replace(
-    WALL,
-    phenomenon="slip",
-    title="slip",
-    remark="the model has no gravity",
-    applies=False,
-)
-
-
-def report(*rows):
-    return Report(
-        configuration=CONFIGURATION,
-        rows=rows,
-        versions={"mujoco": "4.0.0"},
-        wall_s=12.3,
-    )
-
-
-WHOLE = report(CREEP, SLIDE, PERIOD, WALL)
-CURE = Cure(
+CHANGE = Cure(
     changes={"cone": "elliptic"},
-    line='<option cone="elliptic"/>: 2 of 2 flags go',
+    line='<option cone="elliptic"/>: 1 of 2 flags go',
     flag_count=2,
-    mended={"creep-wood": 0.5, "wall-drift": 0.1},
-)
-GROUPS = (
-    PartOutcome(
-        name="floor with trunk", value=0.1, verdict=Verdict.INSIDE, deviation=0.2
+    mended={"creep-wood": 0.5},
+    lines=(
+        '- <option timestep="0.01"/>',
+        '+ <option timestep="0.01" cone="elliptic"/>',
     ),
-    PartOutcome(
-        name="floor with foot", value=-28.0, verdict=Verdict.WRONG, deviation=56.0
-    ),
+    parts=(ChangePart(text='cone="elliptic"', corrects=("creep-wood",)),),
+    speed_ratio=0.8,
 )
-REPORTS = {
-    "whole": WHOLE,
-    "with a cure": replace(WHOLE, cure=CURE),
-    "nothing flagged": report(PERIOD),
-    "not all measured": report(PERIOD, WALL),
-    "nothing measured": report(NOTHING),
-    "advice": report(ADVICE, PERIOD),
-    "several sets": report(replace(CREEP, geoms="floor with foot", parts=GROUPS)),
-}
-"""Reports of each kind, by what they show."""
 
 
-def test_wrong_rows_of_the_robot_that_no_change_corrects_stand_first():
-    density = replace(CREEP, phenomenon="robot-density", title="density")
-    left = replace(report(CREEP, density), cure=replace(CURE, line="a change"))
-    text = "Wrong in the robot itself: robot-density. Mends most: a change"
-    assert top_line(left) == text
-
-
-def shown(checked, *, width=120, wide=False):
-    stream = StringIO()
-    document = Terminal(sanity_document(checked), wide=wide)
-    Console(file=stream, width=width).print(document)
-    text = stream.getvalue()
-    assert max(map(len, text.splitlines())) <= width
-    return text
-
-
-# --- words -----------------------------------------------------------------------------------------------------------
-
-
-def test_reports_in_a_terminal(approved):
-    texts = {name: shown(one) for name, one in REPORTS.items()}
-    texts |= {
-        "narrow": shown(WHOLE, width=80),
-        "wide": shown(REPORTS["several sets"], width=200, wide=True),
-        "markdown": as_markdown(sanity_document(WHOLE)),
-    }
-    sections = (f"=== {name} ===\n{text}" for name, text in texts.items())
-    approved("sanity/reports", "\n".join(sections))
-
-
-def test_advice_does_not_count():
-    assert report(ADVICE, PERIOD).worst is Verdict.INSIDE
-    assert WHOLE.worst is Verdict.WRONG
-
-
-def test_phenomena_are_listed_without_a_target(gauge):
-    outcome = gauge(*["list", "phenomena", "--json", "creep-*", "gravity", "rebound"])
-    rows = {row["id"]: row for row in map(json.loads, outcome.stdout.splitlines())}
-    creeps = {f"creep-{material}" for material in ("wood", "plastic", "metal")}
-    assert set(rows) == {"gravity", "rebound", *creeps}
-    trials = facts("bouncing_ball_summary")["trial_count"]
-    assert (rows["rebound"]["kind"], rows["rebound"]["trial_count"]) == (
-        "measured",
-        trials,
+def report(*rows, **more):
+    configuration = TrainingConfiguration(
+        name="Robot-v0", source="a <model>", backend="mujoco", settings={}
     )
-    assert "rope-length" in gauge("list", "phenomena", "*").stdout
+    return Report(
+        configuration=configuration, rows=rows, versions={}, wall_s=1.0, **more
+    )
 
 
-# --- command ---------------------------------------------------------------------------------------------------------
+def screen(checked, **options):
+    stream = StringIO()
+    shown = Terminal(sanity_document(checked, **options))
+    Console(file=stream, width=100).print(shown)
+    return stream.getvalue().splitlines()
+
+
+def run(monkeypatch, checked, *options):
+    monkeypatch.setattr(sanity, "check", lambda *_, **__: checked)
+    return CliRunner().invoke(app, ["sanity", "mujoco", *options])
+
+
+# --- the screen ------------------------------------------------------------------------------------------------------
+
+
+def test_the_screen_has_the_counts_then_the_model_then_objects_then_the_change():
+    lines = screen(report(CREEP, SPIN, SLIDE, PERIOD, cure=CHANGE))
+    assert lines[0] == "Robot-v0: 2 to mend, 1 to look at, 1 fine"
+    places = [
+        next(n for n, line in enumerate(lines) if text in line)
+        for text in ("model-spin", "toss.xml:6", "creep-wood", "+ <option", "--details")
+    ]
+    assert places == sorted(places)
+
+
+def test_the_screen_fits_in_25_lines():
+    own = [replace(SPIN, phenomenon=f"model-{number}") for number in range(12)]
+    objects = [replace(CREEP, phenomenon=f"creep-{number}") for number in range(20)]
+    checked = report(*own, *objects, PERIOD, WALL, cure=CHANGE, unstated="No limit.")
+    lines = screen(checked)
+    assert len(lines) <= 25
+    assert len(screen(checked, every=True, details=True)) > 40
+
+
+def test_a_report_without_flags_is_one_line():
+    assert screen(report(PERIOD, ADVICE)) == [
+        "Robot-v0: 0 to mend, 0 to look at, 2 fine"
+    ]
+
+
+# --- exit codes and JSON ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("rows", "options", "code"),
+    [
+        ((PERIOD, ADVICE, NOTHING), (), 0),
+        ((CREEP, PERIOD), (), 1),
+        ((SLIDE, PERIOD), ("--fail-on", "wrong"), 0),
+        ((CREEP, PERIOD), ("--fail-on", "never"), 0),
+        ((PERIOD, WALL), (), 3),
+        ((CREEP, WALL), (), 1),
+        # Nothing was measured, whether it applies or not.
+        ((NOTHING,), (), 3),
+    ],
+)
+def test_exit_codes(monkeypatch, rows, options, code):
+    assert run(monkeypatch, report(*rows), *options).exit_code == code
+
+
+def test_a_row_that_was_asked_for_by_name_must_be_measured(monkeypatch):
+    checked = report(PERIOD, NOTHING, asked=("slip",))
+    assert run(monkeypatch, checked).exit_code == 3
+
+
+def test_a_check_without_time_is_not_green(gauge):
+    words = ["sanity", "HalfCheetah-v5", "--timeout", "0s", "--only", "creep-*,gravity"]
+    outcome = gauge(*words)
+    assert outcome.exit_code == 3
+    assert "3 not measured" in outcome.stdout
 
 
 def test_the_command_on_a_real_configuration(gauge):
-    arguments = ["sanity", "HalfCheetah-v5", "--only", "rest-height"]
-    outcome = gauge(*arguments, "--json", "--fail-on", "wrong")
-    first, row = (json.loads(line) for line in outcome.stdout.splitlines())
-    assert outcome.exit_code == 1
+    words = ["sanity", "HalfCheetah-v5", "--only", "rest-height", "--json"]
+    first, row = map(json.loads, gauge(*words).stdout.splitlines())
     assert first["configuration"]["name"] == "HalfCheetah-v5"
-    # solimp 0 0.8 0.01 lets a cube sink by millimetres; the backend's default holds it.
-    assert row["verdict"] == "wrong"
-    assert row["configured"] < -1.0
+    # solimp 0 0.8 0.01 lets a cube sink by millimetres; the preset holds it.
+    assert (row["verdict"], row["configured"] < -1.0) == ("wrong", True)
     assert abs(row["default"]) < 0.1
-    assert gauge(*arguments, "--fail-on", "never").exit_code == 0
+
+
+def test_rows_are_listed_without_a_target(gauge):
+    outcome = gauge("list", "phenomena", "--json", "creep-*", "gravity", "rebound")
+    rows = {row["id"]: row for row in map(json.loads, outcome.stdout.splitlines())}
+    creeps = {f"creep-{material}" for material in ("wood", "plastic", "metal")}
+    assert set(rows) == {"gravity", "rebound", *creeps}
+    assert rows["rebound"]["kind"] == "measured"
+    assert "rope-length" in gauge("list", "phenomena", "*").stdout
+
+
+# --- baseline --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("creep_mm_per_s", "more", "code"),
+    [
+        # The interval is 0.5 mm/s wide on each side, and the creep of the baseline is 28 mm/s.
+        (-28.4, PERIOD, 0),
+        (28.0, PERIOD, 0),
+        (-29.0, PERIOD, 1),
+        (None, PERIOD, 1),
+        (-28.0, replace(PERIOD, configured=1.0, verdict=Verdict.VISIBLE), 1),
+        (-28.0, WALL, 3),
+    ],
+)
+def test_a_baseline_compares_values_with_their_intervals(
+    creep_mm_per_s, more, code, monkeypatch, tmp_path
+):
+    before = tmp_path / "before.json"
+    known = as_rows(sanity_document(report(CREEP, PERIOD)))
+    before.write_text("\n".join(map(json.dumps, known)))
+    checked = report(replace(CREEP, configured=creep_mm_per_s), more)
+    outcome = run(monkeypatch, checked, "--baseline", str(before))
+    assert outcome.exit_code == code
+    assert ("regression" in outcome.stderr) == (code == 1)
+
+
+def test_a_baseline_of_another_kind_is_an_error(monkeypatch, tmp_path):
+    before = tmp_path / "before.json"
+    before.write_text('{"phenomenon": "creep-wood"}')
+    outcome = run(monkeypatch, report(CREEP), "--baseline", str(before))
+    assert outcome.exit_code == 2
+    assert "expected the output of this version" in outcome.stderr
+
+
+# --- in training -----------------------------------------------------------------------------------------------------
+
+
+def test_the_wrapper_warns_of_a_flag_and_checks_once(monkeypatch):
+    calls = []
+
+    def check(env, only):
+        calls.append(only)
+        return report(CREEP if "bad" in only else PERIOD, cure=CHANGE)
+
+    monkeypatch.setattr("gauge_envs.tools.sanity.wrapper.check", check)
+    for _ in range(2):
+        with pytest.warns(SanityWarning, match='creep-wood.*cone="elliptic"'):
+            SanityWrapper(gymnasium.make("CartPole-v1"), only=["bad"])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", SanityWarning)
+        env = SanityWrapper(gymnasium.make("CartPole-v1"), only=["good"])
+    assert calls == [["bad"], ["good"]]
+    assert env.report.worst is Verdict.INSIDE
+
+
+FLOOR = '<geom type="plane" size="1 1 1"/><body pos="0 0 1"><freejoint/><geom size=".1"/></body>'
 
 
 @pytest.mark.slow
-def test_the_good_example_raises_no_flag(gauge):
-    file = ROOT / "examples" / "sanity" / "good.toml"
-    outcome = gauge("sanity", file, "--fail-on", "visible")
-    assert outcome.exit_code == 0, outcome.output
+@pytest.mark.parametrize(
+    ("target", "options", "code"),
+    [
+        ("ball.xml", "--only gravity", 0),
+        ("no gravity.xml", "--only 'gravity, creep-wood'", 3),
+        ("ball.xml", "--only creep-wood --timeout 0s", 3),
+        ("ball.xml; touch pwned", "--only gravity ; touch pwned", 2),
+        ("--fail-on=never", "--only `touch pwned`", 2),
+    ],
+)
+def test_the_check_of_the_action_runs(tmp_path, target, options, code):
+    action = yaml.safe_load((ROOT / "action.yml").read_text())
+    values = {
+        name: given.get("default", "") for name, given in action["inputs"].items()
+    }
+    command = f'#!/bin/sh\nexec {sys.executable} -c "from gauge_command import main; main()" "$@"\n'
+    (tmp_path / "gauge").write_text(command)
+    (tmp_path / "gauge").chmod(0o755)
+    model = f"<mujoco><worldbody>{FLOOR}</worldbody></mujoco>"
+    (tmp_path / "ball.xml").write_text(model)
+    weightless = model.replace("<worldbody>", '<option gravity="0 0 0"/><worldbody>')
+    (tmp_path / "no gravity.xml").write_text(weightless)
+    given = values | {"target": target, "options": options}
+    (step,) = [step for step in action["runs"]["steps"] if step["name"] == "Check"]
+    env = {
+        name: given[text.strip("${ }").removeprefix("inputs.")]
+        for name, text in step["env"].items()
+    }
+    path = os.pathsep.join([str(tmp_path), os.environ["PATH"]])
+    env |= {"PATH": path, "PYTHONPATH": str(ROOT), "GITHUB_STEP_SUMMARY": "summary.md"}
+    done = subprocess.run(
+        [sys.executable, "-c", step["run"]],
+        cwd=tmp_path,
+        env=os.environ | env,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == code, done.stdout + done.stderr
+    assert not (tmp_path / "pwned").exists()
+    assert (code == 2) != (tmp_path / "summary.md").is_file()
