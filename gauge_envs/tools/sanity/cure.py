@@ -20,13 +20,8 @@ from gauge_envs.tools.sanity.model import (
     TrainingConfiguration,
     Verdict,
 )
-from gauge_envs.tools.sanity.phenomena import (
-    CONTROL_ID,
-    GRAVITY_ID,
-    STATED_IDS,
-    UNCHANGED_IDS,
-    phenomenon,
-)
+from gauge_envs.tools.sanity.phenomena import phenomenon
+from gauge_envs.tools.sanity.selection import OWN_IDS, SIMULATED_IDS
 from gauge_envs.tools.sanity.stacks.dialect import Dialect
 from gauge_envs.tools.sanity.target_checks import target_rows
 
@@ -92,7 +87,7 @@ class _Search:
     ) -> None:
         self._configuration, self._dialect = configuration, dialect
         self._measurements = measurements
-        unchanged = {GRAVITY_ID, CONTROL_ID, *UNCHANGED_IDS}
+        unchanged = {*OWN_IDS} - SIMULATED_IDS
         judged = [row for row in rows if row.phenomenon not in unchanged]
         self._units = {row.phenomenon: row.unit for row in judged}
         self._before = {
@@ -144,13 +139,13 @@ class _Search:
 
     def _is_slow(self, name: str) -> bool:
         """Return whether a row is on the target's own model or on a scene of many bodies."""
-        return name in STATED_IDS or phenomenon(name).has_many_bodies
+        return name in OWN_IDS or phenomenon(name).has_many_bodies
 
     def _is_known(self, changes: Settings, name: str) -> bool:
         return _key(changes, name) in self._known
 
     def _measured(self, changed: TrainingConfiguration, name: str) -> Outcome:
-        if name in STATED_IDS:
+        if name in OWN_IDS:
             row = target_rows(changed, [name])[0]
             return Outcome(row.verdict, row.configured, row.deviation)
         subject = subject_of(self._measurements, changed, phenomenon(name))

@@ -27,8 +27,8 @@ MAX_OWN_FLAGS, MAX_OBJECT_FLAGS = 3, 4
 """Largest numbers of flags on the target itself and on measured objects that the screen shows; of more, it shows a flag
 less and names the others. With these numbers a report has at most 25 lines of 100 characters."""
 
-MAX_PARTS = 4
-"""Largest number of parts of a change that the screen shows."""
+SAME_SPEED = 0.15
+"""Change of the number of steps a second that a short measurement does not resolve."""
 
 MAX_NAMES = 3
 """Largest number of names in a sentence."""
@@ -51,8 +51,16 @@ LABELS = {
 }
 """Verdicts in the words of the screen."""
 
-DEFAULT_CONTACT = {"cone": "pyramidal", "impratio": 1.0, "noslip_iterations": 0}
-"""Options of MuJoCo's default contact."""
+DEFAULT_OPTIONS = {
+    "cone": "pyramidal",
+    "impratio": 1.0,
+    "solver": "Newton",
+    "iterations": 100,
+    "ls_iterations": 50,
+    "noslip_iterations": 0,
+    "timestep_s": 0.002,
+}
+"""Options of MuJoCo's that decide contacts, at their defaults."""
 
 
 def sanity_document(
@@ -227,19 +235,17 @@ def _object_flags(report: Report) -> list[Part]:
 
 
 def _has_default_contact(checked: TrainingConfiguration) -> bool:
-    """Return whether all contacts that are judged have MuJoCo's default constants and cone."""
+    """Return whether all contacts that are judged have MuJoCo's default constants and options."""
     if not checked.is_model:
         return False
-    default = default_contact_settings()
-    constants = ("contact_solref", "contact_solimp", "contact_margin_m")
-    sets = checked.contact_sets.values()
+    constants = default_contact_settings()
+    default = DEFAULT_OPTIONS | {
+        name: constants[name] for name in ("contact_solref", "contact_solimp")
+    }
     return all(
-        all(settings.get(name) == default.get(name) for name in constants)
-        and all(
-            settings.get(name, value) == value
-            for name, value in DEFAULT_CONTACT.items()
-        )
-        for settings in sets
+        settings.get(name) == value
+        for settings in checked.contact_sets.values()
+        for name, value in default.items()
     )
 
 
@@ -250,16 +256,19 @@ def _change(report: Report) -> list[Part]:
         return [Paragraph(report.trade)] if report.trade else []
     text = f"Change: corrects {change.mended_count} of {change.flag_count}"
     if change.speed_ratio is not None:
-        text += f"; {change.speed_ratio:.2g} times as many steps a second"
+        is_same = abs(change.speed_ratio - 1.0) < SAME_SPEED
+        speed = "as many" if is_same else f"{change.speed_ratio:.1g} times as many"
+        text += f"; {speed} steps a second"
     lines: list[Part] = [
         Paragraph(text, Tone.ANSWER),
         *(Paragraph(f"  {line}") for line in change.lines or (change.line,)),
     ]
     alone = [
-        f"{part.text} corrects {first_names(part.corrects, MAX_NAMES) or 'nothing'}"
-        for part in change.parts[:MAX_PARTS]
+        f"{part.text} corrects {first_names(part.corrects, MAX_NAMES)}"
+        for part in change.parts
+        if part.corrects
     ]
-    if len(alone) > 1:
+    if len(change.parts) > 1 and alone:
         lines.append(Paragraph(f"  alone: {'; '.join(alone)}", Tone.NOTE))
     return lines
 

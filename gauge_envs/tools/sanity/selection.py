@@ -13,6 +13,16 @@ GRAVITY_ID, CONTROL_ID = "gravity", "control-step"
 OWN_IDS = (*ROWS, GRAVITY_ID, CONTROL_ID)
 """Rows on the target itself, which run none of the suite's experiments."""
 
+SIMULATED_IDS = frozenset(
+    {
+        *("model-overlap", "model-constraints", "model-sleep", "model-creep"),
+        *("model-cloth", "model-cloth-sink", "model-solver", "model-spin"),
+        *("robot-holds", "robot-energy", "robot-stands", "robot-slip"),
+        *("robot-torque", "robot-drive"),
+    }
+)
+"""Rows that run the target's own model, so that settings of the engine can change them."""
+
 
 def selection(
     only: Sequence[str] = (), *, include_deformables: bool = False
