@@ -28,23 +28,15 @@ import dataclasses
 import enum
 import importlib
 import json
-import platform
 import re
 import sys
 import xml.etree.ElementTree as ET
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 FORMAT, VERSION = "gauge-probe", 4
 
 SUFFIX = ".gaugeprobe.json"
-
-PACKAGES = (
-    "numpy mujoco mujoco-mjx mujoco-warp warp-lang jax torch gymnasium dm_control playground mjlab isaaclab isaacsim "
-    "mani_skill sapien newton genesis-world"
-)
-"""Packages whose versions are written if they are installed."""
 
 
 class ProbeError(Exception):
@@ -353,10 +345,8 @@ def found(value: Any, place: str) -> Any:
 
 def is_of(value: Any, package: str, name: str) -> bool:
     """Return whether a value's class has that name and is from that package, which need not be imported."""
-    return any(
-        kind.__name__ == name and kind.__module__.split(".")[0] == package
-        for kind in type(value).__mro__
-    )
+    kind = type(value)
+    return kind.__name__ == name and kind.__module__.split(".")[0] == package
 
 
 def mujoco_model(target: Any) -> Any:
@@ -379,6 +369,8 @@ def capture_mujoco(target: Any) -> dict[str, Any] | None:
     model = mujoco_model(target)
     if model is None:
         return None
+    import mujoco
+
     skips = [found(target, place) for place in SKIPS.split()]
     package = type(target).__module__.split(".")[0]
     engine = ENGINES.get(package, "MuJoCo")
@@ -391,6 +383,7 @@ def capture_mujoco(target: Any) -> dict[str, Any] | None:
     ]
     return {
         "kind": "mjcf",
+        "mujoco": mujoco.__version__,
         "engine": engine,
         "frame_skip": next((skip for skip in skips if isinstance(skip, int)), None),
         "notes": notes,
@@ -405,13 +398,13 @@ def capture_settings(target: Any) -> dict[str, Any] | None:
             return {"kind": "isaac_lab", "data": cfg}
     for place in ("", "sim_config", "unwrapped.sim_config", "_default_sim_config"):
         cfg = found(target, place)
+        # A task of ManiSkill states its settings without being started.
+        cfg = cfg.__get__(object()) if isinstance(cfg, property) else cfg
         if is_of(cfg, "mani_skill", "SimConfig"):
             return {"kind": "maniskill", "data": cfg}
     options = found(target, "options") or target
-    if is_of(options, "genesis", "SceneOptions") or found(options, "rigid.iterations"):
-        parts = {part: found(options, part) for part in ("sim", "rigid")}
-        return {"kind": "genesis", "data": parts}
-    return None
+    parts = {part: found(options, part) for part in ("sim", "rigid")}
+    return {"kind": "genesis", "data": parts} if all(parts.values()) else None
 
 
 def plain(value: Any) -> Any:
@@ -434,17 +427,6 @@ def plain(value: Any) -> Any:
 # --- the file --------------------------------------------------------------------------------------------------------
 
 
-def versions() -> dict[str, str]:
-    """Return the versions of Python and of the packages that are installed here."""
-    installed = {"python": platform.python_version()}
-    for package in PACKAGES.split():
-        try:
-            installed[package] = metadata.version(package)
-        except metadata.PackageNotFoundError:
-            continue
-    return installed
-
-
 def save(target: Any, file: str, name: str = "") -> None:
     """Write an environment, a model or a configuration to a file for `gauge sanity`.
 
@@ -462,7 +444,6 @@ def save(target: Any, file: str, name: str = "") -> None:
         "version": VERSION,
         "name": name or type(target).__qualname__,
         "source": kind,
-        "versions": versions(),
     }
     content = json.dumps({**head, **captured}, default=plain, skipkeys=True)
     Path(file).write_text(content, encoding="utf-8")
@@ -470,26 +451,14 @@ def save(target: Any, file: str, name: str = "") -> None:
 
 def resolve(target: str) -> Any:
     """Return the object that a text names: a model file, a Gymnasium id, or `MODULE:EXPRESSION`."""
-    if Path(target).suffix.lower() in (".xml", ".mjcf", ".urdf", ".mjb"):
+    if Path(target).suffix.lower() in (".xml", ".mjcf", ".urdf"):
         import mujoco
 
-        is_binary = Path(target).suffix == ".mjb"
-        model = mujoco.MjModel
-        return (model.from_binary_path if is_binary else model.from_xml_path)(target)
+        return mujoco.MjModel.from_xml_path(target)
     module, colon, expression = target.partition(":")
     if colon and not re.search(r"-v\d+$", target):
         value = eval(expression, dict(vars(importlib.import_module(module))))
-        default = found(value, "_default_sim_config")
-        if isinstance(default, property):
-            # A task of ManiSkill states its settings without being started.
-            return default.__get__(object())
-        if default is not None:
-            return default
-        is_called = isinstance(value, type) or type(value).__name__ in (
-            "function",
-            "method",
-            "partial",
-        )
+        is_called = callable(value) and not hasattr(value, "_default_sim_config")
         return value() if is_called else value
     import gymnasium
 

@@ -189,7 +189,7 @@ def test_what_a_program_changed_after_loading_is_in_the_file(tmp_path):
 def test_a_file_of_another_version_says_so(file):
     text = file.read_text().replace("<option ", "<option later='1' ")
     document = json.loads(text) | {"engine": "MJX", "notes": ["from the probe"]}
-    document["versions"]["mujoco"] = "3.2.0"
+    document["mujoco"] = "3.2.0"
     file.write_text(json.dumps(document))
     notes = "; ".join(configuration(file).notes)
     for note in (

@@ -1,5 +1,6 @@
 """Define a dialect: the settings of a backend in the words of a training stack, read and written by one table."""
 
+import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -59,6 +60,33 @@ class Setting:
     pattern: str = ""
     others: tuple[str, ...] = ()
     default: Any = None
+
+
+Kind = tuple[Callable[[Table, str], Any], Callable[[Any], str] | None, str]
+"""How a setting is read, its text, and the form of its assignment, as in `Setting`."""
+
+PLAIN: dict[str, Kind] = {
+    "number": (Table.number, None, ""),
+    "value": (Table.value, None, ""),
+}
+"""Kinds that every stack has."""
+
+
+def settings_of(table: str, kinds: Mapping[str, Kind]) -> tuple[Setting, ...]:
+    """Return the settings of a table with a line for each: name, place, key, kind, and default in JSON where known.
+
+    Args:
+        table: The table. A key of an articulation is also that of its rigid bodies.
+        kinds: Kinds of values of the stack.
+    """
+    settings = []
+    for line in filter(None, map(str.split, table.splitlines())):
+        name, place, key, kind, *default = line
+        read, text, pattern = {**PLAIN, **kinds}[kind]
+        other = key.replace("articulation_props", "rigid_props")
+        known = json.loads(default[0]) if default else None
+        settings.append(Setting(name, place, key, read, text, pattern, (other,), known))
+    return tuple(settings)
 
 
 @dataclass(frozen=True, kw_only=True)

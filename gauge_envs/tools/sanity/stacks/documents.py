@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import codecs
 import math
-import re
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 from gauge_envs.errors import TargetError, needs_extra
 from gauge_envs.files import os_errors
@@ -91,9 +90,6 @@ def yaml_document(text: str) -> Any:
 
 # --- tables ----------------------------------------------------------------------------------------------------------
 
-REFERENCE = re.compile(r"\$\{([A-Za-z_][\w.]*)\}")
-"""A value that stands at another place of the same file, as Hydra writes it."""
-
 
 class Table:
     """A nested table. Keys are paths with dots, such as `sim.physx.solver_type`.
@@ -104,24 +100,15 @@ class Table:
         values: The table.
         source: Name of the file, for messages.
         path: Key of the table in the whole file.
-        root: The whole file, in which references are looked up; the table itself if None.
     """
 
-    def __init__(
-        self,
-        values: Any,
-        *,
-        source: str,
-        path: str = "",
-        root: Settings | None = None,
-    ) -> None:
+    def __init__(self, values: Any, *, source: str, path: str = "") -> None:
         self.source, self.path = source, path
         if not isinstance(values, Mapping):
             raise TargetError(
                 f"{source}: {path or 'the file'} is {_kind(values)}, and a table is expected"
             )
         self.values: Settings = values
-        self._root = values if root is None else root
 
     def __contains__(self, key: str) -> bool:
         return self.value(key) is not None
@@ -132,9 +119,9 @@ class Table:
 
     def value(self, key: str) -> Any:
         """Return a value of any kind; None when it is absent or null."""
-        value = _at(self.values, key)
-        if isinstance(value, str) and (reference := REFERENCE.fullmatch(value)):
-            value = _at(self._root, reference[1])
+        value: Any = self.values
+        for part in key.split("."):
+            value = value.get(part) if isinstance(value, Mapping) else None
         if isinstance(value, str) and "${" in value:
             raise TargetError(
                 f"{self.source}: {self.name(key)} is {value[:80]!r}, which Hydra fills in: give the file with all "
@@ -143,42 +130,20 @@ class Table:
         return value
 
     def table(self, key: str) -> Table | None:
-        """Return a table."""
-        value = self.value(key)
-        if value is None:
-            return None
-        return Table(value, source=self.source, path=self.name(key), root=self._root)
+        """Return a table; None when it is absent."""
+        return self.part(key) if key in self else None
 
     def part(self, key: str) -> Table:
         """Return a table; an empty one when it is absent."""
-        empty = Table({}, source=self.source, path=self.name(key), root=self._root)
-        return self.table(key) or empty
+        value = self.value(key)
+        return Table(
+            {} if value is None else value, source=self.source, path=self.name(key)
+        )
 
     def number(self, key: str) -> float | None:
         """Return a number, which may be infinite."""
         value = self.value(key)
-        return None if value is None else self._number(value, key)
-
-    def whole(self, key: str) -> int | None:
-        """Return a whole number."""
-        number = self.number(key)
-        if number is None:
-            return None
-        return int(number) if number.is_integer() else self._fail(key, "a whole number")
-
-    def flag(self, key: str) -> bool | None:
-        """Return a Boolean value."""
-        value = self.value(key)
-        if value is None or isinstance(value, bool):
-            return value
-        self._fail(key, "true or false")
-
-    def choice(self, key: str, known: Collection[str]) -> str | None:
-        """Return one of some texts."""
-        value = self.value(key)
-        if value is None or (isinstance(value, str) and value in known):
-            return value
-        self._fail(key, f"one of {', '.join(known)}")
+        return None if value is None else self._number(key, value)
 
     def numbers(self, key: str, count: int) -> tuple[float, ...] | None:
         """Return a list of some numbers."""
@@ -186,28 +151,28 @@ class Table:
         if value is None:
             return None
         if not isinstance(value, list | tuple) or len(value) != count:
-            self._fail(key, f"a list of {count} numbers")
-        return tuple(self._number(number, key) for number in value)
+            raise self._error(key, value, f"a list of {count} numbers")
+        return tuple(self._number(key, number) for number in value)
 
-    def _number(self, value: Any, key: str) -> float:
+    def ends(self, key: str) -> tuple[float, ...] | None:
+        """Return the two ends of a range; a number stands for both."""
+        if isinstance(self.value(key), list | tuple):
+            return self.numbers(key, 2)
+        number = self.number(key)
+        return None if number is None else (number, number)
+
+    def _number(self, key: str, value: Any) -> float:
         # YAML reads 1e-3, without a dot, as text.
         with suppress(ValueError, TypeError, OverflowError):
             number = math.nan if isinstance(value, bool) else float(value)
             if not math.isnan(number):
                 return number
-        self._fail(key, "a number", value)
+        raise self._error(key, value, "a number")
 
-    def _fail(self, key: str, expected: str, value: Any = None) -> NoReturn:
-        value = self.value(key) if value is None else value
-        raise TargetError(
+    def _error(self, key: str, value: Any, expected: str) -> TargetError:
+        return TargetError(
             f"{self.source}: {self.name(key)} is {_kind(value)}, and {expected} is expected"
         )
-
-
-def _at(values: Any, key: str) -> Any:
-    for part in key.split("."):
-        values = values.get(part) if isinstance(values, Mapping) else None
-    return values
 
 
 def _kind(value: Any) -> str:

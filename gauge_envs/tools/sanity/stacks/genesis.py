@@ -7,9 +7,9 @@ from gauge_envs.tools.sanity.model import Need, Settings, TrainingConfiguration
 from gauge_envs.tools.sanity.scenario import check_settings
 from gauge_envs.tools.sanity.stacks.dialect import (
     Dialect,
-    Setting,
     joined,
     number_text,
+    settings_of,
 )
 from gauge_envs.tools.sanity.stacks.documents import Table
 
@@ -19,8 +19,7 @@ def _choice(*names: str) -> Callable[[Table, str], Any]:
 
     def read(table: Table, key: str) -> Any:
         value = table.value(key)
-        is_name = value is None or isinstance(value, str)
-        return value if is_name else dict(enumerate(names)).get(table.whole(key) or 0)
+        return names[value] if isinstance(value, int) else value
 
     return read
 
@@ -29,38 +28,35 @@ def _python_text(value: Any) -> str:
     return f'"{value}"' if isinstance(value, str) else number_text(value)
 
 
-def _option(
-    name: str,
-    read: Callable[[Table, str], Any] = Table.value,
-    *,
-    key: str = "",
-    default: Any = None,
-) -> Setting:
-    """Return an argument of `RigidOptions` with the documented default of Genesis 1.4.5."""
-    return Setting(name, "rigid", key or name, read, default=default)
+CHOICES = {
+    "integrator": ("Euler", "implicitfast", "approximate_implicitfast"),
+    "solver": ("CG", "Newton"),
+    "cone": ("pyramidal", "elliptic"),
+    "resolution": ("convex", "signorini"),
+}
 
-
-INTEGRATORS = ("Euler", "implicitfast", "approximate_implicitfast")
+SETTINGS = """
+integrator             rigid integrator                integrator "approximate_implicitfast"
+constraint_solver      rigid constraint_solver         solver     "Newton"
+friction_cone          rigid friction_cone             cone       "pyramidal"
+contact_resolution     rigid contact_resolution        resolution
+iterations             rigid iterations                value      25
+tolerance              rigid tolerance                 value      1e-5
+line_search_iterations rigid ls_iterations             value      50
+line_search_tolerance  rigid ls_tolerance              value      0.01
+noslip_iterations      rigid noslip_iterations         value      0
+impratio               rigid impratio                  value
+pruning_tolerance      rigid contact_pruning_tolerance value      0.02
+multi_contact          rigid enable_multi_contact      value      true
+box_box_detection      rigid box_box_detection         value      false
+gjk                    rigid use_gjk_collision         value      false
+"""
+"""Arguments of `RigidOptions`, with the documented defaults of Genesis 1.4.5."""
 
 GENESIS = Dialect(
     name="genesis",
-    settings=(
-        _option(
-            "integrator", _choice(*INTEGRATORS), default="approximate_implicitfast"
-        ),
-        _option("constraint_solver", _choice("CG", "Newton"), default="Newton"),
-        _option("friction_cone", _choice("pyramidal", "elliptic"), default="pyramidal"),
-        _option("contact_resolution", _choice("convex", "signorini")),
-        _option("iterations", default=25),
-        _option("tolerance", default=1e-5),
-        _option("line_search_iterations", key="ls_iterations", default=50),
-        _option("line_search_tolerance", key="ls_tolerance", default=1e-2),
-        _option("noslip_iterations", default=0),
-        _option("impratio"),
-        _option("pruning_tolerance", key="contact_pruning_tolerance", default=0.02),
-        _option("multi_contact", key="enable_multi_contact", default=True),
-        _option("box_box_detection", default=False),
-        _option("gjk", key="use_gjk_collision", default=False),
+    settings=settings_of(
+        SETTINGS, {kind: (_choice(*names), None, "") for kind, names in CHOICES.items()}
     ),
     pattern="{key}={value}",
     text=_python_text,

@@ -11,13 +11,13 @@ from dataclasses import replace
 from pathlib import Path
 
 from gauge_envs.errors import TargetError
-from gauge_envs.tools.sanity.model import UNREAD, Need, Settings, TrainingConfiguration
+from gauge_envs.tools.sanity.model import Need, Settings, TrainingConfiguration
 from gauge_envs.tools.sanity.stacks.dialect import (
     Dialect,
     Entries,
-    Setting,
     joined,
     number_text,
+    settings_of,
 )
 from gauge_envs.tools.sanity.stacks.documents import Table, file_value, yaml_document
 from gauge_envs.tools.sanity.stacks.physx import (
@@ -71,30 +71,27 @@ def _lines(entries: Entries) -> str:
     return joined("; ")(lines)
 
 
-# Settings whose key, kind of value and place are regular: name, key, and kind.
-SCENE = {
-    "bounce_threshold_m_per_s": ("bounce_threshold_velocity", Table.number),
-    "continuous_detection": ("enable_ccd", Table.flag),
-    "enhanced_determinism": ("enable_enhanced_determinism", Table.flag),
-}
-# The robot's articulation states them, or else its rigid bodies.
-ACTOR = {
-    "position_iterations": ("solver_position_iteration_count", Table.whole),
-    "velocity_iterations": ("solver_velocity_iteration_count", Table.whole),
-    "sleep_threshold_m2_per_s2": ("sleep_threshold", Table.number),
-}
-BODY = {
-    "linear_damping_per_s": "linear_damping",
-    "angular_damping_per_s": "angular_damping",
-    "max_linear_velocity_m_per_s": "max_linear_velocity",
-    "max_depenetration_velocity_m_per_s": "max_depenetration_velocity",
-}
-COLLISION = {
-    "contact_offset_m": "contact_offset",
-    "rest_offset_m": "rest_offset",
-    "patch_radius_m": "torsional_patch_radius",
-    "min_patch_radius_m": "min_torsional_patch_radius",
-}
+SETTINGS = """
+timestep_s                         sim        dt                                      number
+solver                             {physx}    solver_type                             solver
+bounce_threshold_m_per_s           {physx}    bounce_threshold_velocity               number
+continuous_detection               {physx}    enable_ccd                              value
+enhanced_determinism               {physx}    enable_enhanced_determinism             value
+tolerance_length_m                 {physx}    friction_offset_threshold               length
+position_iterations                {spawn}    {actor}.solver_position_iteration_count value
+velocity_iterations                {spawn}    {actor}.solver_velocity_iteration_count value
+sleep_threshold_m2_per_s2          {spawn}    {actor}.sleep_threshold                 number
+linear_damping_per_s               {spawn}    {body}.linear_damping                   number
+angular_damping_per_s              {spawn}    {body}.angular_damping                  number
+max_linear_velocity_m_per_s        {spawn}    {body}.max_linear_velocity              number
+max_depenetration_velocity_m_per_s {spawn}    {body}.max_depenetration_velocity       number
+max_angular_velocity_rad_per_s     {spawn}    {body}.max_angular_velocity             degrees
+contact_offset_m                   {collider} contact_offset                          argument
+rest_offset_m                      {collider} rest_offset                             argument
+patch_radius_m                     {collider} torsional_patch_radius                  argument
+min_patch_radius_m                 {collider} min_torsional_patch_radius              argument
+"""
+"""Settings of the backend, the place and the key of each in Isaac Lab, and the kind of its value."""
 
 
 def _dialect(name: str, physx: str) -> Dialect:
@@ -106,49 +103,22 @@ def _dialect(name: str, physx: str) -> Dialect:
             for key, ratio in FRICTION_SCALE.items()
         )
 
+    table = SETTINGS.format(
+        physx=physx,
+        spawn=SPAWN,
+        collider=COLLIDER,
+        actor="articulation_props",
+        body="rigid_props",
+    )
+    kinds = {
+        "solver": (solver_name, lambda solver: str(SOLVERS.index(solver)), ""),
+        "length": (_length_m, both_lengths, "{value}"),
+        "degrees": (radians, lambda speed: number_text(math.degrees(speed)), ""),
+        "argument": (Table.number, None, "{key}={value}"),
+    }
     return Dialect(
         name=name,
-        settings=(
-            Setting("timestep_s", "sim", "dt"),
-            Setting(
-                "solver",
-                physx,
-                "solver_type",
-                solver_name,
-                lambda solver: str(SOLVERS.index(solver)),
-            ),
-            *(Setting(name, physx, key, read) for name, (key, read) in SCENE.items()),
-            Setting(
-                "tolerance_length_m",
-                physx,
-                "friction_offset_threshold",
-                _length_m,
-                both_lengths,
-                "{value}",
-            ),
-            *(
-                Setting(
-                    name,
-                    SPAWN,
-                    f"articulation_props.{key}",
-                    read,
-                    others=(f"rigid_props.{key}",),
-                )
-                for name, (key, read) in ACTOR.items()
-            ),
-            *(Setting(name, SPAWN, f"rigid_props.{key}") for name, key in BODY.items()),
-            Setting(
-                "max_angular_velocity_rad_per_s",
-                SPAWN,
-                "rigid_props.max_angular_velocity",
-                radians,
-                lambda speed: number_text(math.degrees(speed)),
-            ),
-            *(
-                Setting(name, COLLIDER, key, pattern="{key}={value}")
-                for name, key in COLLISION.items()
-            ),
-        ),
+        settings=settings_of(table, kinds),
         pattern="self.{place}.{key} = {value}",
         join=_lines,
         text=number_text,
@@ -179,21 +149,6 @@ NOT_CARRIED_OVER = {
 }
 """Flags of `sim.physx` that SAPIEN does not expose, and what they switch on."""
 
-KNOWN_PHYSX = (
-    "solver_type",
-    *(key for key, _ in SCENE.values()),
-    *(
-        f"{end}_{kind}_iteration_count"
-        for kind in ASSET_ITERATIONS
-        for end in ("min", "max")
-    ),
-    *(*FRICTION_SCALE, *NOT_CARRIED_OVER),
-)
-"""Keys of `sim.physx` that are read, beside sizes of buffers."""
-
-BUFFERS = ("gpu_", "use_gpu", "class_type", "enable_scene_query_support")
-"""Starts of keys of `sim.physx` that do not change the physics."""
-
 OTHER_ENGINES = ("newton_cfg", "physics", "mujoco")
 """Keys of `sim` with settings of other engines."""
 
@@ -210,7 +165,7 @@ def isaac_lab_configuration(
     """
     table = Table(cfg, source=name)
     if "sim" not in table and "env.sim" in table:
-        table = Table(table.value("env"), source=name, path="env", root=cfg)
+        table = table.part("env")
     sim = table.part("sim")
     if "dt" not in sim:
         raise TargetError(
@@ -239,7 +194,7 @@ def isaac_lab_configuration(
         table,
         source=source,
         gravity_m_per_s2=sim.numbers("gravity", 3),
-        frame_skip=table.whole("decimation"),
+        frame_skip=table.value("decimation"),
         foot_contact=combined(ground, foot),
         inapplicable=_springs(table, ground, foot),
     )
@@ -273,22 +228,13 @@ def _note_scene(sim: Table, physx: Table, spawn: Table, values: PhysxValues) -> 
             f"{stated} are not carried over: SAPIEN leaves them at 0.04 and 0.025 of one length scale, here 1 m"
         )
     for key, effect in NOT_CARRIED_OVER.items():
-        if physx.flag(key):
+        if physx.value(key):
             values.notes.append(
                 f"{physx.name(key)} is not carried over: SAPIEN does not expose {effect}"
             )
-    unknown = [
-        physx.name(str(key))
-        for key in physx.values
-        if key not in KNOWN_PHYSX and not str(key).startswith(BUFFERS)
-    ]
-    if unknown:
-        values.notes.append(
-            f"{UNREAD}: {', '.join(unknown[:4])}; Isaac Lab ignores keys that its PhysxCfg lacks"
-        )
     if str(sim.value("device") or "").startswith("cuda"):
         values.notes.append("training ran PhysX on the GPU; here it runs on the CPU")
-    if spawn.flag("rigid_props.disable_gravity"):
+    if spawn.value("rigid_props.disable_gravity"):
         values.notes.append(
             f"{spawn.name('rigid_props.disable_gravity')} is not carried over: the experiments have it"
         )
@@ -308,14 +254,16 @@ def _clamp_iterations(physx: Table, kind: str, values: PhysxValues) -> None:
     """Clamp the robot's count of iterations into the range of the scene."""
     name = f"{kind}_iterations"
     count, origin = values.settings.get(name), values.origins.get(name)
-    low, high = (physx.whole(f"{end}_{kind}_iteration_count") for end in ("min", "max"))
+    low, high = (
+        physx.number(f"{end}_{kind}_iteration_count") for end in ("min", "max")
+    )
     if low is not None and high is not None and low > high:
+        key = physx.name(f"min_{kind}_iteration_count")
         raise TargetError(
-            f"{physx.source}: {physx.name(f'min_{kind}_iteration_count')} is {low}, more than the maximum of {high}: "
-            "exchange them"
+            f"{physx.source}: {key} is {low:g}, more than the maximum of {high:g}: exchange them"
         )
     stated = ASSET_ITERATIONS[kind] if count is None else count
-    used = min(max(stated, low or 0), 255 if high is None else high)
+    used = int(min(max(stated, low or 0), 255 if high is None else high))
     if count is None:
         origin = "Isaac Sim's schema"
         values.notes.append(

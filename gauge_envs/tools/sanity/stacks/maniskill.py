@@ -10,8 +10,8 @@ from gauge_envs.tools.sanity.model import TrainingConfiguration
 from gauge_envs.tools.sanity.stacks.dialect import (
     Dialect,
     Entries,
-    Setting,
     number_text,
+    settings_of,
 )
 from gauge_envs.tools.sanity.stacks.documents import Table
 from gauge_envs.tools.sanity.stacks.physx import (
@@ -49,50 +49,34 @@ def _sim_config(entries: Entries) -> str:
     return " and ".join([*config, *entries.get("links", ())])
 
 
-SCENE, LINKS = "scene_config", "links"
-
 DAMPING = "[link.set_{key}({value}) for link in self.agent.robot.links]"
+
+SETTINGS = """
+timestep_s                sim_config   sim_freq                        rate
+bounce_threshold_m_per_s  scene_config bounce_threshold                number
+sleep_threshold_m2_per_s2 scene_config sleep_threshold                 number
+contact_offset_m          scene_config contact_offset                  number
+rest_offset_m             scene_config rest_offset                     number
+position_iterations       scene_config solver_position_iterations      value
+velocity_iterations       scene_config solver_velocity_iterations      value
+persistent_manifolds      scene_config enable_pcm                      value
+continuous_detection      scene_config enable_ccd                      value
+enhanced_determinism      scene_config enable_enhanced_determinism     value
+friction_every_iteration  scene_config enable_friction_every_iteration value
+solver                    scene_config enable_tgs                      solver
+link_linear_damping_per_s links        linear_damping                  damping
+angular_damping_per_s     links        angular_damping                 damping
+"""
 
 MANISKILL = Dialect(
     name="maniskill",
-    settings=(
-        Setting(
-            "timestep_s",
-            "sim_config",
-            "sim_freq",
-            _step_s,
-            lambda step_s: str(round(1.0 / step_s)),
-        ),
-        Setting("bounce_threshold_m_per_s", SCENE, "bounce_threshold"),
-        Setting("sleep_threshold_m2_per_s2", SCENE, "sleep_threshold"),
-        Setting("contact_offset_m", SCENE, "contact_offset"),
-        Setting("rest_offset_m", SCENE, "rest_offset"),
-        Setting(
-            "position_iterations", SCENE, "solver_position_iterations", Table.whole
-        ),
-        Setting(
-            "velocity_iterations", SCENE, "solver_velocity_iterations", Table.whole
-        ),
-        Setting("persistent_manifolds", SCENE, "enable_pcm", Table.flag),
-        Setting("continuous_detection", SCENE, "enable_ccd", Table.flag),
-        Setting(
-            "enhanced_determinism", SCENE, "enable_enhanced_determinism", Table.flag
-        ),
-        Setting(
-            "friction_every_iteration",
-            SCENE,
-            "enable_friction_every_iteration",
-            Table.flag,
-        ),
-        Setting(
-            "solver",
-            SCENE,
-            "enable_tgs",
-            solver_name,
-            lambda solver: str(solver == "TGS"),
-        ),
-        Setting("link_linear_damping_per_s", LINKS, "linear_damping", pattern=DAMPING),
-        Setting("angular_damping_per_s", LINKS, "angular_damping", pattern=DAMPING),
+    settings=settings_of(
+        SETTINGS,
+        {
+            "rate": (_step_s, lambda step_s: str(round(1.0 / step_s)), ""),
+            "solver": (solver_name, lambda solver: str(solver == "TGS"), ""),
+            "damping": (Table.number, None, DAMPING),
+        },
     ),
     pattern="{key}={value}",
     join=_sim_config,
@@ -113,9 +97,9 @@ def maniskill_configuration(
         source: Description of where it is from.
     """
     table = Table(sim_config, source=name, path="sim_config")
-    scene = table.part(SCENE)
+    scene = table.part("scene_config")
     values = PhysxValues(dialect=MANISKILL, settings={"preset": "out_of_box"})
-    values.take_places({"sim_config": table, SCENE: scene})
+    values.take_places({"sim_config": table, "scene_config": scene})
     values.origins["timestep_s"] = "1 / sim_config.sim_freq"
     material = table.table("default_materials_config")
     for setting in ("link_linear_damping_per_s", "angular_damping_per_s"):

@@ -66,32 +66,23 @@ def _with_includes(path: Path, text: str) -> Iterator[tuple[Path, str]]:
                 left.append((other, content))
 
 
-def _element(texts: Texts, key: str, value: str) -> tuple[str, str, str] | None:
-    """Return file and line, label and whole value of the first element with an attribute of a value.
-
-    The attribute may also be a path that ends with the value.
-    """
-    form = rf'<(\w+)\b[^<>]*?\b(?:{key})\s*=\s*["\']((?:[^"\'<>]*[/\\])?{re.escape(value)})["\']'
+def _element(texts: Texts, form: str) -> tuple[str, str, str] | None:
+    """Return file and line, label and text of the first element that a pattern finds behind `<`."""
     for file, text in texts.items():
-        if match := re.search(form + r"[^<>]*", text):
+        if match := re.search(rf"<{form}[^<>]*", text):
             name = re.search(r'\bname\s*=\s*"(.*?)"', match[0])
-            label = f'{match[1]} "{name[1]}"' if name else f"<{match[1]}>"
-            return (
-                f"{file}:{text.count(chr(10), 0, match.start()) + 1}",
-                label,
-                match[2],
-            )
+            tag = re.split(r"\W", match[0], maxsplit=2)[1]
+            line = text.count("\n", 0, match.start()) + 1
+            label = f'{tag} "{name[1]}"' if name else f"<{tag}>"
+            return f"{file}:{line}", label, match[0]
     return None
 
 
 def _unread(texts: Texts, path: Path, sought: str, error: str) -> str:
     """Return which element needs a file that is not there or cannot be read."""
-    name = re.split(r"[/\\]", sought)[-1]
-    place, label, stated = _element(texts, "file(?:name)?", name) or (
-        path,
-        "it",
-        sought,
-    )
+    name = re.escape(re.split(r"[/\\]", sought)[-1])
+    form = rf"""\w+\b[^<>]*?\bfile(name)?\s*=\s*["']([^"'<>]*[/\\])?{name}["']"""
+    place, label, stated = _element(texts, form) or (path, "it", "")
     there = path.parent / sought if not Path(sought).is_file() else Path(sought)
     start = f"{place}: {label} needs {sought}, which"
     if there.is_file():
@@ -100,9 +91,9 @@ def _unread(texts: Texts, path: Path, sought: str, error: str) -> str:
         cause = error.split("\n")[0].removeprefix("Error: ")
         advice = next((text for words, text in ADVICE.items() if words in error), "")
         return f"{start} cannot be read: {cause}" + (f": {advice}" if advice else "")
-    if stated.startswith("package:"):
+    if "package:/" in stated:
         advice = "write its path relative to this file, without package://"
-    elif re.match(r"[/~]|[A-Za-z]:", stated):
+    elif re.match(r"[/~]|[A-Za-z]:", sought):
         advice = "write its path relative to this file, not one of another machine"
     elif label == "<include>":
         advice = "copy it there"
@@ -118,22 +109,16 @@ def _placed(texts: Texts, path: Path, error: str) -> str:
     cause = printable(" ".join(message.split()))
     advice = next((text for words, text in ADVICE.items() if words in error), "")
     end = f"{cause}: {advice}" if advice else cause
-    match = re.match(r"(?: name)? '(.*?)'", rest)
-    if match is None or not match[1]:
-        line = re.search(r"line ([1-9]\d*)", rest)
-        return f"{path}{f':{line[1]}' if line else ''}: {end}"
-    if rest.startswith(" name"):
-        place, label, _ = _element(texts, "name", match[1]) or (path, match[1], "")
-        return f"{place}: {label}: {end}"
-    # MuJoCo states no file, and no line in a file that another one includes.
+    match = re.match(r"(?: name)? '(.+?)'", rest)
     line = re.search(r"line ([1-9]\d*)", rest)
-    rows = [
-        (f"{file}:{number}", row)
-        for file, text in texts.items()
-        for number, row in enumerate(text.splitlines(), 1)
-        if f"<{match[1]}" in row and (not line or number == int(line[1]))
-    ]
-    words = re.findall(r"'(.*?)'", message)
-    named = [place for place, row in rows if all(word in row for word in words)]
-    place = next(iter([*named, *(place for place, _ in rows)]), str(path))
-    return f"{place}: <{match[1]}>: {end}"
+    found = None
+    if match and rest.startswith(" name"):
+        found = _element(texts, rf'\w+\b[^<>]*?\bname\s*=\s*"{re.escape(match[1])}"')
+    elif match and not line:
+        # MuJoCo states no line in a file that another one includes.
+        words = re.search("'(.*?)'", message)
+        found = _element(texts, rf"{match[1]}\b[^<>]*{words[1] if words else ''}")
+    if found:
+        return f"{found[0]}: {found[1]}: {end}"
+    place = f"{path}:{line[1]}" if line else str(path)
+    return f"{place}: <{match[1]}>: {end}" if match else f"{place}: {end}"

@@ -80,7 +80,8 @@ class PhysxValues:
         try:
             check_settings("physx", self.settings)
         except ParameterError as error:
-            raise TargetError(f"{table.source}: {error}") from error
+            keys = [o for n, o in self.origins.items() if f"'{n}'" in str(error)]
+            raise TargetError(f"{table.source}: {', '.join(keys)}: {error}") from error
         reasons = dict(inapplicable or {})
         x, y, z = gravity_m_per_s2 or (0.0, 0.0, -GRAVITY_M_PER_S2)
         if not any((x, y, z)):
@@ -148,6 +149,9 @@ MODES: Mapping[str, Callable[[float, float], float]] = {
 COEFFICIENTS = ("static_friction", "dynamic_friction", "restitution")
 
 
+Range = tuple[float, float]
+
+
 @dataclass(frozen=True, kw_only=True)
 class Material:
     """Coefficients of a body before they are combined with those of another one.
@@ -160,9 +164,9 @@ class Material:
         restitution_mode: Rule of combination of restitution.
     """
 
-    body: str
+    body: str = "body"
     origin: str
-    ranges: Mapping[str, tuple[float, float]]
+    ranges: Mapping[str, Range]
     friction_mode: str = "average"
     restitution_mode: str = "average"
 
@@ -175,37 +179,39 @@ class Material:
 
 def constant(origin: str, friction: float, restitution: float = 0.0) -> Material:
     """Return a material with one coefficient of friction that is not randomized."""
-    values = (friction, friction, restitution)
-    ranges = {n: (v, v) for n, v in zip(COEFFICIENTS, values, strict=True)}
-    return Material(body="body", origin=origin, ranges=ranges)
+    ranges = dict.fromkeys(COEFFICIENTS, (friction, friction))
+    ranges["restitution"] = restitution, restitution
+    return Material(origin=origin, ranges=ranges)
 
 
 def stated_material(table: Table | None, body: str, default: Material) -> Material:
     """Return a material with the coefficients of a table; what the table lacks is that of `default`."""
     if table is None:
         return replace(default, body=body)
-    ranges = {k: coefficient_range(table, k) or default.ranges[k] for k in COEFFICIENTS}
     modes = {
-        f"{kind}_mode": table.choice(f"{kind}_combine_mode", MODES)
+        f"{kind}_mode": table.value(f"{kind}_combine_mode")
         or getattr(default, f"{kind}_mode")
         for kind in ("friction", "restitution")
     }
+    if wrong := [mode for mode in modes.values() if mode not in MODES]:
+        raise TargetError(
+            f"{table.source}: {table.path} combines by {wrong[0]!r}: choose one of {', '.join(MODES)}"
+        )
+    ranges = {k: coefficient_range(table, k) or default.ranges[k] for k in COEFFICIENTS}
     return Material(body=body, origin=table.path, ranges=ranges, **modes)
 
 
-def coefficient_range(table: Table, key: str) -> tuple[float, float] | None:
+def coefficient_range(table: Table, key: str) -> Range | None:
     """Return the range of a coefficient, which is one number or its two ends; None when it is not stated."""
-    value = table.value(key)
-    if value is None:
+    ends = table.ends(key)
+    if ends is None:
         return None
-    is_number = not isinstance(value, list | tuple)
-    ends = [table.number(key)] if is_number else table.numbers(key, 2)
-    known = [end for end in ends or () if end is not None]
-    if not 0.0 <= min(known) <= max(known) < math.inf:
+    low, high = sorted(ends)
+    if not 0.0 <= low <= high < math.inf:
         raise TargetError(
-            f"{table.source}: {table.name(key)} is {min(known):g}: give 0 or more"
+            f"{table.source}: {table.name(key)} is {low:g}: give 0 or more"
         )
-    return min(known), max(known)
+    return low, high
 
 
 def combined(ground: Material, foot: Material) -> FootContact:

@@ -64,7 +64,7 @@ def read_file(path: Path, pair: GeomPair | None = None) -> TrainingConfiguration
 def _read_model(
     path: Path, file: Settings, source: str, pair: GeomPair | None
 ) -> TrainingConfiguration:
-    trained, here = file["versions"]["mujoco"], mujoco.__version__
+    trained, here = file["mujoco"], mujoco.__version__
     text, notes = _known_options(file["data"])
     try:
         model = mujoco.MjModel.from_xml_string(text)
