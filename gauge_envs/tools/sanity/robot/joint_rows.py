@@ -146,8 +146,8 @@ SAG_RAD = 0.6
 COMMANDS, COMMANDS_RAD = 30.0, 20.0
 """Range of commands over that of the joint, and the range itself: degrees are 57 times too large."""
 
-GROWTH, GROWTH_STEPS, SMALL = 3.0, 400, 1e-3
-"""Growth of the speed of a small motion [rad/s] in some steps: a loop that is stable has none."""
+GROWTH, GROWTH_STEPS, KICK = 3.0, 400, 0.1
+"""Growth of a slow motion [rad/s or m/s] in some steps: a loop that is stable has none."""
 
 
 @row(
@@ -184,11 +184,11 @@ def drive(robot: Robot) -> Finding:
 
 
 def _growth(robot: Robot) -> Iterator[Case]:
-    """Yield the growth of a small motion about the start, where all servos are at rest."""
-    off = ("contact", "gravity", "limit", "frictionloss", "spring", "equality")
-    model = robot.without(*off)
+    """Yield the growth of a slow motion from the start, where all servos are at rest."""
+    model = robot.without("contact", "gravity", "limit", "spring", "equality")
     is_affine = model.actuator_biastype == int(mujoco.mjtBias.mjBIAS_AFFINE)
-    if (model.actuator_biastype == int(mujoco.mjtBias.mjBIAS_MUSCLE)).any():
+    is_muscle = model.actuator_biastype == int(mujoco.mjtBias.mjBIAS_MUSCLE)
+    if is_muscle.any() or not drives(robot):
         return
     model.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_ENERGY)
     data, speeds = start(robot, model), list[float]()
@@ -201,7 +201,8 @@ def _growth(robot: Robot) -> Iterator[Case]:
         + model.actuator_biasprm[:, 1] * data.actuator_length
     )
     model.actuator_biasprm[is_affine, 0] = -forces[is_affine]
-    data.qvel[:] = SMALL * np.random.default_rng(0).uniform(-1.0, 1.0, model.nv)
+    dofs = [one.dof for one in drives(robot)]
+    data.qvel[dofs] = KICK * np.random.default_rng(0).choice([-1.0, 1.0], len(dofs))
     while len(speeds) < GROWTH_STEPS and max(speeds, default=0.0) < np.inf:
         last = data.qvel.copy()
         mujoco.mj_step(model, data)

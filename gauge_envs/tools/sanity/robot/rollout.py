@@ -29,6 +29,9 @@ SLOPE_DEG, SLOPE_PUSH = 10.0, 0.7
 FELL, ROSE = 0.7, 1.3
 """Height of the centre of mass over that at the start of a robot that fell, and of one that rose."""
 
+LEAN_RAD = 0.3
+"""Angle by which a robot that still stands may turn [rad]."""
+
 LEAST_GAP_MM = 10.0
 """Height of feet above or in the ground that is named [mm]."""
 
@@ -42,11 +45,13 @@ class HoldMotion:
 
     Attributes:
         height_ratio: Height of its centre of mass at the end, over that at the start.
+        lean_rad: Angle by which its trunk turned [rad].
         saturations: Mean force over its limit of each drive, by degree of freedom, late in the motion.
         slip_mm_per_s: Mean speed of its feet along the ground, late in the motion [mm/s].
     """
 
     height_ratio: float
+    lean_rad: float
     saturations: Mapping[int, float] = field(default_factory=dict)
     slip_mm_per_s: float = 0.0
 
@@ -74,7 +79,8 @@ def hold_pose(robot: Robot, slope_deg: float = 0.0) -> HoldMotion:
     ):
         raise NotApplicableError("no servos hold the legs")
     model, up = robot.without(), np.asarray(robot.up)
-    data, slope_rad = start(robot, model), np.radians(slope_deg)
+    data, begin = start(robot, model), start(robot)
+    slope_rad = np.radians(slope_deg)
     along = np.cross([0.0, 1.0, 0.0] if abs(up[1]) < 0.5 else [1.0, 0.0, 0.0], up)
     # On a slope a, gravity is g (sin(a) along - cos(a) up) in the frame of the ground.
     g = length_of(model.opt.gravity)
@@ -96,9 +102,12 @@ def hold_pose(robot: Robot, slope_deg: float = 0.0) -> HoldMotion:
             before_m = data.geom_xpos[soles]
         if step >= steps - late:
             forces += np.abs(data.qfrc_actuator) / late
+    turn = np.zeros(3)
+    mujoco.mju_subQuat(turn, data.xquat[standing.body], begin.xquat[standing.body])
     slips_m = np.linalg.norm(data.geom_xpos[soles] - before_m, axis=-1)
     limited = [one for one in drives(robot) if np.isfinite(one.limit)]
     return HoldMotion(
+        lean_rad=length_of(turn),
         height_ratio=(float(data.subtree_com[standing.body] @ up) - ground_m)
         / max(start_m, 1e-6),
         saturations={one.dof: float(forces[one.dof]) / one.limit for one in limited},
@@ -177,7 +186,7 @@ def slip(robot: Robot) -> Finding:
         raise NotApplicableError("the feet have no friction")
     slope_deg = min(SLOPE_DEG, float(np.degrees(np.arctan(SLOPE_PUSH * friction))))
     motion = hold_pose(robot, slope_deg)
-    if not FELL < motion.height_ratio < ROSE:
+    if not FELL < motion.height_ratio < ROSE or motion.lean_rad > LEAN_RAD:
         raise NotMeasuredError("the robot falls on the slope")
     held_deg = float(np.degrees(np.arctan(friction)))
     speed = motion.slip_mm_per_s
