@@ -257,7 +257,7 @@ def _change(report: Report) -> list[Part]:
     text = f"Change: corrects {change.mended_count} of {change.flag_count}"
     if change.speed_ratio is not None:
         is_same = abs(change.speed_ratio - 1.0) < SAME_SPEED
-        speed = "as many" if is_same else f"{change.speed_ratio:.1g} times as many"
+        speed = "as many" if is_same else f"{change.speed_ratio:.2g} times as many"
         text += f"; {speed} steps a second"
     lines: list[Part] = [
         Paragraph(text, Tone.ANSWER),

@@ -107,7 +107,7 @@ def overlap(robot: Robot) -> Finding:
         found = Finding(
             value=ratio,
             place=("body", small),
-            remark=f"{names[0]} overlaps {names[1]} by {1e3 * depth_m:.3g} mm, and is {1e3 * sizes_m[small]:.3g} mm large",
+            remark=f"{names[0]} overlaps {names[1]} by {1e3 * depth_m:.3g} mm of its {1e3 * sizes_m[small]:.3g}",
         )
     return found
 
