@@ -10,6 +10,7 @@ from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.itself.rest_rows import name_of, objects
 from gauge_envs.tools.sanity.itself.runs import (
     REST_S,
+    STATE,
     finer_solver,
     has_diverged,
     refined,
@@ -25,6 +26,9 @@ from gauge_envs.tools.sanity.rows import (
     NotApplicableError,
     row,
 )
+
+CONSERVED = 0.05
+"""Change of angular momentum, over its size, that counts as none."""
 
 FLIGHT_S, TURN_RAD_PER_S, ROBOT_RAD_PER_S = 2.0, 2.0 * np.pi, 3.0
 """Time of a flight [s], and the spin of an object, one turn in a second, and of a robot with joints [rad/s]."""
@@ -44,13 +48,12 @@ def _in_flight(model: mujoco.MjModel) -> mujoco.MjModel:
     return flying
 
 
-def _momenta(model: mujoco.MjModel, joints: list[int]) -> tuple[FloatArray, float]:
-    """Return angular momenta before and after a flight, shape [2, joint_count, 3], and the time of divergence [s]."""
-    data = start_data(model)
+def _flight(model: mujoco.MjModel, joints: list[int]) -> tuple[FloatArray, float]:
+    """Return changes of angular momentum in a flight, over its size, shape [joint_count, 3], and its time [s]."""
+    data, alone = start_data(model), objects(model)
     data.qvel[:] = 0.0
-    roots, alone = model.jnt_bodyid[joints], objects(model)
-    for joint, root in zip(joints, roots.tolist(), strict=True):
-        dof = int(model.jnt_dofadr[joint])
+    roots = model.jnt_bodyid[joints]
+    for dof, root in zip(model.jnt_dofadr[joints], roots, strict=True):
         rate = TURN_RAD_PER_S if root in alone else ROBOT_RAD_PER_S
         data.qvel[dof + 3 : dof + 6] = rate / np.sqrt(3.0)
 
@@ -60,18 +63,17 @@ def _momenta(model: mujoco.MjModel, joints: list[int]) -> tuple[FloatArray, floa
         return data.subtree_angmom[roots].copy()
 
     before, begin_s = momenta(), float(data.time)
-    while data.time - begin_s < seconds(model, FLIGHT_S):
+    while not has_diverged(data) and data.time - begin_s < seconds(model, FLIGHT_S):
         mujoco.mj_step(model, data)
-        if has_diverged(data):
-            return np.array([before, before]), float(data.time) - begin_s
-    return np.array([before, momenta()]), np.inf
+    sizes = np.linalg.norm(before, axis=-1, keepdims=True)
+    return (momenta() - before) / np.maximum(sizes, 1e-12), float(data.time) - begin_s
 
 
 @row(
     "model-spin",
     title="change of the angular momentum of a body in free flight in 2 s, over its size",
     unit="1",
-    interval=(0.0, 0.05),
+    interval=(0.0, CONSERVED),
     source="angular momentum of a free body is conserved; air takes a few percent of the spin of a thrown object",
     consequence="What is thrown or jumps turns faster or slower in the air than momentum allows.",
 )
@@ -83,30 +85,23 @@ def spin(robot: Robot) -> Finding:
     if not free:
         raise NotApplicableError("no body of the model is free")
     flying = _in_flight(model)
-    (before, after), diverged_s = _momenta(flying, free)
-    step_s = f"{model.opt.timestep:g} s"
-    if np.isfinite(diverged_s):
+    changes, flight_s = _flight(flying, free)
+    text = f"after {flight_s:.3g} s of flight with a step of {model.opt.timestep:g} s"
+    if flight_s < 0.99 * seconds(model, FLIGHT_S):
         if robot.finding(ROWS["robot-holds"]).value < 1.0:
             raise NotApplicableError("the state diverges")
-        return Finding(
-            value=np.inf,
-            remark=f"the state diverges after {diverged_s:.3g} s of flight with a step of {step_s}",
-        )
-    sizes = np.linalg.norm(before, axis=-1)
-    losses = np.linalg.norm(after - before, axis=-1) / np.maximum(sizes, 1e-12)
-    worst = int(losses.argmax())
-    body = int(model.jnt_bodyid[free[worst]])
-    if losses[worst] > 0.05:
-        (first, last), _ = _momenta(refined(flying), free)
-        finer = np.linalg.norm(last[worst] - first[worst]) / max(sizes[worst], 1e-12)
-        if finer > 0.5 * losses[worst]:
+        return Finding(value=np.inf, remark=f"the state diverges {text}")
+    values = np.linalg.norm(changes, axis=-1)
+    worst = int(values.argmax())
+    value, place = float(values[worst]), ("body", int(model.jnt_bodyid[free[worst]]))
+    if value > CONSERVED:
+        finer, _ = _flight(refined(flying), free)
+        if np.linalg.norm(finer[worst]) > 0.5 * value:
             raise NotApplicableError("other forces act on what is free in flight")
-    ratio = np.linalg.norm(after[worst]) / max(sizes[worst], 1e-12)
     return Finding(
-        value=float(losses[worst]),
-        place=("body", body),
-        remark=f"{name_of(robot, 'body', body)} has {ratio:.3g} times its angular momentum after {FLIGHT_S:g} s of "
-        f"flight with a step of {step_s}",
+        value=value,
+        place=place,
+        remark=f"angular momentum of {name_of(robot, *place)} is {100.0 * value:.3g} % off {text}",
     )
 
 
@@ -181,30 +176,26 @@ def solver(robot: Robot) -> Finding:
     settled(robot)
     exact = finer_solver(model)
     data, rough, finer = start_data(model), mujoco.MjData(model), mujoco.MjData(exact)
-    spec = mujoco.mjtState.mjSTATE_INTEGRATION
-    state = np.zeros(mujoco.mj_stateSize(model, spec))
+    state = np.zeros(mujoco.mj_stateSize(model, STATE))
     interval = max(
         1, round(seconds(model, REST_S) / SOLVED_STATES / model.opt.timestep)
     )
-    errors: list[float] = []
-    sizes: list[float] = []
+    error = size = 0.0
     for _ in range(SOLVED_STATES):
-        for _ in range(interval):
-            mujoco.mj_step(model, data)
-        mujoco.mj_getState(model, data, state, spec)
+        mujoco.mj_step(model, data, interval)
+        mujoco.mj_getState(model, data, state, STATE)
         for target, one in ((model, rough), (exact, finer)):
-            mujoco.mj_setState(target, one, state, spec)
+            mujoco.mj_setState(target, one, state, STATE)
             mujoco.mj_forward(target, one)
-        for several, change in (
-            (errors, rough.qacc - finer.qacc),
-            (sizes, finer.qacc - finer.qacc_smooth),
-        ):
-            weighted = np.zeros(model.nv)
-            mujoco.mj_mulM(exact, finer, weighted, change)
-            several.append(float(change @ weighted))
+        mass = np.zeros((model.nv, model.nv))
+        mujoco.mj_fullM(exact, finer, mass)
+        difference = rough.qacc - finer.qacc
+        constrained = finer.qacc - finer.qacc_smooth
+        error += float(difference @ mass @ difference)
+        size += float(constrained @ mass @ constrained)
     # Forces that accelerate nothing by 1 % of gravity are noise.
-    size = 1e-4 * GRAVITY_M_PER_S2**2 * float(model.body_mass.sum()) * SOLVED_STATES
-    value = float(np.sqrt(max(sum(errors), 0.0) / max(sum(sizes), size)))
+    least = 1e-4 * GRAVITY_M_PER_S2**2 * float(model.body_mass.sum()) * SOLVED_STATES
+    value = float(np.sqrt(max(error, 0.0) / max(size, least)))
     solver_name = mujoco.mjtSolver(model.opt.solver).name.removeprefix("mjSOL_")
     jacobian = "a sparse" if mujoco.mj_isSparse(model) else "a dense"
     return Finding(
@@ -215,12 +206,13 @@ def solver(robot: Robot) -> Finding:
 
 
 ROLLING = 1e-4
-"""Rolling friction of a geom that states none, with which no row is needed."""
+"""Rolling friction of a geom that states none [m]."""
 
-ROUND = [
-    int(getattr(mujoco.mjtGeom, f"mjGEOM_{name}"))
-    for name in ("SPHERE", "CAPSULE", "CYLINDER", "ELLIPSOID")
-]
+FLAT = (int(mujoco.mjtGeom.mjGEOM_BOX), int(mujoco.mjtGeom.mjGEOM_MESH))
+"""Types of geoms that do not roll."""
+
+LINK_SHARE = 0.2
+"""Mass of a link, over its parent's, below which its weight needs no compensation."""
 
 
 @row(
@@ -247,7 +239,7 @@ def _idle_rolling(robot: Robot) -> dict[tuple[str, int], str]:
     model, found = robot.model, {}
     for body in objects(model):
         geoms = np.flatnonzero(model.geom_bodyid == body)
-        if not np.isin(model.geom_type[geoms], ROUND).all():
+        if np.isin(model.geom_type[geoms], FLAT).any():
             continue
         for geom in geoms.tolist():
             rows = (robot.pairs.geoms == geom).any(axis=1)
@@ -270,7 +262,7 @@ def _half_carried(robot: Robot) -> dict[tuple[str, int], str]:
         if (
             model.body_gravcomp[parent] > 0.0
             and not model.body_gravcomp[body]
-            and model.body_mass[body] > 0.0
+            and model.body_mass[body] > LINK_SHARE * model.body_mass[parent]
         ):
             found["body", body] = (
                 f"gravcomp {model.body_gravcomp[parent]:g} is stated for {name_of(robot, 'body', parent)}, not for "

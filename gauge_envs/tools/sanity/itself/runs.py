@@ -14,6 +14,7 @@ import mujoco
 import numpy as np
 
 from gauge_envs.scene.geometry import BoolArray, FloatArray
+from gauge_envs.tools.sanity.robot.joints import servos
 from gauge_envs.tools.sanity.robot.robot import Robot, disable_bit, once
 from gauge_envs.tools.sanity.rows import NotApplicableError
 
@@ -105,13 +106,10 @@ def start_data(model: mujoco.MjModel) -> mujoco.MjData:
     if data.ctrl.any():
         return data
     # A servo's force is gain * control + bias[0] + bias[1] * length: here it is 0.
-    gain, bias = model.actuator_gainprm[:, 0], model.actuator_biasprm
-    is_servo = (model.actuator_biastype == int(mujoco.mjtBias.mjBIAS_AFFINE)) & (
-        bias[:, 1] < 0.0
-    )
-    is_servo &= gain != 0.0
-    force = bias[:, 0] + bias[:, 1] * data.actuator_length
-    data.ctrl[is_servo] = -force[is_servo] / gain[is_servo]
+    servo = servos(model) & (model.actuator_gainprm[:, 0] != 0.0)
+    bias = model.actuator_biasprm[servo]
+    forces = bias[:, 0] + bias[:, 1] * data.actuator_length[servo]
+    data.ctrl[servo] = -forces / model.actuator_gainprm[servo, 0]
     mujoco.mj_forward(model, data)
     return data
 
@@ -146,16 +144,11 @@ def refined(model: mujoco.MjModel) -> mujoco.MjModel:
     most = REFINEMENT if model.nv <= SMALL_NV else 4
     finer.opt.timestep = step_s / np.clip(round(step_s / FINE_S), 2, most)
     if not model.opt.disableflags & disable_bit("refsafe"):
-        arrays = [
-            *("geom_solref", "pair_solref", "pair_solreffriction", "eq_solref"),
-            *("jnt_solref", "dof_solref", "tendon_solref_lim", "tendon_solref_fri"),
-            *("flex_solref",),
-        ]
-        for array in [getattr(finer, name) for name in arrays] + [finer.opt.o_solref]:
+        arrays = [getattr(finer, name) for name in dir(finer) if "solref" in name]
+        for array in [*arrays, finer.opt.o_solref]:
             constants_s = array.reshape(-1, 2)[:, 0]
-            constants_s[constants_s > 0.0] = np.maximum(
-                constants_s[constants_s > 0.0], 2.0 * step_s
-            )
+            is_short = (constants_s > 0.0) & (constants_s < 2.0 * step_s)
+            constants_s[is_short] = 2.0 * step_s
     return finer
 
 
