@@ -7,9 +7,7 @@ import numpy as np
 
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.itself.runs import (
-    EQUALITY,
     LATE,
-    LIMIT_JOINT,
     REST_S,
     SAMPLES,
     SLEEP,
@@ -112,6 +110,10 @@ def overlap(robot: Robot) -> Finding:
     return found
 
 
+EQUALITY = int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
+LIMIT_JOINT = int(mujoco.mjtConstraint.mjCNSTR_LIMIT_JOINT)
+LIMIT_TENDON = int(mujoco.mjtConstraint.mjCNSTR_LIMIT_TENDON)
+
 JOINED = (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD))
 COUPLED = int(mujoco.mjtEq.mjEQ_JOINT)
 
@@ -136,12 +138,14 @@ def constraints(robot: Robot) -> Finding:
         int(kind) in JOINED and not is_judged
         for kind, is_judged in zip(model.eq_type, judged, strict=True)
     )
-    for (kind, number), (begin, values, force) in run.openings.items():
+    begin, end = _residuals(model, start_data(model)), _residuals(model, run.data)
+    for (kind, number), (values, force) in end.items():
         # A body that code places leads the rest into its limits.
         if is_led if kind != EQUALITY else not judged[number]:
             continue
         # What is open from the start and does not open further is no matter of load.
-        before, *_ = _opening(robot, kind, number, begin, force)
+        first, _ = begin.get((kind, number), (np.zeros(len(values)), 0.0))
+        before, *_ = _opening(robot, kind, number, first, force)
         after, place, remark = _opening(robot, kind, number, values, force)
         if after - before > found.value:
             found = Finding(
@@ -150,6 +154,19 @@ def constraints(robot: Robot) -> Finding:
                 remark=remark,
                 is_usual=kind == EQUALITY and _is_soft(model, number),
             )
+    return found
+
+
+def _residuals(
+    model: mujoco.MjModel, data: mujoco.MjData
+) -> dict[tuple[int, int], tuple[FloatArray, float]]:
+    """Return residuals [m or rad] and force [N or N m] of each equality and limit, by type and id."""
+    found = {}
+    for kind in (EQUALITY, LIMIT_JOINT, LIMIT_TENDON):
+        for number in np.unique(data.efc_id[data.efc_type == kind]).tolist():
+            rows = (data.efc_type == kind) & (data.efc_id == number)
+            force = float(np.linalg.norm(data.efc_force[rows]))
+            found[kind, number] = (data.efc_pos[rows], force)
     return found
 
 

@@ -7,7 +7,6 @@ controls of the keyframe, else position servos the command that holds the start,
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import mujoco
@@ -35,10 +34,6 @@ A step is refined by no more than down to 50 us [s], but by two.
 
 SLEEP = int(mujoco.mjtEnableBit.mjENBL_SLEEP)
 
-EQUALITY = int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
-LIMIT_JOINT = int(mujoco.mjtConstraint.mjCNSTR_LIMIT_JOINT)
-LIMIT_TENDON = int(mujoco.mjtConstraint.mjCNSTR_LIMIT_TENDON)
-
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 """All that a step depends on."""
 
@@ -61,8 +56,6 @@ class Run:
         stretches: Largest strain of the inextensible edges of each flex, shape [sample_count, nflex].
         sinks_m: Largest depth of each flex in what it touches [m], shape [sample_count, nflex].
         late_state: State at the start of the last quarter, of MuJoCo's kind `mjSTATE_INTEGRATION`.
-        openings: Residuals [m or rad] at the start and at the end, and force [N or N m] of each constraint that acts
-            to the end, by type and id.
         sample_s: Time between samples [s].
         diverged_s: Time at which the state diverged [s]; infinite when it did not.
     """
@@ -74,7 +67,6 @@ class Run:
     stretches: FloatArray
     sinks_m: FloatArray
     late_state: FloatArray
-    openings: dict[tuple[int, int], tuple[FloatArray, FloatArray, float]]
     sample_s: float
     diverged_s: float = np.inf
 
@@ -200,12 +192,10 @@ def _run(
         stretches=np.zeros((samples, model.nflex)),
         sinks_m=np.zeros((samples, model.nflex)),
         late_state=np.zeros(mujoco.mj_stateSize(model, STATE)),
-        openings={},
         sample_s=rest_s / samples,
     )
     masses_kg = np.maximum(model.body_mass, 1e-12)
     radii_m = np.sqrt(model.body_inertia.max(axis=1) / masses_kg)[:, None, None]
-    begin, late = _residuals(model, data), []
     begin_s = float(data.time)
     for sample in range(samples):
         until_s = begin_s + (sample + 1) * run.sample_s - 0.5 * model.opt.timestep
@@ -221,26 +211,7 @@ def _run(
             _add_flexes(run, sample)
         if sample == samples - LATE:
             mujoco.mj_getState(model, data, run.late_state, STATE)
-        if sample >= samples - LATE:
-            late.append(_residuals(model, data))
-    run.openings.update(_openings(begin, late))
     return run
-
-
-Residuals = dict[tuple[int, int], tuple[FloatArray, float]]
-"""Residuals [m or rad] and force [N or N m] of each equality and limit, by type and id."""
-
-
-def _openings(
-    begin: Residuals, late: list[Residuals]
-) -> Iterator[tuple[tuple[int, int], tuple[FloatArray, FloatArray, float]]]:
-    """Yield first and late residuals and the force of each constraint that acts in all late samples."""
-    for key in late[-1]:
-        values, forces = zip(*(one[key] for one in late if key in one), strict=True)
-        if len(values) == len(late):
-            median = np.median(values, axis=0)
-            first = begin[key][0] if key in begin else np.zeros(len(median))
-            yield key, (first, median, float(np.median(forces)))
 
 
 def _add_flexes(run: Run, sample: int) -> None:
@@ -258,15 +229,3 @@ def _add_flexes(run: Run, sample: int) -> None:
         if flex >= 0 and contact.exclude == 0 and min(contact.flex) < 0:
             depth_m = max(run.sinks_m[sample, flex], -contact.dist)
             run.sinks_m[sample, flex] = depth_m
-
-
-def _residuals(model: mujoco.MjModel, data: mujoco.MjData) -> Residuals:
-    """Return the residuals and forces of a state."""
-    found = {}
-    for kind in (EQUALITY, LIMIT_JOINT, LIMIT_TENDON):
-        rows = np.flatnonzero(data.efc_type == kind)
-        for number in np.unique(data.efc_id[rows]).tolist():
-            several = rows[data.efc_id[rows] == number]
-            force = float(np.linalg.norm(data.efc_force[several]))
-            found[kind, number] = (data.efc_pos[several].copy(), force)
-    return found
