@@ -184,9 +184,9 @@ def solver(robot: Robot) -> Finding:
     for _ in range(SOLVED_STATES):
         mujoco.mj_step(model, data, interval)
         mujoco.mj_getState(model, data, state, STATE)
-        for target, one in ((model, rough), (exact, finer)):
-            mujoco.mj_setState(target, one, state, STATE)
-            mujoco.mj_forward(target, one)
+        for target, solved in ((model, rough), (exact, finer)):
+            mujoco.mj_setState(target, solved, state, STATE)
+            mujoco.mj_forward(target, solved)
         mass = np.zeros((model.nv, model.nv))
         mujoco.mj_fullM(exact, finer, mass)
         difference = rough.qacc - finer.qacc
@@ -236,7 +236,7 @@ def stated(robot: Robot) -> Finding:
 
 def _idle_rolling(robot: Robot) -> dict[tuple[str, int], str]:
     """Return round free bodies that state a rolling friction which none of their contacts has."""
-    model, found = robot.model, {}
+    model, idle = robot.model, {}
     for body in objects(model):
         geoms = np.flatnonzero(model.geom_bodyid == body)
         if np.isin(model.geom_type[geoms], FLAT).any():
@@ -247,15 +247,15 @@ def _idle_rolling(robot: Robot) -> dict[tuple[str, int], str]:
             condims = robot.pairs.constants[rows, 0]
             if friction > 2.0 * ROLLING and rows.any() and condims.max() < 6:
                 name = name_of(robot, "geom", geom)
-                found["geom", geom] = (
+                idle["geom", geom] = (
                     f"rolling friction {friction:g} is stated for {name}, and condim {condims.max():g} ignores it"
                 )
-    return found
+    return idle
 
 
 def _half_carried(robot: Robot) -> dict[tuple[str, int], str]:
     """Return links whose parent is carried against gravity and that motors move without being carried."""
-    model, found = robot.model, {}
+    model, idle = robot.model, {}
     moved = model.jnt_bodyid[model.actuator_trnid[model.actuator_trntype == 0, 0]]
     for body in np.unique(moved).tolist():
         parent = int(model.body_parentid[body])
@@ -264,8 +264,8 @@ def _half_carried(robot: Robot) -> dict[tuple[str, int], str]:
             and not model.body_gravcomp[body]
             and model.body_mass[body] > LINK_SHARE * model.body_mass[parent]
         ):
-            found["body", body] = (
+            idle["body", body] = (
                 f"gravcomp {model.body_gravcomp[parent]:g} is stated for {name_of(robot, 'body', parent)}, not for "
                 f"{name_of(robot, 'body', body)} ({model.body_mass[body]:.3g} kg)"
             )
-    return found
+    return idle

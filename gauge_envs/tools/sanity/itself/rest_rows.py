@@ -78,7 +78,7 @@ def overlap(robot: Robot) -> Finding:
     model, data = run.model, run.data
     free, speeds = objects(model), 1e3 * run.speeds_m_per_s
     gravity = float(np.linalg.norm(model.opt.gravity)) or np.inf
-    found = Finding(value=0.0)
+    finding = Finding(value=0.0)
     for contact in data.contact[: data.ncon]:
         if min(contact.geom) < 0 or contact.efc_address < 0:
             continue
@@ -95,19 +95,19 @@ def overlap(robot: Robot) -> Finding:
             small not in free
             or speeds[small] > RESTING_MM_PER_S
             or load < TOWER * gravity
-            or ratio < found.value
+            or ratio < finding.value
         ):
             continue
         names = [
             f"{name_of(robot, 'body', body)} ({model.body_mass[body]:.3g} kg)"
             for body in (small, large)
         ]
-        found = Finding(
+        finding = Finding(
             value=ratio,
             place=("body", small),
             remark=f"{names[0]} overlaps {names[1]} by {1e3 * depth_m:.3g} mm of its {1e3 * sizes_m[small]:.3g}",
         )
-    return found
+    return finding
 
 
 EQUALITY = int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
@@ -132,7 +132,7 @@ SOFT_S = 0.02
 def constraints(robot: Robot) -> Finding:
     """Return the largest residual of connections, welds, tendons, couplings without motors and limits at rest."""
     run = settled(robot)
-    model, found = run.model, Finding(value=0.0)
+    model, finding = run.model, Finding(value=0.0)
     judged = [_is_judged(model, number) for number in range(model.neq)]
     is_led = any(
         int(kind) in JOINED and not is_judged
@@ -147,27 +147,27 @@ def constraints(robot: Robot) -> Finding:
         first, _ = begin.get((kind, number), (np.zeros(len(values)), 0.0))
         before, *_ = _opening(robot, kind, number, first, force)
         after, place, remark = _opening(robot, kind, number, values, force)
-        if after - before > found.value:
-            found = Finding(
+        if after - before > finding.value:
+            finding = Finding(
                 value=after - before,
                 place=place,
                 remark=remark,
                 is_usual=kind == EQUALITY and _is_soft(model, number),
             )
-    return found
+    return finding
 
 
 def _residuals(
     model: mujoco.MjModel, data: mujoco.MjData
 ) -> dict[tuple[int, int], tuple[FloatArray, float]]:
     """Return residuals [m or rad] and force [N or N m] of each equality and limit, by type and id."""
-    found = {}
+    residuals = {}
     for kind in (EQUALITY, LIMIT_JOINT, LIMIT_TENDON):
         for number in np.unique(data.efc_id[data.efc_type == kind]).tolist():
             rows = (data.efc_type == kind) & (data.efc_id == number)
             force = float(np.linalg.norm(data.efc_force[rows]))
-            found[kind, number] = (data.efc_pos[rows], force)
-    return found
+            residuals[kind, number] = (data.efc_pos[rows], force)
+    return residuals
 
 
 def _is_judged(model: mujoco.MjModel, number: int) -> bool:
@@ -238,11 +238,11 @@ def _opening(
     consequence="What should drift, tip or slide stands still, so that the policy counts on it.",
 )
 def sleeping(robot: Robot) -> Finding:
-    """Return the largest mean speed in the refined run of a body that sleeps in the target's own."""
+    """Return the largest mean speed in the refined run of a body that sleeps in the target's run."""
     if not robot.model.opt.enableflags & SLEEP:
         raise NotApplicableError("the model does not let bodies sleep")
     run, finer = settled(robot), refined_rest(robot)
-    found = Finding(value=0.0)
+    finding = Finding(value=0.0)
     for body in np.flatnonzero(~run.is_awake[-1]).tolist():
         begin = int(np.flatnonzero(run.is_awake[:, body]).max(initial=-1)) + 1
         paths = finer.points_m[:, body]
@@ -250,13 +250,13 @@ def sleeping(robot: Robot) -> Finding:
         gap_m = np.abs(paths[begin] - run.points_m[begin, body]).max()
         moved_m = float(np.linalg.norm(paths[-1] - paths[begin], axis=-1).max())
         speed = 1e3 * moved_m / (run.sample_s * max(SAMPLES - 1 - begin, LATE))
-        if speed > found.value and gap_m < SAME_M:
-            found = Finding(
+        if speed > finding.value and gap_m < SAME_M:
+            finding = Finding(
                 value=speed,
                 place=("body", body),
                 remark=f"{name_of(robot, 'body', body)} sleeps; awake it moves at {speed:.3g} mm/s",
             )
-    return found
+    return finding
 
 
 SAME_M = 1e-3
@@ -275,7 +275,7 @@ STILL_MM_PER_S, RESTING_MM_PER_S = 1.0, 10.0
     consequence="What rests creeps or hops, so that stances and grasps drift.",
 )
 def creep(robot: Robot) -> Finding:
-    """Return the largest speed of a body that rests in the refined run, from whose state the model's own run goes on.
+    """Return the largest speed of a body that rests in the refined run, from whose state the run of the model goes on.
 
     The common state leaves out that piles and falls end differently with each step.
     """
@@ -385,7 +385,7 @@ def _diverged_on_sines_s(robot: Robot) -> float:
     title="time for which the state stays finite at rest, over 2 s, then while its commands follow sines",
     unit="1",
     interval=(1.0, np.inf),
-    source="the model's own run, from its start, without actions",
+    source="a run of the model from its keyframe or initial pose, without actions and along sines",
     consequence="Training meets NaN or is reset in each episode.",
 )
 def holds(robot: Robot) -> Finding:

@@ -133,8 +133,8 @@ def refined(model: mujoco.MjModel) -> mujoco.MjModel:
             f"a refined run of {model.nv} degrees of freedom takes long"
         )
     finer, step_s = finer_solver(model), float(model.opt.timestep)
-    most = REFINEMENT if model.nv <= SMALL_NV else 4
-    finer.opt.timestep = step_s / np.clip(round(step_s / FINE_S), 2, most)
+    factor = REFINEMENT if model.nv <= SMALL_NV else 4
+    finer.opt.timestep = step_s / np.clip(round(step_s / FINE_S), 2, factor)
     if not model.opt.disableflags & disable_bit("refsafe"):
         arrays = [getattr(finer, name) for name in dir(finer) if "solref" in name]
         for array in [*arrays, finer.opt.o_solref]:
