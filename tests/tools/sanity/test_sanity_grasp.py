@@ -116,20 +116,6 @@ def test_rolling_friction_of_mujoco(arm_m, verdict):
     )
 
 
-def test_no_slip_iterations_hold_with_the_elliptic_cone_alone():
-    row, soft = (
-        phenomenon("grasp-creep"),
-        {"contact_solref": (0.02, 1.0), "impratio": 1.0},
-    )
-    found = {
-        cone: MUJOCO.measure(
-            row, soft | {"cone": cone, "noslip_iterations": 10}
-        ).verdict
-        for cone in ("elliptic", "pyramidal")
-    }
-    assert found == {"elliptic": Verdict.INSIDE, "pyramidal": Verdict.WRONG}
-
-
 # --- hands -----------------------------------------------------------------------------------------------------------
 
 

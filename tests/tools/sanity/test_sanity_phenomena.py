@@ -75,16 +75,6 @@ def test_runs_at_its_own_step(step, interval):
     np.testing.assert_allclose(fall, 0.5 * G * step**2 * steps * (steps + 1), atol=1e-9)
 
 
-@pytest.mark.parametrize("step", [0.01, 0.003])
-def test_driven_plate_is_where_its_driver_says(step):
-    scenario = replace(phenomenon("carry-wood").scenario, seconds=1.0)
-    rollout = run_scenario(MUJOCO, scenario, {"timestep_s": step})
-    (driver,) = scenario.scene.drivers
-    end = driver.pose(scenario.scene.body("plate").pose, float(rollout.times_s[-1]))
-    turn = end.rotation.inv() * rollout.rotation("plate")[-1]
-    assert np.degrees(turn.magnitude()) < 0.01
-
-
 def test_declined_and_diverged_are_outcomes():
     row = phenomenon("creep-wood")
     with pytest.raises(DeclinedError, match="unknown setting"):
