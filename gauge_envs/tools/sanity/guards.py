@@ -62,7 +62,7 @@ def hop() -> Phenomenon:
 
     def highest_mm(rollout: Recording) -> float:
         heights = (lowest_m(rollout, cube.name, cube.shape.corners_m) for cube in cubes)
-        return 1e3 * max(float((one - one[0]).max()) for one in heights)
+        return 1e3 * max(float((height - height[0]).max()) for height in heights)
 
     def wrong_stop(rollout: Recording) -> str:
         """Return which stopping distance is not Coulomb's v^2 / (2 mu g); empty when all are."""

@@ -44,9 +44,6 @@ OF_CONTACTS = (
 )
 """Starts of names of settings without effect where nothing can touch."""
 
-NEUTRAL = {"mujoco": {"contact_margin_m": 0.0, "contact_gap_m": 0.0}}
-"""Values that are those of an engine where a setting is not stated, by the name of the engine."""
-
 
 class TimeLimitError(GaugeError):
     """The time of a check is used up, and another rollout would be needed."""
@@ -166,12 +163,11 @@ class Measurements:
         self, function: _Run, scenario: Scenario, settings: Settings
     ) -> tuple[str, str, str]:
         """Return a text of the settings that matter to a function of a scenario."""
-        neutral, touches = NEUTRAL.get(self.engine, {}), scenario.scene.contacts
+        touches = scenario.scene.contacts
         stated = {
             name: value
             for name, value in settings.items()
-            if (touches or not name.startswith(OF_CONTACTS))
-            and (name not in neutral or value != neutral[name])
+            if touches or not name.startswith(OF_CONTACTS)
         }
         text = json.dumps(json_ready(stated), sort_keys=True)
         return function.__name__, scenario.name, text

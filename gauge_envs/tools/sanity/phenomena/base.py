@@ -97,8 +97,10 @@ def recorded_reality(
         trial: What was recorded, for the source.
         more: End of the source.
     """
-    found = recorded(recording, fact)
-    return one_trial(found["value"], found["sigma"], f"{trial} ({RECORDINGS}){more}")
+    measured = recorded(recording, fact)
+    return one_trial(
+        measured["value"], measured["sigma"], f"{trial} ({RECORDINGS}){more}"
+    )
 
 
 def acceleration(

@@ -170,10 +170,10 @@ def sliding(
 def real_slides(material: str, source: str = "") -> Reality:
     """Return the acceleration of real cubes on 30 degrees."""
     trials = facts("slope_slider_30deg_summary")[material]
-    found = trials["acceleration_m_s2"]
+    slides = trials["acceleration_m_s2"]
     return Reality.measured(
-        found["mean"],
-        found["std"],
+        slides["mean"],
+        slides["std"],
         trials["trial_count"],
         source,
     )

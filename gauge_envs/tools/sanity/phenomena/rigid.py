@@ -130,7 +130,9 @@ def _wall(title: str, of: str, extreme_mm: Callable[[FloatArray], float]) -> Phe
 
     def moved_mm(rollout: Recording) -> FloatArray:
         bricks = rollout.scene.dynamic_bodies
-        return 1e3 * np.array([rollout.displacement(one.name)[-1] for one in bricks])
+        return 1e3 * np.array(
+            [rollout.displacement(brick.name)[-1] for brick in bricks]
+        )
 
     def fallen(rollout: Recording) -> str:
         if np.linalg.norm(moved_mm(rollout), axis=-1).max() <= 1e3 * FALLEN_M:
@@ -291,7 +293,7 @@ def _several_balls(scene: Scene, share: float = 1.0) -> Scene:
     for index, lift in enumerate(LIFTS_M):
         pose = replace(ball.pose, position_m=(x + 0.2 * index, y, z + lift))
         balls.append(replace(ball, name=f"ball-{index}", pose=pose))
-    names = tuple(one.name for one in balls)
+    names = tuple(ball.name for ball in balls)
     touches = tuple(replace(contact, first=names) for contact in scene.contacts)
     return replace(scene, bodies=(*balls, scene.body("ground")), contacts=touches)
 
@@ -416,13 +418,13 @@ def momentum() -> Phenomenon:
     assert real.std is not None, "MTE is published with its standard deviation"
 
     def efficiency(rollout: Recording) -> float:
-        found = momentum_transfer_efficiency(
+        share = momentum_transfer_efficiency(
             1e3 * rollout.position(balls[-1].name)[:, 2],
             drop_height_mm=lifted - rest,
             rest_height_mm=rest,
             leave_height_mm=leaves_mm,
         )
-        return found if np.isfinite(found) else 0.0
+        return share if np.isfinite(share) else 0.0
 
     def failure(rollout: Recording) -> str:
         after = rollout.times_s > PASSED_S
