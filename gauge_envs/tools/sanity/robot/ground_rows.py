@@ -32,7 +32,7 @@ def standing_of(robot: Robot) -> Standing:
 
 @row(
     "robot-feet",
-    title="limbs that stand in the ground and cannot touch it, or a ground that nothing of the robot touches",
+    title="limbs in the ground that cannot touch it",
     unit="1",
     interval=(0.0, 0.5),
     source="contype, conaffinity and pairs of the model; the lowest geoms in the pose in which it stands",
@@ -110,7 +110,7 @@ LOST_FRICTION = 2.0
 
 @row(
     "robot-friction",
-    title="friction of a foot on the ground over the limits of real soles, or over the one that its ground states",
+    title="friction of a foot on the ground, over the limit of real soles",
     unit="1",
     interval=(0.0, 1.0),
     source="wet ice 0.05, racing tyres below 3; MuJoCo takes the greater one of two geoms of equal priority",
@@ -156,7 +156,7 @@ is a point of a larger pad [m]."""
 
 @row(
     "robot-torsion",
-    title="lever of torsional or rolling friction of feet, or of fingers, over their size, where condim lets it act",
+    title="lever of torsional or rolling friction over the size of a foot or finger",
     unit="1",
     interval=(0.0, 2.0),
     source="an even disc has a lever of two thirds of its radius, and no contact is larger than the part",
@@ -196,7 +196,7 @@ TRIED = 32
 
 @row(
     "robot-overlap",
-    title="depth to which parts of the robot overlap where it starts, so that contacts push them apart",
+    title="overlap of parts of the robot where it starts",
     unit="mm",
     interval=(0.0, 2.0),
     source="rigid parts do not overlap; without a keyframe it counts where they do in half of all poses",

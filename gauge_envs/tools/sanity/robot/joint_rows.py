@@ -45,7 +45,7 @@ FALL_PER_S = 1.0
 
 @row(
     "robot-joint",
-    title="friction, damping and armature of a joint over all that gravity and its motor can do there",
+    title="friction, damping and armature of a joint, over what moves it",
     unit="1",
     interval=(0.0, 1.0),
     source="force balance of a slow motion: 0.1 rad/s from rest in 0.2 s, in a leg 3 rad/s in 0.1 s; a leg without "
@@ -152,10 +152,11 @@ GROWTH, GROWTH_STEPS, KICK = 3.0, 400, 0.1
 
 @row(
     "robot-drive",
-    title="response of a servo over the limit of a drive that works: growth, ringing, lag, sag, stiffness, commands",
+    title="response of a servo, over the limit of a drive that works",
     unit="1",
     interval=(0.0, 1.0),
-    source="a motion without gravity and contact never grows; closed forms of a loop of second order",
+    source="a slow motion without gravity and contact never grows; closed forms of a loop of second order for ringing, "
+    "lag and sag; the error at which a servo saturates; commands in degrees",
     consequence="The joint does not do what the policy commands, so that the policy learns to work against its servo.",
 )
 def drive(robot: Robot) -> Finding:
@@ -308,7 +309,7 @@ def _commands(one: Drive) -> Iterator[Case]:
 
 @row(
     "robot-torque",
-    title="force that holds a joint where the robot rests over the largest one that its motor states",
+    title="force that holds a joint at rest, over that of its motor",
     unit="1",
     interval=(0.0, 1.0),
     source="inverse dynamics at rest in the pose of the keyframe; of a robot on feet, the mean torque as it falls",
@@ -390,7 +391,7 @@ LARGEST_GIVE, HALVINGS = 1.0, 14
 
 @row(
     "robot-coupling",
-    title="part of its range by which a coupled joint yields to the motor, or begins beside its coupling",
+    title="part of its range by which a coupled joint yields",
     unit="1",
     interval=(0.0, YIELD_SHARE),
     source="0.001 to 0.02 in grippers of makers whose linkage is stiff, 0.14 to 0.23 with MuJoCo's default solref",
@@ -470,7 +471,7 @@ FREE_SHARE = 0.05
 
 @row(
     "robot-free",
-    title="speed that a free joint takes in 1 s of 1 m/s or 1 rad/s, or inertia that it adds, over the robot's",
+    title="share of its speed that a free joint takes from a body in 1 s",
     unit="1",
     interval=(0.0, FREE_SHARE),
     source='nothing holds a base in the air; defaults of joints apply to <joint type="free"> and not to <freejoint>',

@@ -11,7 +11,7 @@ import numpy as np
 from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.tools.sanity.robot.joints import Case, reaches_m, root_of, worst_case
 from gauge_envs.tools.sanity.robot.mujoco_feet import geom_name
-from gauge_envs.tools.sanity.robot.robot import Robot
+from gauge_envs.tools.sanity.robot.robot import Robot, once
 from gauge_envs.tools.sanity.rows import Finding, NotApplicableError, row
 
 LEAD_KG_PER_M3, OSMIUM_KG_PER_M3 = 12_000.0, 22_600.0
@@ -38,7 +38,7 @@ DRAWN_TWICE = 0.05
 
 @row(
     "robot-mass",
-    title="density, inertia or mass of a body over what a real body can have",
+    title="density, inertia or mass of a body, over that of a real body",
     unit="1",
     interval=(0.0, 1.0),
     source="lead 12,000 and osmium 22,600 kg/m^3; a ball of osmium has the least inertia of its mass; no mass is "
@@ -74,8 +74,7 @@ def _body_cases(robot: Robot, body: int) -> Iterator[Case]:
     # Of all bodies of a mass and a largest density a ball has the least trace of inertia, 3 * 0.4 m r^2.
     least = 1.2 * mass_kg * radius_m**2
     # Geoms of a toy may stand for point masses.
-    is_stated = robot.spec is None or robot.spec.bodies[body].explicitinertial
-    if is_stated:
+    if body not in _weighing(robot):
         text = f"{name} of {mass_kg:.3g} kg has inertias of {moments.mean():.2g} kg m^2, smaller than a ball of osmium"
         text += f" of this mass ({least / 3.0:.2g})"
         yield Case(least / max(trace, 1e-300), place, name, text)
@@ -105,21 +104,28 @@ def _triangle(name: str, body: int, moments: FloatArray) -> Iterator[Case]:
         yield Case(excess, ("body", body), name, text)
 
 
+@once
+def _weighing(robot: Robot) -> dict[int, list[mujoco.MjsGeom]]:
+    """Return the geoms of each body that give it its mass; bodies that state theirs are left out."""
+    geoms: dict[int, list[mujoco.MjsGeom]] = {}
+    for body in () if robot.spec is None else robot.spec.bodies:
+        if not body.explicitinertial:
+            geoms[body.id] = list(body.geoms)
+    return geoms
+
+
 def _densities(robot: Robot, body: int) -> Iterator[tuple[float, float]]:
     """Yield the density of geoms that give a body its mass, and its limit [kg/m^3].
 
     Geoms of a body that states its mass itself may hold the place of its shape.
     """
-    if robot.spec is None or robot.spec.bodies[body].explicitinertial:
-        return
     model = robot.model
     is_link = int(model.tree_bodynum[model.body_treeid[body]]) > 1
-    for geom in robot.spec.geoms:
-        if geom.id < 0 or int(model.geom_bodyid[geom.id]) != body or geom.mass == 0.0:
-            continue
+    for geom in _weighing(robot).get(body, []):
+        box_m3 = 8.0 * float(model.geom_aabb[geom.id, 3:].prod())
         if not np.isfinite(geom.mass):
             yield float(geom.density), LEAD_KG_PER_M3 if is_link else OSMIUM_KG_PER_M3
-        elif is_link and (box_m3 := 8.0 * float(model.geom_aabb[geom.id, 3:].prod())):
+        elif is_link and box_m3:
             yield float(geom.mass) / box_m3, POINT_KG_PER_M3
 
 
@@ -154,13 +160,14 @@ def _drawn_twice(robot: Robot) -> Iterator[Case]:
             if not solid[geom]
             and _covers(model, geom, [one for one in own if solid[one]])
         ]
-        if drawn and not spec.bodies[body].explicitinertial:
+        if drawn and body in _weighing(robot):
             doubled[body] = drawn
     # A drawn part that states its mass or density is meant to weigh, unless it is the twin of one that collides.
     silent = {
         geom.id
-        for geom in spec.geoms
-        if any(geom.id in several for several in doubled.values())
+        for body, several in doubled.items()
+        for geom in _weighing(robot)[body]
+        if geom.id in several
         and (
             _is_twin(model, geom.id)
             or (not np.isfinite(geom.mass) and geom.density == UNSTATED_KG_PER_M3)

@@ -140,7 +140,7 @@ def fallen_saturations(robot: Robot) -> dict[int, float]:
 
 @row(
     "robot-stands",
-    title="height of the robot after 2 s under its own servos, over that at the start",
+    title="height of the robot after 2 s under its servos, over that at the start",
     unit="1",
     interval=(FELL, ROSE),
     source="the robot's own rollout: its pose, its controls and its settings, on three feet or more",
@@ -165,7 +165,7 @@ def stands(robot: Robot) -> Finding:
 
 @row(
     "robot-slip",
-    title="speed of the feet of the standing robot on a slope of at most 10 degrees, with its own friction",
+    title="slip of the feet of the standing robot on a slope of 10 degrees or less",
     unit="mm/s",
     interval=(0.0, 5.0),
     source="Coulomb: a foot in its friction cone rests; 5 mm/s are 1 mm in a stance of 0.2 s",
