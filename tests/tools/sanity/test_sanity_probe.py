@@ -195,7 +195,7 @@ def test_a_file_of_another_version_says_so(file):
     for note in (
         f"training runs with MuJoCo 3.2.0; the rows are measured with MuJoCo {mujoco.__version__}",
         "margins and gaps of two geoms are combined as since MuJoCo 3.9",
-        "has no option later, which is 1 in training",
+        "has no later of <option>, which is 1 in training",
         "training runs on MJX",
         "from the probe",
     ):

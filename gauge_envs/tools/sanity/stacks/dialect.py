@@ -5,7 +5,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from gauge_envs.scene import Vector
 from gauge_envs.tools.sanity.model import Settings
 from gauge_envs.tools.sanity.stacks.documents import Table
 
@@ -99,7 +98,6 @@ class Dialect:
         pattern: Form of an assignment with `{place}`, `{key}` and `{value}`.
         text: Function from a value to its text.
         join: Function from all assignments to the text that is pasted.
-        gravity: Form of gravity with `{}` for its components.
         is_closed: Whether only the settings of the table can be stated; others are not changed.
     """
 
@@ -108,7 +106,6 @@ class Dialect:
     pattern: str = "{key} = {value}"
     text: Callable[[Any], str] = toml_text
     join: Callable[[Entries], str] = TOML_JOIN
-    gravity: str = "gravity = [{}]"
     is_closed: bool = False
 
     def writes(self, name: str) -> bool:
@@ -134,12 +131,6 @@ class Dialect:
             )
             entries.setdefault(setting.place, []).append(entry)
         return self.join(entries)
-
-    def gravity_text(self, gravity_m_per_s2: Vector) -> str:
-        """Return a gravity [m/s^2], shape [3], as text that can be pasted into the target."""
-        separator = " " if self.name == "mjcf" else ", "
-        numbers = (number_text(round(g, 2) + 0.0) for g in gravity_m_per_s2)
-        return self.gravity.format(separator.join(numbers))
 
     def read(self, tables: Mapping[str, Table]) -> Iterator[tuple[str, Any, str]]:
         """Yield name, value and key of the settings of some places; for an absent key, the documented default.

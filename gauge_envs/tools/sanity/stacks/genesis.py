@@ -61,7 +61,6 @@ GENESIS = Dialect(
     pattern="{key}={value}",
     text=_python_text,
     join=joined(" and "),
-    gravity="sim_options=gs.options.SimOptions(gravity=({}))",
 )
 
 DEFAULT_STEP_S, DEFAULT_TIMECONST_S = 0.01, 0.01

@@ -122,7 +122,6 @@ def _dialect(name: str, physx: str) -> Dialect:
         pattern="self.{place}.{key} = {value}",
         join=_lines,
         text=number_text,
-        gravity="self.sim.gravity = ({})",
         is_closed=True,
     )
 

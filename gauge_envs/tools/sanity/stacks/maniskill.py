@@ -81,7 +81,6 @@ MANISKILL = Dialect(
     pattern="{key}={value}",
     join=_sim_config,
     text=number_text,
-    gravity="SimConfig(scene_config=SceneConfig(gravity=[{}]))",
     is_closed=True,
 )
 

@@ -85,7 +85,6 @@ MJCF = Dialect(
     pattern='{key}="{value}"',
     text=_attribute,
     join=_elements,
-    gravity='<option gravity="{}"/>',
 )
 
 

@@ -11,7 +11,6 @@ import re
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import mujoco
 
@@ -65,7 +64,7 @@ def _read_model(
     path: Path, file: Settings, source: str, pair: GeomPair | None
 ) -> TrainingConfiguration:
     trained, here = file["mujoco"], mujoco.__version__
-    text, notes = _known_options(file["data"])
+    text, notes = _known(file["data"])
     try:
         model = mujoco.MjModel.from_xml_string(text)
     except ValueError as error:
@@ -96,20 +95,15 @@ def _read_model(
     return replace(read, notes=(*read.notes, *notes, *file["notes"]))
 
 
-def _known_options(text: str) -> tuple[str, list[str]]:
-    """Return a model without options and flags that the installed MuJoCo lacks, and a note on those that matter."""
-    root = ET.fromstring(text)
-    option = root.find("option")
-    kinds: Any = (mujoco.mjtDisableBit, mujoco.mjtEnableBit)
-    flags = {name.split("_")[-1].lower() for kind in kinds for name in kind.__members__}
-    options = {*dir(mujoco.MjModel.from_xml_string("<mujoco/>").opt)}
-    notes = []
-    for element in () if option is None else (option, *option):
-        known = flags if element.tag == "flag" else {*options, "actuatorgroupdisable"}
-        for name in set(element.attrib) - known:
+def _known(text: str) -> tuple[str, list[str]]:
+    """Return a model without attributes that the installed MuJoCo lacks, and a note on each that has an effect."""
+    root, notes = ET.fromstring(text), {}
+    known = set(mujoco.mj_printSchema(False, False).split())
+    for element in root.iter():
+        for name in element.attrib.keys() - known:
             value = element.attrib.pop(name)
-            if value != "enable":
-                notes.append(
-                    f"MuJoCo {mujoco.__version__} has no option {name}, which is {value} in training"
+            if value not in ("enable", "0"):
+                notes[f"{element.tag} {name}"] = (
+                    f"MuJoCo {mujoco.__version__} has no {name} of <{element.tag}>, which is {value} in training"
                 )
-    return ET.tostring(root, encoding="unicode"), notes
+    return ET.tostring(root, encoding="unicode"), [*notes.values()]
