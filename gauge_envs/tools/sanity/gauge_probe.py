@@ -73,13 +73,15 @@ ACTUATOR = (
 PAIR = "geom1:geom geom2:geom condim=dim friction solref solreffriction solimp margin gap adhesion"
 KEY = "name time qpos qvel act ctrl mpos mquat"
 
-ENDS = {
-    "joint": "joint1=obj1id:jnt joint2=obj2id:jnt",
-    "tendon": "tendon1=obj1id:tendon tendon2=obj2id:tendon",
-    "body": "body1=obj1id:body body2=obj2id:body",
-    "site": "site1=obj1id:site site2=obj2id:site",
+SITE = "name pos quat"
+EQUALITY = "solref solimp active=active0"
+WRAPS = {
+    "joint": "joint=objid:jnt coef=prm",
+    "pulley": "divisor=prm",
+    "site": "site=objid:site",
+    "geom": "geom=objid:geom sidesite=prm:site",
 }
-"""Attributes of an equality, by what it holds together."""
+"""Attributes of what a tendon wraps around, by its kind."""
 
 
 def text(*values: Any) -> str:
@@ -142,46 +144,40 @@ def mjcf(model: Any) -> str:
     ET.SubElement(root, "compiler", compiler)
     add_options(root, model)
     add_shapes(ET.SubElement(root, "asset"), model)
-    add_bodies(ET.SubElement(root, "worldbody"), model)
-    contact = ET.SubElement(root, "contact")
-    for index in range(model.npair):
-        ET.SubElement(contact, "pair", attributes(model, "pair", index, PAIR))
-    for signature in model.exclude_signature:
-        first, second = divmod(int(signature), 1 << 16)
-        ends = {"body1": first, "body2": second}
-        names = {end: name_of(model, "body", body) for end, body in ends.items()}
-        ET.SubElement(contact, "exclude", names)
-    tendons = ET.SubElement(root, "tendon")
-    for index in range(model.ntendon):
-        add_tendon(tendons, model, index)
-    equalities = ET.SubElement(root, "equality")
-    for index in range(model.neq):
-        add_equality(equalities, model, index)
-    actuators = ET.SubElement(root, "actuator")
-    for index in range(model.nu):
-        ET.SubElement(actuators, "general", actuator(model, index))
-    keys = ET.SubElement(root, "keyframe")
-    for index in range(model.nkey):
-        ET.SubElement(keys, "key", attributes(model, "key", index, KEY))
-    return ET.tostring(root, encoding="unicode")
-
-
-def add_bodies(world: ET.Element, model: Any) -> None:
-    """Add bodies with their joints, geoms and sites."""
-    bodies = [world]
+    bodies = [ET.SubElement(root, "worldbody")]
     for index in range(1, model.nbody):
         owner = bodies[model.body_parentid[index]]
         body = ET.SubElement(owner, "body", attributes(model, "body", index, BODY))
         body.set("mocap", text(model.body_mocapid[index] >= 0))
         ET.SubElement(body, "inertial", attributes(model, "body", index, INERTIAL))
         bodies.append(body)
-    for index, owner in enumerate(model.jnt_bodyid):
-        ET.SubElement(bodies[owner], "joint", joint(model, index))
-    for index, owner in enumerate(model.geom_bodyid):
-        ET.SubElement(bodies[owner], "geom", geom(model, index))
-    for index, owner in enumerate(model.site_bodyid):
-        site = attributes(model, "site", index, "name pos quat")
-        ET.SubElement(bodies[owner], "site", site)
+    places = ("contact", "tendon", "equality", "actuator", "keyframe", "left_out")
+    parts = {place: ET.SubElement(root, place) for place in places}
+    # An equality of a flex is left out with it.
+    equalities = [parts["equality" if t < 4 else "left_out"] for t in model.eq_type]
+    for prefix, tag, parents, table, complete in (
+        ("jnt", "joint", [bodies[b] for b in model.jnt_bodyid], JOINT, of_joint),
+        ("geom", "geom", [bodies[b] for b in model.geom_bodyid], GEOM, of_geom),
+        ("site", "site", [bodies[b] for b in model.site_bodyid], SITE, None),
+        ("pair", "pair", [parts["contact"]] * model.npair, PAIR, None),
+        ("tendon", "spatial", [parts["tendon"]] * model.ntendon, TENDON, of_tendon),
+        ("eq", "connect", equalities, EQUALITY, of_equality),
+        ("actuator", "general", [parts["actuator"]] * model.nu, ACTUATOR, of_actuator),
+        ("key", "key", [parts["keyframe"]] * model.nkey, KEY, None),
+    ):
+        for index, parent in enumerate(parents):
+            element = ET.SubElement(
+                parent, tag, attributes(model, prefix, index, table)
+            )
+            if complete:
+                complete(element, model, index)
+    for signature in model.exclude_signature:
+        first, second = divmod(int(signature), 1 << 16)
+        ends = {"body1": first, "body2": second}
+        names = {end: name_of(model, "body", body) for end, body in ends.items()}
+        ET.SubElement(parts["contact"], "exclude", names)
+    root.remove(parts["left_out"])
+    return ET.tostring(root, encoding="unicode")
 
 
 def add_options(root: ET.Element, model: Any) -> None:
@@ -189,34 +185,31 @@ def add_options(root: ET.Element, model: Any) -> None:
     import mujoco
 
     option, flags = ET.SubElement(root, "option"), {}
-    for entry in [name for name in dir(model.opt) if not name.startswith("_")]:
+    for entry in dir(model.opt):
         value = getattr(model.opt, entry)
         if entry in ("integrator", "cone", "solver", "jacobian"):
             option.set(entry, constant(f"mjt{entry.title()}", value))
         elif entry == "disableactuator":
             groups = [group for group in range(31) if value >> group & 1]
             option.set("actuatorgroupdisable", text(groups))
-        elif not entry.endswith("flags"):
+        elif not entry.startswith("_") and not entry.endswith("flags"):
             option.set(entry, text(value))
-    kinds = {"disable": mujoco.mjtDisableBit, "enable": mujoco.mjtEnableBit}
-    for effect, kind in kinds.items():
-        other = "enable" if effect == "disable" else "disable"
-        for flag, bit in kind.__members__.items():
-            is_set = getattr(model.opt, f"{effect}flags") & int(bit)
-            if "_" in flag:
-                flags[flag[7:].lower()] = effect if is_set else other
+    for prefix, effects in (("dis", "enable disable"), ("en", "disable enable")):
+        bits = getattr(mujoco, f"mjt{prefix.title()}ableBit").__members__
+        stated = int(getattr(model.opt, f"{prefix}ableflags"))
+        for flag in [bit for bit in bits if "_" in bit]:
+            is_set = bool(stated & int(bits[flag]))
+            flags[flag[7:].lower()] = effects.split()[is_set]
     ET.SubElement(option, "flag", flags)
 
 
-def joint(model: Any, index: int) -> dict[str, str]:
-    """Return the attributes of a joint with the coefficients of its first degree of freedom."""
-    written = attributes(model, "jnt", index, JOINT)
-    written.update(attributes(model, "dof", model.jnt_dofadr[index], DOF))
-    if written["type"] in ("hinge", "slide"):
+def of_joint(element: ET.Element, model: Any, index: int) -> None:
+    """Complete a joint by the coefficients of its first degree of freedom and its zeros."""
+    element.attrib.update(attributes(model, "dof", model.jnt_dofadr[index], DOF))
+    if element.get("type") in ("hinge", "slide"):
         start = model.jnt_qposadr[index]
-        written["ref"] = text(model.qpos0[start])
-        written["springref"] = text(model.qpos_spring[start])
-    return written
+        element.set("ref", text(model.qpos0[start]))
+        element.set("springref", text(model.qpos_spring[start]))
 
 
 def add_shapes(parent: ET.Element, model: Any) -> None:
@@ -238,82 +231,74 @@ def add_shapes(parent: ET.Element, model: Any) -> None:
             ET.SubElement(parent, "mesh", name=name, vertex=vertices)
 
 
-def geom(model: Any, index: int) -> dict[str, str]:
-    """Return the attributes of a geom; a mesh without a hull is the box around it."""
+def of_geom(element: ET.Element, model: Any, index: int) -> None:
+    """Complete a geom by its mesh or height field; a mesh without a hull is the box around it."""
     import mujoco
     import numpy
 
-    written = attributes(model, "geom", index, GEOM)
-    kind, number = written["type"], model.geom_dataid[index]
-    if kind == "hfield":
-        written["hfield"] = name_of(model, "hfield", number)
-    if kind not in ("mesh", "sdf"):
-        return written
+    number = model.geom_dataid[index]
+    if element.get("type") == "hfield":
+        element.set("hfield", name_of(model, "hfield", number))
+    if element.get("type") not in ("mesh", "sdf"):
+        return
     if model.mesh_graphadr[number] >= 0:
-        del written["size"]
-        return {**written, "type": "mesh", "mesh": name_of(model, "mesh", number)}
+        element.attrib.pop("size")
+        element.attrib.update(type="mesh", mesh=name_of(model, "mesh", number))
+        return
     middle, box = numpy.zeros(3), model.geom_aabb[index]
     mujoco.mju_rotVecQuat(middle, box[:3], model.geom_quat[index])
     pos, size = model.geom_pos[index] + middle, numpy.maximum(box[3:], 1e-6)
-    return {**written, "type": "box", "pos": text(pos), "size": text(size)}
+    element.attrib.update(type="box", pos=text(pos), size=text(size))
 
 
-def add_tendon(parent: ET.Element, model: Any, index: int) -> None:
-    """Add a tendon with what it wraps around."""
-    tendon = ET.SubElement(
-        parent, "spatial", attributes(model, "tendon", index, TENDON)
-    )
+def of_tendon(element: ET.Element, model: Any, index: int) -> None:
+    """Complete a tendon by what it wraps around."""
     first = model.tendon_adr[index]
     for wrap in range(first, first + model.tendon_num[index]):
         kind = constant("mjtWrap", model.wrap_type[wrap])
-        number = model.wrap_prm[wrap]
         if kind == "joint":
-            tendon.tag = "fixed"
-            part = attributes(model, "wrap", wrap, "joint=objid:jnt coef=prm")
-        elif kind == "pulley":
-            part = {"divisor": text(number)}
-        elif kind == "site":
-            part = attributes(model, "wrap", wrap, "site=objid:site")
-        else:
+            element.tag = "fixed"
+        elif kind in ("sphere", "cylinder"):
             kind = "geom"
-            part = attributes(model, "wrap", wrap, "geom=objid:geom sidesite=prm:site")
-        ET.SubElement(tendon, kind, part)
+        ET.SubElement(element, kind, attributes(model, "wrap", wrap, WRAPS[kind]))
 
 
-def add_equality(parent: ET.Element, model: Any, index: int) -> None:
-    """Add an equality between bodies, sites, joints or tendons."""
+def of_equality(element: ET.Element, model: Any, index: int) -> None:
+    """Complete an equality between bodies, sites, joints or tendons."""
     data, kind = model.eq_data[index], constant("mjtEq", model.eq_type[index])
-    what = kind
-    if kind in ("connect", "weld"):
-        what = constant("mjtObj", model.eq_objtype[index])
-    if kind not in ("joint", "tendon", "connect", "weld"):
+    if model.eq_type[index] > 3:
         return
-    table = f"{ENDS[what]} solref solimp active=active0"
-    equality = ET.SubElement(parent, kind, attributes(model, "eq", index, table))
+    element.tag = what = kind
     if kind in ("joint", "tendon"):
-        equality.set("polycoef", text(data[:5]))
-    elif what == "body":
-        equality.set("anchor", text(data[:3]))
+        element.set("polycoef", text(data[:5]))
+    else:
+        what = constant("mjtObj", model.eq_objtype[index])
+    if what == "body":
+        element.set("anchor", text(data[:3]))
     if kind == "weld":
-        equality.set("torquescale", text(data[10]))
+        element.set("torquescale", text(data[10]))
         if what == "body":
-            equality.set("relpose", text(data[3:10]))
+            element.set("relpose", text(data[3:10]))
+    object_kind = "jnt" if what == "joint" else what
+    ends = f"{what}1=obj1id:{object_kind} {what}2=obj2id:{object_kind}"
+    element.attrib.update(attributes(model, "eq", index, ends))
 
 
-def actuator(model: Any, index: int) -> dict[str, str]:
-    """Return the attributes of an actuator with its gains."""
-    written = attributes(model, "actuator", index, ACTUATOR)
+def of_actuator(element: ET.Element, model: Any, index: int) -> None:
+    """Complete an actuator by what it acts on."""
     kind = constant("mjtTrn", model.actuator_trntype[index])
     first, second = model.actuator_trnid[index]
     if hasattr(model, "actuator_history"):
-        written["nsample"] = text(model.actuator_history[index][0])
+        element.set("nsample", text(model.actuator_history[index][0]))
+    keys = {"site": ("site", "refsite"), "slidercrank": ("cranksite", "slidersite")}
     if kind == "slidercrank":
-        written["cranklength"] = text(model.actuator_cranklength[index])
-        sites = {"cranksite": first, "slidersite": second}
+        element.set("cranklength", text(model.actuator_cranklength[index]))
+    if kind in keys:
+        ends = zip(keys[kind], (first, second))  # noqa: B905
+        names = {key: name_of(model, "site", end) for key, end in ends if end >= 0}
+        element.attrib.update(names)
     else:
-        written[kind] = name_of(model, kind.replace("inparent", ""), first)
-        sites = {"refsite": second} if kind == "site" and second >= 0 else {}
-    return {**written, **{key: name_of(model, "site", n) for key, n in sites.items()}}
+        element.set(kind, name_of(model, kind.replace("inparent", ""), first))
 
 
 # --- what a target is ------------------------------------------------------------------------------------------------

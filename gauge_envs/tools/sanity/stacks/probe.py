@@ -102,7 +102,8 @@ def _known(text: str) -> tuple[str, list[str]]:
     for element in root.iter():
         for name in element.attrib.keys() - known:
             value = element.attrib.pop(name)
-            if value not in ("enable", "0"):
+            # A flag that is not known here is at its default there, or off.
+            if element.tag != "flag" and value != "0":
                 notes[f"{element.tag} {name}"] = (
                     f"MuJoCo {mujoco.__version__} has no {name} of <{element.tag}>, which is {value} in training"
                 )
