@@ -235,7 +235,9 @@ class Robot:
                 continue
             new, places[name] = of_one_geom(name, value), []
             for kind, several in self._holders(name).items():
-                array = getattr(model, f"{ARRAYS.get(kind, kind)}_{field}")
+                array_name = f"{ARRAYS.get(kind, kind)}_{field}"
+                # A pair has another name for the dimension of its contacts.
+                array = getattr(model, array_name.replace("pair_condim", "pair_dim"))
                 for number in several:
                     if not np.array_equal(array[number], new):
                         places[name].append((kind, number))
