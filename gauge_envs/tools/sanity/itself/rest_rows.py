@@ -30,8 +30,12 @@ from gauge_envs.tools.sanity.rows import (
 
 
 def name_of(robot: Robot, kind: str, number: int) -> str:
-    """Return the name of an element, or its kind and number."""
-    return getattr(robot.model, kind)(number).name or f"{kind} {number}"
+    """Return the name of an element; of a body without a name that of its first geom; else kind and number."""
+    element = getattr(robot.model, kind)(number)
+    name: str = element.name
+    if kind == "body" and not name and element.geomnum[0]:
+        name = robot.model.geom(element.geomadr[0]).name
+    return name or f"{kind} {number}"
 
 
 def body_size_m(model: mujoco.MjModel, body: int) -> float:
