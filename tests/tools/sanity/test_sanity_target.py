@@ -14,6 +14,7 @@ from gauge_envs.backends import backend
 from gauge_envs.backends.mujoco.settings import PRESETS, SettingsMuJoCo
 from gauge_envs.errors import TargetError
 from gauge_envs.tools.bench.model_settings import COLUMNS, contact_pairs
+from gauge_envs.tools.sanity.itself.runs import start_data
 from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
 from gauge_envs.tools.sanity.stacks import configuration
 
@@ -320,16 +321,23 @@ def test_files_backends_and_objects(tmp_path):
     assert (read.name, read.settings["timestep_s"]) == ("robot.xml", 0.004)
     model = mujoco.MjModel.from_xml_path(str(path))
     assert configuration(model).settings == read.settings
-    data = mujoco.MjData(model)
-    data.qpos[2] = 0.7
-    robot = configuration((model, data)).robot
-    assert robot.start_qpos.tolist() == data.qpos.tolist()
-    assert configuration(model).robot.start_qpos is None
     env = gymnasium.make("HalfCheetah-v5")
     assert configuration(env) == configuration("HalfCheetah-v5")
     assert configuration(read) is read
     assert configuration("mujoco:out_of_box").settings == {"preset": "out_of_box"}
     assert configuration("mujoco").settings == {}
+
+
+@pytest.mark.parametrize("key", ["", "<keyframe><key name='home'/></keyframe>"])
+def test_rows_on_a_model_start_in_the_state_of_its_data(key):
+    model = mujoco.MjModel.from_xml_string(
+        f"<mujoco><worldbody><body><freejoint/><geom size='.1'/></body></worldbody>{key}</mujoco>"
+    )
+    data = mujoco.MjData(model)
+    data.qpos[2], data.qvel[0] = 0.7, 0.2
+    started = start_data(configuration((model, data)).robot.model)
+    assert (started.qpos[2], started.qvel[0]) == (0.7, 0.2)
+    assert start_data(configuration(model).robot.model).qpos[2] == 0.0
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])

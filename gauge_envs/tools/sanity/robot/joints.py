@@ -206,8 +206,6 @@ def start(robot: Robot, model: mujoco.MjModel | None = None) -> mujoco.MjData:
     data = mujoco.MjData(model)
     if robot.standing is not None:
         data.qpos[:] = robot.standing.stance.qpos
-    elif robot.start_qpos is not None:
-        data.qpos[:] = robot.start_qpos
     elif model.nkey:
         home = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "home")
         data.qpos[:] = model.key_qpos[max(home, 0)]

@@ -78,7 +78,6 @@ class Robot:
         spec: The model before it was compiled; None when only the compiled one is known.
         pair: Names of two geoms whose constants count; None for all on the ground.
         file: File of the model; None when it is not known.
-        start_qpos: Pose that the target's data state, shape [nq]; None without data.
         known: What was measured of it, by the id of a row, or by function and arguments; see `once`.
     """
 
@@ -89,7 +88,6 @@ class Robot:
     spec: mujoco.MjSpec | None = None
     pair: tuple[str, str] | None = None
     file: Path | None = None
-    start_qpos: FloatArray | None = None
     known: dict[Any, Any] = field(default_factory=dict, init=False)
 
     def finding(self, row: Any) -> Any:

@@ -5,8 +5,8 @@ Changes are elements of MJCF: `<option cone="elliptic"/>`, `<default><geom solre
 
 from __future__ import annotations
 
+import copy
 import warnings
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ from gauge_envs.backends.mujoco.model import (
     SAME_NAME_OPTIONS,
 )
 from gauge_envs.errors import TargetError
+from gauge_envs.tools.sanity.gauge_probe import mjcf
 from gauge_envs.tools.sanity.model import TrainingConfiguration
 from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
 from gauge_envs.tools.sanity.stacks.dialect import (
@@ -130,13 +131,28 @@ def read_model(
     data: mujoco.MjData | None = None,
     pair: GeomPair | None = None,
 ) -> TrainingConfiguration:
-    """Return the configuration of a compiled model; with data, the rows on the model start in its pose."""
-    read = mujoco_configuration(
-        model, name=model_name(model), source="mujoco.MjModel", pair=pair
+    """Return the configuration of a compiled model; with data, rows on the model itself start in its state."""
+    return mujoco_configuration(
+        model if data is None else _with_start(model, data),
+        name=model_name(model),
+        source="mujoco.MjModel",
+        pair=pair,
     )
-    if data is None:
-        return read
-    return replace(read, robot=replace(read.robot, start_qpos=data.qpos.copy()))
+
+
+def _with_start(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjModel:
+    """Return a copy of a model whose keyframes are the state of data; a model without a keyframe gets one."""
+    if model.nkey:
+        started = copy.copy(model)
+    else:
+        key = '<keyframe><key name="data"/></keyframe>'
+        text = mjcf(model).replace("<keyframe />", key)
+        started = mujoco.MjModel.from_xml_string(text)
+    for name in ("qpos", "qvel", "act", "ctrl"):
+        getattr(started, f"key_{name}")[:] = getattr(data, name)
+    started.key_mpos[:] = data.mocap_pos.ravel()
+    started.key_mquat[:] = data.mocap_quat.ravel()
+    return started
 
 
 def model_name(model: mujoco.MjModel) -> str:
