@@ -474,6 +474,7 @@ def test_a_file_that_cannot_be_read_names_the_line_and_what_to_do(
         ),
         ("nowhere.xml", "nowhere.xml: there is no such file"),
         ("absent/env.yaml", "env.yaml: there is no such file"),
+        (".", "has no params/env.yaml: give the file of a model"),
         (3, "int cannot be checked; give a Gymnasium id"),
     ],
 )

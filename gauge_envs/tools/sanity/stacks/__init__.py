@@ -83,9 +83,10 @@ def _read_text(target: str | Path, pair: GeomPair | None) -> TrainingConfigurati
     if reader is not None:
         read: TrainingConfiguration = _part(reader)(path, pair)
         return read
-    return _part("settings.read_backend")(str(target)) or _part(
-        "gymnasium_env.read_id"
-    )(str(target), pair)
+    backend: TrainingConfiguration | None = _part("settings.read_backend")(str(target))
+    if backend is None and path.is_dir():
+        raise TargetError(f"{path}: has no params/env.yaml: give the file of a model")
+    return backend or _part("gymnasium_env.read_id")(str(target), pair)
 
 
 def dialect(name: str) -> Dialect:
