@@ -8,7 +8,8 @@ import mujoco
 import numpy as np
 
 from gauge_envs.pages.text import vector_text
-from gauge_envs.tools.sanity.robot.joints import Case, start, worst_case
+from gauge_envs.tools.bench.model_settings import GROUND_TYPES
+from gauge_envs.tools.sanity.robot.joints import Case, drives, start, worst_case
 from gauge_envs.tools.sanity.robot.mujoco_feet import (
     SOLE_WITHIN,
     Standing,
@@ -81,22 +82,18 @@ def feet(robot: Robot) -> Finding:
 
 
 def _untouched_plane(robot: Robot) -> int | None:
-    """Return the plane of the world that no geom of a robot with a free joint can touch; None without one."""
+    """Return the plane of the world that no geom of a free robot with motors can touch; None without one."""
     model = robot.model
-    is_plane = model.geom_type == int(mujoco.mjtGeom.mjGEOM_PLANE)
-    is_plane &= (model.geom_bodyid == 0) & (
+    is_floor = model.geom_type == int(mujoco.mjtGeom.mjGEOM_PLANE)
+    is_floor &= (model.geom_bodyid == 0) & (
         (model.geom_contype | model.geom_conaffinity) != 0
     )
-    planes = np.flatnonzero(is_plane).tolist()
+    floors = np.flatnonzero(is_floor).tolist()
     is_free = joints_of(model, "FREE") & np.isin(model.jnt_bodyid, robot.bodies)
-    is_heavy = bool(np.any(model.opt.gravity)) and not switched_off(
-        model, "gravity", "contact"
-    )
-    trees = model.body_treeid[model.jnt_bodyid[is_free]]
-    if not planes or not is_heavy or not robot.driven_trees & set(trees.tolist()):
+    falls = model.opt.gravity.any() and not switched_off(model, "gravity", "contact")
+    if not (floors and is_free.any() and falls and drives(robot)):
         return None
-    touching = set(np.unique(robot.pairs.geoms).tolist())
-    return None if touching & set(planes) else planes[0]
+    return None if np.isin(robot.pairs.geoms, floors).any() else floors[0]
 
 
 # --- friction --------------------------------------------------------------------------------------------------------
@@ -230,22 +227,22 @@ def overlap(robot: Robot) -> Finding:
 def _overlaps(
     robot: Robot, data: mujoco.MjData
 ) -> dict[tuple[int, int], tuple[float, float]]:
-    """Return depth [m] and normal force [N] of contacts between bodies of a robot, and with what is fixed."""
+    """Return depth [m] and normal force [N] of contacts between bodies of a robot, and with its fixed base."""
     model, force = robot.model, np.zeros(6)
     found: dict[tuple[int, int], tuple[float, float]] = {}
-    grounds = (int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD))
     for number in range(data.ncon):
         contact = data.contact[number]
-        first, second = sorted(int(model.geom_bodyid[geom]) for geom in contact.geom)
-        is_own = second in robot.bodies and (
-            first in robot.bodies or _carries(robot, first, second)
-        )
-        if (
-            not is_own
-            or contact.dist >= 0.0
-            or contact.exclude
-            or np.isin(model.geom_type[contact.geom], grounds).any()
-        ):
+        first, second = sorted(model.geom_bodyid[contact.geom].tolist())
+        parts = set(robot.bodies)
+        if robot.standing is None:
+            parts |= {
+                body
+                for body in (0, *chain_of(model, second))
+                if model.body_weldid[body] == 0
+            }
+        is_ground = np.isin(model.geom_type[contact.geom], GROUND_TYPES).any()
+        is_inside = contact.dist < 0.0 and not contact.exclude and not is_ground
+        if second not in robot.bodies or first not in parts or not is_inside:
             continue
         mujoco.mj_contactForce(model, data, number, force)
         depth_m, push_n = found.get((first, second), (0.0, 0.0))
@@ -254,11 +251,3 @@ def _overlaps(
             push_n + float(force[0]),
         )
     return found
-
-
-def _carries(robot: Robot, base: int, body: int) -> bool:
-    """Return whether a fixed body is the base of a robot that does not stand: the last fixed one of its parents."""
-    model, chain = robot.model, chain_of(robot.model, body)
-    fixed = [one for one in chain if model.body_weldid[one] == 0]
-    is_base = model.body_weldid[base] == 0 and (base in fixed or base == 0)
-    return bool(robot.standing is None and is_base)

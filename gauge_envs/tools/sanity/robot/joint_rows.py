@@ -66,7 +66,7 @@ def _brakes(drive: Drive) -> Iterator[Case]:
     dry = float(model.dof_frictionloss[drive.dof])
     if min(drive.damping, dry, drive.armature) < 0.0:
         text = f"{drive.name} has a negative damping, friction or armature, which feeds its motion"
-        yield Case(np.inf, drive.place, drive.name, text)
+        yield drive.case(np.inf, text)
     stated = (
         f"friction {dry:.3g} {force}, damping {drive.damping:.3g} {force} s/{angle} and armature {drive.armature:.3g} "
         f"{inertia}"
@@ -78,10 +78,8 @@ def _brakes(drive: Drive) -> Iterator[Case]:
         float(drags(drive.robot, speed)[drive.dof])
         + drive.armature * acceleration * drive.scale
     )
-    yield Case(
+    yield drive.case(
         brake / drive.push,
-        drive.place,
-        drive.name,
         f"{drive.name} takes {brake:.3g} {force} at {speed * drive.scale:g} {angle}/s: {stated}; its motor makes "
         f"{drive.push:.3g} {force}",
     )
@@ -93,20 +91,16 @@ def _brakes(drive: Drive) -> Iterator[Case]:
         text += f"its motor makes {drive.push:.3g} N m and gravity {limb:.2g}"
         if acting < drive.push:
             text += f"; MuJoCo makes a drag of it, {acting:.2g} N m at 1 rad/s, as the link is light"
-        yield Case(
+        yield drive.case(
             dry / (drive.push + limb),
-            drive.place,
-            drive.name,
             text,
             acting < drive.push,
         )
     weight = robot_kg * g * float(reaches[drive.body])
     if drive.is_leg and drive.is_hinge and weight:
         fall = dry + drive.damping * FALL_PER_S
-        yield Case(
+        yield drive.case(
             fall / weight,
-            drive.place,
-            drive.name,
             f"{drive.name} takes {fall:.3g} N m to turn by {FALL_PER_S:g} rad/s: {stated}; the whole robot of "
             f"{robot_kg:.3g} kg makes {weight:.2g} N m there, its limb {largest_loads(drive.robot)[drive.dof]:.2g} N m",
         )
@@ -118,10 +112,8 @@ def _brakes(drive: Drive) -> Iterator[Case]:
             if drive.is_hinge
             else "less"
         )
-        yield Case(
+        yield drive.case(
             drive.armature / whole,
-            drive.place,
-            drive.name,
             f"{text}; no torque limit is stated",
         )
 
@@ -233,7 +225,7 @@ def _switches(several: list[Drive]) -> Iterator[Case]:
             f"{one.name}: with kp {one.kp:.4g} N m/rad its {one.limit:.3g} N m are reached {1e3 * error:.2g} mrad "
             "beside the command, so that it works like a switch"
         )
-        yield Case(LEAST_ERROR_RAD / error, one.place, one.name, text, True)
+        yield one.case(LEAST_ERROR_RAD / error, text, True)
 
 
 def _response(one: Drive) -> Iterator[Case]:
@@ -244,10 +236,8 @@ def _response(one: Drive) -> Iterator[Case]:
     ratio = max(acting, 1e-9) / (2.0 * np.sqrt(one.kp * one.inertia))
     decay_s = 2.0 * one.inertia / max(acting, 1e-9)
     swing = f"for {decay_s:.2g} s" if decay_s < ENDLESS_S else "without end"
-    yield Case(
+    yield one.case(
         min(RINGING / ratio, decay_s / RINGING_S),
-        one.place,
-        one.name,
         f"{one.name} swings about each command {swing}: kp {one.kp:.3g} {force}/{angle} with a damping of "
         f"{acting:.2g} {force} s/{angle}",
         True,
@@ -261,7 +251,7 @@ def _response(one: Drive) -> Iterator[Case]:
     text += f"damping {damping:.3g} {force} s/{angle} and kp {one.kp:.3g}"
     if one.is_leg:
         text += f"; the robot falls in {limit_s:.2g} s"
-    yield Case(half_s / limit_s, one.place, one.name, text, True)
+    yield one.case(half_s / limit_s, text, True)
     weight = float(largest_loads(one.robot)[one.dof])
     sag = weight / one.kp
     root = model.body_dofnum[root_of(model, one.body)]
@@ -269,7 +259,7 @@ def _response(one: Drive) -> Iterator[Case]:
         text = f"{one.name} sags by {sag:.2g} rad: kp {one.kp:.3g} N m/rad carries {weight:.3g} N m"
         if one.kp == 1.0:
             text += ", and 1 is MuJoCo's kp where none is stated"
-        yield Case(sag / SAG_RAD, one.place, one.name, text, True)
+        yield one.case(sag / SAG_RAD, text, True)
     yield from _commands(one)
 
 
@@ -295,10 +285,8 @@ def _commands(one: Drive) -> Iterator[Case]:
             f"commands of {one.name} go from {ends.min():.3g} to {ends.max():.3g} {one.units[1]}, the joint from "
             f"{low:.3g} to {high:.3g}"
         )
-        yield Case(
+        yield one.case(
             float(np.ptp(ends) / (high - low)) / COMMANDS,
-            one.place,
-            one.name,
             text,
             True,
         )
@@ -344,10 +332,8 @@ def torque(robot: Robot) -> Finding:
         needed = {one.dof: float(rest[one.dof]) for one in several}
         verb = "at rest"
     return worst_case(
-        Case(
+        one.case(
             needed.get(one.dof, 0.0) / one.limit,
-            one.place,
-            one.name,
             f"{verb} {one.name} takes {needed.get(one.dof, 0.0):.3g} {one.units[0]}, its motor makes {one.limit:.3g}; "
             f"{_heaviest(one)}",
         )

@@ -139,10 +139,9 @@ class Drive:
         feet = () if standing is None else standing.feet
         return any(self.body in chain_of(model, foot) for foot in feet)
 
-    @property
-    def place(self) -> Place:
-        """The joint, as the place of a finding."""
-        return "joint", self.joint
+    def case(self, ratio: float, text: str, is_usual: bool = False) -> Case:
+        """Return a part of a row on the joint; see `Case`."""
+        return Case(ratio, ("joint", self.joint), self.name, text, is_usual)
 
 
 @once

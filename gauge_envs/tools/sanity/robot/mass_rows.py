@@ -151,33 +151,20 @@ def _drawn_twice(robot: Robot) -> Iterator[Case]:
     solid = (model.geom_contype | model.geom_conaffinity) != 0
     solid[[*model.pair_geom1.tolist(), *model.pair_geom2.tolist()]] = True
     doubled: dict[int, list[int]] = {}
-    for body in robot.bodies:
-        first = int(model.body_geomadr[body])
-        own = range(first, first + int(model.body_geomnum[body]))
-        drawn = [
-            geom
-            for geom in own
-            if not solid[geom]
-            and _covers(model, geom, [one for one in own if solid[one]])
-        ]
-        if drawn and body in _weighing(robot):
-            doubled[body] = drawn
-    # A drawn part that states its mass or density is meant to weigh, unless it is the twin of one that collides.
-    silent = {
-        geom.id
-        for body, several in doubled.items()
-        for geom in _weighing(robot)[body]
-        if geom.id in several
-        and (
-            _is_twin(model, geom.id)
-            or (not np.isfinite(geom.mass) and geom.density == UNSTATED_KG_PER_M3)
-        )
-    }
-    doubled = {
-        body: several for body, several in doubled.items() if silent & set(several)
-    }
+    for body, geoms in _weighing(robot).items():
+        felt = [geom.id for geom in geoms if solid[geom.id]]
+        for geom in geoms:
+            # A drawn part that states its mass or density is meant to weigh, unless it is the twin of a solid one.
+            is_silent = (
+                not np.isfinite(geom.mass) and geom.density == UNSTATED_KG_PER_M3
+            )
+            within = 0.5 if is_silent else 0.01
+            is_drawn = not solid[geom.id] and body in robot.bodies
+            if is_drawn and any(_is_alike(model, geom.id, one, within) for one in felt):
+                doubled.setdefault(body, []).append(geom.id)
     if not doubled:
         return
+    silent = {geom for several in doubled.values() for geom in several}
     bare = spec.copy()
     for geom, original in zip(bare.geoms, spec.geoms, strict=True):
         if original.id in silent:
@@ -202,34 +189,8 @@ def _drawn_twice(robot: Robot) -> Iterator[Case]:
         )
 
 
-def _is_twin(model: mujoco.MjModel, drawn: int) -> bool:
-    """Return whether a geom has the shape and the place of another one of its body."""
-    body = int(model.geom_bodyid[drawn])
-    own = [
-        geom
-        for geom in np.flatnonzero(model.geom_bodyid == body).tolist()
-        if geom != drawn
-    ]
-    fields = (
-        model.geom_pos,
-        model.geom_quat,
-        model.geom_size,
-        model.geom_type,
-        model.geom_dataid,
-    )
-    return any(
-        all(np.allclose(array[drawn], array[geom], rtol=0.01) for array in fields)
-        for geom in own
-    )
-
-
-def _covers(model: mujoco.MjModel, drawn: int, solid: list[int]) -> bool:
-    """Return whether the middle of a drawn geom is in the ball around one that collides, and of its size."""
-    return any(
-        length_of(model.geom_pos[drawn] - model.geom_pos[geom])
-        < 0.5 * model.geom_rbound[geom]
-        and 0.5
-        < model.geom_rbound[drawn] / max(float(model.geom_rbound[geom]), 1e-9)
-        < 2.0
-        for geom in solid
-    )
+def _is_alike(model: mujoco.MjModel, drawn: int, solid: int, within: float) -> bool:
+    """Return whether two geoms of a body differ in size and place by less than a part of their size."""
+    size_m = float(model.geom_rbound[solid])
+    apart_m = length_of(model.geom_pos[drawn] - model.geom_pos[solid])
+    return max(apart_m, abs(float(model.geom_rbound[drawn]) - size_m)) < within * size_m

@@ -170,15 +170,20 @@ class Robot:
     def plane_normal(self) -> FloatArray | None:
         """Normal of the vertical plane in which the robot moves, shape [3]; None when it moves in space."""
         model = self.model
-        is_own = np.isin(model.jnt_bodyid, self.bodies)
         axes = stance_of(model, np.asarray(self.up)).joint_axes
-        turning = axes[is_own & joints_of(model, "HINGE")]
-        sliding = axes[is_own & joints_of(model, "SLIDE")]
-        if not len(turning) or len(turning) + len(sliding) < is_own.sum():
+        is_own, is_hinge = (
+            np.isin(model.jnt_bodyid, self.bodies),
+            joints_of(model, "HINGE"),
+        )
+        if (
+            not (is_own & is_hinge).any()
+            or joints_of(model, "FREE", "BALL")[is_own].any()
+        ):
             return None
-        normal: FloatArray = turning[0]
-        is_planar = (np.abs(turning @ normal) > 0.999).all() and abs(normal[2]) < 1e-3
-        return normal if is_planar and (np.abs(sliding @ normal) < 1e-3).all() else None
+        normal: FloatArray = axes[is_own & is_hinge][0]
+        parallel = np.abs(axes @ normal)
+        fits = np.where(is_hinge, parallel > 0.999, parallel < 1e-3)[is_own]
+        return normal if fits.all() and abs(normal[2]) < 1e-3 else None
 
     def reached_by_default(self, name: str) -> list[int]:
         """Return geoms that take an attribute from the model's default class.
