@@ -9,7 +9,6 @@ import pytest
 from sanity_cases import read_text
 
 from gauge_envs.errors import TargetError
-from gauge_envs.tools.sanity import Verdict, check
 from gauge_envs.tools.sanity.stacks.maniskill import maniskill_configuration
 
 pytest.importorskip("sapien")
@@ -65,20 +64,3 @@ def test_a_wrong_value_is_named(values, message):
         maniskill_configuration(
             {**PICK_CUBE, **values}, name="PickCube-v1", source="test"
         )
-
-
-@pytest.mark.slow
-def test_the_finding_on_pick_cube_is_the_damping_of_links_and_the_bounce_threshold():
-    report = check(
-        maniskill_configuration(PICK_CUBE, name="PickCube-v1", source="test"),
-        only=["period,rebound-slow"],
-    )
-    rows = {row.phenomenon: row for row in report.rows}
-    assert (rows["rebound-slow"].configured, rows["rebound-slow"].is_flag) == (
-        0.0,
-        False,
-    )
-    assert rows["period"].verdict is Verdict.WRONG
-    assert report.cure.line.startswith(
-        "[link.set_linear_damping(0) for link in self.agent.robot.links]: the one flag"
-    )

@@ -227,17 +227,6 @@ def test_what_is_not_carried_over_is_reported(xml, note):
     assert any(re.search(note, line) for line in notes), notes
 
 
-@pytest.mark.parametrize("name", ["GAUGE/SlopeSlider-1-wood", "SlopeSlider-1-wood"])
-def test_an_id_of_this_suite_has_its_own_settings(name):
-    settings = configuration(name).settings
-    assert settings["preset"] == "contact"
-    assert settings == {
-        k: v
-        for k, v in PRESETS["contact"].model_dump(mode="json").items()
-        if k != "drive_interval_s"
-    }
-
-
 def test_the_out_of_box_preset_is_what_a_model_has_that_states_nothing():
     model = mujoco.MjModel.from_xml_string(
         "<mujoco><worldbody><geom size='1'/><body><freejoint/><geom size='1'/></body></worldbody></mujoco>"
