@@ -310,7 +310,8 @@ MODEL_PLACES = (
 """Attributes that hold the compiled model of an environment."""
 
 SKIPS = (
-    "frame_skip n_substeps _n_substeps cfg.decimation decimation unwrapped.frame_skip"
+    "frame_skip n_substeps _n_substeps _n_sub_steps cfg.decimation decimation "
+    "unwrapped.frame_skip"
 )
 """Attributes that hold the steps of the engine for one action."""
 
