@@ -99,6 +99,12 @@ RIGHT = {
     "loose box": arm(
         world='<body><freejoint/><geom type="box" size=".05 .05 .05" mass="60"/></body>'
     ),
+    "pile": '<mujoco><worldbody><geom type="box" size="1 1 .1"/>'
+    + "".join(
+        f'<body pos="0 0 {z}"><freejoint/><geom type="box" size=".1 .1 .1"/></body>'
+        for z in (0.19, 0.38)
+    )
+    + "</worldbody></mujoco>",
     "no joint": '<mujoco><worldbody><geom type="box" size="1 1 .1"/></worldbody></mujoco>',
     "furuta": PENDULUM.format(LINK),
 }

@@ -230,11 +230,16 @@ def _overlaps(
     """Return depth [m] and normal force [N] of contacts between bodies of a robot, and with its fixed base."""
     model, force = robot.model, np.zeros(6)
     found: dict[tuple[int, int], tuple[float, float]] = {}
+    free = model.jnt_bodyid[joints_of(model, "FREE")]
+    is_based = ~np.isin(model.body_treeid, model.body_treeid[free])
     for number in range(data.ncon):
         contact = data.contact[number]
         first, second = sorted(model.geom_bodyid[contact.geom].tolist())
-        parts = set(robot.bodies)
-        if robot.standing is None:
+        # Objects that overlap are no robot.
+        parts = set(
+            np.flatnonzero(model.body_rootid == model.body_rootid[second]).tolist()
+        )
+        if is_based[second]:
             parts |= {
                 body
                 for body in (0, *chain_of(model, second))
