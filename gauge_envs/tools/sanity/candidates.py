@@ -18,11 +18,11 @@ STIFF_SOLREF, FIRM_SOLREF, DEFAULT_SOLREF = (0.004, 1.0), (0.01, 1.0), (0.02, 1.
 A time constant below ten steps makes bodies hop that slide fast; see `guards`.
 """
 
-HARD_SOLIMP = (0.99, 0.99, 0.001, 0.5, 2.0)
-"""Impedance with which contacts of MuJoCo yield by a hundredth of what holds a body without them."""
-
-STIFF_EQUALITY = (0.999, 0.999, 0.001, 0.5, 2.0)
-"""The same of equalities, by a thousandth."""
+HARD_SOLIMP, STIFF_SOLIMP = (
+    (0.99, 0.99, 0.001, 0.5, 2.0),
+    (0.999, 0.999, 0.001, 0.5, 2.0),
+)
+"""Impedances with which contacts and equalities of MuJoCo yield by a hundredth, or a thousandth, of a free motion."""
 
 RECOMMENDED_MUJOCO: Settings = {
     "timestep_s": STEP_S,
@@ -89,56 +89,69 @@ CANDIDATES: Mapping[str, Sequence[Settings]] = {
 AT_LEAST = ("iterations", "ls_iterations", "position_iterations", "velocity_iterations")
 """Settings of which the target keeps larger values."""
 
-AT_MOST = ("timestep_s", "condim")
+AT_MOST = ("timestep_s", "condim", "tolerance", "sleep_tolerance")
 """Settings of which the target keeps smaller values."""
 
 ABSENT = {"contact_margin_m": 0.0, "refsafe": True, "condim": 3}
 """Values in effect where a target states none."""
 
 
+HARD: Settings = {"contact_solimp": HARD_SOLIMP}
+HARDEST: Settings = {"contact_solimp": STIFF_SOLIMP}
+SOLVED: Settings = {"iterations": 100, "ls_iterations": 50, "tolerance": 1e-8}
+DAMPED, ACCURATE = {"integrator": "implicitfast"}, {"integrator": "RK4"}
+GRIPPING: Settings = {**HARD, "cone": "elliptic", "impratio": 10.0}
+
 ROW_CANDIDATES: Mapping[str, Sequence[Settings]] = {
     "model-sleep": ({"sleep_tolerance": 1e-5}, {"sleep": False}),
     "model-constraints": (
         {"equality_solref": STIFF_SOLREF},
-        {"equality_solimp": STIFF_EQUALITY},
-        {"equality_solref": STIFF_SOLREF, "equality_solimp": STIFF_EQUALITY},
+        {"equality_solimp": STIFF_SOLIMP},
+        {"equality_solref": STIFF_SOLREF, "equality_solimp": STIFF_SOLIMP},
+    ),
+    "model-overlap": (HARD, HARDEST),
+    "model-cloth-sink": (HARD, HARDEST),
+    "model-creep": (SOLVED, HARD, GRIPPING),
+    "robot-slip": (HARD, GRIPPING),
+    "model-solver": (SOLVED, {"solver": "Newton"}, {**SOLVED, "solver": "Newton"}),
+    **dict.fromkeys(
+        ("model-spin", "robot-energy", "robot-holds", "robot-drive"),
+        (DAMPED, ACCURATE),
     ),
 }
-"""Changes for single rows, which are tried alone, and the last one with each of the others."""
+"""Changes that may correct a row on the target's own model, the cheapest first; a smaller step may correct each."""
 
 
 def candidates_of(
-    configuration: TrainingConfiguration, dialect: Dialect, flags: Sequence[str]
+    configuration: TrainingConfiguration, dialect: Dialect, row: str = ""
 ) -> list[dict[str, Any]]:
     """Return the changes that differ from the settings of a configuration and that its dialect can state.
 
     Args:
         configuration: The configuration.
         dialect: Dialect of the target.
-        flags: Ids of the flagged rows.
+        row: Id of the row on the target's own model that they are for; those for measured objects if empty.
     """
     sets = [configuration.settings, *configuration.contact_sets.values()]
-    least: dict[str, Any] = {}
+    few: Settings = {}
     if sets[0].get("iterations", math.inf) < FEW_ITERATIONS["iterations"]:
         # Other changes let a body slide that starts to move, and not one that has rested.
-        least |= FEW_ITERATIONS
-    single = [one for name in flags for one in ROW_CANDIDATES.get(name, ())]
-    for name in flags:
-        least |= ROW_CANDIDATES.get(name, ({},))[-1]
-    general = CANDIDATES.get(configuration.backend, ())
-    step_s = sets[0].get("timestep_s")
-    if configuration.backend == "mujoco" and step_s is not None:
-        general = (*general, {"timestep_s": step_s / 2.0})
-    several: list[dict[str, Any]] = []
-    for changes in (*single, *({**least, **one} for one in general)):
+        few = FEW_ITERATIONS
+    general = [{**few, **one} for one in CANDIDATES.get(configuration.backend, ())]
+    several = [*ROW_CANDIDATES.get(row, ())] if row else general
+    if several and configuration.is_model:
+        step_s = configuration.settings["timestep_s"]
+        several += [{"timestep_s": step_s * ratio} for ratio in (0.5, 0.25)]
+    new_ones: list[dict[str, Any]] = []
+    for changes in several:
         new = {
             name: value
             for name, value in changes.items()
             if dialect.writes(name) and any(_is_new(name, value, one) for one in sets)
         }
-        if new and new not in several:
-            several.append(new)
-    return several
+        if new and new not in new_ones:
+            new_ones.append(new)
+    return new_ones
 
 
 def _is_new(name: str, value: Any, settings: Settings) -> bool:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from heapq import heapify, heappop, heappush
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from gauge_envs.errors import GaugeError
+from gauge_envs.errors import GaugeError, ParameterError
 from gauge_envs.tools.sanity.candidates import candidates_of
 from gauge_envs.tools.sanity.guards import hop_mm, hops_more
 from gauge_envs.tools.sanity.measure import Measurements, subject_of, worst_of
@@ -103,24 +104,52 @@ class _Search:
         """Return what `find_cure` does."""
         tried: list[str] = []
         best, trade = 0, ""
-        if not self._flags:
-            return None, (), ""
-        candidates = candidates_of(self._configuration, self._dialect, self._flags)
+        own = self._own_change(tried)
+        candidates = [own] * bool(own)
+        if {*self._flags} - {*STATED_IDS}:
+            general = candidates_of(self._configuration, self._dialect)
+            candidates += [{**one, **own} for one in general]
         for changes, corrected in self._ranked(candidates, tried):
             pasted = self._pasted(changes)
+            if changes == own:
+                stated = [name for name in self._flags if name in STATED_IDS]
+                corrected += [name for name in stated if self._corrects(own, name)]
             if not corrected:
                 came = (self._came(name, changes) for name in self._flags)
                 tried.append(f"{pasted}: {', '.join(came)}")
                 continue
-            effect = self._effect(corrected)
-            if harm := self._harm(changes, corrected):
+            least = changes
+            harm = self._harm(changes, corrected, is_slow=False)
+            if not harm:
+                for least in (self._minimal(changes, corrected, own), changes):
+                    harm = self._harm(least, corrected, is_slow=True)
+                    if not harm:
+                        break
+            if harm:
+                effect = self._effect(corrected)
                 tried.append(f"{pasted}: {effect}, but {', '.join(harm)}")
                 if len(corrected) > best:
                     best, trade = len(corrected), tried[-1]
                 continue
-            cure = self._cure(changes, corrected)
+            cure = self._cure(least)
             return cure, tuple(tried), trade if best > cure.mended_count else ""
         return None, tuple(tried), trade
+
+    def _own_change(self, tried: list[str]) -> dict[str, Any]:
+        """Return a change that corrects flagged rows on the target's own model, as many as it can."""
+        own: dict[str, Any] = {}
+        for name in self._flags:
+            if name not in STATED_IDS or self._configuration.robot is None:
+                continue
+            for one in candidates_of(self._configuration, self._dialect, name):
+                changes = {**own, **one}
+                with suppress(GaugeError):
+                    if self._corrects(changes, name):
+                        own = changes
+                        break
+                    came = self._came(name, changes)
+                    tried.append(f"{self._pasted(changes)}: {came}")
+        return own
 
     # --- measurements ------------------------------------------------------------------------------------------------
 
@@ -165,7 +194,8 @@ class _Search:
         Of equal ones, those with fewer settings come first, then the order of the candidates counts. A row is measured
         only while its candidate may still correct the most, and rows on scenes of many bodies last.
         """
-        names = sorted(self._flags, key=self._is_slow)
+        names = [name for name in self._flags if name not in STATED_IDS]
+        names.sort(key=self._is_slow)
         queue = [(0, len(one), index, 0) for index, one in enumerate(candidates)]
         heapify(queue)
         slow_count = 0
@@ -173,7 +203,7 @@ class _Search:
             failed, size, index, count = heappop(queue)
             changes = candidates[index]
             if count == len(names):
-                known = (one for one in names if self._is_known(changes, one))
+                known = [one for one in names if self._is_known(changes, one)]
                 yield changes, [one for one in known if self._corrects(changes, one)]
                 continue
             is_slow = self._is_slow(names[count])
@@ -189,10 +219,18 @@ class _Search:
                 continue
             heappush(queue, (failed, size, index, count + 1))
 
-    def _harm(self, changes: Settings, corrected: Sequence[str]) -> list[str]:
-        """Return rows that a change makes worse, and how far sliding bodies hop after it, in words; slow rows last."""
+    def _harm(
+        self, changes: Settings, corrected: Sequence[str], *, is_slow: bool
+    ) -> list[str]:
+        """Return rows that a change makes worse, and how far sliding bodies hop after it, in words.
+
+        Args:
+            changes: The change.
+            corrected: Rows that it corrects.
+            is_slow: Whether to measure slow rows instead of quick ones and sliding bodies.
+        """
         worse = []
-        if self._configuration.backend == "mujoco":
+        if not is_slow and self._configuration.backend == "mujoco":
             before_mm, after_mm = (
                 max(hop_mm(self._measurements, one) for one in sets.values())
                 for sets in (
@@ -202,19 +240,19 @@ class _Search:
             )
             if hops_more(before_mm, after_mm):
                 worse.append(f"sliding bodies hop {before_mm:.2g} to {after_mm:.2g} mm")
-        for name in sorted(self._before, key=self._is_slow):
-            if worse and self._is_slow(name):
-                break
-            after = None if name in corrected else self._outcome(changes, name)
-            if after is not None and _is_worse(self._before[name], after):
-                worse.append(self._came(name, changes))
+        for name, before in self._before.items():
+            if self._is_slow(name) is is_slow:
+                after = self._outcome(changes, name)
+                is_lost = name in corrected and after.verdict is not Verdict.INSIDE
+                if is_lost or _is_worse(before, after):
+                    worse.append(self._came(name, changes))
         return worse
 
     # --- the chosen change -------------------------------------------------------------------------------------------
 
-    def _cure(self, changes: Settings, corrected: Sequence[str]) -> Cure:
-        """Return a change without the settings that it does not need, and what each of the others corrects alone."""
-        changes = self._minimal(changes, corrected)
+    def _cure(self, changes: Settings) -> Cure:
+        """Return a change with what each of its settings corrects alone."""
+        corrected = [name for name in self._flags if self._corrects(changes, name)]
         parts = []
         for name, value in changes.items():
             alone = {name: value}
@@ -232,28 +270,29 @@ class _Search:
             speed_ratio=None if robot is None else speed_ratio(robot, changes),
         )
 
-    def _minimal(self, changes: Settings, corrected: Sequence[str]) -> Settings:
-        """Return a change without the settings that it does not need to correct rows."""
-        quick = [name for name in corrected if not self._is_slow(name)] or [*corrected]
+    def _minimal(
+        self, changes: Settings, corrected: Sequence[str], kept: Settings
+    ) -> Settings:
+        """Return a change without the settings that quick rows do not need, but for those that are kept."""
+        quick = [name for name in corrected if not self._is_slow(name)]
         least, left_out = dict(changes), {}
         for name in [*changes, *changes]:
             fewer = {key: value for key, value in least.items() if key != name}
+            if name in kept or name not in least or not fewer or not quick:
+                continue
             needed = next((r for r in quick if not self._corrects(fewer, r)), None)
-            if needed is not None:
+            if needed is None:
+                left_out[name] = least.pop(name)
+            else:
                 # What one change needs, the next one often needs too.
                 quick.remove(needed)
                 quick.insert(0, needed)
-            elif fewer and name in least:
-                left_out[name] = least.pop(name)
         count = len(left_out)
-        while left_out and not (
-            all(self._corrects(least, row) for row in corrected)
-            and not self._harm(least, corrected)
-        ):
+        while left_out and self._harm(least, corrected, is_slow=False):
+            if len(left_out) <= count - MAX_RESTORED:
+                return changes
             name, value = left_out.popitem()
             least[name] = value
-            if len(left_out) < count - MAX_RESTORED:
-                return changes
         return least
 
     def _quick(self, corrected: Sequence[str], alone: Settings) -> list[str]:
@@ -326,10 +365,17 @@ def applied(
         )
         settings = {**configuration.settings, **changes}
         return replace(configuration, settings=settings, contact_groups=groups)
+    import mujoco
+
     from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
 
+    model, _ = robot.changed(changes)
+    try:
+        mujoco.mj_forward(model, mujoco.MjData(model))
+    except mujoco.FatalError as error:
+        raise ParameterError(str(error)) from None
     return mujoco_configuration(
-        robot.changed(changes)[0],
+        model,
         name=configuration.name,
         source=configuration.source,
         spec=robot.spec,
