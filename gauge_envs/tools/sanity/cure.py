@@ -36,9 +36,6 @@ GROWTH = 1.0
 MAX_RESTORED = 2
 """Most settings that are left out and restored one by one; after them all are restored."""
 
-MAX_SLOW = 4
-"""Most measurements of rows on scenes of many bodies, and on the target's own model, that rank changes."""
-
 SPEED_BLOCKS, BLOCK_S = 4, 0.02
 """Number and least time [s] of the pieces in which the speed of a model is measured; the fastest one counts."""
 
@@ -104,6 +101,7 @@ class _Search:
         """Return what `find_cure` does."""
         tried: list[str] = []
         best, trade = 0, ""
+        quick = [name for name in self._flags if not self._is_slow(name)]
         own = self._own_change(tried)
         candidates = [own] * bool(own)
         if {*self._flags} - {*STATED_IDS}:
@@ -115,7 +113,7 @@ class _Search:
                 stated = [name for name in self._flags if name in STATED_IDS]
                 corrected += [name for name in stated if self._corrects(own, name)]
             if not corrected:
-                came = (self._came(name, changes) for name in self._flags)
+                came = (self._came(name, changes) for name in quick)
                 tried.append(f"{pasted}: {', '.join(came)}")
                 continue
             least = changes
@@ -127,7 +125,7 @@ class _Search:
                         break
             if harm:
                 effect = self._effect(corrected)
-                tried.append(f"{pasted}: {effect}, but {', '.join(harm)}")
+                tried.append(f"{pasted}: {effect}, but {harm}")
                 if len(corrected) > best:
                     best, trade = len(corrected), tried[-1]
                 continue
@@ -136,19 +134,22 @@ class _Search:
         return None, tuple(tried), trade
 
     def _own_change(self, tried: list[str]) -> dict[str, Any]:
-        """Return a change that corrects flagged rows on the target's own model, as many as it can."""
+        """Return a change that corrects flagged rows on the target's own model; drop those that no setting changes."""
         own: dict[str, Any] = {}
-        for name in self._flags:
-            if name not in STATED_IDS or self._configuration.robot is None:
-                continue
+        for name in [one for one in self._flags if one in STATED_IDS]:
+            values = {self._before[name].value}
             for one in candidates_of(self._configuration, self._dialect, name):
                 changes = {**own, **one}
                 with suppress(GaugeError):
+                    values.add(self._outcome(changes, name).value)
                     if self._corrects(changes, name):
                         own = changes
                         break
                     came = self._came(name, changes)
                     tried.append(f"{self._pasted(changes)}: {came}")
+            if len(values) == 1:
+                self._flags.remove(name)
+                del self._before[name]
         return own
 
     # --- measurements ------------------------------------------------------------------------------------------------
@@ -170,9 +171,6 @@ class _Search:
         """Return whether a row is on the target's own model or on a scene of many bodies."""
         return name in OWN_IDS or phenomenon(name).has_many_bodies
 
-    def _is_known(self, changes: Settings, name: str) -> bool:
-        return _key(changes, name) in self._known
-
     def _measured(self, changed: TrainingConfiguration, name: str) -> Outcome:
         if name in OWN_IDS:
             row = target_rows(changed, [name])[0]
@@ -192,25 +190,17 @@ class _Search:
         """Yield changes and the flagged rows that they correct, those that correct most first.
 
         Of equal ones, those with fewer settings come first, then the order of the candidates counts. A row is measured
-        only while its candidate may still correct the most, and rows on scenes of many bodies last.
+        only while its candidate may still correct the most; slow rows only where no others are flagged.
         """
-        names = [name for name in self._flags if name not in STATED_IDS]
-        names.sort(key=self._is_slow)
+        slow = [name for name in self._flags if name not in STATED_IDS]
+        names = [name for name in slow if not self._is_slow(name)] or slow
         queue = [(0, len(one), index, 0) for index, one in enumerate(candidates)]
         heapify(queue)
-        slow_count = 0
         while queue:
             failed, size, index, count = heappop(queue)
             changes = candidates[index]
             if count == len(names):
-                known = [one for one in names if self._is_known(changes, one)]
-                yield changes, [one for one in known if self._corrects(changes, one)]
-                continue
-            is_slow = self._is_slow(names[count])
-            if is_slow and not self._is_known(changes, names[count]):
-                slow_count += 1
-            if is_slow and slow_count > MAX_SLOW:
-                heappush(queue, (failed + len(names) - count, size, index, len(names)))
+                yield changes, [one for one in names if self._corrects(changes, one)]
                 continue
             try:
                 failed += not self._corrects(changes, names[count])
@@ -221,15 +211,14 @@ class _Search:
 
     def _harm(
         self, changes: Settings, corrected: Sequence[str], *, is_slow: bool
-    ) -> list[str]:
-        """Return rows that a change makes worse, and how far sliding bodies hop after it, in words.
+    ) -> str:
+        """Return how far a change makes a row worse, or sliding bodies hop, in words; empty when it does not.
 
         Args:
             changes: The change.
             corrected: Rows that it corrects.
             is_slow: Whether to measure slow rows instead of quick ones and sliding bodies.
         """
-        worse = []
         if not is_slow and self._configuration.backend == "mujoco":
             before_mm, after_mm = (
                 max(hop_mm(self._measurements, one) for one in sets.values())
@@ -239,14 +228,14 @@ class _Search:
                 )
             )
             if hops_more(before_mm, after_mm):
-                worse.append(f"sliding bodies hop {before_mm:.2g} to {after_mm:.2g} mm")
+                return f"sliding bodies hop {before_mm:.2g} to {after_mm:.2g} mm"
         for name, before in self._before.items():
             if self._is_slow(name) is is_slow:
                 after = self._outcome(changes, name)
                 is_lost = name in corrected and after.verdict is not Verdict.INSIDE
                 if is_lost or _is_worse(before, after):
-                    worse.append(self._came(name, changes))
-        return worse
+                    return self._came(name, changes)
+        return ""
 
     # --- the chosen change -------------------------------------------------------------------------------------------
 

@@ -253,8 +253,8 @@ class Robot:
     def _holders(self, name: str) -> dict[str, list[int]]:
         """Return the elements whose attribute is to change, by their kind."""
         if name in GEOM_FIELDS:
-            pairs = self.explicit_ground_pairs if name in PAIRED else []
-            return {"geom": sorted(self.grounded), "pair": pairs}
+            pairs = {"pair": self.explicit_ground_pairs} if name in PAIRED else {}
+            return {"geom": sorted(self.grounded), **pairs}
         place = getattr(self.known.get("model-constraints"), "place", None)
         if place is None or place[0] != "equality":
             return {}
