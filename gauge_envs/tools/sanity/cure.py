@@ -104,13 +104,13 @@ class _Search:
         quick = [name for name in self._flags if not self._is_slow(name)]
         own = self._own_change(tried)
         candidates = [own] * bool(own)
-        if {*self._flags} - {*STATED_IDS}:
+        if {*self._flags} - {*OWN_IDS}:
             general = candidates_of(self._configuration, self._dialect)
             candidates += [{**one, **own} for one in general]
         for changes, corrected in self._ranked(candidates, tried):
             pasted = self._pasted(changes)
             if changes == own:
-                stated = [name for name in self._flags if name in STATED_IDS]
+                stated = [name for name in self._flags if name in OWN_IDS]
                 corrected += [name for name in stated if self._corrects(own, name)]
             if not corrected:
                 came = (self._came(name, changes) for name in quick)
@@ -136,7 +136,7 @@ class _Search:
     def _own_change(self, tried: list[str]) -> dict[str, Any]:
         """Return a change that corrects flagged rows on the target's own model; drop those that no setting changes."""
         own: dict[str, Any] = {}
-        for name in [one for one in self._flags if one in STATED_IDS]:
+        for name in [one for one in self._flags if one in OWN_IDS]:
             values = {self._before[name].value}
             for one in candidates_of(self._configuration, self._dialect, name):
                 changes = {**own, **one}
@@ -192,7 +192,7 @@ class _Search:
         Of equal ones, those with fewer settings come first, then the order of the candidates counts. A row is measured
         only while its candidate may still correct the most; slow rows only where no others are flagged.
         """
-        slow = [name for name in self._flags if name not in STATED_IDS]
+        slow = [name for name in self._flags if name not in OWN_IDS]
         names = [name for name in slow if not self._is_slow(name)] or slow
         queue = [(0, len(one), index, 0) for index, one in enumerate(candidates)]
         heapify(queue)

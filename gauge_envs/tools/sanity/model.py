@@ -297,7 +297,7 @@ class Cure:
         mended: Value of each of these rows that is inside after the change; None where it was not measured.
         lines: The change as lines of a diff, which start with `- ` or `+ `.
         parts: The parts of the change, each with what it corrects alone.
-        speed_ratio: Steps a second of the target after the change, over those before; None when not measured.
+        speed_ratio: Simulated time of the target in a second after the change, over that before; None if not measured.
     """
 
     changes: Settings

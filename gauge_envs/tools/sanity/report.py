@@ -256,9 +256,10 @@ def _change(report: Report) -> list[Part]:
         return [Paragraph(report.trade)] if report.trade else []
     text = f"Change: corrects {change.mended_count} of {change.flag_count}"
     if change.speed_ratio is not None:
-        is_same = abs(change.speed_ratio - 1.0) < SAME_SPEED
-        speed = "as many" if is_same else f"{change.speed_ratio:.2g} times as many"
-        text += f"; {speed} steps a second"
+        ratio = change.speed_ratio
+        is_same = abs(ratio - 1.0) < SAME_SPEED
+        factor = f"{max(ratio, 1.0 / ratio):.2g} times {'slower' if ratio < 1.0 else 'faster'}"
+        text += f"; {'as fast' if is_same else factor}"
     lines: list[Part] = [
         Paragraph(text, Tone.ANSWER),
         *(Paragraph(f"  {line}") for line in change.lines or (change.line,)),
