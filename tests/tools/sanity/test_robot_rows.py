@@ -126,11 +126,11 @@ WRONG = {
     ),
     "hobby servo": (
         arm(joint='damping="1" armature="5"', end=MOTOR.format('kp="1000"')),
-        ("robot-joint", "no torque limit is stated"),
+        ("robot-joint", "no torque limit is given"),
     ),
     "no kp": (
         arm(end=MOTOR.format("")),
-        ("robot-drive", "1 is MuJoCo's kp where none is stated"),
+        ("robot-drive", "1 is MuJoCo's kp where none is given"),
     ),
     "dense link": (
         arm(

@@ -60,7 +60,9 @@ def feet(robot: Robot) -> Finding:
     for geom in np.flatnonzero(np.isin(model.geom_bodyid, robot.bodies)).tolist():
         limb = chain_of(model, int(model.geom_bodyid[geom]))
         low = float(support_m(model, standing.stance, geom)[2])
-        near = [lows[one] for one in lows if int(model.geom_bodyid[one]) in limb[:2]]
+        near = [
+            lows[other] for other in lows if int(model.geom_bodyid[other]) in limb[:2]
+        ]
         # Drawn geoms of a limb that touches are no fault; those that collide and reach deeper than it touches are.
         is_apart = limb[0] not in carrying and not near and low <= deep
         is_deeper = (
@@ -133,16 +135,16 @@ def _frictions(robot: Robot, number: int) -> Iterator[Case]:
     ratio = max(LOW_FRICTION / max(met, 1e-9), met / HIGH_FRICTION)
     text = f"{names}: friction {met:g}" + (" by condim 1" if condim == 1 else "")
     yield Case(ratio, ("geom", foot), names, text)
-    stated = float(model.geom_friction[ground, 0])
+    given = float(model.geom_friction[ground, 0])
     # What a geom takes from the default of all is no statement about it.
     common = 1.0 if robot.spec is None else float(robot.spec.default.geom.friction[0])
     is_lost = (
-        stated != common and model.geom_priority[foot] == model.geom_priority[ground]
+        given != common and model.geom_priority[foot] == model.geom_priority[ground]
     )
     if is_lost and not model.npair:
-        text = f"{geom_name(model, ground)} states friction {stated:g}, {geom_name(model, foot)} meets {met:g}"
+        text = f"{geom_name(model, ground)} states friction {given:g}, {geom_name(model, foot)} meets {met:g}"
         yield Case(
-            met / max(stated, 1e-3) / LOST_FRICTION, ("geom", ground), names, text
+            met / max(given, 1e-3) / LOST_FRICTION, ("geom", ground), names, text
         )
 
 
@@ -166,11 +168,13 @@ def torsion(robot: Robot) -> Finding:
     is_felt &= model.geom_rbound > LEAST_TIP_M
     for number in robot.foot_rows or range(len(robot.pairs.geoms)):
         condim, sliding, *levers = robot.pairs.constants[number, [0, 1, 3, 4, 5]]
-        own = [geom for geom in robot.pairs.geoms[number].tolist() if is_felt[geom]]
-        if condim < 4 or not own:
+        touching_geoms = [
+            geom for geom in robot.pairs.geoms[number].tolist() if is_felt[geom]
+        ]
+        if condim < 4 or not touching_geoms:
             continue
         lever_m = float(max(levers[: 1 if condim == 4 else 3]))
-        geom = min(own, key=lambda one: float(model.geom_rbound[one]))
+        geom = min(touching_geoms, key=lambda other: float(model.geom_rbound[other]))
         size_m = float(model.geom_rbound[geom])
         name = geom_name(model, geom)
         text = f"{name} resists turning with a lever of {1e3 * lever_m:.3g} mm and is {1e3 * size_m:.3g} mm large"
@@ -205,17 +209,17 @@ def overlap(robot: Robot) -> Finding:
     if switched_off(model, "contact", "constraint"):
         raise NotApplicableError("contacts are switched off")
     data = start(robot)
-    found = _overlaps(robot, data)
-    if found and not model.nkey:
+    depths = _overlaps(robot, data)
+    if depths and not model.nkey:
         # A pose of zeros is rarely the one in which code starts.
-        poses = [_overlaps(robot, one) for one in random_poses(model, TRIED)]
-        found = {
-            pair: one
-            for pair, one in found.items()
+        poses = [_overlaps(robot, pose) for pose in random_poses(model, TRIED)]
+        depths = {
+            pair: depth
+            for pair, depth in depths.items()
             if 2 * sum(pair in pose for pose in poses) >= TRIED
         }
     cases = []
-    for (first, second), (depth_m, push_n) in found.items():
+    for (first, second), (depth_m, push_n) in depths.items():
         names = " and ".join(
             model.body(body).name or f"body {body}" for body in (first, second)
         )
@@ -229,7 +233,7 @@ def _overlaps(
 ) -> dict[tuple[int, int], tuple[float, float]]:
     """Return depth [m] and normal force [N] of contacts between bodies of a robot, and with its fixed base."""
     model, force = robot.model, np.zeros(6)
-    found: dict[tuple[int, int], tuple[float, float]] = {}
+    depths: dict[tuple[int, int], tuple[float, float]] = {}
     free = model.jnt_bodyid[joints_of(model, "FREE")]
     is_based = ~np.isin(model.body_treeid, model.body_treeid[free])
     for number in range(data.ncon):
@@ -250,9 +254,9 @@ def _overlaps(
         if second not in robot.bodies or first not in parts or not is_inside:
             continue
         mujoco.mj_contactForce(model, data, number, force)
-        depth_m, push_n = found.get((first, second), (0.0, 0.0))
-        found[first, second] = (
+        depth_m, push_n = depths.get((first, second), (0.0, 0.0))
+        depths[first, second] = (
             max(depth_m, -float(contact.dist)),
             push_n + float(force[0]),
         )
-    return found
+    return depths

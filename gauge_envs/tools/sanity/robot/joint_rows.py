@@ -52,7 +52,7 @@ FALL_PER_S = 1.0
     "power gives way to the whole robot; a rotor has no more inertia than the whole robot where no torque moves it",
     consequence="The joint does not move as any real joint does, so that the policy learns torques that no motor has.",
 )
-def joint(robot: Robot) -> Finding:
+def joint_brakes(robot: Robot) -> Finding:
     """Return the joint whose friction, damping or armature is farthest beyond what moves it."""
     if not drives(robot):
         raise NotApplicableError("no motor acts on a joint")
@@ -67,7 +67,7 @@ def _brakes(drive: Drive) -> Iterator[Case]:
     if min(drive.damping, dry, drive.armature) < 0.0:
         text = f"{drive.name} has a negative damping, friction or armature, which feeds its motion"
         yield drive.case(np.inf, text)
-    stated = (
+    numbers = (
         f"friction {dry:.3g} {force}, damping {drive.damping:.3g} {force} s/{angle} and armature {drive.armature:.3g} "
         f"{inertia}"
     )
@@ -80,7 +80,7 @@ def _brakes(drive: Drive) -> Iterator[Case]:
     )
     yield drive.case(
         brake / drive.push,
-        f"{drive.name} takes {brake:.3g} {force} at {speed * drive.scale:g} {angle}/s: {stated}; its motor makes "
+        f"{drive.name} takes {brake:.3g} {force} at {speed * drive.scale:g} {angle}/s: {numbers}; its motor makes "
         f"{drive.push:.3g} {force}",
     )
     g = length_of(model.opt.gravity)
@@ -101,7 +101,7 @@ def _brakes(drive: Drive) -> Iterator[Case]:
         fall = dry + drive.damping * FALL_PER_S
         yield drive.case(
             fall / weight,
-            f"{drive.name} takes {fall:.3g} N m to turn by {FALL_PER_S:g} rad/s: {stated}; the whole robot of "
+            f"{drive.name} takes {fall:.3g} N m to turn by {FALL_PER_S:g} rad/s: {numbers}; the whole robot of "
             f"{robot_kg:.3g} kg makes {weight:.2g} N m there, its limb {largest_loads(drive.robot)[drive.dof]:.2g} N m",
         )
     if not np.isfinite(drive.limit):
@@ -114,7 +114,7 @@ def _brakes(drive: Drive) -> Iterator[Case]:
         )
         yield drive.case(
             drive.armature / whole,
-            f"{text}; no torque limit is stated",
+            f"{text}; no torque limit is given",
         )
 
 
@@ -151,9 +151,9 @@ GROWTH, GROWTH_STEPS, KICK = 3.0, 400, 0.1
     "lag and sag; the error at which a servo saturates; commands in degrees",
     consequence="The joint does not do what the policy commands, so that the policy learns to work against its servo.",
 )
-def drive(robot: Robot) -> Finding:
+def servo_response(robot: Robot) -> Finding:
     """Return the servo farthest beyond the limit of its kind."""
-    several = [one for one in drives(robot) if one.kp > 0.0]
+    several = [drive for drive in drives(robot) if drive.kp > 0.0]
     if not several and not servos(robot.model).any():
         raise NotApplicableError("no servo holds a position")
     # Friction, damping or armature beyond all measure is one cause, which robot-joint names.
@@ -166,12 +166,12 @@ def drive(robot: Robot) -> Finding:
         if several
         else set()
     )
-    several = [one for one in several if one.name not in braked]
+    several = [drive for drive in several if drive.name not in braked]
     return worst_case(
         [
             *_growth(robot),
             *_switches(several),
-            *(case for one in several for case in _response(one)),
+            *(case for drive in several for case in _response(drive)),
         ]
     )
 
@@ -194,7 +194,7 @@ def _growth(robot: Robot) -> Iterator[Case]:
         + model.actuator_biasprm[:, 1] * data.actuator_length
     )
     model.actuator_biasprm[is_affine, 0] = -forces[is_affine]
-    dofs = [one.dof for one in drives(robot)]
+    dofs = [drive.dof for drive in drives(robot)]
     data.qvel[dofs] = KICK * np.random.default_rng(0).choice([-1.0, 1.0], len(dofs))
     while len(speeds) < GROWTH_STEPS and max(speeds, default=0.0) < np.inf:
         last = data.qvel.copy()
@@ -216,59 +216,60 @@ def _switches(several: list[Drive]) -> Iterator[Case]:
 
     A stiff gripper whose force is limited grips with this force: it is right.
     """
-    hinges = [one for one in several if one.is_hinge and np.isfinite(one.limit)]
-    errors = [one.limit / one.kp for one in hinges]
+    hinges = [drive for drive in several if drive.is_hinge and np.isfinite(drive.limit)]
+    errors = [drive.limit / drive.kp for drive in hinges]
     if not errors or np.median(errors) >= LEAST_ERROR_RAD:
         return
-    for one, error in zip(hinges, errors, strict=True):
+    for drive, error in zip(hinges, errors, strict=True):
         text = (
-            f"{one.name}: with kp {one.kp:.4g} N m/rad its {one.limit:.3g} N m are reached {1e3 * error:.2g} mrad "
+            f"{drive.name}: with kp {drive.kp:.4g} N m/rad its {drive.limit:.3g} N m are reached "
+            f"{1e3 * error:.2g} mrad "
             "beside the command, so that it works like a switch"
         )
-        yield one.case(LEAST_ERROR_RAD / error, text, True)
+        yield drive.case(LEAST_ERROR_RAD / error, text, True)
 
 
-def _response(one: Drive) -> Iterator[Case]:
-    model, (force, angle, _) = one.robot.model, one.units
-    damping = one.damping + one.kv
+def _response(drive: Drive) -> Iterator[Case]:
+    model, (force, angle, _) = drive.robot.model, drive.units
+    damping = drive.damping + drive.kv
     # The damping that acts on a swing: with dry friction, as the engine makes it.
-    acting = float(drags(one.robot, 1.0)[one.dof]) / one.scale + one.kv
-    ratio = max(acting, 1e-9) / (2.0 * np.sqrt(one.kp * one.inertia))
-    decay_s = 2.0 * one.inertia / max(acting, 1e-9)
+    acting = float(drags(drive.robot, 1.0)[drive.dof]) / drive.scale + drive.kv
+    ratio = max(acting, 1e-9) / (2.0 * np.sqrt(drive.kp * drive.inertia))
+    decay_s = 2.0 * drive.inertia / max(acting, 1e-9)
     swing = f"for {decay_s:.2g} s" if decay_s < ENDLESS_S else "without end"
-    yield one.case(
+    yield drive.case(
         min(RINGING / ratio, decay_s / RINGING_S),
-        f"{one.name} swings about each command {swing}: kp {one.kp:.3g} {force}/{angle} with a damping of "
+        f"{drive.name} swings about each command {swing}: kp {drive.kp:.3g} {force}/{angle} with a damping of "
         f"{acting:.2g} {force} s/{angle}",
         True,
     )
     # Overdamped, a servo covers half of a step in ln(2) damping / kp.
-    half_s = float(np.log(2.0)) * damping / one.kp
-    limit_s, standing = SLOW_S, one.robot.standing
-    if one.is_leg and standing is not None:
+    half_s = float(np.log(2.0)) * damping / drive.kp
+    limit_s, standing = SLOW_S, drive.robot.standing
+    if drive.is_leg and standing is not None:
         limit_s = float(np.sqrt(standing.height_m / GRAVITY_M_PER_S2))
-    text = f"{one.name} covers half of a small step in {half_s:.2g} s: "
-    text += f"damping {damping:.3g} {force} s/{angle} and kp {one.kp:.3g}"
-    if one.is_leg:
+    text = f"{drive.name} covers half of a small step in {half_s:.2g} s: "
+    text += f"damping {damping:.3g} {force} s/{angle} and kp {drive.kp:.3g}"
+    if drive.is_leg:
         text += f"; the robot falls in {limit_s:.2g} s"
-    yield one.case(half_s / limit_s, text, True)
-    weight = float(largest_loads(one.robot)[one.dof])
-    sag = weight / one.kp
-    root = model.body_dofnum[root_of(model, one.body)]
-    if one.is_hinge and (root < 6 or one.kp == 1.0) and not _is_overweight(one):
-        text = f"{one.name} sags by {sag:.2g} rad: kp {one.kp:.3g} N m/rad carries {weight:.3g} N m"
-        if one.kp == 1.0:
-            text += ", and 1 is MuJoCo's kp where none is stated"
-        yield one.case(sag / SAG_RAD, text, True)
-    yield from _commands(one)
+    yield drive.case(half_s / limit_s, text, True)
+    weight = float(largest_loads(drive.robot)[drive.dof])
+    sag = weight / drive.kp
+    root = model.body_dofnum[root_of(model, drive.body)]
+    if drive.is_hinge and (root < 6 or drive.kp == 1.0) and not _is_overweight(drive):
+        text = f"{drive.name} sags by {sag:.2g} rad: kp {drive.kp:.3g} N m/rad carries {weight:.3g} N m"
+        if drive.kp == 1.0:
+            text += ", and 1 is MuJoCo's kp where none is given"
+        yield drive.case(sag / SAG_RAD, text, True)
+    yield from _commands(drive)
 
 
-def _commands(one: Drive) -> Iterator[Case]:
+def _commands(drive: Drive) -> Iterator[Case]:
     """Yield the range of commands of a servo over that of its joint."""
-    model = one.robot.model
+    model = drive.robot.model
     is_its = (
         acts_on_joints(model)
-        & (model.actuator_trnid[:, 0] == one.joint)
+        & (model.actuator_trnid[:, 0] == drive.joint)
         & servos(model)
     )
     for actuator in np.flatnonzero(is_its & (model.actuator_ctrllimited != 0)).tolist():
@@ -277,15 +278,15 @@ def _commands(one: Drive) -> Iterator[Case]:
             model.actuator_biasprm[actuator],
         )
         gear = float(model.actuator_gear[actuator, 0])
-        if not (model.jnt_limited[one.joint] and one.is_hinge and gain * gear):
+        if not (model.jnt_limited[drive.joint] and drive.is_hinge and gain * gear):
             continue
         ends = (gain * model.actuator_ctrlrange[actuator] + bias[0]) / (-bias[1] * gear)
-        low, high = model.jnt_range[one.joint]
+        low, high = model.jnt_range[drive.joint]
         text = (
-            f"commands of {one.name} go from {ends.min():.3g} to {ends.max():.3g} {one.units[1]}, the joint from "
+            f"commands of {drive.name} go from {ends.min():.3g} to {ends.max():.3g} {drive.units[1]}, the joint from "
             f"{low:.3g} to {high:.3g}"
         )
-        yield one.case(
+        yield drive.case(
             float(np.ptp(ends) / (high - low)) / COMMANDS,
             text,
             True,
@@ -303,15 +304,15 @@ def _commands(one: Drive) -> Iterator[Case]:
     source="inverse dynamics at rest in the pose of the keyframe; of a robot on feet, the mean torque as it falls",
     consequence="The motors do not hold the robot's own weight, so that the policy drags it.",
 )
-def torque(robot: Robot) -> Finding:
+def holding_force(robot: Robot) -> Finding:
     """Return the joint whose motor is weakest where the robot rests."""
     from gauge_envs.tools.sanity.robot.rollout import fallen_saturations
 
     model = robot.model
     several = [
-        one
-        for one in drives(robot)
-        if np.isfinite(one.limit) and not _is_overweight(one)
+        drive
+        for drive in drives(robot)
+        if np.isfinite(drive.limit) and not _is_overweight(drive)
     ]
     if not several:
         raise NotApplicableError("no motor of a joint states the limit of its torque")
@@ -328,41 +329,42 @@ def torque(robot: Robot) -> Finding:
             loads(model, data),
             np.abs(data.qfrc_bias - data.qfrc_passive - data.qfrc_constraint),
         )
-        several = [one for one in several if model.nkey or one.kp]
-        needed = {one.dof: float(rest[one.dof]) for one in several}
+        several = [drive for drive in several if model.nkey or drive.kp]
+        needed = {drive.dof: float(rest[drive.dof]) for drive in several}
         verb = "at rest"
     return worst_case(
-        one.case(
-            needed.get(one.dof, 0.0) / one.limit,
-            f"{verb} {one.name} takes {needed.get(one.dof, 0.0):.3g} {one.units[0]}, its motor makes {one.limit:.3g}; "
-            f"{_heaviest(one)}",
+        drive.case(
+            needed.get(drive.dof, 0.0) / drive.limit,
+            f"{verb} {drive.name} takes {needed.get(drive.dof, 0.0):.3g} {drive.units[0]}, its motor "
+            f"makes {drive.limit:.3g}; "
+            f"{_heaviest(drive)}",
         )
-        for one in several
+        for drive in several
     )
 
 
-def _carried(one: Drive) -> list[int]:
+def _carried(drive: Drive) -> list[int]:
     """Return the bodies that a joint carries."""
-    parents, carried = one.robot.model.body_parentid.tolist(), [one.body]
-    for body in range(one.body + 1, len(parents)):
+    parents, carried = drive.robot.model.body_parentid.tolist(), [drive.body]
+    for body in range(drive.body + 1, len(parents)):
         if parents[body] in carried:
             carried.append(body)
     return carried
 
 
-def _is_overweight(one: Drive) -> bool:
+def _is_overweight(drive: Drive) -> bool:
     """Return whether a joint carries a body whose mass is wrong, which robot-mass names."""
-    model, masses = one.robot.model, one.robot.finding(ROWS["robot-mass"]).parts
+    model, masses = drive.robot.model, drive.robot.finding(ROWS["robot-mass"]).parts
     return any(
         masses.get(model.body(body).name or f"body {body}", 0.0) > 1.0
-        for body in _carried(one)
+        for body in _carried(drive)
     )
 
 
-def _heaviest(one: Drive) -> str:
+def _heaviest(drive: Drive) -> str:
     """Return the heaviest body that a joint carries, with its mass."""
-    model = one.robot.model
-    body = max(_carried(one), key=lambda number: float(model.body_mass[number]))
+    model = drive.robot.model
+    body = max(_carried(drive), key=lambda number: float(model.body_mass[number]))
     return f"{model.body(body).name or f'body {body}'} weighs {model.body_mass[body]:.3g} kg"
 
 
@@ -383,14 +385,14 @@ LARGEST_GIVE, HALVINGS = 1.0, 14
     source="0.001 to 0.02 in grippers of makers whose linkage is stiff, 0.14 to 0.23 with MuJoCo's default solref",
     consequence="One finger closes and the other gives way, so that a grasp holds less than the real one.",
 )
-def coupling(robot: Robot) -> Finding:
+def coupling_yield(robot: Robot) -> Finding:
     """Return the coupling between joints that yields farthest to the force of a motor."""
     model = robot.without("contact", "limit", "frictionloss")
     data, cases = start(robot, model), []
     begin = data.qpos.copy()
     pushes = np.zeros(model.nv)
-    for one in drives(robot):
-        pushes[one.dof] = one.push if np.isfinite(one.push) else 0.0
+    for drive in drives(robot):
+        pushes[drive.dof] = drive.push if np.isfinite(drive.push) else 0.0
     for number in np.flatnonzero(
         model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT)
     ).tolist():
@@ -463,14 +465,14 @@ FREE_SHARE = 0.05
     source='nothing holds a base in the air; defaults of joints apply to <joint type="free"> and not to <freejoint>',
     consequence="The base is braked in the air, so that the policy learns to turn and to fall slower than the robot.",
 )
-def free(robot: Robot) -> Finding:
+def free_joint_drag(robot: Robot) -> Finding:
     """Return the free joint with the largest friction, damping or armature."""
     model = robot.model
     frees = np.flatnonzero(joints_of(model, "FREE")).tolist()
     if not frees or model.opt.density > LIQUID_KG_PER_M3:
         raise NotApplicableError("no joint is free in air")
     inertia = joint_inertias(robot) - model.dof_armature
-    legged = {root_of(model, one.body) for one in drives(robot)}
+    legged = {root_of(model, drive.body) for drive in drives(robot)}
     cases = []
     for number in frees:
         body, first = int(model.jnt_bodyid[number]), int(model.jnt_dofadr[number])

@@ -279,10 +279,10 @@ def drags(robot: Robot, speed: float) -> FloatArray:
     bare.opt.density = bare.opt.viscosity = 0.0
     data, forces = start(robot, bare), np.zeros(bare.nv)
     data.qacc[:] = 0.0
-    for one in drives(robot):
-        data.qvel[:] = speed * one.scale * (np.arange(bare.nv) == one.dof)
+    for drive in drives(robot):
+        data.qvel[:] = speed * drive.scale * (np.arange(bare.nv) == drive.dof)
         mujoco.mj_inverse(bare, data)
-        forces[one.dof] = data.qfrc_inverse[one.dof]
+        forces[drive.dof] = data.qfrc_inverse[drive.dof]
     return forces
 
 

@@ -160,7 +160,9 @@ def _drawn_twice(robot: Robot) -> Iterator[Case]:
             )
             within = 0.5 if is_silent else 0.01
             is_drawn = not solid[geom.id] and body in robot.bodies
-            if is_drawn and any(_is_alike(model, geom.id, one, within) for one in felt):
+            if is_drawn and any(
+                _is_alike(model, geom.id, other, within) for other in felt
+            ):
                 doubled.setdefault(body, []).append(geom.id)
     if not doubled:
         return

@@ -74,7 +74,7 @@ def hold_pose(robot: Robot, slope_deg: float = 0.0) -> HoldMotion:
             "a robot with one foot or two balances with a policy alone"
         )
     if (
-        not all(one.kp for one in drives(robot) if one.is_leg)
+        not all(drive.kp for drive in drives(robot) if drive.is_leg)
         or not servos(robot.model).any()
     ):
         raise NotApplicableError("no servos hold the legs")
@@ -105,12 +105,14 @@ def hold_pose(robot: Robot, slope_deg: float = 0.0) -> HoldMotion:
     turn = np.zeros(3)
     mujoco.mju_subQuat(turn, data.xquat[standing.body], begin.xquat[standing.body])
     slips_m = np.linalg.norm(data.geom_xpos[soles] - before_m, axis=-1)
-    limited = [one for one in drives(robot) if np.isfinite(one.limit)]
+    limited = [drive for drive in drives(robot) if np.isfinite(drive.limit)]
     return HoldMotion(
         lean_rad=length_of(turn),
         height_ratio=(float(data.subtree_com[standing.body] @ up) - ground_m)
         / max(start_m, 1e-6),
-        saturations={one.dof: float(forces[one.dof]) / one.limit for one in limited},
+        saturations={
+            drive.dof: float(forces[drive.dof]) / drive.limit for drive in limited
+        },
         slip_mm_per_s=1e3 * float(slips_m.mean()) / LATE_S,
     )
 
@@ -131,7 +133,7 @@ def fallen_saturations(robot: Robot) -> dict[int, float]:
     motion = hold_pose(robot)
     if motion.height_ratio > FELL:
         return {}
-    limits = {one.dof: one.limit for one in drives(robot)}
+    limits = {drive.dof: drive.limit for drive in drives(robot)}
     # A motor at 99 % of its limit gives all that it has: the load is larger.
     return {
         dof: share * limits[dof] / 0.99 for dof, share in motion.saturations.items()
@@ -188,11 +190,11 @@ def slip(robot: Robot) -> Finding:
     motion = hold_pose(robot, slope_deg)
     if not FELL < motion.height_ratio < ROSE or motion.lean_rad > LEAN_RAD:
         raise NotMeasuredError("the robot falls on the slope")
-    held_deg = float(np.degrees(np.arctan(friction)))
+    cone_deg = float(np.degrees(np.arctan(friction)))
     speed = motion.slip_mm_per_s
     return Finding(
         value=speed,
         remark=f"feet slip by {speed:.3g} mm/s on {slope_deg:.3g} degrees; their friction of {friction:.3g} holds "
-        f"up to {held_deg:.3g}",
+        f"up to {cone_deg:.3g}",
         place=("body", next(iter(standing_of(robot).feet))),
     )

@@ -15,9 +15,9 @@ def unstated(robot: Robot) -> str:
     if not driven:
         return ""
     missing = []
-    if not any(one.armature for one in driven):
+    if not any(drive.armature for drive in driven):
         missing.append("rotor inertia")
-    if not any(np.isfinite(one.limit) for one in driven):
+    if not any(np.isfinite(drive.limit) for drive in driven):
         missing.append("torque limit")
     # Versions before MuJoCo 3.5 have no delay.
     if not np.any(getattr(robot.model, "actuator_delay", 0.0)):
