@@ -21,7 +21,7 @@ from gauge_envs.scoring.trajectory_file import read_trajectory
 from gauge_envs.tools.assets.build import assets_folder
 from gauge_envs.tools.conformance.results import read_columns, read_expected
 from gauge_envs.tools.sanity import configuration
-from gauge_envs.tools.sanity.run import read_baseline
+from gauge_envs.tools.sanity.comparison import read_baseline
 from gauge_envs.tools.sweep.spec import load_sweep_file
 from gauge_envs.tools.usd.reader import from_usd
 from gauge_envs.tools.versions.subject import check_states

@@ -125,9 +125,9 @@ BUNDLED = (
     Command(
         "sanity",
         "sanity.sanity_command:sanity",
-        "Report which physics a training configuration gets wrong, and what corrects it.",
+        "Report what is wrong in a training configuration, and the change of settings that corrects most.",
         line="sanity.lines:SanityLine",
-        version=5,
+        version=6,
     ),
     Command(
         "sanity probe",
