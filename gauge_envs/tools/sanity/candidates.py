@@ -9,31 +9,40 @@ from typing import Any
 from gauge_envs.tools.sanity.model import Settings, TrainingConfiguration
 from gauge_envs.tools.sanity.stacks.dialect import Dialect
 
-STEP_S = 0.002
-"""Recommended step [s]."""
+ELLIPTIC, MARGIN = {"cone": "elliptic"}, {"contact_margin_m": 0.0}
+DAMPED, ACCURATE = {"integrator": "implicitfast"}, {"integrator": "RK4"}
+STEP = {"timestep_s": 0.002}
 
-STIFF_SOLREF, FIRM_SOLREF, DEFAULT_SOLREF = (0.004, 1.0), (0.01, 1.0), (0.02, 1.0)
-"""Short, medium and documented time constant [s] and damping ratio of contacts of MuJoCo.
+SOFT, FIRM, STIFF = (
+    {"contact_solref": (seconds, 1.0)} for seconds in (0.02, 0.01, 0.004)
+)
+"""Documented, medium and short time constant of contacts of MuJoCo.
 
 A time constant below ten steps makes bodies hop that slide fast; see `guards`.
 """
 
-HARD_SOLIMP, STIFF_SOLIMP = (
-    (0.99, 0.99, 0.001, 0.5, 2.0),
-    (0.999, 0.999, 0.001, 0.5, 2.0),
+HARD_SOLIMP, HARDEST_SOLIMP = (
+    (ratio, ratio, 0.001, 0.5, 2.0) for ratio in (0.99, 0.999)
 )
 """Impedances with which contacts and equalities of MuJoCo yield by a hundredth, or a thousandth, of a free motion."""
 
-RECOMMENDED_MUJOCO: Settings = {
-    "timestep_s": STEP_S,
-    "integrator": "implicitfast",
-    "cone": "elliptic",
-    "impratio": 100.0,
+HARD, HARDEST = ({"contact_solimp": solimp} for solimp in (HARD_SOLIMP, HARDEST_SOLIMP))
+
+SOLVED = {"iterations": 100, "ls_iterations": 50, "tolerance": 1e-8}
+"""Iterations of MuJoCo's solvers by default."""
+
+GRIPPING = HARD | {"impratio": 100.0}
+"""Contacts that creep by a hundredth of those with `impratio` 1."""
+
+RECOMMENDED_MUJOCO: dict[str, Any] = {
+    **STEP,
+    **DAMPED,
+    **ELLIPTIC,
+    **GRIPPING,
+    **SOFT,
+    **MARGIN,
     "iterations": 100,
     "ls_iterations": 50,
-    "contact_solref": DEFAULT_SOLREF,
-    "contact_solimp": HARD_SOLIMP,
-    "contact_margin_m": 0.0,
     "refsafe": True,
 }
 """Settings that this package recommends for a model of MuJoCo."""
@@ -45,36 +54,36 @@ RECOMMENDED_PHYSX: Settings = {
 }
 """The same for PhysX."""
 
-FEW_ITERATIONS: Settings = {"iterations": 4, "ls_iterations": 20}
+FEW_ITERATIONS = {"iterations": 4, "ls_iterations": 20}
 """Least iterations of MuJoCo's Newton solver with which bodies slide as they should."""
 
 CANDIDATES: Mapping[str, Sequence[Settings]] = {
     "mujoco": (
         FEW_ITERATIONS,
-        {**FEW_ITERATIONS, "cone": "elliptic"},
+        FEW_ITERATIONS | ELLIPTIC,
         {"o_friction": None},
         {"refsafe": True},
-        {"contact_margin_m": 0.0},
+        MARGIN,
         {"condim": 3},
-        {"contact_solref": DEFAULT_SOLREF},
-        {"contact_solimp": HARD_SOLIMP},
-        {"contact_solref": FIRM_SOLREF},
-        {"contact_solref": DEFAULT_SOLREF, "contact_solimp": HARD_SOLIMP},
-        {"cone": "elliptic"},
-        {"cone": "elliptic", "contact_solimp": HARD_SOLIMP},
-        {"cone": "elliptic", "contact_solref": FIRM_SOLREF},
-        {"contact_solref": STIFF_SOLREF},
-        {"cone": "elliptic", "contact_solref": STIFF_SOLREF},
-        {"impratio": 100.0, "contact_solimp": HARD_SOLIMP},
-        {"cone": "elliptic", "impratio": 10.0},
-        {"cone": "elliptic", "impratio": 10.0, "contact_margin_m": 0.0},
-        {"integrator": "implicitfast"},
-        {"integrator": "RK4"},
-        {"timestep_s": STEP_S},
-        {"timestep_s": STEP_S, "integrator": "implicitfast"},
+        SOFT,
+        HARD,
+        FIRM,
+        SOFT | HARD,
+        ELLIPTIC,
+        ELLIPTIC | HARD,
+        ELLIPTIC | FIRM,
+        STIFF,
+        ELLIPTIC | STIFF,
+        GRIPPING,
+        ELLIPTIC | {"impratio": 10.0},
+        ELLIPTIC | {"impratio": 10.0} | MARGIN,
+        DAMPED,
+        ACCURATE,
+        STEP,
+        STEP | DAMPED,
         RECOMMENDED_MUJOCO,
-        {**RECOMMENDED_MUJOCO, "contact_solref": STIFF_SOLREF},
-        {**RECOMMENDED_MUJOCO, "timestep_s": 0.001, "contact_solref": FIRM_SOLREF},
+        RECOMMENDED_MUJOCO | STIFF,
+        RECOMMENDED_MUJOCO | FIRM | {"timestep_s": 0.001},
     ),
     "physx": (
         {"bounce_threshold_m_per_s": 0.1},
@@ -95,25 +104,21 @@ AT_MOST = ("timestep_s", "condim", "tolerance", "sleep_tolerance")
 ABSENT = {"contact_margin_m": 0.0, "refsafe": True, "condim": 3}
 """Values in effect where a target states none."""
 
-
-HARD: Settings = {"contact_solimp": HARD_SOLIMP}
-HARDEST: Settings = {"contact_solimp": STIFF_SOLIMP}
-SOLVED: Settings = {"iterations": 100, "ls_iterations": 50, "tolerance": 1e-8}
-DAMPED, ACCURATE = {"integrator": "implicitfast"}, {"integrator": "RK4"}
-GRIPPING: Settings = {**HARD, "cone": "elliptic", "impratio": 10.0}
-
 ROW_CANDIDATES: Mapping[str, Sequence[Settings]] = {
     "model-sleep": ({"sleep_tolerance": 1e-5}, {"sleep": False}),
     "model-constraints": (
-        {"equality_solref": STIFF_SOLREF},
-        {"equality_solimp": STIFF_SOLIMP},
-        {"equality_solref": STIFF_SOLREF, "equality_solimp": STIFF_SOLIMP},
+        {"equality_solref": STIFF["contact_solref"]},
+        {"equality_solimp": HARDEST_SOLIMP},
+        {
+            "equality_solref": STIFF["contact_solref"],
+            "equality_solimp": HARDEST_SOLIMP,
+        },
     ),
     "model-overlap": (HARD, HARDEST),
     "model-cloth-sink": (HARD, HARDEST),
-    "model-creep": (SOLVED, HARD, GRIPPING),
-    "robot-slip": (HARD, GRIPPING),
-    "model-solver": (SOLVED, {"solver": "Newton"}, {**SOLVED, "solver": "Newton"}),
+    "model-creep": (SOLVED, HARD, ELLIPTIC | GRIPPING),
+    "robot-slip": (HARD, ELLIPTIC | GRIPPING),
+    "model-solver": (SOLVED, {"solver": "Newton"}, SOLVED | {"solver": "Newton"}),
     **dict.fromkeys(
         ("model-spin", "robot-energy", "robot-holds", "robot-drive"),
         (DAMPED, ACCURATE),
@@ -137,8 +142,9 @@ def candidates_of(
     if sets[0].get("iterations", math.inf) < FEW_ITERATIONS["iterations"]:
         # Other changes let a body slide that starts to move, and not one that has rested.
         few = FEW_ITERATIONS
-    general = [{**few, **one} for one in CANDIDATES.get(configuration.backend, ())]
-    several = [*ROW_CANDIDATES.get(row, ())] if row else general
+    several = [{**few, **one} for one in CANDIDATES.get(configuration.backend, ())]
+    if row:
+        several = [dict(one) for one in ROW_CANDIDATES.get(row, ())]
     if several and configuration.is_model:
         step_s = configuration.settings["timestep_s"]
         several += [{"timestep_s": step_s * ratio} for ratio in (0.5, 0.25)]

@@ -9,7 +9,7 @@ from dataclasses import replace
 from heapq import heapify, heappop, heappush
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from gauge_envs.errors import GaugeError, ParameterError
+from gauge_envs.errors import GaugeError, ParameterError, first_names
 from gauge_envs.tools.sanity.candidates import candidates_of
 from gauge_envs.tools.sanity.guards import hop_mm, hops_more
 from gauge_envs.tools.sanity.measure import Measurements, subject_of, worst_of
@@ -27,7 +27,7 @@ from gauge_envs.tools.sanity.stacks.dialect import Dialect
 from gauge_envs.tools.sanity.target_checks import target_rows
 
 if TYPE_CHECKING:
-    from gauge_envs.tools.sanity.robot.mended_model import WrittenChange
+    from gauge_envs.tools.sanity.robot.mjcf_text import TextChange
     from gauge_envs.tools.sanity.robot.robot import Robot
 
 GROWTH = 1.0
@@ -108,7 +108,7 @@ class _Search:
             general = candidates_of(self._configuration, self._dialect)
             candidates += [{**one, **own} for one in general]
         for changes, corrected in self._ranked(candidates, tried):
-            pasted = self._pasted(changes)
+            pasted = self._dialect.paste_text(changes)
             if changes == own:
                 stated = [name for name in self._flags if name in OWN_IDS]
                 corrected += [name for name in stated if self._corrects(own, name)]
@@ -146,7 +146,7 @@ class _Search:
                         own = changes
                         break
                     came = self._came(name, changes)
-                    tried.append(f"{self._pasted(changes)}: {came}")
+                    tried.append(f"{self._dialect.paste_text(changes)}: {came}")
             if len(values) == 1:
                 self._flags.remove(name)
                 del self._before[name]
@@ -242,22 +242,38 @@ class _Search:
     def _cure(self, changes: Settings) -> Cure:
         """Return a change with what each of its settings corrects alone."""
         corrected = [name for name in self._flags if self._corrects(changes, name)]
+        # Scenes of many bodies take too long for each setting.
+        quick = [one for one in corrected if one in OWN_IDS or not self._is_slow(one)]
         parts = []
         for name, value in changes.items():
             alone = {name: value}
-            corrects = self._quick(corrected, alone) if len(changes) > 1 else corrected
+            corrects = [row for row in quick if self._corrects(alone, row)]
             text = self._dialect.paste_text(alone)
             parts.append(ChangePart(text=text, corrects=tuple(corrects)))
-        robot, written = self._configuration.robot, self._written(changes)
+        if len(parts) == 1:
+            parts = [replace(parts[0], corrects=tuple(corrected))]
+        robot = self._configuration.robot
+        lines, pasted = self._lines(changes)
         return Cure(
             changes=changes,
-            line=f"{self._pasted(changes)}: {self._effect(corrected)}",
+            line=f"{pasted}: {self._effect(corrected)}",
             flag_count=len(self._flags),
             mended={name: self._outcome(changes, name).value for name in corrected},
-            lines=() if written is None else written.lines,
+            lines=lines,
             parts=tuple(parts),
             speed_ratio=None if robot is None else speed_ratio(robot, changes),
         )
+
+    def _lines(self, changes: Settings) -> tuple[tuple[str, ...], str]:
+        """Return a change as lines of a diff, if the target's text is known, and as text to paste."""
+        pasted = self._dialect.paste_text(changes)
+        if self._configuration.robot is None:
+            return (), pasted
+        text, hidden = written_change(self._configuration.robot, self._dialect, changes)
+        lines = () if text is None else text.diff
+        added = " and ".join(one[2:] for one in lines if one[0] == "+")
+        also = f", also in {first_names(hidden)}" if hidden else ""
+        return lines, (added or pasted) + also
 
     def _minimal(
         self, changes: Settings, corrected: Sequence[str], kept: Settings
@@ -284,21 +300,6 @@ class _Search:
             least[name] = value
         return least
 
-    def _quick(self, corrected: Sequence[str], alone: Settings) -> list[str]:
-        """Return rows that one setting corrects alone; slow ones only where it corrects all others."""
-        rows = [name for name in corrected if not self._is_slow(name)]
-        several = [name for name in rows if self._corrects(alone, name)]
-        slow = [name for name in corrected if self._is_slow(name)]
-        if len(several) == len(rows):
-            several += [name for name in slow if self._corrects(alone, name)]
-        return several
-
-    def _written(self, changes: Settings) -> WrittenChange | None:
-        """Return a change in the text of the target's model; None without a model."""
-        if self._configuration.robot is None:
-            return None
-        return written_change(self._configuration.robot, self._dialect, changes)
-
     # --- words -------------------------------------------------------------------------------------------------------
 
     def _came(self, name: str, changes: Settings) -> str:
@@ -314,15 +315,6 @@ class _Search:
         left = [name for name in self._flags if name not in corrected]
         count = f"{len(corrected)} of {len(self._flags)} flags go"
         return f"{count}; left: {', '.join(left)}" if left else count
-
-    def _pasted(self, changes: Settings) -> str:
-        """Return a change as text to paste: the default of all, and what it does not reach."""
-        written = self._written(changes)
-        if written is None:
-            return self._dialect.paste_text(changes)
-        default = {name: changes[name] for name in written.in_default}
-        pasted = self._dialect.paste_text(default) if default else ""
-        return " and ".join(filter(None, [pasted, *written.elsewhere]))
 
 
 def _key(changes: Settings, name: str) -> tuple[str, str]:
@@ -373,8 +365,10 @@ def applied(
     )
 
 
-def written_change(robot: Robot, dialect: Dialect, changes: Settings) -> WrittenChange:
-    """Return a change in the text of a model.
+def written_change(
+    robot: Robot, dialect: Dialect, changes: Settings
+) -> tuple[TextChange | None, list[str]]:
+    """Return a change in the text of a model, and elements whose attributes the text does not show, in words.
 
     Args:
         robot: The robot before the change.
@@ -395,14 +389,16 @@ def speed_ratio(robot: Robot, changes: Settings) -> float:
     """Return the simulated time of a model in a second of the processor with changes, over that without."""
     import mujoco
 
-    models = [robot.model, robot.changed(changes)[0]]
-    runs = [(model, mujoco.MjData(model)) for model in models]
-    best = [0.0, 0.0]
+    runs: list[tuple[mujoco.MjModel, mujoco.MjData, list[float]]] = [
+        (model, mujoco.MjData(model), [])
+        for model in (robot.model, robot.changed(changes)[0])
+    ]
     for _ in range(SPEED_BLOCKS):
-        for place, (model, data) in enumerate(runs):
+        for model, data, speeds in runs:
             started, before_s, spent_s = time.process_time(), data.time, 0.0
             while spent_s < BLOCK_S:
                 mujoco.mj_step(model, data, nstep=10)
                 spent_s = time.process_time() - started
-            best[place] = max(best[place], (data.time - before_s) / spent_s)
-    return best[1] / best[0]
+            speeds.append((data.time - before_s) / spent_s)
+    before, after = (max(speeds) for _, _, speeds in runs)
+    return after / before

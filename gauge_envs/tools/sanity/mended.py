@@ -46,7 +46,7 @@ def write_mended(report: Report, file: Path) -> str:
         return f"{file} is not written: {reason}"
     words = dialect(checked.language)
     robot = checked.robot
-    text = robot and written_change(robot, words, cure.changes).text
+    text = robot and written_change(robot, words, cure.changes)[0]
     if text is None or text.model.root.tag != "mujoco":
         raise TargetError(
             f"{checked.name}: --fix changes the text of an MJCF file, which the target is not: paste the change instead"

@@ -23,12 +23,11 @@ ATTRIBUTE = re.compile(r"""([\w:.-]+)\s*=\s*("[^"]*"|'[^']*')""")
 TAGS = {"joint": ("joint", "freejoint"), "body": ("body", "link")}
 """Tags of a kind of element that has several, with that of a URDF."""
 
-SECTIONS = {
-    **{name: name for name in ("actuator", "equality", "tendon", "sensor")},
-    "pair": "contact",
-    "key": "keyframe",
-}
-"""Section of the model in which elements of a kind stand, in the order of the compiled model."""
+SECTIONS = ("actuator", "equality", "tendon")
+"""Kinds whose elements have many tags, and stand in a section of that name."""
+
+HOLDERS = ("worldbody", "body", "frame", "contact", "keyframe", "robot")
+"""Elements that hold the others."""
 
 COUNTS = {"actuator": "nu", "equality": "neq", "joint": "njnt"}
 """Number of elements of a kind in the compiled model, where it is not `n` and the kind."""
@@ -155,25 +154,17 @@ class ModelText:
 
     def _several(self, kind: str) -> list[Element]:
         """Return elements of a kind, those of each body before those of the bodies that it carries."""
-        if kind in SECTIONS:
-            inside = self.root.at(SECTIONS[kind])
-            tags = (kind,) if kind in ("pair", "key") else ()
-            return [
-                c for one in inside for c in one.children if not tags or c.tag in tags
-            ]
-        bodies: dict[Element, int] = {}
-        several = []
+        bodies: dict[Element | None, int] = {}
+        several: list[tuple[int, Element]] = []
         for one in self.root.inner():
             if one.tag == "body":
                 bodies[one] = len(bodies) + 1
-            holder = one.parent.tag if one.parent else ""
-            if one.tag in TAGS.get(kind, (kind,)) and holder not in NO_HOLDERS:
-                several.append(one)
-
-        def body(one: Element) -> int:
-            return next((bodies[o] for o in one.outer() if o in bodies), 0)
-
-        return sorted(several, key=body)
+            above = one.parent.tag if one.parent else ""
+            is_tagged = one.tag in TAGS.get(kind, (kind,)) and above in HOLDERS
+            if is_tagged or above == kind in SECTIONS:
+                body = next((bodies[o] for o in one.outer() if o in bodies), 0)
+                several.append((body, one))
+        return [one for _, one in sorted(several, key=lambda item: item[0])]
 
 
 class TextChange:
@@ -190,23 +181,19 @@ class TextChange:
 
     def state(
         self, element: Element | None, kind: str, values: Mapping[str, str]
-    ) -> str | None:
-        """Give an element an attribute where it takes it from.
+    ) -> bool:
+        """Give an element an attribute where it takes it from, and return whether anything states it.
 
         Args:
             element: The element; None for the default of all.
             kind: Its tag in the default of all.
             values: The attribute and its new value.
-
-        Returns:
-            File and line, empty in the default of all; None where nothing states it, and nothing is changed.
         """
         for one in self._sources(element, kind):
             for key in values.keys() & one.values.keys():
                 self._values[one, key] = values[key]
-                is_of_all = one in self.model.root.at("default", kind)
-                return "" if is_of_all else self.model.line(one)
-        return None
+                return True
+        return False
 
     def _sources(self, element: Element | None, kind: str) -> Iterator[Element]:
         """Yield an element and those of its classes, the nearest first, and at last those of the default of all."""
@@ -230,84 +217,55 @@ class TextChange:
             tags: Tags on the way to it, such as `option` and `flag`.
             values: The attributes.
         """
-        several = self.model.root.at(*tags)
+        root, file = self.model.root, self.model.file
+        several = root.at(*tags)
         left = dict(values)
         for key in values:
             stating = [one for one in several if key in one.values]
             # A later section of the options counts; the default of all must stand in front of classes.
-            if stating and (
-                stating[-1].file == self.model.file or tags[0] == "default"
-            ):
-                self._set(stating[-1], key, left.pop(key))
-        if not left:
-            return
-        tops = self.model.root.at(tags[0])
-        is_default = tags[0] == "default"
-        first = tops[:1] if is_default else tops[-1:]
-        if first and first[0].file == self.model.file:
-            inside = first[0].at(*tags[1:])
-            if inside:
-                for key, value in left.items():
-                    self._set(inside[-1], key, value)
-            else:
-                self._insert_inside(first[0], _tag(tags[1:], left))
-            return
-        places = [
-            one for one in self.model.root.children if one.file == self.model.file
-        ]
-        includes = [one for one in places if one.tag == "include"]
-        if includes and not is_default:
-            self._insert(includes[-1], _tag(tags, left), is_behind=True)
-            return
-        others = [one for one in places if one.tag not in FIRST]
-        self._insert((others or places)[0], _tag(tags, left))
+            if stating and (stating[-1].file == file or tags[0] == "default"):
+                self._values[stating[-1], key] = left.pop(key)
+        place = 0 if tags[0] == "default" else -1
+        if several and several[place].file == file:
+            self._values |= {(several[place], key): left[key] for key in left}
+        elif left:
+            inner = [one for one in root.children if one.file == file]
+            includes = [one for one in inner if one.tag == "include"]
+            others = [one for one in inner if one.tag not in FIRST]
+            is_behind = bool(includes and place)
+            beside = includes[-1] if is_behind else (others or inner)[0]
+            before = self.model.texts[file][: beside.start].rpartition("\n")[2]
+            gap = "\n" + before if before.isspace() else "\n"
+            text = "".join(f' {key}="{value}"' for key, value in left.items())
+            text = f"<{tags[-1]}{text}/>"
+            for tag in tags[-2::-1]:
+                text = f"<{tag}>{text}</{tag}>"
+            at = beside.stop if is_behind else beside.start
+            self._inserted.append((at, at, gap + text if is_behind else text + gap))
 
     def move(self, folder: Path) -> None:
         """State included files and the folders of meshes and textures as seen from another folder."""
         source, target = self.model.file.parent.resolve(), folder.resolve()
         if source == target:
             return
+        folders = {"meshdir": "", "texturedir": ""}
+        has_files = False
         for one in self.model.root.inner():
-            if one.tag == "include" and one.file == self.model.file:
-                self._set(
-                    one, "file", os.path.relpath(source / one.values["file"], target)
-                )
-        folders = {}
-        for key in ("meshdir", "texturedir"):
-            stated = ""
-            for one in self.model.root.at("compiler"):
-                stated = one.values.get(key, one.values.get("assetdir", stated))
-            folders[key] = os.path.relpath(source / stated, target)
-        if any(
-            one.values.get("file")
-            for one in self.model.root.inner()
-            if one.tag != "include"
-        ):
-            self.put(("compiler",), folders)
-
-    def _set(self, element: Element, key: str, value: str) -> None:
-        self._values[element, key] = value
-
-    def _indent(self, element: Element) -> str:
-        """Return the white space in front of an element on its line."""
-        before = self.model.texts[element.file][: element.start].rpartition("\n")[2]
-        return before if before.isspace() else ""
-
-    def _insert(self, element: Element, text: str, *, is_behind: bool = False) -> None:
-        """Insert text on a line before an element, or behind its start tag."""
-        gap = "\n" + self._indent(element)
-        place = element.stop if is_behind else element.start
-        self._inserted.append((place, place, gap + text if is_behind else text + gap))
-
-    def _insert_inside(self, element: Element, text: str) -> None:
-        """Insert text as the first child of an element."""
-        if element.children:
-            self._insert(element.children[0], text)
-            return
-        gap = "\n" + self._indent(element)
-        is_empty = self.model.texts[self.model.file].startswith("/", element.inside)
-        end = f"{gap}</{element.tag}>" if is_empty else ""
-        self._inserted.append((element.inside, element.stop, f">{gap}  {text}{end}"))
+            values = one.values
+            if one.tag == "compiler":
+                shared = values.get("assetdir")
+                for key, before in folders.items():
+                    folders[key] = values.get(key, shared or before)
+            elif one.tag == "include" and one.file == self.model.file:
+                path = os.path.relpath(source / values["file"], target)
+                self._values[one, "file"] = path
+            elif "file" in values:
+                has_files = True
+        if has_files:
+            relative = {
+                k: os.path.relpath(source / v, target) for k, v in folders.items()
+            }
+            self.put(("compiler",), relative)
 
     @property
     def elsewhere(self) -> list[str]:
@@ -344,10 +302,6 @@ class TextChange:
         return tuple(f"{one[0]} {one[1:].strip()}" for one in lines if one[0] in "+-")
 
 
-NO_HOLDERS = ("default", "equality", "fixed", "spatial", "contact", "transmission")
-"""Elements inside of which a tag names no element of the kind."""
-
-
 def _element(mark: re.Match[str], file: Path, above: Element) -> Element:
     start = mark.start("inside")
     found = [*ATTRIBUTE.finditer(mark["inside"])]
@@ -361,12 +315,3 @@ def _element(mark: re.Match[str], file: Path, above: Element) -> Element:
         {one[1]: one[2][1:-1] for one in found},
         above,
     )
-
-
-def _tag(tags: tuple[str, ...], values: Mapping[str, str]) -> str:
-    """Return an element inside of others as text."""
-    attributes = "".join(f' {key}="{value}"' for key, value in values.items())
-    text = f"<{tags[-1]}{attributes}/>"
-    for tag in reversed(tags[:-1]):
-        text = f"<{tag}>{text}</{tag}>"
-    return text
