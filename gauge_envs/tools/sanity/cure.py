@@ -108,30 +108,35 @@ class _Search:
             general = candidates_of(self._configuration, self._dialect)
             candidates += [{**one, **own} for one in general]
         for changes, corrected in self._ranked(candidates, tried):
-            pasted = self._dialect.paste_text(changes)
-            if changes == own:
-                stated = [name for name in self._flags if name in OWN_IDS]
-                corrected += [name for name in stated if self._corrects(own, name)]
-            if not corrected:
+            text = self._dialect.paste_text(changes)
+            if not corrected and changes != own:
                 came = (self._came(name, changes) for name in quick)
-                tried.append(f"{pasted}: {', '.join(came)}")
+                tried.append(f"{text}: {', '.join(came)}")
                 continue
-            least = changes
-            harm = self._harm(changes, corrected, is_slow=False)
+            least, harm = self._least(changes, corrected, own)
             if not harm:
-                for least in (self._minimal(changes, corrected, own), changes):
-                    harm = self._harm(least, corrected, is_slow=True)
-                    if not harm:
-                        break
-            if harm:
-                effect = self._effect(corrected)
-                tried.append(f"{pasted}: {effect}, but {harm}")
-                if len(corrected) > best:
-                    best, trade = len(corrected), tried[-1]
-                continue
-            cure = self._cure(least)
-            return cure, tuple(tried), trade if best > cure.mended_count else ""
+                cure = self._cure(least)
+                return cure, tuple(tried), trade if best > cure.mended_count else ""
+            tried.append(f"{text}: {self._effect(corrected)}, but {harm}")
+            if len(corrected) > best:
+                best, trade = len(corrected), tried[-1]
+        if tried:
+            trade = f"; best: {trade}" if trade else ""
+            trade = f"None of {len(tried)} changes of settings corrects a flag without harm{trade}"
         return None, tuple(tried), trade
+
+    def _least(
+        self, changes: Settings, corrected: Sequence[str], own: Settings
+    ) -> tuple[Settings, str]:
+        """Return the part of a change that is needed, or all of it, and the harm that it does; empty for none."""
+        harm = self._harm(changes, corrected, is_slow=False)
+        if harm:
+            return changes, harm
+        for least in (self._minimal(changes, corrected, own), changes):
+            harm = self._harm(least, corrected, is_slow=True)
+            if not harm:
+                return least, ""
+        return changes, harm
 
     def _own_change(self, tried: list[str]) -> dict[str, Any]:
         """Return a change that corrects flagged rows on the target's own model; drop those that no setting changes."""

@@ -104,7 +104,7 @@ def test_what_a_file_does_not_state_is_inserted(gauge, tmp_path):
     text = text.replace("<option />", "").replace(
         '<geom friction="0.6 0.005 0.0001" />', ""
     )
-    ((before, after),) = written(gauge, tmp_path, text, "slide-turned")
+    ((_, after),) = written(gauge, tmp_path, text, "slide-turned")
     assert ' cone="elliptic"' in "".join(after)
 
 
@@ -146,6 +146,37 @@ def test_a_change_keeps_what_states_the_task(tmp_path):
         '- <option timestep="0.002" gravity="3.4684 3.4684 -8.4957"/>',
         '+ <option timestep="0.002" gravity="3.4684 3.4684 -8.4957" cone="elliptic"/>',
     )
+
+
+def test_a_connection_that_opens_gets_stiffer_alone(tmp_path):
+    """A load of 60 kg on a hook of 20 g; a weld of another softness, as one for mocap, stays as it is."""
+    text = """<mujoco>
+  <worldbody>
+    <body name="hook" pos="0 0 1"><joint type="slide" axis="0 0 1"/><geom size="0.02" mass="0.02"/></body>
+    <body name="load" pos="0 0 0.8"><freejoint/><geom type="box" size="0.05 0.05 0.05" mass="60"/></body>
+    <body name="hand" pos="1 0 1" mocap="true"/>
+    <body name="tool" pos="1 0 1"><freejoint/><geom size="0.02" mass="0.02"/></body>
+  </worldbody>
+  <equality>
+    <connect body1="hook" anchor="0 0 0"/>
+    <connect body1="load" body2="hook" anchor="0 0 0.2"/>
+    <weld body1="hand" body2="tool" solref="0.1 1"/>
+  </equality>
+</mujoco>"""
+    (tmp_path / "hang.xml").write_text(text)
+    report = check(str(tmp_path / "hang.xml"), only=["model-constraints"])
+    assert [*report.cure.mended] == ["model-constraints"]
+    changed = applied(report.configuration, report.cure.changes).robot.model
+    assert changed.eq_solref[2].tolist() == [0.1, 1.0]
+
+
+def test_what_no_setting_changes_is_left_out():
+    """A body ten times as heavy as lead stays, and does not hide the advice on contacts."""
+    text = quadruped_xml(geom='solref="0.2 1"').replace("7.84", "784")
+    model = mujoco.MjModel.from_xml_string(text)
+    report = check(model, only=["robot-mass", "rest-height"])
+    assert {"robot-mass", "rest-height"} <= set(report.flags)
+    assert report.cure.flag_count == report.cure.mended_count == 1
 
 
 def test_nothing_is_written_without_a_flag(gauge, tmp_path):
