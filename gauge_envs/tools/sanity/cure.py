@@ -49,8 +49,8 @@ class Outcome(NamedTuple):
 
     @property
     def text(self) -> str:
-        """The value, or the verdict where nothing was measured."""
-        return str(self.verdict) if self.value is None else f"{self.value:.3g}"
+        """The value in words."""
+        return "not measured" if self.value is None else f"{self.value:.3g}"
 
 
 def find_cure(
@@ -327,7 +327,12 @@ def _key(changes: Settings, name: str) -> tuple[str, str]:
 
 
 def _is_worse(before: Outcome, after: Outcome) -> bool:
-    """Return whether a row has a worse verdict, or is farther from reality by half the width of its interval."""
+    """Return whether a row cannot be measured any more, has a worse verdict, or is farther from reality.
+
+    What cannot be measured is, for example, a robot that stood at rest and falls.
+    """
+    if after.verdict is Verdict.DECLINED:
+        return True
     if before.verdict is Verdict.INSIDE:
         return after.verdict.is_off
     is_wrong = after.verdict is Verdict.WRONG and before.verdict is Verdict.VISIBLE
