@@ -7,15 +7,14 @@ controls of the keyframe, else position servos the command that holds the start,
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
 
-from gauge_envs.scene.geometry import BoolArray, FloatArray
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.robot.joints import servos
 from gauge_envs.tools.sanity.robot.robot import Robot, disable_bit, once
-from gauge_envs.tools.sanity.rows import NotApplicableError
+from gauge_envs.tools.sanity.rows import ROWS, NotApplicableError
 
 REST_S = 2.0
 """Time of a run at rest [s]: a body dropped by 0.1 m falls for 0.14 s, and a default contact settles in 0.1 s."""
@@ -32,6 +31,12 @@ REFINEMENT, SMALL_NV, LARGE_NV, FINE_S = 10, 60, 100, 5e-5
 A step is refined by no more than down to 50 us [s], but by two.
 """
 
+RESOLVED_RAD = 0.5
+"""Angle by which the stiffest contact with a stated stiffness swings in a refined step [rad].
+
+A semi-implicit step h holds a swing of angular frequency w up to h w = 2, and its period to 1 % at 0.5.
+"""
+
 SLEEP = int(mujoco.mjtEnableBit.mjENBL_SLEEP)
 
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION
@@ -43,7 +48,6 @@ DIVERGED = [
 ]
 
 
-@dataclass(frozen=True, kw_only=True)
 class Run:
     """A run at rest.
 
@@ -60,21 +64,61 @@ class Run:
         diverged_s: Time at which the state diverged [s]; infinite when it did not.
     """
 
-    model: mujoco.MjModel
-    data: mujoco.MjData
-    points_m: FloatArray
-    is_awake: BoolArray
-    stretches: FloatArray
-    sinks_m: FloatArray
-    late_state: FloatArray
-    sample_s: float
-    diverged_s: float = np.inf
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        sample_s: float,
+        state: FloatArray | None = None,
+        samples: int = SAMPLES,
+    ) -> None:
+        """Run a model from its start, or some samples from a state."""
+        self.model, self.data = model, start_data(model)
+        data = self.data
+        if state is not None:
+            mujoco.mj_setState(model, data, state, STATE)
+            mujoco.mj_forward(model, data)
+            data.time = 0.0
+        self.points_m = np.full((samples, model.nbody, 3, 3), np.nan)
+        self.is_awake = np.ones((samples, model.nbody), bool)
+        self.stretches, self.sinks_m = np.zeros((2, samples, model.nflex))
+        self.late_state = np.zeros(mujoco.mj_stateSize(model, STATE))
+        self.sample_s, self.diverged_s = sample_s, np.inf
+        masses_kg = np.maximum(model.body_mass, 1e-12)
+        radii_m = np.sqrt(model.body_inertia.max(axis=1) / masses_kg)[:, None, None]
+        for sample in range(samples):
+            until_s = (sample + 1) * sample_s - 0.5 * model.opt.timestep
+            while data.time < until_s:
+                mujoco.mj_step(model, data)
+                if has_diverged(data):
+                    self.diverged_s = max(until_s, sample_s)
+                    return
+            axes = data.ximat.reshape(-1, 3, 3).transpose(0, 2, 1)
+            self.points_m[sample] = data.xipos[:, None] + radii_m * axes
+            self.is_awake[sample] = data.body_awake != 0
+            self._add_flexes(sample)
+            if sample == samples - LATE:
+                mujoco.mj_getState(model, data, self.late_state, STATE)
+
+    def _add_flexes(self, sample: int) -> None:
+        """Add strain and depth of the flexes."""
+        model, data = self.model, self.data
+        for flex in range(model.nflex):
+            begin = int(model.flex_edgeadr[flex])
+            edges = slice(begin, begin + int(model.flex_edgenum[flex]))
+            if model.flex_edgeequality[flex] and not model.flex_rigid[flex]:
+                ratios = data.flexedge_length[edges] / model.flexedge_length0[edges]
+                self.stretches[sample, flex] = np.abs(ratios - 1.0).max()
+        for contact in data.contact[: data.ncon]:
+            flex = max(contact.flex)
+            if flex >= 0 and contact.exclude == 0 and min(contact.flex) < 0:
+                depth_m = max(self.sinks_m[sample, flex], -contact.dist)
+                self.sinks_m[sample, flex] = depth_m
 
     @property
-    def speeds_m_per_s(self) -> FloatArray:
-        """Root mean square of the speeds of the bodies in the last eighth [m/s], shape [nbody]."""
+    def speeds_mm_per_s(self) -> FloatArray:
+        """Root mean square of the speeds of the bodies in the last eighth [mm/s], shape [nbody]."""
         velocities = np.diff(self.points_m[-LATE // 2 :], axis=0) / self.sample_s
-        return np.asarray(np.sqrt((velocities**2).sum(-1).mean((0, 2))))
+        return 1e3 * np.sqrt((velocities**2).sum(-1).mean((0, 2)))
 
 
 def seconds(model: mujoco.MjModel, longest_s: float) -> float:
@@ -83,9 +127,8 @@ def seconds(model: mujoco.MjModel, longest_s: float) -> float:
 
 
 def has_diverged(data: mujoco.MjData) -> bool:
-    """Return whether a state is not finite, or MuJoCo has reset it."""
-    is_bad = any(data.warning[number].number for number in DIVERGED)
-    return is_bad or not np.isfinite(data.qpos).all()
+    """Return whether MuJoCo has met a state that is not finite."""
+    return any(data.warning[number].number for number in DIVERGED)
 
 
 def start_data(model: mujoco.MjModel) -> mujoco.MjData:
@@ -94,6 +137,7 @@ def start_data(model: mujoco.MjModel) -> mujoco.MjData:
     if model.nkey:
         home = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "home")
         mujoco.mj_resetDataKeyframe(model, data, max(home, 0))
+    data.time = 0.0
     mujoco.mj_forward(model, data)
     if data.ctrl.any():
         return data
@@ -112,10 +156,9 @@ def finer_solver(model: mujoco.MjModel) -> mujoco.MjModel:
     option = finer.opt
     option.solver = mujoco.mjtSolver.mjSOL_NEWTON
     option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
-    for name in ("iterations", "ls_iterations", "noslip_iterations", "ccd_iterations"):
-        setattr(option, name, REFINEMENT * getattr(option, name))
-    option.iterations = max(option.iterations, 100)
-    option.ls_iterations = max(option.ls_iterations, 50)
+    option.iterations, option.ls_iterations = 1000, 500
+    option.noslip_iterations *= REFINEMENT
+    option.ccd_iterations *= REFINEMENT
     option.tolerance = option.ls_tolerance = option.noslip_tolerance = 1e-10
     option.ccd_tolerance = min(option.ccd_tolerance, 1e-6)
     option.enableflags &= ~SLEEP
@@ -123,109 +166,48 @@ def finer_solver(model: mujoco.MjModel) -> mujoco.MjModel:
 
 
 def refined(model: mujoco.MjModel) -> mujoco.MjModel:
-    """Return a copy of a model with a tenth of the step and an exact solver, and the same constants of constraints.
+    """Return a copy of a model with a tenth of the step or less, an exact solver, and the constants of constraints.
 
     MuJoCo raises time constants of constraints to two steps, unless `refsafe` is off: they stay as the step of the
-    model raises them.
+    model raises them. A negative constant is a stiffness in 1/s^2, the square of an angular frequency.
     """
     if model.nv > LARGE_NV:
         raise NotApplicableError(
             f"a refined run of {model.nv} degrees of freedom takes long"
         )
     finer, step_s = finer_solver(model), float(model.opt.timestep)
+    arrays = [getattr(finer, name) for name in dir(finer) if "solref" in name]
+    constants_s = [array.reshape(-1, 2)[:, 0] for array in arrays]
     factor = REFINEMENT if model.nv <= SMALL_NV else 4
+    stiffness = -min(several.min(initial=0.0) for several in constants_s)
+    factor = max(factor, step_s * np.sqrt(stiffness) / RESOLVED_RAD)
     finer.opt.timestep = step_s / np.clip(round(step_s / FINE_S), 2, factor)
     if not model.opt.disableflags & disable_bit("refsafe"):
-        arrays = [getattr(finer, name) for name in dir(finer) if "solref" in name]
-        for array in [*arrays, finer.opt.o_solref]:
-            constants_s = array.reshape(-1, 2)[:, 0]
-            is_short = (constants_s > 0.0) & (constants_s < 2.0 * step_s)
-            constants_s[is_short] = 2.0 * step_s
+        for several in [*constants_s, finer.opt.o_solref[:1]]:
+            several[(several > 0.0) & (several < 2.0 * step_s)] = 2.0 * step_s
     return finer
 
 
 @once
-def rest_from_refined(robot: Robot) -> Run:
-    """Return the last quarter of the run of the model as it is, from the state of the refined run."""
-    late_s = 0.25 * seconds(robot.model, REST_S)
-    return _run(robot.model, late_s, refined_rest(robot).late_state, LATE)
+def rest(robot: Robot, *, is_refined: bool) -> Run:
+    """Return the run of the model as it is, or of the refined model from the same start."""
+    model = refined(robot.model) if is_refined else robot.model
+    return Run(model, seconds(robot.model, REST_S) / SAMPLES)
 
 
-@once
-def rest(robot: Robot) -> Run:
-    """Return the run of the model as it is."""
-    return _run(robot.model, seconds(robot.model, REST_S))
-
-
-@once
-def refined_rest(robot: Robot) -> Run:
-    """Return the run of the refined model from the same start."""
-    return _run(refined(robot.model), seconds(robot.model, REST_S))
-
-
-def settled(robot: Robot) -> Run:
-    """Return the run of the model as it is; rows on rest do not apply to one without joints or that diverges."""
+def settled(robot: Robot, *, is_refined: bool = False) -> Run:
+    """Return such a run; rows on rest do not apply to a model without joints or a run that diverges."""
     if not robot.model.nv:
         raise NotApplicableError("the model has no joint")
-    run = rest(robot)
+    run = rest(robot, is_refined=is_refined)
     if np.isfinite(run.diverged_s):
-        raise NotApplicableError(f"the state diverges at {run.diverged_s:.3g} s")
+        raise NotApplicableError(
+            f"the state diverges at {run.diverged_s:.3g} s with a step of {run.model.opt.timestep:g} s"
+        )
     return run
 
 
-def _run(
-    model: mujoco.MjModel,
-    rest_s: float,
-    state: FloatArray | None = None,
-    samples: int = SAMPLES,
-) -> Run:
-    """Return a run from the model's start, or from a state."""
-    data = start_data(model)
-    if state is not None:
-        mujoco.mj_setState(model, data, state, STATE)
-        mujoco.mj_forward(model, data)
-    run = Run(
-        model=model,
-        data=data,
-        points_m=np.full((samples, model.nbody, 3, 3), np.nan),
-        is_awake=np.ones((samples, model.nbody), bool),
-        stretches=np.zeros((samples, model.nflex)),
-        sinks_m=np.zeros((samples, model.nflex)),
-        late_state=np.zeros(mujoco.mj_stateSize(model, STATE)),
-        sample_s=rest_s / samples,
-    )
-    masses_kg = np.maximum(model.body_mass, 1e-12)
-    radii_m = np.sqrt(model.body_inertia.max(axis=1) / masses_kg)[:, None, None]
-    begin_s = float(data.time)
-    for sample in range(samples):
-        until_s = begin_s + (sample + 1) * run.sample_s - 0.5 * model.opt.timestep
-        while data.time < until_s:
-            mujoco.mj_step(model, data)
-            if has_diverged(data):
-                return replace(run, diverged_s=max(until_s - begin_s, run.sample_s))
-        axes = data.ximat.reshape(-1, 3, 3).transpose(0, 2, 1)
-        run.points_m[sample] = data.xipos[:, None] + radii_m * axes
-        if model.opt.enableflags & SLEEP:
-            run.is_awake[sample] = data.body_awake != 0
-        if model.nflex:
-            _add_flexes(run, sample)
-        if sample == samples - LATE:
-            mujoco.mj_getState(model, data, run.late_state, STATE)
-    return run
-
-
-def _add_flexes(run: Run, sample: int) -> None:
-    """Add strain and depth of the flexes to a run."""
-    model, data = run.model, run.data
-    for flex in range(model.nflex):
-        begin = int(model.flex_edgeadr[flex])
-        edges = slice(begin, begin + int(model.flex_edgenum[flex]))
-        if model.flex_edgeequality[flex] and not model.flex_rigid[flex]:
-            lengths_m = model.flexedge_length0[edges]
-            strains = np.abs(data.flexedge_length[edges] / lengths_m - 1.0)
-            run.stretches[sample, flex] = strains.max()
-    for contact in data.contact[: data.ncon]:
-        flex = int(max(contact.flex))
-        if flex >= 0 and contact.exclude == 0 and min(contact.flex) < 0:
-            depth_m = max(run.sinks_m[sample, flex], -contact.dist)
-            run.sinks_m[sample, flex] = depth_m
+def leave_to(robot: Robot, name: str) -> None:
+    """Raise `NotApplicableError` where another row has the cause of a fault."""
+    if ROWS[name].deviation(robot.finding(ROWS[name]).value) > 1.0:
+        raise NotApplicableError(f"{name} has the cause")
