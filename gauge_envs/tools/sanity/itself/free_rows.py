@@ -75,8 +75,7 @@ def _flight(model: mujoco.MjModel, joints: list[int]) -> tuple[FloatArray, float
 def spin(robot: Robot) -> Finding:
     """Return the change of angular momentum of free bodies without contact, that a refined run does not show."""
     model = robot.model
-    has_mass = model.body_subtreemass[model.jnt_bodyid] > 0.0
-    free = np.flatnonzero(joints_of(model, "FREE") & has_mass).tolist()
+    free = np.flatnonzero(joints_of(model, "FREE")).tolist()
     if not free:
         raise NotApplicableError("no body of the model is free")
     flying = _in_flight(model, "gravity")
@@ -236,25 +235,22 @@ def _idle_rolling(robot: Robot) -> dict[Place, str]:
 
 
 def _half_carried(robot: Robot) -> dict[Place, str]:
-    """Return links that motors move without being carried against gravity, next to one that is carried.
+    """Return links on hinges of motors that feel the links' weight, next to a link that is carried against gravity.
 
-    A link before it counts where its hinge feels weight: the first hinge of many arms is upright.
+    The first hinge of many arms is upright and feels none.
     """
-    model = robot.model
-    idle: dict[Place, str] = {}
+    model, parents = robot.model, robot.model.body_parentid
     joints = joints_of_motors(model)
     moments = np.cross(start_data(model).xaxis[joints], model.opt.gravity)
-    feels = joints_of(model, "HINGE")[joints] & (np.abs(moments).max(axis=1) > 0.1)
-    moved, bent = set(model.jnt_bodyid[joints]), set(model.jnt_bodyid[joints[feels]])
-    for body in sorted(moved):
-        parent = model.body_parentid[body]
-        for link, carried, several in ((body, parent, moved), (parent, body, bent)):
-            weight = model.body_mass[link] * (model.body_gravcomp[link] == 0.0)
-            is_carried = model.body_gravcomp[carried] > 0.0 and link in several
-            if is_carried and weight > LINK_SHARE * model.body_mass[carried]:
-                idle.setdefault(
-                    ("body", int(link)),
-                    f"gravcomp {model.body_gravcomp[carried]:g} is stated for {name_of(robot, 'body', carried)}, not "
-                    f"for {name_of(robot, 'body', link)} ({model.body_mass[link]:.3g} kg)",
-                )
+    bends = joints_of(model, "HINGE")[joints] & (np.abs(moments).max(axis=1) > 0.1)
+    moved, idle = model.jnt_bodyid[joints], {}
+    for body in np.unique(moved[bends]).tolist():
+        near = [parents[body], *np.unique(moved[parents[moved] == body])]
+        carried = [int(link) for link in near if model.body_gravcomp[link] > 0.0]
+        weight_kg = model.body_mass[body] * (model.body_gravcomp[body] == 0.0)
+        if carried and weight_kg > LINK_SHARE * model.body_mass[carried[0]]:
+            idle["body", body] = (
+                f"gravcomp {model.body_gravcomp[carried[0]]:g} is stated for {name_of(robot, 'body', carried[0])}, "
+                f"not for {name_of(robot, 'body', body)} ({weight_kg:.3g} kg)"
+            )
     return idle

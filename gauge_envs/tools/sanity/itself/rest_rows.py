@@ -24,7 +24,7 @@ from gauge_envs.tools.sanity.itself.runs import (
 )
 from gauge_envs.tools.sanity.robot.mujoco_feet import joints_of
 from gauge_envs.tools.sanity.robot.robot import Robot
-from gauge_envs.tools.sanity.rows import Finding, NotApplicableError, Place, row
+from gauge_envs.tools.sanity.rows import Finding, NotApplicableError, row
 
 NOTHING = Finding(value=0.0)
 """What a row finds where nothing is off."""
@@ -107,24 +107,21 @@ def overlap(robot: Robot) -> Finding:
     return worst(findings)
 
 
-EQUALITY = int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
-
-LIMITED = {
-    int(mujoco.mjtConstraint.mjCNSTR_LIMIT_JOINT): "joint",
-    int(mujoco.mjtConstraint.mjCNSTR_LIMIT_TENDON): "tendon",
+PARTS = {
+    "mjEQ_CONNECT": "body",
+    "mjEQ_WELD": "body",
+    "mjEQ_JOINT": "joint",
+    "mjEQ_TENDON": "tendon",
+    "mjCNSTR_LIMIT_JOINT": "joint",
+    "mjCNSTR_LIMIT_TENDON": "tendon",
 }
-"""What limits stop, by the type of the constraint."""
+"""What equalities join and limits stop, by MuJoCo's name of their type."""
 
-JOINED = {
-    int(mujoco.mjtEq.mjEQ_CONNECT): "body",
-    int(mujoco.mjtEq.mjEQ_WELD): "body",
-    int(mujoco.mjtEq.mjEQ_JOINT): "joint",
-    int(mujoco.mjtEq.mjEQ_TENDON): "tendon",
-}
-"""What equalities join, by their type."""
+SOFT_S, HARD = 0.02, 0.9
+"""Time constant of constraints by default [s]: who states a longer one, or a stiffness, may mean a spring.
 
-SOFT_S = 0.02
-"""Time constant of constraints by default [s]: who states a longer one, or a stiffness, may mean a spring."""
+So may who states an impedance below the default.
+"""
 
 
 @row(
@@ -142,90 +139,78 @@ def constraints(robot: Robot) -> Finding:
     """
     run = settled(robot)
     before = _openings(robot, start_data(run.model))
-    after = _openings(robot, run.data)
-    return worst(
-        [
-            replace(opening, value=opening.value - before.get(key, NOTHING).value)
-            for key, opening in after.items()
-        ]
-    )
+    openings = [
+        replace(opening, value=opening.value - before.get(key, NOTHING).value)
+        for key, opening in _openings(robot, run.data).items()
+    ]
+    return worst(openings)
 
 
 def _openings(robot: Robot, data: mujoco.MjData) -> dict[tuple[int, int], Finding]:
     """Return the opening of each constraint that is a part of the machine, by type and id."""
     model, openings = robot.model, {}
-    parts = [_part(model, EQUALITY, number)[0] for number in range(model.neq)]
     for kind, number in sorted(set(zip(data.efc_type, data.efc_id, strict=True))):
-        noun, ends = _part(model, kind, number)
-        # A body that code places leads the rest into its limits.
-        if noun in ("", "mocap") or (kind != EQUALITY and "mocap" in parts):
+        is_limit = kind != int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
+        noun, ends = (
+            _stopped(model, kind, number) if is_limit else _joined(model, number)
+        )
+        if not noun:
             continue
         rows = (data.efc_type == kind) & (data.efc_id == number)
-        force = float(np.linalg.norm(data.efc_force[rows]))
-        if noun == "body":
-            gap_m = float(np.linalg.norm(data.efc_pos[rows][:3]))
-            opening = _gap(robot, number, ends, gap_m, force)
-        else:
-            # The distance to a limit is negative beyond it.
-            residual = float(data.efc_pos[rows][0])
-            residual = abs(residual) if kind == EQUALITY else max(-residual, 0.0)
-            opening = _excess(robot, (noun, ends[0]), residual, force)
-        is_usual = kind == EQUALITY and _is_soft(model, number)
-        openings[kind, number] = replace(opening, is_usual=is_usual)
+        force, values = float(np.linalg.norm(data.efc_force[rows])), data.efc_pos[rows]
+        # The distance to a limit is negative beyond it. A weld has angles behind its three lengths.
+        residual = max(-values[0], 0.0) if is_limit else np.linalg.norm(values[:3])
+        opening = _opening(robot, noun, ends, float(residual), force)
+        if not is_limit:
+            time_s, impedance = model.eq_solref[number, 0], model.eq_solimp[number, 1]
+            is_soft = not 0.0 < time_s <= SOFT_S or impedance < HARD
+            place = ("equality", number) if noun == "body" else opening.place
+            opening = replace(opening, place=place, is_usual=bool(is_soft))
+        openings[kind, number] = opening
     return openings
 
 
-def _part(model: mujoco.MjModel, kind: int, number: int) -> tuple[str, list[int]]:
-    """Return what a constraint joins or stops, and its ids; `mocap` for a weld to a body that code places.
+def _stopped(model: mujoco.MjModel, kind: int, number: int) -> tuple[str, list[int]]:
+    """Return what a limit stops, and its id; nothing where a body that code places leads parts into limits."""
+    name = mujoco.mjtConstraint(kind).name
+    return "" if model.nmocap else PARTS.get(name, ""), [number]
 
-    It is empty for couplings of a motor, edges of a flex and all that is neither equality nor limit.
-    """
-    if kind != EQUALITY:
-        return LIMITED.get(kind, ""), [number]
-    noun = JOINED.get(int(model.eq_type[number]), "")
+
+def _joined(model: mujoco.MjModel, number: int) -> tuple[str, list[int]]:
+    """Return what an equality joins, and its ids; nothing for welds to a mocap body, and couplings of a motor."""
+    noun = PARTS.get(mujoco.mjtEq(model.eq_type[number]).name, "")
     ends = [int(model.eq_obj1id[number]), int(model.eq_obj2id[number])]
+    is_of_code = noun == "joint" and np.isin(model.actuator_trnid[:, 0], ends).any()
     if noun == "body":
         if int(model.eq_objtype[number]) == int(mujoco.mjtObj.mjOBJ_SITE):
             ends = model.site_bodyid[ends].tolist()
-        return "mocap" if model.body_mocapid[ends].max() >= 0 else noun, ends
-    is_driven = noun == "joint" and np.isin(model.actuator_trnid[:, 0], ends).any()
-    return "" if is_driven else noun, ends
+        is_of_code = model.body_mocapid[ends].max() >= 0
+    return "" if is_of_code else noun, ends if noun == "body" else ends[:1]
 
 
-def _is_soft(model: mujoco.MjModel, number: int) -> bool:
-    """Return whether an equality states constants that are softer than MuJoCo's default."""
-    constant = float(model.eq_solref[number, 0])
-    return not 0.0 < constant <= SOFT_S or model.eq_solimp[number, 1] < 0.9
-
-
-def _gap(
-    robot: Robot, number: int, bodies: list[int], gap_m: float, force_n: float
+def _opening(
+    robot: Robot, noun: str, ends: list[int], residual: float, force: float
 ) -> Finding:
-    """Return the gap of a connection or weld, over the size of the larger body that it joins."""
-    sizes_m = [body_size_m(robot.model, body) for body in bodies if body]
-    least_m = float(robot.model.stat.meansize)
-    size_m = max(filter(np.isfinite, sizes_m), default=least_m)
-    names = " and ".join(name_of(robot, "body", body) for body in bodies)
-    return Finding(
-        value=gap_m / size_m,
-        place=("equality", number),
-        remark=f"{names} are {1e3 * gap_m:.3g} mm apart under {force_n:.3g} N",
-    )
+    """Return a residual over the size of the larger body, the length of a tendon or the range of a slide.
 
-
-def _excess(robot: Robot, place: Place, residual: float, force: float) -> Finding:
-    """Return the way of a tendon or slide off its coupling or range, over its length, or that of a hinge [rad]."""
-    model, (noun, number) = robot.model, place
-    lengths_m, units = model.tendon_length0, ("m", "N")
-    if noun == "joint":
-        lengths_m = np.ptp(model.jnt_range, axis=1)
-        if not joints_of(model, "SLIDE")[number]:
-            lengths_m, units = np.ones(model.njnt), ("rad", "N m")
+    That of a hinge is in radians.
+    """
+    model, first = robot.model, ends[0]
+    units, text = ("m", "N"), "off its range or coupling"
+    if noun == "body":
+        sizes_m = [body_size_m(model, body) for body in ends if body]
+        size, text = max(filter(np.isfinite, sizes_m), default=0.0), "apart"
+    elif noun == "tendon":
+        size = model.tendon_length0[first]
+    elif joints_of(model, "SLIDE")[first]:
+        size = np.ptp(model.jnt_range[first])
+    else:
+        size, units = 1.0, ("rad", "N m")
+    names = " and ".join(name_of(robot, noun, end) for end in ends)
     return Finding(
-        value=residual / float(lengths_m[number] or model.stat.meansize),
-        place=place,
-        remark=f"{name_of(robot, *place)} is {residual:.3g} {units[0]} off its range or coupling under {force:.3g} "
-        f"{units[1]}",
+        value=residual / float(size or model.stat.meansize),
+        place=(noun, first),
+        remark=f"{names}: {residual:.3g} {units[0]} {text} under {force:.3g} {units[1]}",
     )
 
 
@@ -298,16 +283,12 @@ def creep(robot: Robot) -> Finding:
     )
 
 
-def _worst_flex(
-    robot: Robot, ratios: FloatArray, units: FloatArray, text: str
-) -> Finding:
-    """Return the largest ratio that a flex has for a tenth of the run, with a text of it and its ratio in a unit."""
+def _worst_flex(robot: Robot, ratios: FloatArray, text: str) -> Finding:
+    """Return the largest ratio that a flex has for a tenth of the run, with a text of it."""
     often = np.quantile(ratios, 0.9, axis=0)
     flex = int(often.argmax())
-    return Finding(
-        value=float(often[flex]),
-        remark=text.format(name_of(robot, "flex", flex), often[flex] * units[flex]),
-    )
+    ratio = float(often[flex])
+    return Finding(value=ratio, remark=text.format(name_of(robot, "flex", flex), ratio))
 
 
 @row(
@@ -320,11 +301,11 @@ def _worst_flex(
 )
 def cloth(robot: Robot) -> Finding:
     """Return the strain of the edges of flexes whose length an equality holds."""
-    stretches, model = settled(robot).stretches, robot.model
-    if not model.flex_edgeequality.any():
+    stretches = settled(robot).stretches
+    if not robot.model.flex_edgeequality.any():
         raise NotApplicableError("the model has no flex whose edges keep their length")
-    percent, text = np.full(model.nflex, 100.0), "edges of {} stretch by {:.3g} %"
-    return _worst_flex(robot, stretches, percent, text)
+    text = "edges of {} stretch by {:.3g} of their length under gravity"
+    return _worst_flex(robot, stretches, text)
 
 
 @row(
@@ -340,9 +321,9 @@ def cloth_sink(robot: Robot) -> Finding:
     run, model = settled(robot), robot.model
     if not model.nflex:
         raise NotApplicableError("the model has no flex")
-    thicknesses_m = 2.0 * np.maximum(model.flex_radius, 1e-3)
-    text = "{} is {:.3g} mm inside what carries it"
-    return _worst_flex(robot, run.sinks_m / thicknesses_m, 1e3 * thicknesses_m, text)
+    ratios = run.sinks_m / (2.0 * np.maximum(model.flex_radius, 1e-3))
+    text = "{} is {:.3g} times its thickness inside what carries it"
+    return _worst_flex(robot, ratios, text)
 
 
 SINE_S, SINE_SHARE, SINE_RAD = 1.0, 0.25, 0.2

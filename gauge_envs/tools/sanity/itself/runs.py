@@ -42,11 +42,6 @@ SLEEP = int(mujoco.mjtEnableBit.mjENBL_SLEEP)
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 """All that a step depends on."""
 
-DIVERGED = [
-    int(getattr(mujoco.mjtWarning, f"mjWARN_BAD{name}"))
-    for name in ("QPOS", "QVEL", "QACC")
-]
-
 
 class Run:
     """A run at rest.
@@ -102,17 +97,15 @@ class Run:
     def _add_flexes(self, sample: int) -> None:
         """Add strain and depth of the flexes."""
         model, data = self.model, self.data
-        for flex in range(model.nflex):
-            begin = int(model.flex_edgeadr[flex])
-            edges = slice(begin, begin + int(model.flex_edgenum[flex]))
-            if model.flex_edgeequality[flex] and not model.flex_rigid[flex]:
-                ratios = data.flexedge_length[edges] / model.flexedge_length0[edges]
-                self.stretches[sample, flex] = np.abs(ratios - 1.0).max()
-        for contact in data.contact[: data.ncon]:
-            flex = max(contact.flex)
-            if flex >= 0 and contact.exclude == 0 and min(contact.flex) < 0:
-                depth_m = max(self.sinks_m[sample, flex], -contact.dist)
-                self.sinks_m[sample, flex] = depth_m
+        is_judged = (model.flex_edgeequality != 0) & (model.flex_rigid == 0)
+        of_edge = np.repeat(np.arange(model.nflex), model.flex_edgenum)
+        edges = np.flatnonzero(is_judged[of_edge])
+        ratios = data.flexedge_length[edges] / model.flexedge_length0[edges]
+        np.maximum.at(self.stretches[sample], of_edge[edges], np.abs(ratios - 1.0))
+        low, high = np.sort(data.contact.flex, axis=1).T
+        rigid = np.flatnonzero((low < 0) & (high >= 0) & (data.contact.exclude == 0))
+        depths_m = -data.contact.dist[rigid]
+        np.maximum.at(self.sinks_m[sample], high[rigid], depths_m)
 
     @property
     def speeds_mm_per_s(self) -> FloatArray:
@@ -127,8 +120,8 @@ def seconds(model: mujoco.MjModel, longest_s: float) -> float:
 
 
 def has_diverged(data: mujoco.MjData) -> bool:
-    """Return whether MuJoCo has met a state that is not finite."""
-    return any(data.warning[number].number for number in DIVERGED)
+    """Return whether MuJoCo has met a position, velocity, acceleration or control that is not finite."""
+    return bool(data.warning.number[int(mujoco.mjtWarning.mjWARN_BADQPOS) :].any())
 
 
 def start_data(model: mujoco.MjModel) -> mujoco.MjData:
