@@ -76,12 +76,15 @@ KEY = "name time qpos qvel act ctrl mpos mquat"
 SITE = "name pos quat"
 EQUALITY = "solref solimp active=active0"
 WRAPS = {
-    "joint": "joint=objid:jnt coef=prm",
+    "joint": "joint=objid:joint coef=prm",
     "pulley": "divisor=prm",
     "site": "site=objid:site",
     "geom": "geom=objid:geom sidesite=prm:site",
 }
 """Attributes of what a tendon wraps around, by its kind."""
+
+SITE_KEYS = {"site": ["site", "refsite"], "slidercrank": ["cranksite", "slidersite"]}
+"""Attributes of an actuator for its two sites."""
 
 
 def text(*values: Any) -> str:
@@ -105,11 +108,11 @@ def name_of(model: Any, kind: str, index: Any) -> str:
     name = getattr(model, kind)(int(index)).name
     if name or kind == "key":
         return name
-    owner = ""
+    name = f"{kind} {int(index)}"
     if kind == "geom":
-        body = model.body(int(model.geom_bodyid[index])).name or "an unnamed body"
-        owner = f" of {body}"
-    return f"{kind} {int(index)}{owner}"
+        owner = model.body(int(model.geom_bodyid[index])).name
+        name += f" of {owner or 'an unnamed body'}"
+    return name
 
 
 def attributes(model: Any, prefix: str, index: int, table: str) -> dict[str, str]:
@@ -146,15 +149,16 @@ def mjcf(model: Any) -> str:
     add_shapes(ET.SubElement(root, "asset"), model)
     bodies = [ET.SubElement(root, "worldbody")]
     for index in range(1, model.nbody):
-        owner = bodies[model.body_parentid[index]]
-        body = ET.SubElement(owner, "body", attributes(model, "body", index, BODY))
-        body.set("mocap", text(model.body_mocapid[index] >= 0))
-        ET.SubElement(body, "inertial", attributes(model, "body", index, INERTIAL))
-        bodies.append(body)
-    places = ("contact", "tendon", "equality", "actuator", "keyframe", "left_out")
+        body = attributes(model, "body", index, BODY)
+        body["mocap"] = text(model.body_mocapid[index] >= 0)
+        bodies.append(ET.SubElement(bodies[model.body_parentid[index]], "body", body))
+        inertial = attributes(model, "body", index, INERTIAL)
+        ET.SubElement(bodies[-1], "inertial", inertial)
+    places = ("contact", "tendon", "equality", "actuator", "keyframe")
     parts = {place: ET.SubElement(root, place) for place in places}
     # An equality of a flex is left out with it.
-    equalities = [parts["equality" if t < 4 else "left_out"] for t in model.eq_type]
+    left_out = ET.Element("flex")
+    equalities = [parts["equality"] if t < 4 else left_out for t in model.eq_type]
     for prefix, tag, parents, table, complete in (
         ("jnt", "joint", [bodies[b] for b in model.jnt_bodyid], JOINT, of_joint),
         ("geom", "geom", [bodies[b] for b in model.geom_bodyid], GEOM, of_geom),
@@ -166,17 +170,13 @@ def mjcf(model: Any) -> str:
         ("key", "key", [parts["keyframe"]] * model.nkey, KEY, None),
     ):
         for index, parent in enumerate(parents):
-            element = ET.SubElement(
-                parent, tag, attributes(model, prefix, index, table)
-            )
+            values = attributes(model, prefix, index, table)
+            element = ET.SubElement(parent, tag, values)
             if complete:
                 complete(element, model, index)
     for signature in model.exclude_signature:
-        first, second = divmod(int(signature), 1 << 16)
-        ends = {"body1": first, "body2": second}
-        names = {end: name_of(model, "body", body) for end, body in ends.items()}
-        ET.SubElement(parts["contact"], "exclude", names)
-    root.remove(parts["left_out"])
+        names = [name_of(model, "body", end) for end in divmod(int(signature), 1 << 16)]
+        ET.SubElement(parts["contact"], "exclude", body1=names[0], body2=names[1])
     return ET.tostring(root, encoding="unicode")
 
 
@@ -232,23 +232,16 @@ def add_shapes(parent: ET.Element, model: Any) -> None:
 
 
 def of_geom(element: ET.Element, model: Any, index: int) -> None:
-    """Complete a geom by its mesh or height field; a mesh without a hull is the box around it."""
-    import mujoco
-    import numpy
-
-    number = model.geom_dataid[index]
-    if element.get("type") == "hfield":
+    """Complete a geom by its mesh or height field; a mesh without a hull is a box of its size."""
+    number, kind = model.geom_dataid[index], element.get("type")
+    if kind == "hfield":
         element.set("hfield", name_of(model, "hfield", number))
-    if element.get("type") not in ("mesh", "sdf"):
-        return
-    if model.mesh_graphadr[number] >= 0:
+    elif kind in ("mesh", "sdf") and model.mesh_graphadr[number] >= 0:
         element.attrib.pop("size")
         element.attrib.update(type="mesh", mesh=name_of(model, "mesh", number))
-        return
-    middle, box = numpy.zeros(3), model.geom_aabb[index]
-    mujoco.mju_rotVecQuat(middle, box[:3], model.geom_quat[index])
-    pos, size = model.geom_pos[index] + middle, numpy.maximum(box[3:], 1e-6)
-    element.attrib.update(type="box", pos=text(pos), size=text(size))
+    elif kind in ("mesh", "sdf"):
+        # A box has a height.
+        element.attrib.update(type="box", size=text(model.geom_aabb[index, 3:] + 1e-9))
 
 
 def of_tendon(element: ET.Element, model: Any, index: int) -> None:
@@ -256,49 +249,42 @@ def of_tendon(element: ET.Element, model: Any, index: int) -> None:
     first = model.tendon_adr[index]
     for wrap in range(first, first + model.tendon_num[index]):
         kind = constant("mjtWrap", model.wrap_type[wrap])
-        if kind == "joint":
-            element.tag = "fixed"
-        elif kind in ("sphere", "cylinder"):
-            kind = "geom"
+        element.tag = "fixed" if kind == "joint" else element.tag
+        kind = "geom" if kind in ("sphere", "cylinder") else kind
         ET.SubElement(element, kind, attributes(model, "wrap", wrap, WRAPS[kind]))
 
 
 def of_equality(element: ET.Element, model: Any, index: int) -> None:
     """Complete an equality between bodies, sites, joints or tendons."""
-    data, kind = model.eq_data[index], constant("mjtEq", model.eq_type[index])
     if model.eq_type[index] > 3:
         return
-    element.tag = what = kind
+    data, what = model.eq_data[index], constant("mjtObj", model.eq_objtype[index])
+    element.tag = kind = constant("mjtEq", model.eq_type[index])
     if kind in ("joint", "tendon"):
+        what = kind
         element.set("polycoef", text(data[:5]))
-    else:
-        what = constant("mjtObj", model.eq_objtype[index])
-    if what == "body":
-        element.set("anchor", text(data[:3]))
     if kind == "weld":
         element.set("torquescale", text(data[10]))
-        if what == "body":
-            element.set("relpose", text(data[3:10]))
-    object_kind = "jnt" if what == "joint" else what
-    ends = f"{what}1=obj1id:{object_kind} {what}2=obj2id:{object_kind}"
+    if what == "body":
+        element.set("anchor", text(data[:3]))
+    if what == "body" and kind == "weld":
+        element.set("relpose", text(data[3:10]))
+    ends = f"{what}1=obj1id:{what} {what}2=obj2id:{what}"
     element.attrib.update(attributes(model, "eq", index, ends))
 
 
 def of_actuator(element: ET.Element, model: Any, index: int) -> None:
     """Complete an actuator by what it acts on."""
     kind = constant("mjtTrn", model.actuator_trntype[index])
-    first, second = model.actuator_trnid[index]
     if hasattr(model, "actuator_history"):
         element.set("nsample", text(model.actuator_history[index][0]))
-    keys = {"site": ("site", "refsite"), "slidercrank": ("cranksite", "slidersite")}
     if kind == "slidercrank":
         element.set("cranklength", text(model.actuator_cranklength[index]))
-    if kind in keys:
-        ends = zip(keys[kind], (first, second))  # noqa: B905
-        names = {key: name_of(model, "site", end) for key, end in ends if end >= 0}
-        element.attrib.update(names)
-    else:
-        element.set(kind, name_of(model, kind.replace("inparent", ""), first))
+    keys = SITE_KEYS.get(kind, [kind])
+    what = "site" if kind in SITE_KEYS else kind.replace("inparent", "")
+    for key, end in zip(keys, model.actuator_trnid[index]):  # noqa: B905
+        if end >= 0:
+            element.set(key, name_of(model, what, end))
 
 
 # --- what a target is ------------------------------------------------------------------------------------------------
@@ -329,15 +315,19 @@ def found(value: Any, place: str) -> Any:
     return value
 
 
-def is_of(value: Any, package: str, name: str) -> bool:
-    """Return whether a value's class has that name and is from that package, which need not be imported."""
-    kind = type(value)
-    return kind.__name__ == name and kind.__module__.split(".")[0] == package
+def kind_of(value: Any) -> str:
+    """Return module and name of a value's class."""
+    return f"{type(value).__module__}.{type(value).__qualname__}"
+
+
+def is_model(value: Any) -> bool:
+    """Return whether a value is a compiled model."""
+    return kind_of(value) == "mujoco._structs.MjModel"
 
 
 def mujoco_model(target: Any) -> Any:
     """Return the compiled model that a target is or holds; None where there is none."""
-    if is_of(target, "mujoco", "MjSpec"):
+    if kind_of(target).endswith(".MjSpec"):
         return target.compile()
     if found(target, "sim.mujoco") and found(target, "scene.entities"):
         # A task's configuration of mjlab; no simulation is started.
@@ -347,7 +337,7 @@ def mujoco_model(target: Any) -> Any:
         target.sim.mujoco.apply(model)
         return model
     models = (found(target, place) for place in ("", *MODEL_PLACES.split()))
-    return next((model for model in models if is_of(model, "mujoco", "MjModel")), None)
+    return next(filter(is_model, models), None)
 
 
 def capture_mujoco(target: Any) -> dict[str, Any] | None:
@@ -358,8 +348,7 @@ def capture_mujoco(target: Any) -> dict[str, Any] | None:
     import mujoco
 
     skips = [found(target, place) for place in SKIPS.split()]
-    package = type(target).__module__.split(".")[0]
-    engine = ENGINES.get(package, "MuJoCo")
+    engine = ENGINES.get(kind_of(target).split(".")[0], "MuJoCo")
     if found(target, "_config.impl") == "warp":
         engine = "MuJoCo Warp"
     notes = [
@@ -386,7 +375,7 @@ def capture_settings(target: Any) -> dict[str, Any] | None:
         cfg = found(target, place)
         # A task of ManiSkill states its settings without being started.
         cfg = cfg.__get__(object()) if isinstance(cfg, property) else cfg
-        if is_of(cfg, "mani_skill", "SimConfig"):
+        if kind_of(cfg).endswith(".SimConfig"):
             return {"kind": "maniskill", "data": cfg}
     options = found(target, "options") or target
     parts = {part: found(options, part) for part in ("sim", "rigid")}
@@ -397,40 +386,30 @@ def plain(value: Any) -> Any:
     """Return a value of another type than JSON's in its types."""
     if isinstance(value, enum.Enum):
         return value.name
-    for method in ("to_dict", "model_dump", "tolist"):
-        if hasattr(value, method) and not isinstance(value, type):
-            return getattr(value, method)()
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return {
-            field.name: getattr(value, field.name)
-            for field in dataclasses.fields(value)
-        }
     if callable(value):
         return f"{value.__module__}:{getattr(value, '__qualname__', '')}"
-    return None if isinstance(value, slice) else str(value)
+    for method in ("to_dict", "model_dump", "tolist"):
+        if hasattr(value, method):
+            return getattr(value, method)()
+    return vars(value) if dataclasses.is_dataclass(value) else str(value)
 
 
 # --- the file --------------------------------------------------------------------------------------------------------
 
 
-def save(target: Any, file: str, name: str = "") -> None:
+def save(target: Any, file: str) -> None:
     """Write an environment, a model or a configuration to a file for `gauge sanity`.
 
     Raises:
         ProbeError: The target holds no model and no settings that are known.
     """
     captured = capture_mujoco(target) or capture_settings(target)
-    kind = f"{type(target).__module__}.{type(target).__qualname__}"
+    kind = kind_of(target)
     if captured is None:
         raise ProbeError(
             f"{kind} holds no mujoco.MjModel, Isaac Lab cfg, SimConfig or Genesis options: give that object itself"
         )
-    head = {
-        "format": FORMAT,
-        "version": VERSION,
-        "name": name or type(target).__qualname__,
-        "source": kind,
-    }
+    head = {"format": FORMAT, "version": VERSION, "source": kind}
     content = json.dumps({**head, **captured}, default=plain, skipkeys=True)
     Path(file).write_text(content, encoding="utf-8")
 
@@ -461,10 +440,9 @@ def main() -> None:
     options = parser.parse_args()
     sys.path.insert(0, str(Path.cwd()))
     target = options.target
-    name = Path(target).name if Path(target).is_file() else target
-    file = options.out or re.sub(r"[^\w.-]+", "_", name).strip("_") + SUFFIX
+    file = options.out or re.sub(r"[^\w.-]+", "_", target).strip("_") + SUFFIX
     try:
-        save(resolve(target), file, name)
+        save(resolve(target), file)
     except ProbeError as error:
         sys.exit(f"error: {target}: {error}")
     print(file)

@@ -17,8 +17,8 @@ from gauge_envs.tools.sanity.robot.foot import FootGeometry
 Settings: TypeAlias = Mapping[str, Any]
 """Settings by name. A value is a number, a truth value, a text, a list, or None for what is not set."""
 
-UNREAD = "not known and not read"
-"""Start of a note on keys that may be mistakes, which is shown even where nothing is flagged."""
+WARNED = "MuJoCo warns:"
+"""Start of a note on the user's file, which is shown even where nothing is flagged."""
 
 INSIDE_WITHIN = 1.0
 """Largest deviation of the verdict `inside`, in half-widths of the interval of reality."""

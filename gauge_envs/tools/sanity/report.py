@@ -11,7 +11,7 @@ from gauge_envs.pages.table import Column, Facts, Place, Table
 from gauge_envs.pages.text import counted, quantity_text, vector_text, with_unit
 from gauge_envs.tools.bench.model_settings import default_contact_settings
 from gauge_envs.tools.sanity.model import (
-    UNREAD,
+    WARNED,
     PhenomenonResult,
     Reality,
     Report,
@@ -284,7 +284,7 @@ def _notes(report: Report, *, details: bool) -> list[Part]:
     texts = [
         note
         for note in report.configuration.notes
-        if details or note.startswith(UNREAD) or SPARSE_FAULT in note
+        if details or note.startswith(WARNED) or SPARSE_FAULT in note
     ]
     lines: list[Part] = [
         Paragraph(f"note: {text}", Tone.WARNING) for text in (*texts, *report.notes)

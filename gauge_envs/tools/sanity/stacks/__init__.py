@@ -2,36 +2,34 @@
 
 from __future__ import annotations
 
-from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 from gauge_envs.errors import TargetError
 from gauge_envs.tools.sanity.model import TrainingConfiguration
-from gauge_envs.tools.sanity.stacks.dialect import Dialect
-
-if TYPE_CHECKING:
-    from gauge_envs.tools.sanity.stacks.gymnasium_env import Target
-    from gauge_envs.tools.sanity.stacks.mjcf import GeomPair
+from gauge_envs.tools.sanity.stacks import probe, settings
+from gauge_envs.tools.sanity.stacks.dialect import TOML, Dialect
+from gauge_envs.tools.sanity.stacks.genesis import GENESIS
+from gauge_envs.tools.sanity.stacks.gymnasium_env import Target, read_id, read_object
+from gauge_envs.tools.sanity.stacks.isaac_lab import (
+    ISAAC_LAB,
+    ISAAC_LAB_3,
+    file_of_run,
+    read_file,
+)
+from gauge_envs.tools.sanity.stacks.maniskill import MANISKILL
+from gauge_envs.tools.sanity.stacks.mjcf import MJCF, GeomPair, read_model_file
 
 __all__ = ["Dialect", "configuration", "dialect"]
 
 READERS = {
-    **dict.fromkeys((".xml", ".mjcf", ".urdf"), "mjcf.read_model_file"),
-    **dict.fromkeys((".yaml", ".yml"), "isaac_lab.read_file"),
-    ".toml": "settings.read_file",
-    ".json": "probe.read_file",
+    **dict.fromkeys((".xml", ".mjcf", ".urdf"), read_model_file),
+    **dict.fromkeys((".yaml", ".yml"), read_file),
+    ".toml": settings.read_file,
+    ".json": probe.read_file,
 }
-"""Module and function that reads a file, by its suffix."""
+"""Function that reads a file, by its suffix."""
 
-DIALECTS = {
-    "toml": "dialect.TOML",
-    "mjcf": "mjcf.MJCF",
-    "genesis": "genesis.GENESIS",
-    "maniskill": "maniskill.MANISKILL",
-    "isaac_lab": "isaac_lab.ISAAC_LAB",
-    "isaac_lab_3": "isaac_lab.ISAAC_LAB_3",
-}
+DIALECTS = (TOML, MJCF, GENESIS, MANISKILL, ISAAC_LAB, ISAAC_LAB_3)
 
 
 def configuration(
@@ -63,10 +61,8 @@ def configuration(
     """
     if isinstance(target, TrainingConfiguration):
         return target
-    if isinstance(target, str | Path):
-        read = _read_text(target, pair)
-    else:
-        read = _part("gymnasium_env.read_object")(target, pair)
+    is_text = isinstance(target, str | Path)
+    read = _read_text(target, pair) if is_text else read_object(target, pair)
     if pair is not None and not read.is_model:
         raise TargetError(
             f"{target}: pairs of geoms are those of a MuJoCo model, and the target has none"
@@ -74,27 +70,20 @@ def configuration(
     return read
 
 
-def _read_text(target: str | Path, pair: GeomPair | None) -> TrainingConfiguration:
+def _read_text(target: Target, pair: GeomPair | None) -> TrainingConfiguration:
     """Return the configuration of a file, a folder of a run, a backend or a Gymnasium id."""
-    path = Path(target)
+    path = Path(str(target))
     if path.is_dir():
-        path = _part("isaac_lab.file_of_run")(path)
-    reader = READERS.get(path.suffix.lower())
-    if reader is not None:
-        read: TrainingConfiguration = _part(reader)(path, pair)
-        return read
-    backend: TrainingConfiguration | None = _part("settings.read_backend")(str(target))
-    if backend is None and path.is_dir():
+        path = file_of_run(path)
+    if reader := READERS.get(path.suffix.lower()):
+        return reader(path, pair)
+    if backend := settings.read_backend(str(target)):
+        return backend
+    if path.is_dir():
         raise TargetError(f"{path}: has no params/env.yaml: give the file of a model")
-    return backend or _part("gymnasium_env.read_id")(str(target), pair)
+    return read_id(str(target), pair)
 
 
 def dialect(name: str) -> Dialect:
     """Return a dialect by the name that a `TrainingConfiguration` states as its language."""
-    found: Dialect = _part(DIALECTS[name])
-    return found
-
-
-def _part(name: str) -> Any:
-    module, part = name.split(".")
-    return getattr(import_module(f"{__name__}.{module}"), part)
+    return next(dialect for dialect in DIALECTS if dialect.name == name)

@@ -17,13 +17,17 @@ def number_text(value: Any) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
+def python_text(value: Any) -> str:
+    """Return a value as Python writes it."""
+    return f'"{value}"' if isinstance(value, str) else number_text(value)
+
+
 def toml_text(value: Any) -> str:
     """Return a value as TOML writes it."""
-    if isinstance(value, bool):
-        return str(value).lower()
     if isinstance(value, list | tuple):
         return f"[{', '.join(map(toml_text, value))}]"
-    return f'"{value}"' if isinstance(value, str) else number_text(value)
+    text = python_text(value)
+    return text.lower() if isinstance(value, bool) else text
 
 
 def joined(separator: str) -> Callable[[Entries], str]:
@@ -33,7 +37,7 @@ def joined(separator: str) -> Callable[[Entries], str]:
     )
 
 
-TOML_JOIN = joined(", ")
+ASSIGNMENT, COMMAS = "{key} = {value}", joined(", ")
 
 
 @dataclass(frozen=True)
@@ -47,7 +51,6 @@ class Setting:
         read: Function from a table and a key to its value; it returns None for an absent key.
         text: Function from its value to its text; that of the dialect if None.
         pattern: Form of an assignment with `{place}`, `{key}` and `{value}`; that of the dialect if empty.
-        others: Further keys that state it where the first one is absent.
         default: Value that the stack documents for an absent key; None if it is not known.
     """
 
@@ -57,34 +60,26 @@ class Setting:
     read: Callable[[Table, str], Any] = Table.number
     text: Callable[[Any], str] | None = None
     pattern: str = ""
-    others: tuple[str, ...] = ()
     default: Any = None
 
 
 Kind = tuple[Callable[[Table, str], Any], Callable[[Any], str] | None, str]
 """How a setting is read, its text, and the form of its assignment, as in `Setting`."""
 
-PLAIN: dict[str, Kind] = {
-    "number": (Table.number, None, ""),
-    "value": (Table.value, None, ""),
-}
-"""Kinds that every stack has."""
-
 
 def settings_of(table: str, kinds: Mapping[str, Kind]) -> tuple[Setting, ...]:
     """Return the settings of a table with a line for each: name, place, key, kind, and default in JSON where known.
 
     Args:
-        table: The table. A key of an articulation is also that of its rigid bodies.
-        kinds: Kinds of values of the stack.
+        table: The table.
+        kinds: Kinds of values beside `number` and `value`.
     """
+    known = {"number": (Table.number, None, ""), "value": (Table.value, None, "")}
     settings = []
-    for line in filter(None, map(str.split, table.splitlines())):
-        name, place, key, kind, *default = line
-        read, text, pattern = {**PLAIN, **kinds}[kind]
-        other = key.replace("articulation_props", "rigid_props")
-        known = json.loads(default[0]) if default else None
-        settings.append(Setting(name, place, key, read, text, pattern, (other,), known))
+    for line in table.strip().splitlines():
+        name, place, key, kind, *default = line.split()
+        value = json.loads(default[0]) if default else None
+        settings.append(Setting(name, place, key, *{**known, **kinds}[kind], value))
     return tuple(settings)
 
 
@@ -103,9 +98,9 @@ class Dialect:
 
     name: str
     settings: tuple[Setting, ...] = ()
-    pattern: str = "{key} = {value}"
+    pattern: str = ASSIGNMENT
     text: Callable[[Any], str] = toml_text
-    join: Callable[[Entries], str] = TOML_JOIN
+    join: Callable[[Entries], str] = COMMAS
     is_closed: bool = False
 
     def writes(self, name: str) -> bool:
@@ -120,15 +115,12 @@ class Dialect:
         known = {setting.name: setting for setting in self.settings}
         entries: dict[str, list[str]] = {}
         for name, value in changes.items():
-            plain = Setting(name, "", name, text=toml_text, pattern="{key} = {value}")
-            setting = known.get(name, plain)
-            write = setting.text or self.text
+            setting = known.get(name) or Setting(name, "", name, pattern=ASSIGNMENT)
             form = setting.pattern or self.pattern
-            if value is None and (setting.text is None or setting is plain):
+            if value is None and setting.text is None:
                 form = "no {key}"
-            entry = form.format(
-                place=setting.place, key=setting.key, value=write(value)
-            )
+            text = (setting.text or self.text)(value)
+            entry = form.format(place=setting.place, key=setting.key, value=text)
             entries.setdefault(setting.place, []).append(entry)
         return self.join(entries)
 
@@ -141,11 +133,9 @@ class Dialect:
         for setting in self.settings:
             table = tables.get(setting.place)
             if table is not None:
-                keys = (setting.key, *setting.others)
-                key = next((key for key in keys if key in table), setting.key)
-                value = setting.read(table, key)
+                value = setting.read(table, setting.key)
                 value = setting.default if value is None else value
-                yield setting.name, value, table.name(key)
+                yield setting.name, value, table.name(setting.key)
 
 
 TOML = Dialect(name="toml")

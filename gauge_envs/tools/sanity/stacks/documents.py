@@ -70,22 +70,15 @@ def yaml_document(text: str) -> Any:
     )
     try:
         return yaml.load(text, Loader=Loader)
-    except yaml.MarkedYAMLError as error:
-        line = f"line {error.problem_mark.line + 1}: " if error.problem_mark else ""
-        advice = ""
-        if PYTHON in str(error):
-            advice = "; a tag of Python is not run: write the value itself"
-        raise ValueError(f"{line}it is no YAML: {error.problem}{advice}") from None
-    # Constructors of plain values assume well-formed dates and numbers.
     except (
-        yaml.YAMLError,
-        ValueError,
-        AttributeError,
-        LookupError,
-        TypeError,
-    ) as error:
-        cause = " ".join(str(error).split())
-        raise ValueError(f"it is no YAML: {cause}") from None
+        Exception
+    ) as error:  # Constructors of dates and numbers raise anything for damaged ones.
+        mark = getattr(error, "problem_mark", None)
+        line = f"line {mark.line + 1}: " if mark else ""
+        cause = getattr(error, "problem", " ".join(str(error).split()))
+        if PYTHON in str(error):
+            cause += "; a tag of Python is not run: write the value itself"
+        raise ValueError(f"{line}it is no YAML: {cause}") from None
 
 
 # --- tables ----------------------------------------------------------------------------------------------------------
@@ -106,12 +99,12 @@ class Table:
         self.source, self.path = source, path
         if not isinstance(values, Mapping):
             raise TargetError(
-                f"{source}: {path or 'the file'} is {_kind(values)}, and a table is expected"
+                f"{source}: {path or 'the file'} is {values!r:.80}, and a table is expected"
             )
         self.values: Settings = values
 
-    def __contains__(self, key: str) -> bool:
-        return self.value(key) is not None
+    def __bool__(self) -> bool:
+        return bool(self.values)
 
     def name(self, key: str) -> str:
         """Return the key in the whole file."""
@@ -122,62 +115,38 @@ class Table:
         value: Any = self.values
         for part in key.split("."):
             value = value.get(part) if isinstance(value, Mapping) else None
-        if isinstance(value, str) and "${" in value:
-            raise TargetError(
-                f"{self.source}: {self.name(key)} is {value[:80]!r}, which Hydra fills in: give the file with all "
-                "values that the training run writes"
-            )
         return value
 
-    def table(self, key: str) -> Table | None:
-        """Return a table; None when it is absent."""
-        return self.part(key) if key in self else None
-
     def part(self, key: str) -> Table:
-        """Return a table; an empty one when it is absent."""
+        """Return a table, which is false when it is absent or empty."""
         value = self.value(key)
-        return Table(
-            {} if value is None else value, source=self.source, path=self.name(key)
-        )
+        values = {} if value is None else value
+        return Table(values, source=self.source, path=self.name(key))
 
     def number(self, key: str) -> float | None:
         """Return a number, which may be infinite."""
-        value = self.value(key)
-        return None if value is None else self._number(key, value)
+        numbers = self.numbers(key, 1)
+        return None if numbers is None else numbers[0]
 
     def numbers(self, key: str, count: int) -> tuple[float, ...] | None:
-        """Return a list of some numbers."""
+        """Return a list of some numbers; a number alone stands for all of them."""
         value = self.value(key)
         if value is None:
             return None
-        if not isinstance(value, list | tuple) or len(value) != count:
-            raise self._error(key, value, f"a list of {count} numbers")
-        return tuple(self._number(key, number) for number in value)
-
-    def ends(self, key: str) -> tuple[float, ...] | None:
-        """Return the two ends of a range; a number stands for both."""
-        if isinstance(self.value(key), list | tuple):
-            return self.numbers(key, 2)
-        number = self.number(key)
-        return None if number is None else (number, number)
-
-    def _number(self, key: str, value: Any) -> float:
+        several = value if isinstance(value, list | tuple) else [value] * count
         # YAML reads 1e-3, without a dot, as text.
         with suppress(ValueError, TypeError, OverflowError):
-            number = math.nan if isinstance(value, bool) else float(value)
-            if not math.isnan(number):
-                return number
-        raise self._error(key, value, "a number")
-
-    def _error(self, key: str, value: Any, expected: str) -> TargetError:
-        return TargetError(
-            f"{self.source}: {self.name(key)} is {_kind(value)}, and {expected} is expected"
+            numbers = tuple(map(float, several))
+            if len(numbers) == count and not any(map(math.isnan, numbers)):
+                return numbers
+        expected = "a number is" if count == 1 else f"{count} numbers are"
+        raise TargetError(
+            f"{self.source}: {self.name(key)} is {value!r:.80}, and {expected} expected"
         )
 
 
-def _kind(value: Any) -> str:
-    if isinstance(value, Mapping):
-        return "a table"
-    if isinstance(value, list | tuple | set):
-        return "a list"
-    return "empty" if value is None else repr(value)[:80]
+def not_carried_over(table: Table, *keys: str) -> list[str]:
+    """Return a note on each key that is set and that no experiment gets."""
+    return [
+        f"{table.name(key)} is not carried over" for key in keys if table.value(key)
+    ]

@@ -8,10 +8,10 @@ from gauge_envs.tools.sanity.scenario import check_settings
 from gauge_envs.tools.sanity.stacks.dialect import (
     Dialect,
     joined,
-    number_text,
+    python_text,
     settings_of,
 )
-from gauge_envs.tools.sanity.stacks.documents import Table
+from gauge_envs.tools.sanity.stacks.documents import Table, not_carried_over
 
 
 def _choice(*names: str) -> Callable[[Table, str], Any]:
@@ -22,10 +22,6 @@ def _choice(*names: str) -> Callable[[Table, str], Any]:
         return names[value] if isinstance(value, int) else value
 
     return read
-
-
-def _python_text(value: Any) -> str:
-    return f'"{value}"' if isinstance(value, str) else number_text(value)
 
 
 CHOICES = {
@@ -59,7 +55,7 @@ GENESIS = Dialect(
         SETTINGS, {kind: (_choice(*names), None, "") for kind, names in CHOICES.items()}
     ),
     pattern="{key}={value}",
-    text=_python_text,
+    text=python_text,
     join=joined(" and "),
 )
 
@@ -115,12 +111,10 @@ def genesis_configuration(
     simulation, rigid = table.part("sim"), table.part("rigid")
     settings = options_settings(simulation, rigid)
     x, y, z = simulation.numbers("gravity", 3) or DEFAULT_GRAVITY
-    notes = ["options state no precision: judged in single precision, the default"]
-    notes += [
-        f"{key} is not carried over"
-        for key in ("enable_mujoco_compatibility", "use_hibernation")
-        if rigid.value(key)
-    ]
+    notes = (
+        "options state no precision: judged in single precision, the default",
+        *not_carried_over(rigid, "enable_mujoco_compatibility", "use_hibernation"),
+    )
     inapplicable = {}
     if not any((x, y, z)):
         inapplicable[Need.GRAVITY] = "the scene has no gravity"
@@ -133,7 +127,7 @@ def genesis_configuration(
         backend="genesis",
         settings=settings,
         origins=dict.fromkeys(settings, "options"),
-        notes=tuple(notes),
+        notes=notes,
         inapplicable=inapplicable,
         gravity_m_per_s2=(x, y, z),
         language=GENESIS.name,

@@ -1,6 +1,8 @@
 """Gymnasium environments, by id or as an object: those of this suite, and those with a MuJoCo model."""
 
 import warnings
+from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -11,7 +13,7 @@ import numpy as np
 from gauge_envs.backends import Simulation
 from gauge_envs.errors import MissingExtraError, TargetError
 from gauge_envs.experiments.variants import variants
-from gauge_envs.tools.sanity.model import Settings, TrainingConfiguration
+from gauge_envs.tools.sanity.model import WARNED, Settings, TrainingConfiguration
 from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
 from gauge_envs.tools.sanity.stacks.mjcf import GeomPair, model_name, read_model
 
@@ -52,6 +54,8 @@ def read_object(target: Any, pair: GeomPair | None) -> TrainingConfiguration:
 def read_id(name: str, pair: GeomPair | None) -> TrainingConfiguration:
     """Return the configuration of an environment by its id."""
     suite_ids = {variant.name: variant.id for variant in variants()}
+    report, warned = mujoco.get_mju_user_warning(), list[str]()
+    mujoco.set_mju_user_warning(warned.append)
     try:
         env = gymnasium.make(suite_ids.get(name, name))
     except Exception as error:  # Other environments raise exceptions of any kind.
@@ -61,10 +65,14 @@ def read_id(name: str, pair: GeomPair | None) -> TrainingConfiguration:
         raise TargetError(
             f"{name!r}: gymnasium.make fails: {cause} ({type(error).__name__}); give {ACCEPTED}"
         ) from error
-    try:
-        return _read_env(env, name, pair)
     finally:
-        env.close()
+        mujoco.set_mju_user_warning(report)
+    with closing(env):
+        read = _read_env(env, name, pair)
+    # A file of Gymnasium is not the user's.
+    is_own = not type(env.unwrapped).__module__.startswith("gymnasium.")
+    notes = [f"{WARNED} {text}" for text in warned if is_own]
+    return replace(read, notes=(*notes, *read.notes))
 
 
 def _read_env(

@@ -6,7 +6,6 @@ more, which a reader of this file cannot see; notes say where that matters. Chan
 """
 
 import math
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,10 +15,15 @@ from gauge_envs.tools.sanity.stacks.dialect import (
     Dialect,
     Entries,
     joined,
-    number_text,
+    python_text,
     settings_of,
 )
-from gauge_envs.tools.sanity.stacks.documents import Table, file_value, yaml_document
+from gauge_envs.tools.sanity.stacks.documents import (
+    Table,
+    file_value,
+    not_carried_over,
+    yaml_document,
+)
 from gauge_envs.tools.sanity.stacks.physx import (
     COEFFICIENTS,
     SOLVERS,
@@ -47,19 +51,14 @@ FRICTION_SCALE = {
 }
 """Attributes of PhysxCfg that follow from PhysX's length scale, and their ratio to it."""
 
-SAME_LENGTH = 1e-6
-"""Relative difference of two length scales that counts as none."""
-
 
 def _length_m(physx: Table, key: str) -> float | None:
     """Return the length scale that gives both lengths of friction [m]; None where no scale gives both."""
-    offset_m, distance_m = map(physx.number, FRICTION_SCALE)
-    if offset_m is None or distance_m is None:
-        return None
-    per_offset, per_distance = FRICTION_SCALE.values()
-    length_m = offset_m / per_offset
-    is_same = abs(distance_m / per_distance - length_m) <= SAME_LENGTH * length_m
-    return round(length_m, 12) if length_m > 0.0 and is_same else None
+    scales_m = [
+        (physx.number(key) or 0.0) / ratio for key, ratio in FRICTION_SCALE.items()
+    ]
+    is_same = math.isclose(*scales_m, rel_tol=1e-6)
+    return round(scales_m[0], 12) if is_same and scales_m[0] > 0.0 else None
 
 
 def _lines(entries: Entries) -> str:
@@ -78,8 +77,11 @@ bounce_threshold_m_per_s           {physx}    bounce_threshold_velocity         
 continuous_detection               {physx}    enable_ccd                              value
 enhanced_determinism               {physx}    enable_enhanced_determinism             value
 tolerance_length_m                 {physx}    friction_offset_threshold               length
+position_iterations                {spawn}    {body}.solver_position_iteration_count  value
+velocity_iterations                {spawn}    {body}.solver_velocity_iteration_count  value
 position_iterations                {spawn}    {actor}.solver_position_iteration_count value
 velocity_iterations                {spawn}    {actor}.solver_velocity_iteration_count value
+sleep_threshold_m2_per_s2          {spawn}    {body}.sleep_threshold                  number
 sleep_threshold_m2_per_s2          {spawn}    {actor}.sleep_threshold                 number
 linear_damping_per_s               {spawn}    {body}.linear_damping                   number
 angular_damping_per_s              {spawn}    {body}.angular_damping                  number
@@ -91,7 +93,7 @@ rest_offset_m                      {collider} rest_offset                       
 patch_radius_m                     {collider} torsional_patch_radius                  argument
 min_patch_radius_m                 {collider} min_torsional_patch_radius              argument
 """
-"""Settings of the backend, the place and the key of each in Isaac Lab, and the kind of its value."""
+"""Settings of the backend, the place and the key of each in Isaac Lab, and the kind of its value; the last key wins."""
 
 
 def _dialect(name: str, physx: str) -> Dialect:
@@ -99,7 +101,7 @@ def _dialect(name: str, physx: str) -> Dialect:
 
     def both_lengths(length_m: float) -> str:
         return "; ".join(
-            f"self.{physx}.{key} = {number_text(ratio * length_m)}"
+            f"self.{physx}.{key} = {python_text(ratio * length_m)}"
             for key, ratio in FRICTION_SCALE.items()
         )
 
@@ -113,7 +115,7 @@ def _dialect(name: str, physx: str) -> Dialect:
     kinds = {
         "solver": (solver_name, lambda solver: str(SOLVERS.index(solver)), ""),
         "length": (_length_m, both_lengths, "{value}"),
-        "degrees": (radians, lambda speed: number_text(math.degrees(speed)), ""),
+        "degrees": (radians, lambda speed: python_text(math.degrees(speed)), ""),
         "argument": (Table.number, None, "{key}={value}"),
     }
     return Dialect(
@@ -121,7 +123,7 @@ def _dialect(name: str, physx: str) -> Dialect:
         settings=settings_of(table, kinds),
         pattern="self.{place}.{key} = {value}",
         join=_lines,
-        text=number_text,
+        text=python_text,
         is_closed=True,
     )
 
@@ -141,12 +143,12 @@ DEFAULT_GROUND = constant(
 )
 """Material that Isaac Sim's default ground plane brings along."""
 
-NOT_CARRIED_OVER = {
-    "enable_stabilization": "its additional stabilization pass",
-    "enable_external_forces_every_iteration": "forces in every iteration",
-    "solve_articulation_contact_last": "contacts of articulations as the last ones",
-}
-"""Flags of `sim.physx` that SAPIEN does not expose, and what they switch on."""
+UNKNOWN_TO_SAPIEN = (
+    "enable_stabilization",
+    "enable_external_forces_every_iteration",
+    "solve_articulation_contact_last",
+)
+"""Flags of `sim.physx` that SAPIEN does not expose."""
 
 OTHER_ENGINES = ("newton_cfg", "physics", "mujoco")
 """Keys of `sim` with settings of other engines."""
@@ -163,10 +165,9 @@ def isaac_lab_configuration(
         source: Description of where it is from.
     """
     table = Table(cfg, source=name)
-    if "sim" not in table and "env.sim" in table:
-        table = table.part("env")
+    table = table if table.part("sim") else table.part("env")
     sim = table.part("sim")
-    if "dt" not in sim:
+    if sim.value("dt") is None:
         raise TargetError(
             f"{name}: there is no sim.dt: give the params/env.yaml of a training run with Isaac Lab"
         )
@@ -174,28 +175,30 @@ def isaac_lab_configuration(
     dialect = ISAAC_LAB if physx.path.endswith("physx") else ISAAC_LAB_3
     values = PhysxValues(dialect=dialect, settings={"preset": "isaac"})
     robot = _robot(table)
-    spawn = None if robot is None else robot.table("spawn")
-    if spawn is None:
+    spawn = robot.part("spawn")
+    if not spawn:
         values.notes.append(
             "no robot is found: what bodies state for themselves is that of Isaac Sim's schema"
         )
-        spawn = Table({}, source=name, path=SPAWN)
     place = "sim.physx" if dialect is ISAAC_LAB else "sim.physics"
     places = {"sim": sim, place: physx, SPAWN: spawn}
-    if collider := spawn.table("collision_props"):
-        places[COLLIDER] = collider
-    values.take_places(places)
+    values.take_places(places | {COLLIDER: spawn.part("collision_props")})
     for kind in ASSET_ITERATIONS:
         _clamp_iterations(physx, kind, values)
     _note_scene(sim, physx, spawn, values)
-    ground, foot = _materials(table, sim, robot, values)
+    ground, foot = _materials(table, sim, spawn, values)
+    reasons = {}
+    if spring := ground.spring or foot.spring:
+        reasons[Need.CONTACT] = (
+            f"{spring} makes contacts springs, which SAPIEN does not expose"
+        )
     return values.configuration(
         table,
         source=source,
         gravity_m_per_s2=sim.numbers("gravity", 3),
         frame_skip=table.value("decimation"),
         foot_contact=combined(ground, foot),
-        inapplicable=_springs(table, ground, foot),
+        inapplicable=reasons,
     )
 
 
@@ -204,70 +207,47 @@ def isaac_lab_configuration(
 
 def _physx(sim: Table) -> Table:
     """Return the settings of PhysX; Isaac Lab 3 has them at another place."""
-    physx, other = sim.table("physx"), sim.value("physics")
-    if physx is None and isinstance(other, Mapping):
-        is_physx = "bounce_threshold_velocity" in other
-        physx = sim.table("physics") if is_physx else None
-    if physx is None:
-        others = [sim.name(key) for key in OTHER_ENGINES if key in sim]
-        reason = f"there is {others[0]} instead" if others else "it states no solver"
-        raise TargetError(
-            f"{sim.source}: there is no {sim.name('physx')}, and {reason}: only PhysX is read of Isaac Lab"
-        )
-    return physx
+    physx, physics = sim.part("physx"), sim.part("physics")
+    if physx or physics.value("bounce_threshold_velocity") is not None:
+        return physx or physics
+    others = [sim.name(key) for key in OTHER_ENGINES if sim.value(key)]
+    reason = f"there is {others[0]} instead" if others else "it states no solver"
+    raise TargetError(
+        f"{sim.source}: there is no {sim.name('physx')}, and {reason}: only PhysX is read of Isaac Lab"
+    )
 
 
 def _note_scene(sim: Table, physx: Table, spawn: Table, values: PhysxValues) -> None:
     """Note what the file states and no setting has."""
-    if "tolerance_length_m" not in values.settings and all(
-        key in physx for key in FRICTION_SCALE
-    ):
-        stated = " and ".join(f"{k} {physx.number(k):g} m" for k in FRICTION_SCALE)
+    lengths_m = {key: physx.number(key) for key in FRICTION_SCALE}
+    if "tolerance_length_m" not in values.settings and None not in lengths_m.values():
+        stated = " and ".join(f"{key} {size:g} m" for key, size in lengths_m.items())
         values.notes.append(
             f"{stated} are not carried over: SAPIEN leaves them at 0.04 and 0.025 of one length scale, here 1 m"
         )
-    for key, effect in NOT_CARRIED_OVER.items():
-        if physx.value(key):
-            values.notes.append(
-                f"{physx.name(key)} is not carried over: SAPIEN does not expose {effect}"
-            )
-    if str(sim.value("device") or "").startswith("cuda"):
+    values.notes += not_carried_over(physx, *UNKNOWN_TO_SAPIEN)
+    values.notes += not_carried_over(spawn, "rigid_props.disable_gravity")
+    if str(sim.value("device")).startswith("cuda"):
         values.notes.append("training ran PhysX on the GPU; here it runs on the CPU")
-    if spawn.value("rigid_props.disable_gravity"):
-        values.notes.append(
-            f"{spawn.name('rigid_props.disable_gravity')} is not carried over: the experiments have it"
-        )
 
 
-def _robot(table: Table) -> Table | None:
+def _robot(table: Table) -> Table:
     """Return the robot: the asset of that name, or else the first articulation of the scene."""
-    scene = table.part("scene")
-    others = [f"scene.{key}" for key in scene.values if f"{key}.actuators" in scene]
-    keys = ["scene.robot", "robot", "robot_cfg", *others]
-    found = (key for key in keys if isinstance(table.value(key), Mapping))
-    first = next(found, None)
-    return None if first is None else table.table(first)
+    scene = table.part("scene").values
+    others = [key for key in scene if table.value(f"scene.{key}.actuators") is not None]
+    keys = ["scene.robot", "robot", "robot_cfg", *(f"scene.{key}" for key in others)]
+    return next(filter(None, map(table.part, keys)), table.part(keys[0]))
 
 
 def _clamp_iterations(physx: Table, kind: str, values: PhysxValues) -> None:
     """Clamp the robot's count of iterations into the range of the scene."""
     name = f"{kind}_iterations"
-    count, origin = values.settings.get(name), values.origins.get(name)
+    stated = values.settings.get(name, ASSET_ITERATIONS[kind])
+    origin = values.origins.get(name, "Isaac Sim's schema: the robot's asset decides")
     low, high = (
         physx.number(f"{end}_{kind}_iteration_count") for end in ("min", "max")
     )
-    if low is not None and high is not None and low > high:
-        key = physx.name(f"min_{kind}_iteration_count")
-        raise TargetError(
-            f"{physx.source}: {key} is {low:g}, more than the maximum of {high:g}: exchange them"
-        )
-    stated = ASSET_ITERATIONS[kind] if count is None else count
     used = int(min(max(stated, low or 0), 255 if high is None else high))
-    if count is None:
-        origin = "Isaac Sim's schema"
-        values.notes.append(
-            f"the robot states no count of {kind} iterations, so its asset decides; {used} is used"
-        )
     clamped = "" if used == stated else f", clamped to {physx.path}"
     values.take(name, used, f"{origin}{clamped}")
 
@@ -275,26 +255,14 @@ def _clamp_iterations(physx: Table, kind: str, values: PhysxValues) -> None:
 # --- materials -------------------------------------------------------------------------------------------------------
 
 
-def _springs(table: Table, ground: Material, foot: Material) -> dict[Need, str]:
-    """Return what cannot be judged where a material that counts makes contacts springs."""
-    for key in ("scene.terrain", "terrain", "sim"):
-        material = table.part(f"{key}.physics_material")
-        stiffness = material.number("compliant_contact_stiffness")
-        if stiffness and material.path in (ground.origin, foot.origin):
-            name = material.name("compliant_contact_stiffness")
-            reason = f"{name} makes contacts springs, which SAPIEN does not expose"
-            return {Need.CONTACT: reason}
-    return {}
-
-
 def _materials(
-    table: Table, sim: Table, robot: Table | None, values: PhysxValues
+    table: Table, sim: Table, spawn: Table, values: PhysxValues
 ) -> tuple[Material, Material]:
     """Return the materials of the ground and of the robot, before they are combined."""
-    default = stated_material(sim.table("physics_material"), "body", DEFAULT)
+    default = stated_material(sim.part("physics_material"), "body", DEFAULT)
     ground = _ground(table, replace(default, body="ground"), values)
-    stated = None if robot is None else robot.table("spawn.physics_material")
-    if stated is None:
+    stated = spawn.part("physics_material")
+    if not stated:
         values.notes.append(
             "a material that the robot's asset itself binds is not seen"
         )
@@ -303,28 +271,24 @@ def _materials(
 
 
 def _ground(table: Table, default: Material, values: PhysxValues) -> Material:
-    terrain = table.table("scene.terrain") or table.table("terrain")
-    is_plane = terrain is None or terrain.value("terrain_type") == "plane"
-    if terrain is None:
-        scene = table.part("scene")
-        planes = (
-            scene.part(f"{key}.spawn")
-            for key, value in scene.values.items()
-            if isinstance(value, Mapping) and isinstance(value.get("spawn"), Mapping)
-        )
-        terrain = next(
-            (p for p in planes if "spawn_ground_plane" in str(p.value("func"))), None
-        )
+    terrain = table.part("scene.terrain") or table.part("terrain")
+    is_plane = not terrain or terrain.value("terrain_type") == "plane"
+    if not terrain:
+        spawns = [
+            table.part(f"scene.{key}.spawn") for key in table.part("scene").values
+        ]
+        planes = (p for p in spawns if "spawn_ground_plane" in str(p.value("func")))
+        terrain = next(planes, terrain)
     unseen = ""
-    if terrain is None:
+    if not terrain:
         unseen = "no ground is found in the file: the default material of the simulation is used for it"
     elif terrain.value("terrain_type") == "usd":
         unseen = f"{terrain.name('usd_path')} decides the material of the ground, which is not seen"
-    if terrain is None or unseen:
+    if unseen:
         values.notes.append(unseen)
         return default
-    material = terrain.table("physics_material")
-    if material is None:
+    material = terrain.part("physics_material")
+    if not material:
         return DEFAULT_GROUND if is_plane else default
     return stated_material(material, "ground", DEFAULT)
 
@@ -332,11 +296,9 @@ def _ground(table: Table, default: Material, values: PhysxValues) -> Material:
 def _randomized(table: Table, foot: Material, values: PhysxValues) -> Material:
     """Return the robot's material with the ranges that an event draws from, if there is one."""
     events = table.part("events")
-    for key, value in events.values.items():
-        if not isinstance(value, Mapping):
-            continue
-        term, params = events.name(str(key)), events.part(f"{key}.params")
-        if "static_friction_range" not in params:
+    for key in events.values:
+        term, params = events.name(key), events.part(f"{key}.params")
+        if params.value("static_friction_range") is None:
             continue
         asset, bodies = (params.value(f"asset_cfg.{k}") for k in ("name", "body_names"))
         if asset not in (None, "robot"):

@@ -3,6 +3,7 @@
 Changes are a SimConfig: `SimConfig(sim_freq=200, scene_config=SceneConfig(bounce_threshold=0.2))`.
 """
 
+import math
 from typing import Any
 
 from gauge_envs.errors import TargetError
@@ -10,7 +11,7 @@ from gauge_envs.tools.sanity.model import TrainingConfiguration
 from gauge_envs.tools.sanity.stacks.dialect import (
     Dialect,
     Entries,
-    number_text,
+    python_text,
     settings_of,
 )
 from gauge_envs.tools.sanity.stacks.documents import Table
@@ -31,8 +32,8 @@ MATERIAL = constant("sim_config.default_materials_config", friction=0.3)
 
 def _step_s(table: Table, key: str) -> float:
     """Return the step [s], which is stated by its inverse."""
-    rate = table.number(key)
-    if rate is None or not 0.0 < rate < float("inf"):
+    rate = table.number(key) or 0.0
+    if not 0.0 < rate < math.inf:
         raise TargetError(
             f"{table.source}: there is no positive {table.name(key)}: give all fields of a SimConfig"
         )
@@ -80,7 +81,7 @@ MANISKILL = Dialect(
     ),
     pattern="{key}={value}",
     join=_sim_config,
-    text=number_text,
+    text=python_text,
     is_closed=True,
 )
 
@@ -100,21 +101,21 @@ def maniskill_configuration(
     values = PhysxValues(dialect=MANISKILL, settings={"preset": "out_of_box"})
     values.take_places({"sim_config": table, "scene_config": scene})
     values.origins["timestep_s"] = "1 / sim_config.sim_freq"
-    material = table.table("default_materials_config")
+    material = table.part("default_materials_config")
     for setting in ("link_linear_damping_per_s", "angular_damping_per_s"):
         values.take(setting, LINK_DAMPING_PER_S, "SAPIEN's default for links")
     values.notes.append(
         "materials that a task gives its own objects, and friction of joints, are not seen"
     )
-    steps_hz = table.number("sim_freq") or 0.0
-    control_hz = table.number("control_freq") or 0.0
+    control_hz = table.number("control_freq") or math.inf
     return values.configuration(
         table,
         source=source,
         gravity_m_per_s2=scene.numbers("gravity", 3),
-        frame_skip=round(steps_hz / control_hz) if control_hz > 0.0 else None,
+        frame_skip=round(1.0 / (control_hz * values.settings["timestep_s"])) or None,
         foot_contact=combined(
             stated_material(material, "ground", MATERIAL),
             stated_material(material, "robot", MATERIAL),
         ),
+        inapplicable={},
     )

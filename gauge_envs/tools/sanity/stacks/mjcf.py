@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import copy
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,13 +20,14 @@ from gauge_envs.backends.mujoco.model import (
 )
 from gauge_envs.errors import TargetError
 from gauge_envs.tools.sanity.gauge_probe import mjcf
-from gauge_envs.tools.sanity.model import TrainingConfiguration
+from gauge_envs.tools.sanity.model import WARNED, TrainingConfiguration
 from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
 from gauge_envs.tools.sanity.stacks.dialect import (
     Dialect,
     Entries,
     Setting,
     number_text,
+    settings_of,
 )
 from gauge_envs.tools.sanity.stacks.documents import file_text
 from gauge_envs.tools.sanity.stacks.mjcf_errors import sentence
@@ -34,25 +36,33 @@ GeomPair = tuple[str, str]
 """Names of two geoms of a model."""
 
 
+ATTRIBUTES = """
+timestep_s       option   timestep value
+contact_solref   geom     solref   value
+contact_solimp   geom     solimp   value
+contact_margin_m geom     margin   value
+contact_gap_m    geom     gap      value
+condim           geom     condim   value
+equality_solref  equality solref   value
+equality_solimp  equality solimp   value
+"""
+"""Element and attribute of settings that have another name in MJCF."""
+
+OPTIONS = ("integrator", "cone", "solver", *SAME_NAME_OPTIONS)
+"""Settings that are called as in MJCF."""
+
+
 def _switch(is_on: bool) -> str:
     return "enable" if is_on else "disable"
 
 
 MODEL_SETTINGS = (
-    Setting("timestep_s", "option", "timestep"),
-    *(Setting(name, "option", name) for name in ("integrator", "cone", "solver")),
-    *(Setting(name, "option", name) for name in SAME_NAME_OPTIONS),
+    *settings_of(ATTRIBUTES, {}),
+    *(Setting(name, "option", name) for name in OPTIONS),
     *(
         Setting(name, "flag", name, text=_switch)
         for name in (*DISABLE_FLAGS, *ENABLE_FLAGS)
     ),
-    Setting("contact_solref", "geom", "solref"),
-    Setting("contact_solimp", "geom", "solimp"),
-    Setting("contact_margin_m", "geom", "margin"),
-    Setting("contact_gap_m", "geom", "gap"),
-    Setting("condim", "geom", "condim"),
-    Setting("equality_solref", "equality", "solref"),
-    Setting("equality_solimp", "equality", "solimp"),
     # It is left out, and switches with it what overrides the contacts of all geoms.
     Setting("o_friction", "flag", "override", text=lambda value: "disable"),
 )
@@ -67,11 +77,8 @@ def _attribute(value: Any) -> str:
 def _elements(entries: Entries) -> str:
     """Return `<option>` with its flags, the defaults of all, and settings that are no attributes."""
     option, flags = (" ".join(entries.get(place, ())) for place in ("option", "flag"))
-    parts = []
-    if flags:
-        parts.append(f"<option {option}".rstrip() + f"><flag {flags}/></option>")
-    elif option:
-        parts.append(f"<option {option}/>")
+    end = f"><flag {flags}/></option>" if flags else "/>"
+    parts = [f"<option {option}".rstrip() + end] if option or flags else []
     parts += [
         f"<default><{kind} {' '.join(entries[kind])}/></default>"
         for kind in ("geom", "equality")
@@ -97,7 +104,7 @@ def read_model_file(path: Path, pair: GeomPair | None = None) -> TrainingConfigu
     """
     text = file_text(path)
     try:
-        with warnings.catch_warnings(action="ignore"):
+        with warnings.catch_warnings(record=True, action="always") as caught:
             if path.suffix == ".mjcf":
                 # MuJoCo reads a file of another name than .xml and .urdf from its text alone.
                 spec = mujoco.MjSpec.from_string(text)
@@ -108,7 +115,7 @@ def read_model_file(path: Path, pair: GeomPair | None = None) -> TrainingConfigu
             model = spec.compile()
     except ValueError as error:
         raise TargetError(sentence(path, text, str(error))) from None
-    return mujoco_configuration(
+    read = mujoco_configuration(
         model,
         name=path.name,
         source=f"model file {path}",
@@ -116,6 +123,8 @@ def read_model_file(path: Path, pair: GeomPair | None = None) -> TrainingConfigu
         spec=spec,
         file=path,
     )
+    warned = {f"{WARNED} {warning.message}" for warning in caught}
+    return replace(read, notes=(*warned, *read.notes))
 
 
 def _drop_pictures(spec: mujoco.MjSpec) -> None:

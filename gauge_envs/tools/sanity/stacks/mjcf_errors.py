@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
 from gauge_envs.files import printable
@@ -39,7 +39,7 @@ def sentence(path: Path, text: str, error: str) -> str:
         return f"{path}: is a xacro file, which is no model yet: run xacro {path.name} > robot.urdf"
     if path.read_bytes()[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return f"{path}: is in UTF-16, which MuJoCo does not read: save it as UTF-8"
-    texts = dict(_with_includes(path, text))
+    texts = _with_includes(path, text)
     for file, content in texts.items():
         try:
             ET.fromstring(content)
@@ -52,18 +52,16 @@ def sentence(path: Path, text: str, error: str) -> str:
     return _placed(texts, path, error)
 
 
-def _with_includes(path: Path, text: str) -> Iterator[tuple[Path, str]]:
-    """Yield a file and those that it includes, whose paths count from its folder, each with its text."""
-    left, known = [(path, text)], set()
+def _with_includes(path: Path, text: str) -> Texts:
+    """Return the text of a file and of those that it includes, whose paths count from its folder."""
+    texts, left = {path: text}, [text]
     while left:
-        file, text = left.pop()
-        yield file, text
-        known.add(file)
-        for name in re.findall(r'<include\s[^>]*?file\s*=\s*"(.*?)"', text):
-            other = path.parent / name
-            if other.is_file() and other not in known:
-                content = other.read_text(encoding="utf-8-sig", errors="replace")
-                left.append((other, content))
+        for name in re.findall(r'<include\s[^>]*?file\s*=\s*"(.*?)"', left.pop()):
+            file = path.parent / name
+            if file.is_file() and file not in texts:
+                texts[file] = file.read_text(encoding="utf-8-sig", errors="replace")
+                left.append(texts[file])
+    return texts
 
 
 def _element(texts: Texts, form: str) -> tuple[str, str, str] | None:
@@ -83,42 +81,44 @@ def _unread(texts: Texts, path: Path, sought: str, error: str) -> str:
     name = re.escape(re.split(r"[/\\]", sought)[-1])
     form = rf"""\w+\b[^<>]*?\bfile(name)?\s*=\s*["']([^"'<>]*[/\\])?{name}["']"""
     place, label, stated = _element(texts, form) or (path, "it", "")
-    there = path.parent / sought if not Path(sought).is_file() else Path(sought)
     start = f"{place}: {label} needs {sought}, which"
-    if there.is_file():
-        if there.read_bytes().startswith(POINTER):
-            return f"{start} is a pointer of Git LFS: run git lfs pull"
-        cause = error.split("\n")[0].removeprefix("Error: ")
-        advice = next((text for words, text in ADVICE.items() if words in error), "")
-        return f"{start} cannot be read: {cause}" + (f": {advice}" if advice else "")
+    for file in (path.parent / sought, Path(sought)):
+        if file.is_file():
+            if file.read_bytes().startswith(POINTER):
+                return f"{start} is a pointer of Git LFS: run git lfs pull"
+            cause = error.split("\n")[0].removeprefix("Error: ")
+            return f"{start} cannot be read: {_advised(cause, error)}"
+    advice = (
+        "copy it there" if label == "<include>" else "copy it there, or set meshdir"
+    )
     if "package:/" in stated:
         advice = "write its path relative to this file, without package://"
     elif re.match(r"[/~]|[A-Za-z]:", sought):
         advice = "write its path relative to this file, not one of another machine"
-    elif label == "<include>":
-        advice = "copy it there"
-    else:
-        advice = "copy it there, or set meshdir"
     return f"{start} is not there: {advice}"
+
+
+def _advised(cause: str, error: str) -> str:
+    """Return a cause with what to do."""
+    known = [advice for words, advice in ADVICE.items() if words in error]
+    return ": ".join([cause, *known[:1]])
 
 
 def _placed(texts: Texts, path: Path, error: str) -> str:
     """Return MuJoCo's own message with the file and line of its element."""
     message, _, rest = error.partition("\nElement")
     message = re.sub(r"((XML )?Error|Schema violation|ParseXML): ", "", message)
-    cause = printable(" ".join(message.split()))
-    advice = next((text for words, text in ADVICE.items() if words in error), "")
-    end = f"{cause}: {advice}" if advice else cause
+    end = _advised(printable(" ".join(message.split())), error)
     match = re.match(r"(?: name)? '(.+?)'", rest)
     line = re.search(r"line ([1-9]\d*)", rest)
-    found = None
+    element = None
     if match and rest.startswith(" name"):
-        found = _element(texts, rf'\w+\b[^<>]*?\bname\s*=\s*"{re.escape(match[1])}"')
+        element = _element(texts, rf'\w+\b[^<>]*?\bname\s*=\s*"{re.escape(match[1])}"')
     elif match and not line:
         # MuJoCo states no line in a file that another one includes.
         words = re.search("'(.*?)'", message)
-        found = _element(texts, rf"{match[1]}\b[^<>]*{words[1] if words else ''}")
-    if found:
-        return f"{found[0]}: {found[1]}: {end}"
+        element = _element(texts, rf"{match[1]}\b[^<>]*{words[1] if words else ''}")
+    if element:
+        return f"{element[0]}: {element[1]}: {end}"
     place = f"{path}:{line[1]}" if line else str(path)
     return f"{place}: <{match[1]}>: {end}" if match else f"{place}: {end}"

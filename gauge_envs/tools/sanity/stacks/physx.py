@@ -71,7 +71,7 @@ class PhysxValues:
         gravity_m_per_s2: tuple[float, ...] | None,
         frame_skip: int | None,
         foot_contact: FootContact,
-        inapplicable: Mapping[Need, str] | None = None,
+        inapplicable: Mapping[Need, str],
     ) -> TrainingConfiguration:
         """Return the configuration, after a trial of its settings."""
         self.take("hinges", "articulation", "a robot is an articulation")
@@ -82,8 +82,8 @@ class PhysxValues:
         except ParameterError as error:
             keys = [o for n, o in self.origins.items() if f"'{n}'" in str(error)]
             raise TargetError(f"{table.source}: {', '.join(keys)}: {error}") from error
-        reasons = dict(inapplicable or {})
         x, y, z = gravity_m_per_s2 or (0.0, 0.0, -GRAVITY_M_PER_S2)
+        reasons = dict(inapplicable)
         if not any((x, y, z)):
             reasons[Need.GRAVITY] = "the target has no gravity"
         threshold = self.settings.get("bounce_threshold_m_per_s") or 0.0
@@ -92,12 +92,6 @@ class PhysxValues:
             self.notes.append(
                 f"what meets the ground more slowly than {threshold:g} m/s, as after a fall of {fall_mm:.3g} mm, does "
                 "not bounce, whatever its restitution"
-            )
-        if step_s := self.settings.get("timestep_s"):
-            # A contact stops a body within a step, so its force is m v / h.
-            self.notes.append(
-                f"a contact force is an impulse over the step: 1 kg that lands at 1 m/s reads {1.0 / step_s:.4g} N at "
-                f"{1e3 * step_s:g} ms, twice that at half of it; compare impulses"
             )
         return TrainingConfiguration(
             name=table.source,
@@ -146,10 +140,17 @@ MODES: Mapping[str, Callable[[float, float], float]] = {
 }
 """Rules by which PhysX combines two coefficients; of the rules of two bodies, the later one counts."""
 
-COEFFICIENTS = ("static_friction", "dynamic_friction", "restitution")
+COEFFICIENTS = {
+    "static_friction": "friction",
+    "dynamic_friction": "friction",
+    "restitution": "restitution",
+}
+"""Coefficients of a material, and what each is combined as."""
 
+STIFFNESS = "compliant_contact_stiffness"
 
 Range = tuple[float, float]
+"""Least and greatest value."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -160,15 +161,17 @@ class Material:
         body: Name of the body: `ground`, `robot`.
         origin: Key that states the material, or what stands in for it.
         ranges: Least and greatest value of each of the `COEFFICIENTS`.
-        friction_mode: Rule of combination of friction.
-        restitution_mode: Rule of combination of restitution.
+        modes: Rules of combination of friction and of restitution.
+        spring: Key that makes contacts springs; empty if none does.
     """
 
     body: str = "body"
     origin: str
     ranges: Mapping[str, Range]
-    friction_mode: str = "average"
-    restitution_mode: str = "average"
+    modes: Mapping[str, str] = field(
+        default_factory=lambda: dict.fromkeys(COEFFICIENTS.values(), "average")
+    )
+    spring: str = ""
 
     @property
     def text(self) -> str:
@@ -184,30 +187,32 @@ def constant(origin: str, friction: float, restitution: float = 0.0) -> Material
     return Material(origin=origin, ranges=ranges)
 
 
-def stated_material(table: Table | None, body: str, default: Material) -> Material:
+def stated_material(table: Table, body: str, default: Material) -> Material:
     """Return a material with the coefficients of a table; what the table lacks is that of `default`."""
-    if table is None:
+    if not table:
         return replace(default, body=body)
     modes = {
-        f"{kind}_mode": table.value(f"{kind}_combine_mode")
-        or getattr(default, f"{kind}_mode")
-        for kind in ("friction", "restitution")
+        kind: table.value(f"{kind}_combine_mode") or mode
+        for kind, mode in default.modes.items()
     }
-    if wrong := [mode for mode in modes.values() if mode not in MODES]:
+    if wrong := set(modes.values()) - set(MODES):
         raise TargetError(
-            f"{table.source}: {table.path} combines by {wrong[0]!r}: choose one of {', '.join(MODES)}"
+            f"{table.source}: {table.path} combines by {wrong.pop()!r}: choose one of {', '.join(MODES)}"
         )
     ranges = {k: coefficient_range(table, k) or default.ranges[k] for k in COEFFICIENTS}
-    return Material(body=body, origin=table.path, ranges=ranges, **modes)
+    spring = table.name(STIFFNESS) if table.number(STIFFNESS) else ""
+    return Material(
+        body=body, origin=table.path, ranges=ranges, modes=modes, spring=spring
+    )
 
 
 def coefficient_range(table: Table, key: str) -> Range | None:
     """Return the range of a coefficient, which is one number or its two ends; None when it is not stated."""
-    ends = table.ends(key)
+    ends = table.numbers(key, 2)
     if ends is None:
         return None
     low, high = sorted(ends)
-    if not 0.0 <= low <= high < math.inf:
+    if low < 0.0 or high == math.inf:
         raise TargetError(
             f"{table.source}: {table.name(key)} is {low:g}: give 0 or more"
         )
@@ -216,20 +221,20 @@ def coefficient_range(table: Table, key: str) -> Range | None:
 
 def combined(ground: Material, foot: Material) -> FootContact:
     """Return what a foot meets on the ground."""
-    ranks = list(MODES)
-    friction, restitution = (
-        max(getattr(ground, mode), getattr(foot, mode), key=ranks.index)
-        for mode in ("friction_mode", "restitution_mode")
-    )
-    ranges = {}
-    for key in COEFFICIENTS:
-        rule = MODES[restitution if key == "restitution" else friction]
-        (low, high), (other_low, other_high) = ground.ranges[key], foot.ranges[key]
-        ranges[key] = rule(low, other_low), rule(high, other_high)
-    differs = "" if restitution == friction else f", restitution by {restitution}"
+    rank = [*MODES].index
+    modes = {
+        kind: max(mode, foot.modes[kind], key=rank)
+        for kind, mode in ground.modes.items()
+    }
+    ranges = []
+    for key, kind in COEFFICIENTS.items():
+        low, high = map(MODES[modes[kind]], ground.ranges[key], foot.ranges[key])
+        ranges.append((low, high))
+    friction, bounce = modes.values()
+    differs = "" if bounce == friction else f", restitution by {bounce}"
     return FootContact(
-        static_friction=ranges["static_friction"],
-        friction=ranges["dynamic_friction"],
-        restitution=ranges["restitution"],
+        static_friction=ranges[0],
+        friction=ranges[1],
+        restitution=ranges[2],
         source=f"{ground.text} and {foot.text}, friction by {friction}{differs}",
     )

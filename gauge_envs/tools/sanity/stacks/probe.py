@@ -7,7 +7,6 @@ Nothing of a file is run.
 from __future__ import annotations
 
 import json
-import re
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 from pathlib import Path
@@ -18,22 +17,17 @@ from gauge_envs.errors import TargetError
 from gauge_envs.tools.sanity.gauge_probe import FORMAT, VERSION
 from gauge_envs.tools.sanity.model import Settings, TrainingConfiguration
 from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
+from gauge_envs.tools.sanity.stacks import genesis, isaac_lab, maniskill
 from gauge_envs.tools.sanity.stacks.documents import file_value
-from gauge_envs.tools.sanity.stacks.genesis import genesis_configuration
-from gauge_envs.tools.sanity.stacks.isaac_lab import isaac_lab_configuration
-from gauge_envs.tools.sanity.stacks.maniskill import maniskill_configuration
 from gauge_envs.tools.sanity.stacks.mjcf import GeomPair
 from gauge_envs.tools.sanity.stacks.settings import read_settings
 
 STACKS = {
-    "isaac_lab": isaac_lab_configuration,
-    "maniskill": maniskill_configuration,
-    "genesis": genesis_configuration,
+    "isaac_lab": isaac_lab.isaac_lab_configuration,
+    "maniskill": maniskill.maniskill_configuration,
+    "genesis": genesis.genesis_configuration,
 }
 """Function that reads the settings of a probe file, by its kind."""
-
-MARGINS_SINCE = (3, 9)
-"""First version of MuJoCo in which the margins of two geoms add up, and gaps come on top of them."""
 
 
 def read_file(path: Path, pair: GeomPair | None = None) -> TrainingConfiguration:
@@ -46,22 +40,22 @@ def read_file(path: Path, pair: GeomPair | None = None) -> TrainingConfiguration
     if not isinstance(file, dict) or "format" not in file:
         if isinstance(file, dict) and "sim" in file and "rigid" in file:
             source = f"options file {path}"
-            return genesis_configuration(file, name=path.name, source=source)
+            return STACKS["genesis"](file, name=path.name, source=source)
         return read_settings(path, file)
     if (file["format"], file.get("version")) != (FORMAT, VERSION):
         raise TargetError(
             f"{path}: version {file.get('version')} of the probe, and this gauge-envs reads version {VERSION}: run "
             "gauge sanity probe here, and its program again where the policy is trained"
         )
+    name = path.name.removesuffix(".json").removesuffix(".gaugeprobe")
     source = f"probe file {path.name}: {file['source']}"
     if file["kind"] in STACKS:
-        read = STACKS[file["kind"]](file["data"], name=str(path), source=source)
-        return replace(read, name=file["name"])
-    return _read_model(path, file, source, pair)
+        return STACKS[file["kind"]](file["data"], name=name, source=source)
+    return _read_model(path, file, name, source, pair)
 
 
 def _read_model(
-    path: Path, file: Settings, source: str, pair: GeomPair | None
+    path: Path, file: Settings, name: str, source: str, pair: GeomPair | None
 ) -> TrainingConfiguration:
     trained, here = file["mujoco"], mujoco.__version__
     text, notes = _known(file["data"])
@@ -76,18 +70,13 @@ def _read_model(
         notes.append(
             f"training runs with MuJoCo {trained}; the rows are measured with MuJoCo {here}"
         )
-    release = tuple(map(int, re.findall(r"\d+", trained)[:2]))
-    if release < MARGINS_SINCE and (model.geom_margin.any() or model.geom_gap.any()):
-        notes.append(
-            "margins and gaps of two geoms are combined as since MuJoCo 3.9, not as in training"
-        )
     if file["engine"] != "MuJoCo":
         notes.append(
             f"training runs on {file['engine']}; the rows are measured with MuJoCo's C engine"
         )
     read = mujoco_configuration(
         model,
-        name=file["name"],
+        name=name,
         source=source,
         pair=pair,
         frame_skip=file["frame_skip"],
@@ -101,10 +90,10 @@ def _known(text: str) -> tuple[str, list[str]]:
     known = set(mujoco.mj_printSchema(False, False).split())
     for element in root.iter():
         for name in element.attrib.keys() - known:
-            value = element.attrib.pop(name)
+            value, tag = element.attrib.pop(name), element.tag
             # A flag that is not known here is at its default there, or off.
-            if element.tag != "flag" and value != "0":
-                notes[f"{element.tag} {name}"] = (
-                    f"MuJoCo {mujoco.__version__} has no {name} of <{element.tag}>, which is {value} in training"
+            if tag != "flag" and value != "0":
+                notes[tag, name] = (
+                    f"MuJoCo {mujoco.__version__} has no {name} of <{tag}>, which is {value} in training"
                 )
     return ET.tostring(root, encoding="unicode"), [*notes.values()]

@@ -3,23 +3,13 @@
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
-
 from gauge_envs.backends import backend_names
-from gauge_envs.errors import ParameterError, TargetError, first_fault
+from gauge_envs.errors import ParameterError, TargetError
 from gauge_envs.tools.sanity.model import TrainingConfiguration
 from gauge_envs.tools.sanity.scenario import check_settings
-from gauge_envs.tools.sanity.stacks.documents import file_value
+from gauge_envs.tools.sanity.stacks.documents import Table, file_value
 
-
-class _SettingsFile(BaseModel):
-    """Contents of a settings file: the backend, optionally a preset, and a table of settings."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    backend: str
-    preset: str | None = None
-    settings: dict[str, Any] = Field(default_factory=dict)
+KEYS = ("backend", "preset", "settings")
 
 
 def read_file(path: Path, pair: object = None) -> TrainingConfiguration:
@@ -30,22 +20,21 @@ def read_file(path: Path, pair: object = None) -> TrainingConfiguration:
 
 
 def read_settings(path: Path, values: Any) -> TrainingConfiguration:
-    """Return the configuration of the values of a settings file."""
+    """Return the configuration of the values of a settings file: the backend, optionally a preset, and settings."""
+    table = Table(values, source=str(path))
+    faults = [f"{key}: unknown key" for key in values if key not in KEYS]
+    if "backend" not in values:
+        faults.append("backend: missing key")
+    if faults:
+        raise TargetError(f"{path}: {faults[0]}; keys: {', '.join(KEYS)}")
+    settings = dict(table.part("settings").values)
+    if preset := table.value("preset"):
+        settings["preset"] = preset
+    source = f"settings file {path}"
     try:
-        file = _SettingsFile.model_validate(values)
-        settings = file.settings | ({"preset": file.preset} if file.preset else {})
-        check_settings(file.backend, settings)
-    except ValidationError as error:
-        key, reason = first_fault(error)
-        keys = ", ".join(_SettingsFile.model_fields)
-        raise TargetError(
-            f"{path}: {key or 'the file'}: {reason}; keys: {keys}"
-        ) from None
+        return _configuration(path.name, source, values["backend"], settings, path.name)
     except ParameterError as error:
         raise TargetError(f"{path}: {error}") from error
-    return _configuration(
-        path.name, f"settings file {path}", file.backend, settings, path.name
-    )
 
 
 def read_backend(target: str) -> TrainingConfiguration | None:
@@ -54,7 +43,6 @@ def read_backend(target: str) -> TrainingConfiguration | None:
     if name not in backend_names():
         return None
     settings = {"preset": preset} if preset else {}
-    check_settings(name, settings)
     source = f"backend {name}, {f'preset {preset}' if preset else 'default settings'}"
     return _configuration(target, source, name, settings, "command")
 
@@ -62,6 +50,7 @@ def read_backend(target: str) -> TrainingConfiguration | None:
 def _configuration(
     name: str, source: str, backend: str, settings: dict[str, Any], origin: str
 ) -> TrainingConfiguration:
+    check_settings(backend, settings)
     return TrainingConfiguration(
         name=name,
         source=source,
