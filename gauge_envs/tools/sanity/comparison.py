@@ -23,7 +23,6 @@ from gauge_envs.tools.sanity.model import (
     PhenomenonResult,
     Report,
     Verdict,
-    deviation_of,
 )
 
 # --- an earlier run --------------------------------------------------------------------------------------------------
@@ -32,7 +31,7 @@ GROWTH = 1.0
 """Growth of a deviation, in half-widths of the interval of reality, from which on a flagged row is a regression."""
 
 Baseline = Mapping[tuple[str, str], float]
-"""Deviation of each part of each row of an earlier run, by the row's id and the part's name; `""` is the row itself."""
+"""Deviation of each part of each row of an earlier run, by the row's id and the part's name."""
 
 
 def read_baseline(path: Path) -> dict[tuple[str, str], float]:
@@ -46,14 +45,14 @@ def read_baseline(path: Path) -> dict[tuple[str, str], float]:
     """
     with os_errors(lambda cause: TargetError(f"{path}: cannot be read: {cause}")):
         content = path.read_bytes()
-    deviations = {}
     try:
         lines = [json_document(line) for line in content.splitlines() if line.strip()]
-        for row in lines:
-            if "phenomenon" not in row:
-                continue
-            for part in _parts(row):
-                deviations[row["phenomenon"], part["name"]] = part["deviation"]
+        deviations = {
+            (row["phenomenon"], part["name"]): _deviation(part)
+            for row in lines
+            if "phenomenon" in row
+            for part in row["parts"]
+        }
     except (TypeError, ValueError, KeyError) as error:
         raise TargetError(
             f"{path}: expected the output of this version's gauge sanity TARGET --json: {error}"
@@ -65,29 +64,15 @@ def read_baseline(path: Path) -> dict[tuple[str, str], float]:
     return deviations
 
 
-def _parts(row: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return the parts of a stored row with their deviations; JSON has null for an infinite one."""
-    reality, verdict = row["reality"], Verdict(row["verdict"])
-    whole = deviation_of(
-        verdict, row["configured"], reality["value"], reality["tolerance"]
-    )
-    parts = row["parts"] or [
-        {"name": "", "verdict": row["verdict"], "deviation": whole}
-    ]
-    return [
-        part | {"deviation": _deviation(part["verdict"], part["deviation"])}
-        for part in parts
-    ]
-
-
-def _deviation(verdict: str, deviation: float | None) -> float:
-    if not Verdict(verdict).is_off:
+def _deviation(part: dict[str, Any]) -> float:
+    """Return the deviation of a stored part; JSON has null for an infinite one."""
+    if not Verdict(part["verdict"]).is_off:
         return INSIDE_WITHIN
-    return math.inf if deviation is None else deviation
+    return math.inf if part["deviation"] is None else float(part["deviation"])
 
 
 def regressions(report: Report, baseline: Baseline, *, least: Verdict) -> list[str]:
-    """Return in words each flagged row or part that is farther from reality than in the baseline.
+    """Return in words each flagged part of a row that is farther from reality than in the baseline.
 
     Farther is by more than a half-width of the interval, or out of the interval. What the baseline does not have is
     compared with `inside`.
@@ -97,23 +82,17 @@ def regressions(report: Report, baseline: Baseline, *, least: Verdict) -> list[s
         baseline: Deviations of the earlier run.
         least: Least bad verdict that counts.
     """
-    counted_verdicts = {Verdict.WRONG, least}
     worse = []
     for row in report.flags.values():
-        whole = ("", row.configured, row.verdict, row.deviation)
-        several = [
-            (part.name, part.value, part.verdict, part.deviation) for part in row.parts
-        ]
-        for name, value, verdict, deviation in several or [whole]:
-            before = baseline.get((row.phenomenon, name), INSIDE_WITHIN)
-            grown = deviation > before + GROWTH or before <= INSIDE_WITHIN
-            if verdict not in counted_verdicts or not grown:
-                continue
-            where = f"{row.phenomenon}, {name}" if name else row.phenomenon
-            shown = with_unit(_value_text(value), row.unit)
-            worse.append(
-                f"{where}: {shown}, {deviation:.3g} half-widths from reality; the baseline has {before:.3g}"
-            )
+        for part in row.parts:
+            before = baseline.get((row.phenomenon, part.name), INSIDE_WITHIN)
+            is_farther = part.deviation > before + GROWTH or before <= INSIDE_WITHIN
+            if part.verdict in (Verdict.WRONG, least) and is_farther:
+                value = with_unit(_value_text(part.value), row.unit)
+                worse.append(
+                    f"{row.phenomenon}, {part.name or 'all contacts'}: {value}, {part.deviation:.3g} half-widths from "
+                    f"reality; the baseline has {before:.3g}"
+                )
     return worse
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from enum import StrEnum
@@ -314,21 +313,6 @@ class Cure:
         return len(self.mended)
 
 
-def deviation_of(
-    verdict: Verdict, value: float | None, real: float, tolerance: float
-) -> float:
-    """Return the distance of a value from reality in half-widths of its interval.
-
-    It is infinite for a failure of another kind, such as gravity of the right size in a wrong direction, and 0 if
-    nothing was measured.
-    """
-    if value is None:
-        return 0.0 if verdict is Verdict.DECLINED else math.inf
-    deviation = abs(value - real) / tolerance
-    is_failure = verdict is Verdict.WRONG and deviation <= VISIBLE_WITHIN
-    return math.inf if is_failure else deviation
-
-
 @dataclass(frozen=True, kw_only=True)
 class PartOutcome:
     """Outcome of a row for one part: a set of contact constants, or a joint, a link or a pair of geoms of the robot.
@@ -400,11 +384,8 @@ class PhenomenonResult:
 
     @property
     def deviation(self) -> float:
-        """Distance from reality in half-widths of its interval; infinite for a failure, 0 if nothing was measured."""
-        reality = self.reality
-        return deviation_of(
-            self.verdict, self.configured, reality.value, reality.tolerance
-        )
+        """Distance of the worst part from reality, in half-widths of its interval; 0 if nothing was measured."""
+        return max((part.deviation for part in self.parts), default=0.0)
 
     @property
     def effect(self) -> float | None:

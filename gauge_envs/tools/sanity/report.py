@@ -219,18 +219,7 @@ def _object_flags(report: Report) -> list[Part]:
     if sets:
         heading += f", contact of {first_names(sets, 1)}"
     shown, more = _shown(flags, MAX_OBJECT_FLAGS)
-    table = Table(
-        title=heading,
-        columns=(
-            Column("phenomenon", "row"),
-            Column("title", "quantity", wide_only=True),
-            Column("", "real", lambda row: reality_text(row.reality, row.unit)),
-            Column("", "here", measured_text, is_number=True, style=_style),
-            Column("", "preset", preset_text, is_number=True),
-            Column("", "", lambda row: LABELS[row.verdict], style=_style),
-        ),
-        rows=shown,
-    )
+    table = Table(title=heading, columns=(*COLUMNS, VERDICT), rows=shown)
     return [table, *more]
 
 
@@ -307,8 +296,6 @@ def _details(report: Report) -> list[Part]:
     """Return what was read, the sources of the flagged rows, and the changes that were tried."""
     checked = report.configuration
     parts: list[Part] = [Heading("Read"), Facts(_facts(checked))]
-    if len(checked.contact_groups) > 1:
-        parts.append(contact_table(checked))
     for row in report.flags.values():
         reality = row.reality
         text = f"{row.phenomenon}: {row.title}; {reality.source}; {reality.rationale}"
@@ -334,11 +321,18 @@ def _facts(checked: TrainingConfiguration) -> dict[str, str]:
         facts["foot on ground"] = checked.foot_contact.text
     if (foot := checked.foot_geometry) is not None:
         facts["foot"] = f"{foot.description}, in the {foot.pose}; {foot.assumption}"
-    grouped: dict[str, list[str]] = {}
     for name, value in checked.settings.items():
         origin = checked.origins.get(name, "settings")
-        grouped.setdefault(origin, []).append(f"{name} = {setting_text(value)}")
-    return facts | {origin: ", ".join(texts) for origin, texts in grouped.items()}
+        text = f"{name} = {setting_text(value)}"
+        facts[origin] = f"{facts[origin]}, {text}" if origin in facts else text
+    for group in checked.contact_groups:
+        constants = [
+            f"{name} {setting_text(value)}" for name, value in group.constants.items()
+        ]
+        use = "" if group.is_used else "not used: "
+        pairs = counted(group.pair_count, "pair")
+        facts[group.geoms] = f"{use}{pairs}, {', '.join(constants)}"
+    return facts
 
 
 def setting_text(value: Any) -> str:
@@ -352,40 +346,11 @@ def setting_text(value: Any) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-def contact_table(checked: TrainingConfiguration) -> Table:
-    """Return the contact constants of each group of pairs."""
-    names = ("condim", "friction", "solref", "solimp", "margin", "gap")
-    return Table(
-        title="Contacts of the model",
-        columns=(
-            Column("is_used", "", lambda is_used: "used" if is_used else ""),
-            Column("geoms", "geoms", place=Place.HEADING),
-            Column("pair_count", "pairs", is_number=True),
-            *(
-                Column(
-                    f"constants.{name}", name, setting_text, wide_only=name in names[4:]
-                )
-                for name in names
-            ),
-        ),
-        rows=checked.contact_groups,
-    )
-
-
 def _all_rows(report: Report) -> Table:
     """Return the table of all rows that apply."""
-    return Table(
-        columns=(
-            Column("phenomenon", "row"),
-            Column("title", "quantity", wide_only=True),
-            Column("", "real", lambda row: reality_text(row.reality, row.unit)),
-            Column("", "here", measured_text, is_number=True, style=_style),
-            Column("", "preset", preset_text, is_number=True),
-            Column("", "", verdict_text, style=_style),
-            Column("", "remark", _remark_text, place=Place.BELOW, wide_only=True),
-        ),
-        rows=[row for row in report.rows if row.applies],
-    )
+    remark = Column("", "remark", _remark_text, place=Place.BELOW, wide_only=True)
+    rows = [row for row in report.rows if row.applies]
+    return Table(columns=(*COLUMNS, VERDICT, remark), rows=rows)
 
 
 def _style(row: PhenomenonResult) -> str:
@@ -419,3 +384,15 @@ def _remark_text(row: PhenomenonResult) -> str:
     """Return the place, the remark and why a row does not count."""
     advice = row.advisory if row.verdict.is_off else ""
     return "; ".join(filter(None, (row.geoms or row.place, row.remark, advice)))
+
+
+VERDICT = Column("", "", verdict_text, style=_style)
+
+COLUMNS = (
+    Column("phenomenon", "row"),
+    Column("title", "quantity", wide_only=True),
+    Column("", "real", lambda row: reality_text(row.reality, row.unit)),
+    Column("", "here", measured_text, is_number=True, style=_style),
+    Column("", "preset", preset_text, is_number=True),
+)
+"""Columns of tables of rows."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from contextlib import closing
-from dataclasses import replace
 from typing import Any
 
 from gauge_envs.errors import ParameterError
@@ -156,27 +155,25 @@ def _object_row(
     is_unknown = preset is not None and {worst.verdict, preset.verdict} == {
         Verdict.DECLINED
     }
-    row = result_of(
+    return result_of(
         phenomenon,
         worst,
         preset,
         applies=not is_unknown,
         # A rollout that diverges is wrong whatever the target states.
         advisory="" if worst.rollout is None else subject.advisory,
+        geoms=geoms if len(outcomes) > 1 else "",
+        parts=tuple(
+            PartOutcome(
+                name=name,
+                value=outcome.value,
+                verdict=outcome.verdict,
+                deviation=outcome.deviation,
+                remark=outcome.remark,
+            )
+            for name, outcome in outcomes.items()
+        ),
     )
-    if len(outcomes) == 1:
-        return row
-    parts = tuple(
-        PartOutcome(
-            name=name,
-            value=outcome.value,
-            verdict=outcome.verdict,
-            deviation=outcome.deviation,
-            remark=outcome.remark,
-        )
-        for name, outcome in outcomes.items()
-    )
-    return replace(row, geoms=geoms, parts=parts)
 
 
 def _check_accepted(

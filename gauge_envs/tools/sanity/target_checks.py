@@ -11,7 +11,9 @@ import numpy as np
 from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.scene.geometry import length_of
 from gauge_envs.tools.sanity.model import (
+    INSIDE_WITHIN,
     Need,
+    PartOutcome,
     PhenomenonResult,
     Reality,
     RealityKind,
@@ -99,6 +101,16 @@ def _inapplicable(row: PhenomenonResult, reason: str) -> PhenomenonResult:
     )
 
 
+def _judged(
+    row: PhenomenonResult, value: float, deviation: float, verdict: Verdict, remark: str
+) -> PhenomenonResult:
+    """Return a row with a value, its deviation in half-widths and its verdict."""
+    part = PartOutcome(
+        name="the target", value=value, verdict=verdict, deviation=deviation
+    )
+    return replace(row, configured=value, verdict=verdict, remark=remark, parts=(part,))
+
+
 def gravity_row(configuration: TrainingConfiguration) -> PhenomenonResult:
     """Return the row on gravity. Another size is visible at most, as it can be that of another planet."""
     gravity = configuration.gravity_m_per_s2
@@ -110,18 +122,12 @@ def gravity_row(configuration: TrainingConfiguration) -> PhenomenonResult:
     size = length_of(np.asarray(gravity))
     cosine = -float(np.asarray(configuration.up) @ gravity) / size
     tilt_deg = math.degrees(math.acos(np.clip(cosine, -1.0, 1.0)))
-    verdict = Verdict.INSIDE
-    if abs(size - GRAVITY_M_PER_S2) > GRAVITY_ROW.reality.tolerance:
-        verdict = Verdict.VISIBLE
     if tilt_deg > STEEPEST_DEG:
-        verdict = Verdict.WRONG
-    remark = f"gravity and the ground's normal are {tilt_deg:.3g} degrees apart"
-    return replace(
-        GRAVITY_ROW,
-        configured=size,
-        verdict=verdict,
-        remark=remark if tilt_deg > STEEPEST_DEG else "",
-    )
+        remark = f"gravity and the ground's normal are {tilt_deg:.3g} degrees apart"
+        return _judged(GRAVITY_ROW, size, math.inf, Verdict.WRONG, remark)
+    deviation = abs(size - GRAVITY_M_PER_S2) / GRAVITY_ROW.reality.tolerance
+    verdict = Verdict.INSIDE if deviation <= INSIDE_WITHIN else Verdict.VISIBLE
+    return _judged(GRAVITY_ROW, size, deviation, verdict, "")
 
 
 def control_row(configuration: TrainingConfiguration) -> PhenomenonResult:
@@ -137,18 +143,10 @@ def control_row(configuration: TrainingConfiguration) -> PhenomenonResult:
         falling_ms = 1e3 * math.sqrt(standing.height_m / GRAVITY_M_PER_S2)
         longest_ms = FALLING_SHARE * falling_ms
         remark = f"a fall of the robot grows by e in {falling_ms:.3g} ms"
-    action_ms = 1e3 * step_s * steps
-    verdict = Verdict.of(action_ms / longest_ms)
-    consequence = "The policy sees the robot too seldom to balance it."
-    return replace(
-        CONTROL_ROW,
-        reality=replace(
-            CONTROL_ROW.reality,
-            tolerance=longest_ms,
-            limits=f"at most {longest_ms:.3g}",
-        ),
-        configured=action_ms,
-        verdict=verdict,
-        remark=remark,
-        consequence=consequence if verdict.is_off else "",
+    reality = replace(
+        CONTROL_ROW.reality, tolerance=longest_ms, limits=f"at most {longest_ms:.3g}"
     )
+    action_ms = 1e3 * step_s * steps
+    deviation = action_ms / longest_ms
+    row = replace(CONTROL_ROW, reality=reality)
+    return _judged(row, action_ms, deviation, Verdict.of(deviation), remark)

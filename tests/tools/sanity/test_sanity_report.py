@@ -9,6 +9,7 @@ from dataclasses import replace
 from io import StringIO
 
 import gymnasium
+import numpy as np
 import pytest
 import yaml
 from places import ROOT
@@ -23,6 +24,7 @@ from gauge_envs.tools.sanity import SanityWarning, SanityWrapper
 from gauge_envs.tools.sanity.model import (
     ChangePart,
     Cure,
+    PartOutcome,
     PhenomenonResult,
     Reality,
     Report,
@@ -30,6 +32,13 @@ from gauge_envs.tools.sanity.model import (
     Verdict,
 )
 from gauge_envs.tools.sanity.report import sanity_document
+
+
+def part(value, verdict=Verdict.WRONG):
+    """Return the part of a row whose interval is 0.5 wide on each side."""
+    deviation = np.inf if value is None else abs(value) / 0.5
+    return (PartOutcome(name="", value=value, verdict=verdict, deviation=deviation),)
+
 
 CREEP = PhenomenonResult(
     phenomenon="creep-wood",
@@ -41,9 +50,16 @@ CREEP = PhenomenonResult(
     configured=-28.0,
     verdict=Verdict.WRONG,
     default_verdict=Verdict.INSIDE,
+    parts=part(-28.0),
 )
 SLIDE = replace(CREEP, phenomenon="slide", configured=1.1, verdict=Verdict.VISIBLE)
-PERIOD = replace(CREEP, phenomenon="period", configured=0.1, verdict=Verdict.INSIDE)
+PERIOD = replace(
+    CREEP,
+    phenomenon="period",
+    configured=0.1,
+    verdict=Verdict.INSIDE,
+    parts=part(0.1, Verdict.INSIDE),
+)
 WALL = replace(
     CREEP,
     phenomenon="wall",
@@ -186,7 +202,7 @@ def test_rows_are_listed_without_a_target(gauge):
         (28.0, PERIOD, 0),
         (-29.0, PERIOD, 1),
         (None, PERIOD, 1),
-        (-28.0, replace(PERIOD, configured=1.0, verdict=Verdict.VISIBLE), 1),
+        (-28.0, replace(PERIOD, verdict=Verdict.VISIBLE, parts=part(1.0)), 1),
         (-28.0, WALL, 3),
     ],
 )
@@ -196,7 +212,7 @@ def test_a_baseline_compares_values_with_their_intervals(
     before = tmp_path / "before.json"
     known = as_rows(sanity_document(report(CREEP, PERIOD)))
     before.write_text("\n".join(map(json.dumps, known)))
-    checked = report(replace(CREEP, configured=creep_mm_per_s), more)
+    checked = report(replace(CREEP, parts=part(creep_mm_per_s)), more)
     outcome = run(monkeypatch, checked, "--baseline", str(before))
     assert outcome.exit_code == code
     assert ("regression" in outcome.stderr) == (code == 1)
