@@ -121,7 +121,6 @@ ROW_CANDIDATES: Mapping[str, Sequence[Settings]] = {
     "model-overlap": (HARD, HARDEST),
     "model-cloth-sink": (HARD, HARDEST),
     "model-creep": (SOLVED, HARD, ELLIPTIC | GRIPPING),
-    "robot-slip": (HARD, ELLIPTIC | GRIPPING),
     "model-solver": (SOLVED, {"solver": "Newton"}, SOLVED | {"solver": "Newton"}),
     **dict.fromkeys(
         ("model-spin", "robot-energy", "robot-holds", "robot-drive"),

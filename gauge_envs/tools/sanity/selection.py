@@ -17,7 +17,7 @@ SIMULATED_IDS = frozenset(
     {
         *("model-overlap", "model-constraints", "model-sleep", "model-creep"),
         *("model-cloth", "model-cloth-sink", "model-solver", "model-spin"),
-        *("robot-holds", "robot-energy", "robot-stands", "robot-slip"),
+        *("robot-holds", "robot-energy", "robot-stands"),
         *("robot-torque", "robot-drive"),
     }
 )

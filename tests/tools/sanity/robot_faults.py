@@ -58,7 +58,7 @@ FAULTS = {
     ),
     ("robot-joint", "whole robot"): ('frictionloss="0.2"', 'frictionloss="200"'),
     ("robot-drive", "switch"): ('kp="80"', 'kp="10000"'),
-    ("robot-drive", "step of 2 ms"): (
+    ("robot-drive", "steps of 2 ms"): (
         "implicitfast",
         "Euler",
         'kp="80" kv="2"',
@@ -89,7 +89,6 @@ FAULTS = {
         '<geom friction="0.8 0.005',
         '<geom condim="4" friction="0.4 0.5',
     ),
-    ("robot-slip", "feet slip"): ('impratio="100"', 'impratio="0.1"'),
 }
 """Texts of the good quadruped and what replaces them, by the row that finds it and a part of its remark."""
 

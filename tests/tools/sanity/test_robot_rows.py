@@ -126,7 +126,7 @@ WRONG = {
     ),
     "hobby servo": (
         arm(joint='damping="1" armature="5"', end=MOTOR.format('kp="1000"')),
-        ("robot-joint", "no torque limit is given"),
+        ("robot-joint", "no torque limit"),
     ),
     "no kp": (
         arm(end=MOTOR.format("")),
@@ -149,7 +149,7 @@ WRONG = {
             joint='damping=".5" range="-90 90"',
             end=MOTOR.format('kp="50" kv="2" ctrlrange="-90 90"'),
         ),
-        ("robot-drive", "commands of elbow go from -90 to 90 rad"),
+        ("robot-drive", "commands of elbow span 180 rad"),
     ),
 }
 

@@ -7,9 +7,14 @@ from collections.abc import Iterator
 import mujoco
 import numpy as np
 
-from gauge_envs.pages.text import vector_text
 from gauge_envs.tools.bench.model_settings import GROUND_TYPES
-from gauge_envs.tools.sanity.robot.joints import Case, drives, start, worst_case
+from gauge_envs.tools.sanity.robot.joints import (
+    Case,
+    body_name,
+    drives,
+    start,
+    worst_case,
+)
 from gauge_envs.tools.sanity.robot.mujoco_feet import (
     SOLE_WITHIN,
     Standing,
@@ -21,13 +26,13 @@ from gauge_envs.tools.sanity.robot.mujoco_feet import (
 from gauge_envs.tools.sanity.robot.robot import Robot, random_poses, switched_off
 from gauge_envs.tools.sanity.rows import Finding, NotApplicableError, row
 
-NOT_STANDING = "no robot of the model stands on the ground under its own weight"
-
 
 def standing_of(robot: Robot) -> Standing:
     """Return the robot that stands; rows that need one do not apply to a model without."""
     if robot.standing is None:
-        raise NotApplicableError(NOT_STANDING)
+        raise NotApplicableError(
+            "no robot of the model stands on the ground under its own weight"
+        )
     return robot.standing
 
 
@@ -37,21 +42,17 @@ def standing_of(robot: Robot) -> Standing:
     unit="1",
     interval=(0.0, 0.5),
     source="contype, conaffinity and pairs of the model; the lowest geoms in the pose in which it stands",
-    consequence="The limb passes through the ground, so that the policy learns to walk without it.",
+    consequence="The limb passes through the ground: walking does without it.",
 )
 def feet(robot: Robot) -> Finding:
     """Return the number of limbs that reach the ground and cannot touch it."""
     model = robot.model
     if (plane := _untouched_plane(robot)) is not None:
-        name = geom_name(model, plane)
-        return Finding(
-            value=1.0,
-            remark=f"no geom of the robot can touch {name}: it falls through it",
-            place=("geom", plane),
-        )
+        text = f"no geom of the robot can touch {geom_name(model, plane)}: it falls through it"
+        return Finding(value=1.0, remark=text, place=("geom", plane))
     standing = standing_of(robot)
     lows = {geom: float(point[2]) for geom, point in standing.support_m.items()}
-    deep = min(lows.values()) + SOLE_WITHIN * standing.height_m
+    within_m = SOLE_WITHIN * standing.height_m
     carrying = {
         body for geom in lows for body in chain_of(model, int(model.geom_bodyid[geom]))
     }
@@ -59,26 +60,21 @@ def feet(robot: Robot) -> Finding:
     lame: dict[int, int] = {}
     for geom in np.flatnonzero(np.isin(model.geom_bodyid, robot.bodies)).tolist():
         limb = chain_of(model, int(model.geom_bodyid[geom]))
-        low = float(support_m(model, standing.stance, geom)[2])
-        near = [
-            lows[other] for other in lows if int(model.geom_bodyid[other]) in limb[:2]
-        ]
+        low = float(support_m(model, robot.stance, geom)[2])
+        near = [lows[other] for other in lows if model.geom_bodyid[other] in limb[:2]]
         # Drawn geoms of a limb that touches are no fault; those that collide and reach deeper than it touches are.
-        is_apart = limb[0] not in carrying and not near and low <= deep
-        is_deeper = (
-            is_solid[geom]
-            and near
-            and low < min(near) - SOLE_WITHIN * standing.height_m
-        )
-        if geom not in lows and (is_apart or is_deeper):
+        is_apart = limb[0] not in carrying and low <= standing.ground_m + within_m
+        if near:
+            is_apart = bool(is_solid[geom]) and low < min(near) - within_m
+        if geom not in lows and is_apart:
             lame[limb[0]] = geom
     names = [geom_name(model, geom) for geom in lame.values()]
+    if not lame:
+        return Finding(value=0.0)
     return Finding(
         value=float(len(lame)),
-        remark=f"{', '.join(names[:3])} reach the ground and cannot touch it"
-        if lame
-        else "",
-        place=("geom", next(iter(lame.values()))) if lame else None,
+        remark=f"{', '.join(names[:3])} reach the ground and cannot touch it",
+        place=("geom", next(iter(lame.values()))),
         parts=dict.fromkeys(names, 1.0),
     )
 
@@ -87,15 +83,14 @@ def _untouched_plane(robot: Robot) -> int | None:
     """Return the plane of the world that no geom of a free robot with motors can touch; None without one."""
     model = robot.model
     is_floor = model.geom_type == int(mujoco.mjtGeom.mjGEOM_PLANE)
-    is_floor &= (model.geom_bodyid == 0) & (
-        (model.geom_contype | model.geom_conaffinity) != 0
-    )
-    floors = np.flatnonzero(is_floor).tolist()
+    is_floor &= (model.geom_contype | model.geom_conaffinity) != 0
+    floors = np.flatnonzero(is_floor & (model.geom_bodyid == 0)).tolist()
     is_free = joints_of(model, "FREE") & np.isin(model.jnt_bodyid, robot.bodies)
     falls = model.opt.gravity.any() and not switched_off(model, "gravity", "contact")
-    if not (floors and is_free.any() and falls and drives(robot)):
+    is_touched = np.isin(robot.pairs.geoms, floors).any()
+    if is_touched or not (floors and is_free.any() and falls and drives(robot)):
         return None
-    return None if np.isin(robot.pairs.geoms, floors).any() else floors[0]
+    return int(floors[0])
 
 
 # --- friction --------------------------------------------------------------------------------------------------------
@@ -109,57 +104,59 @@ LOST_FRICTION = 2.0
 
 @row(
     "robot-friction",
-    title="friction of a foot on the ground, over the limit of real soles",
+    title="friction of a foot, over the limit of real soles",
     unit="1",
     interval=(0.0, 1.0),
     source="wet ice 0.05, racing tyres below 3; MuJoCo takes the greater one of two geoms of equal priority",
-    consequence="The foot slips or grips as on no floor, so that the policy pushes in ways that no real foot can.",
+    consequence="The foot slips or grips as on no real floor.",
     is_usual=True,
 )
 def friction(robot: Robot) -> Finding:
     """Return the foot whose friction is farthest beyond the limits."""
-    if not robot.foot_rows:
-        raise NotApplicableError(NOT_STANDING)
+    standing_of(robot)
     return worst_case(
         case for number in robot.foot_rows for case in _frictions(robot, number)
     )
 
 
 def _frictions(robot: Robot, number: int) -> Iterator[Case]:
-    model, two = robot.model, robot.pairs.geoms[number].tolist()
+    model = robot.model
     condim, met = robot.pairs.constants[number, :2].tolist()
-    met = met if condim > 1 else 0.0
-    names = " on ".join(geom_name(model, geom) for geom in reversed(two))
-    foot = next(geom for geom in two if int(model.geom_bodyid[geom]) in robot.bodies)
-    ground = two[0] if two[1] == foot else two[1]
+    met *= condim > 1
+    # The pair is in the order of ids; the foot is on a body of the robot.
+    ground, foot = sorted(
+        robot.pairs.geoms[number].tolist(),
+        key=lambda geom: int(model.geom_bodyid[geom]) in robot.bodies,
+    )
+    name = geom_name(model, foot)
     ratio = max(LOW_FRICTION / max(met, 1e-9), met / HIGH_FRICTION)
-    text = f"{names}: friction {met:g}" + (" by condim 1" if condim == 1 else "")
-    yield Case(ratio, ("geom", foot), names, text)
+    text = f"{name} has friction {met:g} on {geom_name(model, ground)}"
+    text += ", by condim 1" * (condim == 1)
+    yield Case(ratio, ("geom", foot), name, text, is_usual=True)
     given = float(model.geom_friction[ground, 0])
     # What a geom takes from the default of all is no statement about it.
     common = 1.0 if robot.spec is None else float(robot.spec.default.geom.friction[0])
-    is_lost = (
-        given != common and model.geom_priority[foot] == model.geom_priority[ground]
-    )
-    if is_lost and not model.npair:
-        text = f"{geom_name(model, ground)} states friction {given:g}, {geom_name(model, foot)} meets {met:g}"
-        yield Case(
-            met / max(given, 1e-3) / LOST_FRICTION, ("geom", ground), names, text
-        )
+    is_equal = model.geom_priority[foot] == model.geom_priority[ground]
+    if given != common and is_equal and not model.npair:
+        ratio = met / max(given, 1e-3) / LOST_FRICTION
+        text = f"{geom_name(model, ground)} states friction {given:g}, {name} meets {met:g}"
+        yield Case(ratio, ("geom", ground), name, text, is_usual=True)
 
 
-LARGEST_LEVER_M, LEAST_TIP_M = 0.1, 0.0025
-"""Torsional friction from which on, beyond the sliding one, the three are in another order, and the size of a geom that
-is a point of a larger pad [m]."""
+LEAST_TIP_M = 0.0025
+"""Size of a geom that is a point of a larger pad [m]."""
+
+LEVER = 3.0
+"""Lever over size from which on a geom is no part of a larger pad: pads are up to three times their geoms."""
 
 
 @row(
     "robot-torsion",
-    title="lever of torsional or rolling friction over the size of a foot or finger",
+    title="lever of torsional friction, over size of a foot",
     unit="1",
-    interval=(0.0, 2.0),
+    interval=(0.0, LEVER),
     source="an even disc has a lever of two thirds of its radius, and no contact is larger than the part",
-    consequence="Feet and fingers hold as if glued: they neither turn nor roll, so that the policy relies on it.",
+    consequence="Feet and fingers hold as if glued: they neither turn nor roll.",
 )
 def torsion(robot: Robot) -> Finding:
     """Return the geom of a robot whose friction against turning is largest for its size."""
@@ -168,25 +165,19 @@ def torsion(robot: Robot) -> Finding:
     is_felt &= model.geom_rbound > LEAST_TIP_M
     for number in robot.foot_rows or range(len(robot.pairs.geoms)):
         condim, sliding, *levers = robot.pairs.constants[number, [0, 1, 3, 4, 5]]
-        touching_geoms = [
-            geom for geom in robot.pairs.geoms[number].tolist() if is_felt[geom]
-        ]
-        if condim < 4 or not touching_geoms:
+        geoms = [geom for geom in robot.pairs.geoms[number].tolist() if is_felt[geom]]
+        if condim < 4 or not geoms:
             continue
         lever_m = float(max(levers[: 1 if condim == 4 else 3]))
-        geom = min(touching_geoms, key=lambda other: float(model.geom_rbound[other]))
-        size_m = float(model.geom_rbound[geom])
-        name = geom_name(model, geom)
-        text = f"{name} resists turning with a lever of {1e3 * lever_m:.3g} mm and is {1e3 * size_m:.3g} mm large"
-        if lever_m > max(float(sliding), LARGEST_LEVER_M):
-            numbers = vector_text(model.geom_friction[geom])
-            text += (
-                f"; friction {numbers} is not in the order sliding, torsion, rolling"
-            )
+        geom = min(geoms, key=lambda other: float(model.geom_rbound[other]))
+        size_m, name = float(model.geom_rbound[geom]), geom_name(model, geom)
+        text = f"{name} of {1e3 * size_m:.3g} mm resists turning with a lever of {1e3 * lever_m:.3g} mm"
+        if lever_m > sliding:
+            text += ": friction is in the order sliding, torsion, rolling"
         cases.append(Case(lever_m / size_m, ("geom", geom), name, text))
     if not cases:
         raise NotApplicableError("no contact of the robot has condim 4 or 6")
-    return worst_case(cases, limit=2.0)
+    return worst_case(cases, limit=LEVER)
 
 
 # --- overlap ---------------------------------------------------------------------------------------------------------
@@ -201,30 +192,25 @@ TRIED = 32
     unit="mm",
     interval=(0.0, 2.0),
     source="rigid parts do not overlap; without a keyframe it counts where they do in half of all poses",
-    consequence="Contacts push parts apart or block their joint from the first step.",
+    consequence="Contacts push parts apart or block their joint from the start.",
 )
 def overlap(robot: Robot) -> Finding:
     """Return the deepest contact between parts of a robot, with what is fixed to the world, where it starts."""
     model = robot.model
     if switched_off(model, "contact", "constraint"):
         raise NotApplicableError("contacts are switched off")
-    data = start(robot)
-    depths = _overlaps(robot, data)
+    depths = _overlaps(robot, start(robot))
     if depths and not model.nkey:
         # A pose of zeros is rarely the one in which code starts.
         poses = [_overlaps(robot, pose) for pose in random_poses(model, TRIED)]
-        depths = {
-            pair: depth
-            for pair, depth in depths.items()
-            if 2 * sum(pair in pose for pose in poses) >= TRIED
-        }
+        for pair in list(depths):
+            if 2 * sum(pair in pose for pose in poses) < TRIED:
+                del depths[pair]
     cases = []
-    for (first, second), (depth_m, push_n) in depths.items():
-        names = " and ".join(
-            model.body(body).name or f"body {body}" for body in (first, second)
-        )
-        text = f"{names} overlap by {1e3 * depth_m:.3g} mm and push each other apart with {push_n:.3g} N"
-        cases.append(Case(1e3 * depth_m, ("body", second), names, text))
+    for pair, (depth_m, push_n) in depths.items():
+        names = " and ".join(body_name(model, body) for body in pair)
+        text = f"{names} overlap by {1e3 * depth_m:.3g} mm and push each other with {push_n:.3g} N"
+        cases.append(Case(1e3 * depth_m, ("body", pair[1]), names, text))
     return worst_case(cases, limit=2.0)
 
 
@@ -234,29 +220,21 @@ def _overlaps(
     """Return depth [m] and normal force [N] of contacts between bodies of a robot, and with its fixed base."""
     model, force = robot.model, np.zeros(6)
     depths: dict[tuple[int, int], tuple[float, float]] = {}
-    free = model.jnt_bodyid[joints_of(model, "FREE")]
-    is_based = ~np.isin(model.body_treeid, model.body_treeid[free])
-    for number in range(data.ncon):
-        contact = data.contact[number]
+    free_roots = model.body_rootid[model.jnt_bodyid[joints_of(model, "FREE")]]
+    for number, contact in enumerate(data.contact):
         first, second = sorted(model.geom_bodyid[contact.geom].tolist())
-        # Objects that overlap are no robot.
-        parts = set(
-            np.flatnonzero(model.body_rootid == model.body_rootid[second]).tolist()
+        root = model.body_rootid[second]
+        # Objects that overlap are no robot; the base is what carries the robot and is fixed to the world.
+        is_part = model.body_rootid[first] == root or (
+            model.body_weldid[first] == 0
+            and root not in free_roots
+            and first in (0, *chain_of(model, second))
         )
-        if is_based[second]:
-            parts |= {
-                body
-                for body in (0, *chain_of(model, second))
-                if model.body_weldid[body] == 0
-            }
         is_ground = np.isin(model.geom_type[contact.geom], GROUND_TYPES).any()
         is_inside = contact.dist < 0.0 and not contact.exclude and not is_ground
-        if second not in robot.bodies or first not in parts or not is_inside:
-            continue
-        mujoco.mj_contactForce(model, data, number, force)
-        depth_m, push_n = depths.get((first, second), (0.0, 0.0))
-        depths[first, second] = (
-            max(depth_m, -float(contact.dist)),
-            push_n + float(force[0]),
-        )
+        if second in robot.bodies and is_part and is_inside:
+            mujoco.mj_contactForce(model, data, number, force)
+            depth_m, push_n = depths.get((first, second), (0.0, 0.0))
+            depth_m = max(depth_m, -float(contact.dist))
+            depths[first, second] = (depth_m, push_n + float(force[0]))
     return depths

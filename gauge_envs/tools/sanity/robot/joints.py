@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import cached_property
 from typing import NamedTuple
 
 import mujoco
@@ -17,7 +16,7 @@ from gauge_envs.tools.sanity.robot.mujoco_feet import (
     joints_of,
 )
 from gauge_envs.tools.sanity.robot.robot import Robot, once, random_poses
-from gauge_envs.tools.sanity.rows import Finding, Place
+from gauge_envs.tools.sanity.rows import ROWS, Finding, Place
 
 SERVO_ERROR_RAD = 0.5
 """Error at which a servo without a torque limit is read [rad]: a quarter of the range of a common joint."""
@@ -44,21 +43,26 @@ class Case(NamedTuple):
     is_usual: bool = False
 
 
+USUAL_MARGIN = 1.1
+"""Ratio to a limit that is no law, up to which nothing is flagged."""
+
+
 def worst_case(cases: Iterable[Case], limit: float = 1.0) -> Finding:
     """Return the finding of the largest case, with the number of other parts beyond the limit of the row."""
-    several = list(cases)
-    if not several:
-        return Finding(value=0.0)
-    worst = max(several, key=lambda case: case.ratio)
     parts: dict[str, float] = {}
-    for case in several:
-        parts[case.name] = max(case.ratio, parts.get(case.name, 0.0))
+    worst = Case(0.0, ("body", 0), "", "")
+    for case in cases:
+        ratio = case.ratio
+        if case.is_usual and limit < ratio <= USUAL_MARGIN * limit:
+            ratio = limit
+        parts[case.name] = max(ratio, parts.get(case.name, 0.0))
+        worst = max(worst, case._replace(ratio=ratio), key=lambda one: one.ratio)
     if worst.ratio <= limit:
         return Finding(value=worst.ratio, parts=parts)
     others = sum(ratio > limit for ratio in parts.values()) - 1
     return Finding(
         value=worst.ratio,
-        remark=worst.text + (f"; {others} more like it" if others else ""),
+        remark=worst.text + (f"; {others} more" if others else ""),
         place=worst.place,
         parts=parts,
         is_usual=worst.is_usual,
@@ -73,52 +77,43 @@ class Drive:
         robot: The robot.
         joint: Id of the joint.
         dof: Its degree of freedom.
+        body: Body that the joint moves.
+        name: Name of the joint, or its number.
+        is_hinge: Whether the joint is a hinge.
+        is_leg: Whether the joint is between the trunk of a robot that stands and one of its feet.
         limit: Largest force of its actuators; infinite where none is stated.
         kp: Stiffness of its position servos; 0 without one.
         kv: Damping of its servos.
+        damping: Damping of the joint without its servo.
+        dry: Dry friction of the joint, as the model states it.
+        armature: Inertia of the rotor, as the joint feels it.
+        inertia: Inertia about the joint where the robot starts, all others locked, with the armature.
     """
 
     robot: Robot
     joint: int
     dof: int
+    body: int
+    name: str
+    is_hinge: bool
+    is_leg: bool
     limit: float
     kp: float
     kv: float
+    damping: float
+    dry: float
+    armature: float
+    inertia: float
 
     @property
-    def name(self) -> str:
-        """Name of the joint, or its number."""
-        return self.robot.model.joint(self.joint).name or f"joint {self.joint}"
+    def units(self) -> tuple[str, str]:
+        """Units of its forces and angles."""
+        return ("N m", "rad") if self.is_hinge else ("N", "m")
 
     @property
-    def body(self) -> int:
-        """Body that the joint moves."""
-        return int(self.robot.model.jnt_bodyid[self.joint])
-
-    @property
-    def is_hinge(self) -> bool:
-        """Whether the joint is a hinge."""
-        return bool(joints_of(self.robot.model, "HINGE")[self.joint])
-
-    @property
-    def units(self) -> tuple[str, str, str]:
-        """Units of its forces, angles and inertias."""
-        return ("N m", "rad", "kg m^2") if self.is_hinge else ("N", "m", "kg")
-
-    @property
-    def damping(self) -> float:
-        """Damping of the joint without its servo."""
-        return float(np.ravel(self.robot.model.dof_damping[self.dof])[0])
-
-    @property
-    def armature(self) -> float:
-        """Inertia of the rotor, as the joint feels it."""
-        return float(self.robot.model.dof_armature[self.dof])
-
-    @property
-    def inertia(self) -> float:
-        """Inertia about the joint where the robot starts, all others locked, with the armature."""
-        return float(joint_inertias(self.robot)[self.dof])
+    def scale(self) -> float:
+        """1 for a hinge; 0.1 m for a slide, whose strokes are those of a lever of this length."""
+        return 1.0 if self.is_hinge else 0.1
 
     @property
     def push(self) -> float:
@@ -126,18 +121,6 @@ class Drive:
         if np.isfinite(self.limit) or not self.kp:
             return self.limit
         return self.kp * SERVO_ERROR_RAD * self.scale
-
-    @property
-    def scale(self) -> float:
-        """1 for a hinge; 0.1 m for a slide, whose strokes are those of a lever of this length."""
-        return 1.0 if self.is_hinge else 0.1
-
-    @cached_property
-    def is_leg(self) -> bool:
-        """Whether the joint is between the trunk of a robot that stands and one of its feet."""
-        standing, model = self.robot.standing, self.robot.model
-        feet = () if standing is None else standing.feet
-        return any(self.body in chain_of(model, foot) for foot in feet)
 
     def case(self, ratio: float, text: str, is_usual: bool = False) -> Case:
         """Return a part of a row on the joint; see `Case`."""
@@ -148,15 +131,19 @@ class Drive:
 def drives(robot: Robot) -> list[Drive]:
     """Return the joints of a robot that actuators move."""
     model = robot.model
-    limits, kp, kv = (np.zeros(model.njnt) for _ in range(3))
-    for actuator in np.flatnonzero(acts_on_joints(model)).tolist():
-        joint = int(model.actuator_trnid[actuator, 0])
-        gear = abs(float(model.actuator_gear[actuator, 0]))
-        bias = model.actuator_biasprm[actuator]
-        limits[joint] += gear * _largest(model, actuator)
-        if model.actuator_biastype[actuator] == int(mujoco.mjtBias.mjBIAS_AFFINE):
-            kp[joint] += gear**2 * max(-float(bias[1]), 0.0)
-            kv[joint] -= gear**2 * float(bias[2])
+    feet = () if robot.standing is None else robot.standing.feet
+    legs = {body for foot in feet for body in chain_of(model, foot)}
+    limits, kp, kv = np.zeros((3, model.njnt))
+    acting = np.flatnonzero(acts_on_joints(model) & (model.actuator_gear[:, 0] != 0.0))
+    joints, gears = (
+        model.actuator_trnid[acting, 0],
+        np.abs(model.actuator_gear[acting, 0]),
+    )
+    affine = model.actuator_biastype[acting] == int(mujoco.mjtBias.mjBIAS_AFFINE)
+    bias = -model.actuator_biasprm[acting] * affine[:, None]
+    np.add.at(limits, joints, gears * _largest_forces(model)[acting])
+    np.add.at(kp, joints, gears**2 * np.maximum(bias[:, 1], 0.0))
+    np.add.at(kv, joints, gears**2 * bias[:, 2])
     is_capped = model.jnt_actfrclimited != 0
     capped = np.abs(model.jnt_actfrcrange).max(axis=1, initial=0.0)
     limits[is_capped] = np.minimum(limits, capped)[is_capped]
@@ -166,27 +153,32 @@ def drives(robot: Robot) -> list[Drive]:
         Drive(
             robot=robot,
             joint=joint,
-            dof=int(model.jnt_dofadr[joint]),
+            dof=(dof := int(model.jnt_dofadr[joint])),
+            body=(body := int(model.jnt_bodyid[joint])),
+            name=model.joint(joint).name or f"joint {joint}",
+            is_hinge=bool(joints_of(model, "HINGE")[joint]),
+            is_leg=body in legs,
             limit=float(limits[joint]),
             kp=float(kp[joint]),
             kv=float(kv[joint]),
+            damping=float(np.ravel(model.dof_damping[dof])[0]),
+            dry=float(model.dof_frictionloss[dof]),
+            armature=float(model.dof_armature[dof]),
+            inertia=float(joint_inertias(robot)[dof]),
         )
         for joint in np.flatnonzero(is_driven).tolist()
     ]
 
 
-def _largest(model: mujoco.MjModel, actuator: int) -> float:
-    """Return the largest force of an actuator that its model states, before its gear; infinite where it states none."""
-    largest = np.inf
-    if model.actuator_forcelimited[actuator]:
-        largest = float(np.abs(model.actuator_forcerange[actuator]).max())
-    is_plain = not model.actuator_biasprm[actuator].any()
-    is_plain &= model.actuator_gaintype[actuator] == int(mujoco.mjtGain.mjGAIN_FIXED)
-    if model.actuator_ctrllimited[actuator] and is_plain:
-        gain = abs(float(model.actuator_gainprm[actuator, 0]))
-        span = float(np.abs(model.actuator_ctrlrange[actuator]).max())
-        largest = min(largest, gain * span)
-    return largest
+def _largest_forces(model: mujoco.MjModel) -> FloatArray:
+    """Return the largest force of each actuator before its gear; infinite where none is stated, shape [nu]."""
+    largest = np.abs(model.actuator_forcerange).max(axis=1, initial=0.0)
+    largest[model.actuator_forcelimited == 0] = np.inf
+    is_plain = ~model.actuator_biasprm.any(axis=1) & (model.actuator_ctrllimited != 0)
+    is_plain &= model.actuator_gaintype == int(mujoco.mjtGain.mjGAIN_FIXED)
+    spans = np.abs(model.actuator_ctrlrange).max(axis=1, initial=0.0)
+    spans *= np.abs(model.actuator_gainprm[:, 0])
+    return np.where(is_plain, np.minimum(largest, spans), largest)
 
 
 def servos(model: mujoco.MjModel) -> BoolArray:
@@ -196,32 +188,10 @@ def servos(model: mujoco.MjModel) -> BoolArray:
 
 
 def start(robot: Robot, model: mujoco.MjModel | None = None) -> mujoco.MjData:
-    """Return the pose in which a robot starts, with the controls that hold it there.
-
-    It is the pose in which it stands; of a fixed base the keyframe `home` or the first one, else that of the model.
-    Joints that the model puts outside their ranges are in the middle of these.
-    """
+    """Return the pose in which a robot starts, without controls; see `stance_of`."""
     model = robot.model if model is None else model
     data = mujoco.MjData(model)
-    if robot.standing is not None:
-        data.qpos[:] = robot.standing.stance.qpos
-    elif model.nkey:
-        home = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "home")
-        data.qpos[:] = model.key_qpos[max(home, 0)]
-    else:
-        positions = data.qpos[model.jnt_qposadr]
-        low, high = model.jnt_range.T
-        is_outside = (positions < low) | (positions > high)
-        is_outside &= joints_of(model, "HINGE", "SLIDE") & (model.jnt_limited != 0)
-        data.qpos[model.jnt_qposadr[is_outside]] = (0.5 * (low + high))[is_outside]
-    mujoco.mj_forward(model, data)
-    # A servo's force is gain * control + bias[0] + bias[1] * length: here it is 0.
-    servo = servos(model) & (model.actuator_gainprm[:, 0] != 0.0)
-    bias = model.actuator_biasprm[servo]
-    forces = bias[:, 0] + bias[:, 1] * data.actuator_length[servo]
-    data.ctrl[servo] = -forces / model.actuator_gainprm[servo, 0]
-    if robot.standing is not None and robot.standing.stance.ctrl is not None:
-        data.ctrl[:] = robot.standing.stance.ctrl
+    data.qpos[:] = robot.stance.qpos
     mujoco.mj_forward(model, data)
     return data
 
@@ -284,6 +254,21 @@ def drags(robot: Robot, speed: float) -> FloatArray:
         mujoco.mj_inverse(bare, data)
         forces[drive.dof] = data.qfrc_inverse[drive.dof]
     return forces
+
+
+def is_overweight(drive: Drive) -> bool:
+    """Return whether a joint carries a body whose mass is wrong, which robot-mass names."""
+    model, masses = drive.robot.model, drive.robot.finding(ROWS["robot-mass"]).parts
+    return any(
+        masses.get(body_name(model, body), 0.0) > 1.0
+        for body in drive.robot.bodies
+        if drive.body in chain_of(model, body)
+    )
+
+
+def body_name(model: mujoco.MjModel, body: int) -> str:
+    """Return the name of a body, or its number."""
+    return model.body(body).name or f"body {body}"
 
 
 def root_of(model: mujoco.MjModel, body: int) -> int:

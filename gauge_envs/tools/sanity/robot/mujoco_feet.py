@@ -19,7 +19,6 @@ from gauge_envs.scene import (
     Part,
     Pose,
     Sphere,
-    Vector,
 )
 from gauge_envs.scene.geometry import BoolArray, FloatArray, IntArray, length_of, vector
 from gauge_envs.tools.bench.model_settings import (
@@ -79,7 +78,7 @@ class Stance:
     Attributes:
         label: Name of the pose.
         qpos: Generalized position, shape [nq].
-        ctrl: Controls that belong to the pose, shape [nu]; None where no keyframe states them.
+        ctrl: Controls that belong to the pose, shape [nu]; zeros where no keyframe states them.
         positions_m: Positions of the geoms in a frame with z up [m], shape [geom_count, 3].
         rotations: Rotations of the geoms to that frame.
         joint_axes: Axes of the joints in that frame, shape [joint_count, 3].
@@ -87,7 +86,7 @@ class Stance:
 
     label: str
     qpos: FloatArray
-    ctrl: FloatArray | None
+    ctrl: FloatArray
     positions_m: FloatArray
     rotations: Rotation
     joint_axes: FloatArray
@@ -99,30 +98,32 @@ class Standing:
 
     Attributes:
         body: First moving body of the robot.
-        stance: Pose in which it stands.
         height_m: Height of the robot [m].
+        ground_m: Height of its lowest point [m].
         support_m: Lowest point of each geom that can touch the ground [m].
         feet: Geoms of each foot, by its body.
     """
 
     body: int
-    stance: Stance
     height_m: float
+    ground_m: float
     support_m: Mapping[int, FloatArray]
     feet: Mapping[int, list[int]]
 
 
-def find_standing(model: mujoco.MjModel, pairs: ContactPairs, up: Vector) -> Standing:
+def find_standing(
+    model: mujoco.MjModel, pairs: ContactPairs, stance: Stance
+) -> Standing:
     """Return the heaviest robot of a model that stands, with its feet.
 
     A robot can rise and fall: its first joint is free, or a vertical slide that nothing drives or holds. It has an
     actuator, or joints in a model without actuators. Its feet are the bodies that can touch the ground and lie
-    lowest in the pose of `stance_of`.
+    lowest in its pose.
 
     Args:
         model: The compiled model.
         pairs: All pairs of geoms that can collide.
-        up: Unit vector away from the ground, shape [3].
+        stance: The pose, as of `stance_of`.
     """
     geoms = np.unique(pairs.geoms[ground_rows(pairs)])
     touching = geoms[can_move(model)[geoms]].tolist()
@@ -130,8 +131,7 @@ def find_standing(model: mujoco.MjModel, pairs: ContactPairs, up: Vector) -> Sta
         raise NoFootError("the model has no ground that a moving geom can touch")
     if model.opt.density > LIQUID_KG_PER_M3:
         raise NoFootError("the robot swims: the model's medium is a liquid")
-    stance, moved = stance_of(model, np.asarray(up)), driven_trees(model)
-    trees = model.body_treeid[model.geom_bodyid]
+    trees, moved = model.body_treeid[model.geom_bodyid], driven_trees(model)
     standing = [
         int(model.tree_bodyadr[tree])
         for tree in set(trees[touching].tolist())
@@ -144,22 +144,30 @@ def find_standing(model: mujoco.MjModel, pairs: ContactPairs, up: Vector) -> Sta
             "no robot of the model stands on the ground under its own weight"
         )
     robot = max(standing, key=lambda body: (model.body_subtreemass[body], -body))
-    own = np.flatnonzero(trees == model.body_treeid[robot])
-    support = {geom: support_m(model, stance, geom) for geom in touching if geom in own}
-    ground_m = min(float(point[2]) for point in support.values())
-    top_m = float((stance.positions_m[own, 2] + model.geom_rbound[own]).max())
-    height_m = max(top_m - ground_m, 1e-3)
-    lowest_m = {
-        geom: float(point[2])
-        for geom, point in support.items()
-        if point[2] <= ground_m + STANDS_WITHIN * height_m
+    is_part = trees == model.body_treeid[robot]
+    support = {
+        geom: support_m(model, stance, geom) for geom in touching if is_part[geom]
     }
+    ground_m = min(float(point[2]) for point in support.values())
+    tops_m = stance.positions_m[is_part, 2] + model.geom_rbound[is_part]
+    height_m = max(float(tops_m.max()) - ground_m, 1e-3)
+    bodies: dict[int, list[int]] = {}
+    for geom, point in support.items():
+        if point[2] <= ground_m + STANDS_WITHIN * height_m:
+            bodies.setdefault(int(model.geom_bodyid[geom]), []).append(geom)
+    # A body that carries another one that stands is no foot.
+    for carrying in {other for body in bodies for other in chain_of(model, body)[1:]}:
+        bodies.pop(carrying, None)
+    feet = {}
+    for body, own in bodies.items():
+        sole_m = min(support[geom][2] for geom in own) + SOLE_WITHIN * height_m
+        feet[body] = [geom for geom in own if support[geom][2] <= sole_m]
     return Standing(
         body=robot,
-        stance=stance,
         height_m=height_m,
+        ground_m=ground_m,
         support_m=support,
-        feet=_feet(model, lowest_m, SOLE_WITHIN * height_m),
+        feet=feet,
     )
 
 
@@ -168,6 +176,7 @@ def read_foot(
     pairs: ContactPairs,
     groups: Sequence[ContactGroup],
     standing: Standing,
+    stance: Stance,
 ) -> FootGeometry:
     """Return the lowest foot of a robot.
 
@@ -176,9 +185,12 @@ def read_foot(
         pairs: All pairs of geoms that can collide.
         groups: Contact constants, those that are judged marked as used.
         standing: The robot.
+        stance: Pose in which it stands.
     """
     feet, support = standing.feet, standing.support_m
-    body = min(feet, key=lambda one: (min(support[geom][2] for geom in feet[one]), one))
+    body = min(
+        feet, key=lambda foot: (min(support[geom][2] for geom in feet[foot]), foot)
+    )
     mass_kg = float(model.body_subtreemass[standing.body])
     rows = ground_rows(pairs)
     soles = [geom for geoms in feet.values() for geom in geoms]
@@ -190,16 +202,19 @@ def read_foot(
         # Groups with the same settings are one set, with the name of the first.
         if group.is_used and group.settings in settings:
             names.setdefault(repr(group.settings), group.geoms)
+    origin_m = min((support[geom] for geom in feet[body]), key=lambda point: point[2])
+    texts = [
+        f"{geom_name(model, geom)} ({_kind(model, geom).lower()})"
+        for geom in feet[body]
+    ]
     return FootGeometry(
         name=model.body(body).name or f"body {body}",
-        geoms=_geoms_text(model, feet[body]),
-        parts=_parts(
-            model, standing.stance, {geom: support[geom] for geom in feet[body]}
-        ),
+        geoms=", ".join(shortened(texts)),
+        parts=tuple(_part(model, stance, geom, origin_m) for geom in feet[body]),
         load_kg=mass_kg / len(feet),
         robot_mass_kg=mass_kg,
         foot_count=len(feet),
-        pose=standing.stance.label,
+        pose=stance.label,
         sets=tuple(names.values()),
         softening=float(model.body_invweight0[body, 0]) * COPIES * mass_kg / len(feet),
         friction=float(pairs.constants[lowest, COLUMNS["friction"].start].min()),
@@ -220,11 +235,9 @@ def geom_name(model: mujoco.MjModel, geom: int) -> str:
 
 def shortened(names: list[str]) -> list[str]:
     """Return names of geoms; of many, the number of the last ones."""
-    return (
-        names
-        if len(names) <= MOST_GEOMS
-        else [*names[: MOST_GEOMS - 1], f"{len(names) - MOST_GEOMS + 1} more"]
-    )
+    if len(names) <= MOST_GEOMS:
+        return names
+    return [*names[: MOST_GEOMS - 1], f"{len(names) - MOST_GEOMS + 1} more"]
 
 
 # --- stance ----------------------------------------------------------------------------------------------------------
@@ -235,29 +248,25 @@ def stance_of(model: mujoco.MjModel, up: FloatArray) -> Stance:
 
     Without a keyframe it is the initial pose with joints within their limits.
     """
-    data = mujoco.MjData(model)
-    label, ctrl = "initial pose", None
+    data, label = mujoco.MjData(model), "initial pose"
     if model.nkey:
         names = [model.key(index).name for index in range(model.nkey)]
         known = next((name for name in STANDING if name in names), names[0])
         mujoco.mj_resetDataKeyframe(model, data, names.index(known))
-        label, ctrl = f"keyframe {known}".rstrip(), data.ctrl.copy()
+        label = f"keyframe {known}".rstrip()
     is_clipped = (model.jnt_limited != 0) & joints_of(model, "HINGE", "SLIDE")
-    for joint in np.flatnonzero(is_clipped):
-        place = model.jnt_qposadr[joint]
-        data.qpos[place] = np.clip(data.qpos[place], *model.jnt_range[joint])
+    places = model.jnt_qposadr[is_clipped]
+    data.qpos[places] = np.clip(data.qpos[places], *model.jnt_range[is_clipped].T)
     mujoco.mj_kinematics(model, data)
     if not (np.isfinite(data.geom_xpos).all() and np.isfinite(data.geom_xmat).all()):
         raise TargetError(
             "the poses of the model's geoms are not finite: it states a NaN or an infinite number"
         )
-    turn = Rotation.identity()
-    if up[2] < 1.0:
-        turn = Rotation.align_vectors([[0.0, 0.0, 1.0]], [up])[0]
+    turn = Rotation.align_vectors([[0.0, 0.0, 1.0]], [up])[0]
     return Stance(
         label=label,
         qpos=data.qpos.copy(),
-        ctrl=ctrl,
+        ctrl=data.ctrl.copy(),
         positions_m=turn.apply(data.geom_xpos),
         rotations=turn * Rotation.from_matrix(data.geom_xmat.reshape(-1, 3, 3)),
         joint_axes=turn.apply(data.xaxis),
@@ -290,16 +299,12 @@ def acts_on_joints(model: mujoco.MjModel) -> BoolArray:
 def _can_fall(model: mujoco.MjModel, stance: Stance, body: int) -> bool:
     """Return whether the first joints of a body let it rise and fall."""
     weight_n = float(model.body_subtreemass[body]) * GRAVITY_M_PER_S2
-    is_free, is_slide = joints_of(model, "FREE"), joints_of(model, "SLIDE")
-    driven = model.actuator_trnid[acts_on_joints(model), 0]
-    first = int(model.body_jntadr[body])
-    for joint in range(first, first + int(model.body_jntnum[body])):
-        damping = np.ravel(model.dof_damping[model.jnt_dofadr[joint]])[0]
-        is_upright = abs(stance.joint_axes[joint, 2]) > UPRIGHT
-        is_held = joint in driven or weight_n <= HELD_M_PER_S * damping
-        if is_free[joint] or (is_slide[joint] and is_upright and not is_held):
-            return True
-    return False
+    dampings = model.dof_damping.reshape(model.nv, -1)[model.jnt_dofadr, 0]
+    falls = joints_of(model, "SLIDE") & (np.abs(stance.joint_axes[:, 2]) > UPRIGHT)
+    falls &= weight_n > HELD_M_PER_S * dampings
+    falls[model.actuator_trnid[acts_on_joints(model), 0]] = False
+    falls |= joints_of(model, "FREE")
+    return bool(falls[model.jnt_bodyid == body].any())
 
 
 def support_m(model: mujoco.MjModel, stance: Stance, geom: int) -> FloatArray:
@@ -307,11 +312,10 @@ def support_m(model: mujoco.MjModel, stance: Stance, geom: int) -> FloatArray:
     down = -stance.rotations[geom].as_matrix()[2]
     down[np.abs(down) < FLAT] = 0.0
     size, kind = model.geom_size[geom], _kind(model, geom)
+    # A sphere is a capsule without length.
     end = np.array([0.0, 0.0, size[1] * np.sign(down[2])])
-    point = down * model.geom_rbound[geom]
-    if kind == "CAPSULE":
-        point = size[0] * down + end
-    elif kind == "CYLINDER":
+    point = size[0] * down + end
+    if kind == "CYLINDER":
         aside = down * [1.0, 1.0, 0.0]
         point = size[0] * aside / max(length_of(aside), FLAT) + end
     elif kind == "ELLIPSOID":
@@ -326,28 +330,6 @@ def support_m(model: mujoco.MjModel, stance: Stance, geom: int) -> FloatArray:
     return stance.positions_m[geom] + stance.rotations[geom].apply(point)
 
 
-def _feet(
-    model: mujoco.MjModel, lowest_m: dict[int, float], within_m: float
-) -> dict[int, list[int]]:
-    """Return the geoms of each foot that lie as low as its lowest one, within a height.
-
-    A body that carries another one that stands is no foot.
-    """
-    bodies: dict[int, list[int]] = {}
-    for geom in lowest_m:
-        bodies.setdefault(int(model.geom_bodyid[geom]), []).append(geom)
-    carrying = {one for body in bodies for one in chain_of(model, body)[1:]}
-    return {
-        body: [
-            geom
-            for geom in geoms
-            if lowest_m[geom] <= min(map(lowest_m.__getitem__, geoms)) + within_m
-        ]
-        for body, geoms in bodies.items()
-        if body not in carrying
-    }
-
-
 def chain_of(model: mujoco.MjModel, body: int) -> list[int]:
     """Return a body and all that carry it, but the world."""
     chain = []
@@ -360,20 +342,13 @@ def chain_of(model: mujoco.MjModel, body: int) -> list[int]:
 # --- solids ----------------------------------------------------------------------------------------------------------
 
 
-def _parts(
-    model: mujoco.MjModel, stance: Stance, support_m: dict[int, FloatArray]
-) -> tuple[Part, ...]:
-    """Return geoms as solids, with the lowest of their lowest points [m] as origin."""
-    origin = min(support_m.values(), key=lambda point: float(point[2]))
-    return tuple(
-        Part(
-            shape=_solid(model, geom),
-            pose=Pose.from_rotation(
-                vector(stance.positions_m[geom] - origin), stance.rotations[geom]
-            ),
-        )
-        for geom in support_m
-    )
+def _part(
+    model: mujoco.MjModel, stance: Stance, geom: int, origin_m: FloatArray
+) -> Part:
+    """Return a geom as a solid, in a frame with an origin [m]."""
+    place_m = vector(stance.positions_m[geom] - origin_m)
+    pose = Pose.from_rotation(place_m, stance.rotations[geom])
+    return Part(shape=_solid(model, geom), pose=pose)
 
 
 def _solid(model: mujoco.MjModel, geom: int) -> Solid:
@@ -404,14 +379,3 @@ def _vertices_m(model: mujoco.MjModel, geom: int) -> FloatArray:
     mesh = model.geom_dataid[geom]
     first = model.mesh_vertadr[mesh]
     return model.mesh_vert[first : first + model.mesh_vertnum[mesh]].astype(np.float64)
-
-
-def _geoms_text(model: mujoco.MjModel, geoms: Sequence[int]) -> str:
-    return ", ".join(
-        shortened(
-            [
-                f"{geom_name(model, geom)} ({_kind(model, geom).lower()})"
-                for geom in geoms
-            ]
-        )
-    )

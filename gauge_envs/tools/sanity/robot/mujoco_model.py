@@ -36,7 +36,12 @@ from gauge_envs.tools.sanity.robot.mujoco_feet import (
     read_foot,
     shortened,
 )
-from gauge_envs.tools.sanity.robot.robot import Robot, grasp_kinds, never_touches
+from gauge_envs.tools.sanity.robot.robot import (
+    Robot,
+    grasp_kinds,
+    never_touches,
+    switched_off,
+)
 from gauge_envs.tools.sanity.scenario import check_settings
 
 GRAVITY_TOLERANCE = 0.01
@@ -51,11 +56,7 @@ MOST_GROUPS = 4
 ALONG_AN_AXIS = 0.999
 """Least component of the normal of the plane of a robot that moves along an axis of the world."""
 
-REQUIRED_FEATURES = {
-    "constraint": mujoco.mjtDisableBit.mjDSBL_CONSTRAINT,
-    "contact": mujoco.mjtDisableBit.mjDSBL_CONTACT,
-    "limit": mujoco.mjtDisableBit.mjDSBL_LIMIT,
-}
+REQUIRED_FEATURES = "constraint", "contact", "limit"
 """Features that a model may switch off, and that the experiments need."""
 
 ABSENT_PARTS = {
@@ -103,8 +104,8 @@ def mujoco_configuration(
     inapplicable = _inapplicable(model, groups)
     robot = Robot(model=model, pairs=pairs, up=up, spec=spec, pair=pair, file=file)
     try:
-        standing = find_standing(model, pairs, up)
-        foot = read_foot(model, pairs, groups, standing)
+        standing = find_standing(model, pairs, robot.stance)
+        foot = read_foot(model, pairs, groups, standing, robot.stance)
         robot = replace(robot, standing=standing)
     except NoFootError as error:
         foot = None
@@ -142,14 +143,11 @@ def _inapplicable(
 ) -> dict[Need, str]:
     """Return what phenomena need and the model has not, with the reason."""
     reasons = {}
-    if (
-        model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY
-        or not model.opt.gravity.any()
-    ):
+    if switched_off(model, "gravity") or not model.opt.gravity.any():
         reasons[Need.GRAVITY] = "the model has no gravity"
     if not groups:
         reasons[Need.CONTACT] = "no two geoms of the model can collide"
-    elif model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_CONTACT:
+    elif switched_off(model, "contact"):
         reasons[Need.CONTACT] = "the model switches contacts off"
     return reasons
 
@@ -159,14 +157,11 @@ def _up(model: mujoco.MjModel) -> Vector:
     planes = np.flatnonzero(
         (model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE) & ~can_move(model)
     )
-    axis = np.array([0.0, 0.0, 1.0])
+    normal = np.array([0.0, 0.0, 1.0])
     if len(planes):
-        normal = np.zeros(3)
-        mujoco.mju_rotVecQuat(normal, axis, model.geom_quat[planes[0]])
-        nearest = np.abs(normal).argmax()
-        axis = np.zeros(3)
-        axis[nearest] = np.sign(normal[nearest])
-    return vector(axis)
+        mujoco.mju_rotVecQuat(normal, normal.copy(), model.geom_quat[planes[0]])
+    nearest = np.abs(normal).argmax()
+    return vector(np.eye(3)[nearest] * np.sign(normal[nearest]))
 
 
 # --- which constants count -------------------------------------------------------------------------------------------
@@ -237,7 +232,7 @@ def _groups(
 def _option_notes(model: mujoco.MjModel) -> list[str]:
     option, notes = model.opt, []
     gravity = option.gravity - np.array([0.0, 0.0, -GRAVITY_M_PER_S2])
-    if option.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY:
+    if switched_off(model, "gravity"):
         notes.append("the model switches gravity off; rows that need it are declined")
     elif np.abs(gravity).max() > GRAVITY_TOLERANCE * GRAVITY_M_PER_S2:
         size = f"({', '.join(f'{one:g}' for one in option.gravity)})"
@@ -246,8 +241,7 @@ def _option_notes(model: mujoco.MjModel) -> list[str]:
         notes.append(
             f"gravity of the model is {size} m/s^2; the experiments have {GRAVITY_M_PER_S2:g} m/s^2"
         )
-    off = [name for name, bit in REQUIRED_FEATURES.items() if option.disableflags & bit]
-    if off:
+    if off := switched_off(model, *REQUIRED_FEATURES):
         notes.append(
             f"the model switches off {', '.join(off)}; the experiments need it"
         )

@@ -27,6 +27,7 @@ from gauge_envs.tools.bench.model_settings import ContactPairs
 from gauge_envs.tools.sanity.model import Settings
 from gauge_envs.tools.sanity.robot.mjcf_text import ModelText
 from gauge_envs.tools.sanity.robot.mujoco_feet import (
+    Stance,
     Standing,
     acts_on_joints,
     driven_trees,
@@ -55,13 +56,6 @@ ARRAYS = {"equality": "eq"}
 
 PAIRED = ("contact_solref", "contact_solimp")
 """Settings that explicit pairs state instead of their geoms, in the same form."""
-
-CHANGED_ARRAYS = (
-    "dof_armature",
-    "body_gravcomp",
-    *("actuator_gainprm", "actuator_biasprm", "actuator_forcerange"),
-)
-"""Arrays of the model that a row may change in a copy."""
 
 OPTIONS = {"integrator": INTEGRATORS, "cone": CONES, "solver": SOLVERS}
 
@@ -123,18 +117,21 @@ class Robot:
     def without(self, *features: str) -> mujoco.MjModel:
         """Return a copy of the model with some features switched off, valid until the next call.
 
-        Options and `CHANGED_ARRAYS` of the copy may be changed. There is one copy, as meshes make copies slow.
+        Its medium, its flags and the biases of its actuators may be changed. There is one copy, as meshes make copies
+        slow.
         """
-        model, option = self._trial_model, self._trial_model.opt
-        for name in ("gravity", "wind"):
-            getattr(option, name)[:] = getattr(self.model.opt, name)
+        model = self._trial_model
         for name in ("density", "viscosity", "disableflags", "enableflags"):
-            setattr(option, name, getattr(self.model.opt, name))
+            setattr(model.opt, name, getattr(self.model.opt, name))
         for feature in features:
-            option.disableflags |= disable_bit(feature)
-        for name in CHANGED_ARRAYS:
-            getattr(model, name)[:] = getattr(self.model, name)
+            model.opt.disableflags |= disable_bit(feature)
+        model.actuator_biasprm[:] = self.model.actuator_biasprm
         return model
+
+    @cached_property
+    def stance(self) -> Stance:
+        """Pose in which it stands or starts; see `stance_of`."""
+        return stance_of(self.model, np.asarray(self.up))
 
     @cached_property
     def driven_trees(self) -> set[int]:
@@ -159,30 +156,23 @@ class Robot:
         """Rows of `pairs` in which a foot meets the ground."""
         if self.standing is None:
             return []
-        feet = {geom for geoms in self.standing.feet.values() for geom in geoms}
-        return [
-            int(row)
-            for row in ground_rows(self.pairs)
-            if feet & set(self.pairs.geoms[row].tolist())
-        ]
+        feet = [geom for geoms in self.standing.feet.values() for geom in geoms]
+        rows = ground_rows(self.pairs)
+        touches = np.isin(self.pairs.geoms[rows], feet).any(axis=1)
+        return rows[touches].tolist()
 
     @cached_property
     def plane_normal(self) -> FloatArray | None:
         """Normal of the vertical plane in which the robot moves, shape [3]; None when it moves in space."""
-        model = self.model
-        axes = stance_of(model, np.asarray(self.up)).joint_axes
-        is_own, is_hinge = (
-            np.isin(model.jnt_bodyid, self.bodies),
-            joints_of(model, "HINGE"),
-        )
-        if (
-            not (is_own & is_hinge).any()
-            or joints_of(model, "FREE", "BALL")[is_own].any()
-        ):
+        model, axes = self.model, self.stance.joint_axes
+        is_part = np.isin(model.jnt_bodyid, self.bodies)
+        is_hinge = joints_of(model, "HINGE")
+        hinges = axes[is_part & is_hinge]
+        if not len(hinges) or joints_of(model, "FREE", "BALL")[is_part].any():
             return None
-        normal: FloatArray = axes[is_own & is_hinge][0]
+        normal: FloatArray = hinges[0]
         parallel = np.abs(axes @ normal)
-        fits = np.where(is_hinge, parallel > 0.999, parallel < 1e-3)[is_own]
+        fits = np.where(is_hinge, parallel > 0.999, parallel < 1e-3)[is_part]
         return normal if fits.all() and abs(normal[2]) < 1e-3 else None
 
     def reached_by_default(self, name: str) -> list[int]:
@@ -195,30 +185,23 @@ class Robot:
             return []
         if self.spec is None:
             values = getattr(self.model, f"geom_{field}").reshape(self.model.ngeom, -1)
-            _, several, counts = np.unique(
-                values, axis=0, return_inverse=True, return_counts=True
-            )
-            return [
-                int(geom) for geom in np.flatnonzero(several.ravel() == counts.argmax())
-            ]
-        default = np.atleast_1d(getattr(self.spec.default.geom, field))
+            several, counts = np.unique(values, axis=0, return_counts=True)
+            common = several[counts.argmax()] if len(several) else several
+            return np.flatnonzero((values == common).all(axis=1)).tolist()
+        default = getattr(self.spec.default.geom, field)
         return [
             geom.id
             for geom in self.spec.geoms
             if geom.id >= 0
-            and np.array_equal(np.atleast_1d(getattr(geom, field)), default)
-            and np.array_equal(
-                np.atleast_1d(getattr(geom.classname.geom, field)), default
-            )
+            and np.array_equal(getattr(geom, field), default)
+            and np.array_equal(getattr(geom.classname.geom, field), default)
         ]
 
     @cached_property
     def grounded(self) -> set[int]:
         """Geoms that can touch the ground, those of the ground, and those of a hand and of what it can hold."""
-        rows = [
-            *ground_rows(self.pairs),
-            *np.flatnonzero(grasp_kinds(self.model, self.pairs)),
-        ]
+        can_grasp = np.flatnonzero(grasp_kinds(self.model, self.pairs))
+        rows = [*ground_rows(self.pairs), *can_grasp]
         return set(np.unique(self.pairs.geoms[rows]).tolist())
 
     def changed(
@@ -323,15 +306,11 @@ def set_option(option: Any, name: str, value: Any) -> None:
     elif name in SAME_NAME_OPTIONS:
         setattr(option, name, value)
     elif name in DISABLE_FLAGS:
-        bit = disable_bit(name)
-        option.disableflags = (
-            option.disableflags & ~bit if value else option.disableflags | bit
-        )
+        off = disable_bit(name)
+        option.disableflags = option.disableflags & ~off | off * (not value)
     elif name in ENABLE_FLAGS:
-        bit = int(ENABLE_FLAGS[name])
-        option.enableflags = (
-            option.enableflags | bit if value else option.enableflags & ~bit
-        )
+        on = int(ENABLE_FLAGS[name])
+        option.enableflags = option.enableflags & ~on | on * bool(value)
     elif name == "o_friction" and value is None:
         option.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_OVERRIDE)
 
@@ -348,14 +327,13 @@ def grasp_kinds(model: mujoco.MjModel, pairs: ContactPairs) -> NDArray[np.int_]:
     driven = np.isin(roots, roots[model.jnt_bodyid[joints_of_motors(model)]])
     free = np.isin(roots, model.jnt_bodyid[joints_of(model, "FREE")]) & ~driven
     bodies = model.geom_bodyid[pairs.geoms]
-    round_geoms = np.isin(
-        model.geom_type,
-        [int(mujoco.mjtGeom.mjGEOM_SPHERE), int(mujoco.mjtGeom.mjGEOM_ELLIPSOID)],
+    round_types = mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_ELLIPSOID
+    is_round = np.isin(
+        model.geom_type[pairs.geoms], [int(kind) for kind in round_types]
     )
-    at_point = (driven[bodies] & round_geoms[pairs.geoms]).any(axis=1)
-    kinds: NDArray[np.int_] = (
-        driven[bodies].any(axis=1) & free[bodies].any(axis=1)
-    ) * (1 + at_point)
+    at_point = (driven[bodies] & is_round).any(axis=1)
+    grasps = driven[bodies].any(axis=1) & free[bodies].any(axis=1)
+    kinds: NDArray[np.int_] = grasps * (1 + at_point)
     return kinds
 
 
@@ -366,23 +344,15 @@ def never_touches(robot: Robot) -> bool:
     return not any(data.ncon for data in random_poses(robot.model, poses=200))
 
 
-def random_poses(
-    model: mujoco.MjModel, poses: int, *, with_contact: bool = True
-) -> Iterator[mujoco.MjData]:
-    """Yield a model in random poses within its joint limits, at rest; free and ball joints stay.
-
-    Without contact only places and axes are up to date.
-    """
+def random_poses(model: mujoco.MjModel, poses: int) -> Iterator[mujoco.MjData]:
+    """Yield a model in random poses within its joint limits, at rest; free and ball joints stay."""
     data, generator = mujoco.MjData(model), np.random.default_rng(0)
     is_hinge = joints_of(model, "HINGE")
+    moving = is_hinge | joints_of(model, "SLIDE")
+    limits = np.where(is_hinge[:, None], [-np.pi, np.pi], [-1.0, 1.0])
+    is_limited = model.jnt_limited != 0
+    limits[is_limited] = model.jnt_range[is_limited]
     for _ in range(poses):
-        for joint in np.flatnonzero(is_hinge | joints_of(model, "SLIDE")):
-            free = (-np.pi, np.pi) if is_hinge[joint] else (-1.0, 1.0)
-            low, high = model.jnt_range[joint] if model.jnt_limited[joint] else free
-            data.qpos[model.jnt_qposadr[joint]] = generator.uniform(low, high)
-        if with_contact:
-            mujoco.mj_forward(model, data)
-        else:
-            mujoco.mj_kinematics(model, data)
-            mujoco.mj_comPos(model, data)
+        data.qpos[model.jnt_qposadr[moving]] = generator.uniform(*limits[moving].T)
+        mujoco.mj_forward(model, data)
         yield data
