@@ -148,8 +148,12 @@ def sanity(target):
     """Return value, unit and verdict of each phenomenon that a training configuration shows."""
     return {
         row.phenomenon: [row.configured, row.unit, row.verdict.value]
-        for row in check(target, explain=False).rows
-        if row.applies and not row.phenomenon.startswith(("model-", "robot-"))
+        for row in check(
+            target,
+            only=tuple(read()["sanity"][target]),
+            include_deformables=True,
+            explain=False,
+        ).rows
     }
 
 

@@ -51,7 +51,7 @@ def check(
         target: A `TrainingConfiguration`, or a target of `gauge_envs.tools.sanity.configuration`.
         only: Ids of rows or patterns such as `creep-*`; when empty, all rows on the target's own model and on rigid
             bodies, and those on grasps if the target is a model with a hand.
-        include_deformables: Whether to measure rows on grasps and on deformable bodies too.
+        include_deformables: Whether to measure rows on grasps, a wall and deformable bodies too.
         time_limit_s: Time after which no simulation starts [s]; rows that are not measured by then are declined. It
             bounds each simulation of an engine of another package too. None for no limit.
         explain: Whether to find the change that corrects most.

@@ -127,9 +127,9 @@ def sanity(
     """Report what is wrong in a training configuration, and the change of settings that corrects most.
 
     Runs the target's own model, then measured objects with its numerical settings, and compares both with mechanics and
-    real trials; gauge list phenomena shows all rows. Deformable bodies are checked where a pattern of --only is '*' or
-    names them alone. Exit code 0 when all that was asked for was measured and passed, 1 for a row as bad as --fail-on
-    names or farther from reality than in --baseline, 3 when rows were not measured.
+    real trials; gauge list phenomena shows all rows. A wall and deformable bodies are checked where a pattern of --only
+    is '*' or names them alone. Exit code 0 when all that was asked for was measured and passed, 1 for a row as bad as
+    --fail-on names or farther from reality than in --baseline, 3 when rows were not measured.
     """
     from gauge_envs.tools.sanity import check, configuration
     from gauge_envs.tools.sanity.comparison import read_baseline
@@ -218,7 +218,7 @@ def _compare(
 
 
 def list_phenomena(patterns: Sequence[str]) -> list[Table]:
-    """Return the table of rows, those of deformable bodies only for patterns that choose them."""
+    """Return the table of rows, those of a wall and of deformable bodies only for patterns that choose them."""
     from gauge_envs.tools.sanity.report import phenomena_table
     from gauge_envs.tools.sanity.selection import chooses_deformables
 

@@ -5,7 +5,7 @@ from fnmatch import fnmatchcase
 
 from gauge_envs.errors import UnknownNameError
 from gauge_envs.tools.sanity.own_rows import ROWS
-from gauge_envs.tools.sanity.phenomena import DEFORMABLE, GRASP, RIGID
+from gauge_envs.tools.sanity.phenomena import GRASP, RIGID, SLOW
 
 GRAVITY_ID, CONTROL_ID = "gravity", "control-step"
 """Rows on what a target gives as numbers."""
@@ -31,12 +31,12 @@ def selection(
 
     Args:
         only: Ids or patterns such as `creep-*`, also several in one text with commas; all when empty.
-        include_deformables: Whether to include rows on grasps and on deformable bodies.
+        include_deformables: Whether to include rows on grasps, a wall and deformable bodies.
 
     Raises:
         UnknownNameError: A pattern matches no row.
     """
-    more = (*GRASP, *DEFORMABLE) if include_deformables else ()
+    more = (*GRASP, *SLOW) if include_deformables else ()
     known = (*OWN_IDS, *RIGID, *more)
     patterns = [part.strip() for text in only for part in text.split(",")]
     for pattern in patterns:
@@ -50,7 +50,7 @@ def selection(
 
 
 def chooses_deformables(only: Sequence[str]) -> bool:
-    """Return whether a pattern chooses deformable bodies: it is `*`, or matches no row of rigid bodies."""
+    """Return whether a pattern chooses a wall or deformable bodies: it is `*`, or matches no other row."""
     rigid = selection()
     return any(
         pattern == "*" or not any(fnmatchcase(name, pattern) for name in rigid)

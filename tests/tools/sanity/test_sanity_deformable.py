@@ -11,7 +11,7 @@ from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
 from gauge_envs.tools.bench.recording import DivergedError
 from gauge_envs.tools.sanity.measure import Measurements
 from gauge_envs.tools.sanity.model import Verdict
-from gauge_envs.tools.sanity.phenomena import DEFORMABLE, phenomenon
+from gauge_envs.tools.sanity.phenomena import SLOW, phenomenon
 from gauge_envs.tools.sanity.scenario import run_scenario
 
 MUJOCO = backend("mujoco")
@@ -129,5 +129,5 @@ def test_an_engine_that_raises_has_diverged(monkeypatch):
 @pytest.mark.slow
 def test_the_preset_raises_no_flag():
     measurements = Measurements(MUJOCO)
-    rows = [measurements.measure(phenomenon(name), {}) for name in DEFORMABLE]
+    rows = [measurements.measure(phenomenon(name), {}) for name in SLOW]
     assert {row.verdict for row in rows} == {Verdict.INSIDE}

@@ -253,13 +253,13 @@ def test_three_per_cent_of_a_slide_are_visible():
     assert measured.verdict is Verdict.VISIBLE
 
 
-SLOW = ("energy", "period", "wall-sag", "wall-drift", "carry-plastic", "carry-metal")
+LONGER = ("energy", "period", "carry-plastic", "carry-metal")
 
 
 @pytest.mark.parametrize(
     ("name", "skipped"),
     [
-        ("mujoco", SLOW),
+        ("mujoco", LONGER),
         pytest.param("mujoco", (), marks=pytest.mark.slow),
         pytest.param("newton", (), marks=pytest.mark.slow),
     ],

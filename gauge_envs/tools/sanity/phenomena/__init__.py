@@ -24,8 +24,8 @@ RIGID: Mapping[str, Sequence[str]] = _TABLES["rigid"]
 GRASP: Mapping[str, Sequence[str]] = _TABLES["grasp"]
 """The same for what a hand holds; measured of a model that has a hand, or by name."""
 
-DEFORMABLE: Mapping[str, Sequence[str]] = _TABLES["deformable"]
-"""The same for deformable bodies."""
+SLOW: Mapping[str, Sequence[str]] = _TABLES["slow"]
+"""The same for rows that take longer: a wall, deformable bodies; measured by name alone."""
 
 
 @cache
@@ -36,13 +36,13 @@ def phenomenon(name: str, foot: FootGeometry | None = None) -> Phenomenon:
         name: The id.
         foot: Foot of the target, for rows that need one; that of a small quadruped if None.
     """
-    module, function, *arguments = {**RIGID, **GRASP, **DEFORMABLE}[name]
+    module, function, *arguments = {**RIGID, **GRASP, **SLOW}[name]
     make = getattr(import_module(f"{__name__}.{module}"), function)
     made: Phenomenon = make(*arguments) if foot is None else make(foot)
     return replace(made, id=name)
 
 
 def phenomena(*, include_deformables: bool = False) -> tuple[Phenomenon, ...]:
-    """Return all phenomena of rigid bodies, and with `include_deformables` those of grasps and deformable bodies."""
-    more = (*GRASP, *DEFORMABLE) if include_deformables else ()
+    """Return all phenomena of rigid bodies, and with `include_deformables` those of grasps, a wall and deformables."""
+    more = (*GRASP, *SLOW) if include_deformables else ()
     return tuple(map(phenomenon, (*RIGID, *more)))
