@@ -5,7 +5,6 @@ import json
 from pathlib import Path
 
 import pytest
-import yaml
 from sanity_cases import read_text
 
 from gauge_envs.errors import TargetError
@@ -73,20 +72,19 @@ def test_of_two_rules_the_one_of_higher_priority_combines(ground, robot, frictio
     assert found.friction == pytest.approx((friction, friction))
 
 
-def test_a_floor_without_a_material_is_that_of_the_engine():
-    found = read(
-        events=None, scene__terrain__physics_material=None, sim__physics_material=None
-    )
-    assert found.foot_contact.friction == (0.5, 0.5)
-    assert found.foot_contact.restitution == pytest.approx((0.4, 0.4))
-    assert "Isaac Sim's default ground plane" in found.foot_contact.source
+@pytest.mark.parametrize(
+    ("kind", "friction", "restitution"), [("plane", 0.5, 0.4), ("generator", 1.0, 0.0)]
+)
+def test_a_floor_without_a_material_is_that_of_the_engine(kind, friction, restitution):
     # A generated terrain is a mesh, which gets the default material of the simulation.
-    mesh = read(
-        events=None,
-        scene__terrain__physics_material=None,
-        scene__terrain__terrain_type="generator",
+    terrain = {"terrain_type": kind}
+    simulation = {} if kind == "plane" else material(1.0, "average")
+    found = read(
+        events=None, scene__terrain=terrain, sim__physics_material=simulation
     ).foot_contact
-    assert (mesh.friction, mesh.restitution) == ((1.0, 1.0), (0.0, 0.0))
+    assert (*found.friction, *found.restitution) == pytest.approx(
+        (friction, friction, restitution, restitution)
+    )
 
 
 def test_a_ground_plane_of_a_manipulation_task_is_found():
@@ -165,12 +163,10 @@ def test_a_wrong_value_is_named_with_its_key(values, message):
 
 
 def test_a_hydra_file_has_the_same_below_env(tmp_path):
-    run = tmp_path / "2026-01-01_g1"
-    (run / ".hydra").mkdir(parents=True)
-    (run / ".hydra" / "config.yaml").write_text(
-        yaml.safe_dump({"env": json.loads(json.dumps(DUMPED)), "seed": 1})
-    )
-    found = configuration(run)
+    file = tmp_path / "2026-01-01_g1" / ".hydra" / "config.yaml"
+    file.parent.mkdir(parents=True)
+    file.write_text(json.dumps({"env": DUMPED, "seed": 1}))
+    found = configuration(file.parents[1])
     assert found.name == "2026-01-01_g1"
     assert found.settings == configuration(G1).settings
     assert found.origins["timestep_s"] == "env.sim.dt"

@@ -176,13 +176,10 @@ def test_groups_that_differ_are_reported_and_can_be_picked():
         configuration(model, pair=("floor", "nose"))
     with pytest.raises(TargetError, match="'a1' and 'c' cannot collide"):
         configuration(model, pair=("a1", "c"))
-
-
-def test_override_gives_all_contacts_its_own_constants_friction_included():
-    read = configuration(
-        heap(option="o_friction='.1 .2 .3 .4 .5'", flag="override='enable'")
-    )
-    assert read.settings["o_friction"] == [0.1, 0.2, 0.3, 0.4, 0.5]
+    with pytest.raises(TargetError, match="pairs of geoms are those of a MuJoCo model"):
+        configuration("mujoco", pair=("a", "b"))
+    model = heap(option="o_friction='.1 .2 .3 .4 .5'", flag="override='enable'")
+    assert configuration(model).settings["o_friction"] == [0.1, 0.2, 0.3, 0.4, 0.5]
 
 
 @pytest.mark.parametrize(
@@ -212,61 +209,6 @@ def test_the_out_of_box_preset_is_what_a_model_has_that_states_nothing():
         SettingsMuJoCo(preset="out_of_box", drive_interval_s=0.002, **read)
         == PRESETS["out_of_box"]
     )
-
-
-# --- the whole chain --------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("name", ["HalfCheetah-v5", "Humanoid-v5"])
-def test_a_cube_moves_as_in_the_model_that_the_settings_are_from(name):
-    # The robot's own compiled model, with a real cube on a real board dropped into it far from the robot.
-    scene = load_experiment("SlopeSlider-1-wood").scene
-    cube, board = scene.body("cube"), scene.body("board")
-    friction = scene.contacts[0].friction
-    env = gymnasium.make(name)
-    model = env.unwrapped.model
-    spec = mujoco.MjSpec.from_file(env.unwrapped.fullpath)
-    env.close()
-    away = np.array([1000.0, 0.0, 0.0])
-    names = [model.geom(int(index)).name for index in contact_pairs(model).geoms[0]]
-    floor, source = ({geom.name: geom for geom in spec.geoms}[name] for name in names)
-    for body, like in ((board, floor), (cube, source)):
-        frame = spec.worldbody.add_body(
-            name=body.name, pos=away + body.pose.position_m, quat=body.pose.quaternion
-        )
-        if body is cube:
-            frame.add_freejoint()
-        frame.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_BOX,
-            size=[0.5 * edge for edge in body.shape.size_m],
-            mass=body.mass_kg,
-            friction=[friction, 0.0, 0.0],
-            contype=4,
-            conaffinity=4,
-            **{
-                key: getattr(like, key)
-                for key in ("solref", "solimp", "margin", "gap", "condim", "solmix")
-            },
-        )
-    spec.compiler.settotalmass = -1.0
-    model = spec.compile()
-    model.opt.gravity[2] = -scene.gravity_m_per_s2
-    data = mujoco.MjData(model)
-    settings = configuration(name).settings
-    step = settings["timestep_s"]
-    simulation = backend("mujoco").build(scene, settings | {"drive_interval_s": step})
-    address = int(model.jnt_qposadr[model.body("cube").jntadr[0]])
-    start = simulation.body_states(["cube"])[0, 0, :3]
-    for _ in range(100):
-        mujoco.mj_step(model, data)
-        simulation.advance(step)
-    place = simulation.body_states(["cube"])[0, 0, :3]
-    # PGS, Humanoid's solver, stops at a residual that scales with the inertia of the whole model.
-    tolerance = 5e-6 if settings["solver"] == "PGS" else 1e-7
-    np.testing.assert_allclose(
-        place, data.qpos[address : address + 3] - away, atol=tolerance
-    )
-    assert np.linalg.norm(place - start) > 1e-4
 
 
 # --- kinds of targets ------------------------------------------------------------------------------------------------
@@ -449,11 +391,6 @@ def test_a_file_that_cannot_be_read_names_the_line_and_what_to_do(
 def test_what_is_no_target_says_why(target, message):
     with pytest.raises(TargetError, match=message):
         configuration(target)
-
-
-def test_pairs_of_geoms_are_those_of_a_model():
-    with pytest.raises(TargetError, match="pairs of geoms are those of a MuJoCo model"):
-        configuration("mujoco", pair=("a", "b"))
 
 
 # --- warnings and crashes --------------------------------------------------------------------------------------------
